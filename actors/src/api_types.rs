@@ -1,23 +1,27 @@
-//! Requests of clients in any language: JSON in, JSON out, on `consort/{fleet}/api/…`.
+//! Types of client requests and replies in any language: JSON in, JSON out, on
+//! `consort/{fleet}/api/…`.
 //!
-//! | call | asks | gets |
+//! | call | request | reply |
 //! |---|---|---|
-//! | `submit` | `{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "my-7"}`; `mission` may also be a whole mission file as an object; `request` may be left out, as may `priority` (-100 to 100, higher is served first, default 0) and `deadline_s` (seconds from now until the mission should be done) | `{"mission": "lab-samples-1", "again": false}` |
+//! | `submit` | `{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "my-7"}`; `mission` may also be a whole mission file as an object; optional: `request`, `priority` (-100 to 100, higher is served first, default 0) and `deadline_s` (seconds from now until the mission should be completed) | `{"mission": "lab-samples-1", "again": false}` |
 //! | `cancel` | `{"mission": "lab-samples-1", "by": "a nurse"}` | `{"mission": …, "state": …}` |
-//! | `rescued` | `{"mission": "lab-samples-1", "by": "Nia"}`: what the mission left in robots' hands has been taken care of | `{"mission": …, "state": …}` |
-//! | `backup` | nothing | a copy of the ledger, with all that was acknowledged before it was asked for: see [`Backup`] |
-//! | `upgrade` | `{"finish": false}`: which versions of the wire each node reads; with `true` the fleet writes the next one from then on | `{"wire": 1, "next": 2, "nodes": […]}` |
-//! | `get` | `{"mission": "lab-samples-1"}` | the mission, as `view/mission/{id}` has it |
-//! | `list` | nothing | `{"missions": […]}`, as `view/missions` has it |
+//! | `resolve` | `{"mission": "lab-samples-1", "by": "Nia"}`: the items that the mission left with robots have been taken care of | `{"mission": …, "state": …}` |
+//! | `backup` | nothing | a copy of the ledger, with everything acknowledged before the request: see [`Backup`] |
+//! | `upgrade` | `{"finish": false}`: the wire versions that each node reads; with `true` the fleet writes the next version from then on | `{"wire": 1, "next": 2, "nodes": […]}` |
+//! | `get` | `{"mission": "lab-samples-1"}` | the mission, as in `view/mission/{id}` |
+//! | `list` | nothing | `{"missions": […]}`, as in `view/missions` |
 //! | `explain` | `{"mission": "lab-samples-1"}` | why each robot did or did not get each role |
-//! | `help` | nothing | `{"calls": […]}`: all this, with JSON Schemas; `api/{call}/help` has one call |
+//! | `help` | nothing | `{"calls": […]}`: all calls, with JSON Schemas; `api/{call}/help` returns a single call |
 //!
-//! The first five are answered by the coordinator alone; all of them but `backup` may change something. What cannot be done gets `{"error": "…"}`,
-//! and nothing was changed. With `"retry_after_ms"` beside it the same may be asked again after that time, with the same
-//! `request`: nobody coordinates yet, or the ledger could not be heard in time. A submission is answered once the mission
-//! is committed; the same `request` again gets the same answer. The others are answered by any node (see [`crate::views`]).
+//! Only the coordinator replies to the first 5 calls. All of them except `backup` may change state.
+//! A request that cannot be executed gets `{"error": "…"}`, and nothing has changed. With an
+//! additional `"retry_after_ms"` the same request, with the same `request` id, may be repeated
+//! after that time: there is no coordinator yet, or the ledger did not commit in time. The reply to
+//! a submission is sent once the mission is committed. Repeating the same `request` id gets the
+//! same reply. Any node replies to the other calls (see [`crate::views`]).
 //!
-//! A mission that is not done by its deadline is given up. Deadlines are kept by the coordinators' wall clocks.
+//! A mission that is not completed by its deadline fails. The coordinators' wall clocks decide
+//! about deadlines.
 
 use crate::store::Backup;
 use consort_protocol::ids::{MissionId, RequestId};
@@ -28,76 +32,76 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
-/// Asks for a mission.
+/// Submits a mission.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct SubmitRequest {
-    /// The name of a mission that is shipped, or a whole mission file as an object.
-    #[schemars(schema_with = "name_or_file")]
+    /// The name of a shipped mission, or a whole mission file as an object.
+    #[schemars(schema_with = "string_or_mission")]
     pub(crate) mission: Value,
-    /// What the mission's parameters are in this case, by their names.
+    /// The values of the mission's parameters, by name.
     #[serde(default)]
     pub(crate) parameters: BTreeMap<String, String>,
-    /// The client's name for this request: made again under the same name, it is done once.
+    /// The client's id for this request. A repeated request with the same id is executed once.
     #[schemars(with = "Option<String>")]
     pub(crate) request: Option<RequestId>,
-    /// Which of two waiting missions is served first: the one of higher priority.
+    /// Order in which waiting missions are served: higher priorities first.
     #[serde(default)]
     #[schemars(range(min = -100, max = 100))]
     pub(crate) priority: i64,
-    /// Seconds from now until the mission should be done; then it is given up.
+    /// Seconds from now until the mission should be completed; after that it fails.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub(crate) deadline_s: Option<f64>,
 }
 
-/// Says something of a mission, on somebody's word.
+/// Changes a mission on behalf of a person.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct MissionChangeRequest {
     /// The mission.
     #[schemars(with = "String")]
     pub(crate) mission: MissionId,
-    /// On whose word, to show.
-    #[serde(default = "a_client")]
+    /// Name of the person, for display.
+    #[serde(default = "default_name")]
     pub(crate) by: String,
 }
 
-/// Asks how far the fleet is on its way to the next version of the wire.
+/// Queries the progress of the upgrade to the next wire version.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct UpgradeRequest {
-    /// Whether the fleet shall write the next version from now on, which cannot be taken back.
+    /// The fleet writes the next version from now on. This cannot be undone.
     #[serde(default)]
     pub(crate) finish: bool,
 }
 
-/// How far the fleet is on its way to the next version of the wire.
+/// Progress of the upgrade to the next wire version.
 #[derive(Serialize, JsonSchema)]
 pub(crate) struct UpgradeStatus {
     /// The version that the fleet writes.
     pub(crate) wire: u8,
-    /// The next one; null if the coordinator's release reads none later.
+    /// The next version; null if the coordinator's release reads no later version.
     pub(crate) next: Option<u8>,
-    /// Everybody of whom something is known or who keeps the ledger, by name.
+    /// All nodes with a known record, and all voters, by name.
     pub(crate) nodes: Vec<NodeVersions>,
 }
 
-/// Which versions of the wire a node reads.
+/// Wire versions that a node reads.
 #[derive(Serialize, JsonSchema)]
 pub(crate) struct NodeVersions {
-    /// Its name.
+    /// Id of the node.
     pub(crate) node: String,
-    /// Whether it is believed to be there.
+    /// The node is considered alive.
     pub(crate) alive: bool,
-    /// The oldest version that it reads; null if nothing is known of it.
+    /// The oldest version that the node reads; null if no record of it is known.
     pub(crate) oldest: Option<u8>,
-    /// The newest.
+    /// The newest version.
     pub(crate) newest: Option<u8>,
-    /// Whether it reads the next version; null if there is none.
+    /// The node reads the next version; null if there is none.
     pub(crate) ready: Option<bool>,
 }
 
-/// Asks about a mission.
+/// Queries a mission.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct MissionQuery {
@@ -106,137 +110,140 @@ pub(crate) struct MissionQuery {
     pub(crate) mission: MissionId,
 }
 
-/// A mission that was acknowledged: it is committed, and will not be lost.
+/// Acknowledged mission: it is committed and will not be lost.
 #[derive(Serialize, JsonSchema)]
 pub(crate) struct SubmitReply {
-    /// Its id.
+    /// Id of the mission.
     #[schemars(with = "String")]
     pub(crate) mission: MissionId,
-    /// Whether it had been asked for before, under the same name.
+    /// The mission had been submitted before, with the same request id.
     pub(crate) again: bool,
 }
 
-/// How a mission stands after what was asked.
+/// State of a mission after a change.
 #[derive(Serialize, JsonSchema)]
 pub(crate) struct MissionChangeReply<S> {
     /// The mission.
     #[schemars(with = "String")]
     pub(crate) mission: MissionId,
-    /// Its state: a word, or an object of one word with what belongs to it.
-    #[schemars(schema_with = "word_or_object")]
+    /// Its state: a word, or an object with a single key and its details.
+    #[schemars(schema_with = "string_or_object")]
     pub(crate) state: S,
 }
 
-/// Whoever looks gets this beside what was asked for.
+/// Provenance of a reply.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
 pub(crate) struct Provenance {
-    /// The node that answers.
+    /// The node that replies.
     pub(crate) seen_by: String,
-    /// How long ago it last had word from the coordinator, in milliseconds; 0 if it is the coordinator, null if it never had.
+    /// Age of its last beacon from the coordinator in milliseconds; 0 if it is the coordinator,
+    /// null if it never received a beacon.
     pub(crate) age_ms: Option<u64>,
-    /// Who coordinates, as it believes; null if nobody does.
+    /// The coordinator, as seen by this node; null if there is none.
     pub(crate) coordinator: Option<String>,
-    /// In which term.
+    /// Term of the coordinator.
     pub(crate) term: u64,
-    /// What time it is by its clock, in milliseconds since 1970.
+    /// Time by the node's clock, in milliseconds since 1970.
     pub(crate) at_ms: u64,
-    /// Which version of the program it is.
+    /// Version of the program.
     pub(crate) version: String,
 }
 
-/// Missions, briefly.
+/// Reply with a summary of all missions.
 #[derive(JsonSchema)]
 #[expect(dead_code, reason = "it says in JSON Schema what views/mission.rs makes")]
-struct Listed {
+struct MissionListReply {
     #[serde(flatten)]
-    mark: Provenance,
-    /// In the order in which they were submitted.
-    missions: Vec<Brief>,
+    provenance: Provenance,
+    /// The missions in the order of submission.
+    missions: Vec<MissionSummary>,
 }
 
-/// A mission, briefly.
+/// Summary of a mission.
 #[derive(JsonSchema)]
 #[expect(dead_code, reason = "it says in JSON Schema what views/mission.rs makes")]
-struct Brief {
-    /// Its id.
+struct MissionSummary {
+    /// Id of the mission.
     mission: String,
-    /// One of pending, running, completed, failed, canceled, needs_rescue.
+    /// State: pending, running, completed, failed, canceled or needs_intervention.
     state: String,
-    /// Steps ended, over all roles of robots.
+    /// Number of ended steps, over all managed roles.
     done: usize,
-    /// Steps in all.
+    /// Number of steps.
     steps: usize,
-    /// Who holds or has carried out which role.
+    /// Robots that hold or have completed each role.
     holders: BTreeMap<String, String>,
-    /// What was given for its parameters.
+    /// Values of the parameters.
     parameters: BTreeMap<String, String>,
-    /// When it was submitted, in milliseconds since 1970.
+    /// Time of submission in milliseconds since 1970.
     submitted_at_ms: u64,
 }
 
-/// A mission.
+/// Reply with a single mission.
 #[derive(JsonSchema)]
 #[expect(dead_code, reason = "it says in JSON Schema what views/mission.rs makes")]
-struct Told {
+struct MissionReply {
     #[serde(flatten)]
-    mark: Provenance,
+    provenance: Provenance,
     #[serde(flatten)]
-    brief: Brief,
-    /// Its tasks as a tree, each with its state, roles and holders.
+    summary: MissionSummary,
+    /// The tasks as a tree, each with its state, roles and holders.
     tree: Value,
-    /// Its roles, each with holder, epoch and steps.
+    /// The roles, each with holder, epoch and steps.
     roles: Vec<Value>,
-    /// Its latest auction.
+    /// The latest auction.
     auction: Option<Value>,
 }
 
-/// Why each robot did or did not get each role.
+/// Reply that explains why each robot did or did not get each role.
 #[derive(JsonSchema)]
 #[expect(dead_code, reason = "it says in JSON Schema what views/api.rs makes")]
-struct Explained {
+struct ExplainReply {
     #[serde(flatten)]
-    mark: Provenance,
+    provenance: Provenance,
     /// The mission.
     mission: String,
-    /// One of pending, running, completed, failed, canceled, needs_rescue.
+    /// State: pending, running, completed, failed, canceled or needs_intervention.
     state: String,
-    /// The latest auction, role by role and robot by robot, each bid step by step; null if none was held yet.
+    /// The latest auction by role and robot, each bid by step; null if no auction has taken place
+    /// yet.
     explanation: Option<Value>,
-    /// The same in sentences, one a line.
-    words: Vec<String>,
+    /// The same as text, with 1 entry per line.
+    text: Vec<String>,
 }
 
-/// All calls there are.
+/// Reply with all calls.
 #[derive(JsonSchema)]
 #[expect(dead_code, reason = "it says in JSON Schema what help() makes")]
-struct Calls {
-    /// Each with its key, what it does, an example, and the JSON Schemas of payload and answer.
+struct HelpReply {
+    /// The calls, each with its key, description, example, and the JSON Schemas of payload and
+    /// reply.
     calls: Vec<Value>,
 }
 
-/// What was not done, and why.
+/// Error reply.
 #[derive(JsonSchema)]
 #[expect(dead_code, reason = "it says in JSON Schema what every call may answer")]
-struct Error {
-    /// What is wrong, where, and what is allowed.
+struct ErrorReply {
+    /// The problem, its location, and the allowed values.
     error: String,
-    /// If it is there, the same may be asked again after that time.
+    /// If present, the same request may be repeated after that time.
     retry_after_ms: Option<u64>,
 }
 
-fn name_or_file(_: &mut schemars::SchemaGenerator) -> Schema {
+fn string_or_mission(_: &mut schemars::SchemaGenerator) -> Schema {
     schemars::json_schema!({ "type": ["string", "object"] })
 }
 
-fn word_or_object(_: &mut schemars::SchemaGenerator) -> Schema {
+fn string_or_object(_: &mut schemars::SchemaGenerator) -> Schema {
     schemars::json_schema!({ "type": ["string", "object", "null"] })
 }
 
-fn a_client() -> String {
+fn default_name() -> String {
     "a client".to_owned()
 }
 
-/// An example of what a call takes; nothing if it takes nothing.
+/// Returns an example payload of a call; `None` if it has no payload.
 fn example(call: ApiCall) -> Option<Value> {
     match call {
         ApiCall::Submit => {
@@ -250,23 +257,23 @@ fn example(call: ApiCall) -> Option<Value> {
     }
 }
 
-/// What a call takes and what it answers, as JSON Schemas.
+/// Returns the JSON Schemas of a call's payload and reply.
 fn schemas(call: ApiCall) -> (Option<Schema>, Schema) {
     match call {
         ApiCall::Submit => (Some(schema_for!(SubmitRequest)), schema_for!(SubmitReply)),
         ApiCall::Cancel | ApiCall::Resolve => {
             (Some(schema_for!(MissionChangeRequest)), schema_for!(MissionChangeReply<Value>))
         }
-        ApiCall::Get => (Some(schema_for!(MissionQuery)), schema_for!(Told)),
-        ApiCall::List => (None, schema_for!(Listed)),
-        ApiCall::Explain => (Some(schema_for!(MissionQuery)), schema_for!(Explained)),
-        ApiCall::Help => (None, schema_for!(Calls)),
+        ApiCall::Get => (Some(schema_for!(MissionQuery)), schema_for!(MissionReply)),
+        ApiCall::List => (None, schema_for!(MissionListReply)),
+        ApiCall::Explain => (Some(schema_for!(MissionQuery)), schema_for!(ExplainReply)),
+        ApiCall::Help => (None, schema_for!(HelpReply)),
         ApiCall::Backup => (None, schema_for!(Backup)),
         ApiCall::Upgrade => (Some(schema_for!(UpgradeRequest)), schema_for!(UpgradeStatus)),
     }
 }
 
-/// How a call is made.
+/// Returns the description of a call.
 pub(crate) fn call_help(call: ApiCall) -> Value {
     let about = consort_protocol::keys::Key::Api(call).info();
     let (payload, answer) = schemas(call);
@@ -278,63 +285,63 @@ pub(crate) fn call_help(call: ApiCall) -> Value {
         "example": example(call),
         "payload_schema": payload,
         "answer_schema": answer,
-        "error_schema": schema_for!(Error),
+        "error_schema": schema_for!(ErrorReply),
     })
 }
 
-/// How every call on `api/**` is made, as `api/help` answers: key, meaning, example, and the JSON Schemas of payload, answer and
-/// error.
+/// Returns the descriptions of all calls on `api/**`, like `api/help`: key, meaning, example, and
+/// the JSON Schemas of payload, reply and error.
 pub fn help() -> Value {
     json!({ "calls": ApiCall::ALL.iter().map(|call| call_help(*call)).collect::<Vec<_>>() })
 }
 
-/// Largest request in bytes: twice the largest mission file, which may be written with much space in it. Read, it takes some
-/// thirty times as much memory.
+/// Maximum size of a request in bytes: twice the largest mission file, which may contain much white
+/// space. Parsed, a request takes about 30 times as much memory.
 const REQUEST_MAX: usize = 2 * FILE_BYTES_MAX;
 
-/// Reads what a call was given.
+/// Parses the payload of a call.
 ///
 /// # Errors
-/// What is wrong in words: which field, what is wrong with it, what is allowed, and an example.
+/// A text with the field, its problem, the allowed values, and an example.
 pub(crate) fn parse_request<T: serde::de::DeserializeOwned>(call: ApiCall, payload: &[u8]) -> Result<T, String> {
     if payload.len() > REQUEST_MAX {
-        return Err(format!("the request has {} bytes, where {REQUEST_MAX} are allowed", payload.len()));
+        return Err(format!("the request has {} bytes; the limit is {REQUEST_MAX}", payload.len()));
     }
     let fields = serde_json::from_slice::<Value>(payload);
-    let misfit = fields.ok().and_then(|payload| misfit(call, &payload));
-    let read = match misfit {
+    let type_error = fields.ok().and_then(|payload| type_error(call, &payload));
+    let read = match type_error {
         Some(problem) => Err(problem),
         None => serde_json::from_slice(payload).map_err(|problem| problem.to_string()),
     };
-    read.map_err(|what| {
+    read.map_err(|problem| {
         let example = example(call).map(|example| format!("; an example is {example}")).unwrap_or_default();
-        format!("{what}{example}; api/{}/help has the whole", call.as_str())
+        format!("{problem}{example}; see api/{}/help", call.as_str())
     })
 }
 
-/// Which field is of the wrong kind, by the call's own schema.
-fn misfit(call: ApiCall, payload: &Value) -> Option<String> {
+/// Returns a description of the first field with a wrong type, according to the call's own schema.
+fn type_error(call: ApiCall, payload: &Value) -> Option<String> {
     let schema = schemas(call).0?.to_value();
     let Value::Object(fields) = payload else {
         return Some(format!("the payload is {}; allowed is an object", kind(payload)));
     };
     fields.iter().find_map(|(name, value)| {
         let allowed: Vec<&str> = match &schema["properties"][name]["type"] {
-            Value::String(one) => vec![one],
-            Value::Array(several) => several.iter().filter_map(Value::as_str).collect(),
+            Value::String(name) => vec![name],
+            Value::Array(types) => types.iter().filter_map(Value::as_str).collect(),
             _ => return None,
         };
-        let fits = allowed.iter().any(|allowed| match *allowed {
+        let matches = allowed.iter().any(|allowed| match *allowed {
             "integer" => value.is_i64() || value.is_u64(),
             "number" => value.is_number(),
             "null" => value.is_null(),
             other => kind(value).ends_with(other),
         });
-        if fits {
-            let of_wrong_kind = name == "parameters";
+        if matches {
+            let is_map = name == "parameters";
             let wrong = value.as_object().into_iter().flatten().find(|(_, value)| !value.is_string());
             return wrong
-                .filter(|_| of_wrong_kind)
+                .filter(|_| is_map)
                 .map(|(key, value)| format!("{name}.{key} is {}; allowed is a string", kind(value)));
         }
         let allowed: Vec<&str> = allowed.into_iter().filter(|kind| *kind != "null").collect();
@@ -358,7 +365,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_example_is_taken_by_its_call_and_fits_its_schema() {
+    fn every_example_is_accepted_by_its_call_and_its_schema() {
         for call in ApiCall::ALL {
             let Some(example) = example(*call) else { continue };
             let bytes = example.to_string();
@@ -372,12 +379,12 @@ mod tests {
                 ApiCall::List | ApiCall::Help | ApiCall::Backup => Ok(()),
             };
             assert_eq!(taken, Ok(()), "{}", call.as_str());
-            assert_eq!(misfit(*call, &example), None, "{}", call.as_str());
+            assert_eq!(type_error(*call, &example), None, "{}", call.as_str());
         }
     }
 
     #[test]
-    fn the_schemas_are_of_the_types_that_are_read() {
+    fn the_schemas_match_the_parsed_types() {
         let help = help();
         let of = |call: &str| {
             let calls = help["calls"].as_array().unwrap();
@@ -395,17 +402,17 @@ mod tests {
     }
 
     #[test]
-    fn a_request_that_is_too_large_is_not_read() {
+    fn a_request_above_the_size_limit_is_rejected() {
         let long = format!("{{\"mission\": \"lab-samples-1\", \"by\": \"{}\"}}", "x".repeat(REQUEST_MAX));
-        let said = parse_request::<MissionChangeRequest>(ApiCall::Cancel, long.as_bytes()).map(drop).unwrap_err();
-        assert_eq!(said, format!("the request has {} bytes, where {REQUEST_MAX} are allowed", long.len()));
+        let error = parse_request::<MissionChangeRequest>(ApiCall::Cancel, long.as_bytes()).map(drop).unwrap_err();
+        assert_eq!(error, format!("the request has {} bytes; the limit is {REQUEST_MAX}", long.len()));
     }
 
     #[test]
-    fn what_is_wrong_with_a_payload_is_said_by_field() {
+    fn a_payload_error_names_its_field() {
         let problem =
             |payload: &str| parse_request::<SubmitRequest>(ApiCall::Submit, payload.as_bytes()).map(drop).unwrap_err();
-        for (payload, says) in [
+        for (payload, expected_start) in [
             (r#"{"mission": 7}"#, "mission is a number; allowed is string or object; an example is {"),
             (r#"{"mission": "a", "priority": "high"}"#, "priority is a string; allowed is integer; an"),
             (r#"{"mission": "a", "deadline_s": [1]}"#, "deadline_s is an array; allowed is number; an"),
@@ -414,9 +421,9 @@ mod tests {
             ("[]", "the payload is an array; allowed is an object; an"),
             ("{}", "missing field `mission`"),
         ] {
-            let said = problem(payload);
-            assert!(said.starts_with(says), "{payload}: {said}");
-            assert!(said.ends_with("api/submit/help has the whole"), "{said}");
+            let error = problem(payload);
+            assert!(error.starts_with(expected_start), "{payload}: {error}");
+            assert!(error.ends_with("see api/submit/help"), "{error}");
         }
     }
 }

@@ -1,58 +1,60 @@
-//! A node's clock: how long it has been up, and what time people would say it is.
+//! A node's clock: its uptime, and the date and time to show to people.
 //!
-//! Both follow tokio's clock, so that on paused time they advance with the simulation and with nothing else.
+//! Both follow tokio's clock. On paused time they advance with the simulation only.
 
 use consort_protocol::units::NodeTime;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::time::Instant;
 
-/// The clock of one node, which starts when it is made. Made within a tokio runtime.
+/// Clock of a node. It starts when it is created, within a tokio runtime.
 #[derive(Debug, Clone, Copy)]
 pub struct Clock {
     start: Instant,
     wall_origin_ms: u64,
-    /// Seconds that it counts in one second; 1 but for a clock that drifts.
+    /// Seconds counted per second of tokio's clock: 1, except for a drifting clock.
     rate: f64,
 }
 
 impl Clock {
-    /// The clock of a node on a real machine.
+    /// Creates the clock of a node on a real machine.
     pub fn real() -> Clock {
-        // A machine whose date lies before 1970 shows 1970.
+        // A date before 1970 is shown as 1970.
         let origin = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO);
         Clock::virtual_at(u64::try_from(origin.as_millis()).unwrap_or(u64::MAX))
     }
 
-    /// The clock of a node that starts at a given date, in milliseconds since 1970, so that a run repeats to the letter.
+    /// Creates a clock with a fixed date at its start, in milliseconds since 1970, so that a run
+    /// repeats exactly.
     pub fn virtual_at(origin_ms: u64) -> Clock {
         Clock { start: Instant::now(), wall_origin_ms: origin_ms, rate: 1.0 }
     }
 
-    /// The same clock, running fast or slow: it counts `rate` seconds in one. Readings, and instants made from them, drift
-    /// with it; periods that are slept through (beats, time limits) do not. Leases and leadership are judged by readings.
+    /// Returns the same clock, running fast or slow: it counts `rate` seconds per second. Readings,
+    /// and instants computed from them, drift with it. Sleep periods (heartbeats, time limits) do
+    /// not. Leases and leadership are decided by readings.
     ///
     /// # Panics
-    /// When the rate is not above zero: our own mistake.
+    /// If the rate is not finite or not above zero: an error of the caller.
     #[must_use]
     pub fn drifting(self, rate: f64) -> Clock {
-        assert!(rate.is_finite() && rate > 0.0, "a clock runs forwards: {rate}");
+        assert!(rate.is_finite() && rate > 0.0, "the rate of a clock must be finite and above zero, not {rate}");
         Clock { rate, ..self }
     }
 
-    /// How long the node has been up.
+    /// Returns the node's uptime.
     pub fn now(&self) -> NodeTime {
         let elapsed = self.start.elapsed();
-        // A clock that does not drift is not rounded either.
+        // Without drift the value is not rounded.
         NodeTime::at(if self.rate == 1.0 { elapsed } else { elapsed.mul_f64(self.rate) })
     }
 
-    /// Date and time to show to people, in milliseconds since 1970. A later correction of the machine's date is not
-    /// followed: nothing may be decided by it.
+    /// Returns the date and time to show to people, in milliseconds since 1970. It does not follow
+    /// later corrections of the machine's date, so no decision may depend on it.
     pub fn wall_ms(&self) -> u64 {
         self.wall_origin_ms.saturating_add(self.now().as_millis())
     }
 
-    /// When, on tokio's clock, it will be `at` on this one.
+    /// Returns the instant of tokio's clock at which this clock reads `at`.
     pub fn instant(&self, at: NodeTime) -> Instant {
         let since = at.since(NodeTime::ZERO);
         self.start + if self.rate == 1.0 { since } else { since.div_f64(self.rate) }
@@ -64,7 +66,7 @@ mod tests {
     use super::*;
 
     #[tokio::test(flavor = "current_thread", start_paused = true)]
-    async fn a_virtual_clock_advances_with_the_simulation_alone() {
+    async fn a_virtual_clock_advances_only_with_the_simulation() {
         let clock = Clock::virtual_at(1_000);
         std::thread::sleep(Duration::from_millis(3));
         assert_eq!((clock.now(), clock.wall_ms()), (NodeTime::ZERO, 1_000));
@@ -74,7 +76,7 @@ mod tests {
     }
 
     #[tokio::test(flavor = "current_thread", start_paused = true)]
-    async fn a_clock_that_drifts_counts_more_or_less_and_knows_when_it_will_be() {
+    async fn a_drifting_clock_scales_its_readings_and_instants() {
         let (fast, slow) = (Clock::virtual_at(0).drifting(1.25), Clock::virtual_at(0).drifting(0.75));
         tokio::time::advance(Duration::from_secs(4)).await;
         assert_eq!((fast.now().as_millis(), slow.now().as_millis()), (5_000, 3_000));

@@ -1,11 +1,13 @@
-//! Which cluster a node belongs to, and a bus that keeps clusters apart.
+//! A node's cluster membership, and a bus layer that keeps clusters apart.
 //!
-//! Two fleets of one name that were founded apart must not merge: their ledgers promise different things under the same
-//! names. Each ledger has a [`ClusterId`], drawn by its founder. A node belongs to the cluster of its own ledger. One
-//! without a ledger belongs to the first whose coordinator it hears, for as long as it hears of it; it ignores beacons,
-//! awards, calls, signals and questions of every other.
+//! Two fleets with the same name that were founded separately must not merge: their ledgers hold
+//! different commitments under the same names. Each ledger has a [`ClusterId`], drawn by its
+//! founder. A node with a ledger belongs to the cluster of that ledger. A node without a ledger
+//! joins the cluster of the first coordinator that it receives a message from, and stays while such
+//! messages arrive. It ignores beacons, awards, calls, signals and queries of all other clusters.
 //!
-//! Nobody has to think of that: [`ClusterBus`] puts the cluster around whatever concerns missions, and lets in what is its own.
+//! [`ClusterBus`] applies this to every message about missions: it adds the cluster to outgoing
+//! messages and drops incoming messages of other clusters. Actors need no code for it.
 
 use crate::bus::{BusError, Layer, MessageContent, Query, Reply, Sample, SharedBus, Stream, refuse_in_background};
 use bytes::Bytes;
@@ -19,117 +21,120 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 use tracing::{debug, info};
 
-/// How long a node without a ledger stays with a cluster of which it hears nothing. A guess: several times what the longest
-/// election takes, and as long as gossip remembers a node that has gone.
+/// Time after the last contact at which a node without a ledger leaves its cluster. A guess:
+/// several times the longest election, and as long as gossip keeps the record of a node that is
+/// down.
 pub const MEMBERSHIP_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// A node's cluster. Clones are one.
+/// Cluster of a node. Clones share the value.
 #[derive(Debug, Clone)]
-pub struct ClusterMembership(Arc<watch::Sender<Sworn>>);
+pub struct ClusterMembership(Arc<watch::Sender<Membership>>);
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Sworn {
-    No,
-    /// To the first cluster heard, which was heard last at that instant.
-    Heard(ClusterId, Instant),
-    /// By its own ledger.
-    Kept(ClusterId),
+enum Membership {
+    None,
+    /// Joined by contact, with the instant of the last contact.
+    ByContact(ClusterId, Instant),
+    /// Fixed by the node's own ledger.
+    ByLedger(ClusterId),
 }
 
-impl Sworn {
+impl Membership {
     fn cluster(self) -> Option<ClusterId> {
         match self {
-            Sworn::Heard(cluster, at) => (at.elapsed() < MEMBERSHIP_TIMEOUT).then_some(cluster),
-            Sworn::Kept(cluster) => Some(cluster),
-            Sworn::No => None,
+            Membership::ByContact(cluster, at) => (at.elapsed() < MEMBERSHIP_TIMEOUT).then_some(cluster),
+            Membership::ByLedger(cluster) => Some(cluster),
+            Membership::None => None,
         }
     }
 }
 
 impl Default for ClusterMembership {
     fn default() -> Self {
-        ClusterMembership(Arc::new(watch::Sender::new(Sworn::No)))
+        ClusterMembership(Arc::new(watch::Sender::new(Membership::None)))
     }
 }
 
 impl ClusterMembership {
-    /// The cluster that this node belongs to at present.
+    /// Returns the cluster that this node belongs to at present.
     pub fn cluster(&self) -> Option<ClusterId> {
         self.0.borrow().cluster()
     }
 
-    /// The node's own ledger says so; it prevails over what was heard.
+    /// Sets the cluster of the node's own ledger. It replaces a membership by contact.
     pub fn set_from_ledger(&self, cluster: ClusterId) {
-        self.0.send_replace(Sworn::Kept(cluster));
+        self.0.send_replace(Membership::ByLedger(cluster));
     }
 
-    /// Whether a message of this cluster is for this node; a node that belongs nowhere joins.
+    /// Checks whether a message of this cluster is for this node. A node without a cluster joins
+    /// it.
     fn admits(&self, cluster: ClusterId) -> bool {
         let mut admitted = false;
-        self.0.send_if_modified(|sworn| {
-            let before = sworn.cluster();
+        self.0.send_if_modified(|membership| {
+            let before = membership.cluster();
             admitted = before.is_none_or(|own| own == cluster);
-            if admitted && !matches!(sworn, Sworn::Kept(_)) {
-                *sworn = Sworn::Heard(cluster, Instant::now());
+            if admitted && !matches!(membership, Membership::ByLedger(_)) {
+                *membership = Membership::ByContact(cluster, Instant::now());
             }
             before.is_none()
         });
         admitted
     }
 
-    /// Tells the cluster of this node, now and whenever it changes; looks at it now and then, since it may be forgotten.
-    pub(crate) async fn report_changes(self, mut tell: impl FnMut(Option<ClusterId>) -> bool) {
+    /// Passes the node's cluster to `report`, immediately and on every change, until `report`
+    /// returns false. It also polls, since a membership by contact expires without an event.
+    pub(crate) async fn report_changes(self, mut report: impl FnMut(Option<ClusterId>) -> bool) {
         let mut changes = self.0.subscribe();
-        let mut told = None;
+        let mut reported = None;
         loop {
             let own = changes.borrow_and_update().cluster();
-            if own != told {
-                info!(cluster = own.map(tracing::field::display), "belongs to a cluster");
-                told = own;
-                if !tell(own) {
+            if own != reported {
+                info!(cluster = own.map(tracing::field::display), "cluster membership changed");
+                reported = own;
+                if !report(own) {
                     return;
                 }
             }
-            let looked = tokio::time::timeout(MEMBERSHIP_TIMEOUT / 6, changes.changed()).await;
-            if let Ok(Err(_)) = looked {
+            let timed = tokio::time::timeout(MEMBERSHIP_TIMEOUT / 6, changes.changed()).await;
+            if let Ok(Err(_)) = timed {
                 return;
             }
         }
     }
 }
 
-/// A bus on which whatever concerns missions stays within the node's cluster. Everything else passes as it is.
+/// Bus that restricts messages about missions to the node's cluster. Other messages pass unchanged.
 pub struct ClusterBus {
     bus: SharedBus,
     keys: Keys,
-    allegiance: ClusterMembership,
+    membership: ClusterMembership,
 }
 
 impl ClusterBus {
-    /// Keeps what passes on `bus` within the cluster of `allegiance`.
-    pub fn new(bus: SharedBus, keys: Keys, allegiance: ClusterMembership) -> ClusterBus {
-        ClusterBus { bus, keys, allegiance }
+    /// Creates a layer over `bus` for the cluster of `membership`.
+    pub fn new(bus: SharedBus, keys: Keys, membership: ClusterMembership) -> ClusterBus {
+        ClusterBus { bus, keys, membership }
     }
 
     fn wrap(&self, key: &str, payload: Bytes) -> Result<Bytes, BusError> {
         if !self.keys.is_cluster_scoped(key) {
             return Ok(payload);
         }
-        let within = ClusterEnvelope { cluster: self.allegiance.cluster(), payload: payload.to_vec() };
-        codec::encode(&within).map(Bytes::from).map_err(|problem| BusError::Failed {
-            operation: format!("say something on {key}"),
+        let envelope = ClusterEnvelope { cluster: self.membership.cluster(), payload: payload.to_vec() };
+        codec::encode(&envelope).map(Bytes::from).map_err(|problem| BusError::Failed {
+            operation: format!("publish on {key}"),
             problem: problem.to_string(),
         })
     }
 }
 
-/// What is in a message, if it is for this node.
-fn unwrap(allegiance: &ClusterMembership, payload: &[u8]) -> Result<Bytes, String> {
+/// Returns the content of a message if it is for this node.
+fn open_envelope(membership: &ClusterMembership, payload: &[u8]) -> Result<Bytes, String> {
     let ClusterEnvelope { cluster, payload } = codec::decode(payload).map_err(|problem| problem.to_string())?;
     match cluster {
-        Some(cluster) if !allegiance.admits(cluster) => {
-            let own = allegiance.cluster().map_or("none".to_owned(), |own| own.to_string());
-            Err(format!("it is of cluster {cluster}, where this node belongs to {own}: they do not merge"))
+        Some(cluster) if !membership.admits(cluster) => {
+            let own = membership.cluster().map_or("none".to_owned(), |own| own.to_string());
+            Err(format!("message of cluster {cluster} rejected: this node belongs to cluster {own}"))
         }
         _ => Ok(payload.into()),
     }
@@ -142,29 +147,29 @@ impl Layer for ClusterBus {
         &self.bus
     }
 
-    fn outgoing_publication(&self, key: &str, said: MessageContent) -> Result<MessageContent, BusError> {
-        Ok(MessageContent { payload: self.wrap(key, said.payload)?, ..said })
+    fn outgoing_publication(&self, key: &str, content: MessageContent) -> Result<MessageContent, BusError> {
+        Ok(MessageContent { payload: self.wrap(key, content.payload)?, ..content })
     }
 
     fn incoming_publications(&self, key_expr: &str, samples: Stream<Sample>) -> Stream<Sample> {
         if !self.keys.is_cluster_scoped(key_expr) {
             return samples;
         }
-        let allegiance = self.allegiance.clone();
-        samples.filter_map(move |sample| match unwrap(&allegiance, &sample.payload) {
+        let membership = self.membership.clone();
+        samples.filter_map(move |sample| match open_envelope(&membership, &sample.payload) {
             Ok(payload) => Some(Sample { payload, ..sample }),
             Err(problem) => {
-                debug!(%problem, "not heard");
+                debug!(%problem, "dropped a publication of another cluster");
                 None
             }
         })
     }
 
-    fn outgoing_query(&self, key_expr: &str, said: MessageContent) -> Result<(MessageContent, ()), BusError> {
-        Ok((MessageContent { payload: self.wrap(key_expr, said.payload)?, ..said }, ()))
+    fn outgoing_query(&self, key_expr: &str, content: MessageContent) -> Result<(MessageContent, ()), BusError> {
+        Ok((MessageContent { payload: self.wrap(key_expr, content.payload)?, ..content }, ()))
     }
 
-    /// Whoever answered let the question in, and so is of this cluster.
+    /// A service replies only to queries of its own cluster, so the replies need no check.
     fn incoming_replies(&self, (): (), replies: Stream<Reply>) -> Stream<Reply> {
         replies
     }
@@ -173,11 +178,11 @@ impl Layer for ClusterBus {
         if !self.keys.is_cluster_scoped(key_expr) {
             return incoming_queries;
         }
-        let allegiance = self.allegiance.clone();
-        incoming_queries.filter_map(move |query| match unwrap(&allegiance, &query.payload) {
+        let membership = self.membership.clone();
+        incoming_queries.filter_map(move |query| match open_envelope(&membership, &query.payload) {
             Ok(payload) => Some(Query { payload, ..query }),
             Err(problem) => {
-                debug!(key = query.key, %problem, "not answered");
+                debug!(key = query.key, %problem, "refused a query of another cluster");
                 refuse_in_background(query, problem);
                 None
             }
@@ -192,37 +197,37 @@ mod tests {
     use consort_protocol::ids::{FleetId, NodeId};
     use consort_protocol::keys::Key;
 
-    const ONE: ClusterId = ClusterId(1);
+    const OWN: ClusterId = ClusterId(1);
     const OTHER: ClusterId = ClusterId(2);
 
     #[tokio::test(flavor = "current_thread", start_paused = true)]
-    async fn a_node_joins_the_first_it_hears_until_it_hears_no_more_of_it() {
-        let allegiance = ClusterMembership::default();
-        assert_eq!(allegiance.cluster(), None);
-        assert!(allegiance.admits(ONE) && !allegiance.admits(OTHER));
+    async fn a_node_joins_the_first_cluster_until_contact_is_lost() {
+        let membership = ClusterMembership::default();
+        assert_eq!(membership.cluster(), None);
+        assert!(membership.admits(OWN) && !membership.admits(OTHER));
         tokio::time::advance(MEMBERSHIP_TIMEOUT / 2).await;
-        assert!(allegiance.admits(ONE));
+        assert!(membership.admits(OWN));
         tokio::time::advance(MEMBERSHIP_TIMEOUT * 2 / 3).await;
-        assert_eq!(allegiance.cluster(), Some(ONE));
+        assert_eq!(membership.cluster(), Some(OWN));
         tokio::time::advance(MEMBERSHIP_TIMEOUT).await;
-        assert_eq!(allegiance.cluster(), None);
-        assert!(allegiance.admits(OTHER));
-        allegiance.set_from_ledger(ONE);
+        assert_eq!(membership.cluster(), None);
+        assert!(membership.admits(OTHER));
+        membership.set_from_ledger(OWN);
         tokio::time::advance(MEMBERSHIP_TIMEOUT * 2).await;
-        assert!(allegiance.admits(ONE) && !allegiance.admits(OTHER));
+        assert!(membership.admits(OWN) && !membership.admits(OTHER));
     }
 
     #[tokio::test(flavor = "current_thread", start_paused = true)]
-    async fn what_concerns_missions_stays_within_a_cluster_and_all_else_passes() {
+    async fn mission_messages_stay_within_their_cluster() {
         let network = VirtualNetwork::new(1, LinkModel::LAN);
         let keys = Keys::new(&FleetId::new("ward").unwrap());
         let end = |name: &str, cluster| {
-            let allegiance = ClusterMembership::default();
-            allegiance.set_from_ledger(cluster);
+            let membership = ClusterMembership::default();
+            membership.set_from_ledger(cluster);
             let bus: SharedBus = Arc::new(network.bus(NodeId::new(name).unwrap()));
-            ClusterBus::new(bus, keys.clone(), allegiance)
+            ClusterBus::new(bus, keys.clone(), membership)
         };
-        let (ada, bob, cyd) = (end("ada", ONE), end("bob", ONE), end("cyd", OTHER));
+        let (ada, bob, cyd) = (end("ada", OWN), end("bob", OWN), end("cyd", OTHER));
         for key in [keys.write(&Key::Beacon), keys.write(&Key::Events(NodeId::new("ada").unwrap()))] {
             let (mut at_bob, mut at_cyd) = (bob.subscribe(&key).await.unwrap(), cyd.subscribe(&key).await.unwrap());
             ada.publish(&key, Bytes::from_static(b"here"), Encoding::Wire, Delivery::Drop).await.unwrap();
@@ -231,17 +236,17 @@ mod tests {
             assert_eq!(at_cyd.try_recv().is_some(), key.ends_with("events/ada"), "{key}");
         }
         let key = keys.write(&Key::ActiveMissions(NodeId::new("bob").unwrap()));
-        let mut asked = bob.serve(&key).await.unwrap();
+        let mut queries = bob.serve(&key).await.unwrap();
         tokio::spawn(async move {
-            while let Some(query) = asked.recv().await {
+            while let Some(query) = queries.recv().await {
                 query.replier.reply(&query.key, query.payload.clone(), Encoding::Wire).await.unwrap();
             }
         });
-        let ask = async |who: &ClusterBus| {
-            let mut replies = who.query(&key, Bytes::from_static(b"?"), Duration::from_secs(1)).await.unwrap();
+        let query = async |bus: &ClusterBus| {
+            let mut replies = bus.query(&key, Bytes::from_static(b"?"), Duration::from_secs(1)).await.unwrap();
             replies.recv().await.unwrap().payload
         };
-        assert_eq!(ask(&ada).await, Ok(Bytes::from_static(b"?")));
-        assert!(ask(&cyd).await.unwrap_err().contains("they do not merge"));
+        assert_eq!(query(&ada).await, Ok(Bytes::from_static(b"?")));
+        assert!(query(&cyd).await.unwrap_err().contains("this node belongs to cluster"));
     }
 }

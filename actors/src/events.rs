@@ -1,4 +1,4 @@
-//! A node's voice on the event stream.
+//! Publisher of a node's events.
 
 use crate::bus::{Delivery, Encoding, SharedBus};
 use crate::clock::Clock;
@@ -11,7 +11,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 use tracing::debug;
 
-/// Publishes what happens on this node, in order. Clones share one sequence; telling never waits.
+/// Publishes the events of this node, in order. Clones share a single sequence of numbers.
+/// Publishing never blocks.
 #[derive(Clone)]
 pub struct EventPublisher(Arc<Shared>);
 
@@ -19,17 +20,17 @@ struct Shared {
     node: NodeId,
     clock: Clock,
     observer: Option<SharedObserver>,
-    told: Mutex<Told>,
+    stream: Mutex<NumberedStream>,
     _task: tokio::task::JoinSet<()>,
 }
 
-struct Told {
+struct NumberedStream {
     count: u64,
-    to: UnboundedSender<Event>,
+    sender: UnboundedSender<Event>,
 }
 
 impl EventPublisher {
-    /// Opens the stream. An observer is told first, at the instant of telling.
+    /// Opens the stream. An observer receives each event first, at the moment it is published.
     pub fn open(
         node: NodeId,
         keys: &Keys,
@@ -37,31 +38,37 @@ impl EventPublisher {
         clock: Clock,
         observer: Option<SharedObserver>,
     ) -> EventPublisher {
-        let (to, mut happened) = unbounded_channel::<Event>();
+        let (sender, mut events) = unbounded_channel::<Event>();
         let key = keys.write(&Key::Events(node.clone()));
         let mut task = tokio::task::JoinSet::new();
         task.spawn(async move {
-            while let Some(event) = happened.recv().await {
-                let json = serde_json::to_vec(&event).expect("an event can be told in JSON");
-                if let Err(problem) = bus.publish(&key, Bytes::from(json), Encoding::Json, Delivery::Drop).await {
-                    debug!(%problem, "an event was not published");
+            while let Some(event) = events.recv().await {
+                let json = serde_json::to_vec(&event).expect("an event serializes to JSON");
+                if let Err(error) = bus.publish(&key, Bytes::from(json), Encoding::Json, Delivery::Drop).await {
+                    debug!(%error, "event not published");
                 }
             }
         });
-        EventPublisher(Arc::new(Shared { node, clock, observer, told: Mutex::new(Told { count: 0, to }), _task: task }))
+        EventPublisher(Arc::new(Shared {
+            node,
+            clock,
+            observer,
+            stream: Mutex::new(NumberedStream { count: 0, sender }),
+            _task: task,
+        }))
     }
 
-    /// Tells of something that has just happened here.
-    pub fn publish(&self, what: EventKind) {
-        let Shared { node, clock, observer, told, .. } = &*self.0;
-        // Counted and sent as one, so that numbers stand in the order of the stream.
-        let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
-        told.count += 1;
-        let event = Event { node: node.clone(), sequence: told.count, at_ms: clock.wall_ms(), kind: what };
+    /// Publishes an event that has just happened on this node.
+    pub fn publish(&self, kind: EventKind) {
+        let Shared { node, clock, observer, stream, .. } = &*self.0;
+        // Counted and sent under the same lock, so that the numbers follow the order of the stream.
+        let mut stream = stream.lock().unwrap_or_else(PoisonError::into_inner);
+        stream.count += 1;
+        let event = Event { node: node.clone(), sequence: stream.count, at_ms: clock.wall_ms(), kind };
         if let Some(observer) = observer {
             observer.on_event(&event);
         }
         // The task behind the channel lives as long as any clone.
-        let _ = told.to.send(event);
+        let _ = stream.sender.send(event);
     }
 }

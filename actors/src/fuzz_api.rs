@@ -1,7 +1,7 @@
-//! What others send and parts of this crate read that nobody else sees: so that they can be tried with any bytes whatever,
-//! through the very functions that actors read with. `tests/untrusted/` does; nothing else uses this.
+//! Decoders of this crate for bytes from outside the process, exported for fuzzing.
 //!
-//! Each gives again, written anew, what was read.
+//! `tests/untrusted/` feeds arbitrary bytes to these functions; nothing else uses them. Each
+//! function calls the decoder that the actors use, and returns the decoded value encoded again.
 
 use crate::api_types::{self, MissionChangeRequest, MissionQuery, SubmitRequest, UpgradeRequest};
 use crate::raft::{StateMachine, fuzz_api};
@@ -11,51 +11,51 @@ use consort_protocol::mission::{Format, MissionFileError, MissionTemplate, shipp
 use serde_json::Value;
 use std::io;
 
-/// What one voter asks another.
+/// Decodes a Raft request and encodes it again.
 ///
 /// # Errors
-/// [`CodecError`], as the voter refuses it.
+/// [`CodecError`], with which a voter refuses the request.
 pub fn raft_request<S: StateMachine>(call: RaftCall, bytes: &[u8]) -> Result<Vec<u8>, CodecError> {
     fuzz_api::request::<S>(call, bytes)
 }
 
-/// What a voter answers.
+/// Decodes a voter's reply and encodes it again.
 ///
 /// # Errors
-/// [`CodecError`], as whoever asked refuses it.
+/// [`CodecError`], with which the requesting voter rejects the reply.
 pub fn raft_response(call: RaftCall, bytes: &[u8]) -> Result<Vec<u8>, CodecError> {
     fuzz_api::reply(call, bytes)
 }
 
-/// An entry of the ledger's log, from a disk.
+/// Decodes an entry of the ledger's log, as stored on disk, and encodes it again.
 ///
 /// # Errors
-/// As a node that starts refuses it.
+/// The I/O error with which a starting node rejects the entry.
 pub fn log_entry<S: StateMachine>(bytes: &[u8]) -> io::Result<Vec<u8>> {
     fuzz_api::entry::<S>(bytes)
 }
 
-/// A snapshot of the ledger, from a disk or from a leader.
+/// Decodes a snapshot of the ledger, from disk or from a leader, and encodes it again.
 ///
 /// # Errors
-/// As a node refuses it that starts, or is to install it.
+/// The I/O error with which a node rejects the snapshot, at its start or at the installation.
 pub fn snapshot<S: StateMachine>(bytes: &[u8]) -> io::Result<Vec<u8>> {
     fuzz_api::snapshot::<S>(bytes)
 }
 
-/// What a request of a client holds.
+/// A decoded client request.
 #[derive(Debug)]
 pub enum ApiRequest {
-    /// It asks for a mission, of this file.
+    /// Submits a mission, with this file.
     Submit(Box<MissionTemplate>),
-    /// It says something of a mission, asks about one, or takes nothing.
+    /// Any other request.
     Other,
 }
 
-/// A request of a client in any language.
+/// Decodes a client's JSON request.
 ///
 /// # Errors
-/// What the client is answered.
+/// The text that the client receives as the refusal.
 pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, String> {
     match call {
         ApiCall::Submit => {

@@ -1,4 +1,4 @@
-//! The mission ledger as the state machine that is replicated.
+//! The mission ledger as the replicated state machine.
 
 use crate::raft::StateMachine;
 use consort_protocol::ids::ClusterId;

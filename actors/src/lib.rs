@@ -1,9 +1,10 @@
-//! Carries decisions out: the bus, and the robot, coordinator, gossip and ledger actors around the pure core.
+//! Performs the actions that the pure crates decide: the bus, and the robot, coordinator, gossip
+//! and Raft actors.
 //!
-//! An actor owns its mailbox, its timers and its share of the bus; what to do is decided by values from
-//! `consort-protocol` and `consort-skills`. Only tokio's clock is used, chance comes from a seeded generator that is
-//! handed in, and whatever is iterated to choose or to send is an ordered map, so that a whole fleet repeats exactly on
-//! paused time.
+//! An actor owns its mailbox, its timers and its declarations on the bus. Its decisions are values
+//! from `consort-protocol` and `consort-skills`. A whole fleet repeats exactly on paused time: only
+//! tokio's clock is used, all randomness comes from a seeded generator passed in, and every
+//! collection that is iterated to choose or to send is ordered.
 
 mod api_types;
 pub mod autopilot;

@@ -1,7 +1,7 @@
-//! Somebody who looks over a node's shoulder: a test, a simulation, a tool that keeps statistics.
+//! Observers of a node, for tests, simulations and statistics.
 //!
-//! What is told here is told in place, at once and in order, by no bus: faults between nodes hide nothing. A node without
-//! an observer pays nothing for it.
+//! Observers are called in place, immediately and in order. No bus lies between, so faults between
+//! nodes hide nothing from an observer. A node without an observer has no cost.
 
 use consort_protocol::event::Event;
 use consort_protocol::ids::NodeId;
@@ -9,20 +9,22 @@ use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Command;
 use std::sync::Arc;
 
-/// Is told what happens on a node. It is called from within the node's tasks, so it neither waits nor panics.
+/// Receives the events of a node. It is called from within the node's tasks, so it must neither
+/// block nor panic.
 pub trait Observer: Send + Sync + 'static {
-    /// The node tells of something on its event stream.
+    /// Called for each event that the node emits on its event stream.
     fn on_event(&self, event: &Event);
 
-    /// The node's copy of the ledger has taken in the entry at `at`: commands in their order, or none for one of Raft's own.
-    /// After a restart the entries behind the last snapshot are taken in anew.
+    /// Called after the node's copy of the ledger has applied the entry at `at`: its commands in
+    /// order, or none for an entry of Raft itself. After a restart the entries after the last
+    /// snapshot are applied again.
     fn on_applied(&self, node: &NodeId, at: Epoch, commands: &[Command]);
 }
 
-/// An observer that several nodes share.
+/// Observer shared by several nodes.
 pub type SharedObserver = Arc<dyn Observer>;
 
-/// Each in turn.
+/// Calls each observer in turn.
 impl Observer for Vec<SharedObserver> {
     fn on_event(&self, event: &Event) {
         self.iter().for_each(|observer| observer.on_event(event));

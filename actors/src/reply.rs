@@ -1,4 +1,4 @@
-//! Answering queries.
+//! Replies to queries on the bus.
 
 use crate::bus::{Encoding, Query};
 use bytes::Bytes;
@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tracing::{debug, warn};
 
-/// Answers with a wire message, on the key that was asked or, for an expression, on `key`.
+/// Replies with a wire message on `key`, which must match the query's key expression.
 pub(crate) async fn wire<T: Serialize>(query: &Query, key: &str, message: &T) {
     match codec::encode(message) {
         Ok(bytes) => send(query, key, Bytes::from(bytes), Encoding::Wire).await,
@@ -15,7 +15,7 @@ pub(crate) async fn wire<T: Serialize>(query: &Query, key: &str, message: &T) {
     }
 }
 
-/// Answers with JSON.
+/// Replies with JSON on `key`.
 pub(crate) async fn json<T: Serialize>(query: &Query, key: &str, value: &T) {
     match serde_json::to_vec(value) {
         Ok(bytes) => send(query, key, Bytes::from(bytes), Encoding::Json).await,
@@ -23,15 +23,15 @@ pub(crate) async fn json<T: Serialize>(query: &Query, key: &str, value: &T) {
     }
 }
 
-/// Answers that there is no answer, and why.
+/// Replies with an error, and logs it.
 pub(crate) async fn refuse(query: &Query, reason: &str) {
-    warn!(key = query.key, reason, "refused");
+    warn!(key = query.key, reason, "refused a query");
     if let Err(problem) = query.replier.refuse(reason).await {
-        debug!(%problem, "a refusal was not sent");
+        debug!(%problem, "failed to send an error reply");
     }
 }
 
-/// Reads a query's content; a malformed one is refused, and `None`.
+/// Decodes a query's payload. Refuses a malformed query and returns `None`.
 pub(crate) async fn decode_or_refuse<T: DeserializeOwned>(query: &Query) -> Option<T> {
     match codec::decode(&query.payload) {
         Ok(message) => Some(message),
@@ -44,6 +44,6 @@ pub(crate) async fn decode_or_refuse<T: DeserializeOwned>(query: &Query) -> Opti
 
 async fn send(query: &Query, key: &str, bytes: Bytes, encoding: Encoding) {
     if let Err(problem) = query.replier.reply(key, bytes, encoding).await {
-        debug!(%problem, key, "an answer was not sent");
+        debug!(%problem, key, "failed to send a reply");
     }
 }

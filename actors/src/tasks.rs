@@ -1,4 +1,4 @@
-//! Background tasks that live and die with the actor that keeps them.
+//! Background tasks that end with the actor that owns them.
 
 use crate::bus::Stream;
 use ractor::{ActorRef, Message};
@@ -7,18 +7,19 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-/// Tasks that are aborted when this is dropped: an actor keeps them in its state.
+/// A set of tasks, aborted when the set is dropped. An actor keeps it in its state.
 #[derive(Debug, Default)]
 pub(crate) struct Tasks(JoinSet<()>);
 
 impl Tasks {
-    /// Runs a task until it ends or this is dropped.
+    /// Runs a task until it ends or the set is dropped.
     pub(crate) fn spawn(&mut self, task: impl Future<Output = ()> + Send + 'static) {
         while self.0.try_join_next().is_some() {}
         self.0.spawn(task);
     }
 
-    /// Hands what a stream brings to an actor's mailbox. The declaration behind the stream lives as long as this.
+    /// Forwards each item of a stream to an actor's mailbox. The declaration behind the stream
+    /// lives as long as the task.
     pub(crate) fn forward<T, M>(
         &mut self,
         mut stream: Stream<T>,
@@ -38,7 +39,7 @@ impl Tasks {
         });
     }
 
-    /// Sends an actor a message again and again, the first after one period.
+    /// Sends a message to an actor once per period, first after one period.
     pub(crate) fn send_every<M: Message>(
         &mut self,
         period: Duration,
@@ -56,7 +57,7 @@ impl Tasks {
         });
     }
 
-    /// Sends an actor a message whenever what is watched has changed.
+    /// Sends a message to an actor on every change of the watched value.
     pub(crate) fn on_change<T, M>(
         &mut self,
         mut watched: watch::Receiver<T>,
@@ -70,12 +71,12 @@ impl Tasks {
         self.spawn(async move { while watched.changed().await.is_ok() && to.cast(make()).is_ok() {} });
     }
 
-    /// Sends an actor one message later.
+    /// Sends a single message to an actor after a delay.
     pub(crate) fn send_after<M: Message>(&mut self, delay: Duration, to: &ActorRef<M>, message: M) {
         let to = to.clone();
         self.spawn(async move {
             tokio::time::sleep(delay).await;
-            // An actor that has stopped needs no more messages.
+            // A stopped actor needs no messages: ignore the error.
             let _ = to.cast(message);
         });
     }

@@ -1,72 +1,74 @@
-//! How fast a fleet notices and reacts: two sets of times that belong together.
+//! Timing parameters of a fleet: two presets of values that fit together.
 //!
-//! | | `lan` | `wifi` | what it decides |
+//! | | `lan` | `wifi` | meaning |
 //! |---|---|---|---|
-//! | heartbeat | 100 ms | 250 ms | how often a leader speaks, and after which it asks whether it is heard |
-//! | election | 300–600 ms | 1500–3000 ms | after which silence a node stands for election |
-//! | silence bound | 280 ms | 1400 ms | after which silence of the majority a leader doubts itself |
-//! | beacon | 250 ms | 500 ms | how often the coordinator tells robots that it is there |
-//! | auction window | 200 ms | 800 ms | how long an auction waits for a member that does not answer |
-//! | gossip beat, round | 2 s, 1 s | 2 s, 1 s | how often knowledge is repeated (more rarely in large fleets) and compared |
-//! | probe, its round trip | 500, 150 ms | 1000, 400 ms | how failures are detected |
-//! | suspicion | 2 s | 4 s | how long a suspect has to say that it is alive |
-//! | dead after | 10 s | 20 s | how long a voter must be gone until the autopilot replaces it |
-//! | link lease | 2 s | 5 s | how long Zenoh counts a silent neighbour as linked |
+//! | heartbeat | 100 ms | 250 ms | interval of a leader's heartbeats; a voter that is late by half of it is probed |
+//! | election | 300–600 ms | 1500–3000 ms | time without leader contact after which a voter campaigns |
+//! | check-quorum timeout | 280 ms | 1400 ms | time without acknowledgements of a majority after which a leader gives up leadership |
+//! | beacon | 250 ms | 500 ms | interval of the coordinator's beacons to the robots |
+//! | auction window | 200 ms | 800 ms | time that an auction waits for a member that does not reply |
+//! | gossip refresh, anti-entropy | 2 s, 1 s | 2 s, 1 s | intervals of repeating a node's record (longer in large fleets) and of comparing digests |
+//! | probe, its timeout | 500, 150 ms | 1000, 400 ms | failure detection |
+//! | suspicion | 2 s | 4 s | time that a suspect has to refute |
+//! | dead after | 10 s | 20 s | time that a voter must be gone before the autopilot replaces it |
+//! | link lease | 2 s | 5 s | time for which Zenoh treats a silent neighbor as linked |
 //!
-//! **`lan`** is for wired machines with round trips of some milliseconds. Three heartbeats fit into the shortest
-//! election, so two may be lost or late; the bound on silence leaves a leader 180 ms in which its machine may do
-//! something else before it doubts itself. Shorter elections find a dead leader sooner (150–300 ms: median 176 ms) and
-//! doubt a healthy one on a busy machine, which was observed with two cores and seven nodes.
+//! **`lan`** is for wired machines with round trips of some milliseconds. Three heartbeats fit into
+//! the shortest election timeout, so two heartbeats may be lost or late. The check-quorum timeout
+//! leaves a leader 180 ms in which its machine may be busy with other work. Shorter election
+//! timeouts detect a dead leader sooner (150–300 ms: median 176 ms), but depose a healthy leader on
+//! a busy machine. This was observed with two cores and seven nodes.
 //!
-//! **`wifi`** is for links that lose one message in ten and stall for a second when a robot roams. A voter takes its leader for
-//! lost only after six heartbeats in a row were lost.
+//! **`wifi`** is for links that lose one message in ten and stall for a second when a robot roams.
+//! A voter treats its leader as lost only after six consecutive heartbeats were lost.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// A set of times. All nodes of a fleet use the same.
+/// Preset of timing parameters. All nodes of a fleet use the same preset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Timing {
-    /// Wired machines: the default.
+    /// Wired machines. The default.
     #[default]
     Lan,
     /// Links that lose messages and stall.
     Wifi,
 }
 
-/// The times of a [`Timing`]; the module's table gives them with their reasons.
+/// Timing parameters of a [`Timing`] preset; the table of the module gives the values and their
+/// reasons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TimingParameters {
-    /// How often a leader speaks.
+    /// Interval of a leader's heartbeats.
     pub heartbeat: Duration,
-    /// The shortest silence after which a node stands for election.
+    /// Shortest time without leader contact after which a voter campaigns.
     pub election_min: Duration,
-    /// The longest.
+    /// Longest time without leader contact after which a voter campaigns.
     pub election_max: Duration,
-    /// How often the coordinator publishes its beacon.
+    /// Interval of the coordinator's beacons.
     pub beacon_interval: Duration,
-    /// How long an auction waits for a member that does not answer.
+    /// Time that an auction waits for a member that does not reply.
     pub auction_window: Duration,
-    /// How often a node repeats its record.
+    /// Interval at which a node repeats its record.
     pub gossip_refresh: Duration,
-    /// How often two nodes compare what they know.
+    /// Interval at which a node compares digests with another node.
     pub anti_entropy_interval: Duration,
-    /// How often a random member is probed.
+    /// Interval at which a random member is probed.
     pub probe_period: Duration,
-    /// How long a probed member may take to answer.
+    /// Time that a probed member has to reply.
     pub probe_timeout: Duration,
-    /// How long a suspect has to say that it is alive.
+    /// Time that a suspect has to refute the suspicion.
     pub suspicion_timeout: Duration,
-    /// How long a voter must be gone until it is replaced.
+    /// Time that a voter must be gone before the autopilot replaces it.
     pub dead_after: Duration,
-    /// How long a silent neighbour counts as linked.
+    /// Time for which a silent neighbor counts as linked.
     pub link_lease: Duration,
 }
 
 impl Timing {
-    /// Its times.
+    /// Returns the timing parameters of this preset.
     pub fn parameters(self) -> TimingParameters {
         let ms = Duration::from_millis;
         match self {

@@ -1,4 +1,5 @@
-//! Gossip among whole fleets on virtual time: what spreads, who is judged alive, and what faults do to it.
+//! Gossip of whole fleets on virtual time: distribution of records, failure detection, and the
+//! effect of faults.
 
 use bytes::Bytes;
 use consort_actors::bus::{Bus, Delivery, Encoding, LinkModel, VirtualNetwork};
@@ -22,8 +23,8 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, sleep};
 
-/// What a run of a fleet on virtual time comes to.
-fn virtually<T>(run: impl Future<Output = T>) -> T {
+/// Runs a future on virtual time and returns its result.
+fn run_virtual<T>(run: impl Future<Output = T>) -> T {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     builder.enable_time().start_paused(true).build().expect("a runtime").block_on(run)
 }
@@ -65,16 +66,16 @@ struct Node {
 
 impl Node {
     fn stamp_of(&self, other: &NodeId) -> Option<RecordStamp> {
-        self.shared.read(|base| base.get(other).map(|heard| heard.record.stamp))
+        self.shared.read(|base| base.get(other).map(|stored| stored.record.stamp))
     }
 
     fn replica_of(&self, other: &NodeId) -> Option<u64> {
-        self.shared.read(|base| base.get(other).and_then(|heard| heard.record.knowledge.replica))
+        self.shared.read(|base| base.get(other).and_then(|stored| stored.record.knowledge.replica))
     }
 
     fn age_of(&self, other: &NodeId) -> Option<Duration> {
         let now = self.clock.now();
-        self.shared.read(|base| base.get(other).map(|heard| heard.age(now)))
+        self.shared.read(|base| base.get(other).map(|stored| stored.age(now)))
     }
 
     fn down(&self, other: &NodeId) -> bool {
@@ -115,7 +116,7 @@ impl Fleet {
             wire_version: WireVersion::default(),
             signer: None,
         };
-        let (gossip, _) = Gossip::start(start, supervisor).await.expect("a bus that takes declarations");
+        let (gossip, _) = Gossip::start(start, supervisor).await.expect("a bus that accepts declarations");
         self.nodes.insert(node, Node { gossip, shared, clock });
     }
 
@@ -128,19 +129,19 @@ impl Fleet {
         self.nodes.remove(&name(number)).expect("a node").gossip.cell().kill();
     }
 
-    fn all(&self, holds: impl Fn(&Node) -> bool) -> bool {
-        self.nodes.values().all(holds)
+    fn all(&self, condition: impl Fn(&Node) -> bool) -> bool {
+        self.nodes.values().all(condition)
     }
 
-    fn everybody_knows_everybody(&self) -> bool {
+    fn all_know_all(&self) -> bool {
         let names: Vec<&NodeId> = self.nodes.keys().collect();
         self.all(|node| names.iter().all(|other| node.stamp_of(other).is_some() && node.shared.is_alive(other)))
     }
 
-    /// How long it takes until this holds, which it must within `limit`.
-    async fn until(&self, what: &str, limit: Duration, holds: impl Fn(&Fleet) -> bool) -> Duration {
+    /// Waits until `holds` is true, and returns the duration. Fails after `limit`.
+    async fn until(&self, what: &str, limit: Duration, condition: impl Fn(&Fleet) -> bool) -> Duration {
         let start = Instant::now();
-        while !holds(self) {
+        while !condition(self) {
             assert!(start.elapsed() < limit, "not within {limit:?}, seed {}: {what}", self.seed);
             sleep(millis(10)).await;
         }
@@ -148,22 +149,20 @@ impl Fleet {
     }
 }
 
-/// The median, and the 99th of 100.
+/// Returns the median and the 99th percentile.
 fn percentiles(mut times: Vec<Duration>) -> (Duration, Duration) {
     times.sort();
     (times[times.len() / 2], times[times.len() * 99 / 100])
 }
 
 #[test]
-fn everybody_knows_everybody_within_a_few_rounds() {
+fn all_nodes_know_each_other_within_a_few_rounds() {
     for size in [2, 3, 7, 20] {
         for (loss, limit) in [(0.0, secs(1)), (0.2, secs(5))] {
             for seed in 0..5 {
-                virtually(async {
+                run_virtual(async {
                     let fleet = Fleet::of(size, seed, loss).await;
-                    fleet
-                        .until(&format!("{size} nodes meet, loss {loss}"), limit, Fleet::everybody_knows_everybody)
-                        .await;
+                    fleet.until(&format!("{size} nodes meet, loss {loss}"), limit, Fleet::all_know_all).await;
                 });
             }
         }
@@ -171,55 +170,55 @@ fn everybody_knows_everybody_within_a_few_rounds() {
 }
 
 #[test]
-fn a_change_is_heard_at_once_and_repaired_where_it_was_lost() {
+fn a_change_spreads_at_once_and_losses_are_repaired() {
     for seed in 0..10 {
-        virtually(async {
+        run_virtual(async {
             let fleet = Fleet::of(10, seed, 0.0).await;
-            fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
-            let everybody_has =
-                |replica| move |fleet: &Fleet| fleet.all(|node| node.replica_of(&name(3)) == Some(replica));
+            fleet.until("all meet", secs(1), Fleet::all_know_all).await;
+            let all_have = |replica| move |fleet: &Fleet| fleet.all(|node| node.replica_of(&name(3)) == Some(replica));
 
             let mut changed = fleet.node(7).shared.changes();
             changed.borrow_and_update();
             fleet.node(3).gossip.update(knowledge(1)).unwrap();
-            fleet.until("a change is heard", millis(20), everybody_has(1)).await;
+            fleet.until("a change is received", millis(20), all_have(1)).await;
             assert!(changed.has_changed().unwrap());
 
             fleet.network.set_link_model(LinkModel { loss: 0.5, ..LinkModel::LAN });
             fleet.node(3).gossip.update_with(|own| own.replica = Some(2)).unwrap();
-            // Half of everything is lost. In 5 s a node misses all of some six repetitions and of ten exchanges in one of
-            // three hundred cases, which is one of four for nine nodes and ten seeds; in 10 s, one of ten thousand.
-            fleet.until("a change is repaired", secs(10), everybody_has(2)).await;
+            // Half of all messages are lost. In 5 s a node misses all of some six repetitions and
+            // of ten exchanges in one case of three hundred, that is in one test of four for nine
+            // nodes and ten seeds; in 10 s, in one case of ten thousand.
+            fleet.until("a change is repaired", secs(10), all_have(2)).await;
         });
     }
 }
 
 #[test]
-fn saying_the_same_again_makes_no_new_version() {
-    virtually(async {
+fn an_equal_update_creates_no_new_version() {
+    run_virtual(async {
         let fleet = Fleet::of(2, 1, 0.0).await;
-        fleet.until("both meet", secs(1), Fleet::everybody_knows_everybody).await;
+        fleet.until("both meet", secs(1), Fleet::all_know_all).await;
         let before = fleet.node(0).stamp_of(&name(0));
         fleet.node(0).gossip.update(knowledge(0)).unwrap();
         sleep(millis(500)).await;
         assert_eq!(fleet.node(0).stamp_of(&name(0)), before);
         assert_eq!(fleet.node(1).stamp_of(&name(0)), before);
-        // Still its latest: confirmed at every beat.
+        // Still its latest version: confirmed at every heartbeat.
         assert!(fleet.node(1).age_of(&name(0)).unwrap() <= millis(1_110));
     });
 }
 
 #[test]
-fn nobody_is_judged_down_for_nothing_and_hardly_anybody_when_a_fifth_is_lost() {
+fn live_nodes_are_rarely_declared_down_under_loss() {
     for (size, loss) in [(2, 0.0), (20, 0.0), (2, 0.2), (20, 0.2)] {
         for seed in 0..3 {
-            virtually(async {
+            run_virtual(async {
                 let fleet = Fleet::of(size, seed, loss).await;
                 sleep(secs(60)).await;
                 let returned: u64 = fleet.nodes.values().map(|node| node.shared.counters().refutations).sum();
                 let allowed = if loss > 0.0 { 1 } else { 0 };
                 assert!(returned <= allowed, "{size} nodes, loss {loss}, seed {seed}: {returned}");
-                fleet.until("all know all", secs(5), Fleet::everybody_knows_everybody).await;
+                fleet.until("all know all", secs(5), Fleet::all_know_all).await;
                 assert!(fleet.all(|node| node.shared.counters().malformed == 0));
             });
         }
@@ -227,9 +226,9 @@ fn nobody_is_judged_down_for_nothing_and_hardly_anybody_when_a_fifth_is_lost() {
 }
 
 #[test]
-fn knowledge_crosses_a_chain_whose_ends_never_meet() {
+fn records_cross_a_chain_of_nodes() {
     for seed in 0..10 {
-        virtually(async {
+        run_virtual(async {
             let mut fleet = Fleet::of(0, seed, 0.0).await;
             for (from, to) in [(0, 2), (2, 0)] {
                 fleet.network.cut(name(from), name(to));
@@ -238,12 +237,13 @@ fn knowledge_crosses_a_chain_whose_ends_never_meet() {
                 fleet.start(number, 1).await;
             }
             let (left, right) = (name(0), name(2));
-            fleet.until("the ends hear of each other", secs(4), Fleet::everybody_knows_everybody).await;
+            fleet.until("the ends know each other", secs(4), Fleet::all_know_all).await;
 
             fleet.node(0).gossip.update(knowledge(77)).unwrap();
             fleet.until("a change crosses", secs(4), |fleet| fleet.node(2).replica_of(&left) == Some(77)).await;
 
-            // They stay alive to each other, and their knowledge fresh, by way of the node between them.
+            // They stay alive in each other's view, and their knowledge fresh, through the node
+            // between them.
             for _ in 0..60 {
                 sleep(secs(1)).await;
                 assert!(fleet.node(0).shared.is_alive(&right) && fleet.node(2).shared.is_alive(&left), "seed {seed}");
@@ -258,11 +258,11 @@ fn knowledge_crosses_a_chain_whose_ends_never_meet() {
 }
 
 #[test]
-fn a_one_way_cut_between_two_harms_neither_while_a_third_reaches_both() {
+fn a_third_node_compensates_a_one_way_cut() {
     for seed in 0..10 {
-        virtually(async {
+        run_virtual(async {
             let fleet = Fleet::of(4, seed, 0.0).await;
-            fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
+            fleet.until("all meet", secs(1), Fleet::all_know_all).await;
             fleet.network.cut(name(0), name(1));
             for _ in 0..60 {
                 sleep(secs(1)).await;
@@ -275,38 +275,38 @@ fn a_one_way_cut_between_two_harms_neither_while_a_third_reaches_both() {
 }
 
 #[test]
-fn one_that_nobody_hears_or_that_hears_nobody_is_judged_down_and_comes_back_when_healed() {
+fn a_half_connected_node_goes_down_and_returns() {
     for seed in 0..5 {
-        for mute in [true, false] {
-            virtually(async {
+        for outgoing in [true, false] {
+            run_virtual(async {
                 let fleet = Fleet::of(5, seed, 0.0).await;
-                fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
-                let odd = name(2);
-                if mute {
-                    fleet.network.block_outgoing(odd.clone());
+                fleet.until("all meet", secs(1), Fleet::all_know_all).await;
+                let affected = name(2);
+                if outgoing {
+                    fleet.network.block_outgoing(affected.clone());
                 } else {
-                    fleet.network.block_incoming(odd.clone());
+                    fleet.network.block_incoming(affected.clone());
                 }
-                let others_think_it_down =
-                    |fleet: &Fleet| fleet.nodes.iter().all(|(node, at)| *node == odd || at.down(&odd));
-                fleet.until(&format!("judged down, mute {mute}"), secs(8), others_think_it_down).await;
+                let declared_down =
+                    |fleet: &Fleet| fleet.nodes.iter().all(|(node, at)| *node == affected || at.down(&affected));
+                fleet.until(&format!("declared down, outgoing blocked {outgoing}"), secs(8), declared_down).await;
                 fleet.network.heal();
-                fleet.until("it comes back", secs(10), Fleet::everybody_knows_everybody).await;
+                fleet.until("it returns", secs(10), Fleet::all_know_all).await;
             });
         }
     }
 }
 
 #[test]
-fn a_token_that_vanishes_from_a_node_that_lives_evicts_nobody() {
+fn a_vanished_token_alone_evicts_no_node() {
     for (size, loss) in [(2, 0.0), (3, 0.1), (20, 0.1)] {
         for seed in 0..4 {
-            virtually(async {
+            run_virtual(async {
                 let fleet = Fleet::of(size, seed, loss).await;
-                fleet.until("all meet", secs(10), Fleet::everybody_knows_everybody).await;
+                fleet.until("all meet", secs(10), Fleet::all_know_all).await;
                 fleet.network.set_lease(millis(20));
                 for _ in 0..10 {
-                    // Everybody sees its token vanish, and come back much later than an answer takes.
+                    // All nodes see its token vanish, and return much later than an answer takes.
                     fleet.network.block_outgoing(name(1));
                     sleep(millis(30)).await;
                     fleet.network.heal();
@@ -320,58 +320,59 @@ fn a_token_that_vanishes_from_a_node_that_lives_evicts_nobody() {
 }
 
 #[test]
-fn who_does_not_answer_is_seen_to_be_suspected_before_it_is_down_and_cleared_when_it_answers() {
+fn a_silent_node_is_suspected_before_it_is_down() {
     for seed in 0..10 {
-        virtually(async {
+        run_virtual(async {
             let fleet = Fleet::of(5, seed, 0.0).await;
-            fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
+            fleet.until("all meet", secs(1), Fleet::all_know_all).await;
             fleet.network.set_lease(secs(3_600));
-            let odd = name(2);
-            let suspected = |node: &Node| matches!(node.shared.status(&odd), MemberStatus::Suspect { .. });
-            let others = |fleet: &Fleet, holds: &dyn Fn(&Node) -> bool| {
-                fleet.nodes.iter().all(|(node, at)| *node == odd || holds(at))
+            let affected = name(2);
+            let suspected = |node: &Node| matches!(node.shared.status(&affected), MemberStatus::Suspect { .. });
+            let others = |fleet: &Fleet, condition: &dyn Fn(&Node) -> bool| {
+                fleet.nodes.iter().all(|(node, at)| *node == affected || condition(at))
             };
-            fleet.network.isolate(odd.clone());
-            let some = |fleet: &Fleet| fleet.nodes.iter().any(|(node, at)| *node != odd && suspected(at));
+            fleet.network.isolate(affected.clone());
+            let some = |fleet: &Fleet| fleet.nodes.iter().any(|(node, at)| *node != affected && suspected(at));
             fleet.until("it is suspected", secs(5), some).await;
-            assert!(others(&fleet, &|node| node.shared.is_alive(&odd)), "seed {seed}: a suspect counts as alive");
+            assert!(others(&fleet, &|node| node.shared.is_alive(&affected)), "seed {seed}: a suspect counts as alive");
             fleet.network.heal();
-            let cleared = |node: &Node| matches!(node.shared.status(&odd), MemberStatus::Alive { .. });
+            let cleared = |node: &Node| matches!(node.shared.status(&affected), MemberStatus::Alive { .. });
             fleet.until("it answers", millis(1_900), |fleet| others(fleet, &cleared)).await;
 
-            fleet.network.isolate(odd.clone());
+            fleet.network.isolate(affected.clone());
             fleet.until("it is suspected", secs(5), some).await;
-            fleet.until("and then down", secs(5), |fleet| others(fleet, &|node| node.down(&odd))).await;
+            fleet.until("and then down", secs(5), |fleet| others(fleet, &|node| node.down(&affected))).await;
         });
     }
 }
 
 #[test]
-fn a_node_that_returns_with_its_clock_set_back_is_admitted_however_long_it_was_gone() {
-    // Before others have missed it, after they judged it down, and after they have forgotten it.
+fn a_node_with_its_clock_set_back_is_admitted() {
+    // Before other nodes have suspected it, after they declared it down, and after they have
+    // removed its record.
     for gone in [millis(100), secs(10), secs(60)] {
         for seed in 0..5 {
-            virtually(async {
+            run_virtual(async {
                 let mut fleet = Fleet::of(4, seed, 0.0).await;
                 fleet.start(9, 1_000).await;
-                fleet.until("all meet", secs(2), Fleet::everybody_knows_everybody).await;
+                fleet.until("all meet", secs(2), Fleet::all_know_all).await;
                 fleet.crash(9);
                 sleep(gone).await;
                 fleet.start(9, 3).await;
                 fleet.node(9).gossip.update(knowledge(5)).unwrap();
-                let admitted = |fleet: &Fleet| {
-                    fleet.everybody_knows_everybody() && fleet.all(|node| node.replica_of(&name(9)) == Some(5))
-                };
+                let admitted =
+                    |fleet: &Fleet| fleet.all_know_all() && fleet.all(|node| node.replica_of(&name(9)) == Some(5));
                 fleet.until(&format!("admitted after {gone:?}"), secs(10), admitted).await;
             });
         }
     }
 }
 
-/// Who is alive to whom after two minutes of one-way cuts, and how many verdicts fell in the first and in the second.
+/// Runs a fleet under one-way cuts for two minutes. Returns the number of nodes alive in each
+/// node's view, and the down verdicts and refutations in the first and in the second minute.
 async fn under_one_way_cuts(size: usize, seed: u64, cut: impl Fn(&VirtualNetwork)) -> (Vec<usize>, [u64; 2], [u64; 2]) {
     let fleet = Fleet::of(size, seed, 0.0).await;
-    fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
+    fleet.until("all meet", secs(1), Fleet::all_know_all).await;
     cut(&fleet.network);
     let sum =
         |count: fn(GossipCounters) -> u64| fleet.nodes.values().map(|node| count(node.shared.counters())).sum::<u64>();
@@ -385,52 +386,54 @@ async fn under_one_way_cuts(size: usize, seed: u64, cut: impl Fn(&VirtualNetwork
 }
 
 #[test]
-fn one_way_cuts_settle_as_specified() {
+fn one_way_cuts_converge_as_specified() {
     const SIZE: usize = 8;
     for seed in 0..3 {
-        // Heard by nobody: down to all, and no more is said about it. It hears all speak, and doubts itself.
-        let (alive, downs, returns) = virtually(under_one_way_cuts(SIZE, seed, |net| net.block_outgoing(name(0))));
+        // No node receives from it: it is down in all views, and nothing further happens. It
+        // receives from all, and is locally unhealthy.
+        let (alive, downs, returns) = run_virtual(under_one_way_cuts(SIZE, seed, |net| net.block_outgoing(name(0))));
         assert_eq!(alive[1..], [SIZE - 1; SIZE - 1], "seed {seed}");
         assert_eq!((alive[0], downs, returns), (SIZE, [SIZE as u64 - 1, 0], [1, 0]), "seed {seed}");
 
-        // Hears nobody: down to all, and all are down to it.
-        let (alive, downs, _) = virtually(under_one_way_cuts(SIZE, seed, |net| net.block_incoming(name(0))));
+        // It receives from no node: it is down in all views, and all are down in its view.
+        let (alive, downs, _) = run_virtual(under_one_way_cuts(SIZE, seed, |net| net.block_incoming(name(0))));
         assert_eq!(alive[1..], [SIZE - 1; SIZE - 1], "seed {seed}");
         assert_eq!((alive[0], downs[1]), (1, 0), "seed {seed}");
 
-        // Heard by one alone, who tells the others.
-        let heard_by_one = |net: &VirtualNetwork| (2..SIZE).for_each(|other| net.cut(name(0), name(other)));
-        let (alive, downs, returns) = virtually(under_one_way_cuts(SIZE, seed, heard_by_one));
+        // A single node receives from it, and forwards to the other nodes.
+        let received_by_one = |net: &VirtualNetwork| (2..SIZE).for_each(|other| net.cut(name(0), name(other)));
+        let (alive, downs, returns) = run_virtual(under_one_way_cuts(SIZE, seed, received_by_one));
         assert_eq!((alive, downs, returns), (vec![SIZE; SIZE], [0, 0], [0, 0]), "seed {seed}");
 
-        // Hears one alone: it may wrong others, who come back, fewer and fewer as they are given more time.
-        let hears_one = |net: &VirtualNetwork| (2..SIZE).for_each(|other| net.cut(name(other), name(0)));
-        let (alive, _, returns) = virtually(under_one_way_cuts(SIZE, seed, hears_one));
+        // It receives from a single node: it may declare other nodes down wrongly. They rejoin, and
+        // this becomes rarer as their timeouts grow.
+        let receives_from_one = |net: &VirtualNetwork| (2..SIZE).for_each(|other| net.cut(name(other), name(0)));
+        let (alive, _, returns) = run_virtual(under_one_way_cuts(SIZE, seed, receives_from_one));
         assert!(alive[1..].iter().all(|alive| *alive >= SIZE - 1), "seed {seed}: {alive:?}");
         assert!(returns[0] + returns[1] <= 2 * SIZE as u64, "seed {seed}: {returns:?}");
 
-        // Half of them heard by nobody of the other half: each half keeps to itself.
-        let half = |net: &VirtualNetwork| {
+        // No node of one half receives from the other half: each half remains by itself.
+        let halves = |net: &VirtualNetwork| {
             (0..SIZE / 2).for_each(|a| (SIZE / 2..SIZE).for_each(|b| net.cut(name(a), name(b))));
         };
-        let (_, downs, returns) = virtually(under_one_way_cuts(SIZE, seed, half));
+        let (_, downs, returns) = run_virtual(under_one_way_cuts(SIZE, seed, halves));
         assert_eq!((downs[1], returns[1]), (0, 0), "seed {seed}: {downs:?} {returns:?}");
     }
-    // The smallest fleet: nobody can help.
+    // The smallest fleet: there is no third node to help.
     for seed in 0..3 {
-        let (alive, downs, returns) = virtually(under_one_way_cuts(2, seed, |net| net.cut(name(0), name(1))));
+        let (alive, downs, returns) = run_virtual(under_one_way_cuts(2, seed, |net| net.cut(name(0), name(1))));
         assert_eq!((alive[1], downs[1], returns[1]), (1, 0, 0), "seed {seed}");
     }
 }
 
 #[test]
-fn both_halves_of_a_parted_fleet_carry_on_and_join_again() {
+fn both_halves_of_a_partition_continue_and_rejoin() {
     for seed in 0..5 {
-        // Once before the other half is forgotten, and once after.
+        // Once before the records of the other half are removed, and once after.
         for apart in [secs(10), secs(60)] {
-            virtually(async {
+            run_virtual(async {
                 let fleet = Fleet::of(6, seed, 0.0).await;
-                fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
+                fleet.until("all meet", secs(1), Fleet::all_know_all).await;
                 fleet.network.partition([(0..3).map(name), (3..6).map(name)]);
                 sleep(apart).await;
                 for (here, other) in [(0, 4), (4, 0)] {
@@ -438,85 +441,85 @@ fn both_halves_of_a_parted_fleet_carry_on_and_join_again() {
                     assert!(fleet.node(here).shared.is_alive(&name(here + 1)), "seed {seed}");
                 }
                 fleet.network.heal();
-                fleet.until("they join", secs(15), Fleet::everybody_knows_everybody).await;
+                fleet.until("they rejoin", secs(15), Fleet::all_know_all).await;
             });
         }
     }
 }
 
-/// Virtual time from a fault to the verdict of all others.
-async fn time_to_detect(size: usize, seed: u64, vanishes: bool) -> Duration {
+/// Returns the virtual time from a fault to the verdict of all other nodes.
+async fn time_to_detect(size: usize, seed: u64, token_vanishes: bool) -> Duration {
     let mut fleet = Fleet::of(size, seed, 0.0).await;
-    fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
+    fleet.until("all meet", secs(1), Fleet::all_know_all).await;
     sleep(millis(1_500 + seed * 37 % 1_000)).await;
-    if !vanishes {
+    if !token_vanishes {
         fleet.network.set_lease(secs(3_600));
         fleet.network.isolate(name(1));
         fleet.nodes.remove(&name(1)).expect("a node");
     } else {
         fleet.crash(1);
     }
-    fleet.until("all others judge it down", secs(8), |fleet| fleet.all(|node| node.down(&name(1)))).await
+    fleet.until("all other nodes declare it down", secs(8), |fleet| fleet.all(|node| node.down(&name(1)))).await
 }
 
 #[test]
-fn a_crash_is_noticed_within_two_seconds_by_its_token_and_within_six_without() {
+fn a_crash_is_detected_within_seconds() {
     for (size, seeds) in [(3, 20), (10, 20)] {
-        for (vanishes, limit) in [(true, secs(2)), (false, secs(6))] {
-            let times = (0..seeds).map(|seed| virtually(time_to_detect(size, seed, vanishes))).collect();
+        for (token_vanishes, limit) in [(true, secs(2)), (false, secs(6))] {
+            let times = (0..seeds).map(|seed| run_virtual(time_to_detect(size, seed, token_vanishes))).collect();
             let (median, worst) = percentiles(times);
-            assert!(worst < limit, "{size} nodes, token vanishes {vanishes}: {median:?}/{worst:?}");
+            assert!(worst < limit, "{size} nodes, token vanishes {token_vanishes}: {median:?}/{worst:?}");
         }
     }
 }
 
 #[test]
-fn the_dead_are_forgotten_and_a_later_incarnation_is_welcome() {
+fn dead_nodes_are_removed_and_may_return() {
     for seed in 0..5 {
-        virtually(async {
+        run_virtual(async {
             let mut fleet = Fleet::of(4, seed, 0.0).await;
-            fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
+            fleet.until("all meet", secs(1), Fleet::all_know_all).await;
             fleet.crash(2);
             sleep(secs(10)).await;
-            // Fallen silent: still known, and known to be old.
+            // A silent node: its record is still stored, and its age is known.
             let age = fleet.node(0).age_of(&name(2)).unwrap();
             assert!((secs(10)..millis(11_200)).contains(&age), "seed {seed}: {age:?}");
 
-            // One who comes meanwhile is not told of the dead.
+            // A node that joins meanwhile does not receive the records of dead nodes.
             fleet.start(9, 1).await;
-            let forgotten = |fleet: &Fleet| fleet.all(|node| node.stamp_of(&name(2)).is_none());
-            fleet.until("forgotten", secs(25), forgotten).await;
+            let removed = |fleet: &Fleet| fleet.all(|node| node.stamp_of(&name(2)).is_none());
+            fleet.until("removed", secs(25), removed).await;
             for _ in 0..20 {
                 sleep(secs(1)).await;
-                assert!(forgotten(&fleet), "seed {seed}");
+                assert!(removed(&fleet), "seed {seed}");
                 assert!(fleet.node(9).stamp_of(&name(2)).is_none(), "seed {seed}");
             }
             assert_eq!(fleet.node(0).shared.status(&name(2)), MemberStatus::Unknown);
 
             fleet.start(2, 2).await;
-            fleet.until("welcome", secs(3), Fleet::everybody_knows_everybody).await;
+            fleet.until("accepted", secs(3), Fleet::all_know_all).await;
             assert_eq!(fleet.node(0).stamp_of(&name(2)).unwrap().incarnation, 2);
         });
     }
 }
 
 #[test]
-fn a_restart_quicker_than_the_verdict_is_the_same_node_later() {
+fn a_fast_restart_is_a_later_incarnation() {
     for seed in 0..10 {
-        virtually(async {
+        run_virtual(async {
             let mut fleet = Fleet::of(5, seed, 0.1).await;
-            fleet.until("all meet", secs(5), Fleet::everybody_knows_everybody).await;
+            fleet.until("all meet", secs(5), Fleet::all_know_all).await;
             fleet.node(2).gossip.update(knowledge(50)).unwrap();
             fleet.crash(2);
             sleep(millis(200)).await;
             fleet.start(2, 2).await;
             let welcome = |fleet: &Fleet| {
-                fleet.everybody_knows_everybody()
+                fleet.all_know_all()
                     && fleet.all(|node| {
                         node.stamp_of(&name(2)).unwrap().incarnation == 2 && node.replica_of(&name(2)) == Some(0)
                     })
             };
-            fleet.until("all know the new life", secs(5), welcome).await;
+            fleet.until("all know the new incarnation", secs(5), welcome).await;
             sleep(secs(5)).await;
             assert!(welcome(&fleet), "seed {seed}");
         });
@@ -524,27 +527,26 @@ fn a_restart_quicker_than_the_verdict_is_the_same_node_later() {
 }
 
 #[test]
-fn a_node_whose_incarnation_went_backwards_is_heard_all_the_same() {
-    virtually(async {
+fn a_node_with_a_lower_incarnation_is_accepted() {
+    run_virtual(async {
         let mut fleet = Fleet::of(2, 1, 0.0).await;
         fleet.start(2, 9).await;
-        fleet.until("all meet", secs(2), Fleet::everybody_knows_everybody).await;
+        fleet.until("all meet", secs(2), Fleet::all_know_all).await;
         fleet.crash(2);
         sleep(millis(100)).await;
         fleet.start(2, 3).await;
         fleet.node(2).gossip.update(knowledge(5)).unwrap();
-        let heard =
-            |fleet: &Fleet| fleet.everybody_knows_everybody() && fleet.all(|node| node.replica_of(&name(2)) == Some(5));
-        fleet.until("it is heard", secs(10), heard).await;
+        let stored = |fleet: &Fleet| fleet.all_know_all() && fleet.all(|node| node.replica_of(&name(2)) == Some(5));
+        fleet.until("it is accepted", secs(10), stored).await;
     });
 }
 
 #[test]
-fn one_that_leaves_is_down_at_once() {
+fn a_leaving_node_is_down_at_once() {
     for seed in 0..10 {
-        virtually(async {
+        run_virtual(async {
             let mut fleet = Fleet::of(5, seed, 0.0).await;
-            fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
+            fleet.until("all meet", secs(1), Fleet::all_know_all).await;
             fleet.nodes.remove(&name(4)).expect("a node").gossip.cell().stop(None);
             fleet.until("known to have left", millis(1_000), |fleet| fleet.all(|node| node.down(&name(4)))).await;
         });
@@ -552,41 +554,41 @@ fn one_that_leaves_is_down_at_once() {
 }
 
 #[test]
-fn nonsense_is_counted_and_changes_nothing() {
-    virtually(async {
+fn malformed_messages_are_counted_and_dropped() {
+    run_virtual(async {
         let fleet = Fleet::of(2, 1, 0.0).await;
-        fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
+        fleet.until("all meet", secs(1), Fleet::all_know_all).await;
         let (keys, stranger) = (Keys::new(&fleet_id()), fleet.network.bus(name(50)));
         let before = fleet.node(0).stamp_of(&name(1)).unwrap();
-        let mut forged = fleet.node(0).shared.read(|base| base.get(&name(1)).unwrap().record.clone());
-        forged.stamp.version += 1000;
-        let forged = Bytes::from(codec::encode_for_version(2, RecordUpdate::Record(forged)).unwrap());
+        let mut forged_record = fleet.node(0).shared.read(|base| base.get(&name(1)).unwrap().record.clone());
+        forged_record.stamp.version += 1000;
+        let forged_record = Bytes::from(codec::encode_for_version(2, RecordUpdate::Record(forged_record)).unwrap());
         for (key, payload) in [
             (Key::Knowledge(name(50)), Bytes::from_static(b"\x01nonsense")),
             (Key::Knowledge(name(50)), Bytes::new()),
-            (Key::Knowledge(name(50)), forged),
+            (Key::Knowledge(name(50)), forged_record),
             (Key::Swim(name(0)), Bytes::new()),
             (Key::Swim(name(0)), Bytes::from_static(b"\x09")),
             (Key::Swim(name(0)), Bytes::from_static(b"\x01\xff\xff\xff")),
         ] {
             stranger.publish(&keys.write(&key), payload, Encoding::Wire, Delivery::Drop).await.unwrap();
         }
-        let question = keys.write(&Key::Gossip(name(0)));
-        let mut answers = stranger.query(&question, Bytes::from_static(b"?"), secs(1)).await.unwrap();
-        assert!(answers.recv().await.is_none());
+        let query = keys.write(&Key::Gossip(name(0)));
+        let mut replies = stranger.query(&query, Bytes::from_static(b"?"), secs(1)).await.unwrap();
+        assert!(replies.recv().await.is_none());
         let malformed = |fleet: &Fleet| fleet.node(0).shared.counters().malformed;
         fleet.until("all of it is counted", millis(100), |fleet| malformed(fleet) >= 7).await;
         assert_eq!(malformed(&fleet), 7);
         assert_eq!(fleet.node(0).stamp_of(&name(1)).unwrap().incarnation, before.incarnation);
         assert!(fleet.node(0).stamp_of(&name(1)).unwrap().version <= before.version + 1);
-        assert!(fleet.everybody_knows_everybody());
+        assert!(fleet.all_know_all());
     });
 }
 
-/// Bytes and messages that the mean node of an idle fleet receives each second.
+/// Returns the mean number of bytes and messages that a node of an idle fleet receives per second.
 async fn idle(size: usize, seed: u64) -> (f64, f64) {
     let fleet = Fleet::of(size, seed, 0.0).await;
-    fleet.until("all meet", secs(10), Fleet::everybody_knows_everybody).await;
+    fleet.until("all meet", secs(10), Fleet::all_know_all).await;
     sleep(secs(30)).await;
     let received = || {
         let totals = fleet.nodes.keys().map(|node| fleet.network.traffic(node).total());
@@ -595,27 +597,28 @@ async fn idle(size: usize, seed: u64) -> (f64, f64) {
     let before = received();
     for _ in 0..60 {
         sleep(secs(1)).await;
-        // Little is said, and all stays fresh: half of the usual bound on staleness, and what a beat may be late.
+        // There is little traffic, and all records stay fresh: half of the usual bound on
+        // staleness, plus the delay of a heartbeat.
         let oldest = fleet.nodes.values().flat_map(|node| (0..size).filter_map(|other| node.age_of(&name(other))));
         assert!(oldest.max() < Some(millis(5_700)), "{size} nodes, seed {seed}");
     }
-    assert!(fleet.everybody_knows_everybody());
+    assert!(fleet.all_know_all());
     let after = received();
     let rate = |from: u64, to: u64| (to - from) as f64 / size as f64 / 60.0;
     (rate(before.0, after.0), rate(before.1, after.1))
 }
 
 #[test]
-fn an_idle_fleet_says_little_and_each_node_of_a_large_one_hardly_hears_more() {
-    let (bytes_10, messages_10) = virtually(idle(10, 1));
-    let (bytes_80, messages_80) = virtually(idle(80, 1));
+fn idle_traffic_per_node_hardly_grows_with_the_fleet() {
+    let (bytes_10, messages_10) = run_virtual(idle(10, 1));
+    let (bytes_80, messages_80) = run_virtual(idle(80, 1));
     let figures = format!("{bytes_10:.0} B in {messages_10:.1} messages, {bytes_80:.0} B in {messages_80:.1}");
-    // Before nodes said in few words that nothing changed: 1.4 and 14 kB.
+    // Before refreshes were introduced: 1.4 and 14 kB.
     assert!(bytes_10 < 1_100.0 && bytes_80 < 2_600.0, "{figures}");
     assert!(messages_80 < 2.5 * messages_10, "{figures}");
 }
 
-/// Hears how the actor below it ended.
+/// Supervisor that reports the failure of the actor below it.
 struct Supervisor;
 
 #[ractor::async_trait]
@@ -624,41 +627,41 @@ impl Actor for Supervisor {
     type State = tokio::sync::mpsc::UnboundedSender<String>;
     type Arguments = tokio::sync::mpsc::UnboundedSender<String>;
 
-    async fn pre_start(&self, _: ActorRef<()>, ends: Self::Arguments) -> Result<Self::State, ActorProcessingErr> {
-        Ok(ends)
+    async fn pre_start(&self, _: ActorRef<()>, failures: Self::Arguments) -> Result<Self::State, ActorProcessingErr> {
+        Ok(failures)
     }
 
     async fn handle_supervisor_evt(
         &self,
         _: ActorRef<()>,
         event: SupervisionEvent,
-        ends: &mut Self::State,
+        failures: &mut Self::State,
     ) -> Result<(), ActorProcessingErr> {
         if let SupervisionEvent::ActorFailed(_, problem) = event {
-            ends.send(problem.to_string())?;
+            failures.send(problem.to_string())?;
         }
         Ok(())
     }
 }
 
 #[test]
-fn a_supervisor_hears_that_the_bus_has_closed() {
-    virtually(async {
-        let (ends, mut ended) = tokio::sync::mpsc::unbounded_channel();
-        let (supervisor, _) = Actor::spawn(None, Supervisor, ends).await.unwrap();
+fn a_closed_bus_fails_the_actor() {
+    run_virtual(async {
+        let (sender, mut failures) = tokio::sync::mpsc::unbounded_channel();
+        let (supervisor, _) = Actor::spawn(None, Supervisor, sender).await.unwrap();
         let mut fleet = Fleet::of(0, 1, 0.0).await;
         fleet.start_linked(0, 1, Some(supervisor.get_cell())).await;
         fleet.network.crash(&name(0));
-        let problem = ended.recv().await.unwrap();
-        assert!(problem.starts_with("the bus brings no more"), "{problem}");
+        let problem = failures.recv().await.unwrap();
+        assert!(problem.starts_with("the bus closed the stream"), "{problem}");
         assert!(fleet.node(0).gossip.update(knowledge(1)).is_err());
     });
 }
 
 #[test]
-fn one_seed_gives_one_run() {
+fn a_seed_determines_the_run() {
     let run = |seed| {
-        virtually(async move {
+        run_virtual(async move {
             let mut fleet = Fleet::of(8, seed, 0.2).await;
             sleep(secs(3)).await;
             fleet.crash(3);

@@ -1,5 +1,5 @@
-//! Nodes that seal what they say, and what becomes of those who say what they may not: on the virtual bus, with real
-//! certificates and signatures.
+//! Signed messages on the virtual bus, with real certificates and signatures: valid messages are
+//! delivered, and forged or unauthorized messages are rejected.
 
 use bytes::Bytes;
 use consort_actors::bus::{
@@ -37,7 +37,7 @@ fn keys() -> Keys {
     Keys::new(&ward())
 }
 
-/// A folder of its own for each test, gone with it.
+/// A folder for a single test, removed at its end.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -62,65 +62,65 @@ impl Drop for Folder {
     }
 }
 
-/// An authority, and a network whose nodes have certificates of it.
-struct Stage {
+/// An authority, and a network of nodes with its certificates.
+struct Fixture {
     folder: Folder,
     ca: IssuedCertificate,
     network: VirtualNetwork,
 }
 
-impl Stage {
-    fn new() -> Stage {
+impl Fixture {
+    fn new() -> Fixture {
         let ca = create_authority(&ward(), LONG).unwrap();
-        Stage { folder: Folder::new(), ca, network: VirtualNetwork::new(1, LinkModel::LAN) }
+        Fixture { folder: Folder::new(), ca, network: VirtualNetwork::new(1, LinkModel::LAN) }
     }
 
     fn authority(&self) -> CertificateAuthority {
         CertificateAuthority::from_pem(&self.ca.certificate, &self.ca.key).unwrap()
     }
 
-    fn files(&self, who: &str, issued: &IssuedCertificate) -> TrustFiles {
+    fn files(&self, name: &str, issued: &IssuedCertificate) -> TrustFiles {
         TrustFiles {
             authority: self.folder.write("ca.pem", &self.ca.certificate),
-            certificate: self.folder.write(&format!("{who}.pem"), &issued.certificate),
-            key: self.folder.write(&format!("{who}.key"), &issued.key),
+            certificate: self.folder.write(&format!("{name}.pem"), &issued.certificate),
+            key: self.folder.write(&format!("{name}.key"), &issued.key),
             revoked: None,
         }
     }
 
-    fn plain(&self, who: &str) -> SharedBus {
-        Arc::new(self.network.bus(NodeId::new(who).unwrap()))
+    fn plain(&self, name: &str) -> SharedBus {
+        Arc::new(self.network.bus(NodeId::new(name).unwrap()))
     }
 
-    /// A node with a certificate for what `identity` says.
-    async fn node(&self, who: &str, identity: &str) -> SigningBus {
-        self.life(who, identity, 1).await
+    /// Starts a node with a certificate for `identity`.
+    async fn node(&self, name: &str, identity: &str) -> SigningBus {
+        self.incarnation(name, identity, 1).await
     }
 
-    async fn life(&self, who: &str, identity: &str, life: u64) -> SigningBus {
+    async fn incarnation(&self, name: &str, identity: &str, incarnation: u64) -> SigningBus {
         let issued = self.authority().issue(&identity.parse().unwrap(), &[], LONG).unwrap();
-        self.with(self.plain(who), self.files(who, &issued), life).await
+        self.with(self.plain(name), self.files(name, &issued), incarnation).await
     }
 
-    async fn with(&self, bus: SharedBus, files: TrustFiles, life: u64) -> SigningBus {
-        let keyring = Arc::new(files.open(&ward(), NOW, life).unwrap());
+    async fn with(&self, bus: SharedBus, files: TrustFiles, incarnation: u64) -> SigningBus {
+        let keyring = Arc::new(files.open(&ward(), NOW, incarnation).unwrap());
         let clock = Clock::virtual_at(NOW.as_millis() as u64);
         SigningBus::open(bus, keys(), keyring, files.revoked, clock).await.unwrap()
     }
 }
 
-async fn say(bus: &dyn Bus, key: &Key, what: &[u8]) {
-    let payload = Bytes::copy_from_slice(what);
+async fn publish(bus: &dyn Bus, key: &Key, content: &[u8]) {
+    let payload = Bytes::copy_from_slice(content);
     bus.publish(&keys().write(key), payload, Encoding::Wire, Delivery::Block).await.unwrap();
 }
 
-/// All that is heard until nothing more comes.
-async fn heard(stream: &mut Stream<Sample>) -> Vec<Bytes> {
-    let mut heard = Vec::new();
+/// Returns all received payloads until no more arrive.
+async fn received(stream: &mut Stream<Sample>) -> Vec<Bytes> {
+    let mut received = Vec::new();
     while let Ok(Some(sample)) = tokio::time::timeout(Duration::from_secs(5), stream.recv()).await {
-        heard.push(sample.payload);
+        received.push(sample.payload);
     }
-    heard
+    received
 }
 
 fn node(name: &str) -> NodeId {
@@ -132,121 +132,128 @@ fn beacon(of: &str) -> Vec<u8> {
     codec::encode(&ClusterEnvelope { cluster: None, payload: codec::encode(&beacon).unwrap() }).unwrap()
 }
 
-/// Says something until it is heard: what is said before the certificate is known is lost.
-async fn introduce(to: &mut Stream<Sample>, bus: &dyn Bus, key: &Key, what: &[u8]) {
+/// Publishes until a message is received: messages before the certificate is known are lost.
+async fn introduce(to: &mut Stream<Sample>, bus: &dyn Bus, key: &Key, content: &[u8]) {
     for _ in 0..10 {
-        say(bus, key, what).await;
-        if !heard(to).await.is_empty() {
+        publish(bus, key, content).await;
+        if !received(to).await.is_empty() {
             return;
         }
     }
-    panic!("never heard");
+    panic!("the message was never received");
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn what_a_node_says_in_its_own_name_is_heard_and_what_it_says_in_anothers_is_not() {
-    let stage = Stage::new();
-    let ada = stage.node("ada", "consort://ward/node/ada?roles=robot,voter").await;
-    let bob = stage.node("bob", "consort://ward/node/bob?roles=robot").await;
-    let eve = stage.node("eve", "consort://ward/node/eve?roles=robot").await;
+async fn a_node_publishes_in_its_own_name_only() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=robot,voter").await;
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=robot").await;
+    let eve = fixture.node("eve", "consort://ward/node/eve?roles=robot").await;
     let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
     introduce(&mut at_bob, &ada, &Key::Beacon, &beacon("ada")).await;
-    say(&ada, &Key::Beacon, &beacon("bob")).await;
-    assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0], "ada speaks in the name of bob");
+    publish(&ada, &Key::Beacon, &beacon("bob")).await;
+    assert_eq!(received(&mut at_bob).await, [] as [Bytes; 0], "ada publishes in the name of bob");
     for _ in 0..3 {
-        say(&eve, &Key::Beacon, &beacon("eve")).await;
-        assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0], "eve is no voter");
+        publish(&eve, &Key::Beacon, &beacon("eve")).await;
+        assert_eq!(received(&mut at_bob).await, [] as [Bytes; 0], "eve is no voter");
     }
-    say(&ada, &Key::Beacon, &beacon("ada")).await;
-    assert_eq!(heard(&mut at_bob).await, [beacon("ada")]);
+    publish(&ada, &Key::Beacon, &beacon("ada")).await;
+    assert_eq!(received(&mut at_bob).await, [beacon("ada")]);
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn who_has_no_certificate_of_the_fleet_is_not_heard_and_hears_nothing_it_can_use() {
-    let stage = Stage::new();
-    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
+async fn messages_without_a_fleet_certificate_are_dropped() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=voter").await;
     let mut at_ada = ada.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
-    let stranger = stage.plain("stranger");
-    say(&*stranger, &Key::Beacon, &beacon("stranger")).await;
-    let other = Stage { network: stage.network.clone(), ..Stage::new() };
+    let stranger = fixture.plain("stranger");
+    publish(&*stranger, &Key::Beacon, &beacon("stranger")).await;
+    let other = Fixture { network: fixture.network.clone(), ..Fixture::new() };
     let foreign = other.node("foreign", "consort://ward/node/foreign?roles=voter").await;
     for _ in 0..3 {
-        say(&foreign, &Key::Beacon, &beacon("foreign")).await;
-        assert_eq!(heard(&mut at_ada).await, [] as [Bytes; 0]);
+        publish(&foreign, &Key::Beacon, &beacon("foreign")).await;
+        assert_eq!(received(&mut at_ada).await, [] as [Bytes; 0]);
     }
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn a_message_that_is_changed_moved_or_repeated_on_the_way_is_not_heard() {
-    let stage = Stage::new();
+async fn a_changed_moved_or_replayed_message_is_dropped() {
+    let fixture = Fixture::new();
     let (ada, bob) = (
-        stage.node("ada", "consort://ward/node/ada?roles=host").await,
-        stage.node("bob", "consort://ward/node/bob?roles=robot").await,
+        fixture.node("ada", "consort://ward/node/ada?roles=host").await,
+        fixture.node("bob", "consort://ward/node/bob?roles=robot").await,
     );
-    let (here, there) = ("bob".parse().unwrap(), "cyd".parse().unwrap());
-    let (here, there) = (Key::Body(here, BodyCall::State), Key::Body(there, BodyCall::State));
+    let (own_key, other_key) = ("bob".parse().unwrap(), "cyd".parse().unwrap());
+    let (own_key, other_key) = (Key::Body(own_key, BodyCall::State), Key::Body(other_key, BodyCall::State));
     let mut at_bob = bob.subscribe(&keys().any_body_state()).await.unwrap();
-    introduce(&mut at_bob, &ada, &here, b"at the dock").await;
-    // A relay sees what passes, and sends it on as it likes.
-    let relay = stage.plain("relay");
-    let mut passing = relay.subscribe(&keys().any_body_state()).await.unwrap();
-    say(&ada, &here, b"at the lift").await;
-    assert_eq!(heard(&mut at_bob).await, ["at the lift"]);
-    let seen = heard(&mut passing).await.pop().unwrap();
-    say(&*relay, &here, &seen).await;
-    say(&*relay, &there, &seen).await;
-    for place in 0..seen.len() {
-        let mut changed = seen.to_vec();
-        changed[place] ^= 1;
-        say(&*relay, &here, &changed).await;
+    introduce(&mut at_bob, &ada, &own_key, b"at the dock").await;
+    // A relay receives the passing messages and publishes modified copies.
+    let relay = fixture.plain("relay");
+    let mut intercepted = relay.subscribe(&keys().any_body_state()).await.unwrap();
+    publish(&ada, &own_key, b"at the lift").await;
+    assert_eq!(received(&mut at_bob).await, ["at the lift"]);
+    let intercepted_sample = received(&mut intercepted).await.pop().unwrap();
+    publish(&*relay, &own_key, &intercepted_sample).await;
+    publish(&*relay, &other_key, &intercepted_sample).await;
+    for index in 0..intercepted_sample.len() {
+        let mut changed = intercepted_sample.to_vec();
+        changed[index] ^= 1;
+        publish(&*relay, &own_key, &changed).await;
     }
-    assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0]);
-    // What was kept back all the while still counts when it comes.
-    say(&ada, &here, b"at the ward").await;
-    assert_eq!(heard(&mut at_bob).await, ["at the ward"]);
+    assert_eq!(received(&mut at_bob).await, [] as [Bytes; 0]);
+    // A message with a later number is still accepted.
+    publish(&ada, &own_key, b"at the ward").await;
+    assert_eq!(received(&mut at_bob).await, ["at the ward"]);
 }
 
-/// Asks until the one who answers is known.
-async fn ask(bus: &dyn Bus, key: &str, what: &[u8]) -> Vec<Result<Bytes, String>> {
-    let mut answers = Vec::new();
+/// Queries until the certificate of the replying node is known.
+async fn query_until_known(bus: &dyn Bus, key: &str, content: &[u8]) -> Vec<Result<Bytes, String>> {
+    let mut payloads = Vec::new();
     for _ in 0..3 {
-        answers.clear();
-        let mut replies = bus.query(key, Bytes::copy_from_slice(what), Duration::from_secs(1)).await.unwrap();
+        payloads.clear();
+        let mut replies = bus.query(key, Bytes::copy_from_slice(content), Duration::from_secs(1)).await.unwrap();
         while let Some(reply) = replies.recv().await {
-            answers.push(reply.payload);
+            payloads.push(reply.payload);
         }
         tokio::time::sleep(Duration::from_secs(2)).await;
     }
-    answers
+    payloads
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn a_question_is_answered_by_who_may_and_to_who_may_ask() {
-    let stage = Stage::new();
-    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
-    let bob = stage.node("bob", "consort://ward/node/bob?roles=voter").await;
-    let eve = stage.node("eve", "consort://ward/node/eve?roles=robot").await;
+async fn queries_and_replies_are_authorized() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=voter").await;
+    let eve = fixture.node("eve", "consort://ward/node/eve?roles=robot").await;
     let key = keys().write(&Key::Bootstrap(node("bob")));
     for bus in [&bob, &eve] {
-        // Eve answers in the place of bob.
-        let mut asked = bus.serve(&key).await.unwrap();
+        // Eve replies in place of bob.
+        let mut queries = bus.serve(&key).await.unwrap();
         tokio::spawn(async move {
-            while let Some(query) = asked.recv().await {
+            while let Some(query) = queries.recv().await {
                 query.replier.reply(&query.key, query.payload.clone(), Encoding::Wire).await.unwrap();
             }
         });
     }
-    let founder =
+    let request_of =
         |name: &str| codec::encode(&BootstrapRequest { mobile: false, on_battery: false, node: node(name) }).unwrap();
-    assert_eq!(ask(&ada, &key, &founder("ada")).await, [Ok(Bytes::from(founder("ada")))], "one answer: eve's is none");
-    for (asker, question) in [(&eve, founder("eve")), (&ada, founder("bob"))] {
-        let answers = ask(asker, &key, &question).await;
-        assert!(answers.iter().all(Result::is_err) && !answers.is_empty(), "{answers:?}");
+    assert_eq!(
+        query_until_known(&ada, &key, &request_of("ada")).await,
+        [Ok(Bytes::from(request_of("ada")))],
+        "eve's reply is rejected"
+    );
+    for (requester, request) in [(&eve, request_of("eve")), (&ada, request_of("bob"))] {
+        let payloads = query_until_known(requester, &key, &request).await;
+        assert!(payloads.iter().all(Result::is_err) && !payloads.is_empty(), "{payloads:?}");
     }
-    let said = ask(&eve, &key, &founder("eve")).await;
+    let payloads = query_until_known(&eve, &key, &request_of("eve")).await;
     assert!(
-        said.iter().flat_map(|answer| answer.clone().err()).any(|why| why.contains("node eve (robot) may not ask")),
-        "{said:?}"
+        payloads
+            .iter()
+            .flat_map(|payload| payload.clone().err())
+            .any(|problem| problem.contains("node eve (robot) may not query")),
+        "{payloads:?}"
     );
 }
 
@@ -254,26 +261,26 @@ fn event(of: &str, number: u64) -> Vec<u8> {
     serde_json::json!({ "node": of, "sequence": number, "at_ms": 1, "event": "left" }).to_string().into_bytes()
 }
 
-async fn tell(bus: &dyn Bus, key: &Key, what: &[u8], beside: &Bytes) {
-    let payload = Bytes::copy_from_slice(what);
+async fn publish_with(bus: &dyn Bus, key: &Key, content: &[u8], attachment: &Bytes) {
+    let payload = Bytes::copy_from_slice(content);
     let key = keys().write(key);
-    bus.publish_with_attachment(&key, payload, beside.clone(), Encoding::Json, Delivery::Block).await.unwrap();
+    bus.publish_with_attachment(&key, payload, attachment.clone(), Encoding::Json, Delivery::Block).await.unwrap();
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn what_anybodys_clients_read_is_plain_and_bears_its_seal_beside_it() {
-    let stage = Stage::new();
-    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
-    let client = stage.plain("client");
+async fn client_messages_are_plain_with_a_detached_signature() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let client = fixture.plain("client");
     let events = Key::Events(node("ada"));
     let mut at_client = client.subscribe(&keys().write(&events)).await.unwrap();
-    say(&ada, &events, &event("ada", 1)).await;
+    publish(&ada, &events, &event("ada", 1)).await;
     let sample = at_client.recv().await.unwrap();
     assert_eq!(sample.payload, event("ada", 1));
     assert!(!sample.attachment.is_empty());
-    // Who asks as everybody does gets the bare answer.
+    // A plain client gets a plain reply.
     let view = keys().write(&Key::ViewFleet);
-    answering(ada.serve_complete(&view).await.unwrap(), |_| Some("{}".into()));
+    reply_with(ada.serve_complete(&view).await.unwrap(), |_| Some("{}".into()));
     let replies = all(client.query_nearest(&view, Bytes::new(), Duration::from_secs(1)).await.unwrap()).await;
     assert_eq!(
         replies.iter().map(|reply| (reply.payload.clone(), reply.attachment.len())).collect::<Vec<_>>(),
@@ -282,72 +289,72 @@ async fn what_anybodys_clients_read_is_plain_and_bears_its_seal_beside_it() {
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn an_event_is_heard_the_first_time_and_a_forged_one_never() {
-    let stage = Stage::new();
-    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
-    let eve = stage.node("eve", "consort://ward/node/eve?roles=robot,voter,host").await;
-    let kim = stage.node("kim", "consort://ward/person/kim?scope=read").await;
+async fn a_forged_event_is_rejected() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let eve = fixture.node("eve", "consort://ward/node/eve?roles=robot,voter,host").await;
+    let kim = fixture.node("kim", "consort://ward/person/kim?scope=read").await;
     let (of_ada, of_eve) = (Key::Events(node("ada")), Key::Events(node("eve")));
     let mut at_kim = kim.subscribe(&keys().any_events()).await.unwrap();
-    let relay = stage.plain("relay");
-    let mut passing = relay.subscribe(&keys().any_events()).await.unwrap();
-    say(&ada, &of_ada, &event("ada", 1)).await;
-    assert_eq!(heard(&mut at_kim).await, [event("ada", 1)], "nobody need know ada");
-    let seen = passing.recv().await.unwrap();
-    let nothing = [] as [Bytes; 0];
-    tell(&*relay, &of_ada, &seen.payload, &seen.attachment).await;
-    assert_eq!(heard(&mut at_kim).await, nothing, "repeated");
-    tell(&*relay, &of_eve, &seen.payload, &seen.attachment).await;
-    assert_eq!(heard(&mut at_kim).await, nothing, "moved");
-    tell(&*relay, &of_ada, &seen.payload, &Bytes::new()).await;
-    assert_eq!(heard(&mut at_kim).await, nothing, "without a seal");
+    let relay = fixture.plain("relay");
+    let mut intercepted = relay.subscribe(&keys().any_events()).await.unwrap();
+    publish(&ada, &of_ada, &event("ada", 1)).await;
+    assert_eq!(received(&mut at_kim).await, [event("ada", 1)], "the certificate is attached");
+    let intercepted_sample = intercepted.recv().await.unwrap();
+    let none = [] as [Bytes; 0];
+    publish_with(&*relay, &of_ada, &intercepted_sample.payload, &intercepted_sample.attachment).await;
+    assert_eq!(received(&mut at_kim).await, none, "replayed");
+    publish_with(&*relay, &of_eve, &intercepted_sample.payload, &intercepted_sample.attachment).await;
+    assert_eq!(received(&mut at_kim).await, none, "moved");
+    publish_with(&*relay, &of_ada, &intercepted_sample.payload, &Bytes::new()).await;
+    assert_eq!(received(&mut at_kim).await, none, "without a signature");
     assert!(
-        kim.rejections().contains(&"somebody on events/ada: it bears no seal".to_owned()),
+        kim.rejections().contains(&"message on events/ada rejected: it is not signed".to_owned()),
         "{:?}",
         kim.rejections()
     );
-    say(&eve, &of_ada, &event("ada", 2)).await;
-    say(&eve, &of_eve, &event("ada", 2)).await;
-    assert_eq!(heard(&mut at_kim).await, nothing, "in another's name");
-    for told in [
+    publish(&eve, &of_ada, &event("ada", 2)).await;
+    publish(&eve, &of_eve, &event("ada", 2)).await;
+    assert_eq!(received(&mut at_kim).await, none, "in the name of another node");
+    for reason in [
         "node eve (robot, voter, host) may not publish on events/ada",
-        "node eve (robot, voter, host) speaks on events/eve in the name of ada",
+        "node eve (robot, voter, host) may not send on events/eve in the name of ada",
     ] {
-        assert!(kim.rejections().contains(&told.to_owned()), "{:?}", kim.rejections());
+        assert!(kim.rejections().contains(&reason.to_owned()), "{:?}", kim.rejections());
     }
-    say(&ada, &of_ada, &event("ada", 3)).await;
-    assert_eq!(heard(&mut at_kim).await, [event("ada", 3)]);
-    // One that was not heard yet, each byte of it changed.
-    let held = loop {
-        let held = passing.recv().await.unwrap();
-        if held.payload == event("ada", 3) {
-            break held;
+    publish(&ada, &of_ada, &event("ada", 3)).await;
+    assert_eq!(received(&mut at_kim).await, [event("ada", 3)]);
+    // A message that was not received yet, with each byte changed in turn.
+    let sample = loop {
+        let sample = intercepted.recv().await.unwrap();
+        if sample.payload == event("ada", 3) {
+            break sample;
         }
     };
-    let lee = stage.node("lee", "consort://ward/person/lee?scope=read").await;
+    let lee = fixture.node("lee", "consort://ward/person/lee?scope=read").await;
     let mut at_lee = lee.subscribe(&keys().any_events()).await.unwrap();
-    // The certificate first: who knows it already does not look at it.
-    for place in (0..held.attachment.len()).rev() {
-        let mut changed = held.attachment.to_vec();
-        changed[place] ^= 1;
-        tell(&*relay, &of_ada, &held.payload, &changed.into()).await;
+    // The certificate first: a node that already has it does not read it.
+    for index in (0..sample.attachment.len()).rev() {
+        let mut changed = sample.attachment.to_vec();
+        changed[index] ^= 1;
+        publish_with(&*relay, &of_ada, &sample.payload, &changed.into()).await;
     }
-    for place in 0..held.payload.len() {
-        let mut changed = held.payload.to_vec();
-        changed[place] ^= 1;
-        tell(&*relay, &of_ada, &changed, &held.attachment).await;
+    for index in 0..sample.payload.len() {
+        let mut changed = sample.payload.to_vec();
+        changed[index] ^= 1;
+        publish_with(&*relay, &of_ada, &changed, &sample.attachment).await;
     }
-    assert_eq!(heard(&mut at_lee).await, nothing, "changed");
-    tell(&*relay, &of_ada, &held.payload, &held.attachment).await;
-    assert_eq!(heard(&mut at_lee).await, [event("ada", 3)], "and as it was");
+    assert_eq!(received(&mut at_lee).await, none, "changed");
+    publish_with(&*relay, &of_ada, &sample.payload, &sample.attachment).await;
+    assert_eq!(received(&mut at_lee).await, [event("ada", 3)], "unchanged");
 }
 
-/// Answers each question with what is given for it, if anything, for as long as the test lasts.
-fn answering(mut questions: Stream<Query>, with: impl Fn(&Query) -> Option<Bytes> + Send + 'static) {
+/// Replies to each query with the result of `with`, if any, for the rest of the test.
+fn reply_with(mut queries: Stream<Query>, with: impl Fn(&Query) -> Option<Bytes> + Send + 'static) {
     tokio::spawn(async move {
-        while let Some(query) = questions.recv().await {
-            if let Some(answer) = with(&query) {
-                query.replier.reply(&query.key, answer, Encoding::Json).await.unwrap();
+        while let Some(query) = queries.recv().await {
+            if let Some(payload) = with(&query) {
+                query.replier.reply(&query.key, payload, Encoding::Json).await.unwrap();
             }
         }
     });
@@ -361,54 +368,57 @@ async fn all(mut replies: Stream<Reply>) -> Vec<Reply> {
     all
 }
 
-/// The answers to a request that are believed.
-async fn requested(bus: &dyn Bus, request: &'static str) -> Vec<Result<Bytes, String>> {
+/// Returns the verified replies to a request.
+async fn request_replies(bus: &dyn Bus, request: &'static str) -> Vec<Result<Bytes, String>> {
     let key = keys().write(&Key::Api(ApiCall::Submit));
     let replies = bus.query(&key, request.into(), Duration::from_secs(1)).await.unwrap();
     all(replies).await.into_iter().map(|reply| reply.payload).collect()
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn who_answers_in_the_coordinators_stead_is_not_believed_and_is_told_about() {
-    let stage = Stage::new();
-    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
-    let eve = stage.node("eve", "consort://ward/node/eve?roles=robot,host").await;
-    let kim = stage.node("kim", "consort://ward/person/kim?scope=submit").await;
+async fn a_forged_reply_of_the_coordinator_is_rejected() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let eve = fixture.node("eve", "consort://ward/node/eve?roles=robot,host").await;
+    let kim = fixture.node("kim", "consort://ward/person/kim?scope=submit").await;
     let key = keys().write(&Key::Api(ApiCall::Submit));
-    answering(ada.serve(&key).await.unwrap(), |_| Some("acknowledged".into()));
-    answering(eve.serve(&key).await.unwrap(), |_| Some("eve's".into()));
-    // One who has nothing to sign with, and one who refuses in everybody's name.
-    answering(stage.plain("mallory").serve(&key).await.unwrap(), |_| Some("mallory's".into()));
-    let mut refusing = stage.plain("trudy").serve(&key).await.unwrap();
+    reply_with(ada.serve(&key).await.unwrap(), |_| Some("acknowledged".into()));
+    reply_with(eve.serve(&key).await.unwrap(), |_| Some("eve's".into()));
+    // A replier without a key, and a replier that refuses.
+    reply_with(fixture.plain("mallory").serve(&key).await.unwrap(), |_| Some("mallory's".into()));
+    let mut refusing = fixture.plain("trudy").serve(&key).await.unwrap();
     tokio::spawn(async move {
         while let Some(query) = refusing.recv().await {
-            query.replier.refuse("nobody coordinates").await.unwrap();
+            query.replier.refuse("there is no coordinator").await.unwrap();
         }
     });
-    assert_eq!(requested(&kim, "one").await, [Ok("acknowledged".into())], "at once: the certificate comes along");
-    let told = kim.rejections();
-    for reason in ["node eve (robot, host) may not answer on api/submit", "somebody on api/submit: it bears no seal"] {
-        assert!(told.contains(&reason.to_owned()), "{told:?}");
+    assert_eq!(request_replies(&kim, "one").await, [Ok("acknowledged".into())], "at once: the certificate is attached");
+    let rejections = kim.rejections();
+    for reason in
+        ["node eve (robot, host) may not reply on api/submit", "message on api/submit rejected: it is not signed"]
+    {
+        assert!(rejections.contains(&reason.to_owned()), "{rejections:?}");
     }
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn an_answer_to_another_question_is_none() {
-    let stage = Stage::new();
-    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
-    let kim = stage.node("kim", "consort://ward/person/kim?scope=submit").await;
+async fn a_reply_to_another_query_is_rejected() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let kim = fixture.node("kim", "consort://ward/person/kim?scope=submit").await;
     let key = keys().write(&Key::Api(ApiCall::Submit));
-    answering(ada.serve(&key).await.unwrap(), |query| Some([b"taken: ", &query.payload[..]].concat().into()));
-    // A relay, between kim and ada: it hears kim's question, and asks ada what it likes in kim's name.
-    let between = Arc::new(stage.network.bus(node("between")));
-    let mut asked = between.serve(&key).await.unwrap();
+    reply_with(ada.serve(&key).await.unwrap(), |query| Some([b"taken: ", &query.payload[..]].concat().into()));
+    // A relay between kim and ada: it receives kim's query, and queries ada with other payloads in
+    // kim's name.
+    let between = Arc::new(fixture.network.bus(node("between")));
+    let mut queries = between.serve(&key).await.unwrap();
     let (relay, at_ada) = (Arc::clone(&between), key.clone());
-    let (swap, mut swaps) = tokio::sync::mpsc::unbounded_channel::<Option<Bytes>>();
+    let (replacements, mut replacement_receiver) = tokio::sync::mpsc::unbounded_channel::<Option<Bytes>>();
     tokio::spawn(async move {
-        let mut kept: Option<Reply> = None;
-        while let Some(query) = asked.recv().await {
-            let Ok(instead) = swaps.try_recv() else { continue };
-            let reply = match instead {
+        let mut previous: Option<Reply> = None;
+        while let Some(query) = queries.recv().await {
+            let Ok(replacement) = replacement_receiver.try_recv() else { continue };
+            let reply = match replacement {
                 Some(payload) => {
                     let own = relay.query_with(
                         &at_ada,
@@ -425,7 +435,7 @@ async fn an_answer_to_another_question_is_none() {
                         }
                     }
                 }
-                None => kept.take().unwrap(),
+                None => previous.take().unwrap(),
             };
             let payload = reply.payload.clone().unwrap();
             query
@@ -433,191 +443,197 @@ async fn an_answer_to_another_question_is_none() {
                 .reply_with_attachment(&query.key, payload, reply.attachment.clone(), Encoding::Json)
                 .await
                 .unwrap();
-            kept = Some(reply);
+            previous = Some(reply);
         }
     });
-    stage.network.cut(node("kim"), node("ada"));
-    let ask = |what| requested(&kim, what);
-    // As it was asked, it is an answer, whoever carried it.
-    swap.send(Some("one".into())).unwrap();
-    assert_eq!(ask("one").await, [Ok("taken: one".into())]);
-    swap.send(None).unwrap();
-    assert_eq!(ask("one").await, [], "the answer to the question before");
-    swap.send(Some("two".into())).unwrap();
-    assert_eq!(ask("one").await, [], "the answer to a question that was changed");
-    let told = kim.rejections();
-    let reason = "somebody on api/submit says to be node ada (voter), whose signature it is not";
-    assert!(told.contains(&reason.to_owned()), "{told:?}");
+    fixture.network.cut(node("kim"), node("ada"));
+    let request = |payload| request_replies(&kim, payload);
+    // An unchanged query gets a valid reply, whichever node relays it.
+    replacements.send(Some("one".into())).unwrap();
+    assert_eq!(request("one").await, [Ok("taken: one".into())]);
+    replacements.send(None).unwrap();
+    assert_eq!(request("one").await, [], "the reply to the previous query");
+    replacements.send(Some("two".into())).unwrap();
+    assert_eq!(request("one").await, [], "the reply to a changed query");
+    let rejections = kim.rejections();
+    let reason = "message on api/submit rejected: the signature is not by node ada (voter)";
+    assert!(rejections.contains(&reason.to_owned()), "{rejections:?}");
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn who_shows_a_certificate_that_is_revoked_or_anothers_is_not_believed() {
-    let stage = Stage::new();
-    let authority = stage.authority();
+async fn a_revoked_or_foreign_certificate_is_rejected() {
+    let fixture = Fixture::new();
+    let authority = fixture.authority();
     let of_ada = authority.issue(&"consort://ward/node/ada?roles=voter".parse().unwrap(), &[], LONG).unwrap();
-    let ada = stage.with(stage.plain("ada"), stage.files("ada", &of_ada), 1).await;
-    let bob = stage.node("bob", "consort://ward/node/bob?roles=voter").await;
-    let foreign = Stage { network: stage.network.clone(), ..Stage::new() };
+    let ada = fixture.with(fixture.plain("ada"), fixture.files("ada", &of_ada), 1).await;
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=voter").await;
+    let foreign = Fixture { network: fixture.network.clone(), ..Fixture::new() };
     let eve = foreign.node("eve", "consort://ward/node/eve?roles=voter").await;
     let of_kim = authority.issue(&"consort://ward/person/kim?scope=read".parse().unwrap(), &[], LONG).unwrap();
-    let mut files = stage.files("kim", &of_kim);
+    let mut files = fixture.files("kim", &of_kim);
     let revoked = [RevokedCertificate { serial: serial(&of_ada.certificate), since: NOW }];
-    files.revoked = Some(stage.folder.write("revoked.pem", &authority.revocation_list(&revoked, 1, LONG).unwrap()));
-    let kim = stage.with(stage.plain("kim"), files, 1).await;
+    files.revoked = Some(fixture.folder.write("revoked.pem", &authority.revocation_list(&revoked, 1, LONG).unwrap()));
+    let kim = fixture.with(fixture.plain("kim"), files, 1).await;
     let mut at_kim = kim.subscribe(&keys().any_events()).await.unwrap();
-    let relay = stage.plain("relay");
-    let mut passing = relay.subscribe(&keys().any_events()).await.unwrap();
+    let relay = fixture.plain("relay");
+    let mut intercepted = relay.subscribe(&keys().any_events()).await.unwrap();
     for (bus, name) in [(&ada, "ada"), (&bob, "bob"), (&eve, "eve")] {
-        say(bus, &Key::Events(node(name)), &event(name, 1)).await;
+        publish(bus, &Key::Events(node(name)), &event(name, 1)).await;
     }
-    assert_eq!(heard(&mut at_kim).await, [event("bob", 1)]);
-    let told = kim.rejections();
+    assert_eq!(received(&mut at_kim).await, [event("bob", 1)]);
+    let rejections = kim.rejections();
     for reason in [
-        "somebody on events/ada whose certificate is not believed: it has been revoked",
-        "somebody on events/eve whose certificate is not believed: it was not signed by this fleet's authority",
+        "message on events/ada rejected: invalid certificate: it has been revoked",
+        "message on events/eve rejected: invalid certificate: it was not signed by this fleet's authority",
     ] {
-        assert!(told.iter().any(|told| told == reason), "{told:?}");
+        assert!(rejections.iter().any(|rejection| rejection == reason), "{rejections:?}");
     }
-    // The head of one seal with the certificate of another.
-    let lee = stage.node("lee", "consort://ward/person/lee?scope=read").await;
+    // The signature of a message with the certificate of another signer.
+    let lee = fixture.node("lee", "consort://ward/person/lee?scope=read").await;
     let mut at_lee = lee.subscribe(&keys().any_events()).await.unwrap();
-    let seen: Vec<Sample> = std::iter::from_fn(|| passing.try_recv()).collect();
-    let of = |name: &str| seen.iter().find(|sample| sample.key.ends_with(name)).unwrap();
+    let intercepted_sample: Vec<Sample> = std::iter::from_fn(|| intercepted.try_recv()).collect();
+    let of = |name: &str| intercepted_sample.iter().find(|sample| sample.key.ends_with(name)).unwrap();
     let mixed = [&of("ada").attachment[..ENVELOPE_BYTES], &of("bob").attachment[ENVELOPE_BYTES..]].concat();
-    tell(&*relay, &Key::Events(node("ada")), &of("ada").payload, &mixed.into()).await;
-    assert_eq!(heard(&mut at_lee).await, [] as [Bytes; 0]);
-    let reason = "somebody on events/ada shows the certificate of node bob (voter) for another";
+    publish_with(&*relay, &Key::Events(node("ada")), &of("ada").payload, &mixed.into()).await;
+    assert_eq!(received(&mut at_lee).await, [] as [Bytes; 0]);
+    let reason =
+        "message on events/ada rejected: the attached certificate belongs to node bob (voter), not to the signer";
     assert!(lee.rejections().contains(&reason.to_owned()), "{:?}", lee.rejections());
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn a_revoked_bearer_is_no_longer_heard_though_it_was_believed() {
-    let stage = Stage::new();
-    let authority = stage.authority();
+async fn a_revocation_ends_accepted_certificates() {
+    let fixture = Fixture::new();
+    let authority = fixture.authority();
     let list = |revoked: &[RevokedCertificate], number| authority.revocation_list(revoked, number, LONG).unwrap();
     let mut files = {
         let issued = authority.issue(&"consort://ward/node/bob?roles=robot".parse().unwrap(), &[], LONG).unwrap();
-        stage.files("bob", &issued)
+        fixture.files("bob", &issued)
     };
-    files.revoked = Some(stage.folder.write("revoked.pem", &list(&[], 1)));
-    let bob = stage.with(stage.plain("bob"), files, 1).await;
+    files.revoked = Some(fixture.folder.write("revoked.pem", &list(&[], 1)));
+    let bob = fixture.with(fixture.plain("bob"), files, 1).await;
     let of_ada = authority.issue(&"consort://ward/node/ada?roles=voter".parse().unwrap(), &[], LONG).unwrap();
     let serial = serial(&of_ada.certificate);
-    let ada = stage.with(stage.plain("ada"), stage.files("ada", &of_ada), 1).await;
+    let ada = fixture.with(fixture.plain("ada"), fixture.files("ada", &of_ada), 1).await;
     let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
     introduce(&mut at_bob, &ada, &Key::Beacon, &beacon("ada")).await;
-    let cyd = stage.node("cyd", "consort://ward/node/cyd?roles=voter").await;
+    let cyd = fixture.node("cyd", "consort://ward/node/cyd?roles=voter").await;
     introduce(&mut at_bob, &cyd, &Key::Beacon, &beacon("cyd")).await;
     let revoked = list(&[RevokedCertificate { serial, since: NOW }], 2);
-    // What was revoked stays so, though the list cannot be read any more; and nobody else comes to harm.
+    // Revoked certificates stay revoked even if the list can no longer be read, and other nodes are
+    // unaffected.
     for then in [Some(revoked.as_str()), Some("no list"), None] {
         match then {
-            Some(text) => drop(stage.folder.write("revoked.pem", text)),
-            None => std::fs::remove_file(stage.folder.0.join("revoked.pem")).unwrap(),
+            Some(text) => drop(fixture.folder.write("revoked.pem", text)),
+            None => std::fs::remove_file(fixture.folder.0.join("revoked.pem")).unwrap(),
         }
         tokio::time::sleep(Duration::from_secs(30)).await;
         for _ in 0..3 {
-            say(&ada, &Key::Beacon, &beacon("ada")).await;
-            assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0]);
+            publish(&ada, &Key::Beacon, &beacon("ada")).await;
+            assert_eq!(received(&mut at_bob).await, [] as [Bytes; 0]);
         }
-        say(&cyd, &Key::Beacon, &beacon("cyd")).await;
-        assert_eq!(heard(&mut at_bob).await, [beacon("cyd")]);
+        publish(&cyd, &Key::Beacon, &beacon("cyd")).await;
+        assert_eq!(received(&mut at_bob).await, [beacon("cyd")]);
     }
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn who_was_believed_is_not_once_the_certificate_has_ended() {
-    let stage = Stage::new();
-    let bob = stage.node("bob", "consort://ward/node/bob?roles=robot").await;
+async fn an_expired_certificate_is_no_longer_accepted() {
+    let fixture = Fixture::new();
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=robot").await;
     let brief = Validity { from: LONG.from, until: NOW + Duration::from_secs(100) };
-    let issued = stage.authority().issue(&"consort://ward/node/ada?roles=voter".parse().unwrap(), &[], brief).unwrap();
-    let ada = stage.with(stage.plain("ada"), stage.files("ada", &issued), 1).await;
+    let issued =
+        fixture.authority().issue(&"consort://ward/node/ada?roles=voter".parse().unwrap(), &[], brief).unwrap();
+    let ada = fixture.with(fixture.plain("ada"), fixture.files("ada", &issued), 1).await;
     let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
     introduce(&mut at_bob, &ada, &Key::Beacon, &beacon("ada")).await;
     tokio::time::sleep(Duration::from_secs(120)).await;
-    say(&ada, &Key::Beacon, &beacon("ada")).await;
-    assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0]);
+    publish(&ada, &Key::Beacon, &beacon("ada")).await;
+    assert_eq!(received(&mut at_bob).await, [] as [Bytes; 0]);
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn what_is_far_behind_is_not_heard_though_nobody_remembers_it() {
-    let stage = Stage::new();
-    let ada = stage.node("ada", "consort://ward/node/ada?roles=host").await;
-    let bob = stage.node("bob", "consort://ward/node/bob?roles=robot").await;
+async fn a_message_older_than_the_window_is_rejected() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=host").await;
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=robot").await;
     let key = Key::Body("bob".parse().unwrap(), BodyCall::State);
     let mut at_bob = bob.subscribe(&keys().any_body_state()).await.unwrap();
     introduce(&mut at_bob, &ada, &key, b"at the dock").await;
-    let relay = stage.plain("relay");
-    let mut passing = relay.subscribe(&keys().any_body_state()).await.unwrap();
-    say(&ada, &key, b"at the lift").await;
-    let seen = passing.recv().await.unwrap().payload;
+    let relay = fixture.plain("relay");
+    let mut intercepted = relay.subscribe(&keys().any_body_state()).await.unwrap();
+    publish(&ada, &key, b"at the lift").await;
+    let intercepted_sample = intercepted.recv().await.unwrap().payload;
     for _ in 0..1100 {
-        say(&ada, &key, b"at the ward").await;
+        publish(&ada, &key, b"at the ward").await;
     }
-    assert_eq!(heard(&mut at_bob).await.len(), 1101);
-    say(&*relay, &key, &seen).await;
-    assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0]);
-    let told = bob.rejections();
-    assert!(told.iter().any(|told| told.contains("is older than what it said before")), "{told:?}");
+    assert_eq!(received(&mut at_bob).await.len(), 1101);
+    publish(&*relay, &key, &intercepted_sample).await;
+    assert_eq!(received(&mut at_bob).await, [] as [Bytes; 0]);
+    let rejections = bob.rejections();
+    assert!(
+        rejections.iter().any(|rejection| rejection.contains("it is older than earlier messages")),
+        "{rejections:?}"
+    );
 }
 
-/// Which certificates are asked for, by whoever.
-async fn asked_for(bus: &dyn Bus) -> Stream<Query> {
+/// Receives all queries for certificates.
+async fn certificate_queries(bus: &dyn Bus) -> Stream<Query> {
     bus.serve(&keys().any_certificate()).await.unwrap()
 }
 
-/// Bytes that look like a message of somebody nobody knows.
-fn of_nobody(number: u8) -> Vec<u8> {
-    let sealed = SignedEnvelope {
+/// Returns an envelope of an unknown signer.
+fn from_unknown_signer(number: u8) -> Vec<u8> {
+    let envelope = SignedEnvelope {
         signer: Fingerprint([number; 16]),
         number: 1,
         signature: &[0; SIGNATURE_BYTES],
         payload: b"?",
     };
-    encode_envelope(MessageKind::Publication, sealed)
+    encode_envelope(MessageKind::Publication, envelope)
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn who_makes_up_authors_has_few_of_them_asked_for() {
-    let stage = Stage::new();
-    let bob = stage.node("bob", "consort://ward/node/bob?roles=robot").await;
+async fn invented_signers_cause_few_certificate_queries() {
+    let fixture = Fixture::new();
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=robot").await;
     let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
-    let eve = stage.plain("eve");
-    let mut asked = asked_for(&*eve).await;
-    let count = |asked: &mut Stream<Query>| std::iter::from_fn(|| asked.try_recv()).count();
+    let eve = fixture.plain("eve");
+    let mut queries = certificate_queries(&*eve).await;
+    let count = |queries: &mut Stream<Query>| std::iter::from_fn(|| queries.try_recv()).count();
     for _ in 0..50 {
-        say(&*eve, &Key::Beacon, &of_nobody(0)).await;
+        publish(&*eve, &Key::Beacon, &from_unknown_signer(0)).await;
     }
     assert!(tokio::time::timeout(Duration::from_millis(900), at_bob.recv()).await.is_err());
-    assert_eq!(count(&mut asked), 1, "one author, once in a second");
+    assert_eq!(count(&mut queries), 1, "a single query per second for a signer");
     for number in 1..=200 {
-        say(&*eve, &Key::Beacon, &of_nobody(number)).await;
+        publish(&*eve, &Key::Beacon, &from_unknown_signer(number)).await;
     }
     assert!(tokio::time::timeout(Duration::from_millis(100), at_bob.recv()).await.is_err());
-    let others = count(&mut asked);
-    assert!((31..=32).contains(&others), "{others}: so many at once");
+    let count = count(&mut queries);
+    assert!((31..=32).contains(&count), "{count} concurrent queries");
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn who_could_not_be_asked_is_asked_again_and_whatever_else_is_shown_does_not_matter() {
-    let stage = Stage::new();
-    let bob = stage.node("bob", "consort://ward/node/bob?roles=robot").await;
-    let eve = stage.node("eve", "consort://ward/node/eve?roles=robot").await;
+async fn a_failed_certificate_query_is_retried() {
+    let fixture = Fixture::new();
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=robot").await;
+    let eve = fixture.node("eve", "consort://ward/node/eve?roles=robot").await;
     let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
-    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
-    // Eve, whom bob knows, shows her own certificate for everybody's, and is the quicker.
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=voter").await;
+    // Eve, known to bob, replies faster to every certificate query, with her own certificate.
     let mut own = eve.query(&keys().any_certificate(), Bytes::new(), Duration::from_secs(1)).await.unwrap();
-    let shown = loop {
+    let certificate = loop {
         let reply = own.recv().await.unwrap();
-        let shown = reply.payload.unwrap();
-        if bob_knows(&stage, &shown).contains("node/eve") {
-            break shown;
+        let certificate = reply.payload.unwrap();
+        if identity_in(&fixture, &certificate).contains("node/eve") {
+            break certificate;
         }
     };
-    let mut asked = asked_for(&*stage.plain("eve")).await;
+    let mut queries = certificate_queries(&*fixture.plain("eve")).await;
     tokio::spawn(async move {
-        while let Some(query) = asked.recv().await {
-            query.replier.reply(&query.key, shown.clone(), Encoding::Wire).await.unwrap();
+        while let Some(query) = queries.recv().await {
+            query.replier.reply(&query.key, certificate.clone(), Encoding::Wire).await.unwrap();
         }
     });
     let slow = LinkModel {
@@ -625,41 +641,41 @@ async fn who_could_not_be_asked_is_asked_again_and_whatever_else_is_shown_does_n
         latency_max: Duration::from_millis(300),
         ..LinkModel::LAN
     };
-    stage.network.set_link_model_between(node("ada"), node("bob"), slow);
-    stage.network.cut(node("bob"), node("ada"));
+    fixture.network.set_link_model_between(node("ada"), node("bob"), slow);
+    fixture.network.cut(node("bob"), node("ada"));
     for _ in 0..3 {
-        say(&ada, &Key::Beacon, &beacon("ada")).await;
-        assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0], "she cannot be asked");
+        publish(&ada, &Key::Beacon, &beacon("ada")).await;
+        assert_eq!(received(&mut at_bob).await, [] as [Bytes; 0], "ada cannot be queried");
     }
-    stage.network.restore(node("bob"), node("ada"));
+    fixture.network.restore(node("bob"), node("ada"));
     introduce(&mut at_bob, &ada, &Key::Beacon, &beacon("ada")).await;
 }
 
-/// Whose certificate it is, as somebody of the fleet judges it.
-fn bob_knows(stage: &Stage, certificate: &[u8]) -> String {
-    judge(stage).add_certificate(certificate, NOW).unwrap().identity.to_string()
+/// Returns the identity in a certificate, as verified by a member of the fleet.
+fn identity_in(fixture: &Fixture, certificate: &[u8]) -> String {
+    verifier(fixture).add_certificate(certificate, NOW).unwrap().identity.to_string()
 }
 
 #[test]
-fn no_more_certificates_are_remembered_than_so_many() {
-    let stage = Stage::new();
-    let (ada, authority) = (judge(&stage), stage.authority());
-    let mut shown = (0..=4096).map(|number| {
+fn the_number_of_stored_certificates_is_limited() {
+    let fixture = Fixture::new();
+    let (ada, authority) = (verifier(&fixture), fixture.authority());
+    let mut certificate = (0..=4096).map(|number| {
         let identity = format!("consort://ward/node/n{number}?roles=").parse().unwrap();
         let issued = authority.issue(&identity, &[], LONG).unwrap();
         let certificate = CertificateDer::from_pem_slice(issued.certificate.as_bytes()).unwrap();
         ada.add_certificate(&certificate, NOW).unwrap().fingerprint()
     });
-    let first = shown.next().unwrap();
+    let first = certificate.next().unwrap();
     assert!(ada.certificate(first).is_some());
-    let last = shown.last().unwrap();
+    let last = certificate.last().unwrap();
     assert!(ada.certificate(first).is_none() && ada.certificate(last).is_some());
 }
 
-/// A certificate of the stage's authority, with whatever names.
-fn with_names(stage: &Stage, names: &[&str]) -> Vec<u8> {
-    let issuer = KeyPair::from_pem(&stage.ca.key).unwrap();
-    let issuer = Issuer::from_ca_cert_pem(&stage.ca.certificate, issuer).unwrap();
+/// Returns a certificate of the fixture's authority with the given names.
+fn with_names(fixture: &Fixture, names: &[&str]) -> Vec<u8> {
+    let issuer = KeyPair::from_pem(&fixture.ca.key).unwrap();
+    let issuer = Issuer::from_ca_cert_pem(&fixture.ca.certificate, issuer).unwrap();
     let mut params = CertificateParams::default();
     params.subject_alt_names = names.iter().map(|name| SanType::URI((*name).try_into().unwrap())).collect();
     params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ClientAuth];
@@ -668,27 +684,27 @@ fn with_names(stage: &Stage, names: &[&str]) -> Vec<u8> {
 }
 
 #[test]
-fn a_certificate_may_have_further_names_and_needs_one_of_ours() {
-    let stage = Stage::new();
-    let ada = judge(&stage);
-    let bob = with_names(&stage, &["spiffe://ward/bob", "consort://ward/node/bob?roles=robot"]);
+fn a_certificate_needs_a_consort_name() {
+    let fixture = Fixture::new();
+    let ada = verifier(&fixture);
+    let bob = with_names(&fixture, &["spiffe://ward/bob", "consort://ward/node/bob?roles=robot"]);
     assert_eq!(ada.add_certificate(&bob, NOW).unwrap().identity.to_string(), "consort://ward/node/bob?roles=robot");
-    let why = ada.add_certificate(&with_names(&stage, &["spiffe://ward/bob"]), NOW).unwrap_err().to_string();
-    assert!(why.contains("there is no name of the form consort://"), "{why}");
+    let problem = ada.add_certificate(&with_names(&fixture, &["spiffe://ward/bob"]), NOW).unwrap_err().to_string();
+    assert!(problem.contains("it has no name of the form consort://"), "{problem}");
 }
 
 #[test]
-fn a_persons_certificate_does_not_serve_to_be_connected_to() {
-    let stage = Stage::new();
-    let files_of = |who: &str, identity: &str| {
-        let issued = stage.authority().issue(&identity.parse().unwrap(), &[], LONG).unwrap();
-        stage.files(who, &issued)
+fn a_persons_certificate_is_no_server_certificate() {
+    let fixture = Fixture::new();
+    let files_of = |name: &str, identity: &str| {
+        let issued = fixture.authority().issue(&identity.parse().unwrap(), &[], LONG).unwrap();
+        fixture.files(name, &issued)
     };
     let ada = files_of("ada", "consort://ward/node/ada?roles=robot");
-    for (who, identity) in
+    for (name, identity) in
         [("bob", "consort://ward/node/bob?roles=voter"), ("kim", "consort://ward/person/kim?scope=read")]
     {
-        let files = files_of(who, identity);
+        let files = files_of(name, identity);
         let certificate = CertificateDer::from_pem_file(&files.certificate).unwrap();
         let key = PrivatePkcs8KeyDer::from_pem_file(&files.key).unwrap();
         let provider = Arc::new(rustls::crypto::ring::default_provider());
@@ -700,12 +716,12 @@ fn a_persons_certificate_does_not_serve_to_be_connected_to() {
         let serving = std::thread::spawn(move || {
             let (mut stream, _) = listener.accept().unwrap();
             let mut tls = rustls::ServerConnection::new(Arc::new(config)).unwrap();
-            // Whoever does not believe it hangs up.
+            // A client that rejects the certificate closes the connection.
             while tls.is_handshaking() && tls.complete_io(&mut stream).is_ok() {}
         });
         let probed = ada.probe(address, &ward(), Duration::from_secs(20));
         serving.join().unwrap();
-        match who {
+        match name {
             "bob" => assert!(!matches!(probed, Err(ProbeError::UntrustedPeer(_))), "{probed:?}"),
             _ => assert!(matches!(probed, Err(ProbeError::UntrustedPeer(_))), "{probed:?}"),
         }
@@ -718,103 +734,103 @@ fn serial(certificate: &str) -> Vec<u8> {
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn a_node_that_starts_anew_is_heard_at_once() {
-    let stage = Stage::new();
-    let bob = stage.node("bob", "consort://ward/node/bob?roles=robot").await;
+async fn a_restarted_node_is_accepted_at_once() {
+    let fixture = Fixture::new();
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=robot").await;
     let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
-    for life in 1..4 {
-        // With a certificate of its own each time, and with the same name.
-        let ada = stage.life("ada", "consort://ward/node/ada?roles=voter", life).await;
+    for incarnation in 1..4 {
+        // With a new certificate each time, and the same name.
+        let ada = fixture.incarnation("ada", "consort://ward/node/ada?roles=voter", incarnation).await;
         introduce(&mut at_bob, &ada, &Key::Beacon, &beacon("ada")).await;
     }
-    // And with the one it had: it is known, and goes on counting.
-    let issued = stage.authority().issue(&"consort://ward/node/ada?roles=voter".parse().unwrap(), &[], LONG).unwrap();
-    let cyd = stage.with(stage.plain("ada"), stage.files("ada", &issued), 4).await;
+    // With its previous certificate: it is known, and the numbers continue.
+    let issued = fixture.authority().issue(&"consort://ward/node/ada?roles=voter".parse().unwrap(), &[], LONG).unwrap();
+    let cyd = fixture.with(fixture.plain("ada"), fixture.files("ada", &issued), 4).await;
     introduce(&mut at_bob, &cyd, &Key::Beacon, &beacon("ada")).await;
-    let again = stage.with(stage.plain("ada"), stage.files("ada", &issued), 5).await;
+    let again = fixture.with(fixture.plain("ada"), fixture.files("ada", &issued), 5).await;
     for _ in 0..5 {
-        say(&again, &Key::Beacon, &beacon("ada")).await;
-        assert_eq!(heard(&mut at_bob).await, [beacon("ada")]);
+        publish(&again, &Key::Beacon, &beacon("ada")).await;
+        assert_eq!(received(&mut at_bob).await, [beacon("ada")]);
     }
 }
 
 #[test]
-fn files_that_do_not_belong_together_are_told_by_name() {
-    let stage = Stage::new();
+fn inconsistent_files_are_reported_by_name() {
+    let fixture = Fixture::new();
     let issue = |identity: &str, validity| {
         let identity: Identity = identity.parse().unwrap();
-        stage.authority().issue(&identity, &["192.0.2.7".to_owned(), "ada.example".to_owned()], validity).unwrap()
+        fixture.authority().issue(&identity, &["192.0.2.7".to_owned(), "ada.example".to_owned()], validity).unwrap()
     };
-    let said = |files: &TrustFiles| files.open(&ward(), NOW, 1).err().map(|problem| problem.to_string());
+    let open_error = |files: &TrustFiles| files.open(&ward(), NOW, 1).err().map(|problem| problem.to_string());
     let ada = issue("consort://ward/node/ada?roles=robot", LONG);
-    let good = stage.files("ada", &ada);
-    assert_eq!(said(&good), None);
+    let good = fixture.files("ada", &ada);
+    assert_eq!(open_error(&good), None);
     let name = |file: &Path| file.display().to_string();
 
-    let bob = stage.files("bob", &issue("consort://ward/node/bob?roles=robot", LONG));
+    let bob = fixture.files("bob", &issue("consort://ward/node/bob?roles=robot", LONG));
     let mixed = TrustFiles { key: bob.key.clone(), ..good.clone() };
-    let why = said(&mixed).unwrap();
-    assert!(why.contains("it is not the key of") && why.contains(&name(&mixed.key)), "{why}");
+    let problem = open_error(&mixed).unwrap();
+    assert!(problem.contains("the key does not belong to") && problem.contains(&name(&mixed.key)), "{problem}");
 
-    let other = Stage::new();
+    let other = Fixture::new();
     let foreign =
         other.files("ca", &IssuedCertificate { certificate: other.ca.certificate.clone(), key: String::new() });
-    let why = said(&TrustFiles { authority: foreign.authority.clone(), ..good.clone() }).unwrap();
-    assert!(why.contains("it was not signed by this fleet's authority"), "{why}");
+    let problem = open_error(&TrustFiles { authority: foreign.authority.clone(), ..good.clone() }).unwrap();
+    assert!(problem.contains("it was not signed by this fleet's authority"), "{problem}");
 
     let past = Validity { from: Duration::from_secs(1_600_000_000), until: NOW - Duration::from_secs(3 * 86_400) };
-    let why = said(&stage.files("old", &issue("consort://ward/node/old?roles=robot", past))).unwrap();
-    assert!(why.ends_with("old.pem: it expired 3 days ago"), "{why}");
+    let problem = open_error(&fixture.files("old", &issue("consort://ward/node/old?roles=robot", past))).unwrap();
+    assert!(problem.ends_with("old.pem: it expired 3 days ago"), "{problem}");
 
     let ahead = Validity { from: NOW + Duration::from_secs(7200), until: LONG.until };
-    let why = said(&stage.files("new", &issue("consort://ward/node/new?roles=robot", ahead))).unwrap();
-    assert!(why.contains("valid only in 2 h: is the clock right?"), "{why}");
+    let problem = open_error(&fixture.files("new", &issue("consort://ward/node/new?roles=robot", ahead))).unwrap();
+    assert!(problem.contains("valid only in 2 h; check the clock"), "{problem}");
 
-    let why = said(&stage.files("far", &issue("consort://lab/node/far?roles=robot", LONG))).unwrap();
-    assert!(why.contains("it is for fleet lab, where this is ward"), "{why}");
+    let problem = open_error(&fixture.files("far", &issue("consort://lab/node/far?roles=robot", LONG))).unwrap();
+    assert!(problem.contains("it is for fleet lab, but this fleet is ward"), "{problem}");
 
     let none = TrustFiles { key: good.certificate.clone(), ..good.clone() };
-    let why = said(&none).unwrap();
-    assert!(why.contains("there is no private key in PKCS #8 in it"), "{why}");
-    let missing = TrustFiles { certificate: stage.folder.0.join("nowhere.pem"), ..good };
-    assert!(said(&missing).unwrap().contains("nowhere.pem: "), "{missing:?}");
+    let problem = open_error(&none).unwrap();
+    assert!(problem.contains("no private key in PKCS #8 found"), "{problem}");
+    let missing = TrustFiles { certificate: fixture.folder.0.join("nowhere.pem"), ..good };
+    assert!(open_error(&missing).unwrap().contains("nowhere.pem: "), "{missing:?}");
 }
 
-/// What a person of this scope proves herself with.
-fn person(stage: &Stage, scope: &str) -> Keyring {
+/// Returns the keyring of a person with this scope.
+fn person(fixture: &Fixture, scope: &str) -> Keyring {
     let identity = format!("consort://ward/person/kim?scope={scope}").parse().unwrap();
-    let issued = stage.authority().issue(&identity, &[], LONG).unwrap();
-    stage.files("kim", &issued).open(&ward(), NOW, 1).unwrap()
+    let issued = fixture.authority().issue(&identity, &[], LONG).unwrap();
+    fixture.files("kim", &issued).open(&ward(), NOW, 1).unwrap()
 }
 
-/// Somebody who judges by the authority alone.
-fn judge(stage: &Stage) -> Keyring {
-    let issued = stage.authority().issue(&"consort://ward/node/ada?roles=".parse().unwrap(), &[], LONG).unwrap();
-    stage.files("ada", &issued).open(&ward(), NOW, 1).unwrap()
+/// Returns a keyring that verifies by the authority alone.
+fn verifier(fixture: &Fixture) -> Keyring {
+    let issued = fixture.authority().issue(&"consort://ward/node/ada?roles=".parse().unwrap(), &[], LONG).unwrap();
+    fixture.files("ada", &issued).open(&ward(), NOW, 1).unwrap()
 }
 
 const HOUR: Duration = Duration::from_secs(3600);
 
 #[test]
-fn a_token_is_good_for_its_scope_and_time() {
-    let stage = Stage::new();
-    let (kim, ada) = (person(&stage, "submit"), judge(&stage));
+fn a_token_is_valid_for_its_scope_and_time() {
+    let fixture = Fixture::new();
+    let (kim, ada) = (person(&fixture, "submit"), verifier(&fixture));
     let token = kim.issue_token(AccessScope::Read, NOW + HOUR).unwrap();
-    let visitor = ada.verify_token(&token, NOW).unwrap();
-    assert_eq!((visitor.name.as_str(), visitor.scope, visitor.expires), ("kim", AccessScope::Read, NOW + HOUR));
+    let claims = ada.verify_token(&token, NOW).unwrap();
+    assert_eq!((claims.name.as_str(), claims.scope, claims.expires), ("kim", AccessScope::Read, NOW + HOUR));
     assert_eq!(ada.verify_token(&token, NOW + HOUR), Err(TokenError::Expired("0 s".to_owned())));
     assert!(kim.issue_token(AccessScope::Submit, NOW + HOUR).is_ok());
     assert!(matches!(kim.issue_token(AccessScope::Operate, NOW + HOUR), Err(TokenError::Scope { .. })));
     assert!(matches!(ada.issue_token(AccessScope::Read, NOW + HOUR), Err(TokenError::Node(_))));
-    // The certificate's end is the token's.
+    // The token ends with the certificate.
     let late = kim.issue_token(AccessScope::Read, LONG.until + 2 * HOUR).unwrap();
     assert!(matches!(ada.verify_token(&late, LONG.until + HOUR), Err(TokenError::Certificate(_))));
 }
 
 #[test]
-fn whatever_is_changed_of_a_token_makes_it_none() {
-    let stage = Stage::new();
-    let (kim, ada) = (person(&stage, "read"), judge(&stage));
+fn a_changed_token_is_rejected() {
+    let fixture = Fixture::new();
+    let (kim, ada) = (person(&fixture, "read"), verifier(&fixture));
     let token = kim.issue_token(AccessScope::Read, NOW + HOUR).unwrap();
     for (at, was) in token.bytes().enumerate() {
         for other in [b'A', b'x', b'.', b'='] {
@@ -830,14 +846,14 @@ fn whatever_is_changed_of_a_token_makes_it_none() {
 }
 
 #[test]
-fn a_token_that_claims_more_than_its_certificate_is_refused_though_it_is_signed() {
+fn a_token_with_excessive_claims_is_rejected() {
     use base64::Engine as _;
     use base64::engine::general_purpose::URL_SAFE_NO_PAD;
-    let stage = Stage::new();
+    let fixture = Fixture::new();
     let identity = "consort://ward/person/kim?scope=read".parse().unwrap();
-    let issued = stage.authority().issue(&identity, &[], LONG).unwrap();
-    let files = stage.files("kim", &issued);
-    let (kim, ada) = (files.open(&ward(), NOW, 1).unwrap(), judge(&stage));
+    let issued = fixture.authority().issue(&identity, &[], LONG).unwrap();
+    let files = fixture.files("kim", &issued);
+    let (kim, ada) = (files.open(&ward(), NOW, 1).unwrap(), verifier(&fixture));
     let key = PrivatePkcs8KeyDer::from_pem_file(&files.key).unwrap();
     let key = ring::signature::Ed25519KeyPair::from_pkcs8_maybe_unchecked(key.secret_pkcs8_der()).unwrap();
     let token = kim.issue_token(AccessScope::Read, NOW + HOUR).unwrap();
@@ -848,15 +864,15 @@ fn a_token_that_claims_more_than_its_certificate_is_refused_though_it_is_signed(
     };
     let forged = |claims: serde_json::Value| forged_with(&head, &claims);
     let until = (NOW + HOUR).as_secs();
-    let as_made = serde_json::json!({ "aud": "ward", "exp": until, "scope": "read" });
-    assert!(ada.verify_token(&forged(as_made.clone()), NOW).is_ok(), "the forger signs as the keyring does");
+    let valid_claims = serde_json::json!({ "aud": "ward", "exp": until, "scope": "read" });
+    assert!(ada.verify_token(&forged(valid_claims.clone()), NOW).is_ok(), "the forged token is signed like a real one");
     let mut other: serde_json::Value = serde_json::from_slice(&URL_SAFE_NO_PAD.decode(&head).unwrap()).unwrap();
     other["alg"] = "HS256".into();
-    let other = forged_with(&URL_SAFE_NO_PAD.encode(other.to_string()), &as_made);
-    assert_eq!(ada.verify_token(&other, NOW), Err(TokenError::Malformed("it is signed by another algorithm")));
+    let other = forged_with(&URL_SAFE_NO_PAD.encode(other.to_string()), &valid_claims);
+    assert_eq!(ada.verify_token(&other, NOW), Err(TokenError::Malformed("its algorithm is not EdDSA")));
     let more = serde_json::json!({ "aud": "ward", "exp": until, "scope": "operate" });
     let refused = ada.verify_token(&forged(more), NOW).unwrap_err();
-    assert_eq!(refused.to_string(), "it claims scope operate, where kim has scope read");
-    let elsewhere = serde_json::json!({ "aud": "clinic", "exp": until, "scope": "read" });
-    assert_eq!(ada.verify_token(&forged(elsewhere), NOW).unwrap_err().to_string(), "it is for fleet clinic");
+    assert_eq!(refused.to_string(), "the token claims scope operate, but kim has scope read");
+    let other_fleet = serde_json::json!({ "aud": "clinic", "exp": until, "scope": "read" });
+    assert_eq!(ada.verify_token(&forged(other_fleet), NOW).unwrap_err().to_string(), "the token is for fleet clinic");
 }

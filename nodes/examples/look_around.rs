@@ -1,4 +1,5 @@
-//! A consort whose robots can look around: turn in four steps, and stand still after each.
+//! A Consort program with an extra skill: the robot turns in four steps and stands still after
+//! each.
 
 use consort_nodes::{cli, extensions::Extensions};
 use consort_protocol::mission::{TaskSchema, TaskSpec, ValueKind};

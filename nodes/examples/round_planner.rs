@@ -1,15 +1,16 @@
-//! A planner: shares rooms out among robots, and writes the mission. `round_planner MAP.json PLAN.json ROBOTS ROOM...`
+//! A planner that divides rooms among robots and writes the mission.
+//! `round_planner MAP.json PLAN.json ROBOTS ROOM...`
 
 use serde_json::{Value, json};
 use std::error::Error;
 
-/// Where a place is, on a map in our own form.
+/// Returns the position of a place on a map in Consort's own format.
 fn place(map: &Value, name: &str) -> Option<(f64, f64)> {
     let place = map["places"].as_array()?.iter().find(|place| place["name"] == name)?;
     Some((place["x_m"].as_f64()?, place["y_m"].as_f64()?))
 }
 
-/// Rooms by how far to the east they are, cut into as many stretches as there are robots: a role for each.
+/// Sorts the rooms from west to east and divides them into equal stretches, a role for each robot.
 fn plan(map: &Value, robots: usize, rooms: &[String]) -> Result<Value, String> {
     let east = |room: &str| place(map, room).map(|(x, _)| x).ok_or(format!("{room} is not on the map"));
     let rooms = rooms.iter().map(|room| Ok((east(room)?, room)));
@@ -25,7 +26,7 @@ fn plan(map: &Value, robots: usize, rooms: &[String]) -> Result<Value, String> {
     }))
 }
 
-/// The role with this number, and the rooms that it looks in at.
+/// Returns the role with this number and the task that visits its rooms.
 fn round((number, rooms): (usize, &&[(f64, &String)])) -> ((String, Value), Value) {
     let role = format!("r{number}");
     let look_in = |(visit, (_, room)): (usize, &(f64, &String))| {

@@ -1,4 +1,5 @@
-//! The adapter of a rover: its body on the fleet's bus. The rover itself is pretended, in `where_it_is`.
+//! The adapter of a rover: a robot driver on the fleet's bus. The rover itself is simulated in
+//! `current_pose`.
 
 use consort_actors::node::{DriverServerPart, NodeSettings};
 use consort_nodes::config::{NodeFile, StationConfig, load};
@@ -17,9 +18,9 @@ struct Rover {
     pose: Pose,
     now: WorldTime,
     work: Option<Work>,
-    /// What has ended, and is still asked for.
+    /// Goals that have ended. Their status can still be queried.
     ended: BTreeMap<GoalId, (Goal, GoalStatus)>,
-    /// What ended since the last `advance`.
+    /// Events since the last call of `advance`.
     news: Vec<BackendEvent>,
 }
 
@@ -43,7 +44,7 @@ impl Rover {
         self.end(id, goal, GoalStatus::Aborted(ActionError { code, message }));
     }
 
-    /// Where the wheels say that it is: here, on a straight line between the two ends of the drive.
+    /// Pose by the odometry. Here it lies on a straight line between both ends of the drive.
     fn where_it_is(&self) -> Pose {
         let Some(Work { goal: Goal::NavigateToPose { pose: to, .. }, from, began, due, .. }) = &self.work else {
             return self.pose;
@@ -121,7 +122,7 @@ impl RobotBackend for Rover {
         let (time, pose, place, battery) = (self.now, self.where_it_is(), self.place.clone(), BatteryShare::FULL);
         (*robot == self.name).then_some(Telemetry { time, pose, place, battery, able: true, closed: vec![] })
     }
-    // There are no people here to be asked.
+    // This adapter has no human tasks.
     fn request_person(&mut self, _: GoalId, _: PersonRequest) {}
     fn cancel_person_request(&mut self, _: GoalId) {}
     fn open_person_requests(&self) -> Vec<GoalId> {

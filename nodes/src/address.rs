@@ -1,5 +1,5 @@
-//! An address that is taken before anything else is begun: whoever cannot have it hears so at once, and nothing has been
-//! started in vain.
+//! Binds listening addresses before anything else is started. A command with an address that is not
+//! available fails at once, and nothing has to be stopped again.
 
 use axum::serve::Listener;
 use std::io;
@@ -11,43 +11,45 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// How many connections are served at once at one address. Whoever comes then waits until one ends.
+/// Maximum number of connections served at the same time at an address. Further connections wait
+/// until another ends.
 const CONNECTIONS: usize = 256;
 
-/// An address of ours, at which nothing is served yet. Who connects meanwhile waits.
+/// A bound address that is not served yet. Connections that arrive meanwhile wait.
 pub struct BoundAddress {
     at: SocketAddr,
     listener: TcpListener,
 }
 
 impl BoundAddress {
-    /// Takes an address; port 0 is any free one. `flag` is what it was asked for with, as `--dashboard`.
+    /// Binds an address; port 0 selects any free port. `flag` is the flag that requested it, for
+    /// example `--dashboard`.
     ///
     /// # Errors
-    /// In words, with flag and address, if it cannot be had.
+    /// A message with flag and address if the address cannot be bound.
     pub async fn bind(flag: &str, at: SocketAddr) -> Result<BoundAddress, String> {
         let refused = |problem: io::Error| {
-            format!("{flag} {at}: this address cannot be had: {problem}; with port 0 a free one is found")
+            format!("{flag} {at}: this address is not available: {problem}; port 0 selects a free port")
         };
         let listener = TcpListener::bind(at).await.map_err(refused)?;
         Ok(BoundAddress { at: listener.local_addr().map_err(refused)?, listener })
     }
 
-    /// Which it is, the port that was found among it.
+    /// Returns the bound address, including the port that the system selected.
     pub fn local_addr(&self) -> SocketAddr {
         self.at
     }
 
-    /// To be served, to so many at once.
+    /// Turns it into a listener that limits the number of connections.
     pub(crate) fn with_connection_limit(self) -> LimitedListener {
-        LimitedListener { listener: self.listener, places: Arc::new(Semaphore::new(CONNECTIONS)) }
+        LimitedListener { listener: self.listener, permits: Arc::new(Semaphore::new(CONNECTIONS)) }
     }
 }
 
-/// A listener with a limited number of places.
+/// A listener that limits the number of connections.
 pub struct LimitedListener {
     listener: TcpListener,
-    places: Arc<Semaphore>,
+    permits: Arc<Semaphore>,
 }
 
 impl Listener for LimitedListener {
@@ -55,9 +57,9 @@ impl Listener for LimitedListener {
     type Addr = SocketAddr;
 
     async fn accept(&mut self) -> (Connection, SocketAddr) {
-        let place = Arc::clone(&self.places).acquire_owned().await.ok();
+        let permit = Arc::clone(&self.permits).acquire_owned().await.ok();
         let (stream, from) = Listener::accept(&mut self.listener).await;
-        (Connection { stream, _place: place }, from)
+        (Connection { stream, _permit: permit }, from)
     }
 
     fn local_addr(&self) -> io::Result<SocketAddr> {
@@ -65,10 +67,10 @@ impl Listener for LimitedListener {
     }
 }
 
-/// A connection, which has its place until it ends.
+/// A connection. It holds its permit until it ends.
 pub struct Connection {
     stream: TcpStream,
-    _place: Option<OwnedSemaphorePermit>,
+    _permit: Option<OwnedSemaphorePermit>,
 }
 
 impl AsyncRead for Connection {
@@ -110,13 +112,13 @@ mod tests {
     use tokio::time::timeout;
 
     #[tokio::test]
-    async fn whoever_finds_no_place_waits_for_one() {
-        let taken = BoundAddress::bind("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.unwrap();
-        let at = taken.local_addr();
-        let mut guarded = LimitedListener { places: Arc::new(Semaphore::new(1)), ..taken.with_connection_limit() };
+    async fn a_connection_above_the_limit_waits_for_a_free_permit() {
+        let bound = BoundAddress::bind("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.unwrap();
+        let at = bound.local_addr();
+        let mut guarded = LimitedListener { permits: Arc::new(Semaphore::new(1)), ..bound.with_connection_limit() };
         let _clients = [TcpStream::connect(at).await.unwrap(), TcpStream::connect(at).await.unwrap()];
         let (first, _) = guarded.accept().await;
-        assert!(timeout(Duration::from_millis(50), guarded.accept()).await.is_err(), "there is one place");
+        assert!(timeout(Duration::from_millis(50), guarded.accept()).await.is_err(), "there is a single permit");
         drop(first);
         timeout(Duration::from_secs(20), guarded.accept()).await.expect("it is free again");
     }

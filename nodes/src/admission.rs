@@ -1,8 +1,9 @@
-//! Who is let in over HTTP, and how often.
+//! Authentication, authorization and rate limits of HTTP requests.
 //!
-//! An open fleet lets in whoever reaches the address. In a closed one whoever comes shows a token of a person's: programs in
-//! the head `Authorization: Bearer …`, browsers in a cookie, which the page asks for once and no script can read. What a token lets its
-//! bearer do is its scope; nothing is remembered of it here.
+//! An open fleet admits every client that reaches the address. In a closed fleet each request
+//! carries a person's token: programs send it in the header `Authorization: Bearer …`, browsers in
+//! a cookie. The page asks for the token once, and no script can read the cookie. The token's scope
+//! decides which requests are allowed. No state is kept here.
 
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
@@ -20,60 +21,62 @@ use std::num::NonZeroU32;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How many requests of one person's are taken in a second, in the long run and at once. A page asks for a handful when it is opened.
-const LOOKS: (NonZeroU32, NonZeroU32) = (NonZeroU32::new(50).unwrap(), NonZeroU32::new(100).unwrap());
+/// Maximum number of requests of a single person per second, sustained and burst. A page makes a
+/// handful of requests when it is opened.
+const READS_PER_S: (NonZeroU32, NonZeroU32) = (NonZeroU32::new(50).unwrap(), NonZeroU32::new(100).unwrap());
 
-/// The same of requests that change something: more than a person makes, and fewer than would keep a fleet busy.
-const CHANGES: (NonZeroU32, NonZeroU32) = (NonZeroU32::new(10).unwrap(), NonZeroU32::new(50).unwrap());
+/// The same limit for requests that change something: more than a person makes, and too few to keep
+/// a fleet busy.
+const WRITES_PER_S: (NonZeroU32, NonZeroU32) = (NonZeroU32::new(10).unwrap(), NonZeroU32::new(50).unwrap());
 
 type Limiter = RateLimiter<String, HashMapStateStore<String>, MonotonicClock>;
 
-/// Decides who is let in.
+/// Decides which requests are admitted.
 #[derive(Clone)]
 pub struct Admission {
-    closed: Option<Closed>,
-    looks: Arc<Limiter>,
-    changes: Arc<Limiter>,
+    closed: Option<ClosedFleet>,
+    reads: Arc<Limiter>,
+    writes: Arc<Limiter>,
 }
 
 #[derive(Clone)]
-struct Closed {
+struct ClosedFleet {
     fleet: FleetId,
     keyring: Arc<Keyring>,
     clock: Clock,
 }
 
-/// Somebody who has been let in, by a token.
+/// A client that was admitted with a token.
 #[derive(Debug, Clone)]
 pub struct AuthenticatedClient {
-    /// Who it is.
+    /// Verified claims of the token.
     pub claims: TokenClaims,
     token: String,
 }
 
-/// Why somebody is not let in.
+/// Reason why a request is not admitted.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AdmissionError {
-    /// There is no token.
+    /// The request has no token.
     #[error(
-        "this fleet is closed: show a token, as Authorization: Bearer TOKEN; `consort token --certs DIR` makes one"
+        "this fleet is closed: send a token, as Authorization: Bearer TOKEN; `consort token --certs DIR` makes a token"
     )]
     MissingToken,
-    /// The token is no good.
+    /// The token is not valid.
     #[error("{0}")]
     InvalidToken(#[from] TokenError),
-    /// The token is good for less.
-    #[error("{} may {}, and this takes scope {needed}", visitor.name, visitor.scope)]
+    /// The token's scope does not cover the request.
+    #[error("the token of {} has scope {}; this request needs scope {needed}", claims.name, claims.scope)]
     InsufficientScope {
-        /// Whose it is.
-        visitor: TokenClaims,
-        /// What it takes.
+        /// Claims of the token.
+        claims: TokenClaims,
+        /// Scope that the request needs.
         needed: AccessScope,
     },
     /// Too many requests have come.
-    #[error("too many requests; the next one is taken in {} s", after.as_secs() + 1)]
+    #[error("too many requests; retry after {} s", after.as_secs() + 1)]
     RateLimited {
-        /// After how long one is taken.
+        /// Time until the next request is accepted.
         after: Duration,
     },
 }
@@ -102,64 +105,66 @@ impl IntoResponse for AdmissionError {
 }
 
 impl Admission {
-    /// Lets in everybody.
+    /// Admits every client.
     pub fn open() -> Admission {
-        Admission { closed: None, looks: Arc::new(limiter(LOOKS)), changes: Arc::new(limiter(CHANGES)) }
+        Admission { closed: None, reads: Arc::new(limiter(READS_PER_S)), writes: Arc::new(limiter(WRITES_PER_S)) }
     }
 
-    /// Lets in who shows a token of this fleet's; if there is no keyring to judge by, everybody.
+    /// Admits clients with a token of this fleet. Without a keyring every client is admitted.
     pub fn for_fleet(fleet: &FleetId, keyring: Option<Arc<Keyring>>, clock: Clock) -> Admission {
-        let closed = keyring.map(|keyring| Closed { fleet: fleet.clone(), keyring, clock });
+        let closed = keyring.map(|keyring| ClosedFleet { fleet: fleet.clone(), keyring, clock });
         Admission { closed, ..Admission::open() }
     }
 
-    /// Whose token this is.
+    /// Verifies a token and returns its client.
     ///
     /// # Errors
-    /// [`NotAdmitted::Token`]; in an open fleet there are none.
+    /// [`AdmissionError::InvalidToken`]. An open fleet returns no error.
     pub fn verify_token(&self, token: &str) -> Result<Option<AuthenticatedClient>, AdmissionError> {
-        let Some(Closed { keyring, clock, .. }) = &self.closed else { return Ok(None) };
-        let visitor = keyring.verify_token(token, Duration::from_millis(clock.wall_ms()))?;
-        Ok(Some(AuthenticatedClient { claims: visitor, token: token.to_owned() }))
+        let Some(ClosedFleet { keyring, clock, .. }) = &self.closed else { return Ok(None) };
+        let claims = keyring.verify_token(token, Duration::from_millis(clock.wall_ms()))?;
+        Ok(Some(AuthenticatedClient { claims, token: token.to_owned() }))
     }
 
-    /// Who makes a request; nobody in particular in an open fleet.
+    /// Returns the client that makes a request; `None` in an open fleet.
     ///
     /// # Errors
-    /// [`NotAdmitted`] without a token that is good.
+    /// [`AdmissionError`] without a valid token.
     pub fn authenticate(&self, headers: &HeaderMap) -> Result<Option<AuthenticatedClient>, AdmissionError> {
-        let Some(Closed { fleet, .. }) = &self.closed else { return Ok(None) };
-        self.verify_token(shown(headers, &cookie_name(fleet)).ok_or(AdmissionError::MissingToken)?)
+        let Some(ClosedFleet { fleet, .. }) = &self.closed else { return Ok(None) };
+        self.verify_token(token_of(headers, &cookie_name(fleet)).ok_or(AdmissionError::MissingToken)?)
     }
 
-    /// Whether a guest who was let in still would be: tokens end, and certificates are revoked.
-    pub fn is_still_valid(&self, guest: Option<&AuthenticatedClient>) -> bool {
-        guest.is_none_or(|guest| self.verify_token(&guest.token).is_ok())
+    /// Checks whether an admitted client would still be admitted: tokens expire, and certificates
+    /// are revoked.
+    pub fn is_still_valid(&self, client: Option<&AuthenticatedClient>) -> bool {
+        client.is_none_or(|client| self.verify_token(&client.token).is_ok())
     }
 
-    /// Lets in a request that takes this scope, if it may be made and not too many have come.
+    /// Admits a request that needs this scope, if the token allows it and the rate limit is not
+    /// exceeded.
     fn admit(&self, headers: &HeaderMap, needed: AccessScope) -> Result<Option<AuthenticatedClient>, AdmissionError> {
-        let guest = self.authenticate(headers)?;
-        if let Some(AuthenticatedClient { claims: visitor, .. }) = &guest
-            && visitor.scope < needed
+        let client = self.authenticate(headers)?;
+        if let Some(AuthenticatedClient { claims, .. }) = &client
+            && claims.scope < needed
         {
-            return Err(AdmissionError::InsufficientScope { visitor: visitor.clone(), needed });
+            return Err(AdmissionError::InsufficientScope { claims: claims.clone(), needed });
         }
-        let limiter = if needed == AccessScope::Read { &self.looks } else { &self.changes };
-        let name = guest.as_ref().map(|guest| guest.claims.name.to_string()).unwrap_or_default();
+        let limiter = if needed == AccessScope::Read { &self.reads } else { &self.writes };
+        let name = client.as_ref().map(|client| client.claims.name.to_string()).unwrap_or_default();
         limiter.check_key(&name).map_err(|until| {
             let after = until.wait_time_from(limiter.clock().now());
             AdmissionError::RateLimited { after }
         })?;
-        Ok(guest)
+        Ok(client)
     }
 
-    /// The head that has a browser show this token with each request, or none any more if it is empty.
+    /// Returns the header that makes a browser send this token with each request. An empty token
+    /// removes the cookie.
     pub fn cookie(&self, token: &str, secure: bool) -> Option<(HeaderName, HeaderValue)> {
-        let Closed { fleet, keyring, clock } = self.closed.as_ref()?;
+        let ClosedFleet { fleet, keyring, clock } = self.closed.as_ref()?;
         let now = Duration::from_millis(clock.wall_ms());
-        let left =
-            keyring.verify_token(token, now).map_or(Duration::ZERO, |visitor| visitor.expires.saturating_sub(now));
+        let left = keyring.verify_token(token, now).map_or(Duration::ZERO, |claims| claims.expires.saturating_sub(now));
         let name = cookie_name(fleet);
         let secure = if secure { "; Secure" } else { "" };
         let cookie = format!("{name}={token}; Path=/; HttpOnly; SameSite=Strict; Max-Age={}{secure}", left.as_secs());
@@ -171,13 +176,14 @@ fn limiter((steady, burst): (NonZeroU32, NonZeroU32)) -> Limiter {
     RateLimiter::hashmap_with_clock(Quota::per_second(steady).allow_burst(burst), MonotonicClock)
 }
 
-/// Browsers know cookies by host and not by port: each fleet has one of its own.
+/// Returns the cookie name of a fleet. Browsers store cookies by host and not by port, so each
+/// fleet needs its own name.
 fn cookie_name(fleet: &FleetId) -> String {
     format!("consort-{fleet}")
 }
 
-/// The token in the heads of a request.
-fn shown<'a>(headers: &'a HeaderMap, cookie: &str) -> Option<&'a str> {
+/// Returns the token in the headers of a request.
+fn token_of<'a>(headers: &'a HeaderMap, cookie: &str) -> Option<&'a str> {
     let text = |name| headers.get(name).and_then(|value: &HeaderValue| value.to_str().ok());
     let bearer = text(header::AUTHORIZATION).and_then(|value| value.split_once(' '));
     let bearer = bearer.filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer")).map(|(_, token)| token.trim());
@@ -187,15 +193,16 @@ fn shown<'a>(headers: &'a HeaderMap, cookie: &str) -> Option<&'a str> {
     })
 }
 
-/// Lets a request through to what takes a scope; a guest is in its extensions, as `Option<Guest>`.
+/// Middleware: passes requests that have the scope. The client is stored in the request's
+/// extensions as `Option<AuthenticatedClient>`.
 pub async fn admit(
     State((admission, needed)): State<(Admission, AccessScope)>,
     mut request: Request,
     next: Next,
 ) -> Response {
     match admission.admit(request.headers(), needed) {
-        Ok(guest) => {
-            request.extensions_mut().insert(guest);
+        Ok(client) => {
+            request.extensions_mut().insert(client);
             next.run(request).await
         }
         Err(refused) => refused.into_response(),
@@ -212,26 +219,26 @@ mod tests {
     }
 
     #[test]
-    fn a_token_is_in_the_head_for_it_or_in_the_fleets_own_cookie() {
-        let shown = |heads: &[(&'static str, &str)]| shown(&headers(heads), "consort-ward").map(str::to_owned);
-        assert_eq!(shown(&[("authorization", "Bearer abc")]).as_deref(), Some("abc"));
-        assert_eq!(shown(&[("authorization", "bearer  abc ")]).as_deref(), Some("abc"));
-        assert_eq!(shown(&[("authorization", "Basic abc")]), None);
-        assert_eq!(shown(&[("cookie", "a=b; consort-ward=abc; c=d")]).as_deref(), Some("abc"));
-        assert_eq!(shown(&[("cookie", "consort-ward2=abc; consort-ward=")]), None);
+    fn a_token_is_read_from_the_header_or_from_the_fleets_cookie() {
+        let token_of = |heads: &[(&'static str, &str)]| token_of(&headers(heads), "consort-ward").map(str::to_owned);
+        assert_eq!(token_of(&[("authorization", "Bearer abc")]).as_deref(), Some("abc"));
+        assert_eq!(token_of(&[("authorization", "bearer  abc ")]).as_deref(), Some("abc"));
+        assert_eq!(token_of(&[("authorization", "Basic abc")]), None);
+        assert_eq!(token_of(&[("cookie", "a=b; consort-ward=abc; c=d")]).as_deref(), Some("abc"));
+        assert_eq!(token_of(&[("cookie", "consort-ward2=abc; consort-ward=")]), None);
         let both = [("authorization", "Bearer one"), ("cookie", "consort-ward=two")];
-        assert_eq!(shown(&both).as_deref(), Some("one"), "who says it on purpose means it");
+        assert_eq!(token_of(&both).as_deref(), Some("one"), "the explicit header prevails");
     }
 
     #[test]
-    fn beyond_its_share_nobody_is_served_until_time_has_passed() {
+    fn requests_above_the_rate_limit_are_rejected_until_time_passes() {
         let admission = Admission::open();
-        let burst = CHANGES.1.get();
+        let burst = WRITES_PER_S.1.get();
         let taken = (0..2 * burst).filter(|_| admission.admit(&HeaderMap::new(), AccessScope::Submit).is_ok()).count();
         assert!(taken >= burst as usize && taken < 2 * burst as usize, "{taken}");
         let refused = admission.admit(&HeaderMap::new(), AccessScope::Submit);
         assert!(matches!(refused, Err(AdmissionError::RateLimited { .. })), "{refused:?}");
-        assert!(admission.admit(&HeaderMap::new(), AccessScope::Read).is_ok(), "who looks is not in its way");
+        assert!(admission.admit(&HeaderMap::new(), AccessScope::Read).is_ok(), "read requests have their own limit");
         assert_eq!(refused.unwrap_err().into_response().headers()[header::RETRY_AFTER], "1");
     }
 }

@@ -1,4 +1,4 @@
-//! Whether files are right, each judged by what it is.
+//! Checks files, each by its kind.
 
 use crate::config::{self, Diagnostic, Diagnostics, FleetConfig, RobotConfig, StationConfig, WorldConfig};
 use crate::evaluation::{Evaluation, InputOverrides};
@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::Path;
 
-/// What a file can be.
+/// Kind of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum FileKind {
     /// A mission, in YAML or JSON.
@@ -37,7 +37,7 @@ pub enum FileKind {
     Scenarios,
     /// The design of an evaluation, in TOML.
     Design,
-    /// What robots have learned of their estimates, in TOML.
+    /// Corrections to robots' estimates, learned from experiments, in TOML.
     Calibration,
 }
 
@@ -59,19 +59,19 @@ impl fmt::Display for FileKind {
     }
 }
 
-/// Checks a file; the answer says in a few words what it is.
+/// Checks a file and returns a short description of its content.
 ///
 /// # Errors
-/// [`Problems`] with all that was found.
+/// [`Diagnostics`] with all problems found.
 pub fn check_file(path: &Path, kind: Option<FileKind>) -> Result<String, Diagnostics> {
     let file = path.display().to_string();
     let text = inputs::read_text(path)?;
     let kind = match kind {
         Some(kind) => kind,
-        None => recognise(&text, &file)?,
+        None => detect(&text, &file)?,
     };
-    // Problems of what a file refers to come without a file of their own.
-    judge(kind, path, &text, &file).map(|what| format!("{kind}: {what}")).map_err(|mut problems| {
+    // Problems of a referenced object come without a file name.
+    check_kind(kind, path, &text, &file).map(|what| format!("{kind}: {what}")).map_err(|mut problems| {
         for problem in problems.0.iter_mut().filter(|problem| problem.file.is_empty()) {
             problem.file.clone_from(&file);
         }
@@ -79,15 +79,15 @@ pub fn check_file(path: &Path, kind: Option<FileKind>) -> Result<String, Diagnos
     })
 }
 
-/// What a file is, by its content.
+/// Detects the kind of a file by its content.
 ///
 /// # Errors
-/// [`Problems`] if it cannot be read, or is nothing that is known.
+/// [`Diagnostics`] if the file cannot be read, or is of no known kind.
 pub fn detect_kind(path: &Path) -> Result<FileKind, Diagnostics> {
-    recognise(&inputs::read_text(path)?, &path.display().to_string())
+    detect(&inputs::read_text(path)?, &path.display().to_string())
 }
 
-fn judge(kind: FileKind, path: &Path, text: &str, file: &str) -> Result<String, Diagnostics> {
+fn check_kind(kind: FileKind, path: &Path, text: &str, file: &str) -> Result<String, Diagnostics> {
     match kind {
         FileKind::Mission => mission(text, path, file),
         FileKind::Ihtn => ihtn(text, path, file),
@@ -138,7 +138,7 @@ fn judge(kind: FileKind, path: &Path, text: &str, file: &str) -> Result<String, 
     }
 }
 
-/// A mission is judged with its defaults; what has none is given a value of its kind.
+/// Checks a mission with its defaults. A parameter without a default gets a value of its kind.
 fn mission(text: &str, path: &Path, file: &str) -> Result<String, Diagnostics> {
     let template = MissionTemplate::parse(text, Format::of(Some(path), text))
         .map_err(|error| Diagnostics::from(Diagnostic::for_file(file, error)))?;
@@ -158,7 +158,7 @@ fn mission(text: &str, path: &Path, file: &str) -> Result<String, Diagnostics> {
     Ok(format!("{}, {}{}", template.name(), size(&mission, file)?, of_recovery.unwrap_or_default()))
 }
 
-/// A flat iHTN does not say who is a person: `nurse` is taken for one.
+/// Checks a flat iHTN. The format does not mark human roles: `nurse` is taken as a person.
 fn ihtn(text: &str, path: &Path, file: &str) -> Result<String, Diagnostics> {
     let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let name = TaskId::new(stem).or_else(|_| TaskId::new("mission")).expect("a slug");
@@ -174,7 +174,7 @@ fn ihtn(text: &str, path: &Path, file: &str) -> Result<String, Diagnostics> {
     size(&mission, file)
 }
 
-/// How large a mission is, once it has been found to be one that can be carried out.
+/// Describes the size of a mission, after checking that it can be carried out.
 fn size(mission: &Mission, file: &str) -> Result<String, Diagnostics> {
     let division = divide_and_check(mission).map_err(|error| Diagnostics::from(Diagnostic::for_file(file, error)))?;
     let steps = division.plans.values().map(|plan| plan.steps.len()).sum();
@@ -182,10 +182,10 @@ fn size(mission: &Mission, file: &str) -> Result<String, Diagnostics> {
     Ok(format!("{roles}, {}", count::<usize>(steps, "step", "steps")))
 }
 
-/// What kind of file a text is.
-fn recognise(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
+/// Detects the kind of a text.
+fn detect(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
     if file.ends_with(".toml") {
-        return recognise_toml(text, file);
+        return detect_toml(text, file);
     }
     if MapFormat::of(file).is_foreign() {
         return Ok(FileKind::Map);
@@ -208,25 +208,26 @@ fn recognise(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
             } else if all_tasks(map) {
                 Ok(FileKind::Ihtn)
             } else {
-                Err(unknown(file, "a mission has `mission` and `root`, a map `places` and `lanes`"))
+                Err(unknown_kind(file, "a mission has `mission` and `root`, a map `places` and `lanes`"))
             }
         }
-        _ => Err(unknown(file, "a mission has `mission` and `root`, a map `places` and `lanes`")),
+        _ => Err(unknown_kind(file, "a mission has `mission` and `root`, a map `places` and `lanes`")),
     }
 }
 
-fn unknown(file: &str, hint: &str) -> Diagnostics {
-    Diagnostic::for_file(file, format!("it cannot be told what this file is: {hint}; --kind says it")).into()
+fn unknown_kind(file: &str, hint: &str) -> Diagnostics {
+    Diagnostic::for_file(file, format!("the kind of this file cannot be detected: {hint}; name it with --kind")).into()
 }
 
-/// A TOML file is of the kind that has most of its keys.
-fn recognise_toml(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
+/// Detects the kind of a TOML file: the kind with most of its keys.
+fn detect_toml(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
     let table: toml::Table = text.parse().map_err(|_| {
-        // Any kind will do to say where the text is not TOML.
-        config::from_text::<FleetConfig>(text, file).err().unwrap_or_else(|| unknown(file, "it is not TOML"))
+        // Any kind serves to locate the syntax error.
+        config::from_text::<FleetConfig>(text, file).err().unwrap_or_else(|| unknown_kind(file, "it is not TOML"))
     })?;
-    // Keys by which a kind is known. Robots and stations share most of theirs: a robot has a place and skills.
-    const MARKS: [(FileKind, &[&str]); 6] = [
+    // Keys that identify a kind. Robot and station files share most keys; only a robot has a place
+    // and skills.
+    const KEYS: [(FileKind, &[&str]); 6] = [
         (FileKind::Workers, &["worker"]),
         (FileKind::World, &["robot", "person", "seed", "speed", "durations"]),
         (FileKind::Robot, &["place", "skills", "speed_mps", "battery", "discharge_share_per_s", "useful_charge"]),
@@ -255,16 +256,16 @@ fn recognise_toml(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
         (FileKind::Calibration, &["quantile", "to", "from", "legs"]),
     ];
     const STATION: &[&str] = &["fleet", "stationary", "mains_powered", "may_vote", "bus"];
-    let count = |marks: &[&str]| marks.iter().filter(|mark| table.contains_key(**mark)).count();
-    // Of equal counts the first kind wins; a station is what is left.
-    let most = MARKS.iter().map(|(kind, marks)| (count(marks), *kind)).rev().max_by_key(|(count, _)| *count);
+    let count = |keys: &[&str]| keys.iter().filter(|mark| table.contains_key(**mark)).count();
+    // Of equal counts the first kind wins; a station is the fallback.
+    let most = KEYS.iter().map(|(kind, keys)| (count(keys), *kind)).rev().max_by_key(|(count, _)| *count);
     match most {
         Some((1.., kind)) => Ok(kind),
         _ if count(STATION) > 0 => Ok(FileKind::Station),
         _ if table.contains_key("name") => Ok(FileKind::Fleet),
-        _ => Err(unknown(
+        _ => Err(unknown_kind(
             file,
-            "none of its keys is one of a fleet, robot, station, world, workers, design or calibration file",
+            "it has no key of a fleet, robot, station, world, workers, design or calibration file",
         )),
     }
 }

@@ -13,28 +13,28 @@ use clap::{Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-/// Mission coordination for fleets of heterogeneous robots, without a boss that can be killed.
+/// Mission coordination for fleets of heterogeneous robots, without a single point of failure.
 ///
-/// Nodes of a fleet (robots, stations, a simulated world) find each other over Zenoh and elect a coordinator among
-/// themselves. Missions are submitted to whichever node coordinates; robots price their own work, the best coalition gets
-/// it, and the fleet carries on when any node dies.
+/// Nodes of a fleet (robots, stations, a simulated world) find each other over Zenoh and elect a
+/// coordinator. Missions are submitted to the coordinator. Robots estimate the cost of their own
+/// work, and the best coalition gets the mission. The fleet carries on when any node fails.
 #[derive(Debug, Parser)]
 #[command(name = "consort", version, max_term_width = 100, after_long_help = AFTER_HELP)]
 pub struct Cli {
-    /// What to do.
+    /// The command.
     #[command(subcommand)]
     command: Command,
 }
 
 const AFTER_HELP: &str = "\
 Examples:
-  # the main job, from beginning to end
+  # the main use case, from beginning to end
   consort demo
 
-  # what an auction would decide, without a fleet
+  # the result of an auction, without a fleet
   consort dry-run lab-samples --workers nodes/examples/workers.toml
 
-  # a fleet on one machine, a terminal each
+  # a fleet on a single machine, each node in its own terminal
   consort world   --config nodes/examples/world.toml
   consort station --config nodes/examples/station.toml
   consort robot   --config nodes/examples/robot.toml
@@ -44,13 +44,13 @@ Examples:
   # the same from another machine
   consort missions --connect tcp/192.0.2.7:7447 --watch
 
-Every flag that shows an [env: …] can be given by that variable instead; flags prevail over variables, variables over
-files, files over defaults.
+A flag with [env: …] can be set by that environment variable instead. Flags override variables, variables override
+files, and files override defaults.
 
-Exit codes: 0 it succeeded; 1 what was asked for did not succeed (a mission failed, a check found problems); 2 the flags
-or files are wrong; 3 no node was reached, or nobody coordinates.";
+Exit codes: 0 success; 1 the operation failed (a mission failed, a check found problems); 2 the flags or files are
+wrong; 3 no node was reached, or there is no coordinator.";
 
-// Each is described where its flags are.
+// Each command is described at its flags.
 #[derive(Debug, Subcommand)]
 enum Command {
     Demo(demo::Args),
@@ -61,7 +61,7 @@ enum Command {
     Missions(missions::Args),
     Explain(explain::Args),
     Cancel(cancel::Args),
-    Rescue(resolve::Args),
+    Resolve(resolve::Args),
     Fleet(fleet::Args),
     Keys(keys::Args),
     Leave(leave::Args),
@@ -92,7 +92,7 @@ pub fn run() -> ExitCode {
     run_with(Extensions::default(), std::env::args_os())
 }
 
-/// Runs a program whose robots can do what is in `kit` besides. Of its arguments the first is its own name.
+/// Runs a program with additional skills. The first of `args` is the program's name.
 pub fn run_with(kit: Extensions, args: impl IntoIterator<Item = OsString>) -> ExitCode {
     kit.install();
     let done = match Cli::parse_from(args).command {
@@ -104,7 +104,7 @@ pub fn run_with(kit: Extensions, args: impl IntoIterator<Item = OsString>) -> Ex
         Command::Missions(args) => missions::run(args),
         Command::Explain(args) => explain::run(args),
         Command::Cancel(args) => cancel::run(args),
-        Command::Rescue(args) => resolve::run(args),
+        Command::Resolve(args) => resolve::run(args),
         Command::Fleet(args) => fleet::run(args),
         Command::Keys(args) => keys::run(args),
         Command::Leave(args) => leave::run(args),

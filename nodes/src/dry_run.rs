@@ -1,5 +1,5 @@
-//! What an auction would decide, offline: the robots' own bidders and the coordinator's own conclusion, without a
-//! fleet.
+//! Computes the result of an auction offline, with the robots' bidders and the coordinator's
+//! allocator, without a fleet.
 
 use crate::inputs::WorkerEntry;
 use crate::wiring::SkillResources;
@@ -14,38 +14,38 @@ use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// What one worker says to one role.
+/// A worker's bid or refusal for a role.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct WorkerBid {
-    /// Who.
+    /// The worker.
     pub worker: RobotId,
     /// Time for the whole plan, in seconds; none for a refusal.
     pub time_s: Option<f64>,
-    /// Charge that it would use, as a share.
+    /// Charge used, as a share.
     pub energy: Option<f64>,
-    /// Charge that would be left, as a share.
+    /// Charge left, as a share.
     pub remaining: Option<f64>,
-    /// Whether it could be taken.
+    /// True if the bid meets the limits.
     pub viable: bool,
-    /// Why not, if not.
+    /// Reason if it does not.
     pub reason: Option<String>,
-    /// Step by step.
+    /// Cost of each step.
     #[serde(skip)]
     pub parts: Vec<BidPart>,
 }
 
-/// What an auction came to.
+/// Result of an auction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DryRunOutcome {
-    /// By role, what each worker says, in the order of the workers.
+    /// Bids and refusals by role, in the order of the workers.
     pub bids: BTreeMap<RoleId, Vec<WorkerBid>>,
-    /// Who gets which role: every role, or none.
+    /// Assignment of roles: every role, or none.
     pub holders: BTreeMap<RoleId, RobotId>,
-    /// Why nobody does, if so.
+    /// Reason if no role is assigned.
     pub failure: Option<String>,
 }
 
-/// Auctions the plans of `roles` among the workers. Roles without a plan are left aside.
+/// Auctions the plans of `roles` among the workers. Roles without a plan are skipped.
 pub fn simulate_auction(
     division: &Division,
     roles: &BTreeSet<RoleId>,
@@ -61,18 +61,24 @@ pub fn simulate_auction(
     };
     let tenders: Vec<BidResponse> = workers.iter().map(|worker| tender(worker, &call, equipment)).collect();
     let expected: BTreeSet<RobotId> = workers.iter().map(|worker| worker.name.clone()).collect();
-    let taken = BTreeMap::new();
+    let unavailable = BTreeMap::new();
     let excluded = BTreeMap::new();
-    let circumstances =
-        AuctionContext { invited: &expected, unavailable: &taken, excluded: &excluded, limits, window_ms: 0, at_ms: 0 };
+    let circumstances = AuctionContext {
+        invited: &expected,
+        unavailable: &unavailable,
+        excluded: &excluded,
+        limits,
+        window_ms: 0,
+        at_ms: 0,
+    };
     let conclusion = clear_auction(&call, &tenders, &circumstances);
 
-    let mut offers: BTreeMap<RoleId, Vec<WorkerBid>> = BTreeMap::new();
+    let mut bids: BTreeMap<RoleId, Vec<WorkerBid>> = BTreeMap::new();
     for answer in tenders.into_iter().flat_map(|tender| tender.replies) {
-        let (role, offer) = offer(answer, limits);
-        offers.entry(role).or_default().push(offer);
+        let (role, bid_of) = bid_of(answer, limits);
+        bids.entry(role).or_default().push(bid_of);
     }
-    DryRunOutcome { bids: offers, holders: conclusion.holders.unwrap_or_default(), failure: conclusion.record.failure }
+    DryRunOutcome { bids, holders: conclusion.holders.unwrap_or_default(), failure: conclusion.record.failure }
 }
 
 fn tender(worker: &WorkerEntry, call: &CallForBids, equipment: &SkillResources) -> BidResponse {
@@ -82,11 +88,11 @@ fn tender(worker: &WorkerEntry, call: &CallForBids, equipment: &SkillResources) 
     bidder.respond(call, &BidContext { worker: &own, closed_lanes: &[], age_ms: 0, membership })
 }
 
-fn offer(answer: RoleReply, limits: &BidLimits) -> (RoleId, WorkerBid) {
+fn bid_of(answer: RoleReply, limits: &BidLimits) -> (RoleId, WorkerBid) {
     match answer {
         RoleReply::Bid(bid) => {
             let why_not = bid.check_viable(limits).err();
-            let offer = WorkerBid {
+            let bid_of = WorkerBid {
                 worker: bid.robot,
                 time_s: Some(bid.time.get()),
                 energy: Some(bid.energy),
@@ -95,10 +101,10 @@ fn offer(answer: RoleReply, limits: &BidLimits) -> (RoleId, WorkerBid) {
                 reason: why_not.map(|why| why.to_string()),
                 parts: bid.parts,
             };
-            (bid.role, offer)
+            (bid.role, bid_of)
         }
         RoleReply::Refusal(refusal) => {
-            let offer = WorkerBid {
+            let bid_of = WorkerBid {
                 worker: refusal.robot,
                 time_s: None,
                 energy: None,
@@ -107,7 +113,7 @@ fn offer(answer: RoleReply, limits: &BidLimits) -> (RoleId, WorkerBid) {
                 reason: Some(refusal.reason.to_string()),
                 parts: vec![],
             };
-            (refusal.role, offer)
+            (refusal.role, bid_of)
         }
     }
 }

@@ -1,4 +1,4 @@
-//! A design with all that it names: scenarios, map and legs.
+//! An evaluation design with its referenced files: scenarios, map and legs.
 
 use crate::config::{Diagnostic, Diagnostics};
 use crate::inputs::read_text;
@@ -13,34 +13,34 @@ use std::fmt::Display;
 use std::path::Path;
 use std::sync::Arc;
 
-/// An evaluation that could be begun: a design with all that it names.
+/// An evaluation ready to run: a design with its referenced files.
 pub struct Evaluation {
     /// The design.
     pub design: Design,
-    /// What is tried.
+    /// The scenarios.
     pub scenarios: Vec<Scenario>,
-    /// Where.
+    /// The map.
     pub map: Map,
-    /// How long drives take.
+    /// Durations of drives.
     pub travel: TravelModel,
 }
 
-/// Files that take the place of what the design says.
+/// Files that override the design.
 #[derive(Default)]
 pub struct InputOverrides<'a> {
-    /// Scenarios in the form of the published ones.
+    /// Scenarios in the published format.
     pub scenarios: Option<&'a Path>,
-    /// A map of any form.
+    /// A map of any format.
     pub map: Option<&'a Path>,
     /// Measured legs.
     pub legs: Option<&'a Path>,
 }
 
 impl Evaluation {
-    /// Reads what a design names.
+    /// Reads the files that a design references.
     ///
     /// # Errors
-    /// [`Problems`] of a file that it names.
+    /// [`Diagnostics`] of a referenced file.
     pub fn load(design: Design, instead: &InputOverrides<'_>) -> Result<Evaluation, Diagnostics> {
         let scenarios = match instead.scenarios {
             Some(file) => {
@@ -62,16 +62,18 @@ impl Evaluation {
         Ok(Evaluation { design, scenarios, map, travel })
     }
 
-    /// The stage on which trials of a design are played that is like this one's, with what was learned.
+    /// Creates the fixture for trials of a design based on this evaluation, with learned
+    /// corrections.
     ///
     /// # Errors
-    /// [`Problems`] of what the design says of its map and mission, without the file's name.
+    /// [`Diagnostics`] of the design's map and mission, without the file's name.
     pub fn trial_fixture(
         &self,
         design: Design,
-        learned: Option<Arc<Calibration>>,
+        calibration: Option<Arc<Calibration>>,
     ) -> Result<ExperimentSetup, Diagnostics> {
-        let set = ExperimentSetup::new(design, self.scenarios.clone(), self.map.clone(), self.travel.clone(), learned);
+        let set =
+            ExperimentSetup::new(design, self.scenarios.clone(), self.map.clone(), self.travel.clone(), calibration);
         set.map_err(|error| Diagnostics(error.0.iter().map(|problem| Diagnostic::for_file("", problem)).collect()))
     }
 }

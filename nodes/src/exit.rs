@@ -1,24 +1,24 @@
-//! How commands end.
+//! Errors and exit codes of commands.
 
 use crate::config::{Diagnostic, Diagnostics};
 use std::process::ExitCode;
 
-/// Why a command did not do what it was asked; the exit code says which kind it is.
+/// Failure of a command; its kind determines the exit code.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
-    /// 1: what was asked for did not succeed: a mission failed, a check found problems, an actor failed.
+    /// 1: the operation failed: a mission failed, a check found problems, an actor failed.
     #[error("{0}")]
     Unsuccessful(String),
     /// 2: the flags or the files are wrong.
     #[error("{0}")]
     Usage(String),
-    /// 3: nothing was reached, or nobody coordinates.
+    /// 3: no node was reached, or there is no coordinator.
     #[error("{0}")]
     Unreachable(String),
-    /// 130: somebody pressed Ctrl-C, or sent SIGTERM.
+    /// 130: interrupted by Ctrl-C or SIGTERM.
     #[error("interrupted")]
     Interrupted,
-    /// 0: whoever read our output has closed it, as `head` does.
+    /// 0: the reader of the output has closed it, as `head` does.
     #[error("the output was closed")]
     OutputClosed,
 }

@@ -1,7 +1,8 @@
-//! What the robots of a program can do, beside what those of `consort` can: how a program with skills of its own is made.
+//! Extensions for programs with skills of their own.
 //!
-//! Such a program is `consort` itself, with all its commands, and a [`Kit`] put in: see `nodes/docs/tutorials/skill.md`. Nodes
-//! of one fleet are to have one kit: whoever coordinates takes missions of the task types that it knows itself.
+//! Such a program is `consort` itself, with all its commands, and with additional [`Extensions`]:
+//! see `nodes/docs/tutorials/skill.md`. All nodes of a fleet need the same extensions: the
+//! coordinator accepts only missions of its own task types.
 
 use crate::config::{Diagnostic, Diagnostics};
 use consort_protocol::mission::Domain;
@@ -11,57 +12,58 @@ use consort_skills::library::SkillLibrary;
 use std::error::Error;
 use std::sync::OnceLock;
 
-/// What is known of skills, in the three places where each is known: what missions may say of it, what it costs, and how it is
-/// done. Each function is given what comes with Consort, and adds to it.
+/// The three parts of a skill: its task type in missions, its cost, and its execution. Each
+/// function receives Consort's own definitions, and extends them.
 #[derive(Debug, Clone, Copy)]
 pub struct Extensions {
     /// Adds the task types, with their parameters.
     pub domain: fn(Domain) -> Domain,
-    /// Adds what tasks of these types cost a robot. A skill without a price is never awarded.
+    /// Adds the cost descriptors of the task types. A skill without a cost is never awarded.
     pub descriptors: fn(DescriptorRegistry) -> DescriptorRegistry,
-    /// Adds leaves and trees; an error is shown to people as it is.
+    /// Adds leaves and trees; an error is shown to the user unchanged.
     pub library: fn(&mut SkillLibrary) -> Result<(), Box<dyn Error>>,
 }
 
-/// The kit of this program. It is a matter of the program, like its version, and not of a node: files are judged by it before
-/// there are any.
-static KIT: OnceLock<Extensions> = OnceLock::new();
+/// The extensions of this program. They belong to the program, like its version, and not to a node:
+/// files are checked with them before any node exists.
+static EXTENSIONS: OnceLock<Extensions> = OnceLock::new();
 
 impl Default for Extensions {
-    /// That of `consort`: nothing beside what is shipped.
+    /// No extensions, as in `consort` itself.
     fn default() -> Extensions {
         Extensions { domain: |domain| domain, descriptors: |descriptors| descriptors, library: |_| Ok(()) }
     }
 }
 
 impl Extensions {
-    /// Makes this the program's kit; called once, before anything else. A second one is not taken.
+    /// Installs the extensions; called once, before anything else. A second call has no effect.
     pub(crate) fn install(self) {
-        // The first one has been judged by already.
-        let _ = KIT.set(self);
+        // Checks may have used the first extensions already.
+        let _ = EXTENSIONS.set(self);
     }
 }
 
-fn kit() -> Extensions {
-    KIT.get().copied().unwrap_or_default()
+fn extensions() -> Extensions {
+    EXTENSIONS.get().copied().unwrap_or_default()
 }
 
-/// The task types that missions may use.
+/// Returns the task types for missions.
 pub(crate) fn domain() -> Domain {
-    (kit().domain)(Domain::hospital())
+    (extensions().domain)(Domain::hospital())
 }
 
-/// What tasks cost, where `shipped` is what is known of those that come with Consort.
+/// Returns the cost descriptors of tasks, extending Consort's own.
 pub(crate) fn descriptors(shipped: DescriptorRegistry) -> DescriptorRegistry {
-    (kit().descriptors)(shipped)
+    (extensions().descriptors)(shipped)
 }
 
-/// How tasks are done in a place.
+/// Returns the skill library for an environment.
 ///
 /// # Errors
-/// [`Problems`] of what the program itself adds.
+/// [`Diagnostics`] of the program's own extensions.
 pub(crate) fn library(environment: Environment) -> Result<SkillLibrary, Diagnostics> {
     let mut library = SkillLibrary::standard(environment);
-    (kit().library)(&mut library).map_err(|problem| Diagnostic::for_file("this program's own skills", problem))?;
+    (extensions().library)(&mut library)
+        .map_err(|problem| Diagnostic::for_file("this program's own skills", problem))?;
     Ok(library)
 }

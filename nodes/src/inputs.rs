@@ -1,4 +1,4 @@
-//! Missions and workers, from files and by name.
+//! Loads missions, workers and scenarios, from files and by name.
 
 use crate::config::{Diagnostic, Diagnostics};
 use crate::file::{self, BYTES_MAX};
@@ -14,18 +14,18 @@ use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// The text of a file.
+/// Reads the text of a file.
 ///
 /// # Errors
-/// [`Problems`] saying why it cannot be read.
+/// [`Diagnostics`] with the reason why it cannot be read.
 pub fn read_text(path: &Path) -> Result<String, Diagnostics> {
     file::read_text(path, BYTES_MAX).map_err(|problem| Diagnostic::for_file(path.display(), problem).into())
 }
 
-/// A mission by the name of one that is shipped, or else from a file.
+/// Loads a bundled mission by name, or else from a file.
 ///
 /// # Errors
-/// [`Problems`] of the file, or that there is none, with the names that are shipped.
+/// [`Diagnostics`] of the file; if it does not exist, with the bundled missions.
 pub fn mission(name: &str) -> Result<MissionTemplate, Diagnostics> {
     if let Some(template) = shipped().get(name) {
         return Ok(template.clone());
@@ -36,10 +36,11 @@ pub fn mission(name: &str) -> Result<MissionTemplate, Diagnostics> {
         .map_err(|error| Diagnostic::for_file(name, error).into())
 }
 
-/// A mission as a request to the coordinator brings it: the name of one that is shipped, or a whole file as JSON.
+/// Returns a mission as in a request to the coordinator: the name of a bundled mission, or a whole
+/// file as JSON.
 ///
 /// # Errors
-/// As [`mission`].
+/// See [`mission`].
 pub fn mission_request(name: &str) -> Result<Value, Diagnostics> {
     if shipped().contains_key(name) {
         return Ok(Value::String(name.to_owned()));
@@ -53,16 +54,16 @@ fn mission_text(name: &str) -> Result<String, Diagnostics> {
     let path = Path::new(name);
     if !path.exists() {
         let known = shipped().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
-        let what = format!("there is no such file, and no mission of this name is shipped; there are {known}");
+        let what = format!("there is no such file, and no bundled mission of this name; bundled missions: {known}");
         return Err(Diagnostic::for_file(name, what).into());
     }
     read_text(path)
 }
 
-/// Reads TOML, JSON or YAML, by the end of the file's name, and where that does not say, by the first character.
+/// Parses TOML, JSON or YAML, detected by the file's extension, or by the first character.
 ///
 /// # Errors
-/// [`Problems`] with line and column.
+/// [`Diagnostics`] with line and column.
 pub fn parse_any_format<T: DeserializeOwned>(text: &str, file: &str) -> Result<T, Diagnostics> {
     if file.ends_with(".toml") {
         return toml::from_str(text).map_err(|error| Diagnostic::for_file(file, error.to_string().trim_end()).into());
@@ -95,9 +96,9 @@ pub fn parse_any_format<T: DeserializeOwned>(text: &str, file: &str) -> Result<T
 pub struct WorkerEntry {
     /// Its name.
     pub name: RobotId,
-    /// Where it starts.
+    /// Its start place.
     pub place: PlaceId,
-    /// The task types it has skills for.
+    /// The task types of its skills.
     pub skills: BTreeSet<TaskType>,
     /// Its average speed in metres per second; none if it does not drive.
     #[serde(default)]
@@ -105,10 +106,10 @@ pub struct WorkerEntry {
     /// Its charge, as a share.
     #[serde(default = "full")]
     pub battery: BatteryShare,
-    /// Charge that it loses in a second, as a share.
+    /// Charge used per second, as a share.
     #[serde(default = "nothing")]
     pub discharge_share_per_s: SharePerSecond,
-    /// Below this charge it is of no use, as a share.
+    /// Charge below which it takes no work, as a share.
     #[serde(default = "crate::config::useful_charge")]
     pub useful_charge: BatteryShare,
 }
@@ -122,12 +123,12 @@ fn nothing() -> SharePerSecond {
 }
 
 impl WorkerEntry {
-    /// The worker as it would describe itself, free for work.
+    /// Returns the worker's knowledge record, free for work.
     pub fn worker(&self, places: &BTreeMap<PlaceId, Pose>) -> RobotKnowledge {
         RobotKnowledge {
             skills: self.skills.clone(),
             place: self.place.clone(),
-            // A place that is not on the map is what its estimator will stumble over, and say so.
+            // An unknown place causes an error in the estimator, which is reported there.
             pose: places.get(&self.place).copied().unwrap_or_default(),
             battery: self.battery,
             discharge: self.discharge_share_per_s,
@@ -147,10 +148,10 @@ struct WorkersFile {
     worker: Vec<WorkerEntry>,
 }
 
-/// The form of a workers file, as a JSON Schema.
+/// Returns the JSON Schema of a workers file.
 pub fn workers_schema() -> Schema {
     let mut schema = schema_for!(WorkersFile);
-    // In JSON and YAML the list alone will do; in TOML there is none without a key.
+    // In JSON and YAML the list alone is accepted; TOML needs a key.
     let whole =
         ["type", "properties", "required", "additionalProperties"].map(|key| (key.to_owned(), schema.remove(key)));
     let whole: Map<String, Value> = whole.into_iter().filter_map(|(key, value)| Some((key, value?))).collect();
@@ -159,31 +160,31 @@ pub fn workers_schema() -> Schema {
     schema
 }
 
-/// Reads a workers file.
+/// Parses a workers file.
 ///
 /// # Errors
-/// [`Problems`] of the form, or that a name stands twice, or that there is no worker.
+/// [`Diagnostics`] of the syntax, of duplicate names, or of an empty list.
 pub fn workers(text: &str, file: &str) -> Result<Vec<WorkerEntry>, Diagnostics> {
     let list = !file.ends_with(".toml") && text.trim_start().starts_with(['[', '-']);
     let workers: Vec<WorkerEntry> =
         if list { parse_any_format(text, file)? } else { parse_any_format::<WorkersFile>(text, file)?.worker };
     let mut names = BTreeSet::new();
-    let twice = workers.iter().filter(|worker| !names.insert(&worker.name));
-    let problem =
-        |worker: &WorkerEntry| Diagnostic::for_file(file, format!("worker {} stands there twice", worker.name));
-    let mut problems: Vec<Diagnostic> = twice.map(problem).collect();
+    let duplicates = workers.iter().filter(|worker| !names.insert(&worker.name));
+    let problem = |worker: &WorkerEntry| Diagnostic::for_file(file, format!("worker {} is defined twice", worker.name));
+    let mut problems: Vec<Diagnostic> = duplicates.map(problem).collect();
     if workers.is_empty() {
         problems.push(Diagnostic::for_file(file, "there is no worker"));
     }
     Diagnostics::into_result(problems).map(|()| workers)
 }
 
-/// A scenario of the published evaluation: where the nurse is, and six robots. What else the file says is left aside.
+/// A scenario of the published evaluation: the nurse's place, and six robots. Other fields of the
+/// file are ignored.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct PublishedScenario {
-    /// Its name there.
+    /// Its name in the publication.
     pub code: String,
-    /// Where the nurse waits.
+    /// The nurse's place.
     pub room: PlaceId,
     /// The robots.
     pub workers: Vec<WorkerEntry>,
@@ -211,10 +212,10 @@ struct ScenarioRobot {
     battery_discharge_rate: SharePerSecond,
 }
 
-/// Reads a file of scenarios in the form of the published evaluation.
+/// Parses a file of scenarios in the published format.
 ///
 /// # Errors
-/// [`Problems`] of the form, or of a scenario without a nurse.
+/// [`Diagnostics`] of the syntax, or of a scenario without a nurse.
 pub fn scenarios(text: &str, file: &str) -> Result<Vec<PublishedScenario>, Diagnostics> {
     let entries: Vec<ScenarioEntry> = parse_any_format(text, file)?;
     let scenario = |entry: ScenarioEntry| {

@@ -1,7 +1,8 @@
-//! Configuration, command line and wiring of Consort's one binary.
+//! Configuration, command line and wiring of Consort's single binary.
 //!
-//! [`config`] reads files, [`wiring`] makes nodes of them, each command in [`command`] runs or asks nodes. What missions,
-//! auctions and worlds are is decided elsewhere; nothing here computes a plan or a price.
+//! [`config`] reads files, [`wiring`] builds nodes from them, and each command in [`command`] runs
+//! or queries nodes. Missions, auctions and worlds are implemented in other crates; no plan and no
+//! price is computed here.
 
 pub mod address;
 pub mod admission;

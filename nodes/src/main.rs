@@ -1,6 +1,6 @@
-//! The one binary of Consort: `consort --help` teaches the rest.
+//! The binary of Consort; see `consort --help`.
 
-/// Nodes and virtual fleets live on small messages.
+/// Nodes and virtual fleets allocate many small messages.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

@@ -1,4 +1,4 @@
-//! Maps, from wherever they come, as routes for estimators and skills and as a floor for the simulator.
+//! Loads maps: as routes for estimators and skills, and as floors for the simulator.
 
 use crate::config::{Diagnostic, Diagnostics};
 use crate::file::{self, BYTES_MAX, FileReadError};
@@ -7,25 +7,26 @@ use consort_skills::environment::TopologicalMap;
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// A map that was read.
+/// A loaded map.
 #[derive(Debug, Clone)]
 pub struct LoadedMap {
-    /// Places and ways, for routes.
+    /// Places and lanes, for routes.
     pub topology: TopologicalMap,
-    /// The floor as the simulator takes it; a map of the published form has none.
+    /// The floor plan for the simulator; a map of the published format has none.
     pub map: Option<Map>,
 }
 
 impl LoadedMap {
-    /// The map of which a node tells, as `view/map` has it.
+    /// Parses the map of a node's reply to `view/map`.
     ///
     /// # Errors
-    /// In words, if it tells of none.
+    /// A message, if the reply has no map.
     pub fn from_view(view: &Value) -> Result<LoadedMap, String> {
         Map::from_json(view, "view/map").map(LoadedMap::from).map_err(|problem| problem.to_string())
     }
 
-    /// The map in JSON, as `view/map` has it: see [`Map::show`]. One of the published form has places and lanes alone.
+    /// Returns the map in JSON, as in `view/map`: see [`Map::to_json`]. A map of the published
+    /// format has places and lanes only.
     pub fn to_json(&self) -> Value {
         if let Some(map) = &self.map {
             return map.to_json();
@@ -51,15 +52,15 @@ impl LoadedMap {
     }
 }
 
-/// Whether a map of this name comes with the program.
+/// Checks whether a map of this name is bundled.
 pub fn is_shipped(name: &str) -> bool {
     map::SHIPPED.contains(&name)
 }
 
-/// Reads a map by the name of one that is shipped, or else by path.
+/// Loads a bundled map by name, or else a file by path.
 ///
 /// # Errors
-/// [`Problems`] with all that is wrong.
+/// [`Diagnostics`] with all problems.
 pub fn load(name: &str) -> Result<LoadedMap, Diagnostics> {
     if is_shipped(name) {
         return map::shipped(name).map(LoadedMap::from).map_err(|error| diagnostics(name, error));
@@ -67,26 +68,27 @@ pub fn load(name: &str) -> Result<LoadedMap, Diagnostics> {
     parse(&read_text(name)?, name)
 }
 
-/// The text of a map file.
+/// Reads the text of a map file.
 ///
 /// # Errors
-/// [`Problems`] that it cannot be read, with the maps that are shipped.
+/// [`Diagnostics`] if it cannot be read, with the bundled maps.
 pub fn read_text(name: &str) -> Result<String, Diagnostics> {
     file::read_text(Path::new(name), BYTES_MAX).map_err(|problem| match problem {
         FileReadError::Unreadable(_) => {
             let shipped = map::SHIPPED.join(", ");
-            let what = format!("this map {problem}; it is the path of a file, or one of {shipped}");
+            let what = format!("this map {problem}; give the path of a file, or a bundled map: {shipped}");
             Diagnostic::for_file(name, what).into()
         }
         FileReadError::TooLarge(..) | FileReadError::StreamTooLarge(_) => Diagnostic::for_file(name, problem).into(),
     })
 }
 
-/// Reads a map from the text of a file: in our own form, as a drawing or a building by the file's ending, or in the form of
-/// the published evaluation, which has `nodes` and `edges`. `file` names it in messages.
+/// Parses a map from the text of a file: in Consort's own format, as a drawing or a building by the
+/// file's extension, or in the format of the published evaluation, which has `nodes` and `edges`.
+/// `file` is its name in messages.
 ///
 /// # Errors
-/// [`Problems`] with all that is wrong.
+/// [`Diagnostics`] with all problems.
 pub fn parse(text: &str, file: &str) -> Result<LoadedMap, Diagnostics> {
     if is_published_format(text) {
         let topology = TopologicalMap::from_reference_json(text)
@@ -96,17 +98,17 @@ pub fn parse(text: &str, file: &str) -> Result<LoadedMap, Diagnostics> {
     map::read(text, file).map(LoadedMap::from).map_err(|error| diagnostics(file, error))
 }
 
-/// Whether a text is JSON with the keys of the published map.
+/// Checks whether a text is JSON with the keys of the published map.
 pub fn is_published_format(text: &str) -> bool {
     let value: Result<Value, _> = serde_json::from_str(text);
     value.is_ok_and(|value| value.get("nodes").is_some() && value.get("edges").is_some())
 }
 
-/// What is wrong with a map, as problems of its file.
+/// Converts a map error to diagnostics of its file.
 pub fn diagnostics(file: &str, error: MapError) -> Diagnostics {
     match error {
-        MapError::Invalid { problems, .. } => {
-            Diagnostics(problems.iter().map(|problem| Diagnostic::for_file(file, problem)).collect())
+        MapError::Invalid { diagnostics, .. } => {
+            Diagnostics(diagnostics.iter().map(|error| Diagnostic::for_file(file, error)).collect())
         }
         MapError::Syntax { message, .. } => Diagnostic::for_file(file, message).into(),
         other => Diagnostic { file: String::new(), position: None, message: other.to_string() }.into(),

@@ -1,4 +1,4 @@
-//! A node on Zenoh, from its start until it is told to end.
+//! Runs a node on Zenoh, from its start to its end.
 
 use crate::address::BoundAddress;
 use crate::admission::Admission;
@@ -28,40 +28,40 @@ use tokio::runtime::{Builder, Runtime};
 use tracing::{info, warn};
 use tracing_subscriber::EnvFilter;
 
-/// What is logged where nothing else is said: our own doings, and only the troubles of others.
+/// Default log filter: the node's own actions, and only errors and warnings of libraries.
 const LOG: &str = "info,zenoh=error,openraft=error,openraft::replication=off,ractor=warn";
 
-/// How often a node looks at its links.
+/// Poll interval for links.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// How long a node may take to hand over and say goodbye.
-const GOODBYE: Duration = Duration::from_secs(5);
+/// Time limit for the leadership transfer and the announcement of the departure.
+const SHUTDOWN_LIMIT: Duration = Duration::from_secs(5);
 
-/// A runtime such as Zenoh needs.
+/// Creates a multi-threaded runtime, as needed by Zenoh.
 ///
 /// # Errors
-/// [`Failure::Unsuccessful`] if the system gives no threads.
+/// [`Failure::Unsuccessful`] if the system cannot create threads.
 pub fn build_runtime() -> Result<Runtime, Failure> {
     let runtime = Builder::new_multi_thread().enable_all().build();
     runtime.map_err(|problem| Failure::Unsuccessful(format!("the runtime could not start: {problem}")))
 }
 
-/// What is to be logged by the variable that programs in Rust share, if it is set.
+/// Returns the log filter of the variable `RUST_LOG`, which Rust programs share.
 pub fn rust_log() -> Option<String> {
     std::env::var("RUST_LOG").ok()
 }
 
-/// Sends what passes a filter to the standard error.
+/// Starts logging to the standard error with a filter.
 ///
 /// # Errors
-/// [`Failure::Usage`] if the filter is none.
+/// [`Failure::Usage`] if the filter is invalid.
 pub fn start_log(text: &str, format: LogFormat) -> Result<(), Failure> {
     let filter = EnvFilter::try_new(text).map_err(|problem| {
         let allowed = "allowed is error, warn, info, debug or trace, also by module, as info,consort_actors=debug";
         Failure::Usage(format!("{text:?} is not a filter for the log: {problem}; {allowed}"))
     })?;
-    // A second call, as tests may make, keeps the first log.
-    // Where nobody reads the log any more a line of it is lost, and nothing else: to say so there too would end the node.
+    // A second call, as in tests, keeps the first log. If the reader of the log has gone, a log
+    // line is lost and nothing else: reporting it in the log would end the node.
     let log = tracing_subscriber::fmt().log_internal_errors(false);
     let log = log.with_env_filter(filter).with_writer(std::io::stderr);
     let _ = match format {
@@ -71,47 +71,48 @@ pub fn start_log(text: &str, format: LogFormat) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Runs a node until Ctrl-C or SIGTERM, until it has left the fleet, until its standard input closes if that is asked for,
-/// or until an actor of it fails. If it coordinates, it hands over before it goes. `settings` is called once, within the runtime;
-/// the fleet is the one that `surroundings` name.
+/// Runs a node until Ctrl-C or SIGTERM, until it has left the fleet, until its standard input
+/// closes if requested, or until an actor fails. A coordinator transfers the leadership before it
+/// ends. `settings` is called once, within the runtime; `fleet` is the resolved fleet of `common`.
 ///
 /// # Errors
 /// [`Failure::Usage`] if it cannot start as configured, [`Failure::Unsuccessful`] if it fails.
 pub fn run_node(
     until_stdin_closes: bool,
-    surroundings: &CommonConfig<'_>,
+    common: &CommonConfig<'_>,
     fleet: &FleetConfig,
     settings: impl FnOnce() -> Result<NodeSettings, Diagnostics>,
 ) -> Result<(), Failure> {
-    let telemetry = &surroundings.telemetry;
+    let telemetry = &common.telemetry;
     start_log(telemetry.log.as_deref().unwrap_or(LOG), telemetry.log_format)?;
     let runtime = build_runtime()?;
-    let ended = runtime.block_on(until_told(until_stdin_closes, surroundings, fleet, settings));
-    // Whatever still runs, or hangs, ends with the process.
+    let ended = runtime.block_on(run_until_end(until_stdin_closes, common, fleet, settings));
+    // Tasks that still run or hang end with the process.
     runtime.shutdown_background();
     ended
 }
 
-async fn until_told(
+async fn run_until_end(
     until_stdin_closes: bool,
-    surroundings: &CommonConfig<'_>,
+    common: &CommonConfig<'_>,
     fleet: &FleetConfig,
     settings: impl FnOnce() -> Result<NodeSettings, Diagnostics>,
 ) -> Result<(), Failure> {
-    let CommonConfig { telemetry: told, bus, dashboard, .. } = surroundings;
-    // Before anything is started: a signal that comes early is not lost.
+    let CommonConfig { telemetry: telemetry_config, bus, dashboard, .. } = common;
+    // Created before everything else, so that an early signal is not lost.
     let mut signals = ShutdownSignals::open()?;
     let page = match dashboard {
-        Some(at) => Some((take("--dashboard", *at).await?, FloorPlan::new(&map_loader::load(&fleet.map)?))),
+        Some(at) => Some((bind("--dashboard", *at).await?, FloorPlan::new(&map_loader::load(&fleet.map)?))),
         None => None,
     };
-    let metrics = match told.metrics {
-        Some(at) => Some(take("--metrics", at).await?),
+    let metrics = match telemetry_config.metrics {
+        Some(at) => Some(bind("--metrics", at).await?),
         None => None,
     };
     let mut settings = settings()?;
-    let metrics = Metering::new(metrics, &settings);
-    let (telemetry, mut observers) = Telemetry::open(told.otlp.as_deref(), &settings).map_err(Failure::Usage)?;
+    let metrics = NodeMetrics::new(metrics, &settings);
+    let (telemetry, mut observers) =
+        Telemetry::open(telemetry_config.otlp.as_deref(), &settings).map_err(Failure::Usage)?;
     observers.extend(metrics.observer());
     settings.observer = Some(Arc::new(observers));
     let clock = settings.clock;
@@ -122,7 +123,7 @@ async fn until_told(
     let name = settings.node.clone();
     info!(node = %name, fleet = %fleet.name, id = zenoh.id(), listening = zenoh.listen_addresses().await.join(", "), "open");
     let mut watch = tokio::task::JoinSet::new();
-    watch.spawn(say_links(zenoh.clone(), bus.connect.clone()));
+    watch.spawn(log_links(zenoh.clone(), bus.connect.clone()));
     let bus = trust.signing_bus(metrics.metered(Arc::new(zenoh.clone())), &mut settings).await?;
     let on_page = Arc::clone(&bus);
     let started = NodeHandle::start(settings, bus).await;
@@ -141,75 +142,75 @@ async fn until_told(
     service_manager::ready();
     watch.spawn(service_manager::run_watchdog(zenoh.clone(), Keys::new(&fleet.name), name.clone()));
 
-    let end = told_to_end(&mut node, &mut signals, until_stdin_closes).await;
+    let end = wait_for_end(&mut node, &mut signals, until_stdin_closes).await;
     service_manager::stopping();
     let end = end.map_err(|cause| Failure::Unsuccessful(format!("{name} stopped: {cause}")))?;
     info!(node = %name, signal = end.word(), "stops");
-    let goodbye = async {
+    let shutdown = async {
         end.of(node, &name).await;
         telemetry.shut_down().await;
         zenoh.close().await
     };
-    match tokio::time::timeout(GOODBYE, goodbye).await {
+    match tokio::time::timeout(SHUTDOWN_LIMIT, shutdown).await {
         Ok(Ok(())) => info!(node = %name, "stopped"),
-        Ok(Err(problem)) => warn!(node = %name, %problem, "stopped; the bus did not close well"),
-        Err(_) => warn!(node = %name, "stopped without having told everybody in {GOODBYE:?}"),
+        Ok(Err(problem)) => warn!(node = %name, %problem, "stopped; the bus did not close cleanly"),
+        Err(_) => warn!(node = %name, "stopped; the departure was not announced within {SHUTDOWN_LIMIT:?}"),
     }
     Ok(())
 }
 
-/// How a node that works comes to its end.
+/// Reason for the end of a running node.
 enum End {
-    /// Somebody told it to, in this way.
-    Told(&'static str),
-    /// It has left the fleet.
+    /// A signal or the end of input, with its name.
+    Signal(&'static str),
+    /// The node has been decommissioned.
     Left(DecommissionReport),
 }
 
 impl End {
     fn word(&self) -> &'static str {
         match self {
-            End::Told(how) => how,
-            End::Left(_) => "it has left the fleet for good",
+            End::Signal(how) => how,
+            End::Left(_) => "decommissioned",
         }
     }
 
     async fn of(self, node: NodeHandle, name: &NodeId) {
         match self {
-            End::Told(_) => node.stop().await,
-            End::Left(farewell) => {
-                info!(node = %name, successor = farewell.successor.map(tracing::field::display), released = farewell.released,
-                    role_given_back = farewell.role_given_back, "left");
+            End::Signal(_) => node.stop().await,
+            End::Left(decommission) => {
+                info!(node = %name, successor = decommission.successor.map(tracing::field::display), vote_released = decommission.vote_released,
+                    role_released = decommission.role_released, "left");
                 node.shut_down().await;
             }
         }
     }
 }
 
-/// Waits until the node is to end; an error if it has by itself, and why.
-async fn told_to_end(
+/// Waits until the node is to end; an error with the cause if an actor failed.
+async fn wait_for_end(
     node: &mut NodeHandle,
     signals: &mut ShutdownSignals,
     until_stdin_closes: bool,
 ) -> Result<End, String> {
     tokio::select! {
-        signal = signals.wait() => Ok(End::Told(signal)),
-        () = stdin_closed(until_stdin_closes) => Ok(End::Told("end of input")),
+        signal = signals.wait() => Ok(End::Signal(signal)),
+        () = stdin_closed(until_stdin_closes) => Ok(End::Signal("end of input")),
         ended = node.ended_or_decommissioned() => ended.map(End::Left),
     }
 }
 
-async fn take(flag: &str, at: SocketAddr) -> Result<BoundAddress, Failure> {
+async fn bind(flag: &str, at: SocketAddr) -> Result<BoundAddress, Failure> {
     BoundAddress::bind(flag, at).await.map_err(Failure::Usage)
 }
 
-/// The metrics of a node, if they are asked for.
-struct Metering(Option<(BoundAddress, Arc<Metrics>)>);
+/// The metrics of a node, if requested.
+struct NodeMetrics(Option<(BoundAddress, Arc<Metrics>)>);
 
-impl Metering {
-    /// Those of this node, to be served at this address.
-    fn new(address: Option<BoundAddress>, settings: &NodeSettings) -> Metering {
-        Metering(address.map(|address| (address, Metrics::new(&settings.fleet.fleet, &settings.node))))
+impl NodeMetrics {
+    /// Creates the metrics of a node, served at an address.
+    fn new(address: Option<BoundAddress>, settings: &NodeSettings) -> NodeMetrics {
+        NodeMetrics(address.map(|address| (address, Metrics::new(&settings.fleet.fleet, &settings.node))))
     }
 
     fn observer(&self) -> Option<SharedObserver> {
@@ -236,36 +237,36 @@ impl Metering {
     }
 }
 
-/// Waits until the standard input is closed, if that is of interest.
-async fn stdin_closed(of_interest: bool) {
-    if !of_interest {
+/// Waits until the standard input is closed, if requested.
+async fn stdin_closed(enabled: bool) {
+    if !enabled {
         return std::future::pending().await;
     }
-    let (closed, heard) = tokio::sync::oneshot::channel();
+    let (closed, closed_rx) = tokio::sync::oneshot::channel();
     std::thread::spawn(move || {
-        // A read that fails says as much as an end.
+        // A failed read counts as the end of input.
         let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
         let _ = closed.send(());
     });
-    let _ = heard.await;
+    let _ = closed_rx.await;
 }
 
-/// Says to whom the node is linked, whenever that changes, and when it is linked to nobody, whom it tries.
-async fn say_links(bus: ZenohBus, connect: Vec<String>) {
-    let mut said: Option<Vec<Link>> = None;
+/// Logs the node's links whenever they change; without links, logs the tried addresses.
+async fn log_links(bus: ZenohBus, connect: Vec<String>) {
+    let mut logged: Option<Vec<Link>> = None;
     loop {
         let mut links = bus.links().await;
-        links.retain(|link| link.kind != "client"); // they come and go with every command
-        if said.as_ref() != Some(&links) {
+        links.retain(|link| link.kind != "client"); // clients come and go with every command
+        if logged.as_ref() != Some(&links) {
             let status = match (links.len(), connect.is_empty()) {
                 (0, true) => {
-                    info!("linked to nobody yet; waits for others to connect");
-                    "linked to nobody; waits for others to connect".to_owned()
+                    info!("no links yet; waiting for connections");
+                    "no links; waiting for connections".to_owned()
                 }
                 (0, false) => {
                     let trying = connect.join(", ");
-                    warn!(trying, "linked to nobody; keeps trying");
-                    format!("linked to nobody; keeps trying {trying}")
+                    warn!(trying, "no links; retrying");
+                    format!("no links; retrying {trying}")
                 }
                 (neighbours, _) => {
                     info!(links = describe_links(&links), "linked");
@@ -273,13 +274,13 @@ async fn say_links(bus: ZenohBus, connect: Vec<String>) {
                 }
             };
             service_manager::status(&status);
-            said = Some(links);
+            logged = Some(links);
         }
         tokio::time::sleep(LOOK).await;
     }
 }
 
-/// The neighbours, in words.
+/// Formats the links.
 pub fn describe_links(links: &[Link]) -> String {
     links.iter().map(|link| format!("{} ({})", link.peer, link.kind)).collect::<Vec<_>>().join(", ")
 }

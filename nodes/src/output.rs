@@ -1,4 +1,4 @@
-//! What commands say: answers on the standard output, everything else on the standard error.
+//! Output of commands: answers on the standard output, everything else on the standard error.
 
 use crate::exit::Failure;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -6,7 +6,7 @@ use std::fmt::Display;
 use std::io::{ErrorKind, IsTerminal, Write, stderr, stdout};
 use std::time::Duration;
 
-/// Writes a line, or several, to the standard output.
+/// Writes text and a newline to the standard output.
 ///
 /// # Errors
 /// [`Failure::OutputClosed`] when its reader has gone, which ends the command quietly.
@@ -18,19 +18,19 @@ pub fn line(text: impl Display) -> Result<(), Failure> {
     })
 }
 
-/// Writes a line to the standard error. Nobody to hear it is no problem.
+/// Writes a line to the standard error. A closed standard error is ignored.
 pub fn note(text: impl Display) {
     let _ = writeln!(stderr().lock(), "{text}");
 }
 
-/// Says on the standard error what is waited for: on a terminal in one line that is overwritten, else a line for each
-/// change.
+/// Shows progress on the standard error: on a terminal in a line that is overwritten, else a line
+/// for each change.
 pub struct Progress {
-    /// What turns on a terminal while something is waited for.
+    /// The spinner on a terminal.
     bar: Option<ProgressBar>,
-    /// Whether lines are written where there is no terminal.
+    /// True if lines are written without a terminal.
     in_lines: bool,
-    said: String,
+    shown: String,
 }
 
 impl Default for Progress {
@@ -40,22 +40,22 @@ impl Default for Progress {
 }
 
 impl Progress {
-    /// Says nothing yet.
+    /// Creates a progress output without text.
     pub fn new() -> Progress {
-        Progress { bar: None, in_lines: true, said: String::new() }
+        Progress { bar: None, in_lines: true, shown: String::new() }
     }
 
-    /// Says nothing yet, and nothing at all where there is no terminal: for what changes all the time.
+    /// Creates a progress output that writes to terminals only: for text that changes all the time.
     pub fn on_terminal() -> Progress {
         let mut waiting = Progress::new();
         waiting.in_lines = false;
         waiting
     }
 
-    /// Says what is waited for now.
+    /// Shows the current activity.
     pub fn show(&mut self, text: impl Display) {
         let text = text.to_string();
-        if text == self.said {
+        if text == self.shown {
             return;
         }
         if stderr().is_terminal() {
@@ -63,19 +63,19 @@ impl Progress {
         } else if self.in_lines {
             note(&text);
         }
-        self.said = text;
+        self.shown = text;
     }
 
-    /// Says how something goes on that goes on by itself: on a terminal alone, where it is overwritten.
+    /// Shows a frequently changing text: on a terminal only, where it is overwritten.
     pub fn show_on_terminal(&mut self, text: impl Display) {
         if stderr().is_terminal() {
             self.show(text);
         }
     }
 
-    /// Takes back what is on the terminal, so that something lasting can be written.
+    /// Clears the terminal line, so that permanent output can be written.
     pub fn clear(&mut self) {
-        self.said.clear();
+        self.shown.clear();
         if let Some(bar) = self.bar.take() {
             bar.finish_and_clear();
         }
@@ -95,7 +95,7 @@ impl Drop for Progress {
     }
 }
 
-/// Lines in columns, each as wide as its widest entry; the last is left as it is.
+/// Formats rows in columns, each as wide as its widest cell; the last column is not padded.
 pub fn table(rows: &[Vec<String>]) -> String {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let width = |column: usize| rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max();

@@ -1,4 +1,4 @@
-//! One question to a fleet, whoever asks: the first answer that settles it.
+//! A single query to a fleet: returns the first reply that settles it.
 
 use bytes::Bytes;
 use consort_actors::bus::Bus;
@@ -6,31 +6,31 @@ use serde_json::Value;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// How long to wait before asking again, where nothing else is said.
+/// Default delay before a query is repeated.
 pub(crate) const RETRY_DELAY: Duration = Duration::from_millis(250);
 
-/// Why there is no answer.
+/// Reason why a query has no answer.
 #[derive(Debug)]
 pub(crate) enum QueryError {
-    /// The request is wrong; asking again would not help.
+    /// The request is wrong; repeating it would not help.
     Rejected(String),
-    /// It may work after that time.
+    /// The query may succeed after this time.
     Retryable(String, Duration),
-    /// Nobody answered.
+    /// No node replied.
     NoReply,
 }
 
-/// Who is asked.
+/// Receivers of a query.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum QueryTarget {
-    /// The nearest node that can answer.
+    /// The nearest node that can reply.
     Nearest,
-    /// All, of whom the one answers whom it concerns.
+    /// Every node; only the addressed node replies.
     All,
 }
 
 impl QueryTarget {
-    /// Who is missing if nobody answers.
+    /// Returns the kind of node that is missing if there is no reply.
     pub(crate) fn responder(self) -> &'static str {
         match self {
             QueryTarget::Nearest => "node",
@@ -39,10 +39,10 @@ impl QueryTarget {
     }
 }
 
-/// Asks once.
+/// Sends a query and waits for the first reply that settles it.
 ///
 /// # Errors
-/// [`Hindrance`] if nobody answers who can settle it.
+/// [`QueryError`] if no such reply arrives.
 pub(crate) async fn query_once(
     bus: &dyn Bus,
     key: &str,
@@ -57,7 +57,8 @@ pub(crate) async fn query_once(
     };
     let mut replies = asked.map_err(|problem| QueryError::Retryable(problem.to_string(), RETRY_DELAY))?;
     let mut hindrance = QueryError::NoReply;
-    // Whoever has just lost the coordination may answer too; the one who can act settles it, if it does soon.
+    // A node that has just lost the leadership may reply too. The reply of the new leader settles
+    // the query if it arrives soon.
     let mut until = Instant::now() + limit;
     while let Ok(Some(reply)) = tokio::time::timeout_at(until, replies.recv()).await {
         let answer = match reply.payload {

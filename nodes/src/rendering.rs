@@ -1,4 +1,4 @@
-//! Files in which a world is to be looked at afterwards.
+//! Recordings of a simulated world: MCAP and SVG files.
 
 use crate::config::{Diagnostic, Diagnostics};
 use crate::exit::Failure;
@@ -6,29 +6,29 @@ use consort_sim::record::{Recorder, RecordingOutputs};
 use consort_sim::world::SharedWorld;
 use std::path::PathBuf;
 
-/// What is to be made of a world while it runs. By default nothing, and it costs nothing.
+/// Flags for recordings of a world. Without them nothing is recorded, and nothing is spent.
 #[derive(Debug, Clone, Default, clap::Args)]
 #[command(next_help_heading = "Rendering")]
 pub struct RenderFlags {
-    /// Write what happens in the world to this file, as MCAP: opens in Foxglove. Where robots are, ten times per second of
-    /// world time while they move; nothing while they stand
+    /// Record the world to this MCAP file, for Foxglove. Positions of robots are written ten times
+    /// per second of world time while they move, and not while they stand
     #[arg(long, value_name = "FILE.mcap")]
     record: Option<PathBuf>,
-    /// Draw the paths driven in the world to this file, as SVG, when it ends
+    /// Draw the driven paths to this SVG file, when the world ends
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
 }
 
 impl RenderFlags {
-    /// Whether anything is to be made.
+    /// Returns true if anything is to be recorded.
     pub fn is_enabled(&self) -> bool {
         self.record.is_some() || self.svg.is_some()
     }
 
-    /// Has a world recorded from now on, if that is wanted.
+    /// Starts recording a world, if requested.
     ///
     /// # Errors
-    /// [`Problems`] of the files.
+    /// [`Diagnostics`] of the files.
     pub fn start_recording(&self, world: &SharedWorld) -> Result<(), Diagnostics> {
         let outputs = RecordingOutputs { mcap: self.record.clone(), svg: self.svg.clone() };
         let recorder = Recorder::open(&outputs).map_err(|problem| Diagnostic::for_file("", problem))?;
@@ -39,15 +39,15 @@ impl RenderFlags {
     }
 }
 
-/// Completes what is being recorded of a world, and hands what came of it to `say`, a line for each file.
+/// Completes the recordings of a world, and passes a line for each file to `report`.
 ///
 /// # Errors
-/// [`Failure::Unsuccessful`] if a file does not hold all that happened.
-pub fn finish_recording(world: &SharedWorld, mut say: impl FnMut(&str)) -> Result<(), Failure> {
+/// [`Failure::Unsuccessful`] if a file is incomplete.
+pub fn finish_recording(world: &SharedWorld, mut report: impl FnMut(&str)) -> Result<(), Failure> {
     let mut problems = vec![];
     for file in world.end_recording() {
         match file {
-            Ok(words) => say(&words),
+            Ok(words) => report(&words),
             Err(problem) => problems.push(problem.to_string()),
         }
     }
@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_cannot_be_written_is_told_before_anything_starts() {
+    fn an_unwritable_file_is_reported_before_anything_starts() {
         let world = SharedWorld::new(build_world(&WorldConfig::default(), &FleetConfig::default()).unwrap());
         let nowhere = RenderFlags { record: None, svg: Some("/no/such/folder/out.svg".into()) };
         let problem = nowhere.start_recording(&world).unwrap_err().to_string();

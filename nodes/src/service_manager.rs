@@ -1,8 +1,8 @@
-//! What a node tells the service manager that has started it, as systemd understands it (`Type=notify`): that it is there,
-//! how it is linked, that it still answers, that it stops.
+//! Notifies the service manager of the node, with systemd's protocol (`Type=notify`): started, link
+//! status, watchdog, stopping.
 //!
-//! Without a manager (`NOTIFY_SOCKET` is not set) nothing is told. A manager that cannot be told is none that a node would
-//! stop for: it has its own ways to notice.
+//! Without a manager (`NOTIFY_SOCKET` is not set) nothing is sent. A failed notification does not
+//! stop a node: the manager has its own means of detection.
 
 use crate::query::{self, QueryTarget};
 use consort_actors::bus::Bus;
@@ -13,48 +13,48 @@ use std::time::Duration;
 use tokio::time::{MissedTickBehavior, interval};
 use tracing::warn;
 
-/// The node is there: whoever reaches it gets answers.
+/// Reports that the node is ready: it replies to queries.
 pub(crate) fn ready() {
-    tell(&[NotifyState::Ready]);
+    notify(&[NotifyState::Ready]);
 }
 
-/// The node was told to stop, or stops by itself: it hands over and says goodbye.
+/// Reports that the node is stopping: it transfers the leadership and announces its departure.
 pub(crate) fn stopping() {
-    tell(&[NotifyState::Stopping, NotifyState::Status("hands over and says goodbye")]);
+    notify(&[NotifyState::Stopping, NotifyState::Status("transferring leadership and leaving")]);
 }
 
-/// How the node is, in a line for people.
+/// Reports a status line for people.
 pub(crate) fn status(text: &str) {
-    tell(&[NotifyState::Status(text)]);
+    notify(&[NotifyState::Status(text)]);
 }
 
-/// Says again and again that the node lives, if the manager wants to hear it (`WatchdogSec=`): whenever the node has answered
-/// a question of its own, asked over the bus as anybody else would ask. One that no longer answers is ended by the manager,
-/// and started anew.
+/// Sends watchdog notifications, if the manager requests them (`WatchdogSec=`): after each reply of
+/// the node to its own query, sent over the bus like any other query. The manager kills and
+/// restarts a node that no longer replies.
 pub(crate) async fn run_watchdog(bus: impl Bus, keys: Keys, node: NodeId) {
-    let Some(patience) = sd_notify::watchdog_enabled() else { return };
-    // A sign may come late, or fail once, before patience ends.
-    let period = patience / 3;
+    let Some(timeout) = sd_notify::watchdog_enabled() else { return };
+    // A notification may be late, or fail once, before the watchdog expires.
+    let period = timeout / 3;
     let mut ticks = interval(period);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         ticks.tick().await;
-        if answers_itself(&bus, &keys, &node, period).await {
-            tell(&[NotifyState::Watchdog]);
+        if replies_to_itself(&bus, &keys, &node, period).await {
+            notify(&[NotifyState::Watchdog]);
         } else {
-            warn!(%node, "does not answer itself within {period:?}: the service manager hears no sign of life");
+            warn!(%node, "no reply to the node's own query within {period:?}: the watchdog is not notified");
         }
     }
 }
 
-async fn answers_itself(bus: &impl Bus, keys: &Keys, node: &NodeId, limit: Duration) -> bool {
-    let question = keys.write(&Key::Seen(node.clone(), Box::new(Key::ViewCoordinator)));
-    query::query_once(bus, &question, "", limit, QueryTarget::All).await.is_ok()
+async fn replies_to_itself(bus: &impl Bus, keys: &Keys, node: &NodeId, limit: Duration) -> bool {
+    let query = keys.write(&Key::Seen(node.clone(), Box::new(Key::ViewCoordinator)));
+    query::query_once(bus, &query, "", limit, QueryTarget::All).await.is_ok()
 }
 
-fn tell(states: &[NotifyState<'_>]) {
+fn notify(states: &[NotifyState<'_>]) {
     if let Err(problem) = sd_notify::notify(states) {
-        warn!(%problem, "the service manager cannot be told how this node is");
+        warn!(%problem, "the service manager cannot be notified");
     }
 }
 
@@ -66,20 +66,20 @@ mod tests {
     use consort_protocol::ids::FleetId;
 
     #[tokio::test(start_paused = true)]
-    async fn a_node_lives_for_as_long_as_it_answers_itself() {
+    async fn a_node_is_alive_as_long_as_it_replies_to_itself() {
         let node = NodeId::new("station-1").unwrap();
         let bus = VirtualNetwork::new(1, LinkModel::LAN).bus(node.clone());
         let keys = Keys::new(&FleetId::new("ward").unwrap());
         let limit = Duration::from_secs(1);
-        assert!(!answers_itself(&bus, &keys, &node, limit).await, "there is nobody yet");
-        let mut questions = bus.serve(&keys.any_seen(&node)).await.unwrap();
+        assert!(!replies_to_itself(&bus, &keys, &node, limit).await, "there is no node yet");
+        let mut queries = bus.serve(&keys.any_seen(&node)).await.unwrap();
         let answering = tokio::spawn(async move {
-            let question = questions.recv().await.expect("it is asked");
-            question.replier.reply(&question.key, Bytes::from_static(b"{}"), Encoding::Json).await.unwrap();
-            questions
+            let query = queries.recv().await.expect("it is asked");
+            query.replier.reply(&query.key, Bytes::from_static(b"{}"), Encoding::Json).await.unwrap();
+            queries
         });
-        assert!(answers_itself(&bus, &keys, &node, limit).await);
-        let _hangs = answering.await.unwrap();
-        assert!(!answers_itself(&bus, &keys, &node, limit).await, "it takes questions and answers none");
+        assert!(replies_to_itself(&bus, &keys, &node, limit).await);
+        let _hanging = answering.await.unwrap();
+        assert!(!replies_to_itself(&bus, &keys, &node, limit).await, "it receives queries and sends no reply");
     }
 }

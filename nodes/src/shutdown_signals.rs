@@ -1,28 +1,32 @@
-//! What tells a program to end: Ctrl-C, or SIGTERM from a service manager.
+//! Signals that end a program: Ctrl-C, or SIGTERM from a service manager.
 
 use crate::exit::Failure;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
-/// Ctrl-C and SIGTERM. They are kept from the first moment on: one that comes while nobody waits for it is not lost.
+/// Ctrl-C and SIGTERM. Signals are kept from the creation of this value on: an early signal is not
+/// lost.
 pub(crate) struct ShutdownSignals {
     interrupt: Signal,
     terminate: Signal,
 }
 
 impl ShutdownSignals {
-    /// From now on they are heard. Called within a tokio runtime.
+    /// Starts receiving signals. Called within a tokio runtime.
     ///
     /// # Errors
-    /// [`Failure::Unsuccessful`] if the system does not have it.
+    /// [`Failure::Unsuccessful`] if the system does not support it.
     pub(crate) fn open() -> Result<ShutdownSignals, Failure> {
-        let hear = |kind| {
-            let no_signal = |problem| Failure::Unsuccessful(format!("signals cannot be heard: {problem}"));
+        let receive = |kind| {
+            let no_signal = |problem| Failure::Unsuccessful(format!("signals cannot be received: {problem}"));
             signal(kind).map_err(no_signal)
         };
-        Ok(ShutdownSignals { interrupt: hear(SignalKind::interrupt())?, terminate: hear(SignalKind::terminate())? })
+        Ok(ShutdownSignals {
+            interrupt: receive(SignalKind::interrupt())?,
+            terminate: receive(SignalKind::terminate())?,
+        })
     }
 
-    /// Waits for one of them, and says which it was. One that was not waited for to the end is not lost either.
+    /// Waits for a signal, and returns its name. Cancelling the wait loses no signal.
     pub(crate) async fn wait(&mut self) -> &'static str {
         tokio::select! {
             _ = self.interrupt.recv() => "Ctrl-C",

@@ -1,4 +1,4 @@
-//! What nodes and people prove themselves with, from the folders that `consort cert` makes.
+//! Credentials of nodes and people, from the folders of `consort cert`.
 
 use crate::config::{BusConfig, trust_files};
 use crate::exit::Failure;
@@ -14,14 +14,14 @@ use std::sync::Arc;
 use std::time::Duration;
 use tracing::info;
 
-/// What a node proves itself with, if it has certificates.
+/// A node's credentials, if it has certificates.
 pub struct NodeCredentials(Option<(Arc<Keyring>, TrustFiles)>);
 
 impl NodeCredentials {
-    /// Reads the files, and sees to it that they are this node's and let it be what it is configured to be.
+    /// Reads the files, and checks that they belong to this node and permit its configured roles.
     ///
     /// # Errors
-    /// [`Failure::Usage`] names the file and what is wrong with it.
+    /// [`Failure::Usage`] with the file and the problem.
     pub fn open(bus: &BusConfig, node: &NodeSettings) -> Result<NodeCredentials, Failure> {
         let Some(folder) = &bus.certs else { return Ok(NodeCredentials(None)) };
         let files = trust_files(folder);
@@ -31,18 +31,18 @@ impl NodeCredentials {
         let wanted = needed_roles(node);
         let problem = match &keyring.identity().principal {
             Principal::Node { name, .. } if *name != node.node => {
-                Some(format!("it is node {name}'s, and this is {}", node.node))
+                Some(format!("it belongs to node {name}, and this is {}", node.node))
             }
             Principal::Node { roles, .. } => {
                 wanted.iter().find(|(role, _)| !roles.contains(role)).map(|(role, why)| {
                     format!(
-                        "it does not let {} be a {role}, and {why}; `consort cert node {0} --roles …` makes one",
+                        "it does not permit {} to be a {role}, and {why}; `consort cert node {0} --roles …` makes another",
                         node.node
                     )
                 })
             }
             person @ Principal::Person { .. } => {
-                Some(format!("it is {person}'s, and nodes have certificates of their own"))
+                Some(format!("it belongs to {person}, and nodes have certificates of their own"))
             }
         };
         match problem {
@@ -54,41 +54,42 @@ impl NodeCredentials {
         }
     }
 
-    /// What the node judges others by, if it has certificates.
+    /// Returns the keyring for verifying others, if the node has certificates.
     pub fn keyring(&self) -> Option<Arc<Keyring>> {
         self.0.as_ref().map(|(keyring, _)| Arc::clone(keyring))
     }
 
-    /// The bus on which messages are sealed, if they are; then the node's settings name who signs and judges records, too.
+    /// Returns the bus that signs messages, if there are certificates; the node's settings then get
+    /// the signer and verifier of records, too.
     ///
     /// # Errors
-    /// [`Failure::Unsuccessful`] if the node's certificate cannot be shown on the bus.
+    /// [`Failure::Unsuccessful`] if the node's certificate cannot be published on the bus.
     pub async fn signing_bus(self, bus: SharedBus, node: &mut NodeSettings) -> Result<SharedBus, Failure> {
         let Some((keyring, files)) = self.0 else { return Ok(bus) };
-        let sealed = SigningBus::open(bus, Keys::new(&node.fleet.fleet), keyring, files.revoked, node.clock).await;
-        let sealed = sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
-        node.record_signer = Some(sealed.record_signer());
-        Ok(Arc::new(sealed))
+        let signing = SigningBus::open(bus, Keys::new(&node.fleet.fleet), keyring, files.revoked, node.clock).await;
+        let signing = signing.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
+        node.record_signer = Some(signing.record_signer());
+        Ok(Arc::new(signing))
     }
 }
 
-/// What a node is configured to be, and by what.
+/// Returns the configured roles of a node, with their reasons.
 fn needed_roles(node: &NodeSettings) -> Vec<(NodeRole, &'static str)> {
     let all = [
-        (node.robot.is_some(), NodeRole::Robot, "it is a robot's"),
+        (node.robot.is_some(), NodeRole::Robot, "the node has a robot"),
         (node.may_vote, NodeRole::Voter, "may_vote is true"),
-        (node.driver_server.is_some(), NodeRole::Host, "it hosts a world"),
+        (node.driver_server.is_some(), NodeRole::Host, "the node hosts a world"),
     ];
     all.into_iter().filter(|(needed, ..)| *needed).map(|(_, role, why)| (role, why)).collect()
 }
 
-/// What a person proves himself with.
+/// Returns a person's keyring.
 ///
 /// # Errors
-/// [`Failure::Usage`] names the file and what is wrong with it.
+/// [`Failure::Usage`] with the file and the problem.
 pub fn person_keyring(certs: &Path, fleet: &FleetId, clock: Clock) -> Result<(Keyring, TrustFiles), Failure> {
     let files = trust_files(certs);
-    let life = clock.wall_ms();
-    let keyring = files.open(fleet, Duration::from_millis(life), life);
+    let now_ms = clock.wall_ms();
+    let keyring = files.open(fleet, Duration::from_millis(now_ms), now_ms);
     Ok((keyring.map_err(|problem| Failure::Usage(problem.to_string()))?, files))
 }

@@ -1,5 +1,5 @@
-//! From configuration to the parts of a node. The commands wire them to Zenoh; the demo, for a virtual fleet, to the
-//! virtual bus.
+//! Builds the parts of a node from its configuration. The commands connect them to Zenoh; the
+//! demo's virtual fleet uses the virtual bus.
 
 use crate::config::{self, BusConfig, Diagnostic, Diagnostics, FleetConfig, RobotConfig, StationConfig, WorldConfig};
 use crate::extensions;
@@ -34,29 +34,30 @@ use std::sync::Arc;
 use std::time::Duration;
 use tracing::warn;
 
-/// Which edition of the estimators this program has, as nodes tell one another. It changes when they reckon otherwise, and not with
-/// each release: bids of two releases in one fleet are to compare.
+/// Version of this program's estimators, as nodes publish it. It changes with the estimators'
+/// results, and not with each release: bids of two releases in a fleet must be comparable.
 pub const ESTIMATOR_VERSION: &str = "standard-1";
 
-/// What is particular to one life of a node.
+/// Values of a single incarnation of a node.
 #[derive(Clone)]
 pub struct NodeIncarnation {
     /// Its clock.
     pub clock: Clock,
-    /// Larger than in any former life of the node: milliseconds since 1970 do, unless the clock is put back.
+    /// Incarnation number, larger than in any former run of the node: milliseconds since 1970,
+    /// unless the clock was set back.
     pub incarnation: u64,
-    /// Where all its chance comes from.
+    /// Seed of its random numbers.
     pub seed: u64,
-    /// What it remembers of former lives.
+    /// Its store, with the state of former runs.
     pub store: NodeStore,
 }
 
 impl NodeIncarnation {
-    /// A life of `node` that begins now, on a real machine, with what `data_dir` holds of former ones. Called within a
-    /// tokio runtime.
+    /// Starts an incarnation of `node` on a real machine, with the state in `data_dir`. Called
+    /// within a tokio runtime.
     ///
     /// # Errors
-    /// [`Problems`] of the data directory.
+    /// [`Diagnostics`] of the data directory.
     pub fn start(node: &NodeId, fleet: &FleetConfig, data_dir: Option<&Path>) -> Result<NodeIncarnation, Diagnostics> {
         let clock = Clock::real();
         let seed = random_u64();
@@ -71,8 +72,8 @@ impl NodeIncarnation {
             None => {
                 warn!(
                     %node,
-                    "no --data-dir: what this node promises is kept in its memory alone; when it ends it forgets all, \
-                     and comes back as a new member"
+                    "no --data-dir: the node's state is kept in memory only and is lost when it ends; \
+                     the node then returns as a new member"
                 );
                 (NodeStore::in_memory(seed), clock.wall_ms())
             }
@@ -81,31 +82,33 @@ impl NodeIncarnation {
     }
 }
 
-/// A name for a store that no other has had.
+/// Creates a unique store identity.
 pub(crate) fn new_store_identity() -> StoreIdentity {
     StoreIdentity(u128::from(random_u64()) << 64 | u128::from(random_u64()))
 }
 
-/// Chance of the system's.
+/// Returns a random number of the system.
 pub(crate) fn random_u64() -> u64 {
     SysRng.try_next_u64().expect("the system has random numbers")
 }
 
-/// What robots in one place price and carry out their work with; the same for all of them, so it may be shared.
+/// Estimator and skills of robots in an environment; identical for all of them, so they may be
+/// shared.
 #[derive(Clone)]
 pub struct SkillResources {
-    /// Where each place is.
+    /// Positions of the places.
     pub places: BTreeMap<PlaceId, Pose>,
-    /// Prices tasks.
+    /// Estimates the cost of tasks.
     pub estimator: Arc<Estimator>,
-    /// Carries tasks out.
+    /// Carries out tasks.
     pub library: Arc<SkillLibrary>,
 }
 
-/// What all nodes of the fleet agree on; reads the fleet's map, since whoever coordinates takes missions to its places alone.
+/// Builds the settings common to all nodes of the fleet. Reads the fleet's map, since the
+/// coordinator accepts missions to its places only.
 ///
 /// # Errors
-/// [`Problems`] of the ensemble, or of the map.
+/// [`Diagnostics`] of the ensemble, or of the map.
 pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Diagnostics> {
     let places = map_loader::load(&config.map)?.topology.places;
     let ensemble = Ensemble::compile(config.ensemble()).map_err(|problem| Diagnostic::for_file("", problem))?;
@@ -130,15 +133,15 @@ pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Diagnostics
     })
 }
 
-/// What bids must keep to.
+/// Returns the limits of bids.
 pub fn limits(config: &FleetConfig) -> BidLimits {
     BidLimits { time: config.limits.time_s, charge_min: config.limits.charge_min }
 }
 
-/// The estimator and the skills of robots on a map.
+/// Builds the estimator and the skills of robots on a map.
 ///
 /// # Errors
-/// [`Problems`] of the map.
+/// [`Diagnostics`] of the map.
 pub fn skill_resources(floor: &LoadedMap) -> Result<SkillResources, Diagnostics> {
     let LoadedMap { topology, map } = floor;
     let routes = Routes::new(topology).map_err(|problem| Diagnostic::for_file("map", problem))?;
@@ -150,10 +153,10 @@ pub fn skill_resources(floor: &LoadedMap) -> Result<SkillResources, Diagnostics>
     Ok(SkillResources { places: topology.places.clone(), estimator: Arc::new(estimator), library })
 }
 
-/// The estimator and the skills of robots on the fleet's map, with what they have learned.
+/// Builds the estimator and the skills of robots on the fleet's map, with learned corrections.
 ///
 /// # Errors
-/// [`Problems`] of the map, or of the calibration.
+/// [`Diagnostics`] of the map, or of the calibration.
 pub fn fleet_skill_resources(fleet: &FleetConfig) -> Result<SkillResources, Diagnostics> {
     let equipment = skill_resources(&map_loader::load(&fleet.map)?)?;
     let Some(file) = &fleet.calibration else { return Ok(equipment) };
@@ -163,27 +166,27 @@ pub fn fleet_skill_resources(fleet: &FleetConfig) -> Result<SkillResources, Diag
     Ok(SkillResources { estimator: Arc::new(estimator), ..equipment })
 }
 
-/// A robot's node; reads the fleet's map.
+/// Builds a robot's node; reads the fleet's map.
 ///
 /// # Errors
-/// [`Problems`] of the fleet, of its map, or of the robot on it.
+/// [`Diagnostics`] of the fleet, of its map, or of the robot on it.
 pub fn robot_node(
     robot: &RobotConfig,
     fleet: &FleetConfig,
-    life: NodeIncarnation,
+    incarnation: NodeIncarnation,
 ) -> Result<NodeSettings, Diagnostics> {
-    robot_node_with(&fleet_skill_resources(fleet)?, robot, fleet, life)
+    robot_node_with(&fleet_skill_resources(fleet)?, robot, fleet, incarnation)
 }
 
-/// A robot's node, with equipment that several share.
+/// Builds a robot's node, with shared skill resources.
 ///
 /// # Errors
-/// [`Problems`] of the fleet, or of the robot on its map.
+/// [`Diagnostics`] of the fleet, or of the robot on its map.
 pub fn robot_node_with(
     equipment: &SkillResources,
     robot: &RobotConfig,
     fleet: &FleetConfig,
-    life: NodeIncarnation,
+    incarnation: NodeIncarnation,
 ) -> Result<NodeSettings, Diagnostics> {
     let part = RobotPart {
         worker: worker(robot, &equipment.places)?,
@@ -191,14 +194,14 @@ pub fn robot_node_with(
         library: Arc::clone(&equipment.library),
     };
     let node = NodeId::from(robot.name.clone());
-    let bare = bare_node(node, fleet, life, robot.may_vote)?;
+    let bare = bare_node(node, fleet, incarnation, robot.may_vote)?;
     Ok(NodeSettings { stationary: robot.stationary, mains_powered: robot.mains_powered, robot: Some(part), ..bare })
 }
 
-/// What a robot says of itself before its body has reported.
+/// Returns a robot's knowledge record before its driver has reported.
 ///
 /// # Errors
-/// [`Problems`] if its place is not on the map, or a skill is not in the library.
+/// [`Diagnostics`] if its place is not on the map, or a skill is not in the library.
 pub fn worker(robot: &RobotConfig, places: &BTreeMap<PlaceId, Pose>) -> Result<RobotKnowledge, Diagnostics> {
     let Some(pose) = places.get(&robot.place) else {
         let allowed = AllowedNames::suggest_for(robot.place.as_str(), places.keys());
@@ -219,42 +222,42 @@ pub fn worker(robot: &RobotConfig, places: &BTreeMap<PlaceId, Pose>) -> Result<R
     })
 }
 
-/// A node without a robot.
+/// Builds a node without a robot.
 ///
 /// # Errors
-/// [`Problems`] of the fleet.
+/// [`Diagnostics`] of the fleet.
 pub fn station_node(
     station: &StationConfig,
     fleet: &FleetConfig,
-    life: NodeIncarnation,
+    incarnation: NodeIncarnation,
 ) -> Result<NodeSettings, Diagnostics> {
     let StationConfig { stationary, mains_powered, may_vote, .. } = *station;
-    Ok(NodeSettings { stationary, mains_powered, ..bare_node(station.name.clone(), fleet, life, may_vote)? })
+    Ok(NodeSettings { stationary, mains_powered, ..bare_node(station.name.clone(), fleet, incarnation, may_vote)? })
 }
 
-/// A node that hosts a simulated world, and the world to look at.
+/// Builds a node with a simulated world, and returns the world for inspection.
 ///
 /// # Errors
-/// [`Problems`] of the fleet, of the map, or of what is on it.
+/// [`Diagnostics`] of the fleet, of the map, or of objects on it.
 pub fn world_node(
     world: &WorldConfig,
     fleet: &FleetConfig,
-    life: NodeIncarnation,
+    incarnation: NodeIncarnation,
 ) -> Result<(NodeSettings, SharedWorld), Diagnostics> {
     let shared = SharedWorld::new(build_world(world, fleet)?);
     let host = DriverServerPart { world: Box::new(shared.clone()), speed: world.speed };
-    let bare = bare_node(world.name.clone(), fleet, life, world.may_vote)?;
+    let bare = bare_node(world.name.clone(), fleet, incarnation, world.may_vote)?;
     Ok((NodeSettings { stationary: true, mains_powered: true, driver_server: Some(host), ..bare }, shared))
 }
 
-/// The world of a world file, at time zero.
+/// Builds the world of a world file, at time zero.
 ///
 /// # Errors
-/// [`Problems`] of the map, or of what is on it.
+/// [`Diagnostics`] of the map, or of objects on it.
 pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Diagnostics> {
     let name = world.map.as_ref().unwrap_or(&fleet.map);
     let LoadedMap { map: Some(map), .. } = map_loader::load(name)? else {
-        let what = "a map of the published form has nothing to drive on; a world needs one of our own form";
+        let what = "a map of the published format has no floor plan; a world needs a map in Consort's own format";
         return Err(Diagnostic::for_file(name, what).into());
     };
     let setup = WorldSetup {
@@ -269,7 +272,7 @@ pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Di
         limits: world.limits,
         systems: world.systems.clone(),
         step_s: world.step_s,
-        gusts: world.gusts,
+        wind: world.wind,
     };
     World::new(setup)
         .map_err(|errors| Diagnostics(errors.0.iter().map(|problem| Diagnostic::for_file("", problem)).collect()))
@@ -278,12 +281,12 @@ pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Di
 fn bare_node(
     node: NodeId,
     fleet: &FleetConfig,
-    life: NodeIncarnation,
+    incarnation: NodeIncarnation,
     may_vote: bool,
 ) -> Result<NodeSettings, Diagnostics> {
-    let NodeIncarnation { clock, incarnation, seed, store } = life;
+    let NodeIncarnation { clock, incarnation, seed, store } = incarnation;
     Ok(NodeSettings {
-        fleet: FleetSettings { map: shown_map(fleet), ..fleet_settings(fleet)? },
+        fleet: FleetSettings { map: display_map(fleet), ..fleet_settings(fleet)? },
         node,
         incarnation,
         seed,
@@ -299,23 +302,24 @@ fn bare_node(
     })
 }
 
-/// The fleet's map, to be looked at. A node that does not need it for itself may lack the file.
-fn shown_map(fleet: &FleetConfig) -> Option<Arc<Value>> {
+/// Returns the fleet's map, for display. A node that does not need the map itself may lack the
+/// file.
+fn display_map(fleet: &FleetConfig) -> Option<Arc<Value>> {
     match map_loader::load(&fleet.map) {
         Ok(floor) => Some(Arc::new(floor.to_json())),
         Err(problem) => {
-            warn!(map = fleet.map, %problem, "the fleet's map cannot be read: this node cannot show it");
+            warn!(map = fleet.map, %problem, "the fleet's map cannot be read: this node cannot publish it");
             None
         }
     }
 }
 
-/// What links prove themselves with, by a folder that `consort cert` has made.
+/// Returns the credentials of links, from a folder of `consort cert`.
 pub fn link_trust(certs: &Path, fleet: &FleetId) -> LinkTrust {
     LinkTrust { files: config::trust_files(certs), fleet: fleet.clone() }
 }
 
-/// How a node opens Zenoh: as a router between its neighbours.
+/// Returns the Zenoh settings of a node: a router between its neighbours.
 pub fn bus_settings(bus: &BusConfig, fleet: &FleetConfig) -> ZenohSettings {
     ZenohSettings {
         listen: bus.listen_addresses(),

@@ -1,7 +1,8 @@
-//! Auctions: who is asked, what they answer, and who gets which role.
+//! Auctions: calls, bids, and the assignment of roles to robots.
 //!
-//! All open roles of a mission are auctioned at once (Algorithm 1 of the thesis, with an exact assignment in place of a
-//! greedy pick per role): one robot fills at most one role, and either every open role is filled or none is.
+//! All open roles of a mission are auctioned at once (Algorithm 1 of the thesis, with an optimal
+//! assignment in place of a greedy choice per role). A robot fills at most 1 role, and either all
+//! open roles are filled or none.
 
 mod allocator;
 mod assignment;

@@ -1,9 +1,10 @@
-//! The wire format: one version byte, then bincode. All of bincode that the project uses is in this file.
+//! Wire format: a version byte, then bincode. All uses of bincode in the project are in this file.
 //!
-//! Every message has a size limit ([`LIMIT`]), which also bounds what decoding may allocate (16 times that), and must be used
-//! up exactly. Wire types are not recursive and skip no field: bincode does not describe itself. What a node stores for
-//! itself (snapshots, log entries) has the same layout and a larger limit ([`RECORD_LIMIT`]); decoding one, too, may allocate
-//! only in proportion to its length, since snapshots come from others.
+//! Every message has a size limit ([`MESSAGE_BYTES_MAX`]). The limit also bounds the memory that
+//! decoding may allocate (16 times the limit). All bytes must be used. Wire types are not recursive
+//! and skip no field, since bincode is not self-describing. Data that a node stores for itself
+//! (snapshots, log entries) has the same layout and a larger limit ([`RECORD_BYTES_MAX`]). Decoding
+//! it may also allocate only in proportion to its length, since snapshots come from other nodes.
 //!
 //! ```
 //! use consort_protocol::codec::{self, CodecError};
@@ -19,73 +20,78 @@ use bincode::config::{self, Config};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// First byte of every message whose layout has not changed since the first version of the wire ([`versions`](crate::versions)).
+/// First byte of every message with a layout that has not changed since the first wire version
+/// ([`versions`](crate::versions)).
 pub const FIRST_VERSION: u8 = 1;
 
-/// A message whose layout has changed. The first byte says in which version of the wire its layout came; as long as a fleet writes
-/// an earlier one, so is it written.
+/// Message with a layout that has changed. The first byte is the wire version in which its layout
+/// was introduced. While a fleet writes an earlier version, the message is written in the earlier
+/// layout.
 pub trait VersionedMessage: Serialize + DeserializeOwned + From<Self::Previous> {
-    /// The version of the wire in which its layout came.
+    /// Wire version in which the layout was introduced.
     const SINCE: u8;
-    /// What it was before, since [`FIRST`].
+    /// Earlier layout, since [`FIRST_VERSION`].
     type Previous: Serialize + DeserializeOwned + From<Self>;
 }
 
-/// Largest message in bytes, version byte included.
+/// Maximum size of a message in bytes, including the version byte.
 pub const MESSAGE_BYTES_MAX: usize = 64 * 1024;
 
-/// Largest stored record, in bytes. A guess: a mission takes some kilobytes, so this holds tens of thousands.
+/// Maximum size of a stored record, in bytes. A guess: a mission takes some kilobytes, so a record
+/// has room for tens of thousands of missions.
 pub const RECORD_BYTES_MAX: usize = 256 * 1024 * 1024;
 
-/// What decoding may take in memory, as a multiple of the largest message: bincode counts a number by its width there, and
-/// the widest, of 16 bytes, may have been sent as one. With less, some of what may be sent could not be read.
+/// Memory that decoding may allocate, as a multiple of the largest message. bincode counts a number
+/// by its width in memory, and the widest number, of 16 bytes, may have been sent as a single byte.
+/// With a smaller factor some valid messages could not be decoded.
 const WIDENING: usize = 16;
 
-/// Why bytes are not a message, or a value cannot become one. Nothing was changed.
+/// Error: bytes are not a message, or a value cannot be encoded. Nothing was changed.
 #[derive(Debug, thiserror::Error)]
 pub enum CodecError {
-    /// Bytes from a node of another version, or not ours at all.
-    #[error("wire version {found}, where {known} is read")]
+    /// The bytes come from a node of another version, or from another program.
+    #[error("wire version {found}; this decoder reads version {known}")]
     Version {
-        /// The first byte found.
+        /// First byte found.
         found: u8,
-        /// What could have been read.
+        /// Version that this decoder reads.
         known: u8,
     },
-    /// Nothing at all.
+    /// There are no bytes.
     #[error("empty message")]
     Empty,
-    /// More than is allowed: for what is sent, the caller should have bounded it.
-    #[error("message of {size} bytes, where {limit} are allowed")]
+    /// The message is larger than allowed. The sender should have bounded its size.
+    #[error("message of {size} bytes; at most {limit} are allowed")]
     TooLarge {
-        /// Its size.
+        /// Size of the message.
         size: usize,
-        /// What is allowed.
+        /// Maximum size.
         limit: usize,
     },
-    /// Bytes behind the end of the message.
+    /// There are bytes after the end of the message.
     #[error("{extra} bytes after the end of the message")]
     Trailing {
-        /// How many.
+        /// Number of extra bytes.
         extra: usize,
     },
-    /// Bytes that do not spell the expected message; ordinary only if somebody else writes on our keys.
+    /// The bytes do not encode the expected message; common only if another program writes on our
+    /// keys.
     #[error("malformed message: {0}")]
     Malformed(String),
 }
 
-/// The message as bytes.
+/// Encodes a message.
 ///
 /// # Errors
-/// [`CodecError::TooLarge`], and [`CodecError::Malformed`] for a value that cannot be told in bytes.
+/// [`CodecError::TooLarge`], and [`CodecError::Malformed`] for a value that cannot be encoded.
 pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
     encode_within(FIRST_VERSION, message, MESSAGE_BYTES_MAX)
 }
 
-/// The message as bytes, as a fleet that writes this version of the wire has them.
+/// Encodes a message in the layout of a fleet that writes this wire version.
 ///
 /// # Errors
-/// As [`encode`].
+/// Same as [`encode`].
 pub fn encode_for_version<T: VersionedMessage>(wire: u8, message: T) -> Result<Vec<u8>, CodecError> {
     match wire >= T::SINCE {
         true => encode_within(T::SINCE, &message, MESSAGE_BYTES_MAX),
@@ -93,13 +99,13 @@ pub fn encode_for_version<T: VersionedMessage>(wire: u8, message: T) -> Result<V
     }
 }
 
-/// The message that the bytes spell, be they of an earlier version.
+/// Decodes a message in its current or its earlier layout.
 ///
 /// # Errors
-/// As [`decode`].
+/// Same as [`decode`].
 pub fn decode_any_version<T: VersionedMessage>(bytes: &[u8]) -> Result<T, CodecError> {
     match bytes.first() {
-        Some(&FIRST) => decode::<T::Previous>(bytes).map(T::from),
+        Some(&FIRST_VERSION) => decode::<T::Previous>(bytes).map(T::from),
         _ => decode_within(
             T::SINCE,
             bytes,
@@ -109,10 +115,11 @@ pub fn decode_any_version<T: VersionedMessage>(bytes: &[u8]) -> Result<T, CodecE
     }
 }
 
-/// The message that the bytes spell, all of them.
+/// Decodes a message; all bytes must be used.
 ///
 /// # Errors
-/// [`CodecError`] says what is wrong; whatever the bytes are, this neither panics nor allocates beyond 16 times [`LIMIT`].
+/// [`CodecError`]; for any bytes this neither panics nor allocates more than 16 times
+/// [`MESSAGE_BYTES_MAX`].
 pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
     decode_within(
         FIRST_VERSION,
@@ -122,20 +129,21 @@ pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
     )
 }
 
-/// A record to be stored, as bytes.
+/// Encodes a record to be stored.
 ///
 /// # Errors
-/// As [`encode`], beyond [`RECORD_LIMIT`].
+/// Same as [`encode`], beyond [`RECORD_BYTES_MAX`].
 pub fn encode_record<T: Serialize>(record: &T) -> Result<Vec<u8>, CodecError> {
     encode_within(FIRST_VERSION, record, RECORD_BYTES_MAX)
 }
 
-/// The stored record that the bytes spell, all of them.
+/// Decodes a stored record; all bytes must be used.
 ///
 /// # Errors
-/// As [`decode`], beyond [`RECORD_LIMIT`].
+/// Same as [`decode`], beyond [`RECORD_BYTES_MAX`].
 pub fn decode_record<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
-    // bincode's limit is a constant: the least of four that is enough for so many bytes.
+    // The limit of bincode is a constant. This selects the smallest of four that is sufficient for
+    // the number of bytes.
     const SOME: usize = 1 << 20;
     const MANY: usize = 16 << 20;
     match bytes.len() {
@@ -169,7 +177,7 @@ pub fn decode_record<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError>
 fn encode_within<T: Serialize>(layout: u8, value: &T, limit: usize) -> Result<Vec<u8>, CodecError> {
     let mut bytes = vec![layout];
     bincode::serde::encode_into_std_write(value, &mut bytes, config::standard())
-        .map_err(|problem| CodecError::Malformed(problem.to_string()))?;
+        .map_err(|error| CodecError::Malformed(error.to_string()))?;
     match bytes.len() {
         size if size > limit => Err(CodecError::TooLarge { size, limit }),
         _ => Ok(bytes),
@@ -189,8 +197,8 @@ fn decode_within<T: DeserializeOwned>(
     if version != layout {
         return Err(CodecError::Version { found: version, known: layout });
     }
-    let (value, used) = bincode::serde::decode_from_slice(body, config)
-        .map_err(|problem| CodecError::Malformed(problem.to_string()))?;
+    let (value, used) =
+        bincode::serde::decode_from_slice(body, config).map_err(|error| CodecError::Malformed(error.to_string()))?;
     match body.len() - used {
         0 => Ok(value),
         extra => Err(CodecError::Trailing { extra }),
@@ -202,7 +210,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_message_is_used_up_exactly() {
+    fn extra_bytes_after_a_message_are_rejected() {
         let mut bytes = encode(&("ada", 7u64)).unwrap();
         assert_eq!(decode::<(String, u64)>(&bytes).unwrap(), ("ada".to_owned(), 7));
         bytes.push(0);
@@ -210,37 +218,37 @@ mod tests {
     }
 
     #[test]
-    fn another_version_is_named() {
+    fn another_version_is_rejected_with_its_number() {
         let mut bytes = encode(&1u8).unwrap();
         bytes[0] = 9;
-        assert_eq!(decode::<u8>(&bytes).unwrap_err().to_string(), "wire version 9, where 1 is read");
+        assert_eq!(decode::<u8>(&bytes).unwrap_err().to_string(), "wire version 9; this decoder reads version 1");
         assert!(matches!(decode::<u8>(&[]), Err(CodecError::Empty)));
     }
 
     #[test]
-    fn a_length_that_lies_allocates_nothing() {
-        // A string said to be 2^60 bytes long.
+    fn a_false_length_allocates_nothing() {
+        // A string with a stated length of 2^60 bytes.
         let bytes = [FIRST_VERSION, 253, 0, 0, 0, 0, 0, 0, 0, 16];
         assert!(matches!(decode::<String>(&bytes), Err(CodecError::Malformed(_))));
         assert!(matches!(decode::<Vec<u64>>(&bytes), Err(CodecError::Malformed(_))));
     }
 
     #[test]
-    fn a_short_record_that_lies_takes_no_more_memory_than_a_message() {
-        // A text said to be 2 MiB long, and one said to be 1 GiB long: neither is looked for.
-        for lie in [2_u64 << 20, 1 << 30] {
+    fn a_false_length_in_a_short_record_is_bounded_like_a_message() {
+        // Texts with a stated length of 2 MiB and of 1 GiB: neither is allocated.
+        for false_length in [2_u64 << 20, 1 << 30] {
             let mut bytes = vec![FIRST_VERSION, 253];
-            bytes.extend(lie.to_le_bytes());
-            let problem = decode_record::<String>(&bytes).unwrap_err().to_string();
-            assert!(problem.contains("LimitExceeded"), "{problem}");
+            bytes.extend(false_length.to_le_bytes());
+            let error = decode_record::<String>(&bytes).unwrap_err().to_string();
+            assert!(error.contains("LimitExceeded"), "{error}");
         }
         let long = vec!["a".to_owned(); 2 << 20];
         assert_eq!(decode_record::<Vec<String>>(&encode_record(&long).unwrap()).unwrap(), long);
     }
 
     #[test]
-    fn all_that_may_be_sent_can_be_read() {
-        // Numbers that are small are sent as one byte each.
+    fn every_message_within_the_limit_can_be_decoded() {
+        // Small numbers are encoded as a single byte each.
         let narrow = vec![0_u128; MESSAGE_BYTES_MAX - 10];
         assert_eq!(decode::<Vec<u128>>(&encode(&narrow).unwrap()).unwrap(), narrow);
         let optional = vec![Some(7_u64); MESSAGE_BYTES_MAX / 2 - 10];
@@ -250,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_large_is_not_sent() {
+    fn a_message_above_the_limit_is_rejected() {
         let text = "x".repeat(MESSAGE_BYTES_MAX);
         assert!(encode(&text).is_err());
     }

@@ -1,12 +1,12 @@
-//! Numbers of things, in words for people.
+//! Counts of things, as text.
 
 use std::fmt::Display;
 
-/// So many of something: `1 robot`, `0 robots`, `2 people`. A verb that goes with the number stands with the noun
-/// (`robot is`, `robots are`).
-pub fn count<N: Display + PartialEq + From<u8>>(number: N, one: &str, many: &str) -> String {
-    let what = if number == N::from(1) { one } else { many };
-    format!("{number} {what}")
+/// Formats a count with its noun: `1 robot`, `0 robots`, `2 people`. A verb that depends on the
+/// number belongs to the noun (`robot is`, `robots are`).
+pub fn count<N: Display + PartialEq + From<u8>>(number: N, singular: &str, plural: &str) -> String {
+    let noun = if number == N::from(1) { singular } else { plural };
+    format!("{number} {noun}")
 }
 
 #[cfg(test)]
@@ -14,7 +14,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_one_is_one() {
+    fn the_singular_is_used_only_for_the_number_1() {
         assert_eq!(count(0_usize, "person is", "people are"), "0 people are");
         assert_eq!(count(1_u64, "person is", "people are"), "1 person is");
         assert_eq!(count(21_u32, "person is", "people are"), "21 people are");

@@ -1,15 +1,16 @@
-//! Ensembles: who belongs together, as each node judges from what it has heard (thesis 3.4, after DEECo).
+//! Ensembles: groups of nodes, evaluated by each node from the records that it has received (thesis
+//! 3.4, after DEECo).
 //!
-//! An ensemble is a name, conditions on a member, conditions on its coordinator, and a bound on how old knowledge may
-//! be to count. Conditions are CEL expressions over these variables:
+//! An ensemble has a name, conditions on a member, conditions on its coordinator, and a maximum age
+//! of the knowledge used. Conditions are CEL expressions over these variables:
 //!
 //! | variable | fields |
 //! |---|---|
-//! | `member`, `coordinator` | `name`, `may_vote`, `stationary`, `mains_powered`, `robot` (is it a robot's node), `skills` (list), `place`, `x_m`, `y_m`, `battery`, `discharge`, `speed` (0 if it does not drive), `free`, `estimator` |
+//! | `member`, `coordinator` | `name`, `may_vote`, `stationary`, `mains_powered`, `robot` (true for a robot's node), `skills` (list), `place`, `x_m`, `y_m`, `battery`, `discharge`, `speed` (0 if it does not drive), `free`, `estimator` |
 //! | `ensemble` | `name`, `skills`: the skills that the ensemble's missions need |
 //!
-//! All conditions of a list must hold. Membership is a belief with an age: it says what the evaluating node
-//! thinks, and how old its knowledge of the other is.
+//! All conditions of a list must hold. The evaluated membership is local and has an age: it depends
+//! on the records that the evaluating node has received.
 
 mod bounds;
 
@@ -25,27 +26,29 @@ use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// An ensemble as a fleet file declares it.
+/// Declaration of an ensemble in the fleet file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EnsembleSpec {
-    /// Its name.
+    /// Name of the ensemble.
     pub name: EnsembleId,
-    /// The skills that its missions need, for the conditions to name.
+    /// Skills that the ensemble's missions need, for use in the conditions.
     #[serde(default)]
     pub skills: BTreeSet<TaskType>,
     /// Conditions on a member, all of which must hold.
     pub membership: Vec<String>,
-    /// Conditions on the coordinator. While one does not hold, nobody is a member. None: whoever coordinates will do.
+    /// Conditions on the coordinator. While any of them is false, the ensemble has no members.
+    /// Empty: any coordinator is accepted.
     #[serde(default)]
     pub coordinator: Vec<String>,
-    /// Knowledge older than this does not count, in milliseconds. Raised: members are believed in for longer after they
-    /// fell silent.
+    /// Maximum age of knowledge, in milliseconds. Raised: nodes remain members for longer after
+    /// contact was lost.
     pub stale_after_ms: u64,
 }
 
 impl EnsembleSpec {
-    /// The ensemble of the thesis (Listing 3.1): robots with at least one of the skills of interest.
+    /// Creates the ensemble of the thesis (Listing 3.1): robots with at least 1 of the given
+    /// skills.
     pub fn with_any_skill_of(name: EnsembleId, skills: BTreeSet<TaskType>) -> EnsembleSpec {
         EnsembleSpec {
             name,
@@ -57,38 +60,39 @@ impl EnsembleSpec {
     }
 }
 
-/// Why a condition cannot be used.
+/// Error: a condition cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("ensemble {ensemble}: condition `{condition}`: {problem}")]
 pub struct ConditionError {
     /// The ensemble.
     pub ensemble: EnsembleId,
-    /// The condition's text.
+    /// Text of the condition.
     pub condition: String,
-    /// What is wrong with it.
+    /// Description of the problem.
     pub problem: String,
 }
 
-/// Longest condition in bytes.
+/// Maximum length of a condition, in bytes.
 const CONDITION_MAX: usize = 1024;
 
-/// An ensemble ready to be evaluated.
+/// Ensemble with compiled conditions.
 pub struct Ensemble {
     spec: EnsembleSpec,
     membership: Vec<Condition>,
     coordinator: Vec<Condition>,
-    /// CEL's own functions. They take longer to set up than any condition to evaluate, so this is done once.
+    /// Standard functions of CEL. Their setup takes longer than the evaluation of any condition, so
+    /// it is done once.
     functions: Arc<Env>,
-    /// What the conditions said last of each node, and from what: they are asked many times a second, and knowledge changes
-    /// once a second at most.
-    judged: Mutex<BTreeMap<NodeId, Judged>>,
+    /// Latest result for each node and the knowledge it was computed from. Conditions are evaluated
+    /// many times a second, and knowledge changes once a second at most.
+    cache: Mutex<BTreeMap<NodeId, CachedVerdict>>,
 }
 
-/// What the conditions said, and of whom as known when.
-struct Judged {
+/// Cached result of the conditions, with the knowledge it was computed from.
+struct CachedVerdict {
     member: Knowledge,
     coordinator: NodeId,
-    coordinator_knows: Knowledge,
+    coordinator_knowledge: Knowledge,
     verdict: Result<(), String>,
 }
 
@@ -104,18 +108,18 @@ struct Condition {
     program: Program,
 }
 
-/// What a node believes of another's membership.
+/// Membership of a node, as evaluated by another node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Membership {
-    /// Yes or no.
+    /// True if the node is a member.
     pub member: bool,
-    /// Why, in words.
+    /// Reason, as text.
     pub reason: String,
-    /// How old the knowledge is that this was judged from, in milliseconds.
+    /// Age of the knowledge used, in milliseconds.
     pub age_ms: u64,
 }
 
-/// The fields of a node that conditions may name.
+/// Fields of a node that conditions can use.
 #[derive(Serialize)]
 struct Facts<'a> {
     name: &'a str,
@@ -157,18 +161,21 @@ impl<'a> Facts<'a> {
 }
 
 impl Ensemble {
-    /// Compiles the conditions, and tries them on an example so that a misspelt field is found now and not at run time.
+    /// Compiles the conditions and evaluates them on an example, so that a misspelt field is found
+    /// now and not at run time.
     ///
     /// # Errors
-    /// [`ConditionError`] for the first condition that cannot be read, names what is not there, or gives no yes or no.
+    /// [`ConditionError`] for the first condition that cannot be parsed, uses an unknown name, or
+    /// does not evaluate to a boolean.
     pub fn compile(spec: EnsembleSpec) -> Result<Ensemble, ConditionError> {
         let membership = compile_all(&spec, &spec.membership)?;
         let coordinator = compile_all(&spec, &spec.coordinator)?;
         let ensemble =
-            Ensemble { spec, membership, coordinator, functions: Arc::new(Env::stdlib()), judged: Mutex::default() };
+            Ensemble { spec, membership, coordinator, functions: Arc::new(Env::stdlib()), cache: Mutex::default() };
         let example = NodeId::new("example").expect("a slug");
         let knowledge = example_knowledge();
-        let facts = ensemble.facts((&example, &knowledge), (&example, &knowledge)).expect("an example can be told");
+        let facts =
+            ensemble.facts((&example, &knowledge), (&example, &knowledge)).expect("the example can be converted");
         for condition in ensemble.membership.iter().chain(&ensemble.coordinator) {
             condition.holds(&facts).map_err(|problem| ConditionError {
                 ensemble: ensemble.spec.name.clone(),
@@ -179,12 +186,13 @@ impl Ensemble {
         Ok(ensemble)
     }
 
-    /// What was declared.
+    /// Returns the declaration.
     pub fn spec(&self) -> &EnsembleSpec {
         &self.spec
     }
 
-    /// Whether `node` is a member of the ensemble that `coordinator` coordinates, by what `base` has heard.
+    /// Evaluates whether `node` is a member of the ensemble that `coordinator` coordinates, from
+    /// the records in `base`.
     pub fn membership_of(
         &self,
         node: &NodeId,
@@ -193,69 +201,77 @@ impl Ensemble {
         now: NodeTime,
     ) -> Membership {
         let Some(member) = base.get(node) else {
-            return Membership { member: false, reason: format!("nothing heard of {node}"), age_ms: 0 };
+            return Membership { member: false, reason: format!("no record of {node} received"), age_ms: 0 };
         };
         let age_ms = millis(member.age(now));
         let verdict = |member, reason| Membership { member, reason, age_ms };
         let limit = Duration::from_millis(self.spec.stale_after_ms);
         if member.age(now) > limit {
-            return verdict(false, format!("last heard of {node} {age_ms} ms ago, more than {} ms", limit.as_millis()));
+            return verdict(
+                false,
+                format!("last contact with {node} was {age_ms} ms ago, more than {} ms", limit.as_millis()),
+            );
         }
         let Some(head) = base.get(coordinator) else {
-            return verdict(false, format!("nothing heard of the coordinator {coordinator}"));
+            return verdict(false, format!("no record of the coordinator {coordinator} received"));
         };
-        match self.ask(node, &member.record.knowledge, coordinator, &head.record.knowledge) {
+        match self.cached_verdict(node, &member.record.knowledge, coordinator, &head.record.knowledge) {
             Ok(()) => verdict(true, "all conditions hold".to_owned()),
             Err(reason) => verdict(false, reason),
         }
     }
 
-    /// Whether all conditions hold, and if not, which does not and of whom.
-    fn ask(
+    /// Checks all conditions, with cached results. The error names the condition that is false and
+    /// the node concerned.
+    fn cached_verdict(
         &self,
         node: &NodeId,
-        knows: &Knowledge,
+        knowledge: &Knowledge,
         coordinator: &NodeId,
-        coordinator_knows: &Knowledge,
+        coordinator_knowledge: &Knowledge,
     ) -> Result<(), String> {
-        // A verdict is replaced as a whole, so a poisoned lock still guards sound ones.
-        let mut judged = self.judged.lock().unwrap_or_else(PoisonError::into_inner);
-        let as_before = |known: &&Judged| {
-            known.coordinator == *coordinator && known.member == *knows && known.coordinator_knows == *coordinator_knows
+        // A verdict is replaced as a whole, so the cache is consistent even if the lock is
+        // poisoned.
+        let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
+        let as_before = |known: &&CachedVerdict| {
+            known.coordinator == *coordinator
+                && known.member == *knowledge
+                && known.coordinator_knowledge == *coordinator_knowledge
         };
-        if let Some(known) = judged.get(node).filter(as_before) {
+        if let Some(known) = cache.get(node).filter(as_before) {
             return known.verdict.clone();
         }
-        let verdict = self.evaluate(node, knows, coordinator, coordinator_knows);
-        let (member, coordinator_knows) = (knows.clone(), coordinator_knows.clone());
-        let known = Judged { member, coordinator: coordinator.clone(), coordinator_knows, verdict: verdict.clone() };
-        judged.insert(node.clone(), known);
+        let verdict = self.evaluate(node, knowledge, coordinator, coordinator_knowledge);
+        let (member, coordinator_knowledge) = (knowledge.clone(), coordinator_knowledge.clone());
+        let known =
+            CachedVerdict { member, coordinator: coordinator.clone(), coordinator_knowledge, verdict: verdict.clone() };
+        cache.insert(node.clone(), known);
         verdict
     }
 
     fn evaluate(
         &self,
         node: &NodeId,
-        knows: &Knowledge,
+        knowledge: &Knowledge,
         coordinator: &NodeId,
-        coordinator_knows: &Knowledge,
+        coordinator_knowledge: &Knowledge,
     ) -> Result<(), String> {
         let facts = self
-            .facts((node, knows), (coordinator, coordinator_knows))
-            .map_err(|problem| format!("{node} cannot be judged: {problem}"))?;
-        for (conditions, whose) in [(&self.coordinator, coordinator), (&self.membership, node)] {
+            .facts((node, knowledge), (coordinator, coordinator_knowledge))
+            .map_err(|problem| format!("membership of {node} cannot be evaluated: {problem}"))?;
+        for (conditions, subject) in [(&self.coordinator, coordinator), (&self.membership, node)] {
             for condition in conditions {
                 match condition.holds(&facts) {
                     Ok(true) => {}
-                    Ok(false) => return Err(format!("`{}` is false for {whose}", condition.text)),
-                    Err(problem) => return Err(format!("`{}` for {whose}: {problem}", condition.text)),
+                    Ok(false) => return Err(format!("`{}` is false for {subject}", condition.text)),
+                    Err(problem) => return Err(format!("`{}` for {subject}: {problem}", condition.text)),
                 }
             }
         }
         Ok(())
     }
 
-    /// Everyone this node believes to be a member.
+    /// Returns all nodes that this node evaluates to be members.
     pub fn members(&self, coordinator: &NodeId, base: &KnowledgeBase, now: NodeTime) -> BTreeSet<NodeId> {
         base.iter()
             .map(|(node, _)| node)
@@ -264,11 +280,11 @@ impl Ensemble {
             .collect()
     }
 
-    /// The variables that conditions may name.
+    /// Builds the variables that conditions can use.
     fn facts(
         &self,
-        (member, knows): (&NodeId, &Knowledge),
-        (coordinator, coordinator_knows): (&NodeId, &Knowledge),
+        (member, knowledge): (&NodeId, &Knowledge),
+        (coordinator, coordinator_knowledge): (&NodeId, &Knowledge),
     ) -> Result<Context<'static, 'static>, String> {
         #[derive(Serialize)]
         struct Declared<'a> {
@@ -282,8 +298,8 @@ impl Ensemble {
             context.add_variable_from_value(name, value.map_err(|e: cel::SerializationError| e.to_string())?);
             Ok::<(), String>(())
         };
-        set("member", cel::to_value(Facts::of(member, knows)))?;
-        set("coordinator", cel::to_value(Facts::of(coordinator, coordinator_knows)))?;
+        set("member", cel::to_value(Facts::of(member, knowledge)))?;
+        set("coordinator", cel::to_value(Facts::of(coordinator, coordinator_knowledge)))?;
         set("ensemble", cel::to_value(declared))?;
         Ok(context)
     }
@@ -293,7 +309,7 @@ impl Condition {
     fn holds(&self, facts: &Context<'static, 'static>) -> Result<bool, String> {
         match self.program.execute(facts) {
             Ok(Value::Bool(holds)) => Ok(holds),
-            Ok(other) => Err(format!("gives {other:?}, where true or false is needed")),
+            Ok(other) => Err(format!("evaluates to {other:?}; it must be true or false")),
             Err(problem) => Err(problem.to_string()),
         }
     }
@@ -311,14 +327,14 @@ fn compile_all(spec: &EnsembleSpec, texts: &[String]) -> Result<Vec<Condition>, 
     };
     let compile = |text: &String| {
         if text.len() > CONDITION_MAX {
-            return Err(refuse(text, format!("{} bytes long, where {CONDITION_MAX} are allowed", text.len())));
+            return Err(refuse(text, format!("is {} bytes long; at most {CONDITION_MAX} are allowed", text.len())));
         }
         let program = Program::compile(text).map_err(|e| refuse(text, e.to_string()))?;
         let loops = bounds::loop_depth(program.expression());
         if loops > LOOP_DEPTH_MAX {
             return Err(refuse(
                 text,
-                format!("its loops stand {loops} deep in one another, where {LOOP_DEPTH_MAX} are allowed"),
+                format!("loops are nested {loops} deep; at most {LOOP_DEPTH_MAX} levels are allowed"),
             ));
         }
         Ok(Condition { text: text.clone(), program })
@@ -365,7 +381,7 @@ mod tests {
         NodeId::new(name).unwrap()
     }
 
-    fn heard(name: &str, skills: &[&str]) -> Record {
+    fn record(name: &str, skills: &[&str]) -> Record {
         let mut knowledge = example_knowledge();
         knowledge.robot.as_mut().unwrap().skills = skills.iter().map(|s| TaskType::new(*s).unwrap()).collect();
         Record { owner: node(name), stamp: RecordStamp::default(), knowledge, proof: None }
@@ -377,31 +393,31 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_with_a_skill_of_interest_is_a_member_until_its_knowledge_is_stale() {
+    fn a_robot_with_a_needed_skill_is_a_member_until_its_record_is_stale() {
         let ensemble = Ensemble::compile(drawers()).unwrap();
         let mut base = KnowledgeBase::default();
-        base.merge(heard("ada", &["navigation", "operate_drawer"]), at(0));
-        base.merge(heard("bob", &["navigation"]), at(0));
-        let judge = |name: &str, now| ensemble.membership_of(&node(name), &node("ada"), &base, now);
+        base.merge(record("ada", &["navigation", "operate_drawer"]), at(0));
+        base.merge(record("bob", &["navigation"]), at(0));
+        let membership = |name: &str, now| ensemble.membership_of(&node(name), &node("ada"), &base, now);
 
         let yes = Membership { member: true, reason: "all conditions hold".to_owned(), age_ms: 10_000 };
-        assert_eq!(judge("ada", at(10_000)), yes);
-        assert_eq!(judge("ada", at(10_001)).reason, "last heard of ada 10001 ms ago, more than 10000 ms");
-        let no = judge("bob", at(0));
+        assert_eq!(membership("ada", at(10_000)), yes);
+        assert_eq!(membership("ada", at(10_001)).reason, "last contact with ada was 10001 ms ago, more than 10000 ms");
+        let no = membership("bob", at(0));
         assert_eq!(
             (no.member, no.reason.as_str()),
             (false, "`member.skills.exists(s, s in ensemble.skills)` is false for bob")
         );
-        assert_eq!(judge("cyd", at(0)).reason, "nothing heard of cyd");
+        assert_eq!(membership("cyd", at(0)).reason, "no record of cyd received");
         assert_eq!(ensemble.members(&node("ada"), &base, at(0)), BTreeSet::from([node("ada")]));
     }
 
     #[test]
-    fn a_condition_that_cannot_work_is_refused_when_it_is_read() {
+    fn an_invalid_condition_is_rejected_when_it_is_compiled() {
         for (condition, expected) in [
             ("member.skills.", "ensemble samples: condition `member.skills.`:"),
             ("member.wheels > 3", "ensemble samples: condition `member.wheels > 3`:"),
-            ("member.battery", "true or false is needed"),
+            ("member.battery", "it must be true or false"),
             ("wheels", "ensemble samples"),
         ] {
             let spec = EnsembleSpec { membership: vec![condition.to_owned()], ..drawers() };
@@ -411,11 +427,11 @@ mod tests {
     }
 
     #[test]
-    fn the_coordinator_has_conditions_of_its_own() {
+    fn conditions_on_the_coordinator_are_checked() {
         let spec = EnsembleSpec { coordinator: vec!["coordinator.mains_powered".to_owned()], ..drawers() };
         let ensemble = Ensemble::compile(spec).unwrap();
         let mut base = KnowledgeBase::default();
-        base.merge(heard("ada", &["operate_drawer"]), at(0));
+        base.merge(record("ada", &["operate_drawer"]), at(0));
         let verdict = ensemble.membership_of(&node("ada"), &node("ada"), &base, at(0));
         assert_eq!(verdict.reason, "`coordinator.mains_powered` is false for ada");
     }

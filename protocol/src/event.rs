@@ -1,5 +1,5 @@
-//! What happens, as it happens, in JSON, for people and programs to follow: each node tells it on a key of its own,
-//! `consort/{fleet}/events/{node}`.
+//! Events in JSON, published as they happen, for people and programs to follow. Each node publishes
+//! them on its own key, `consort/{fleet}/events/{node}`.
 
 use crate::auction::{AuctionRecord, Bid};
 use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskId};
@@ -10,50 +10,51 @@ use crate::plan::Signal;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// One happening.
+/// Event of a node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Event {
-    /// Where it happened.
+    /// Node where it happened.
     pub node: NodeId,
-    /// Counts the node's events since it started, from 1: a gap is a loss.
+    /// Number of the event since the node's start, from 1: a gap means loss.
     pub sequence: u64,
-    /// When, in milliseconds of the node's wall clock.
+    /// Time on the node's wall clock, in milliseconds.
     pub at_ms: u64,
-    /// What.
+    /// Kind of event with its fields.
     #[serde(flatten)]
     pub kind: EventKind,
 }
 
-/// What can happen.
+/// Kinds of events.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum EventKind {
-    /// A node began to coordinate.
+    /// A node became coordinator.
     Elected {
-        /// Its term.
+        /// Term of the coordinator.
         term: u64,
-        /// Who keeps the ledger.
+        /// Voters of the ledger.
         voters: Vec<NodeId>,
     },
-    /// A node no longer coordinates, or can no longer be sure that it does.
+    /// A node is no longer coordinator, or can no longer confirm that it is.
     SteppedDown {
-        /// The term in which it did.
+        /// Term in which it was coordinator.
         term: u64,
     },
-    /// Somebody coordinates another cluster under this fleet's name: two fleets were founded apart. They do not merge.
+    /// A node coordinates another cluster under this fleet's name: two clusters were created
+    /// separately. They do not merge.
     Foreign {
-        /// The cluster of the node that tells.
+        /// Cluster of the reporting node.
         cluster: ClusterId,
-        /// The other one.
+        /// The other cluster.
         foreign: ClusterId,
-        /// A node of the other one.
+        /// A node of the other cluster.
         member: NodeId,
     },
-    /// The coordinator changed who keeps the ledger.
+    /// The coordinator changed the voters of the ledger.
     Voters {
-        /// Who votes from now on.
+        /// Voters from now on.
         voters: Vec<NodeId>,
-        /// What was changed, and why.
+        /// Change and its reason.
         reason: String,
     },
     /// The coordinator counts a node among an ensemble's members.
@@ -69,68 +70,69 @@ pub enum EventKind {
         ensemble: EnsembleId,
         /// The node.
         member: NodeId,
-        /// Why not.
+        /// Reason.
         reason: String,
     },
-    /// A mission was acknowledged.
+    /// A mission request was committed and acknowledged.
     Submitted {
         /// The mission.
         mission: MissionId,
         /// Its parameters.
         parameters: BTreeMap<String, String>,
     },
-    /// Members were asked for bids.
-    Called {
+    /// The coordinator sent a call for bids to the members.
+    #[serde(alias = "called")]
+    BidsRequested {
         /// The mission.
         mission: MissionId,
-        /// Its open roles.
+        /// Open roles of the mission.
         roles: Vec<RoleId>,
-        /// Which round.
+        /// Round of the auction.
         round: u32,
-        /// How many were asked.
+        /// Number of robots that received the call.
         asked: usize,
     },
-    /// A robot bid.
+    /// A robot sent a bid.
     Bid {
         /// The mission.
         mission: MissionId,
-        /// Its bid, with its parts.
+        /// Bid of the robot, with its parts.
         bid: Bid,
     },
-    /// An auction was closed; every answer is in the record.
+    /// An auction was closed; the record contains every reply.
     Closed {
         /// The mission.
         mission: MissionId,
-        /// What was heard and decided.
+        /// Replies received and decision.
         record: AuctionRecord,
     },
-    /// Roles were given.
+    /// Roles were awarded.
     Awarded {
         /// The mission.
         mission: MissionId,
-        /// Who got which.
+        /// Robot of each role.
         holders: BTreeMap<RoleId, RobotId>,
-        /// The award.
+        /// Epoch of the award.
         epoch: Epoch,
-        /// From the commit of the request to the commit of the award, in milliseconds.
+        /// Time from the commit of the request to the commit of the award, in milliseconds.
         after_ms: Option<f64>,
     },
-    /// A role's holder was given up.
+    /// A role was released from its holder.
     Released {
         /// The mission.
         mission: MissionId,
         /// The role.
         role: RoleId,
-        /// Why.
+        /// Reason.
         cause: String,
     },
     /// A mission's state changed.
     Mission {
         /// The mission.
         mission: MissionId,
-        /// Its state.
+        /// State of the mission.
         state: MissionState,
-        /// When it was requested, in milliseconds of the wall clock of the coordinator of then.
+        /// Time of the request, in milliseconds of the wall clock of the coordinator at that time.
         submitted_at_ms: u64,
     },
     /// A role's steps have ended.
@@ -139,16 +141,16 @@ pub enum EventKind {
         mission: MissionId,
         /// Steps ended, over all managed roles.
         done: usize,
-        /// Steps in all.
+        /// Total number of steps.
         steps: usize,
     },
-    /// A robot began its plan.
+    /// A robot started its plan.
     Started {
         /// The mission.
         mission: MissionId,
-        /// Its role.
+        /// Role of the robot.
         role: RoleId,
-        /// The award.
+        /// Epoch of the award.
         epoch: Epoch,
     },
     /// A task began.
@@ -160,7 +162,7 @@ pub enum EventKind {
         /// The task.
         task: TaskId,
     },
-    /// A task ended well.
+    /// A task succeeded.
     TaskEnded {
         /// The mission.
         mission: MissionId,
@@ -169,7 +171,7 @@ pub enum EventKind {
         /// The task.
         task: TaskId,
     },
-    /// A task failed for good.
+    /// A task failed permanently.
     TaskFailed {
         /// The mission.
         mission: MissionId,
@@ -177,47 +179,48 @@ pub enum EventKind {
         role: RoleId,
         /// The task.
         task: TaskId,
-        /// Why.
+        /// Reason.
         cause: String,
     },
-    /// A role told another.
+    /// A role sent a signal to another role.
     Sent {
         /// The mission.
         mission: MissionId,
-        /// What.
+        /// Signal.
         signal: Signal,
     },
-    /// A role heard what it waited for.
-    Heard {
+    /// A role received a signal that it waited for.
+    #[serde(alias = "heard")]
+    Received {
         /// The mission.
         mission: MissionId,
-        /// What.
+        /// Signal.
         signal: Signal,
     },
     /// A robot stopped safely because its lease ran out.
     Suspended {
         /// The mission.
         mission: MissionId,
-        /// Its role.
+        /// Role of the robot.
         role: RoleId,
     },
-    /// A robot whose lease had run out went on.
+    /// A robot resumed its plan after its lease had run out.
     Resumed {
         /// The mission.
         mission: MissionId,
-        /// Its role.
+        /// Role of the robot.
         role: RoleId,
     },
-    /// A robot put its role down.
+    /// A robot stopped executing its role.
     Halted {
         /// The mission.
         mission: MissionId,
-        /// Its role.
+        /// Role of the robot.
         role: RoleId,
-        /// Why.
+        /// Reason.
         reason: EndReason,
     },
-    /// An attempt at a task failed; it is made again.
+    /// An attempt at a task failed; the robot retries it.
     TaskRetried {
         /// The mission.
         mission: MissionId,
@@ -225,12 +228,12 @@ pub enum EventKind {
         role: RoleId,
         /// The task.
         task: TaskId,
-        /// How often it was tried so far.
+        /// Number of attempts so far.
         attempt: u8,
-        /// Why it failed.
+        /// Cause of the failure.
         cause: String,
     },
-    /// A task failed for good; the robot takes another way that its mission gives.
+    /// A task failed permanently; the robot executes an alternative of the mission.
     Alternative {
         /// The mission.
         mission: MissionId,
@@ -238,51 +241,53 @@ pub enum EventKind {
         role: RoleId,
         /// The task that failed.
         task: TaskId,
-        /// The number of the alternative in the role's plan, from 0.
+        /// Number of the alternative in the role's plan, from 0.
         alternative: usize,
-        /// The tasks that are done instead.
+        /// Tasks executed instead.
         tasks: Vec<TaskId>,
-        /// Why the task failed.
+        /// Cause of the failure.
         cause: String,
     },
-    /// A robot cannot carry its role to its end, and asks for another to take it.
+    /// A robot cannot complete its role and asks for a replacement.
     GaveUp {
         /// The mission.
         mission: MissionId,
         /// The role.
         role: RoleId,
-        /// What kind of failure it is.
+        /// Kind of failure.
         kind: FailureKind,
-        /// Why, in words.
+        /// Cause, as text.
         cause: String,
     },
-    /// The battery will not last for the rest of the plan, and the robot goes on all the same: it may have something in its
-    /// hands, and nobody is helped if it is left on the way.
-    ChargeShort {
+    /// The battery will not last for the rest of the plan, and the robot continues nevertheless: it
+    /// may carry an item, and stopping on the way would not help.
+    #[serde(alias = "charge_short")]
+    LowCharge {
         /// The mission.
         mission: MissionId,
         /// The role.
         role: RoleId,
-        /// The forecast, in words.
+        /// Forecast, as text.
         cause: String,
     },
-    /// Something said under an award that is no longer in force was not listened to.
-    Outdated {
+    /// A signal was ignored, since it was sent under an award that is no longer in force.
+    #[serde(alias = "outdated")]
+    StaleSignal {
         /// The mission.
         mission: MissionId,
-        /// What was said.
+        /// Signal ignored.
         signal: Signal,
-        /// Under which award.
+        /// Epoch under which it was sent.
         epoch: Epoch,
-        /// The latest award of that role which the hearer knows.
+        /// Latest epoch of that role at the receiver.
         known: Epoch,
-        /// How often this has happened at this node since it started.
+        /// Number of such signals at this node since its start.
         count: u64,
     },
 }
 
 impl EventKind {
-    /// What kind of happening it is: the field `event` of its JSON.
+    /// Returns the name of the kind: the field `event` of its JSON.
     pub fn as_str(&self) -> &'static str {
         match self {
             EventKind::Elected { .. } => "elected",
@@ -292,7 +297,7 @@ impl EventKind {
             EventKind::Joined { .. } => "joined",
             EventKind::Left { .. } => "left",
             EventKind::Submitted { .. } => "submitted",
-            EventKind::Called { .. } => "called",
+            EventKind::BidsRequested { .. } => "bids_requested",
             EventKind::Bid { .. } => "bid",
             EventKind::Closed { .. } => "closed",
             EventKind::Awarded { .. } => "awarded",
@@ -304,23 +309,23 @@ impl EventKind {
             EventKind::TaskEnded { .. } => "task_ended",
             EventKind::TaskFailed { .. } => "task_failed",
             EventKind::Sent { .. } => "sent",
-            EventKind::Heard { .. } => "heard",
+            EventKind::Received { .. } => "received",
             EventKind::Suspended { .. } => "suspended",
             EventKind::Resumed { .. } => "resumed",
             EventKind::Halted { .. } => "halted",
             EventKind::TaskRetried { .. } => "task_retried",
             EventKind::Alternative { .. } => "alternative",
             EventKind::GaveUp { .. } => "gave_up",
-            EventKind::ChargeShort { .. } => "charge_short",
-            EventKind::Outdated { .. } => "outdated",
+            EventKind::LowCharge { .. } => "low_charge",
+            EventKind::StaleSignal { .. } => "stale_signal",
         }
     }
 
-    /// The mission that it belongs to, if any.
+    /// Returns the mission of the event, if any.
     pub fn mission(&self) -> Option<&MissionId> {
         match self {
             EventKind::Submitted { mission, .. }
-            | EventKind::Called { mission, .. }
+            | EventKind::BidsRequested { mission, .. }
             | EventKind::Bid { mission, .. }
             | EventKind::Closed { mission, .. }
             | EventKind::Awarded { mission, .. }
@@ -332,15 +337,15 @@ impl EventKind {
             | EventKind::TaskEnded { mission, .. }
             | EventKind::TaskFailed { mission, .. }
             | EventKind::Sent { mission, .. }
-            | EventKind::Heard { mission, .. }
+            | EventKind::Received { mission, .. }
             | EventKind::Suspended { mission, .. }
             | EventKind::Resumed { mission, .. }
             | EventKind::Halted { mission, .. }
             | EventKind::TaskRetried { mission, .. }
             | EventKind::Alternative { mission, .. }
             | EventKind::GaveUp { mission, .. }
-            | EventKind::ChargeShort { mission, .. }
-            | EventKind::Outdated { mission, .. } => Some(mission),
+            | EventKind::LowCharge { mission, .. }
+            | EventKind::StaleSignal { mission, .. } => Some(mission),
             EventKind::Elected { .. }
             | EventKind::SteppedDown { .. }
             | EventKind::Foreign { .. }
@@ -356,16 +361,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_word_of_a_happening_is_that_of_its_json() {
+    fn the_name_of_an_event_kind_equals_its_json_name() {
         let mission: MissionId = "lab-samples-1".parse().unwrap();
         let (role, task): (RoleId, TaskId) = ("r1".parse().unwrap(), "go".parse().unwrap());
-        let happenings = [
+        let kinds = [
             EventKind::SteppedDown { term: 1 },
             EventKind::TaskBegan { mission: mission.clone(), role: role.clone(), task },
-            EventKind::ChargeShort { mission, role, cause: String::new() },
+            EventKind::LowCharge { mission, role, cause: String::new() },
         ];
-        for what in happenings {
-            assert_eq!(serde_json::to_value(&what).unwrap()["event"], what.as_str());
+        for kind in kinds {
+            assert_eq!(serde_json::to_value(&kind).unwrap()["event"], kind.as_str());
         }
     }
 }

@@ -1,8 +1,9 @@
-//! Names of things. Each kind of name is a type of its own, checked once where it enters the program.
+//! Names. Each kind of name has its own type, checked once where the name enters the program.
 //!
-//! Names that become part of a key expression ([`RobotId`], [`MissionId`], …) are *slugs*: 1 to 64 characters of
-//! `A–Z a–z 0–9 _ . -`, so that no name can hold a `/`, a `*` or anything else that Zenoh gives a meaning to. Place
-//! names are *labels* as people write them on a map (`IC Room 6`): 1 to 64 characters without control characters.
+//! Names that become part of a key expression ([`RobotId`], [`MissionId`], …) are *slugs*: 1 to 64
+//! characters of `A–Z a–z 0–9 _ . -`. So a name contains no `/`, no `*` and no other character with
+//! a meaning in Zenoh. Place names are *labels*, as written on a map (`IC Room 6`): 1 to 64
+//! characters without control characters.
 
 use crate::schema::inline_schema;
 use schemars::{Schema, json_schema};
@@ -10,7 +11,8 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;
 
-/// Why a text cannot be a name of its kind. Ordinary in hand-written files; nothing was changed.
+/// Error: a text is not a valid name of its kind. Common in hand-written files; nothing was
+/// changed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{text:?} cannot name {article} {kind}: {problem}; allowed are 1 to {max} {allowed}",
@@ -18,17 +20,17 @@ use std::sync::Arc;
     article = article(.kind)
 )]
 pub struct NameError {
-    /// What was to be named, in words.
+    /// Kind of name, as text.
     pub kind: &'static str,
-    /// The text as given.
+    /// Text as given.
     pub text: String,
-    /// What is wrong with it.
+    /// Description of the problem.
     pub problem: String,
-    /// Which characters are allowed.
+    /// Allowed characters.
     pub allowed: &'static str,
 }
 
-/// Longest name, in characters.
+/// Maximum length of a name, in characters.
 pub const MAX_CHARS: usize = 64;
 
 fn article(kind: &str) -> &'static str {
@@ -36,29 +38,29 @@ fn article(kind: &str) -> &'static str {
 }
 
 const SLUG: &str = "characters of A-Z, a-z, 0-9, `_`, `.` and `-`";
-const LABEL: &str = "characters, none of them a control character, without space at either end";
+const LABEL: &str = "characters except control characters, without space at either end";
 
 fn check(kind: &'static str, text: &str, allowed: &'static str) -> Result<(), NameError> {
-    let refuse = |problem: String| Err(NameError { kind, text: text.to_owned(), problem, allowed });
+    let reject = |problem: String| Err(NameError { kind, text: text.to_owned(), problem, allowed });
     let length = text.chars().count();
     if length == 0 {
-        return refuse("it is empty".to_owned());
+        return reject("it is empty".to_owned());
     }
     if length > MAX_CHARS {
-        return refuse(format!("it has {length} characters"));
+        return reject(format!("it has {length} characters"));
     }
     let slug = allowed == SLUG;
-    let wrong = |c: &char| if slug { !(c.is_ascii_alphanumeric() || "_.-".contains(*c)) } else { c.is_control() };
-    if let Some(c) = text.chars().find(wrong) {
-        return refuse(format!("it holds {c:?}"));
+    let invalid = |c: &char| if slug { !(c.is_ascii_alphanumeric() || "_.-".contains(*c)) } else { c.is_control() };
+    if let Some(c) = text.chars().find(invalid) {
+        return reject(format!("it contains {c:?}"));
     }
     if !slug && text.trim() != text {
-        return refuse("it begins or ends with space".to_owned());
+        return reject("it begins or ends with space".to_owned());
     }
     Ok(())
 }
 
-/// The texts that [`check`] lets pass, as a JSON Schema.
+/// Returns the JSON Schema of the texts that [`check`] accepts.
 fn schema(allowed: &'static str) -> Schema {
     match allowed {
         SLUG => json_schema!({ "type": "string", "pattern": "^[A-Za-z0-9_.-]{1,64}$" }),
@@ -71,21 +73,22 @@ macro_rules! names {
         $(#[$doc])*
         #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
         #[serde(try_from = "String", into = "String")]
-        // Shared: names are copied far more often than they are made, for every bid, step and record.
+        // Shared, since names are copied far more often than created: for every bid, step and
+        // record.
         pub struct $name(Arc<str>);
 
         impl $name {
-            /// Checks `text` and takes it as a name.
+            /// Checks `text` and creates a name from it.
             ///
             /// # Errors
-            /// [`NameError`] says what is wrong with the text and what is allowed.
+            /// [`NameError`] states the problem and the allowed characters.
             pub fn new(text: impl Into<String>) -> Result<Self, NameError> {
                 let text = text.into();
                 check($kind, &text, $allowed)?;
                 Ok(Self(text.into()))
             }
 
-            /// The name as text.
+            /// Returns the name as text.
             pub fn as_str(&self) -> &str {
                 &self.0
             }
@@ -129,35 +132,37 @@ macro_rules! names {
 }
 
 names! {
-    /// A fleet: all nodes that share one ledger. First segment of every key after `consort/`.
+    /// Fleet: all nodes that share a ledger. First segment of every key after `consort/`.
     FleetId, "fleet", SLUG;
-    /// A node: one process (or one set of actors on the virtual bus). A robot's node bears the robot's name.
+    /// Node: a process, or a set of actors on the virtual bus. A robot's node has the name of the
+    /// robot.
     NodeId, "node", SLUG;
-    /// A robot, as missions and people know it.
+    /// Robot, as named in missions and by people.
     RobotId, "robot", SLUG;
-    /// A mission in the ledger.
+    /// Mission in the ledger.
     MissionId, "mission", SLUG;
-    /// A person, or a program that a person answers for, as certificates and tokens name it.
+    /// Person, or program that a person is responsible for, as named in certificates and tokens.
     PersonId, "person", SLUG;
-    /// A client's own name for a request, so that sending it twice asks once.
+    /// Identifier of a request, chosen by the client, so that a repeated request is executed once.
     RequestId, "request", SLUG;
-    /// A role within a mission (`r1`, `lab_arm`, `nurse`).
+    /// Role within a mission (`r1`, `lab_arm`, `nurse`).
     RoleId, "role", SLUG;
-    /// A task within a mission: unique in its tree.
+    /// Task within a mission; unique in its tree.
     TaskId, "task", SLUG;
-    /// A kind of task (`navigation`, `operate_drawer`), which is also the name of the skill that realises it.
+    /// Type of task (`navigation`, `operate_drawer`); also the name of the skill that executes it.
     TaskType, "task type", SLUG;
-    /// A thing that changes hands in a mission (`sample`).
+    /// Item that is handed over in a mission (`sample`).
     ItemId, "item", SLUG;
-    /// An ensemble, as the fleet file names it.
+    /// Ensemble, as named in the fleet file.
     EnsembleId, "ensemble", SLUG;
-    /// A place on the map, as people write it (`IC Room 6`).
+    /// Place on the map, as people write it (`IC Room 6`).
     PlaceId, "place", LABEL;
 }
 
-/// One founding of a fleet's ledger. Two fleets of one name that were founded apart differ in it, and must not merge.
+/// Identifier of a fleet's ledger, drawn at its creation. Two ledgers that were created separately
+/// under the same fleet name have different ids, and must not merge.
 ///
-/// Shown, and written in JSON, as 16 hexadecimal digits; in bincode it takes 8 bytes.
+/// Displayed, and written in JSON, as 16 hexadecimal digits; in bincode it takes 8 bytes.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ClusterId(pub u64);
 
@@ -182,7 +187,7 @@ impl std::str::FromStr for ClusterId {
             kind: "cluster",
             text: text.to_owned(),
             problem: "it is not a number of 16 hexadecimal digits".to_owned(),
-            allowed: "hexadecimal digits, of which there are 16",
+            allowed: "hexadecimal digits; exactly 16 are required",
         })
     }
 }
@@ -204,14 +209,14 @@ impl<'de> Deserialize<'de> for ClusterId {
 }
 
 impl From<RobotId> for NodeId {
-    /// A robot's node bears the robot's name.
+    /// A robot's node has the name of the robot.
     fn from(robot: RobotId) -> NodeId {
         NodeId(robot.0)
     }
 }
 
 impl From<NodeId> for RobotId {
-    /// A robot's node bears the robot's name.
+    /// A robot's node has the name of the robot.
     fn from(node: NodeId) -> RobotId {
         RobotId(node.0)
     }
@@ -222,26 +227,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_slug_cannot_hold_what_zenoh_gives_a_meaning_to() {
+    fn a_slug_contains_no_character_with_a_meaning_in_zenoh() {
         for text in ["", "a/b", "a*", "a b", "$x", "ä", &"x".repeat(65)] {
             assert!(RobotId::new(text).is_err(), "{text:?}");
         }
         let error = RobotId::new("a/b").unwrap_err().to_string();
         assert_eq!(
             error,
-            "\"a/b\" cannot name a robot: it holds '/'; allowed are 1 to 64 characters of A-Z, a-z, 0-9, `_`, `.` and `-`"
+            "\"a/b\" cannot name a robot: it contains '/'; allowed are 1 to 64 characters of A-Z, a-z, 0-9, `_`, `.` and `-`"
         );
     }
 
     #[test]
-    fn a_place_is_written_as_on_the_map() {
+    fn a_place_name_is_a_label() {
         assert_eq!(PlaceId::new("IC Room 6").unwrap().as_str(), "IC Room 6");
         assert!(PlaceId::new(" IC Room 6").is_err());
         assert!(PlaceId::new("IC\nRoom").is_err());
     }
 
     #[test]
-    fn a_cluster_is_written_in_hexadecimal_digits() {
+    fn a_cluster_id_is_written_in_hexadecimal_digits() {
         let cluster = ClusterId(0xab);
         let json = serde_json::to_string(&cluster).unwrap();
         assert_eq!(json, "\"00000000000000ab\"");
@@ -252,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_checked_where_they_are_read() {
+    fn names_are_checked_when_they_are_deserialized() {
         assert!(serde_json::from_str::<RobotId>("\"a/b\"").is_err());
     }
 }

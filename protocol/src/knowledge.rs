@@ -1,8 +1,9 @@
-//! What nodes know of one another: one versioned record per node, written by that node alone.
+//! Knowledge of nodes about each other: a versioned record per node, written by that node alone.
 //!
-//! A record is ordered by its owner's *incarnation* (grows with each start of the node) and *version* (grows with each
-//! change); merging keeps the later one, so that merging is commutative, associative and idempotent, and knowledge may
-//! reach a node by any way, in any order, any number of times (a state-based CRDT: Shapiro et al. 2011).
+//! Records are ordered by their owner's *incarnation* (grows with each start of the node) and
+//! *version* (grows with each change). Merging keeps the later record, so merging is commutative,
+//! associative and idempotent. Records may arrive over any path, in any order, any number of times
+//! (a state-based CRDT: Shapiro et al. 2011).
 
 use crate::codec;
 use crate::ids::{ClusterId, FleetId, MissionId, NodeId, PlaceId, RoleId, TaskType};
@@ -14,29 +15,31 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-/// A node's account of itself.
+/// Record of a node about itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
-    /// Who wrote it.
+    /// Node that wrote the record.
     pub owner: NodeId,
-    /// Which version of which life of the owner.
+    /// Incarnation and version of the record.
     pub stamp: RecordStamp,
-    /// What it says.
+    /// Content of the record.
     pub knowledge: Knowledge,
-    /// That its owner says so, for those who have it from others, if the fleet has certificates.
+    /// Signature of the owner, for nodes that receive the record from others; if the fleet has
+    /// certificates.
     pub proof: Option<Proof>,
 }
 
 impl Record {
-    /// What its owner signs: what the signature is for, the fleet, and all of the record but the proof itself.
+    /// Returns the bytes that the owner signs: the purpose of the signature, the fleet, and the
+    /// record except its proof.
     pub fn signed_part(&self, fleet: &FleetId) -> Vec<u8> {
-        let said = codec::encode_record(&(fleet, &self.owner, self.stamp, &self.knowledge));
-        let said = said.expect("what fits a message fits a record");
-        [b"consort record\0", &said[..]].concat()
+        let bytes = codec::encode_record(&(fleet, &self.owner, self.stamp, &self.knowledge));
+        let bytes = bytes.expect("a record that fits a message fits storage");
+        [b"consort record\0", &bytes[..]].concat()
     }
 }
 
-/// The signature of a record by its owner.
+/// Signature of a record by its owner.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Proof {
     by: Fingerprint,
@@ -44,18 +47,19 @@ pub struct Proof {
 }
 
 impl Proof {
-    /// A signature by the bearer of this certificate; `None` if it has not as many bytes as a signature has.
+    /// Creates a proof from a signature by the principal with this certificate; `None` if the
+    /// signature has the wrong length.
     pub fn new(by: Fingerprint, signature: &[u8]) -> Option<Proof> {
         let (first, second) = signature.split_first_chunk()?;
         Some(Proof { by, signature: [*first, second.try_into().ok()?] })
     }
 
-    /// By the bearer of which certificate it claims to be.
+    /// Returns the certificate of the claimed author.
     pub fn by(&self) -> Fingerprint {
         self.by
     }
 
-    /// The bytes of the signature.
+    /// Returns the bytes of the signature.
     pub fn signature(&self) -> Vec<u8> {
         self.signature.concat()
     }
@@ -64,109 +68,111 @@ impl Proof {
 /// Position of a record in the history of its owner.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 pub struct RecordStamp {
-    /// Grows each time the owner starts.
+    /// Grows with each start of the owner.
     pub incarnation: u64,
-    /// Grows each time the owner's knowledge changes.
+    /// Grows with each change of the record.
     pub version: u64,
 }
 
-/// What a node says of itself.
+/// Content of a node's record.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Knowledge {
-    /// Whether it may take part in electing the coordinator and keep the ledger.
+    /// True if the node may vote for the coordinator and be a voter of the ledger.
     pub may_vote: bool,
-    /// Whether it stays where it is.
+    /// True if the node does not move.
     pub stationary: bool,
-    /// Whether it lives on mains power.
+    /// True if the node runs on mains power.
     pub mains_powered: bool,
-    /// Its member number in the ledger's consensus, where it keeps a copy.
+    /// Member number in the ledger's consensus, if the node has a replica.
     pub replica: Option<u64>,
-    /// The cluster it belongs to: that of its ledger, else the first whose coordinator it has heard.
+    /// Cluster of the node: that of its ledger, otherwise that of the first coordinator that it
+    /// received a beacon from.
     pub cluster: Option<ClusterId>,
-    /// Whether it is about to leave the fleet for good.
+    /// True if the node is about to leave the fleet permanently.
     pub leaving: bool,
-    /// Which versions of the wire its program reads.
+    /// Wire versions that its program reads.
     pub supported_versions: VersionRange,
-    /// Its robot, if it is a robot's node.
+    /// Robot of the node, if it is a robot's node.
     pub robot: Option<RobotKnowledge>,
 }
 
 impl Knowledge {
-    /// Whether it is a robot that could take a role now.
+    /// Checks whether the node is a robot that can take a role now.
     pub fn is_free(&self) -> bool {
         self.robot.as_ref().is_some_and(|worker| worker.availability == Availability::Free)
     }
 }
 
-/// A robot, as the coordinator knows it.
+/// State and abilities of a robot, as published in its record.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RobotKnowledge {
-    /// What it can do.
+    /// Skills of the robot.
     pub skills: BTreeSet<TaskType>,
-    /// Where it is, or was last, on the map.
+    /// Current or last place on the map.
     pub place: PlaceId,
-    /// Where it is on the floor.
+    /// Pose on the map.
     pub pose: Pose,
     /// Charge left.
     pub battery: BatteryShare,
-    /// How fast work empties its battery.
+    /// Discharge rate during work.
     pub discharge: SharePerSecond,
-    /// Below this charge it is of no further use.
+    /// Charge below which the robot is no longer useful.
     pub useful_charge: BatteryShare,
-    /// Its average speed; `None` if it does not drive.
+    /// Average speed; `None` if the robot does not drive.
     pub speed: Option<MetresPerSecond>,
-    /// Whether it could take a role now.
+    /// Availability for a role.
     pub availability: Availability,
-    /// Version of its estimator: bids of different versions do not compare.
+    /// Version of its estimator: bids of different versions are not comparable.
     pub estimator: String,
 }
 
-/// Whether a robot could take a role.
+/// Availability of a robot for a role.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Availability {
-    /// It could.
+    /// The robot can take a role.
     Free,
-    /// It has one.
+    /// The robot holds a role.
     Holding {
-        /// Of which mission.
+        /// Mission of the role.
         mission: MissionId,
-        /// Which one.
+        /// Role that it holds.
         role: RoleId,
-        /// Whether it is held up because its lease ran out.
+        /// True if the robot is suspended since its lease ran out.
         suspended: bool,
     },
-    /// It could not carry one out.
+    /// The robot cannot execute a role.
     OutOfService {
-        /// What is the matter.
+        /// Description of the problem.
         problem: String,
     },
 }
 
-/// What a node has of each other: enough to see what the other lacks.
+/// Versions of the records at a node; sufficient to find the records that another node lacks.
 pub type Digest = BTreeMap<NodeId, RecordStamp>;
 
-/// Classes of owners at most.
+/// Maximum number of classes of owners.
 pub const CLASSES_MAX: u8 = 16;
 
-/// Some of all owners. Owners fall into classes by their names, the same on every node, so that two nodes which differ need
-/// speak only of the classes in which they do.
+/// Subset of all owners. Owners are divided into classes by a hash of their names, identical on
+/// every node. So two nodes with different records need to exchange only the classes that differ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DigestScope {
-    /// How many classes there are.
+    /// Number of classes.
     classes: u8,
-    /// Which of them are within: a bit each.
+    /// Classes in the subset, a bit for each class.
     within: u16,
 }
 
 impl DigestScope {
-    /// Everybody.
+    /// All owners.
     pub const ALL: DigestScope = DigestScope { classes: 1, within: 1 };
 
-    /// Nobody.
+    /// No owner.
     pub const NONE: DigestScope = DigestScope { classes: 1, within: 0 };
 
-    /// Those of whom two nodes know different things, by their sums; everybody if these cannot be compared.
+    /// Returns the owners for which two nodes have different records, according to their sums; all
+    /// owners if the sums cannot be compared.
     pub fn of_difference(ours: &[u64], theirs: &[u64]) -> DigestScope {
         let classes = u8::try_from(ours.len()).ok().filter(|classes| (1..=CLASSES_MAX).contains(classes));
         match classes {
@@ -178,7 +184,7 @@ impl DigestScope {
         }
     }
 
-    /// Whether this owner is one of them.
+    /// Checks whether the owner is in the subset.
     pub fn contains(&self, owner: &NodeId) -> bool {
         self.within.checked_shr(class(owner, self.classes) as u32).unwrap_or(0) & 1 == 1
     }
@@ -188,62 +194,64 @@ fn class(owner: &NodeId, classes: u8) -> usize {
     (mix(hash(owner)) % u64::from(classes.max(1))) as usize
 }
 
-/// FNV-1a: the same on every machine.
+/// Hashes a name with FNV-1a: identical on every machine.
 fn hash(owner: &NodeId) -> u64 {
     let step = |hash: u64, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
     owner.as_str().bytes().fold(0xcbf2_9ce4_8422_2325, step)
 }
 
-/// Spreads a number over all bits (the finaliser of SplitMix64: Steele, Lea, Flood 2014).
+/// Mixes the bits of a number (the finaliser of SplitMix64: Steele, Lea, Flood 2014).
 fn mix(number: u64) -> u64 {
     let number = (number ^ (number >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let number = (number ^ (number >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     number ^ (number >> 31)
 }
 
-/// All that a node has heard.
+/// Records that a node has received.
 #[derive(Debug, Clone, Default)]
 pub struct KnowledgeBase {
-    heard: BTreeMap<NodeId, KnownRecord>,
+    records: BTreeMap<NodeId, KnownRecord>,
 }
 
-/// A record and when it reached this node.
+/// Record with the time of the last contact with its owner.
 #[derive(Debug, Clone, PartialEq)]
 pub struct KnownRecord {
     /// The record.
     pub record: Record,
-    /// When, on this node's clock, this version was first heard or was last confirmed to be current.
+    /// Time, on this node's clock, at which this version was received or last confirmed as current.
     pub last_contact: NodeTime,
 }
 
 impl KnownRecord {
-    /// How old this node's knowledge of the owner is.
+    /// Returns the age of the record at this node.
     pub fn age(&self, now: NodeTime) -> Duration {
         now.since(self.last_contact)
     }
 }
 
 impl KnowledgeBase {
-    /// Takes in a record. True if it was news; what is not later than what is known changes nothing.
+    /// Merges a record. Returns true if it was later than the known record; otherwise nothing
+    /// changes.
     pub fn merge(&mut self, record: Record, now: NodeTime) -> bool {
-        match self.heard.get(&record.owner) {
+        match self.records.get(&record.owner) {
             Some(known) if known.record.stamp >= record.stamp => false,
             _ => {
-                self.heard.insert(record.owner.clone(), KnownRecord { record, last_contact: now });
+                self.records.insert(record.owner.clone(), KnownRecord { record, last_contact: now });
                 true
             }
         }
     }
 
-    /// The owner itself said, at `now`, that this is still its latest version.
+    /// Records that the owner confirmed, at `now`, that this is still its latest version.
     pub fn confirm(&mut self, owner: &NodeId, stamp: RecordStamp, now: NodeTime) {
-        if let Some(heard) = self.heard.get_mut(owner).filter(|heard| heard.record.stamp == stamp) {
-            heard.last_contact = heard.last_contact.max(now);
+        if let Some(entry) = self.records.get_mut(owner).filter(|entry| entry.record.stamp == stamp) {
+            entry.last_contact = entry.last_contact.max(now);
         }
     }
 
-    /// The owner itself said, at `now`, that it is at `stamp`, and has said the same since version `since` of that
-    /// incarnation; `proof` is that of its record with that stamp. False if this node has not heard what that is.
+    /// Records that the owner is at `stamp` at `now`, with content unchanged since version `since`
+    /// of that incarnation. `proof` is the proof of its record with that stamp. Returns false if
+    /// this node does not have that content.
     pub fn refresh(
         &mut self,
         owner: &NodeId,
@@ -252,36 +260,37 @@ impl KnowledgeBase {
         proof: Option<Proof>,
         now: NodeTime,
     ) -> bool {
-        let Some(heard) = self.heard.get_mut(owner) else { return false };
-        let known = heard.record.stamp;
+        let Some(entry) = self.records.get_mut(owner) else { return false };
+        let known = entry.record.stamp;
         if known > stamp {
-            return true; // it was overtaken by something later
+            return true; // a later version has arrived before
         }
         if known.incarnation != stamp.incarnation || known.version < since {
             return false;
         }
         if known < stamp || proof.is_some() {
-            heard.record.proof = proof;
+            entry.record.proof = proof;
         }
-        heard.record.stamp = stamp;
-        heard.last_contact = heard.last_contact.max(now);
+        entry.record.stamp = stamp;
+        entry.last_contact = entry.last_contact.max(now);
         true
     }
 
-    /// What this node has of those within a scope.
+    /// Returns the versions of this node's records of the owners in a scope.
     pub fn digest(&self, scope: DigestScope) -> Digest {
-        let told = self.heard.iter().filter(|(owner, _)| scope.contains(owner));
-        told.map(|(owner, heard)| (owner.clone(), heard.record.stamp)).collect()
+        let entries = self.records.iter().filter(|(owner, _)| scope.contains(owner));
+        entries.map(|(owner, entry)| (owner.clone(), entry.record.stamp)).collect()
     }
 
-    /// A number for each class of owners, as many as suit so many owners. Two nodes whose sums are equal have the same; that
-    /// they differ and their sums do not happens once in 2⁶⁴ times.
+    /// Returns a sum for each class of owners; the number of classes depends on the number of
+    /// owners. Two nodes with equal sums have the same records, except with a probability of 2⁻⁶⁴.
     pub fn class_sums(&self) -> Vec<u64> {
-        let classes = (self.heard.len() / 12).next_power_of_two();
+        let classes = (self.records.len() / 12).next_power_of_two();
         self.sums_of(u8::try_from(classes).unwrap_or(CLASSES_MAX).min(CLASSES_MAX))
     }
 
-    /// The same for so many classes, to compare with another's; none if that are more than there may be.
+    /// Returns the sums for the same number of classes as `theirs`, for comparison; empty if there
+    /// are more classes than allowed.
     pub fn class_sums_like(&self, theirs: &[u64]) -> Vec<u64> {
         match u8::try_from(theirs.len()) {
             Ok(classes) if classes <= CLASSES_MAX => self.sums_of(classes),
@@ -291,8 +300,8 @@ impl KnowledgeBase {
 
     fn sums_of(&self, classes: u8) -> Vec<u64> {
         let mut sums = vec![0u64; usize::from(classes)];
-        for (owner, heard) in &self.heard {
-            let RecordStamp { incarnation, version } = heard.record.stamp;
+        for (owner, entry) in &self.records {
+            let RecordStamp { incarnation, version } = entry.record.stamp;
             let entry = mix(mix(hash(owner) ^ mix(incarnation)).wrapping_add(version));
             if let Some(sum) = sums.get_mut(class(owner, classes)) {
                 *sum = sum.wrapping_add(entry);
@@ -301,40 +310,41 @@ impl KnowledgeBase {
         sums
     }
 
-    /// The records that a node with this digest of those within a scope lacks or has in an older version.
+    /// Returns the records of owners in the scope that a node with this digest lacks or has in an
+    /// older version.
     pub fn missing_for(&self, scope: DigestScope, digest: &Digest) -> Vec<&Record> {
         let newer = |record: &&Record| {
             scope.contains(&record.owner) && digest.get(&record.owner).is_none_or(|stamp| *stamp < record.stamp)
         };
-        self.heard.values().map(|heard| &heard.record).filter(newer).collect()
+        self.records.values().map(|entry| &entry.record).filter(newer).collect()
     }
 
-    /// The owners of whom a node with this digest knows something later.
+    /// Returns the owners for which a node with this digest has a later record.
     pub fn outdated_owners(&self, digest: &Digest) -> BTreeSet<NodeId> {
         let later = |(owner, stamp): &(&NodeId, &RecordStamp)| {
-            self.heard.get(*owner).is_none_or(|heard| heard.record.stamp < **stamp)
+            self.records.get(*owner).is_none_or(|entry| entry.record.stamp < **stamp)
         };
         digest.iter().filter(later).map(|(owner, _)| owner.clone()).collect()
     }
 
-    /// What is known of a node.
+    /// Returns the record of a node.
     pub fn get(&self, node: &NodeId) -> Option<&KnownRecord> {
-        self.heard.get(node)
+        self.records.get(node)
     }
 
-    /// Everything, in the order of the owners' names.
+    /// Returns all records, in the order of the owners' names.
     pub fn iter(&self) -> impl Iterator<Item = (&NodeId, &KnownRecord)> {
-        self.heard.iter()
+        self.records.iter()
     }
 
-    /// Forgets all records but those of which this is true.
+    /// Keeps only the records for which the predicate is true.
     pub fn retain(&mut self, mut keep: impl FnMut(&Record) -> bool) {
-        self.heard.retain(|_, heard| keep(&heard.record));
+        self.records.retain(|_, entry| keep(&entry.record));
     }
 
-    /// Forgets a node that has left; a later incarnation of it is welcome.
+    /// Removes the record of a node that has left; a later incarnation of it is accepted.
     pub fn remove(&mut self, node: &NodeId) -> Option<KnownRecord> {
-        self.heard.remove(node)
+        self.records.remove(node)
     }
 }
 
@@ -374,12 +384,12 @@ mod tests {
     }
 
     fn content(base: &KnowledgeBase) -> Vec<Record> {
-        base.iter().map(|(_, heard)| heard.record.clone()).collect()
+        base.iter().map(|(_, entry)| entry.record.clone()).collect()
     }
 
     proptest! {
         #[test]
-        fn order_and_repetition_do_not_matter((a, b) in records().prop_flat_map(|a| (Just(a.clone()), Just(a).prop_shuffle()))) {
+        fn merging_ignores_order_and_repetition((a, b) in records().prop_flat_map(|a| (Just(a.clone()), Just(a).prop_shuffle()))) {
             let mut twice = a.clone();
             twice.extend(b.clone());
             prop_assert_eq!(content(&base(&a)), content(&base(&b)));
@@ -387,7 +397,7 @@ mod tests {
         }
 
         #[test]
-        fn after_one_exchange_two_nodes_know_the_same(a in records(), b in records()) {
+        fn two_nodes_have_the_same_records_after_an_exchange(a in records(), b in records()) {
             let (mut ada, mut bob) = (base(&a), base(&b));
             let scope = DigestScope::of_difference(&ada.class_sums(), &bob.class_sums_like(&ada.class_sums()));
             let for_bob: Vec<Record> = ada.missing_for(scope, &bob.digest(scope)).into_iter().cloned().collect();
@@ -403,39 +413,40 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever of an owner's statements is lost or overtaken, a version is never believed to say what it does not.
+        /// Updates of an owner may be lost or overtaken; a version never gets content that it does
+        /// not have.
         #[test]
-        fn to_hear_that_nothing_changed_is_as_good_as_to_hear_it_again(
+        fn a_refresh_is_equivalent_to_the_unchanged_record(
             changes in prop::collection::vec(any::<bool>(), 1..12),
-            heard in prop::collection::vec((0usize..12, any::<bool>()), 0..30),
+            received in prop::collection::vec((0usize..12, any::<bool>()), 0..30),
         ) {
             let mut since = 0;
             let mut versions = vec![];
             for (version, changed) in changes.iter().enumerate() {
                 let version = version as u64;
                 since = if *changed { version } else { since };
-                let said = Record { stamp: RecordStamp { incarnation: 1, version }, ..record(1, 1, since) };
-                versions.push((said, since));
+                let record_sent = Record { stamp: RecordStamp { incarnation: 1, version }, ..record(1, 1, since) };
+                versions.push((record_sent, since));
             }
             let mut base = KnowledgeBase::default();
-            for (which, whole) in heard {
-                let Some((said, since)) = versions.get(which) else { continue };
-                let before = base.get(&said.owner).map(|heard| heard.record.stamp);
+            for (which, whole) in received {
+                let Some((record_sent, since)) = versions.get(which) else { continue };
+                let before = base.get(&record_sent.owner).map(|entry| entry.record.stamp);
                 if whole {
-                    base.merge(said.clone(), NodeTime::ZERO);
-                } else if !base.refresh(&said.owner, said.stamp, *since, None, NodeTime::ZERO) {
+                    base.merge(record_sent.clone(), NodeTime::ZERO);
+                } else if !base.refresh(&record_sent.owner, record_sent.stamp, *since, None, NodeTime::ZERO) {
                     prop_assert!(before.is_none_or(|before| before.version < *since));
                     continue;
                 }
-                let now = base.get(&said.owner).unwrap();
-                prop_assert_eq!(now.record.stamp, before.map_or(said.stamp, |before| before.max(said.stamp)));
+                let now = base.get(&record_sent.owner).unwrap();
+                prop_assert_eq!(now.record.stamp, before.map_or(record_sent.stamp, |before| before.max(record_sent.stamp)));
                 prop_assert_eq!(&now.record, &versions[now.record.stamp.version as usize].0);
             }
         }
     }
 
     #[test]
-    fn an_earlier_life_says_nothing_about_a_later_one() {
+    fn an_earlier_incarnation_does_not_refresh_a_later_incarnation() {
         let mut base = base(&[record(1, 2, 5)]);
         let owner = record(1, 0, 0).owner;
         assert!(base.refresh(&owner, RecordStamp { incarnation: 1, version: 9 }, 0, None, NodeTime::ZERO));
@@ -451,13 +462,13 @@ mod tests {
     }
 
     #[test]
-    fn sums_tell_where_large_bases_differ_and_strange_ones_tell_nothing() {
-        let everybody: Vec<Record> = (0..=255).map(|owner| record(owner, 1, 1)).collect();
-        let (mut ada, bob) = (base(&everybody), base(&everybody));
+    fn sums_show_the_classes_in_which_large_bases_differ() {
+        let all_records: Vec<Record> = (0..=255).map(|owner| record(owner, 1, 1)).collect();
+        let (mut ada, bob) = (base(&all_records), base(&all_records));
         ada.merge(record(77, 1, 2), NodeTime::ZERO);
         let scope = DigestScope::of_difference(&ada.class_sums(), &bob.class_sums_like(&ada.class_sums()));
         assert!(scope.contains(&record(77, 0, 0).owner));
-        // One class of sixteen, more or less.
+        // About one class of sixteen.
         assert!((1..=40).contains(&bob.digest(scope).len()), "{}", bob.digest(scope).len());
         let strange = vec![0; 300];
         assert_eq!(DigestScope::of_difference(&bob.class_sums_like(&strange), &strange), DigestScope::ALL);
@@ -467,7 +478,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_that_started_again_is_believed_over_its_former_life() {
+    fn the_record_of_a_later_incarnation_replaces_an_earlier_record() {
         let mut base = base(&[record(1, 1, 9)]);
         assert!(base.merge(record(1, 2, 0), NodeTime::ZERO));
         assert!(!base.merge(record(1, 1, 10), NodeTime::ZERO));

@@ -1,10 +1,11 @@
-//! What Consort decides, in plain values.
+//! The decisions of Consort, as plain values.
 //!
-//! Missions and their division into local plans, knowledge and membership, bids and their selection, leases, the
-//! ledger's state machine, the messages between nodes and every key they travel on. Nothing here waits: there is no
-//! async, no clock, no socket and no actor in this crate, so every decision can be called, compared and fuzzed alone.
+//! Missions and their division into local plans, knowledge and membership, bids and their
+//! selection, leases, the state machine of the ledger, the messages between nodes and all keys.
+//! This crate never blocks: it has no async code, no clock, no socket and no actor, so every
+//! decision can be called, compared and fuzzed alone.
 //!
-//! From a mission file to what each role does:
+//! From a mission file to the local plan of each role:
 //!
 //! ```
 //! use consort_protocol::mission::{Domain, Format, MissionTemplate};
@@ -25,7 +26,7 @@
 //! let room = [("room".to_owned(), "IC Room 6".to_owned())].into();
 //! let mission = template.instantiate(&room, &Domain::hospital())?;
 //! let division = divide_and_check(&mission)?;
-//! // Messages between the roles are put in: the nurse is told when the robot has come.
+//! // Division adds messages between the roles: the robot notifies the nurse when it arrives.
 //! let steps = |role: &str| division.plans.iter().find(|(id, _)| id.as_str() == role).map(|(_, plan)| plan.steps.len());
 //! assert!(steps("r1") > Some(2) && steps("nurse") > Some(1));
 //! # Ok::<(), Box<dyn std::error::Error>>(())

@@ -1,20 +1,21 @@
-//! What nodes say to one another in bincode, and on which key.
+//! Messages between nodes in bincode, and the key of each message.
 //!
-//! | key | how | who → whom | says | answer |
+//! | key | kind | sender → receiver | message | reply |
 //! |---|---|---|---|---|
-//! | `wire/knowledge/{node}` | publish | node → all | [`Statement`] | – |
+//! | `wire/knowledge/{node}` | publish | node → all | [`RecordUpdate`] | – |
 //! | `wire/gossip/{node}` | query | node → node | [`Exchange`] | [`Exchange`] |
-//! | `wire/found/*` | query | founder → nodes that may vote | [`Founder`] | [`FoundingAnswer`] |
+//! | `wire/bootstrap/*` | query | candidate → nodes that may vote | [`BootstrapRequest`] | [`BootstrapReply`] |
 //! | `wire/beacon` | publish | coordinator → all | [`Beacon`] | – |
-//! | `wire/bid/*` | query | coordinator → robots | [`CallForBids`](crate::auction::CallForBids) | [`Tender`](crate::auction::Tender) |
-//! | `wire/award/{robot}` | query | coordinator → robot | [`AwardNotice`] | [`AwardAnswer`] |
-//! | `wire/report/{node}` | query | robot → coordinator | [`Report`] | [`ReportAnswer`] |
-//! | `wire/live/{node}` | query | anyone → coordinator | nothing | [`Live`], in parts |
-//! | `wire/changed` | publish | coordinator → all | [`Changed`] | – |
-//! | `wire/signal/{mission}/{role}` | publish | role → role | [`Said`] | – |
-//! | `wire/said/{mission}/{role}` | query | late waiter → role | nothing | [`Said`] |
+//! | `wire/bid/*` | query | coordinator → robots | [`CallForBids`](crate::auction::CallForBids) | [`BidResponse`](crate::auction::BidResponse) |
+//! | `wire/award/{robot}` | query | coordinator → robot | [`AwardNotice`] | [`AwardReply`] |
+//! | `wire/report/{node}` | query | robot → coordinator | [`Report`] | [`ReportReply`] |
+//! | `wire/active_missions/{node}` | query | any node → coordinator | empty | [`ActiveMissions`], in parts |
+//! | `wire/changed` | publish | coordinator → all | [`MissionsChanged`] | – |
+//! | `wire/signal/{mission}/{role}` | publish | role → role | [`SignalHistory`] | – |
+//! | `wire/signal_history/{mission}/{role}` | query | waiting role → role | empty | [`SignalHistory`] |
 //!
-//! From `wire/beacon` on, what is published or asked is [`Within`] a cluster.
+//! From `wire/beacon` on, the payload of publications and queries is wrapped in a
+//! [`ClusterEnvelope`].
 
 use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
@@ -30,22 +31,22 @@ pub mod v1;
 
 pub use active_missions::{ActiveMissions, ActivePlan};
 
-/// What a node publishes of itself.
+/// Publication of a node about itself.
 #[expect(
     clippy::large_enum_variant,
-    reason = "records are what is said in bulk; the few words are as rare in memory as on the wire"
+    reason = "most updates are records; refreshes are small, and few of either are in memory at the same time"
 )]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum RecordUpdate {
-    /// All of it.
+    /// The whole record.
     Record(Record),
-    /// That it still says what it said: whoever has heard that need not hear it again.
+    /// The record has not changed. A node that has the record need not receive it again.
     Refresh {
-        /// Its latest version.
+        /// Latest version of the record.
         stamp: RecordStamp,
-        /// The version, of the same incarnation, with which it began to say this.
+        /// Version, of the same incarnation, since which the content is unchanged.
         since: u64,
-        /// That of its record with the latest version, if the fleet has certificates.
+        /// Proof of the record with the latest version, if the fleet has certificates.
         proof: Option<Proof>,
     },
 }
@@ -55,17 +56,20 @@ impl VersionedMessage for RecordUpdate {
     type Previous = v1::RecordUpdate;
 }
 
-/// One side of an anti-entropy round. It begins with sums of what the one has, where both may well have the same; the other
-/// answers with its digest of where they differ. Else it begins with the digest.
+/// Message of an anti-entropy round. The round starts with sums over the sender's records if both
+/// nodes are likely to have the same records; the other node replies with its digest of the records
+/// that differ. Otherwise the round starts with the digest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Exchange {
-    /// Sums of all that the sender has ([`KnowledgeBase::sums`](crate::knowledge::KnowledgeBase::sums)), to be compared; or none.
+    /// Sums over all records of the sender
+    /// ([`KnowledgeBase::class_sums`](crate::knowledge::KnowledgeBase::class_sums)) to compare; may
+    /// be empty.
     pub sums: Vec<u64>,
-    /// Of whom the digest tells.
+    /// Owners covered by the digest.
     pub scope: DigestScope,
-    /// What the sender has of them.
+    /// Versions of these owners' records at the sender.
     pub digest: Digest,
-    /// What the sender thinks the other lacks, as much as fits a message.
+    /// Records that the other node seems to lack, as many as fit a message.
     pub records: Vec<Record>,
 }
 
@@ -74,206 +78,214 @@ impl VersionedMessage for Exchange {
     type Previous = v1::Exchange;
 }
 
-/// Asks whether its sender may found the fleet's ledger. Ordered by who is to keep a ledger rather: one that stays where it is
-/// before one that moves, one on mains power before one on a battery, then by name.
+/// Asks whether the sender may create the fleet's ledger. Candidates are ordered by suitability as
+/// a voter: stationary before mobile, mains power before battery, then by name.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct BootstrapRequest {
-    /// Whether it moves about.
+    /// True if the node is mobile.
     pub mobile: bool,
-    /// Whether it lives on a battery.
+    /// True if the node runs on a battery.
     pub on_battery: bool,
-    /// Its name.
+    /// Name of the node.
     pub node: NodeId,
 }
 
-/// What a node says to a [`Founder`].
+/// Reply to a [`BootstrapRequest`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BootstrapReply {
-    /// It will found none for a while, and lets nobody else.
+    /// The node grants the request. For a while it creates no ledger itself and grants no other
+    /// request.
     Agreed,
-    /// There is a ledger, or it has left it to somebody else to found one.
+    /// A ledger exists, or the node has granted another request.
     Refused {
-        /// Which, or who, in words.
+        /// The ledger or the other candidate, as text.
         reason: String,
     },
 }
 
-/// The coordinator's sign of life.
+/// Periodic announcement of the coordinator.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Beacon {
-    /// Its node.
+    /// Node of the coordinator.
     pub node: NodeId,
-    /// Its term, which it shares with no other of its cluster: a beacon of an older one is a coordinator that does not know
-    /// that it no longer is.
+    /// Term of the coordinator, unique in its cluster. A beacon of an older term comes from a
+    /// coordinator that has been replaced and has not detected it.
     pub term: u64,
-    /// Who keeps the ledger.
+    /// Voters of the ledger.
     pub voters: BTreeSet<NodeId>,
-    /// How long it has coordinated, in milliseconds.
+    /// Time since the coordinator took over, in milliseconds.
     pub since_ms: u64,
-    /// Its cluster; `None` while that is being founded.
+    /// Cluster of the coordinator; `None` while the cluster is being created.
     pub cluster: Option<ClusterId>,
-    /// Which version of the wire the fleet writes, once that is said. Beacons have one layout in all versions: whoever is left
-    /// behind must be able to read that it is.
+    /// Wire version that the fleet writes, once it is set. The layout of beacons is the same in all
+    /// versions, so that a node with an outdated program can detect it.
     pub wire: Option<u8>,
 }
 
 impl Beacon {
-    /// Whether whoever knows `known` should follow this one: it is no older, or of another cluster, to which the hearer has
-    /// gone over and where terms are counted anew.
+    /// Checks whether this beacon replaces `known`: its term is not older, or it belongs to another
+    /// cluster. The receiver has moved to that cluster, where terms are counted anew.
     pub fn supersedes(&self, known: Option<&Beacon>) -> bool {
         known.is_none_or(|known| self.term >= known.term || self.is_other_cluster(known))
     }
 
-    /// Whether it is of another reign than `known`: of another node, or another term of the same.
+    /// Checks whether this beacon belongs to another leader session than `known`: another node, or
+    /// another term of the same node.
     pub fn is_other_leader_session(&self, known: Option<&Beacon>) -> bool {
         known.is_none_or(|known| (self.term, &self.node) != (known.term, &known.node))
     }
 
-    /// Whether this is certainly the coordinator of another cluster.
+    /// Checks whether this is certainly the coordinator of another cluster.
     pub fn is_other_cluster(&self, known: &Beacon) -> bool {
         self.cluster.is_some() && known.cluster.is_some() && self.cluster != known.cluster
     }
 }
 
-/// What goes around every message that concerns missions, on the bus: two clusters of one fleet name may have missions
-/// of the same name.
+/// Envelope of every message about missions: two clusters under the same fleet name may have
+/// missions with the same name.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClusterEnvelope {
-    /// Which cluster the sender belongs to, if it knows of one.
+    /// Cluster of the sender, if known.
     pub cluster: Option<ClusterId>,
     /// The message.
     pub payload: Vec<u8>,
 }
 
-/// The coordinator tells a robot what the ledger says of it.
+/// Notification of a robot by the coordinator about its entry in the ledger.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum AwardNotice {
-    /// It has a role.
+    /// The robot has a role.
     Awarded(Box<Award>),
-    /// It no longer has one.
+    /// The robot no longer has the role.
     Revoked {
-        /// By which award it had it.
+        /// Epoch of the award.
         epoch: Epoch,
-        /// Why it ended.
+        /// Reason for the end.
         reason: EndReason,
     },
 }
 
-/// What a robot says to a notice.
+/// Reply of a robot to a notice.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum AwardReply {
-    /// It will report, or has stopped.
+    /// The robot will report, or has stopped.
     Acknowledged,
-    /// It will not take the role.
+    /// The robot does not take the role.
     Declined(DeclineReason),
 }
 
-/// A robot's account of a role it holds; also its request to go on holding it.
+/// Report of a robot about a role that it holds; also its request to renew the lease.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Report {
-    /// Who reports.
+    /// Robot that reports.
     pub robot: RobotId,
-    /// In which life of its node.
+    /// Incarnation of its node.
     pub incarnation: u64,
     /// The mission.
     pub mission: MissionId,
     /// The role.
     pub role: RoleId,
-    /// By which award; the default for an unmanaged role.
+    /// Epoch of the award; the default for an unmanaged role.
     pub epoch: Epoch,
-    /// For an unmanaged role, of which branch's plan; for a managed role, whose award tells it, the default.
+    /// Branch of the plan, for an unmanaged role. For a managed role the default, since the epoch
+    /// identifies the branch.
     pub branch: Branch,
     /// All steps that have ended so far.
     pub ended: BTreeSet<StepIndex>,
-    /// What it is at, to show.
+    /// Task in progress, for display.
     pub current_task: Option<TaskId>,
-    /// Where the robot is, if it knows: where to look for what it carries, should it be lost.
+    /// Place of the robot, if known: the place to look for the item that it carries if the robot is
+    /// lost.
     pub place: Option<PlaceId>,
-    /// Whether this life of the node took the plan up from what the former one had written down. A life that did not knows
-    /// nothing of the plan.
+    /// True if this incarnation of the node restored the plan from a checkpoint. An incarnation
+    /// that did not restore it has no data about the plan.
     pub from_checkpoint: bool,
-    /// Why the role cannot be carried to its end, if so.
+    /// Failure, if the role cannot be completed.
     pub failure: Option<TaskFailure>,
 }
 
-/// A role that its holder cannot carry to its end, after all that it could try by itself.
+/// Failure of a role: its holder cannot complete it, after all recovery actions of its own.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskFailure {
-    /// The task that failed for good, if it is one task's fault.
+    /// Task that failed permanently, if a single task is the cause.
     pub task: Option<TaskId>,
-    /// Why, in words.
+    /// Cause, as text.
     pub cause: String,
-    /// What kind of failure it is.
+    /// Kind of failure.
     pub kind: FailureKind,
 }
 
-/// Why a holder gives up.
+/// Reason for which a holder gives up its role.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FailureKind {
-    /// The task's skill failed as often as it was to be tried, and no alternative was left.
+    /// The skill of the task failed at every allowed attempt, and no alternative was left.
     Task,
-    /// The task's skill crashed.
+    /// The skill of the task crashed.
     Crash,
-    /// The task came to no end and made no progress.
+    /// The task neither ended nor made progress.
     NoProgress,
     /// The battery will not last for the rest of the plan.
     Battery,
     /// The robot leaves the fleet.
     Leaving,
-    /// The plan cannot be taken up.
+    /// The plan cannot be restored.
     Plan,
-    /// Its notebook cannot be written: after a crash it would not know what it held.
-    Notebook,
+    /// The checkpoint cannot be written: after a crash the robot would not find its role.
+    #[serde(alias = "notebook")]
+    Checkpoint,
 }
 
-/// What the coordinator says to a report. What was reported is in the ledger before anything but `NotCoordinator` is said.
+/// Reply of the coordinator to a report. The content of the report is in the ledger before any
+/// reply other than `NotCoordinator` is sent.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ReportReply {
-    /// The lease goes on, from when the report was sent.
+    /// The lease is renewed, counted from the time at which the report was sent.
     Renewed {
-        /// The award.
+        /// Epoch of the award.
         epoch: Epoch,
-        /// Steps that the ledger knows as ended.
+        /// Steps that have ended according to the ledger.
         ended: BTreeSet<StepIndex>,
-        /// Who holds the mission's managed roles now.
+        /// Current holders of the mission's managed roles.
         holders: BTreeMap<RoleId, RoleHolder>,
-        /// What other roles have told this one, as far as the ledger knows: a teller may be gone before it was heard.
+        /// Signals from other roles to this role, according to the ledger: their sender may be gone
+        /// before the signal is received.
         signals: BTreeSet<Signal>,
     },
-    /// The role is no longer the reporter's, or has been carried out.
+    /// The reporter no longer holds the role, or the role is completed.
     Ended {
-        /// The award it reported under.
+        /// Epoch of the award that was reported.
         epoch: Epoch,
-        /// Why.
+        /// Reason.
         reason: EndReason,
-        /// The award of this role that is now in force, if there is one.
+        /// Epoch of the award of this role that is now in force, if any.
         current: Option<Epoch>,
     },
-    /// This node does not coordinate, or cannot be sure that it still does.
+    /// This node is not the coordinator, or cannot confirm that it still is.
     NotCoordinator {
-        /// Who does, as far as it knows.
+        /// Coordinator, if known to this node.
         coordinator: Option<NodeId>,
     },
 }
 
-/// Missions under way have changed: somebody who follows them should ask again.
+/// Active missions have changed; nodes that follow them should query again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MissionsChanged {
-    /// The coordinator's node.
+    /// Node of the coordinator.
     pub node: NodeId,
-    /// Its term.
+    /// Term of the coordinator.
     pub term: u64,
 }
 
-/// What a role has said so far to one other, or to all: idempotent, since signals are only ever added.
+/// Signals that a role has sent so far, to one role or to all roles. The message is idempotent,
+/// since signals are only ever added.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SignalHistory {
     /// The mission.
     pub mission: MissionId,
-    /// By which award the sender holds its role; the default for an unmanaged role.
+    /// Epoch of the sender's award; the default for an unmanaged role.
     pub epoch: Epoch,
-    /// What was said.
+    /// Signals sent.
     pub signals: BTreeSet<Signal>,
 }
 
@@ -282,7 +294,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_coordinator_is_followed_forward_in_its_cluster_and_anyhow_into_another() {
+    fn a_beacon_is_superseded_by_a_later_term_or_another_cluster() {
         let beacon = |term, cluster: u64| Beacon {
             node: NodeId::new("ada").unwrap(),
             term,
@@ -291,7 +303,7 @@ mod tests {
             cluster: (cluster > 0).then_some(ClusterId(cluster)),
             wire: None,
         };
-        for (known, heard, follows) in [
+        for (known, received, expected) in [
             (None, beacon(1, 1), true),
             (Some(beacon(5, 1)), beacon(5, 1), true),
             (Some(beacon(5, 1)), beacon(4, 1), false),
@@ -299,7 +311,7 @@ mod tests {
             (Some(beacon(5, 1)), beacon(4, 0), false),
             (Some(beacon(5, 0)), beacon(4, 1), false),
         ] {
-            assert_eq!(heard.supersedes(known.as_ref()), follows, "{known:?} {heard:?}");
+            assert_eq!(received.supersedes(known.as_ref()), expected, "{known:?} {received:?}");
         }
     }
 }

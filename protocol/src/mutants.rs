@@ -1,46 +1,49 @@
-//! Deliberate mistakes, one at a time, to see whether the checks find them. A check that finds none of them is no check.
+//! Mutation checks: injects a single deliberate bug to verify that the checks find it. A check that
+//! finds none of the bugs is useless.
 //!
-//! Each place where a mistake can be made asks [`is`]. Without the feature `mutants`, as in every release, that is a
-//! constant `false` and costs nothing; with it, a mistake can be chosen for the current thread, so that tests in other
-//! threads are spared.
+//! Each place where a bug can be injected calls [`is_active`]. Without the feature `mutants`, as in
+//! every release, that is a constant `false` and costs nothing. With the feature, a bug can be
+//! activated for the current thread, so that tests in other threads are not affected.
 
 use std::fmt::{self, Display};
 use std::str::FromStr;
 
-/// A deliberate mistake.
+/// Injected bug.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Mutant {
-    /// Log entries and votes are acknowledged before they are on disk.
+    /// The voter acknowledges log entries and votes before they are on disk.
     SkipFsync,
-    /// Votes are not written down at all: a voter that restarts may vote twice in one term.
+    /// Votes are not persisted: a voter that restarts may vote twice in the same term.
     DoubleVote,
-    /// A leader that hears no majority goes on believing that it leads.
+    /// A leader without contact to a majority does not step down.
     NoCheckQuorum,
-    /// A coordinator renews whatever award a robot reports, the latest or not.
+    /// The coordinator renews the award that a robot reports, even if it is outdated.
     IgnoreEpoch,
-    /// A robot acts on without looking at the end of its lease.
+    /// A robot continues after the end of its lease.
     LeaseNotChecked,
-    /// A coordinator takes a role from a silent robot well before lease and grace have passed.
+    /// The coordinator releases the role of a silent robot well before lease and grace have passed.
     EarlyRelease,
-    /// Neither the coordinator nor the ledger looks whether a report names the award in force. (If the ledger alone did not,
-    /// next to nothing would follow: the coordinator has looked a round trip before.)
+    /// Neither the coordinator nor the ledger checks whether a report names the award in force. (If
+    /// the ledger alone did not check, almost nothing would follow: the coordinator has checked a
+    /// round trip before.)
     RefusedApplied,
-    /// A report is answered before what it says was committed.
+    /// The coordinator answers a report before its content is committed.
     UncommittedReport,
-    /// The ledger forgets which requests it has had.
+    /// The ledger does not recognise repeated requests.
     RequestForgotten,
-    /// Gossip hands on the node's own record only.
+    /// Gossip passes on only the node's own record.
     LostRelay,
-    /// A role passes its waits without having heard anything.
+    /// A role passes its waits without having received the signals.
     WaitSkipped,
-    /// A robot takes over an item, or lets another do so, before the ledger is known to hold what came before.
+    /// A robot takes over an item, or lets another robot do so, before the ledger is known to
+    /// contain the preceding steps.
     GuardSkipped,
-    /// The autopilot takes a second voter out together with one that is gone.
+    /// The autopilot removes a second voter together with a voter that is gone.
     TwoRemoved,
 }
 
 impl Mutant {
-    /// All of them.
+    /// All mutants.
     pub const ALL: [Mutant; 13] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
@@ -57,12 +60,12 @@ impl Mutant {
         Mutant::TwoRemoved,
     ];
 
-    /// Its name, as commands take it.
+    /// Returns the name, as used on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Mutant::SkipFsync => "skip-fsync",
             Mutant::DoubleVote => "double-vote",
-            Mutant::NoCheckQuorum => "deaf-leader",
+            Mutant::NoCheckQuorum => "no-check-quorum",
             Mutant::IgnoreEpoch => "ignore-epoch",
             Mutant::LeaseNotChecked => "lease-not-checked",
             Mutant::EarlyRelease => "early-release",
@@ -88,15 +91,15 @@ impl FromStr for Mutant {
 
     fn from_str(name: &str) -> Result<Mutant, String> {
         Mutant::ALL.into_iter().find(|mutant| mutant.name() == name).ok_or_else(|| {
-            let known: Vec<_> = Mutant::ALL.into_iter().map(Mutant::name).collect();
-            format!("no mutant is called {name:?}; there are {}", known.join(", "))
+            let names: Vec<_> = Mutant::ALL.into_iter().map(Mutant::name).collect();
+            format!("no mutant is named {name:?}; the mutants are {}", names.join(", "))
         })
     }
 }
 
-/// This program was built without the feature `mutants`. Nothing was changed.
+/// Error: the program was built without the feature `mutants`. Nothing was changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("this program has no mutants in it; build it with `--features mutants`")]
+#[error("this program was built without mutants; build it with `--features mutants`")]
 pub struct MutantsNotBuilt;
 
 #[cfg(feature = "mutants")]
@@ -109,10 +112,10 @@ mod chosen {
     }
 }
 
-/// Has the current thread make a mistake from now on, or none.
+/// Activates a mutant for the current thread, or deactivates it.
 ///
 /// # Errors
-/// [`NotBuilt`], if a mistake was asked for.
+/// [`MutantsNotBuilt`], if a mutant was given and the feature is off.
 pub fn activate(mutant: Option<Mutant>) -> Result<(), MutantsNotBuilt> {
     #[cfg(feature = "mutants")]
     {
@@ -123,20 +126,21 @@ pub fn activate(mutant: Option<Mutant>) -> Result<(), MutantsNotBuilt> {
     if mutant.is_some() { Err(MutantsNotBuilt) } else { Ok(()) }
 }
 
-/// What `judge` says on this thread without any mistake: whoever checks makes none.
-pub fn without_mutant<R>(judge: impl FnOnce() -> R) -> R {
+/// Returns the result of `check`, evaluated on this thread without a mutant: the checks themselves
+/// must not be affected.
+pub fn without_mutant<R>(check: impl FnOnce() -> R) -> R {
     #[cfg(feature = "mutants")]
     {
         let chosen = chosen::CHOSEN.replace(None);
-        let said = judge();
+        let result = check();
         chosen::CHOSEN.set(chosen);
-        said
+        result
     }
     #[cfg(not(feature = "mutants"))]
-    judge()
+    check()
 }
 
-/// Whether the current thread makes this mistake.
+/// Checks whether the mutant is active on the current thread.
 #[inline]
 pub fn is_active(mutant: Mutant) -> bool {
     #[cfg(feature = "mutants")]

@@ -1,15 +1,16 @@
-//! Where a body is on the floor.
+//! Position and heading of a robot on the map.
 
 use crate::units::Metres;
 use serde::{Deserialize, Serialize};
 
-/// A place on the plane of the map and a heading: `x` and `y` in metres, `yaw` in radians counter-clockwise from +x.
+/// Position on the plane of the map and heading: `x` and `y` in metres, `yaw` in radians,
+/// counter-clockwise from +x.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Pose {
-    /// Metres to the east of the map's origin.
+    /// East of the map's origin, in metres.
     #[serde(rename = "x_m")]
     pub x: f64,
-    /// Metres to the north of the map's origin.
+    /// North of the map's origin, in metres.
     #[serde(rename = "y_m")]
     pub y: f64,
     /// Heading in radians.
@@ -18,12 +19,12 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// A pose at `x`, `y` (metres) with heading `yaw` (radians).
+    /// Creates a pose at `x`, `y` (metres) with heading `yaw` (radians).
     pub const fn new(x: f64, y: f64, yaw: f64) -> Pose {
         Pose { x, y, yaw }
     }
 
-    /// Straight-line distance, headings aside.
+    /// Returns the straight-line distance; headings are ignored.
     pub fn distance(self, other: Pose) -> Metres {
         Metres::new((self.x - other.x).hypot(self.y - other.y)).unwrap_or(Metres::ZERO)
     }

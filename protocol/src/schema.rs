@@ -1,6 +1,7 @@
-//! JSON Schemas of types that are one number or one text: inlined wherever they stand, since a reader has no use for their names.
+//! JSON Schemas of types that are a single number or text. They are inlined, since a reader of the
+//! schema does not need their names.
 
-/// What a type that is written as one value looks like in JSON.
+/// Implements an inlined JSON Schema for a type that is written as a single value.
 macro_rules! inline_schema {
     ($name:ident, $schema:expr) => {
         impl schemars::JsonSchema for $name {

@@ -1,8 +1,8 @@
-//! Quantities that carry their unit.
+//! Quantities with their units.
 //!
-//! Two clocks are never mixed: [`WorldTime`] is when things happen to bodies (driving, batteries, estimates; a simulator
-//! may run it faster than the wall clock), [`NodeTime`] is when things happen to processes (elections, leases,
-//! windows, retries; monotonic, since the node started).
+//! Two clocks are never mixed. [`WorldTime`] is the time of physical events (driving, batteries,
+//! estimates); a simulator may run it faster than the wall clock. [`NodeTime`] is the time of
+//! processes (elections, leases, windows, retries): monotonic, since the start of the node.
 
 use crate::schema::inline_schema;
 use schemars::json_schema;
@@ -11,15 +11,15 @@ use std::fmt;
 use std::ops::{Add, AddAssign, Sub};
 use std::time::Duration;
 
-/// Why a number is not the quantity it was given for.
+/// Error: a number is outside the range of the quantity.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{value} is not {what}: allowed is {allowed}")]
 pub struct UnitError {
-    /// The number as given.
+    /// Number as given.
     pub value: f64,
-    /// The quantity, in words.
+    /// Quantity, as text.
     pub what: &'static str,
-    /// The range allowed, in words.
+    /// Allowed range, as text.
     pub allowed: &'static str,
 }
 
@@ -31,7 +31,7 @@ macro_rules! quantities {
         pub struct $name(f64);
 
         impl $name {
-            /// Checks the number and takes it as this quantity.
+            /// Checks the number and creates the quantity.
             ///
             /// # Errors
             /// [`UnitError`] for a number outside the allowed range, infinite or not a number.
@@ -44,7 +44,7 @@ macro_rules! quantities {
                 }
             }
 
-            /// The bare number.
+            /// Returns the number without its unit.
             pub const fn get(self) -> f64 {
                 self.0
             }
@@ -80,19 +80,19 @@ macro_rules! quantities {
 }
 
 quantities! {
-    /// A length along a route.
+    /// Length along a route.
     Metres, " m", "a length", "a finite number of metres, 0 or more", |v| v >= 0.0,
         { "type": "number", "minimum": 0 };
-    /// How long something takes in the world.
+    /// Duration in world time.
     Seconds, " s", "a duration", "a finite number of seconds, 0 or more", |v| v >= 0.0,
         { "type": "number", "minimum": 0 };
-    /// A driving speed.
+    /// Driving speed.
     MetresPerSecond, " m/s", "a speed", "a finite number of metres per second above 0", |v| v > 0.0,
         { "type": "number", "exclusiveMinimum": 0 };
-    /// Charge in a battery, as a share of a full one.
+    /// Charge of a battery, as a share of a full battery.
     BatteryShare, "", "a battery share", "a number from 0 (empty) to 1 (full)", |v| (0.0..=1.0).contains(&v),
         { "type": "number", "minimum": 0, "maximum": 1 };
-    /// How fast a robot at work empties its battery, in shares of a full one per second of world time.
+    /// Discharge rate of a working robot, in shares of a full battery per second of world time.
     SharePerSecond, " /s", "a discharge rate", "a finite share per second, 0 or more", |v| v >= 0.0,
         { "type": "number", "minimum": 0 };
 }
@@ -101,7 +101,7 @@ impl Metres {
     /// No distance.
     pub const ZERO: Metres = Metres(0.0);
 
-    /// Time to drive this far.
+    /// Returns the time to drive this distance.
     pub fn at(self, speed: MetresPerSecond) -> Seconds {
         Seconds(self.0 / speed.0)
     }
@@ -136,33 +136,35 @@ impl BatteryShare {
     /// A full battery.
     pub const FULL: BatteryShare = BatteryShare(1.0);
 
-    /// As a percentage, in words: `63.5 %`.
+    /// Formats as a percentage: `63.5 %`.
     pub fn percent(self) -> String {
         format!("{:.1} %", self.0 * 100.0)
     }
 }
 
 impl SharePerSecond {
-    /// Share of a full battery used in this time. It may exceed 1: no battery lasts that long.
+    /// Returns the share of a full battery used in this time. May exceed 1: then no battery lasts
+    /// that long.
     pub fn over(self, time: Seconds) -> f64 {
         self.0 * time.0
     }
 }
 
-/// An instant of world time: seconds since the world began.
+/// Instant of world time: seconds since the start of the world.
 #[derive(Clone, Copy, PartialEq, PartialOrd, Debug, Default, Serialize, Deserialize)]
 pub struct WorldTime(f64);
 
 impl WorldTime {
-    /// The beginning of the world.
+    /// Start of the world.
     pub const ZERO: WorldTime = WorldTime(0.0);
 
-    /// The instant this many seconds after the beginning; what is not a time at all is the beginning.
+    /// Returns the instant this many seconds after the start; the start if the value is not a valid
+    /// time.
     pub fn from_secs(seconds: f64) -> WorldTime {
         WorldTime(if seconds.is_finite() { seconds.max(0.0) } else { 0.0 })
     }
 
-    /// Seconds since the beginning.
+    /// Returns the seconds since the start.
     pub const fn as_secs(self) -> f64 {
         self.0
     }
@@ -177,32 +179,32 @@ impl Add<Seconds> for WorldTime {
 
 impl Sub for WorldTime {
     type Output = Seconds;
-    /// Time from `earlier` to `self`; nothing if `earlier` is later.
+    /// Returns the time from `earlier` to `self`; zero if `earlier` is later.
     fn sub(self, earlier: WorldTime) -> Seconds {
         Seconds((self.0 - earlier.0).max(0.0))
     }
 }
 
-/// An instant of node time: how long the node has been up when it happens. Never compared between nodes.
+/// Instant of node time: the uptime of the node at that moment. Never compared between nodes.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug, Default, Serialize, Deserialize)]
 pub struct NodeTime(Duration);
 
 impl NodeTime {
-    /// The node's start.
+    /// Start of the node.
     pub const ZERO: NodeTime = NodeTime(Duration::ZERO);
 
-    /// The instant this long after the node's start.
+    /// Returns the instant this long after the node's start.
     pub const fn at(since_start: Duration) -> NodeTime {
         NodeTime(since_start)
     }
 
-    /// Milliseconds since the node's start.
+    /// Returns the milliseconds since the node's start.
     pub const fn as_millis(self) -> u64 {
         // A node is not up for 500 million years.
         self.0.as_millis() as u64
     }
 
-    /// How long ago `earlier` was; nothing if it lies ahead.
+    /// Returns the time since `earlier`; zero if `earlier` is later.
     pub const fn since(self, earlier: NodeTime) -> Duration {
         self.0.saturating_sub(earlier.0)
     }
@@ -220,7 +222,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_a_share_is_refused_where_it_enters() {
+    fn a_number_outside_the_range_is_rejected() {
         for value in [-0.01, 1.01, f64::NAN, f64::INFINITY] {
             assert!(BatteryShare::new(value).is_err(), "{value}");
         }

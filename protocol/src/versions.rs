@@ -1,13 +1,16 @@
-//! Versions of the wire: which layouts of messages and commands a program reads and writes, and how a fleet goes from one
-//! version to the next while it works.
+//! Wire versions: the layouts of messages and commands that a program reads and writes, and the
+//! upgrade of a running fleet to the next version.
 //!
-//! A program reads some neighbouring versions ([`Versions::OWN`]) and says so in its node's knowledge. What it *writes* is of the
-//! fleet's version, which stands in the ledger and in every [`Beacon`](crate::message::Beacon): the oldest that it reads until it
-//! has heard of a later one. The ledger's version is raised by one step, once, after every node that is known reads the next; so
-//! nobody is ever sent what it cannot read, and up to that moment each node can go back to the program that it came from. A node
-//! whose program does not read the fleet's version has no place in it, and ends.
+//! A program reads a range of versions ([`VersionRange::OWN`]) and publishes the range in its
+//! node's record. It *writes* the version of the fleet, which is stored in the ledger and in every
+//! [`Beacon`](crate::message::Beacon); until it receives a later version, it writes the oldest
+//! version that it reads. The ledger's version is raised by a single step, once, after every known
+//! node reads the next version. So no node ever receives a message that it cannot read, and up to
+//! that moment each node can return to its previous program. A node with a program that does not
+//! read the fleet's version stops.
 //!
-//! The first byte of a message is the version in which its layout came ([`codec`](crate::codec)): most are the same in all.
+//! The first byte of a message is the version in which its layout was introduced
+//! ([`codec`](crate::codec)): most layouts are the same in all versions.
 
 use crate::ids::NodeId;
 use crate::knowledge::KnowledgeBase;
@@ -15,20 +18,20 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// Which versions of the wire a program reads: all from one to another.
+/// Range of wire versions that a program reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VersionRange {
-    /// The oldest.
+    /// Oldest version.
     pub oldest: u8,
-    /// The newest, which it would rather write.
+    /// Newest version, which the program prefers to write.
     pub newest: u8,
 }
 
 impl VersionRange {
-    /// Those of this program.
+    /// Versions of this program.
     pub const OWN: VersionRange = VersionRange { oldest: 1, newest: 2 };
 
-    /// Whether this version is one of them.
+    /// Checks whether the range contains this version.
     pub fn contains(self, version: u8) -> bool {
         (self.oldest..=self.newest).contains(&version)
     }
@@ -43,42 +46,46 @@ impl fmt::Display for VersionRange {
     }
 }
 
-/// How far a fleet is on its way to the next version.
+/// Status of an upgrade to the next version.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum UpgradeStatus {
-    /// The coordinator's program reads none later.
+    /// The coordinator's program reads no later version.
     Newest,
-    /// Every node reads the next one.
+    /// Every node reads the next version.
     Ready {
-        /// The next version.
+        /// Next version.
         next: u8,
     },
-    /// Some do not, or nothing is known of them.
+    /// Some nodes do not read the next version, or have no record.
     Blocked {
-        /// The next version.
+        /// Next version.
         next: u8,
-        /// Who, and what they read as far as is known.
+        /// These nodes, and the versions that they read if known.
         behind: BTreeMap<NodeId, Option<VersionRange>>,
     },
 }
 
 impl UpgradeStatus {
-    /// Whether a fleet that writes version `now` may go on to the next, as far as a coordinator whose program reads `own` knows.
-    /// Everybody counts of whom something is known, be he down: he may come back. So does whoever is `needed`, known or not.
+    /// Computes whether a fleet that writes version `now` may switch to the next version, according
+    /// to a coordinator with a program that reads `own`. All nodes with a record count, including
+    /// nodes that are down, since they may return. All nodes in `required` count, with or without a
+    /// record.
     pub fn of(
         now: u8,
         own: VersionRange,
-        needed: impl IntoIterator<Item = NodeId>,
+        required: impl IntoIterator<Item = NodeId>,
         base: &KnowledgeBase,
     ) -> UpgradeStatus {
         let next = now.saturating_add(1);
         if !own.contains(next) {
             return UpgradeStatus::Newest;
         }
-        let known = base.iter().map(|(node, heard)| (node.clone(), Some(heard.record.knowledge.supported_versions)));
-        let mut all: BTreeMap<NodeId, Option<VersionRange>> = needed.into_iter().map(|node| (node, None)).collect();
+        let known = base
+            .iter()
+            .map(|(node, known_record)| (node.clone(), Some(known_record.record.knowledge.supported_versions)));
+        let mut all: BTreeMap<NodeId, Option<VersionRange>> = required.into_iter().map(|node| (node, None)).collect();
         all.extend(known);
-        all.retain(|_, speaks| !speaks.is_some_and(|speaks| speaks.contains(next)));
+        all.retain(|_, versions| !versions.is_some_and(|versions| versions.contains(next)));
         match all.is_empty() {
             true => UpgradeStatus::Ready { next },
             false => UpgradeStatus::Blocked { next, behind: all },
@@ -98,7 +105,7 @@ mod tests {
 
     fn base(nodes: &[(&str, VersionRange)]) -> KnowledgeBase {
         let mut base = KnowledgeBase::default();
-        for (name, speaks) in nodes {
+        for (name, versions) in nodes {
             let knowledge = Knowledge {
                 may_vote: true,
                 stationary: true,
@@ -106,7 +113,7 @@ mod tests {
                 replica: None,
                 cluster: None,
                 leaving: false,
-                supported_versions: *speaks,
+                supported_versions: *versions,
                 robot: None,
             };
             base.merge(
@@ -121,18 +128,18 @@ mod tests {
     const NEW: VersionRange = VersionRange { oldest: 1, newest: 2 };
 
     #[test]
-    fn a_fleet_goes_on_when_everybody_reads_the_next_version() {
-        let of = |now, own, needed: &[&str], nodes: &[(&str, VersionRange)]| {
-            UpgradeStatus::of(now, own, needed.iter().map(|name| node(name)), &base(nodes))
+    fn a_fleet_is_ready_when_every_node_reads_the_next_version() {
+        let of = |now, own, required: &[&str], nodes: &[(&str, VersionRange)]| {
+            UpgradeStatus::of(now, own, required.iter().map(|name| node(name)), &base(nodes))
         };
-        let waits = |behind: &[(&str, Option<VersionRange>)]| UpgradeStatus::Blocked {
+        let blocked = |behind: &[(&str, Option<VersionRange>)]| UpgradeStatus::Blocked {
             next: 2,
-            behind: behind.iter().map(|(name, speaks)| (node(name), *speaks)).collect(),
+            behind: behind.iter().map(|(name, versions)| (node(name), *versions)).collect(),
         };
         assert_eq!(of(1, NEW, &["ada"], &[("ada", NEW), ("bob", NEW)]), UpgradeStatus::Ready { next: 2 });
-        assert_eq!(of(1, NEW, &[], &[("ada", NEW), ("bob", OLD)]), waits(&[("bob", Some(OLD))]));
-        assert_eq!(of(1, NEW, &["ada", "cyd"], &[("ada", NEW)]), waits(&[("cyd", None)]));
-        // Two steps at once would leave some behind who read the next but not the one after it.
+        assert_eq!(of(1, NEW, &[], &[("ada", NEW), ("bob", OLD)]), blocked(&[("bob", Some(OLD))]));
+        assert_eq!(of(1, NEW, &["ada", "cyd"], &[("ada", NEW)]), blocked(&[("cyd", None)]));
+        // A jump of two versions would exclude nodes that read only the next version.
         let far = VersionRange { oldest: 2, newest: 3 };
         assert_eq!(of(1, far, &[], &[("ada", far)]), UpgradeStatus::Ready { next: 2 });
         assert_eq!(of(2, NEW, &[], &[("ada", NEW)]), UpgradeStatus::Newest);

@@ -1,6 +1,6 @@
-//! Choices that stand in keys, certificates and files as one word each.
+//! Enums with a fixed word for each variant, as used in keys, certificates and files.
 
-/// Enums of which each variant has a word, all of them listed and read back.
+/// Defines enums with a word for each variant, a list of all variants, and a parser.
 macro_rules! words {
     ($($(#[$doc:meta])* $name:ident { $($(#[$vdoc:meta])* $variant:ident = $word:literal),* $(,)? })*) => {$(
         $(#[$doc])*
@@ -8,15 +8,15 @@ macro_rules! words {
         pub enum $name { $($(#[$vdoc])* $variant),* }
 
         impl $name {
-            /// All of them.
+            /// All variants.
             pub const ALL: &'static [$name] = &[$($name::$variant),*];
 
-            /// The word that stands for it in a key.
+            /// Returns the word of the variant, as written in a key.
             pub fn as_str(self) -> &'static str {
                 match self { $($name::$variant => $word),* }
             }
 
-            /// Which of them a word stands for, if any.
+            /// Returns the variant with this word, if there is one.
             pub fn parse(word: &str) -> Option<$name> {
                 $name::ALL.iter().copied().find(|call| call.as_str() == word)
             }

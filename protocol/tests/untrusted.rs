@@ -1,4 +1,5 @@
-//! What people and clients write: whatever it is, it is read or refused, soon, and on a stack no larger than a worker's.
+//! Robustness against input of people and clients: any input is parsed or rejected quickly, on a
+//! stack no larger than that of a worker thread.
 
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::{EnsembleId, TaskType};
@@ -10,27 +11,27 @@ use std::collections::BTreeSet;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// What tokio gives its workers, which read what clients send.
+/// Stack size of tokio's worker threads, which parse the input of clients.
 const STACK: usize = 2 << 20;
 
-/// How long reading may take, tests not being optimised.
-const SOON: Duration = Duration::from_secs(5);
+/// Maximum time for parsing; tests are not optimised.
+const TIME_MAX: Duration = Duration::from_secs(5);
 
-/// Does something on a stack like a worker's, and sees that it takes no longer than allowed. A stack that is too small ends the
-/// whole process.
+/// Runs `work` on a stack like that of a worker, and checks its duration. A stack overflow aborts
+/// the whole process.
 #[track_caller]
-fn soon<T: Send>(what: &str, work: impl FnOnce() -> T + Send) -> T {
+fn in_time<T: Send>(what: &str, work: impl FnOnce() -> T + Send) -> T {
     let began = Instant::now();
     let done = thread::scope(|scope| {
         let builder = thread::Builder::new().stack_size(STACK);
         builder.spawn_scoped(scope, work).expect("a thread").join().expect("no panic")
     });
     let took = began.elapsed();
-    assert!(took < SOON, "{took:?} for {}", what.chars().take(200).collect::<String>());
+    assert!(took < TIME_MAX, "{took:?} for {}", what.chars().take(200).collect::<String>());
     done
 }
 
-/// A condition of an ensemble, compiled and tried on an example.
+/// Compiles a condition of an ensemble and evaluates it on an example.
 fn condition(text: &str) -> Result<(), String> {
     let skills = BTreeSet::from([TaskType::new("navigation").expect("a slug")]);
     let spec = EnsembleSpec::with_any_skill_of(EnsembleId::new("e").expect("a slug"), skills);
@@ -39,33 +40,33 @@ fn condition(text: &str) -> Result<(), String> {
 }
 
 #[test]
-fn loops_in_loops_are_refused_before_they_run() {
+fn deeply_nested_loops_are_rejected_before_they_run() {
     let digits = format!("[{}]", vec!["1"; 60].join(","));
-    // Sixty to the sixth power.
+    // 60⁶ iterations.
     let each = |inner: String, name: &str| format!("{digits}.all({name}, {inner})");
     let deep = ["a", "b", "c", "d", "e", "f"].into_iter().fold("true".to_owned(), each);
-    let why = soon(&deep, || condition(&deep)).unwrap_err();
-    assert!(why.contains("its loops stand 6 deep in one another, where 2 are allowed"), "{why}");
-    // Each goes over what the one before it has doubled.
+    let error = in_time(&deep, || condition(&deep)).unwrap_err();
+    assert!(error.contains("loops are nested 6 deep; at most 2 levels are allowed"), "{error}");
+    // Each loop iterates over a list that the preceding loop has doubled.
     let doubled = (0..20).fold("[1]".to_owned(), |list, _| format!("[{list}].map(l, l+l)[0]")) + ".size() > 0";
-    let why = soon(&doubled, || condition(&doubled)).unwrap_err();
-    assert!(why.contains("20 deep"), "{why}");
-    // Two may, and beside one another as many as there is room for.
+    let error = in_time(&doubled, || condition(&doubled)).unwrap_err();
+    assert!(error.contains("20 deep"), "{error}");
+    // Two levels are allowed, and any number of loops in sequence.
     let two = format!("{digits}.all(a, {digits}.exists(b, a == b))");
-    assert_eq!(soon(&two, || condition(&two)), Ok(()));
-    let beside = ["member.skills.exists(s, s in ensemble.skills)"; 12].join(" && ");
-    assert_eq!(soon(&beside, || condition(&beside)), Ok(()));
+    assert_eq!(in_time(&two, || condition(&two)), Ok(()));
+    let in_sequence = ["member.skills.exists(s, s in ensemble.skills)"; 12].join(" && ");
+    assert_eq!(in_time(&in_sequence, || condition(&in_sequence)), Ok(()));
 }
 
 #[test]
-fn what_is_nested_without_end_is_refused() {
+fn deeply_nested_input_is_rejected() {
     for (open, close) in
         [("(", ")"), ("[", "]"), ("!", ""), ("-", ""), ("{1:", "}"), ("a?b:", ""), ("a.", ""), ("f(", ")")]
     {
         let times = 1000 / (open.len() + close.len());
         let text = format!("{}true{}", open.repeat(times), close.repeat(times));
-        // Some are no condition, some are too deep, some are yes or no after all: all are answered.
-        let _ = soon(&text, || condition(&text));
+        // Some are invalid, some are too deep, some are valid: all end in time.
+        let _ = in_time(&text, || condition(&text));
     }
     let head = "mission: m\nroles: { r1: { kind: managed } }\nroot: ";
     for (open, close) in
@@ -73,20 +74,20 @@ fn what_is_nested_without_end_is_refused() {
     {
         let times = 100_000 / (open.len() + close.len());
         let text = format!("{head}{}x{}", open.repeat(times), close.repeat(times));
-        assert!(soon(&text, || MissionTemplate::parse(&text, Format::Yaml)).is_err(), "{open}");
-        assert!(soon(&text, || MissionTemplate::request(&text, Format::Yaml)).is_err(), "{open}");
+        assert!(in_time(&text, || MissionTemplate::parse(&text, Format::Yaml)).is_err(), "{open}");
+        assert!(in_time(&text, || MissionTemplate::request(&text, Format::Yaml)).is_err(), "{open}");
     }
     for (open, close) in [("[", "]"), ("{\"root\":", "}"), ("{\"root\":{\"tasks\":[", "]}}")] {
         let times = 200_000 / (open.len() + close.len());
         let text = format!("{}1{}", open.repeat(times), close.repeat(times));
-        assert!(soon(&text, || MissionTemplate::parse(&text, Format::Json)).is_err(), "{open}");
+        assert!(in_time(&text, || MissionTemplate::parse(&text, Format::Json)).is_err(), "{open}");
     }
-    // A few lines that would be gigabytes.
-    let laughs = (1..12).fold("a0: &a0 [x,x]\n".to_owned(), |text, level| {
+    // A few lines that would expand to gigabytes.
+    let alias_bomb = (1..12).fold("a0: &a0 [x,x]\n".to_owned(), |text, level| {
         let before = level - 1;
         format!("{text}a{level}: &a{level} [*a{before},*a{before},*a{before},*a{before},*a{before}]\n")
     });
-    assert!(soon(&laughs, || MissionTemplate::parse(&laughs, Format::Yaml)).is_err());
+    assert!(in_time(&alias_bomb, || MissionTemplate::parse(&alias_bomb, Format::Yaml)).is_err());
 }
 
 const LAB_SAMPLES: &str = include_str!("../missions/lab-samples.yaml");
@@ -95,7 +96,7 @@ fn edits() -> impl Strategy<Value = Vec<(Index, usize, String)>> {
     prop::collection::vec((any::<Index>(), 0_usize..40, "[ -~\n]{0,6}"), 1..8)
 }
 
-/// A text with parts cut out and others put in.
+/// Returns the text with the edits applied.
 fn edited(text: &str, edits: &[(Index, usize, String)]) -> String {
     let mut text = text.to_owned();
     for (at, cut, put) in edits {
@@ -108,8 +109,8 @@ fn edited(text: &str, edits: &[(Index, usize, String)]) -> String {
     text
 }
 
-/// Reads a mission, and if it can be read, works out what a request for it would be.
-fn planned(text: &str, format: Format) {
+/// Parses a mission, and if it is valid, instantiates and divides it.
+fn plan(text: &str, format: Format) {
     if let Ok(template) = MissionTemplate::parse(text, format) {
         let given = template.parameters().keys().map(|name| (name.clone(), "IC Room 6".to_owned())).collect();
         if let Ok(mission) = template.instantiate(&given, &Domain::hospital()) {
@@ -120,16 +121,16 @@ fn planned(text: &str, format: Format) {
 
 proptest! {
     #[test]
-    fn a_mutated_mission_is_planned_or_refused(edits in edits()) {
+    fn a_mutated_mission_is_planned_or_rejected(edits in edits()) {
         let text = edited(LAB_SAMPLES, &edits);
-        soon(&text, || planned(&text, Format::Yaml));
+        in_time(&text, || plan(&text, Format::Yaml));
     }
 
     #[test]
-    fn a_mutated_request_is_planned_or_refused(edits in edits()) {
-        let json = MissionTemplate::request(LAB_SAMPLES, Format::Yaml).expect("it is shipped").to_string();
+    fn a_mutated_request_is_planned_or_rejected(edits in edits()) {
+        let json = MissionTemplate::request(LAB_SAMPLES, Format::Yaml).expect("the shipped mission is valid").to_string();
         let text = edited(&json, &edits);
-        soon(&text, || planned(&text, Format::Json));
+        in_time(&text, || plan(&text, Format::Json));
     }
 
     #[test]
@@ -140,6 +141,6 @@ proptest! {
         "timestamp('2026-01-01T00:00:00Z')", "9u", "\"", "\\", "é",
     ]), 0..60)) {
         let text = words.concat();
-        let _ = soon(&text, || condition(&text));
+        let _ = in_time(&text, || condition(&text));
     }
 }

@@ -1,4 +1,4 @@
-//! Every message survives the wire, and no bytes do any harm.
+//! Every message survives encoding and decoding, and no bytes cause a panic.
 
 use consort_protocol::auction::{
     AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, BidRefusal, BidResponse, BidVerdict, CallForBids,
@@ -204,7 +204,7 @@ fn reason() -> impl Strategy<Value = RefusalReason> {
         text().prop_map(|problem| RefusalReason::OutOfService { problem }),
         (name(), text()).prop_map(|(ensemble, why)| RefusalReason::NotMember { ensemble, why }),
         any::<u64>().prop_map(|window_ms| RefusalReason::Silent { window_ms }),
-        (name(), name()).prop_map(|(item, mission)| RefusalReason::HandsFull { item, mission }),
+        (name(), name()).prop_map(|(item, mission)| RefusalReason::CarriesItem { item, mission }),
         text().prop_map(|cause| RefusalReason::Excluded { cause }),
     ]
 }
@@ -324,7 +324,7 @@ fn outcome() -> impl Strategy<Value = CommandOutcome> {
         (name(), text(), vec(stranded(), 0..3)).prop_map(|(mission, cause, items)| {
             CommandOutcome::Refused(CommandError::MissionEnded {
                 mission,
-                state: MissionState::NeedsRescue { cause, items },
+                state: MissionState::NeedsIntervention { cause, items },
             })
         }),
         (name(), name(), name()).prop_map(|(robot, item, mission)| CommandOutcome::Refused(
@@ -347,7 +347,7 @@ fn ending() -> impl Strategy<Value = EndReason> {
         Just(EndReason::Over),
         Just(EndReason::Replaced),
         Just(EndReason::Released),
-        Just(EndReason::Rescue),
+        Just(EndReason::NeedsIntervention),
     ]
 }
 
@@ -405,7 +405,7 @@ fn report() -> impl Strategy<Value = Report> {
 fn report_answer() -> impl Strategy<Value = ReportReply> {
     prop_oneof![
         (epoch(), btree_set(any::<u32>(), 0..5), holders(), btree_set(signal(), 0..4))
-            .prop_map(|(epoch, ended, holders, told)| ReportReply::Renewed { epoch, ended, holders, signals: told }),
+            .prop_map(|(epoch, ended, holders, signals)| ReportReply::Renewed { epoch, ended, holders, signals }),
         (epoch(), ending(), option::of(epoch())).prop_map(|(epoch, reason, current)| ReportReply::Ended {
             epoch,
             reason,
@@ -415,21 +415,25 @@ fn report_answer() -> impl Strategy<Value = ReportReply> {
     ]
 }
 
-fn survives<T: Serialize + DeserializeOwned + PartialEq + Debug>(message: &T) -> Result<(), TestCaseError> {
+fn assert_round_trip<T: Serialize + DeserializeOwned + PartialEq + Debug>(message: &T) -> Result<(), TestCaseError> {
     let bytes = encode(message).expect("a small message");
     prop_assert_eq!(&decode::<T>(&bytes).expect("what was encoded"), message);
-    // A byte less is never a message: nothing is guessed.
+    // A truncated message is never decoded.
     prop_assert!(decode::<T>(&bytes[..bytes.len() - 1]).is_err());
     Ok(())
 }
 
-/// The same of a message whose layout has changed: in a version before, it loses what that version lacks, and nothing else.
-fn evolves<T: VersionedMessage + PartialEq + Debug + Clone>(message: &T, before: &T) -> Result<(), TestCaseError> {
-    for (wire, heard) in [(1, before), (2, message), (3, message)] {
+/// Checks the same for a message with a changed layout: encoded for an earlier version it loses
+/// only the fields that the version lacks.
+fn assert_versions<T: VersionedMessage + PartialEq + Debug + Clone>(
+    message: &T,
+    before: &T,
+) -> Result<(), TestCaseError> {
+    for (wire, expected) in [(1, before), (2, message), (3, message)] {
         let bytes = encode_for_version(wire, message.clone()).expect("a small message");
         let layout = if wire == 1 { 1 } else { T::SINCE };
         prop_assert_eq!(bytes[0], layout);
-        prop_assert_eq!(&decode_any_version::<T>(&bytes).expect("what was encoded"), heard);
+        prop_assert_eq!(&decode_any_version::<T>(&bytes).expect("what was encoded"), expected);
         prop_assert!(decode_any_version::<T>(&bytes[..bytes.len() - 1]).is_err());
     }
     let mut later = encode_for_version(T::SINCE, message.clone()).expect("a small message");
@@ -449,10 +453,10 @@ proptest! {
         let sums = vec![record.stamp.incarnation; 3];
         let scope = DigestScope::of_difference(&sums, &[record.stamp.version; 3]);
         let still = |proof| RecordUpdate::Refresh { stamp: record.stamp, since: record.stamp.version, proof };
-        evolves(&still(record.proof), &still(None))?;
-        evolves(&RecordUpdate::Record(record.clone()), &RecordUpdate::Record(without.clone()))?;
+        assert_versions(&still(record.proof), &still(None))?;
+        assert_versions(&RecordUpdate::Record(record.clone()), &RecordUpdate::Record(without.clone()))?;
         let exchange = |record| Exchange { sums: sums.clone(), scope, digest: digest.clone(), records: vec![record] };
-        evolves(&exchange(record.clone()), &exchange(without))?;
+        assert_versions(&exchange(record.clone()), &exchange(without))?;
     }
 
     #[test]
@@ -460,98 +464,98 @@ proptest! {
         auction in auction(), roles in btree_map(name(), plan(), 0..3), ensemble in name(), bid in bid(),
         robot in name::<RobotId>(), role in name::<RoleId>(), reason in reason()
     ) {
-        survives(&CallForBids { auction: auction.clone(), ensemble, roles })?;
+        assert_round_trip(&CallForBids { auction: auction.clone(), ensemble, roles })?;
         let refusal = BidRefusal { robot: robot.clone(), role, reason };
-        survives(&BidResponse { robot, auction, replies: vec![RoleReply::Bid(bid), RoleReply::Refusal(refusal)] })?;
+        assert_round_trip(&BidResponse { robot, auction, replies: vec![RoleReply::Bid(bid), RoleReply::Refusal(refusal)] })?;
     }
 
     #[test]
-    fn what_is_said_of_awards_survives(
+    fn award_messages_survive(
         notice in notice(), award_answer in award_answer(), report in report(), report_answer in report_answer()
     ) {
-        survives(&notice)?;
-        survives(&award_answer)?;
-        survives(&report)?;
-        survives(&report_answer)?;
+        assert_round_trip(&notice)?;
+        assert_round_trip(&award_answer)?;
+        assert_round_trip(&report)?;
+        assert_round_trip(&report_answer)?;
     }
 
     #[test]
-    fn what_goes_into_the_ledger_survives(commands in vec(command(), 1..6), outcome in outcome()) {
+    fn ledger_commands_survive(commands in vec(command(), 1..6), outcome in outcome()) {
         let mut ledger = Ledger::default();
         for (index, command) in (1..).zip(commands) {
-            survives(&command)?;
-            survives(&ledger.apply(Epoch { term: 1, index }, command))?;
+            assert_round_trip(&command)?;
+            assert_round_trip(&ledger.apply(Epoch { term: 1, index }, command))?;
         }
-        survives(&ledger)?;
-        survives(&outcome)?;
+        assert_round_trip(&ledger)?;
+        assert_round_trip(&outcome)?;
     }
 
     #[test]
-    fn what_roles_and_coordinators_say_survives(
+    fn messages_of_roles_and_coordinators_survive(
         mission in name::<MissionId>(), epoch in epoch(), signals in btree_set(signal(), 0..4), node in name::<NodeId>(),
         term in any::<u64>(), voters in btree_set(name::<NodeId>(), 0..4), plan in plan(),
         ended in btree_set(any::<u32>(), 0..4), holders in holders(), branch in branch(),
         vacant in btree_set(name::<RoleId>(), 0..3)
     ) {
-        survives(&ClusterEnvelope { cluster: Some(ClusterId(term)), payload: vec![1, 2, 3] })?;
-        survives(&SignalHistory { mission: mission.clone(), epoch, signals: signals.clone() })?;
-        survives(&Beacon { node: node.clone(), term, voters, since_ms: term, cluster: (term % 2 == 0).then_some(ClusterId(term)), wire: (term % 3 == 0).then_some(2) })?;
+        assert_round_trip(&ClusterEnvelope { cluster: Some(ClusterId(term)), payload: vec![1, 2, 3] })?;
+        assert_round_trip(&SignalHistory { mission: mission.clone(), epoch, signals: signals.clone() })?;
+        assert_round_trip(&Beacon { node: node.clone(), term, voters, since_ms: term, cluster: (term % 2 == 0).then_some(ClusterId(term)), wire: (term % 3 == 0).then_some(2) })?;
         let founder = BootstrapRequest { mobile: term % 2 == 0, on_battery: term % 3 == 0, node: node.clone() };
-        survives(&BootstrapReply::Refused { reason: founder.node.to_string() })?;
-        survives(&founder)?;
-        survives(&MissionsChanged { node, term })?;
+        assert_round_trip(&BootstrapReply::Refused { reason: founder.node.to_string() })?;
+        assert_round_trip(&founder)?;
+        assert_round_trip(&MissionsChanged { node, term })?;
         let live = ActivePlan { mission, branch, plan, ended, holders, vacant, signals: signals };
-        survives(&ActiveMissions { cluster: Some(ClusterId(term)), count: 1, plans: vec![live] })?;
+        assert_round_trip(&ActiveMissions { cluster: Some(ClusterId(term)), count: 1, plans: vec![live] })?;
     }
 
     #[test]
-    fn no_bytes_do_any_harm(bytes in vec(any::<u8>(), 0..300), versioned in any::<bool>()) {
+    fn arbitrary_bytes_cause_no_panic(bytes in vec(any::<u8>(), 0..300), versioned in any::<bool>()) {
         let mut bytes = bytes;
         if versioned && !bytes.is_empty() {
             bytes[0] = 1;
         }
-        // What cannot be read is an error; what can be read is the same again.
+        // Undecodable bytes give an error; a decoded message encodes again.
         let _ = decode_any_version::<Exchange>(&bytes);
         let _ = decode_any_version::<RecordUpdate>(&bytes);
-        harmless::<CallForBids>(&bytes);
-        harmless::<BidResponse>(&bytes);
-        harmless::<AwardNotice>(&bytes);
-        harmless::<AwardReply>(&bytes);
-        harmless::<Report>(&bytes);
-        harmless::<ReportReply>(&bytes);
-        harmless::<Command>(&bytes);
-        harmless::<CommandOutcome>(&bytes);
-        harmless::<Ledger>(&bytes);
-        harmless::<SignalHistory>(&bytes);
-        harmless::<Beacon>(&bytes);
-        harmless::<BootstrapRequest>(&bytes);
-        harmless::<BootstrapReply>(&bytes);
-        harmless::<MissionsChanged>(&bytes);
-        harmless::<ActiveMissions>(&bytes);
+        assert_harmless::<CallForBids>(&bytes);
+        assert_harmless::<BidResponse>(&bytes);
+        assert_harmless::<AwardNotice>(&bytes);
+        assert_harmless::<AwardReply>(&bytes);
+        assert_harmless::<Report>(&bytes);
+        assert_harmless::<ReportReply>(&bytes);
+        assert_harmless::<Command>(&bytes);
+        assert_harmless::<CommandOutcome>(&bytes);
+        assert_harmless::<Ledger>(&bytes);
+        assert_harmless::<SignalHistory>(&bytes);
+        assert_harmless::<Beacon>(&bytes);
+        assert_harmless::<BootstrapRequest>(&bytes);
+        assert_harmless::<BootstrapReply>(&bytes);
+        assert_harmless::<MissionsChanged>(&bytes);
+        assert_harmless::<ActiveMissions>(&bytes);
     }
 
     #[test]
-    fn a_message_with_a_flipped_bit_does_no_harm(command in command(), at in any::<prop::sample::Index>(), bit in 0u8..8) {
+    fn a_flipped_bit_causes_no_panic(command in command(), at in any::<prop::sample::Index>(), bit in 0u8..8) {
         let mut bytes = encode(&command).expect("a small message");
         let at = at.index(bytes.len());
         bytes[at] ^= 1 << bit;
-        harmless::<Command>(&bytes);
-        harmless::<BidResponse>(&bytes);
+        assert_harmless::<Command>(&bytes);
+        assert_harmless::<BidResponse>(&bytes);
     }
 }
 
-fn harmless<T: Serialize + DeserializeOwned>(bytes: &[u8]) {
+fn assert_harmless<T: Serialize + DeserializeOwned>(bytes: &[u8]) {
     if let Ok(message) = decode::<T>(bytes) {
         assert!(encode(&message).is_ok_and(|again| again.len() <= MESSAGE_BYTES_MAX));
     }
 }
 
 #[test]
-fn a_length_that_lies_about_more_than_the_limit_is_refused_before_memory_is_taken() {
-    // A set of 2^62 steps, in an otherwise sound beginning of a report.
-    for lie in [u64::MAX, 1 << 62, 1 << 40, 1 << 20] {
+fn a_false_length_is_rejected_before_memory_is_allocated() {
+    // A set of 2^62 steps, in an otherwise valid beginning of a report.
+    for false_length in [u64::MAX, 1 << 62, 1 << 40, 1 << 20] {
         let mut bytes = vec![1, 253];
-        bytes.extend(lie.to_le_bytes());
+        bytes.extend(false_length.to_le_bytes());
         bytes.extend([0; 64]);
         assert!(decode::<Vec<u64>>(&bytes).is_err());
         assert!(decode::<String>(&bytes).is_err());

@@ -1,8 +1,10 @@
-//! A world for robots to act in, behind the robot-actions interface.
+//! A simulated world for robots, behind the robot-actions interface.
 //!
-//! [`map`] is the floor: places, lanes between them, walls. [`world`] is what happens on it: robots that drive, people
-//! who hand things over, samples that change hands, batteries that run down, all as discrete events on a clock that only
-//! moves when its owner lets it. [`kinematics`] is how bodies move. [`record`] writes down what happens. [`experiment`] is the arithmetic of the evaluation. Nothing here knows missions, auctions or who coordinates whom.
+//! [`map`] is the site: places, lanes between them, walls. [`world`] simulates it as discrete
+//! events on a clock that only its owner advances: robots that drive, people with samples to hand
+//! over, batteries that run down. [`kinematics`] models how robots move. [`record`] writes
+//! recordings. [`experiment`] is the arithmetic of the evaluation. This crate contains nothing
+//! about missions, auctions or coordinators.
 
 pub mod experiment;
 pub mod kinematics;

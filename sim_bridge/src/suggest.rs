@@ -1,6 +1,7 @@
-//! What a misspelled name was probably meant to be.
+//! Suggestions for misspelled names.
 
-/// `; did you mean "…"?` with the known name nearest to `text`, or nothing if none is near.
+/// Returns `; did you mean "…"?` with the known name nearest to `text`, or an empty text if none is
+/// near.
 pub(crate) fn did_you_mean<'a>(text: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     let wanted = text.to_lowercase();
     let near = (wanted.chars().count() / 3).max(1);
@@ -12,7 +13,7 @@ pub(crate) fn did_you_mean<'a>(text: &str, known: impl IntoIterator<Item = &'a s
         .map_or_else(String::new, |(_, name)| format!("; did you mean {name:?}?"))
 }
 
-/// Insertions, deletions and replacements that turn one text into the other (Levenshtein).
+/// Edit distance of two texts: insertions, deletions and replacements (Levenshtein).
 fn edits(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();

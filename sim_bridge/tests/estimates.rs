@@ -1,4 +1,4 @@
-//! What estimators say of drives, and how long these then take in the world.
+//! Comparison of estimated and simulated drive times.
 
 use consort_protocol::ids::{PlaceId, RobotId, TaskType};
 use consort_protocol::mission::TaskSpec;
@@ -42,7 +42,7 @@ fn estimate_s(environment: Environment, from: &str, to: &str, speed: f64) -> f64
     estimator.estimate(&task, &context).unwrap().time.get()
 }
 
-/// How long the drive takes in the world, leg by leg as the skill drives it.
+/// Simulated duration of a drive, leg by leg as the skill drives it.
 fn drive_s(map: &Map, from: &str, to: &str, speed: f64) -> f64 {
     let body = RobotSetup::carrier(
         ada(),
@@ -66,13 +66,13 @@ fn drive_s(map: &Map, from: &str, to: &str, speed: f64) -> f64 {
 }
 
 #[test]
-fn doors_lifts_and_limits_on_the_way_are_reckoned_with() {
+fn estimates_include_doors_lifts_and_limits() {
     let map = map::read(TOWER, "tower.yaml").unwrap();
     for speed in SPEEDS {
         for (from, to) in [("A", "B"), ("A", "C"), ("C", "A"), ("A", "D"), ("D", "A")] {
             let (told, took) =
                 (estimate_s(map.environment().unwrap(), from, to, speed), drive_s(&map, from, to, speed));
-            // The lift may be at either stop: half of its way between them is what one can reckon with.
+            // The lift may be at either stop: the estimate uses half of its travel time.
             let lift_s = if from == "D" || to == "D" { 4.0 + 1e-6 } else { 1e-6 };
             assert!((told - took).abs() <= lift_s, "{from} to {to} at {speed} m/s: {told} s told, {took} s taken");
         }
@@ -80,17 +80,17 @@ fn doors_lifts_and_limits_on_the_way_are_reckoned_with() {
 }
 
 #[test]
-fn without_knowledge_of_passages_a_drive_is_its_length() {
+fn without_passages_a_drive_takes_length_over_speed() {
     let map = map::read(TOWER, "tower.yaml").unwrap();
     let routes = Environment::new().with(Routes::new(&map.topology()).unwrap());
     assert_eq!(estimate_s(routes, "A", "C", 0.5), 20.0);
-    // And so it is on a map without any.
+    // The same holds for a map without passages.
     let hospital = map::shipped("hospital").unwrap();
     assert!(hospital.passages().is_empty());
 }
 
 #[test]
-fn one_between_two_places_is_priced_from_there() {
+fn a_robot_between_two_places_is_priced_from_there() {
     let map = map::read(TOWER, "tower.yaml").unwrap();
     let routes = Routes::new(&map.topology()).unwrap();
     let speed = MetresPerSecond::new(0.5).unwrap();

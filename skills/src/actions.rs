@@ -1,12 +1,13 @@
-//! The robot-actions interface: how skills move a body, and how a body is hosted.
+//! The robot-actions interface: skills use it to drive a robot, and backends implement its other
+//! side.
 //!
-//! The vocabulary is Nav2's: a *goal* is sent, answered with *feedback* while it is executed, and ends with a *result*:
-//! succeeded, canceled or aborted with an error code. Behind it is a simulated world (in this process or another) or a
-//! real robot's adapter; skills cannot tell which.
+//! The vocabulary is Nav2's: a *goal* is sent, reports *feedback* while it is executed, and ends
+//! with a *result*: succeeded, canceled or aborted with an error code. The backend is a simulated
+//! world (in this process or another) or a real robot's adapter. Skills cannot distinguish them.
 //!
 //! ```text
-//!  skill (behavior tree) ── RobotActions ──▶ goals   ┌────────────┐
-//!                        ◀── status, telemetry ──────│  BodyHost  │  a world, or an adapter
+//!  skill (behavior tree) ── RobotActions ──▶ goals   ┌────────────────┐
+//!                        ◀── status, telemetry ──────│  RobotBackend  │  a world, or an adapter
 //! ```
 
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
@@ -15,100 +16,102 @@ use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
 use serde::{Deserialize, Serialize};
 
-/// How long a person who has left is waited for, in seconds of world time, unless the task says otherwise (parameter
-/// `patience`). Raised: a nurse who is called away for longer costs no mission, and one who does not come back is known for
-/// gone later. A guess: two minutes see to a call bell.
+/// Default time for which an absent person is waited for, in seconds of world time. The task
+/// parameter `patience` overrides it. A larger value saves missions of a nurse called away
+/// for longer, but detects a permanent absence later. A guess: two minutes are enough for a call
+/// bell.
 pub const PERSON_TIMEOUT_S: f64 = 120.0;
 
-/// The parameter of a task that says how long a person is waited for, in seconds.
+/// Task parameter with the time for which an absent person is waited for, in seconds.
 pub const PERSON_TIMEOUT_PARAMETER: &str = "patience";
 
-/// Names one goal among all that a robot ever sends; later goals have larger numbers.
+/// Identifies a goal among all goals that a robot ever sends. Later goals have larger numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct GoalId(pub u64);
 
-/// What a body is asked to do.
+/// A goal for a robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Goal {
-    /// Drive to a pose in a straight line along one leg of a route.
+    /// Drive to a pose in a straight line along a leg of a route.
     NavigateToPose {
-        /// Where to.
+        /// Target pose.
         pose: Pose,
-        /// The place on the map that the pose stands for, if it is one.
+        /// The place on the map with this pose, if any.
         place: Option<PlaceId>,
     },
-    /// Come within reach of a person who plays `role` and is at the robot's place.
+    /// Approach a person with this role at the robot's place.
     ApproachPerson {
         /// The person's role in the mission.
         role: RoleId,
     },
-    /// Have the approached person prove who they are.
+    /// Authenticate the approached person.
     AuthenticatePerson {
         /// The person's role in the mission.
         role: RoleId,
     },
     /// Open or close the robot's own drawer.
     OperateDrawer {
-        /// Whether it is to stand open afterwards.
+        /// Requested state.
         open: bool,
     },
-    /// Come within reach of another robot at the robot's place.
+    /// Approach another robot at the same place.
     ApproachRobot {
-        /// Which one.
+        /// The other robot.
         robot: RobotId,
     },
-    /// Take what lies in another robot's open drawer.
+    /// Take an object from another robot's open drawer.
     PickUp {
-        /// Whose drawer.
+        /// Robot with the drawer.
         from: RobotId,
     },
-    /// Take a thing that lies on the table of the robot's place.
+    /// Take an object from the table of the robot's place.
     Grasp {
-        /// Which thing.
+        /// Name of the object.
         object: String,
     },
-    /// Put what is held into another robot's open drawer or, without one, onto the place's table.
+    /// Put the held object into another robot's open drawer or, without a robot, on the table of
+    /// the place.
     Deposit {
-        /// Whose drawer, if one.
+        /// Robot with the drawer.
         into: Option<RobotId>,
     },
     /// Stand still.
     Wait {
-        /// For how long.
+        /// Duration.
         time: Seconds,
     },
-    /// Drive to poses one after the other, each in a straight line along one leg; all of them, or none of those after the
-    /// first that cannot be reached.
+    /// Drive to poses in turn, each in a straight line along a leg. The goal ends at the first pose
+    /// that cannot be reached.
     FollowWaypoints {
-        /// Where to, in this order.
+        /// Poses, in order.
         waypoints: Vec<Waypoint>,
     },
     /// Turn on the spot.
     Spin {
-        /// By how much, in radians; to the left if it is positive.
+        /// Angle in radians, positive to the left.
         angle_rad: f64,
     },
     /// Connect to the charger at the robot's place, and charge from then on.
     Dock {
-        /// The place of the charger, if it must be this one.
+        /// Place of the charger, if a certain charger is required.
         charger: Option<PlaceId>,
     },
     /// Disconnect from the charger. A robot that drives off disconnects too.
     Undock,
 }
 
-/// Somewhere on the way.
+/// A pose on the way.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Waypoint {
-    /// Where it is.
+    /// The pose.
     pub pose: Pose,
-    /// The place on the map that the pose stands for, if it is one.
+    /// The place on the map with this pose, if any.
     pub place: Option<PlaceId>,
 }
 
 impl Goal {
-    /// Whether it leaves the world as it is when it is done once more: a drawer that is open is opened, a place that was
-    /// reached is driven to. What moves a thing from hand to hand is done once, and fails the second time.
+    /// Checks whether repeating the goal has no further effect: an open drawer is opened, a reached
+    /// place is driven to. A goal that transfers an object is done once, and fails the second time.
     pub fn is_repeatable(&self) -> bool {
         match self {
             Goal::NavigateToPose { .. }
@@ -120,101 +123,102 @@ impl Goal {
             | Goal::FollowWaypoints { .. }
             | Goal::Dock { .. }
             | Goal::Undock => true,
-            // Turned once more it faces elsewhere.
+            // A repeated spin ends at a different heading.
             Goal::Spin { .. } => false,
             Goal::PickUp { .. } | Goal::Grasp { .. } | Goal::Deposit { .. } => false,
         }
     }
 }
 
-/// How far a goal has come.
+/// Status of a goal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum GoalStatus {
-    /// Sent; the host has not answered yet.
+    /// Sent, without a reply from the backend.
     Sent,
-    /// Accepted and under way.
+    /// Accepted and active.
     Executing(Feedback),
-    /// Ended as asked.
+    /// Completed successfully.
     Succeeded,
-    /// Ended because it was canceled; the body stands still.
+    /// Ended by a cancel request. The robot stands still.
     Canceled,
-    /// Refused, or ended without success.
+    /// Rejected, or ended without success.
     Aborted(ActionError),
 }
 
 impl GoalStatus {
-    /// Whether nothing more will come of it.
+    /// Checks whether the goal has ended.
     pub fn is_final(&self) -> bool {
         matches!(self, GoalStatus::Succeeded | GoalStatus::Canceled | GoalStatus::Aborted(_))
     }
 }
 
-/// What is known of a goal under way.
+/// Feedback of an active goal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Feedback {
-    /// Way left; zero where nothing is driven.
+    /// Remaining distance; zero for a goal without a drive.
     pub distance_remaining: Metres,
-    /// Time left as far as the host can tell.
+    /// Remaining time, as far as the backend can estimate it.
     pub time_remaining: Seconds,
-    /// How far it is in terms of its own, as Nav2 tells it.
+    /// Progress in the goal's own terms, as in Nav2.
     pub progress: GoalProgress,
 }
 
 impl Feedback {
-    /// Of a goal that has no terms of its own.
+    /// Creates the feedback of a goal without terms of its own.
     pub fn remaining(distance_remaining: Metres, time_remaining: Seconds) -> Feedback {
         Feedback { distance_remaining, time_remaining, progress: GoalProgress::Unspecified }
     }
 }
 
-/// How far a goal under way has come, in terms of its own.
+/// Progress of an active goal, in the goal's own terms.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum GoalProgress {
-    /// What is left says all.
+    /// No progress beyond the remaining distance and time.
     Unspecified,
-    /// Of [`Goal::FollowWaypoints`]: the place in the list of the one it is on its way to, from 0 (`current_waypoint`).
+    /// Index of the current waypoint of [`Goal::FollowWaypoints`], from 0 (`current_waypoint`).
     Waypoint(u32),
-    /// Of [`Goal::Spin`]: the angle turned so far, in radians, to the left if it is positive (`angular_distance_traveled`).
+    /// Angle of [`Goal::Spin`] turned so far, in radians, positive to the left
+    /// (`angular_distance_traveled`).
     Turned(f64),
-    /// Of [`Goal::Dock`] and [`Goal::Undock`]: the time taken so far (`docking_time`).
+    /// Time that [`Goal::Dock`] or [`Goal::Undock`] has taken so far (`docking_time`).
     Docking(Seconds),
 }
 
-/// Why a goal did not succeed. The body stands still where it is.
+/// A goal failed. The robot stands still where it is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[error("{code}: {message}")]
 pub struct ActionError {
-    /// For programs.
+    /// Code, for programs.
     pub code: ErrorCode,
-    /// For people: names who and which.
+    /// Message, for people. It names the objects involved.
     pub message: String,
 }
 
-/// The kinds of failure that skills may treat differently.
+/// Kinds of failure that skills may treat differently.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ErrorCode {
-    /// No such robot, person or place here.
+    /// The robot, person or place is unknown here.
     Unknown,
-    /// There is no way.
+    /// There is no route.
     NoRoute,
-    /// There is a way, and something stands in it: [`Telemetry::closed`] says between which places.
+    /// There is a route, but an obstacle blocks it: [`Telemetry::closed`] contains the lane.
     Blocked,
-    /// Not close enough to who or what is needed.
+    /// The other robot, person or object is not close enough.
     OutOfReach,
-    /// The person is not who they should be, or declined.
+    /// The person is not the required person, or declined.
     NotAuthenticated,
-    /// The drawer is closed, open, full or empty where it must not be.
+    /// The drawer is in the wrong state: closed, open, full or empty.
     DrawerState,
-    /// It weighs more than the arm can lift.
+    /// The object exceeds the payload of the arm.
     TooHeavy,
     /// The battery is too low to move.
     BatteryLow,
-    /// The robot is doing something else.
+    /// The robot executes another goal.
     Busy,
-    /// Not done within the time allowed.
+    /// The goal exceeded its time limit.
     TimedOut,
-    /// The charger is not one, or gives nothing.
+    /// The place is not a charger, or the charger does not work.
     Charger,
 }
 
@@ -237,11 +241,11 @@ impl std::fmt::Display for ErrorCode {
 }
 
 impl Goal {
-    /// The code by which `nav2_msgs` (of ROS 2 Jazzy) knows an error of such a goal, `error_code` in the action's result;
+    /// Returns the `error_code` for this error in the results of `nav2_msgs` (of ROS 2 Jazzy);
     /// `None` for goals that Nav2 does not have.
     pub fn nav2_code(&self, error: ErrorCode) -> Option<u16> {
         Some(match (self, error) {
-            // What the planner and the controller under the navigator say shows through.
+            // Error codes of the planner and the controller pass through the navigator.
             (Goal::NavigateToPose { .. }, ErrorCode::NoRoute) => 208, // ComputePathToPose: NO_VALID_PATH
             (Goal::NavigateToPose { .. }, ErrorCode::Blocked) => 105, // FollowPath: FAILED_TO_MAKE_PROGRESS
             (Goal::NavigateToPose { .. }, ErrorCode::TimedOut) => 9003, // TIMEOUT
@@ -270,151 +274,161 @@ impl Goal {
     }
 }
 
-/// What a body reports of itself.
+/// State report of a robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Telemetry {
-    /// When, on the world's clock.
+    /// Time, on the world's clock.
     pub time: WorldTime,
-    /// Where.
+    /// Pose.
     pub pose: Pose,
-    /// The place it stands at, or the last one it passed when under way.
+    /// Current place, or the last place passed.
     pub place: PlaceId,
-    /// Charge left.
+    /// State of charge.
     pub battery: BatteryShare,
-    /// Whether it can still move: false once its battery fell below the stopping share.
+    /// False once the battery has fallen below the stopping share and the robot can no longer move.
     pub able: bool,
-    /// Ways between neighbouring places that the body has found closed, or was told are: each once, by its two ends. What
-    /// it has not met it does not know, and what it met long ago it has forgotten: the way may be open again.
+    /// Lanes that the robot has found closed, or that were reported to it as closed: each once, by
+    /// its two ends. The list is incomplete, and old entries expire, since a lane may be open
+    /// again.
     pub closed: Vec<(PlaceId, PlaceId)>,
 }
 
-/// A body as its robot's skills drive it. Calls never wait: answers show in [`status`](RobotActions::status) later.
+/// The actions of a robot, as its skills use them. Calls never block: results appear in
+/// [`status`](RobotActions::status) later.
 pub trait RobotActions {
     /// Sends a goal.
     fn send_goal(&mut self, goal: Goal) -> GoalId;
 
-    /// How far a goal has come; `None` for one never sent, or which ended long ago.
+    /// Returns the status of a goal; `None` for a goal that was never sent, or ended long ago.
     fn status(&self, goal: GoalId) -> Option<GoalStatus>;
 
-    /// Asks to end a goal early. Its status becomes [`GoalStatus::Canceled`] when the body stands still.
+    /// Requests the cancelation of a goal. Its status becomes [`GoalStatus::Canceled`] when the
+    /// robot stands still.
     fn cancel(&mut self, goal: GoalId);
 
-    /// The latest report of the body; `None` before the first.
+    /// Returns the latest report of the robot; `None` before the first.
     fn telemetry(&self) -> Option<&Telemetry>;
 
-    /// Whether an earlier attempt at the same task has brought this goal to its end: one that was broken off before it was
-    /// over, or whose robot crashed and never learned what its body went on to do. True once for each time that the goal was
-    /// done. Asked of goals that are not [repeatable](Goal::is_repeatable). A body that remembers nothing says no.
+    /// Consumes a completion of this goal by an earlier attempt at the same task: an attempt that
+    /// was interrupted, or ended by a crash of the robot program without receiving the result.
+    /// Returns true once for each completion, otherwise false. Called for goals that are not
+    /// [repeatable](Goal::is_repeatable). An implementation without memory returns false.
     fn take_completed(&mut self, goal: &Goal) -> bool {
         let _ = goal;
         false
     }
 }
 
-/// What a person who plays an unmanaged role is asked to do, by the messages of the mission's plan.
+/// A task for a person with an unmanaged role, requested by the messages of the mission's plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PersonRequest {
     /// The person's role in the mission.
     pub role: RoleId,
-    /// The task, as the mission has it.
+    /// The task, as in the mission.
     pub task: TaskSpec,
-    /// Who holds the managed roles.
+    /// Holders of the managed roles.
     pub holders: std::collections::BTreeMap<RoleId, RobotId>,
 }
 
-/// Something that happened to a body or a person.
+/// An event of a robot or a person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum BackendEvent {
     /// A robot's goal ended; the status is final.
     GoalEnded {
-        /// Whose.
+        /// Robot.
         robot: RobotId,
-        /// Which.
+        /// Goal.
         goal: GoalId,
-        /// How.
+        /// Final status.
         status: GoalStatus,
     },
-    /// A robot's battery fell below the share it needs to move: it stands where it is.
+    /// A robot's battery fell below the share it needs to move. The robot stands where it is.
     Stranded {
-        /// Which robot.
+        /// Robot.
         robot: RobotId,
     },
-    /// A person calls off the mission for which a robot came to them.
+    /// A person cancels the mission for which a robot came.
     MissionCanceled {
-        /// Who says so.
+        /// Name of the person.
         by: String,
-        /// The role they play.
+        /// Role of the person.
         role: RoleId,
         /// The robot that came.
         robot: RobotId,
     },
-    /// A person ended what they were asked to do.
+    /// A person request ended.
     PersonRequestEnded {
-        /// The number the ask was given.
-        ask: GoalId,
-        /// `Err` when they declined or could not.
+        /// Id of the request.
+        request: GoalId,
+        /// `Err` if the person declined or could not do the task.
         result: Result<(), ActionError>,
     },
 }
 
-/// What hosts bodies: a simulated world, or an adapter to real ones. Time only moves in [`advance`](BodyHost::advance).
+/// Backend of robots: a simulated world, or an adapter to real robots. Time only moves in
+/// [`advance`](RobotBackend::advance).
 pub trait RobotBackend: Send + Sync {
-    /// The robots whose bodies are here.
+    /// The robots of this backend.
     fn robots(&self) -> Vec<RobotId>;
 
-    /// Whether people are asked, and the world is looked at, here. Of all hosts of a fleet one does that; an adapter to a
-    /// single robot does not.
+    /// Checks whether this backend serves person requests and world reports. In a fleet this is a
+    /// single backend; an adapter to a single robot does not.
     fn serves_people(&self) -> bool {
         true
     }
 
-    /// Begins a goal. A refusal, too, comes as [`BodyEvent::GoalEnded`] from the next `advance`. A goal sent while
-    /// another is under way is refused with [`ErrorCode::Busy`]; a repeated id changes nothing.
+    /// Starts a goal. A rejection, too, is reported as [`BackendEvent::GoalEnded`] by the next
+    /// `advance`. A goal that arrives while another is active is rejected with [`ErrorCode::Busy`].
+    /// A repeated id changes nothing.
     fn start(&mut self, robot: &RobotId, id: GoalId, goal: Goal);
 
-    /// Ends a goal early; one that is not under way is left as it is.
+    /// Cancels a goal. Without effect if it is not active.
     fn cancel(&mut self, robot: &RobotId, id: GoalId);
 
-    /// Asks a person; the answer comes as [`BodyEvent::PersonEnded`]. They take their time: what they wait for (a robot
-    /// beside them with an open drawer) may come much later. A repeated id changes nothing.
-    fn request_person(&mut self, id: GoalId, ask: PersonRequest);
+    /// Requests a task of a person. The result is reported as [`BackendEvent::PersonRequestEnded`],
+    /// possibly much later: the person waits for a robot nearby with an open drawer. A repeated id
+    /// changes nothing.
+    fn request_person(&mut self, id: GoalId, request: PersonRequest);
 
-    /// Withdraws an ask. One that was never heard of is not served either when it comes late.
+    /// Cancels a person request. If the request arrives after its cancelation, it is not served.
     fn cancel_person_request(&mut self, id: GoalId);
 
     /// The world's clock.
     fn now(&self) -> WorldTime;
 
-    /// When something will next happen by itself; `None` while nothing is under way. Never earlier than `now`.
+    /// Time of the next event without further input; `None` while nothing is active. Never earlier
+    /// than `now`.
     fn next_due(&self) -> Option<WorldTime>;
 
-    /// Lets time pass up to and including `to` and says what happened, in order.
+    /// Advances time up to and including `to`, and returns the events in order.
     fn advance(&mut self, to: WorldTime) -> Vec<BackendEvent>;
 
-    /// The state of one goal under way (`Executing` with fresh feedback) or lately ended; `None` if unknown.
+    /// Status of a goal that is active (`Executing` with current feedback) or ended lately; `None`
+    /// if unknown.
     fn status(&self, robot: &RobotId, id: GoalId) -> Option<GoalStatus>;
 
-    /// The goals of a robot that are under way or lately ended, in the order of their ids: for a host that is started anew
-    /// while bodies are at work.
+    /// Goals of a robot that are active or ended lately, in the order of their ids. Used by a
+    /// driver server that restarts while robots are active.
     fn goals(&self, robot: &RobotId) -> Vec<GoalId>;
 
-    /// What a goal of a robot, under way or lately ended, asks for; `None` if unknown.
+    /// The content of a robot's goal that is active or ended lately; `None` if unknown.
     fn goal(&self, robot: &RobotId, id: GoalId) -> Option<Goal>;
 
-    /// The asks that have not ended, in the order in which they were made: for a host that is started anew while people are
-    /// asked.
+    /// Open person requests, in the order of their arrival. Used by a driver server that restarts
+    /// while requests are open.
     fn open_person_requests(&self) -> Vec<GoalId>;
 
-    /// What came of an ask; `None` for one that has not ended, was withdrawn, or ended long ago.
+    /// Result of a person request; `None` if it is open, was canceled, or ended long ago.
     fn person_result(&self, id: GoalId) -> Option<Result<(), ActionError>>;
 
-    /// Whether an ask was withdrawn lately, before it ended.
+    /// Checks whether a person request was canceled lately, before it ended.
     fn was_person_request_canceled(&self, id: GoalId) -> bool;
 
-    /// The body's report as of `now`; `None` for a robot that is not here.
+    /// Report of a robot as of `now`; `None` for an unknown robot.
     fn telemetry(&self, robot: &RobotId) -> Option<Telemetry>;
 
-    /// What there is to see beside the bodies (things, people), in JSON, for onlookers; nothing is decided by it.
+    /// State of the world beyond the robots (objects, people), as JSON for displays. No decision
+    /// depends on it.
     fn report(&self) -> serde_json::Value {
         serde_json::Value::Null
     }

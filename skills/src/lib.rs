@@ -1,7 +1,8 @@
-//! What a robot can do and what it costs.
+//! Capabilities of robots and their costs.
 //!
-//! Skills are behavior trees over the [robot-actions interface](actions); skill descriptors price them with knowledge of
-//! the place that environment descriptors hold. Nothing here knows who coordinates whom.
+//! Skills are behavior trees over the [robot-actions interface](actions). Skill descriptors price
+//! them with the knowledge about the site in environment descriptors. This crate contains nothing
+//! about coordination.
 
 pub mod actions;
 pub mod bt;

@@ -1,4 +1,4 @@
-//! The skill library: by task type, the tree that realises it.
+//! The skill library: behavior trees by task type.
 //!
 //! ```
 //! use consort_protocol::ids::TaskType;
@@ -7,11 +7,11 @@
 //! use consort_skills::environment::Environment;
 //! use consort_skills::library::{SkillContext, SkillLibrary, SkillStatus};
 //!
-//! /// A body that does at once what it is told.
+//! /// A robot that completes every goal at once.
 //! #[derive(Default)]
-//! struct Quick(Vec<Goal>);
+//! struct InstantRobot(Vec<Goal>);
 //!
-//! impl RobotActions for Quick {
+//! impl RobotActions for InstantRobot {
 //!     fn send_goal(&mut self, goal: Goal) -> GoalId {
 //!         self.0.push(goal);
 //!         GoalId(self.0.len() as u64)
@@ -27,14 +27,14 @@
 //!
 //! let library = SkillLibrary::standard(Environment::new());
 //! let mut task = TaskSpec::of(TaskType::new("operate_drawer")?, vec!["r1".parse()?]);
-//! let wrong = library.load(&task, &SkillContext::default()).err().map(|error| error.to_string());
-//! assert!(wrong.is_some_and(|error| error.starts_with("operate_drawer needs the parameter `action`")));
+//! let error = library.load(&task, &SkillContext::default()).err().map(|error| error.to_string());
+//! assert!(error.is_some_and(|error| error.starts_with("operate_drawer needs the parameter `action`")));
 //!
 //! task.parameters.insert("action".to_owned(), "open".to_owned());
 //! let mut skill = library.load(&task, &SkillContext::default())?;
-//! let mut body = Quick::default();
-//! while skill.tick(&mut body) == SkillStatus::Running {}
-//! assert_eq!(body.0, [Goal::OperateDrawer { open: true }]);
+//! let mut robot = InstantRobot::default();
+//! while skill.tick(&mut robot) == SkillStatus::Running {}
+//! assert_eq!(robot.0, [Goal::OperateDrawer { open: true }]);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -51,10 +51,10 @@ use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::WorldTime;
 use std::collections::BTreeMap;
 
-/// What a skill is told of the mission when it is started.
+/// Mission data for a skill.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SkillContext {
-    /// Who holds the managed roles, this robot included.
+    /// Holders of the managed roles, this robot included.
     pub holders: BTreeMap<RoleId, RobotId>,
 }
 
@@ -65,83 +65,85 @@ pub struct SkillLibrary {
     skills: BTreeMap<TaskType, Blueprint<TaskContext>>,
 }
 
-/// Why a skill cannot be started. The body was not asked for anything.
+/// A skill cannot be started. No goal was sent to the robot.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SkillError {
-    /// Nothing realises such tasks.
-    #[error("there is no skill for {task_type}; there are some for {known}")]
+    /// No skill exists for the task type.
+    #[error("there is no skill for {task_type}; skills exist for {known}")]
     NoSkill {
-        /// The kind of task.
+        /// The type of the task.
         task_type: TaskType,
-        /// What there is, in words.
+        /// The task types with skills, as text.
         known: String,
     },
-    /// The task does not say what the skill needs to know.
+    /// The task lacks a parameter that the skill needs.
     #[error("{task_type} needs the parameter `{parameter}` ({wanted}); the task gives {given}")]
     MissingParameter {
-        /// The kind of task.
+        /// The type of the task.
         task_type: TaskType,
-        /// What it lacks.
+        /// The missing parameter.
         parameter: String,
-        /// What would do.
+        /// The type of the parameter.
         wanted: PortType,
-        /// The parameters that it gives, in words.
+        /// The parameters of the task, as text.
         given: String,
     },
-    /// A parameter is not what the skill takes.
+    /// A parameter has the wrong type or value.
     #[error("{task_type}: {source}")]
     Parameter {
-        /// The kind of task.
+        /// The type of the task.
         task_type: TaskType,
-        /// What is wrong, and what is allowed.
+        /// Cause, and the allowed values.
         source: BlackboardError,
     },
 }
 
 impl SkillLibrary {
-    /// A library without skills, whose leaves know this place.
+    /// Creates a library without skills, with an environment for its leaves.
     pub fn empty(environment: Environment) -> SkillLibrary {
         SkillLibrary { environment, registry: Registry::new(), skills: BTreeMap::new() }
     }
 
-    /// The skills that come with Consort, in this place.
+    /// Creates the library of the standard skills, in this environment.
     pub fn standard(environment: Environment) -> SkillLibrary {
         let mut library = SkillLibrary::empty(environment);
-        let own = "the leaves of our own skills have names of their own";
+        let own = "names of standard leaves are unique";
         register_shared_leaves(&mut library.registry).expect(own);
         for skill in &STANDARD_SKILLS {
             (skill.register_leaves)(&mut library.registry).expect(own);
         }
         for (task_type, tree) in SkillLibrary::standard_trees() {
-            library.register(task_type, &tree).expect("our own trees load");
+            library.register(task_type, &tree).expect("standard trees are valid");
         }
         library
     }
 
-    /// The trees of the skills that come with Consort, by task type: to build others on.
+    /// Returns the trees of the standard skills by task type, as a basis for others.
     pub fn standard_trees() -> BTreeMap<TaskType, TreeSpec> {
         let tree = |skill: &crate::skill::StandardSkill| {
-            let task_type = TaskType::new(skill.task_type).expect("the names of our own skills are slugs");
-            (task_type, read_xml(&format!("{}.xml", skill.task_type), skill.xml).expect("our own trees load"))
+            let task_type = TaskType::new(skill.task_type).expect("names of standard skills are slugs");
+            (task_type, read_xml(&format!("{}.xml", skill.task_type), skill.xml).expect("standard trees are valid"))
         };
         STANDARD_SKILLS.iter().map(tree).collect()
     }
 
-    /// Adds a skill, in place of any for the same task type. The task's parameters are set on the keys of the main
-    /// tree that bear their names; a key that the tree reads and nothing writes is a parameter the task must have.
+    /// Registers a skill, replacing any for the same task type. The task's parameters are set on
+    /// the keys of the main tree with the same names. A key that the tree reads and never writes is
+    /// a required parameter of the task.
     ///
     /// # Errors
-    /// [`TreeError`] where the tree has a mistake; the library is unchanged.
+    /// [`TreeError`] if the tree has a mistake. The library is unchanged.
     pub fn register(&mut self, task_type: TaskType, tree: &TreeSpec) -> Result<(), TreeError> {
         let blueprint = self.registry.check(tree)?;
         self.skills.insert(task_type, blueprint);
         Ok(())
     }
 
-    /// Adds a skill from a file's text; `source` names the file in messages.
+    /// Registers a skill from the text of a file. `source` names the file in messages.
     ///
     /// # Errors
-    /// [`TreeError`] as for [`register`](SkillLibrary::register), or where the text is not a tree file.
+    /// [`TreeError`] as for [`register`](SkillLibrary::register), or if the text is not a tree
+    /// file.
     pub fn register_xml(&mut self, task_type: TaskType, source: &str, xml: &str) -> Result<(), TreeError> {
         self.register(task_type, &read_xml(source, xml)?)
     }
@@ -149,7 +151,7 @@ impl SkillLibrary {
     /// Adds leaves for trees that are registered afterwards.
     ///
     /// # Errors
-    /// [`RegistryError`] as `add` gives it.
+    /// [`RegistryError`] from `add`.
     pub fn extend(
         &mut self,
         add: impl FnOnce(&mut Registry<TaskContext>) -> Result<(), RegistryError>,
@@ -157,25 +159,26 @@ impl SkillLibrary {
         add(&mut self.registry)
     }
 
-    /// The leaves there are.
+    /// The registered leaves.
     pub fn registry(&self) -> &Registry<TaskContext> {
         &self.registry
     }
 
-    /// The task types there are skills for, in the order of their names.
+    /// The task types with skills, in the order of their names.
     pub fn task_types(&self) -> impl Iterator<Item = &TaskType> {
         self.skills.keys()
     }
 
-    /// The parameters that tasks of a type may or must have; `None` where there is no skill for it.
+    /// Returns the required and optional parameters of a task type; `None` without a skill for it.
     pub fn parameters(&self, task_type: &TaskType) -> Option<&[TreeInput]> {
         self.skills.get(task_type).map(Blueprint::inputs)
     }
 
-    /// Makes a skill ready for a task. Parameters that its tree does not name are left aside: they are for others.
+    /// Prepares a skill for a task. Parameters that its tree does not use are ignored: they are for
+    /// others.
     ///
     /// # Errors
-    /// [`SkillError`] where there is no such skill, or the task's parameters are not what it takes.
+    /// [`SkillError`] if there is no such skill, or the task's parameters do not fit.
     pub fn load(&self, task: &TaskSpec, context: &SkillContext) -> Result<ActiveSkill, SkillError> {
         let task_type = &task.task_type;
         let Some(blueprint) = self.skills.get(task_type) else {
@@ -204,40 +207,42 @@ impl SkillLibrary {
     }
 }
 
-/// How far a skill has come.
+/// Status of a skill.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum SkillStatus {
-    /// Tick again: when something is heard of the body, and at [`ActiveSkill::wake_at`].
+    /// Tick again when the robot reports an event, and at [`ActiveSkill::wake_at`].
     Running,
-    /// The task is done.
+    /// The task is complete.
     Succeeded,
-    /// The task is not done, and will not be.
+    /// The task is not complete, and will not be.
     Failed {
-        /// Why, for people: the leaf that failed last, and the body's own words where there are any.
+        /// Cause for people: the leaf that failed last, with the robot's own message, if any.
         cause: String,
     },
 }
 
-/// A skill at work on one task.
+/// A skill that executes a task.
 pub struct ActiveSkill {
     tree: Tree,
-    /// The body's latest time.
+    /// Latest time reported by the robot.
     now: WorldTime,
     ended: Option<SkillStatus>,
 }
 
 impl ActiveSkill {
-    /// Passes control to the tree once. A skill that has ended stays ended. A panic in a leaf passes through.
+    /// Ticks the tree once. A skill that has ended keeps its status. A panic in a leaf passes
+    /// through.
     pub fn tick(&mut self, actions: &mut dyn RobotActions) -> SkillStatus {
         if let Some(ended) = &self.ended {
             return ended.clone();
         }
-        self.look(actions);
+        self.update_time(actions);
         let status = match self.tree.tick(actions, self.now) {
             NodeStatus::Running => return SkillStatus::Running,
             NodeStatus::Success => SkillStatus::Succeeded,
             NodeStatus::Failure => {
-                let cause = self.tree.cause().map_or("it failed without a cause".to_owned(), ToString::to_string);
+                let cause =
+                    self.tree.cause().map_or("the skill failed without a cause".to_owned(), ToString::to_string);
                 SkillStatus::Failed { cause }
             }
         };
@@ -245,23 +250,26 @@ impl ActiveSkill {
         status
     }
 
-    /// Stops what is under way: its goal is canceled. A later tick starts the skill afresh from where the body is then.
+    /// Halts the skill: its goal is canceled. A later tick starts the skill from the beginning, at
+    /// the robot's position then.
     pub fn halt(&mut self, actions: &mut dyn RobotActions) {
-        self.look(actions);
+        self.update_time(actions);
         self.tree.halt(actions, self.now);
     }
 
-    /// When the skill asks to be ticked even if nothing is heard of the body before; set by the latest tick.
+    /// Returns the time at which the skill requests its next tick, even without events of the
+    /// robot; set by the latest tick.
     pub fn wake_at(&self) -> Option<WorldTime> {
         self.tree.wake_at()
     }
 
-    /// Whether the body has let go of every goal that this skill canceled, so that another skill can send its own.
+    /// Checks whether the robot has ended every goal that this skill canceled, so that another
+    /// skill can send its own.
     pub fn cancels_complete(&self, actions: &dyn RobotActions) -> bool {
         self.tree.cancels_complete(actions)
     }
 
-    fn look(&mut self, actions: &dyn RobotActions) {
+    fn update_time(&mut self, actions: &dyn RobotActions) {
         if let Some(telemetry) = actions.telemetry() {
             self.now = telemetry.time;
         }

@@ -1,36 +1,39 @@
-//! XML from others: parsed within bounds, so that what is small to send is not large, or long, to read.
+//! Bounded parsing of untrusted XML: a small text cannot expand to a large document, or take long
+//! to parse.
 //!
-//! The parser compares each attribute of an element with all before it, and hands namespaces on to every element within; both
-//! grow with the square of what is written. So both are counted before anything is parsed. Entities are refused with their DTD.
+//! The parser compares each attribute of an element with all earlier attributes, and passes
+//! namespaces on to every inner element. Both costs grow with the square of the input. Both are
+//! therefore counted before parsing. Entities are rejected with their DTD.
 
 use roxmltree::{Document, ParsingOptions};
 use std::fmt;
 
-/// Most attributes of one element. Nodes of trees and shapes of drawings have a dozen.
+/// Greatest number of attributes of an element. Nodes of trees and shapes of drawings have a dozen.
 pub const MAX_ATTRIBUTES: usize = 256;
 
-/// Most namespaces that a text declares. Trees and drawings declare none, and editors a few.
+/// Greatest number of namespace declarations in a text. Trees and drawings have none, and editors
+/// add a few.
 pub const MAX_NAMESPACES: usize = 64;
 
-/// Why a text is not parsed.
+/// A text is not parsed.
 #[derive(Debug, Clone, PartialEq)]
 pub enum XmlError {
-    /// An element has more than [`ATTRIBUTES_MAX`].
+    /// An element has more than [`MAX_ATTRIBUTES`].
     Attributes {
-        /// The line where it begins, from 1.
+        /// Line where the element begins, from 1.
         line: u32,
     },
-    /// There are more than [`NAMESPACES_MAX`].
+    /// The text has more than [`MAX_NAMESPACES`].
     Namespaces {
-        /// The line of the element with the first too many, from 1.
+        /// Line of the element that exceeds the limit, from 1.
         line: u32,
     },
-    /// It is no XML, or has more nodes than it may.
+    /// The text is not XML, or has too many nodes.
     Syntax(roxmltree::Error),
 }
 
 impl XmlError {
-    /// The line that it is about, from 1.
+    /// Line of the error, from 1.
     pub fn line(&self) -> u32 {
         match self {
             XmlError::Attributes { line } | XmlError::Namespaces { line } => *line,
@@ -46,7 +49,7 @@ impl fmt::Display for XmlError {
                 write!(f, "the element in line {line} has more than the {MAX_ATTRIBUTES} attributes allowed")
             }
             XmlError::Namespaces { line } => {
-                write!(f, "up to line {line} more than the {MAX_NAMESPACES} namespaces allowed are declared")
+                write!(f, "more than the {MAX_NAMESPACES} allowed namespaces are declared up to line {line}")
             }
             XmlError::Syntax(error) => error.fmt(f),
         }
@@ -55,7 +58,8 @@ impl fmt::Display for XmlError {
 
 impl std::error::Error for XmlError {}
 
-/// Parses a text of at most so many nodes: elements, and texts and comments between them. A DTD is refused.
+/// Parses a text with at most `nodes_max` nodes: elements, and the texts and comments between them.
+/// A DTD is rejected.
 ///
 /// # Errors
 /// [`XmlError`] with the line.
@@ -65,7 +69,8 @@ pub fn parse(text: &str, nodes_max: u32) -> Result<Document<'_>, XmlError> {
     Document::parse_with_options(text, options).map_err(XmlError::Syntax)
 }
 
-/// Looks at tags alone. Where the text is no XML, this may see others than the parser, which gets no further than there.
+/// Examines only tags. In a text that is not XML it may find other tags than the parser, which
+/// stops there.
 fn count(text: &str) -> Result<(), XmlError> {
     let mut rest = text;
     let line_at = |rest: &str| {
@@ -137,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn nodes_are_counted_by_the_parser_and_a_dtd_is_refused() {
+    fn the_parser_counts_nodes_and_rejects_a_dtd() {
         assert!(parse("<a><b/></a>", 3).is_ok());
         assert_eq!(parse("<a><b/></a>", 2).unwrap_err().to_string(), "nodes limit reached");
         assert!(parse("<!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>", 9).unwrap_err().to_string().contains("DTD"));

@@ -1,4 +1,5 @@
-//! The bids of the published evaluation, repeated: every third scenario, each robot's time and energy.
+//! The bids of the published evaluation, repeated: every third scenario, with the time and energy
+//! of each robot.
 
 use consort_protocol::ids::{PlaceId, RoleId, TaskId, TaskType};
 use consort_protocol::mission::TaskSpec;
@@ -19,12 +20,12 @@ fn reference() -> Option<PathBuf> {
         return Some(folder);
     }
     let note = format!("skipped: there is no {}; set CONSORT_REFERENCE to look elsewhere", folder.display());
-    tell(&note);
+    print_note(&note);
     None
 }
 
 #[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
-fn tell(note: &str) {
+fn print_note(note: &str) {
     eprintln!("{note}");
 }
 
@@ -40,7 +41,7 @@ fn done(task: &str, from: &str, to: &str) -> Signal {
     Signal { kind: SignalKind::Done, task: TaskId::new(task).unwrap(), from: role(from), to: role(to) }
 }
 
-/// What r1 does in lab samples: 13 steps.
+/// The plan of r1 in the lab-samples mission: 13 steps.
 fn plan(room: &str) -> LocalPlan {
     let actions = [
         task("navto_room", "navigation", &[("to", room)]),
@@ -118,7 +119,7 @@ fn every_published_bid_is_repeated() {
             let energy: f64 = parts.iter().map(|part| part.energy).sum();
             let at = format!("{} {}", record["code"], bid["worker"]);
             bids += 1;
-            // What is left tells the energy also where the log gives none.
+            // The remaining charge gives the energy also where the log omits it.
             let left = robot["battery_charge"].as_f64().unwrap() - energy;
             assert!((left - bid["remaining_battery"].as_f64().unwrap()).abs() <= 1e-9, "{at}: {left}");
             if let Some(logged) = bid["time"].as_f64() {

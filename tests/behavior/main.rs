@@ -1,4 +1,4 @@
-//! Behavior in Gherkin: the features that come with the program, and what is said of those that fail.
+//! Behavior tests in Gherkin: the shipped features, and the reports of failing ones.
 
 mod failing_steps;
 mod features;

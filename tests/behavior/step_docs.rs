@@ -1,9 +1,9 @@
-//! What may be said: every example is understood, in one way.
+//! Step documentation: every example resolves to a single step.
 
 use consort_tests::behavior::{Features, ScenarioFilter, step_docs};
 use std::path::PathBuf;
 
-fn written(name: &str, text: &str) -> PathBuf {
+fn test_file(name: &str, text: &str) -> PathBuf {
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("words");
     std::fs::create_dir_all(&folder).expect("cargo's own folder");
     let file = folder.join(name);
@@ -11,58 +11,59 @@ fn written(name: &str, text: &str) -> PathBuf {
     file
 }
 
-fn read(name: &str, text: &str) -> Result<usize, String> {
-    let read = Features::read(&[written(name, text)], &ScenarioFilter::default());
-    read.map(|features| features.scenarios()).map_err(|bad| bad.to_string())
+fn read_feature(name: &str, text: &str) -> Result<usize, String> {
+    let features = Features::read(&[test_file(name, text)], &ScenarioFilter::default());
+    features.map(|features| features.scenarios()).map_err(|bad| bad.to_string())
 }
 
 #[test]
-fn every_example_is_understood_in_one_way_in_every_form() {
+fn every_example_resolves_uniquely_in_every_form() {
     let mut text = "Feature: All examples\n  Scenario: All\n".to_owned();
     for step in step_docs() {
         let example = &step.example;
         let lines = match step.kind {
             "Forms of a step" => vec![example.clone()],
-            "Deeds" => vec![format!("When {example}"), format!("Given {example} when somebody coordinates")],
+            "Actions" => vec![format!("When {example}"), format!("Given {example} when there is a coordinator")],
             "Facts" => vec![
                 format!("Then {example}"),
-                format!("Then it is not so that {example}"),
+                format!("Then it is not true that {example}"),
                 format!("Then within 2 min {example}"),
                 format!("Then for 1.5 s {example}"),
-                format!("Then for 10 minutes it is never so that {example}"),
+                format!("Then for 10 minutes it is never true that {example}"),
                 format!("When the fleet runs until {example}"),
-                format!("Given the coordinator dies when {example}"),
+                format!("Given the coordinator is killed when {example}"),
             ],
             _ => vec![format!("Given {example}")],
         };
         lines.iter().for_each(|line| text.push_str(&format!("    {line}\n")));
     }
-    assert_eq!(read("examples.feature", &text), Ok(1));
+    assert_eq!(read_feature("examples.feature", &text), Ok(1));
 }
 
 #[test]
-fn a_setting_is_no_deed_and_a_deed_no_fact() {
-    for step in [r#"When a nurse in "IC Room 6""#, "Then the coordinator dies", r#"Given amber is at "Dock""#] {
-        let said = read("wrong_kind.feature", &format!("Feature: F\n  Scenario: S\n    {step}\n")).expect_err(step);
-        assert!(said.contains(&format!(":3: {step}: nobody knows this step")), "{said}");
+fn settings_actions_and_facts_are_not_interchangeable() {
+    for step in [r#"When a nurse in "IC Room 6""#, "Then the coordinator is killed", r#"Given amber is at "Dock""#] {
+        let error =
+            read_feature("wrong_kind.feature", &format!("Feature: F\n  Scenario: S\n    {step}\n")).expect_err(step);
+        assert!(error.contains(&format!(":3: {step}: unknown step")), "{error}");
     }
 }
 
 #[test]
-fn an_unknown_step_of_an_outline_is_told_once_and_one_of_a_background_too() {
+fn an_unknown_step_is_reported_once_per_outline_and_background() {
     let text = "Feature: F\n  Background:\n    Given a ghost\n\n  Scenario Outline: S\n    When <who> flies\n\n    Examples:\n      \
                 | who   |\n      | amber |\n      | birch |\n";
-    let said = read("outline.feature", text).expect_err("two steps that nobody knows");
-    assert_eq!(said.matches("nobody knows this step").count(), 2, "{said}");
+    let error = read_feature("outline.feature", text).expect_err("two unknown steps");
+    assert_eq!(error.matches("unknown step").count(), 2, "{error}");
     assert!(
-        said.contains("outline.feature:3: Given a ghost") && said.contains("outline.feature:6: When amber flies"),
-        "{said}"
+        error.contains("outline.feature:3: Given a ghost") && error.contains("outline.feature:6: When amber flies"),
+        "{error}"
     );
 }
 
 #[test]
-fn the_nearest_steps_are_offered() {
-    let said =
-        read("near.feature", "Feature: F\n  Scenario: S\n    When the co-ordinator dies\n").expect_err("a misspelling");
-    assert!(said.contains("the nearest are\n    When the coordinator dies\n"), "{said}");
+fn similar_steps_are_suggested() {
+    let error = read_feature("near.feature", "Feature: F\n  Scenario: S\n    When the co-ordinator is killed\n")
+        .expect_err("a misspelling");
+    assert!(error.contains("similar steps are\n    When the coordinator is killed\n"), "{error}");
 }

@@ -1,12 +1,13 @@
-//! From the commit of a request to the commit of its award: ten robots' processes, an arm's and the world's on loopback
-//! over Zenoh, missions one after the other. Each is withdrawn once it is awarded.
+//! Time from the commit of a request to the commit of its award: processes of ten robots, an arm
+//! and the world on loopback over Zenoh, missions one after another. Each mission is canceled once
+//! it is awarded.
 //!
 //! ```text
 //! cargo bench -p consort --bench auction [-- MISSIONS]
 //! ```
 //!
-//! `award` is the coordinator's own account; `seen` is what the client saw from sending the request to hearing of the
-//! award.
+//! `award` is the coordinator's own measurement. `seen` is the client's measurement, from sending
+//! the request to receiving the award.
 
 mod support;
 
@@ -18,16 +19,16 @@ use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::process::ExitCode;
 use std::time::Duration;
-use support::{BenchError, Fleet, QUERY_TIMEOUT, acknowledged, ask, figures, in_fleet, lab_samples, ms};
+use support::{BenchError, Fleet, QUERY_TIMEOUT, acknowledged, figures, in_fleet, lab_samples, ms, query_json};
 use tokio::time::Instant;
 
 /// Mobile robots.
 const ROBOTS: usize = 10;
 
-/// How long an award may take before the benchmark gives up.
+/// Time limit of an award; the benchmark fails after it.
 const LIMIT: Duration = Duration::from_secs(10);
 
-/// Where the nurse would wait.
+/// Rooms of the nurse.
 const ROOMS: [&str; 4] = ["IC Room 6", "PC Room 3", "IC Room 2", "PC Room 8"];
 
 fn main() -> ExitCode {
@@ -35,17 +36,18 @@ fn main() -> ExitCode {
 }
 
 async fn measure(missions: usize) -> Result<Value, BenchError> {
-    let cast = DemoScenario::new(ROBOTS, 1, 1.0, 1);
-    // The default ensemble: every robot with any skill. So all of them are asked, and answer.
-    let fleet = consort_nodes::config::FleetConfig { ensemble: vec![], ..cast.fleet.clone() };
-    let mut fleet = Fleet::start(&in_fleet(cast, fleet)).await?;
+    let scenario = DemoScenario::new(ROBOTS, 1, 1.0, 1);
+    // The default ensemble: every robot with any skill. So all of them receive the call and
+    // respond.
+    let fleet = consort_nodes::config::FleetConfig { ensemble: vec![], ..scenario.fleet.clone() };
+    let mut fleet = Fleet::start(&in_fleet(scenario, fleet)).await?;
     let measured = measure_in(&mut fleet, missions).await;
-    let trouble = fleet.stage.unexpected_exit();
+    let unexpected_exit = fleet.processes.unexpected_exit();
     fleet.end().await;
-    trouble.map_or(measured, Err)
+    unexpected_exit.map_or(measured, Err)
 }
 
-/// One mission's figures, in milliseconds.
+/// The figures of a mission, in milliseconds.
 struct Sample {
     asked: usize,
     rounds: u32,
@@ -55,22 +57,22 @@ struct Sample {
 }
 
 async fn measure_in(fleet: &mut Fleet, missions: usize) -> Result<Value, BenchError> {
-    // Not counted: the coordinator may not have met everybody yet, nothing is warm.
+    // Not counted: the coordinator may not have a record of every robot yet, and caches are cold.
     let mut warm = 0;
     for number in 0.. {
-        let sample = one(fleet, &format!("warm-up-{number}"), ROOMS[0]).await?;
+        let sample = award_one_mission(fleet, &format!("warm-up-{number}"), ROOMS[0]).await?;
         warm = if sample.asked > ROBOTS { warm + 1 } else { 0 };
         if warm >= 5 {
             break;
         }
         if number >= 100 {
-            return Err(format!("after {number} missions the coordinator asks only {} robots", sample.asked));
+            return Err(format!("after {number} missions the coordinator calls only {} robots", sample.asked));
         }
         tokio::time::sleep(Duration::from_millis(200)).await;
     }
     let mut samples = vec![];
     for (number, room) in (0..missions).zip(ROOMS.into_iter().cycle()) {
-        samples.push(one(fleet, &format!("bench-{number}"), room).await?);
+        samples.push(award_one_mission(fleet, &format!("bench-{number}"), room).await?);
     }
     let of = |pick: fn(&Sample) -> f64| figures(samples.iter().map(pick).collect());
     Ok(json!({
@@ -83,15 +85,15 @@ async fn measure_in(fleet: &mut Fleet, missions: usize) -> Result<Value, BenchEr
     }))
 }
 
-/// Has one mission awarded and withdraws it.
-async fn one(fleet: &mut Fleet, request: &str, room: &str) -> Result<Sample, BenchError> {
-    let begun = Instant::now();
+/// Has a mission awarded and cancels it.
+async fn award_one_mission(fleet: &mut Fleet, request: &str, room: &str) -> Result<Sample, BenchError> {
+    let started_at = Instant::now();
     let answer = api(fleet, ApiCall::Submit, &lab_samples(request, room)).await;
     let mission = acknowledged(answer.as_ref()).ok_or_else(|| format!("{request} was not acknowledged: {answer:?}"))?;
-    let acknowledged_ms = ms(begun, Instant::now());
+    let acknowledged_ms = ms(started_at, Instant::now());
     let (mut asked, mut rounds) = (0, 0);
     let awarded = fleet.wait_for_event(format!("the award of {mission}"), LIMIT, |event| match event.kind {
-        EventKind::Called { mission: of, asked: number, round, .. } if of == mission => {
+        EventKind::BidsRequested { mission: of, asked: number, round, .. } if of == mission => {
             (asked, rounds) = (number, round);
             None
         }
@@ -101,32 +103,33 @@ async fn one(fleet: &mut Fleet, request: &str, room: &str) -> Result<Sample, Ben
         _ => None,
     });
     let ((holders, after_ms), at) = awarded.await?;
-    let award = after_ms.ok_or("the coordinator does not say how long it took")?;
-    withdraw(fleet, &mission, holders).await?;
-    Ok(Sample { asked, rounds, acknowledged: acknowledged_ms, award, seen: ms(begun, at) })
+    let award = after_ms.ok_or("the award event has no duration")?;
+    cancel_mission(fleet, &mission, holders).await?;
+    Ok(Sample { asked, rounds, acknowledged: acknowledged_ms, award, seen: ms(started_at, at) })
 }
 
-/// Cancels a mission once its robots have begun, and waits until they are free again: the arm is needed for the next.
-async fn withdraw(fleet: &mut Fleet, mission: &MissionId, holders: BTreeSet<RobotId>) -> Result<(), BenchError> {
-    let begun = |what: &EventKind| matches!(what, EventKind::Started { mission: of, .. } if of == mission);
-    all_say(fleet, format!("the beginning of {mission}"), holders.clone(), begun).await?;
+/// Cancels a mission once its robots have begun, and waits until they are free again: the next
+/// mission needs the arm.
+async fn cancel_mission(fleet: &mut Fleet, mission: &MissionId, holders: BTreeSet<RobotId>) -> Result<(), BenchError> {
+    let started_at = |what: &EventKind| matches!(what, EventKind::Started { mission: of, .. } if of == mission);
+    wait_for_all(fleet, format!("the beginning of {mission}"), holders.clone(), started_at).await?;
     let answer = api(fleet, ApiCall::Cancel, &json!({ "mission": mission, "by": "bench" })).await;
     if answer.as_ref().is_none_or(|answer| answer.get("error").is_some()) {
         return Err(format!("{mission} was not canceled: {answer:?}"));
     }
     let halted = |what: &EventKind| matches!(what, EventKind::Halted { mission: of, .. } if of == mission);
-    all_say(fleet, format!("the end of {mission}"), holders, halted).await
+    wait_for_all(fleet, format!("the end of {mission}"), holders, halted).await
 }
 
-/// Waits until each of the robots has told of something.
-async fn all_say(
+/// Waits until each of the robots has published a matching event.
+async fn wait_for_all(
     fleet: &mut Fleet,
     what: String,
     mut robots: BTreeSet<RobotId>,
-    told: impl Fn(&EventKind) -> bool,
+    matches_event: impl Fn(&EventKind) -> bool,
 ) -> Result<(), BenchError> {
     let all = fleet.wait_for_event(what, LIMIT, |event| {
-        if told(&event.kind) {
+        if matches_event(&event.kind) {
             robots.remove(&RobotId::from(event.node));
         }
         robots.is_empty().then_some(())
@@ -134,7 +137,7 @@ async fn all_say(
     all.await.map(|_| ())
 }
 
-/// Makes a request of whoever coordinates.
+/// Sends a request to the coordinator.
 async fn api(fleet: &Fleet, call: ApiCall, request: &Value) -> Option<Value> {
-    ask(&fleet.stage.bus(), &fleet.keys.write(&Key::Api(call)), request, QUERY_TIMEOUT).await
+    query_json(&fleet.processes.bus(), &fleet.keys.write(&Key::Api(call)), request, QUERY_TIMEOUT).await
 }

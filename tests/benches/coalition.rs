@@ -1,12 +1,13 @@
-//! Coalition formation in process: every worker prices role r1 of a lab-samples mission, one is chosen.
+//! Coalition formation in process: every worker estimates role r1 of a lab-samples mission; a
+//! single worker is chosen.
 //!
 //! ```text
 //! cargo bench -p consort-tests --bench coalition
 //! ```
 //!
-//! `auction` is what a fleet does, less the bus: each robot's `Bidder::tender` and the coordinator's `conclude` with its
-//! record of all answers. `tenders` and `conclude` are its two halves; `lean` is the same estimates and choice without
-//! tenders, refusals and record.
+//! `auction` is the auction of a fleet without the bus: `Bidder::respond` of each robot, and
+//! `clear_auction` of the coordinator with its record of all responses. `responses` and `clear` are
+//! its two halves. `lean` is the same estimates and choice without responses, refusals and record.
 
 use consort_actors::robot::{BidContext, Bidder};
 use consort_protocol::auction::{
@@ -30,7 +31,7 @@ use std::sync::Arc;
 
 const SKILLS: [&str; 5] = ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
 
-/// Workers all over the hospital, and what they are asked.
+/// Workers at places all over the hospital, and the call for bids.
 struct Scene {
     call: CallForBids,
     roles: BTreeSet<RoleId>,
@@ -65,7 +66,7 @@ impl Scene {
             }
         };
         let circumstance = |number: usize| {
-            // Bidders live as long as the program does, and borrow what they know of themselves.
+            // Bidders borrow the data of their robot for the lifetime of the program.
             let worker: &'static RobotKnowledge = Box::leak(Box::new(worker(number)));
             let membership = Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 };
             BidContext { worker, closed_lanes: &[], age_ms: 0, membership }
@@ -85,18 +86,18 @@ impl Scene {
         }
     }
 
-    fn tenders(&self) -> Vec<BidResponse> {
+    fn responses(&self) -> Vec<BidResponse> {
         let each = self.bidders.iter().zip(&self.circumstances);
         each.map(|(bidder, circumstance)| bidder.respond(&self.call, circumstance)).collect()
     }
 
-    fn clear_auction(&self, tenders: &[BidResponse]) -> AuctionOutcome {
+    fn clear_auction(&self, responses: &[BidResponse]) -> AuctionOutcome {
         let taken = BTreeMap::new();
         let (expected, limits) = (&self.expected, &self.limits);
         let excluded = BTreeMap::new();
         clear_auction(
             &self.call,
-            tenders,
+            responses,
             &AuctionContext {
                 invited: expected,
                 unavailable: &taken,
@@ -108,7 +109,7 @@ impl Scene {
         )
     }
 
-    /// The estimates and the choice alone.
+    /// Returns the choice by the estimates alone.
     fn lean(&self) -> RobotId {
         let (role, plan) = self.call.roles.first_key_value().expect("there is r1");
         let bid = |(robot, circumstance): (&RobotId, &BidContext<'_>)| {
@@ -133,7 +134,7 @@ impl Scene {
             bid.check_viable(&self.limits).is_ok().then_some(bid)
         };
         let bids: Vec<Bid> = self.expected.iter().zip(&self.circumstances).filter_map(bid).collect();
-        let chosen = optimal_assignment(&self.roles, &bids).expect("somebody can do it");
+        let chosen = optimal_assignment(&self.roles, &bids).expect("a worker can fill the role");
         bids[chosen[role]].robot.clone()
     }
 }
@@ -142,13 +143,13 @@ fn coalition(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("coalition");
     for workers in [6, 200, 1000] {
         let scene = Scene::new(workers);
-        let tenders = scene.tenders();
-        let chosen = scene.clear_auction(&tenders).holders.expect("somebody can do it");
-        assert_eq!(chosen.into_values().collect::<Vec<_>>(), [scene.lean()], "both ways choose alike");
+        let responses = scene.responses();
+        let chosen = scene.clear_auction(&responses).holders.expect("a worker can fill the role");
+        assert_eq!(chosen.into_values().collect::<Vec<_>>(), [scene.lean()], "both choose the same robot");
         let id = |name| BenchmarkId::new(name, workers);
-        group.bench_function(id("auction"), |bench| bench.iter(|| scene.clear_auction(black_box(&scene.tenders()))));
-        group.bench_function(id("tenders"), |bench| bench.iter(|| scene.tenders()));
-        group.bench_function(id("conclude"), |bench| bench.iter(|| scene.clear_auction(black_box(&tenders))));
+        group.bench_function(id("auction"), |bench| bench.iter(|| scene.clear_auction(black_box(&scene.responses()))));
+        group.bench_function(id("tenders"), |bench| bench.iter(|| scene.responses()));
+        group.bench_function(id("conclude"), |bench| bench.iter(|| scene.clear_auction(black_box(&responses))));
         group.bench_function(id("lean"), |bench| bench.iter(|| scene.lean()));
     }
     group.finish();

@@ -1,14 +1,16 @@
-//! How the bytes that each node of an idle fleet sends and receives grow with the fleet, on the virtual bus.
+//! Growth of the traffic of an idle fleet: bytes that each node sends and receives, by fleet size,
+//! on the virtual bus.
 //!
 //! ```text
 //! cargo bench -p consort-tests --bench growth [-- ROBOTS ...]
 //! ```
 //!
-//! A hospital with three stations and so many robots, the world among them, in which nothing is asked for. After they have
-//! met, one minute of virtual time is measured. Bytes are those of keys and payloads, once for each receiver; over Zenoh a
-//! publication crosses each link once, so that a node sends about what it receives, times its links. Prints a line of
-//! JSON for each size, with what the mean node received by kind of message (most of what a small message costs on a wire
-//! is its envelope, so that messages count as well as bytes), and draws `tests/figures/growth.svg`.
+//! A hospital with three stations and a number of robots, including the world, without requests.
+//! After the nodes have met, one minute of virtual time is measured. Bytes are those of keys and
+//! payloads, once for each receiver. Over Zenoh a publication crosses each link once, so a node
+//! sends about as much as it receives, times its links. Prints a line of JSON for each size, with
+//! the traffic that the mean node received by kind of message (the envelope is most of the cost of
+//! a small message, so messages count as well as bytes), and draws `tests/figures/growth.svg`.
 
 use consort_protocol::ids::NodeId;
 use consort_tests::{Fleet, RobotSpec, slug};
@@ -20,23 +22,23 @@ use std::path::Path;
 use std::time::Duration;
 use tokio::time::sleep;
 
-/// Robots of each fleet, if none are named.
+/// Default numbers of robots.
 const SIZES: [usize; 6] = [7, 25, 50, 100, 150, 200];
 
-/// How long a fleet may take to meet, and to settle.
+/// Settling time of a fleet.
 const SETTLE: Duration = Duration::from_secs(45);
 
-/// How long is measured.
-const SPAN: Duration = Duration::from_secs(60);
+/// Duration of the measurement.
+const MEASURED: Duration = Duration::from_secs(60);
 
 const PLACES: [&str; 4] = ["Dock", "PC Room 4", "IC Room 5", "IC Room 6"];
 
-/// Bytes each second: what the mean node sends and receives, and what the coordinator does.
+/// Traffic per second of the mean node and of the coordinator.
 struct Figures {
     robots: usize,
-    /// Messages that the mean node received each second.
+    /// Messages received by the mean node per second.
     messages: f64,
-    /// Bytes and messages that the mean node received each second, by what they were about.
+    /// Bytes and messages received by the mean node per second, by kind.
     by_kind: BTreeMap<&'static str, (f64, f64)>,
     sent: f64,
     received: f64,
@@ -53,9 +55,9 @@ async fn measure(robots: usize) -> Figures {
     let nodes: Vec<NodeId> = fleet.running().iter().map(|name| slug(name)).collect();
     let traffic = |fleet: &Fleet| nodes.iter().map(|node| fleet.network.traffic(node)).collect::<Vec<_>>();
     let before = traffic(&fleet);
-    sleep(SPAN).await;
+    sleep(MEASURED).await;
     let after = traffic(&fleet);
-    let rate = |from: u64, to: u64| (to - from) as f64 / SPAN.as_secs_f64();
+    let rate = |from: u64, to: u64| (to - from) as f64 / MEASURED.as_secs_f64();
     let rates: Vec<(f64, f64)> = before
         .iter()
         .zip(&after)
@@ -106,7 +108,7 @@ fn line(figures: &Figures) -> Value {
 }
 
 fn draw(all: &[Figures], path: &Path) -> Result<(), Box<dyn std::error::Error>> {
-    let most = all.iter().map(|figures| figures.robots).max().unwrap_or(1);
+    let max_robots = all.iter().map(|figures| figures.robots).max().unwrap_or(1);
     let top = all.iter().flat_map(|f| [f.received, f.coordinator_received, f.sent, f.coordinator_sent]);
     let top = top.fold(1.0, f64::max) / 1000.0 * 1.05;
     let root = SVGBackend::new(path, (760, 420)).into_drawing_area();
@@ -116,7 +118,7 @@ fn draw(all: &[Figures], path: &Path) -> Result<(), Box<dyn std::error::Error>> 
         .x_label_area_size(42)
         .y_label_area_size(56)
         .caption("An idle fleet: kilobytes per second and node", ("sans-serif", 18))
-        .build_cartesian_2d(0..most, 0.0..top)?;
+        .build_cartesian_2d(0..max_robots, 0.0..top)?;
     chart.configure_mesh().x_desc("robots").y_desc("kB/s").light_line_style(WHITE).draw()?;
     type Pick = fn(&Figures) -> f64;
     let lines: [(&str, RGBColor, Pick); 4] = [

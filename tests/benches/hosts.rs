@@ -1,14 +1,16 @@
-//! Figures of fleets on hosts of their own: network namespaces with a cable each, one release process in each.
+//! Figures of fleets on separate hosts: network namespaces with a cable each, and a release process
+//! in each.
 //!
 //! ```text
-//! cargo bench -p consort --bench hosts -- idle [SECONDS]   what an idle fleet of seven nodes costs each of them
-//! cargo bench -p consort --bench hosts -- idle-closed [SECONDS]   the same with certificates
-//! cargo bench -p consort --bench hosts -- seals [SECONDS]  both at once, side by side: a ratio that noise has no part in
-//! cargo bench -p consort --bench hosts -- cuts [COUNT]     from the cut of the coordinator's cable to the next one
-//! cargo bench -p consort --bench hosts -- wifi [MINUTES]   takeovers without reason while a tenth of all packets is lost
+//! cargo bench -p consort --bench hosts -- idle [SECONDS]         cost of an idle fleet of seven nodes for each node
+//! cargo bench -p consort --bench hosts -- idle-closed [SECONDS]  the same with certificates
+//! cargo bench -p consort --bench hosts -- signing [SECONDS]      both at the same time: a ratio independent of other load
+//! cargo bench -p consort --bench hosts -- cuts [COUNT]           from the cut of the coordinator's cable to the next coordinator
+//! cargo bench -p consort --bench hosts -- wifi [MINUTES]         takeovers without cause while a tenth of all packets is lost
 //! ```
 //!
-//! They need unprivileged user namespaces, and `wifi` needs `nft`; without them they say so. Each prints a line of JSON.
+//! They need unprivileged user namespaces, and `wifi` needs `nft`; without them they print an
+//! error. Each prints a line of JSON.
 
 #[path = "../hosts/lab.rs"]
 #[expect(dead_code, reason = "the tests use the rest")]
@@ -29,51 +31,54 @@ use support::{Client, example, until};
 
 const STATIONS: [&str; 5] = ["s1", "s2", "s3", "s4", "s5"];
 
-/// How long a fleet is left alone before it is measured.
+/// Settling time of a fleet before the measurement.
 const SETTLE: Duration = Duration::from_secs(10);
 
 fn main() {
-    let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
-    let number = |default| words.get(1).and_then(|word| word.parse().ok()).unwrap_or(default);
-    let again: Vec<&str> = words.iter().map(String::as_str).collect();
-    match words.first().map(String::as_str) {
-        Some("idle") => inside_again(&again, &[], || print(&idle(Duration::from_secs(number(60)), false))),
-        Some("idle-closed") => inside_again(&again, &[], || print(&idle(Duration::from_secs(number(60)), true))),
-        Some("seals") => std::thread::scope(|both| {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
+    let number = |default| arguments.get(1).and_then(|word| word.parse().ok()).unwrap_or(default);
+    let own_arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match arguments.first().map(String::as_str) {
+        Some("idle") => inside_again(&own_arguments, &[], || print(&idle(Duration::from_secs(number(60)), false))),
+        Some("idle-closed") => {
+            inside_again(&own_arguments, &[], || print(&idle(Duration::from_secs(number(60)), true)))
+        }
+        Some("signing") => std::thread::scope(|both| {
             for which in ["idle", "idle-closed"] {
                 let seconds = number(60).to_string();
                 both.spawn(move || inside_again(&[which, &seconds], &[], || ()));
             }
         }),
-        Some("cuts") => inside_again(&again, &[], || print(&cuts(number(20)))),
-        Some("wifi") => inside_again(&again, &["nft"], || print(&wifi(Duration::from_secs(60 * number(10))))),
+        Some("cuts") => inside_again(&own_arguments, &[], || print(&cuts(number(20)))),
+        Some("wifi") => inside_again(&own_arguments, &["nft"], || print(&wifi(Duration::from_secs(60 * number(10))))),
         _ => {
             print(
-                &json!({ "bench": "hosts", "problem": "say which: idle, idle-closed or seals [SECONDS], cuts [COUNT] or wifi [MINUTES]" }),
+                &json!({ "bench": "hosts", "error": "choose a measurement: idle, idle-closed or signing [SECONDS], cuts [COUNT] or wifi [MINUTES]" }),
             );
         }
     }
 }
 
 fn print(line: &Value) {
-    // Nobody reads it: then it need not be printed.
+    // A closed standard output is not an error.
     let _ = writeln!(std::io::stdout(), "{line}");
 }
 
-/// Seconds of processor time that a process has used, and its memory in megabytes.
+/// Returns the processor time of a process in seconds, and its memory in megabytes.
 fn usage(process: u32) -> (f64, f64) {
     let read = |file: &str| std::fs::read_to_string(format!("/proc/{process}/{file}")).expect("a process that runs");
     let stat = read("stat");
     let (_, fields) = stat.rsplit_once(") ").expect("the name is in brackets");
     let ticks: u64 = fields.split(' ').skip(11).take(2).map(|field| field.parse::<u64>().expect("ticks")).sum();
     let status = read("status");
-    let rss = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("memory is told");
+    let rss = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("the status contains the memory");
     let kilobytes: f64 = rss.trim().trim_end_matches(" kB").parse().expect("kilobytes");
-    // A hundred ticks a second on every Linux that we know.
+    // 100 ticks per second on every known Linux.
     (ticks as f64 / 100.0, kilobytes / 1000.0)
 }
 
-/// Seven nodes: five stations, a carrier and an arm. The world has a host of its own and is not counted.
+/// Measures seven nodes: five stations, a carrier and an arm. The world has a host of its own and
+/// is not counted.
 fn idle(span: Duration, closed: bool) -> Value {
     let (lab, client) = hospital(1.0, closed);
     std::thread::sleep(SETTLE);
@@ -99,7 +104,8 @@ fn idle(span: Duration, closed: bool) -> Value {
     json!({ "bench": "idle", "closed": closed, "seconds": span.as_secs(), "nodes": rows.collect::<Vec<_>>() })
 }
 
-/// Five stations that keep the ledger and one that looks on; the fleet's file is changed before they start.
+/// Starts five stations that store the ledger and a sixth as observer; `adjust` changes the fleet's
+/// file before the start.
 fn stations(adjust: impl Fn(toml::Table) -> toml::Table) -> (Lab, Client) {
     let mut lab = Lab::new(&adjust(fleet(5)));
     for host in STATIONS.into_iter().chain(["onlooker"]) {
@@ -112,14 +118,15 @@ fn stations(adjust: impl Fn(toml::Table) -> toml::Table) -> (Lab, Client) {
     lab.start("station", onlooker, &STATIONS);
     lab.await_open();
     let client = Client::open(&lab.address("onlooker", ""), FLEET);
-    until("five keep the ledger", LONG, || {
+    until("five voters", LONG, || {
         let (_, view) = client.all("view/coordinator", "").into_iter().next()?;
         (view["voters"].as_array()?.len() == 5).then_some(())
     });
     (lab, client)
 }
 
-/// From the cut of the coordinator's cable until another says that it coordinates, which it does after its first commit.
+/// Measures the time from the cut of the coordinator's cable until another node reports that it
+/// coordinates, which is after its first commit.
 fn cuts(count: u64) -> Value {
     let (mut lab, mut client) = stations(|fleet| fleet);
     let mut all: Vec<f64> = vec![];
@@ -131,8 +138,8 @@ fn cuts(count: u64) -> Value {
         succession(&mut client, &first, term);
         all.push(cut.elapsed().as_secs_f64() * 1000.0);
         lab.plug(&first, "br0");
-        let back = lab.run(&["fleet", "--json"], &first, LONG);
-        assert_eq!(back.status.code(), Some(0), "{first} is linked again: {}", back.stderr);
+        let reconnected = lab.run(&["fleet", "--json"], &first, LONG);
+        assert_eq!(reconnected.status.code(), Some(0), "{first} is linked again: {}", reconnected.stderr);
     }
     all.sort_by(f64::total_cmp);
     let rank = |share: f64| all.get((all.len() as f64 * share).ceil().max(1.0) as usize - 1).map(|ms| ms.round());
@@ -142,7 +149,7 @@ fn cuts(count: u64) -> Value {
     })
 }
 
-/// How often the coordinator changed though nobody touched it, at ten per cent loss.
+/// Counts the changes of the coordinator without any fault except ten per cent packet loss.
 fn wifi(span: Duration) -> Value {
     let (lab, mut client) = stations(|fleet| with(fleet, "timing", "wifi"));
     for host in STATIONS.into_iter().chain(["onlooker"]) {
@@ -155,11 +162,11 @@ fn wifi(span: Duration) -> Value {
     let count = |client: &mut Client, what: &str| {
         client.events()[before..].iter().filter(|event| event["event"] == what).count()
     };
-    let (elected, doubts) = (count(&mut client, "elected"), count(&mut client, "stepped_down"));
+    let (elected, stepped_down) = (count(&mut client, "elected"), count(&mut client, "stepped_down"));
     let (last, last_term) = coordinator(&client);
     json!({
         "bench": "wifi", "minutes": span.as_secs() / 60, "loss_percent": 10,
-        "takeovers": elected, "stepped_down": doubts,
+        "takeovers": elected, "stepped_down": stepped_down,
         "coordinator": { "before": first, "after": last }, "term": { "before": term, "after": last_term },
     })
 }

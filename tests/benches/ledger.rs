@@ -1,17 +1,20 @@
-//! Requests committed in a second: three voters on loopback over Zenoh, each with its ledger on disk, and many clients.
+//! Throughput of the ledger: requests committed per second by three voters on loopback over Zenoh,
+//! each with its ledger on disk, and many clients.
 //!
 //! ```text
 //! cargo bench -p consort --bench ledger [-- REQUESTS [CLIENTS]]
 //! ```
 //!
-//! Each voter has a runtime, a bus and a store of its own; they share the machine and its disk. Clients ask the leader over
-//! Zenoh, one request at a time each: to submit a mission (of some kilobytes), and then to cancel it. A request counts when
-//! its answer is there, which is after its commit: its entry was synced by the leader and by another voter.
+//! Each voter has a runtime, a bus and a store of its own; they share the machine and its disk.
+//! Each client sends the leader a request at a time over Zenoh: to submit a mission (of some
+//! kilobytes), and then to cancel it. A request counts when its reply has arrived, which is after
+//! its commit: its entry was synced by the leader and by another voter.
 //!
-//! The disk is measured in the same run and folder, right before and right after: three writers at once, as the voters are,
-//! write as many bytes as an entry had on average to a file of their own, in place, and sync it, as often as they can. With
-//! group commit each sync brings one entry, and all the requests in it. So what the disk allows is its syncs in a second
-//! times the requests that an entry had; a ratio near 1 says that the disk is the limit, a small one that it is not.
+//! The disk is measured in the same run and folder, right before and right after. Three concurrent
+//! writers, like the voters, each write as many bytes as the average entry to a file of their own,
+//! in place, and sync it, as often as possible. With group commit each sync writes an entry with
+//! all its requests. So the disk allows its syncs per second times the requests per entry. A ratio
+//! near 1 shows that the disk is the limit; a small ratio shows that it is not.
 
 #[path = "support/figures.rs"]
 mod support;
@@ -43,19 +46,20 @@ use tokio::time::{Instant, sleep};
 
 const VOTERS: usize = 3;
 
-/// How long an answer may take.
+/// Time limit of a reply.
 const LIMIT: Duration = Duration::from_secs(5);
 
-/// How long the disk is measured, before and after each.
+/// Duration of each disk measurement.
 const MEASURED: Duration = Duration::from_secs(2);
 
-/// Bytes of the files by which it is measured: about what the ledger's become.
+/// Bytes of the files of the disk measurement: about the size of the ledger files.
 const MEASURED_FILE: usize = 16 << 20;
 
-/// Bytes of an entry before the run has told: the most that requests share.
+/// Bytes of an entry before the first measurement: the most that requests share.
 const ENTRY_BYTES: usize = 16 << 10;
 
-/// Into how many parts the requests are divided, in the order of their answers, to see whether they become slower.
+/// Number of parts of the requests, in the order of their replies, to show whether they become
+/// slower.
 const PARTS: usize = 5;
 
 fn main() -> ExitCode {
@@ -65,7 +69,7 @@ fn main() -> ExitCode {
     support::main("ledger", measure(requests, clients))
 }
 
-/// A folder that is removed at the end.
+/// A folder that is removed when dropped.
 struct Folder(PathBuf);
 
 impl Drop for Folder {
@@ -74,7 +78,7 @@ impl Drop for Folder {
     }
 }
 
-/// A voter, and the threads it lives on.
+/// A voter with its runtime.
 struct Voter {
     replica: Replica<Ledger>,
     endpoint: String,
@@ -101,13 +105,13 @@ async fn measure(requests: usize, clients: usize) -> Result<Value, BenchError> {
     let members: BTreeMap<RaftId, NodeId> =
         voters.iter().map(|(name, voter)| (voter.replica.id(), name.clone())).collect();
     let first = voters.values().next().ok_or("no voters")?;
-    first.replica.bootstrap(members).await.map_err(|problem| problem.to_string())?;
+    first.replica.bootstrap(members).await.map_err(|error| error.to_string())?;
     let began = Instant::now();
     let leader = loop {
         let leads = |voter: &Voter| voter.replica.leadership().borrow().is_leader;
         match voters.iter().find(|(_, voter)| leads(voter)) {
             Some((name, _)) => break name.clone(),
-            None if began.elapsed() > LIMIT => return Err("nobody leads".to_owned()),
+            None if began.elapsed() > LIMIT => return Err("no voter leads".to_owned()),
             None => sleep(Duration::from_millis(10)).await,
         }
     };
@@ -116,14 +120,14 @@ async fn measure(requests: usize, clients: usize) -> Result<Value, BenchError> {
         connect: vec![voters[&leader].endpoint.clone()],
         ..ZenohSettings::default()
     };
-    let bus = ZenohBus::open(settings).await.map_err(|problem| problem.to_string())?;
+    let bus = ZenohBus::open(settings).await.map_err(|error| error.to_string())?;
     let leaders = voters.iter().map(|(name, voter)| (name.clone(), voter.replica.leadership())).collect();
     let before = syncs_per_s(&folder.0, ENTRY_BYTES)?;
-    let Answers { took, latencies, at, again, bytes } = ask_all(Arc::new(bus), leaders, requests, clients).await?;
+    let Replies { took, latencies, at, again, bytes } = run_clients(Arc::new(bus), leaders, requests, clients).await?;
     let rate = requests as f64 / took.as_secs_f64();
 
     let ledger =
-        fs::metadata(folder.0.join(leader.as_str()).join(LEDGER_FILE)).map_err(|problem| problem.to_string())?.len();
+        fs::metadata(folder.0.join(leader.as_str()).join(LEDGER_FILE)).map_err(|error| error.to_string())?.len();
     let entries = voters[&leader].replica.applied().borrow().index;
     drop(voters);
     let shared = requests as f64 / entries as f64;
@@ -131,7 +135,7 @@ async fn measure(requests: usize, clients: usize) -> Result<Value, BenchError> {
     let after = syncs_per_s(&folder.0, entry_bytes)?;
     let bound = (before + after) / 2.0 * shared;
     Ok(json!({
-        "voters": VOTERS, "clients": clients, "requests": requests, "asked_again": again,
+        "voters": VOTERS, "clients": clients, "requests": requests, "repeated_requests": again,
         "requests_per_s": rate.round(), "requests_per_s_by_parts": rates(at), "latency": figures(latencies),
         "entries": entries, "requests_per_entry": hundredths(shared), "bytes_per_entry": entry_bytes,
         "ledger_bytes": ledger, "syncs_per_s_of_each_of_three": [before.round(), after.round()],
@@ -143,7 +147,7 @@ fn hundredths(number: f64) -> f64 {
     (number * 100.0).round() / 100.0
 }
 
-/// Requests answered in a second, part by part, given when each was.
+/// Returns the requests answered per second, part by part, given the time of each reply.
 fn rates(mut at: Vec<Duration>) -> Vec<f64> {
     at.sort();
     let mut began = Duration::ZERO;
@@ -159,24 +163,24 @@ fn rates(mut at: Vec<Duration>) -> Vec<f64> {
 
 async fn start(name: NodeId, folder: PathBuf, connect: Vec<String>) -> Result<Voter, BenchError> {
     let runtime = Builder::new_multi_thread().worker_threads(2).enable_all().build();
-    let runtime = runtime.map_err(|problem| problem.to_string())?;
+    let runtime = runtime.map_err(|error| error.to_string())?;
     let started = runtime.spawn(async move {
         let bus = ZenohBus::open(ZenohSettings { connect, ..ZenohSettings::default() }).await;
-        let bus = bus.map_err(|problem| problem.to_string())?;
-        let endpoint = bus.listen_addresses().await.into_iter().next().ok_or("it listens nowhere")?;
+        let bus = bus.map_err(|error| error.to_string())?;
+        let endpoint = bus.listen_addresses().await.into_iter().next().ok_or("the bus has no listen address")?;
         let fleet = FleetId::new("bench").expect("a slug");
         let owner = StoreOwner { fleet: fleet.clone(), node: name.clone() };
         let fresh = StoreIdentity(u128::from(name.as_str().bytes().last().unwrap_or(0)));
-        let store = DurableStore::open(&folder, &owner, fresh).map_err(|problem| problem.to_string())?;
+        let store = DurableStore::open(&folder, &owner, fresh).map_err(|error| error.to_string())?;
         let shared: SharedBus = Arc::new(bus);
         let seed = u64::from(endpoint.bytes().last().unwrap_or(0));
         let settings = RaftSettings::new(fleet, name.clone());
         let replica = Replica::<Ledger>::start(settings, shared.clone(), Arc::new(store), seed).await;
-        let replica = replica.map_err(|problem| problem.to_string())?;
+        let replica = replica.map_err(|error| error.to_string())?;
         tokio::spawn(serve(shared, key(&name), replica.clone()));
         Ok::<_, BenchError>((replica, endpoint))
     });
-    let (replica, endpoint) = started.await.map_err(|problem| problem.to_string())??;
+    let (replica, endpoint) = started.await.map_err(|error| error.to_string())??;
     Ok(Voter { replica, endpoint, runtime: Some(runtime) })
 }
 
@@ -184,51 +188,51 @@ fn key(voter: &NodeId) -> String {
     format!("consort/bench/propose/{voter}")
 }
 
-/// Proposes what clients ask for.
+/// Proposes the commands of clients to the voter.
 async fn serve(bus: SharedBus, key: String, replica: Replica<Ledger>) -> Result<(), BenchError> {
-    let mut queries = bus.serve(&key).await.map_err(|problem| problem.to_string())?;
+    let mut queries = bus.serve(&key).await.map_err(|error| error.to_string())?;
     while let Some(query) = queries.recv().await {
         let replica = replica.clone();
         tokio::spawn(async move {
             let Ok(command) = codec::decode::<Command>(&query.payload) else { return };
-            // Whether an answer arrives, the client sees.
+            // The client detects a missing reply.
             let _ = match replica.propose(command, LIMIT * 4 / 5).await {
                 Ok(outcome) => {
                     let bytes = codec::encode(&outcome).expect("outcomes are small");
                     query.replier.reply(&query.key, bytes.into(), Encoding::Wire).await
                 }
-                Err(problem) => query.replier.refuse(&problem.to_string()).await,
+                Err(error) => query.replier.refuse(&error.to_string()).await,
             };
         });
     }
     Ok(())
 }
 
-/// All requests, answered.
+/// The replies to all requests.
 #[derive(Default)]
-struct Answers {
-    /// How long that took.
+struct Replies {
+    /// Total duration.
     took: Duration,
-    /// How long each took, in milliseconds.
+    /// Duration of each request in milliseconds.
     latencies: Vec<f64>,
-    /// When each was, from the first question on.
+    /// Time of each reply since the first request.
     at: Vec<Duration>,
-    /// How often one had to be made again.
+    /// Number of repeated requests.
     again: usize,
-    /// What they had together.
+    /// Total size of the requests.
     bytes: usize,
 }
 
-/// Has all requests answered.
-async fn ask_all(
+/// Sends all requests and collects their replies.
+async fn run_clients(
     bus: SharedBus,
     leaders: Vec<(NodeId, watch::Receiver<LeadershipView>)>,
     requests: usize,
     clients: usize,
-) -> Result<Answers, BenchError> {
+) -> Result<Replies, BenchError> {
     let template = shipped().get("lab-samples").ok_or("no such mission")?;
-    let mission = template.instantiate(&BTreeMap::new(), &Domain::hospital()).map_err(|problem| problem.to_string())?;
-    let division = divide_and_check(&mission).map_err(|problem| problem.to_string())?;
+    let mission = template.instantiate(&BTreeMap::new(), &Domain::hospital()).map_err(|error| error.to_string())?;
+    let division = divide_and_check(&mission).map_err(|error| error.to_string())?;
     let left = Arc::new(AtomicUsize::new(requests));
     let began = Instant::now();
     let mut all = JoinSet::new();
@@ -236,65 +240,66 @@ async fn ask_all(
         let (bus, leaders, left) = (bus.clone(), leaders.clone(), Arc::clone(&left));
         let (mission, division) = (mission.clone(), division.clone());
         all.spawn(async move {
-            let (mut answers, mut open) = (Answers::default(), None::<MissionId>);
+            let (mut replies, mut open) = (Replies::default(), None::<MissionId>);
             let take = |left: usize| left.checked_sub(1);
             while left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, take).is_ok() {
                 let command = match open.take() {
                     Some(mission) => Command::Cancel { mission, by: "a client".to_owned(), places: BTreeMap::new() },
                     None => {
-                        let request = RequestId::new(format!("client-{client}-{}", answers.at.len())).expect("a slug");
+                        let request = RequestId::new(format!("client-{client}-{}", replies.at.len())).expect("a slug");
                         Command::Submit(Box::new(Submission::of(request, mission.clone(), division.clone())))
                     }
                 };
-                let asked = Instant::now();
-                let question = Bytes::from(codec::encode(&command).expect("it is small"));
-                answers.bytes += question.len();
-                // On a busy machine the lead may change; a request that is made again is done once.
+                let sent_at = Instant::now();
+                let request_bytes = Bytes::from(codec::encode(&command).expect("the command is small"));
+                replies.bytes += request_bytes.len();
+                // On a busy machine the leader may change; a repeated request is executed once.
                 let outcome = loop {
                     let leader = leaders.iter().find(|(_, leadership)| leadership.borrow().is_leader);
                     let Some((name, _)) = leader else {
                         sleep(Duration::from_millis(5)).await;
                         continue;
                     };
-                    match ask(&bus, &key(name), question.clone()).await {
+                    match send_request(&bus, &key(name), request_bytes.clone()).await {
                         Ok(outcome) => break outcome,
-                        Err(_) if asked.elapsed() < LIMIT => {
-                            answers.again += 1;
+                        Err(_) if sent_at.elapsed() < LIMIT => {
+                            replies.again += 1;
                             sleep(Duration::from_millis(5)).await;
                         }
-                        Err(problem) => return Err(problem),
+                        Err(error) => return Err(error),
                     }
                 };
-                answers.latencies.push(ms(asked, Instant::now()));
-                answers.at.push(began.elapsed());
+                replies.latencies.push(ms(sent_at, Instant::now()));
+                replies.at.push(began.elapsed());
                 match outcome {
                     CommandOutcome::Submitted { mission, .. } => open = Some(mission),
-                    // A repeated cancel finds it done.
+                    // A repeated cancel finds the mission already canceled.
                     CommandOutcome::Done | CommandOutcome::Refused(_) if matches!(command, Command::Cancel { .. }) => {}
-                    other => return Err(format!("the ledger answered {other:?}")),
+                    other => return Err(format!("the ledger replied {other:?}")),
                 }
             }
-            Ok::<_, BenchError>(answers)
+            Ok::<_, BenchError>(replies)
         });
     }
-    let mut total = Answers::default();
+    let mut total = Replies::default();
     for ended in all.join_all().await {
-        let Answers { latencies, at, again, bytes, .. } = ended?;
+        let Replies { latencies, at, again, bytes, .. } = ended?;
         total.latencies.extend(latencies);
         total.at.extend(at);
         total.again += again;
         total.bytes += bytes;
     }
-    Ok(Answers { took: began.elapsed(), ..total })
+    Ok(Replies { took: began.elapsed(), ..total })
 }
 
-async fn ask(bus: &SharedBus, key: &str, question: Bytes) -> Result<CommandOutcome, BenchError> {
-    let mut replies = bus.query(key, question, LIMIT).await.map_err(|problem| problem.to_string())?;
-    let reply = replies.recv().await.ok_or("no answer")?;
-    codec::decode(&reply.payload?).map_err(|problem| problem.to_string())
+async fn send_request(bus: &SharedBus, key: &str, request_bytes: Bytes) -> Result<CommandOutcome, BenchError> {
+    let mut replies = bus.query(key, request_bytes, LIMIT).await.map_err(|error| error.to_string())?;
+    let reply = replies.recv().await.ok_or("no reply")?;
+    codec::decode(&reply.payload?).map_err(|error| error.to_string())
 }
 
-/// How many times in a second each of three writers at once can write some bytes in place and bring them to disk.
+/// Returns how many times per second each of three concurrent writers can write some bytes in place
+/// and sync them.
 fn syncs_per_s(folder: &Path, bytes: usize) -> Result<f64, BenchError> {
     let writers = (0..VOTERS).map(|writer| {
         let path = folder.join(format!("syncs-{writer}"));
@@ -316,7 +321,7 @@ fn syncs_per_s(folder: &Path, bytes: usize) -> Result<f64, BenchError> {
     let writers: Vec<_> = writers.collect();
     let mut sum = 0.0;
     for writer in writers {
-        sum += writer.join().map_err(|_| "a writer died")?.map_err(|problem| problem.to_string())?;
+        sum += writer.join().map_err(|_| "a writer panicked")?.map_err(|error| error.to_string())?;
     }
     Ok(sum / VOTERS as f64)
 }

@@ -1,14 +1,15 @@
-//! From the end of the coordinator's process to the next coordinator: stations' processes on loopback over Zenoh.
+//! Failover time of the coordinator: stations as processes on loopback over Zenoh.
 //!
 //! ```text
 //! cargo bench -p consort --bench takeover [-- [--kill | --leave | --freeze] [--preset lan|wifi] [TIMES]]
 //! ```
 //!
-//! The process gets SIGKILL (`--kill`, the default), is told to end and hands over (`--leave`), or stands still with all
-//! its links open (`--freeze`, SIGSTOP). An onlooker, linked with a node to which nothing happens, takes the time from just
-//! before that: `elected` until it hears the next coordinator say so, `acknowledged` until a mission that it submits again
-//! and again is acknowledged, which is after its commit. A node that has ended stays away, so after two of five a new fleet is
-//! started.
+//! The process of the coordinator receives SIGKILL (`--kill`, the default), is stopped gracefully
+//! and transfers its leadership (`--leave`), or is frozen with all its links open (`--freeze`,
+//! SIGSTOP). An observer, linked with an unaffected node, measures from just before that: `elected`
+//! until it receives the event of the next coordinator, `acknowledged` until a mission that it
+//! submits repeatedly is acknowledged, which is after its commit. A stopped node stays away, so a
+//! new fleet is started after two of five nodes.
 
 mod support;
 
@@ -23,23 +24,24 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use std::process::ExitCode;
 use std::time::Duration;
-use support::{BenchError, Fleet, acknowledged, ask, figures, in_fleet, lab_samples, ms};
+use support::{BenchError, Fleet, acknowledged, figures, in_fleet, lab_samples, ms, query_json};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, interval, sleep};
 
-/// Nodes of a fleet; all of them keep the ledger.
+/// Nodes of a fleet; all of them store the ledger.
 const STATIONS: usize = 5;
 
-/// Kills that such a fleet survives for certain.
+/// Kills that such a fleet certainly survives.
 const KILLS_PER_FLEET: usize = 2;
 
-/// How long a takeover may take before the benchmark gives up.
+/// Time limit of a takeover; the benchmark fails after it.
 const LIMIT: Duration = Duration::from_secs(10);
 
-/// How often the client tries. Its requests bear one name, so only one of them counts.
+/// Interval of the client's requests. All of them have the same id, so only a single request
+/// counts.
 const TRY_EVERY: Duration = Duration::from_millis(10);
 
-/// What happens to the coordinator.
+/// The event that ends the coordinator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum End {
     Kill,
@@ -48,8 +50,8 @@ enum End {
 }
 
 fn main() -> ExitCode {
-    let given: Vec<String> = std::env::args().collect();
-    let is = |flag: &str| given.iter().any(|argument| argument == flag);
+    let arguments: Vec<String> = std::env::args().collect();
+    let is = |flag: &str| arguments.iter().any(|argument| argument == flag);
     let end = match () {
         () if is("--leave") => End::Leave,
         () if is("--freeze") => End::Freeze,
@@ -65,7 +67,7 @@ async fn measure(end: End, timing: Timing, kills: usize) -> Result<Value, BenchE
     while elected.len() < kills {
         let mut fleet = Fleet::start(&stations(timing)).await?;
         for _ in 0..KILLS_PER_FLEET.min(kills - elected.len()) {
-            // At no fixed moment between two heartbeats, and after the last takeover has settled.
+            // At a random moment between two heartbeats, after the last takeover has settled.
             sleep(Duration::from_millis(rng.random_range(800..1200))).await;
             let (first, second) = takeover(&mut fleet, end, elected.len()).await?;
             elected.push(first);
@@ -88,40 +90,43 @@ fn stations(timing: Timing) -> DemoScenario {
 
 async fn takeover(fleet: &mut Fleet, end: End, number: usize) -> Result<(f64, f64), BenchError> {
     let deadline = Instant::now() + LIMIT;
-    // On a busy machine a coordinator may doubt itself for a moment.
+    // On a busy machine a coordinator may lose contact to its voters for a moment.
     let view = loop {
         match fleet.coordinator().await {
             Some(view) => break view,
-            None if Instant::now() >= deadline => return Err("nobody coordinates".to_owned()),
+            None if Instant::now() >= deadline => return Err("no node coordinates".to_owned()),
             None => sleep(TRY_EVERY).await,
         }
     };
-    let victim: NodeId = view["node"].as_str().and_then(|node| node.parse().ok()).ok_or("a coordinator has a name")?;
-    let term = view["term"].as_u64().ok_or("a coordinator has a term")?;
+    let victim: NodeId = view["node"]
+        .as_str()
+        .and_then(|node| node.parse().ok())
+        .ok_or("the view of the coordinator has no node name")?;
+    let term = view["term"].as_u64().ok_or("the view of the coordinator has no term")?;
     let killed = Instant::now();
-    // A leaver is waited for later: what counts is when the next one takes over.
+    // The graceful stop is awaited later: the time until the next takeover counts.
     let mut leaving = JoinSet::new();
     match end {
-        End::Kill => fleet.stage.kill(&victim).await.map_err(|problem| problem.to_string())?,
-        End::Freeze => fleet.stage.freeze(&victim).await.map_err(|problem| problem.to_string())?,
+        End::Kill => fleet.processes.kill(&victim).await.map_err(|error| error.to_string())?,
+        End::Freeze => fleet.processes.freeze(&victim).await.map_err(|error| error.to_string())?,
         End::Leave => {
-            if let Some(ended) = fleet.stage.request_shutdown(&victim) {
+            if let Some(ended) = fleet.processes.request_shutdown(&victim) {
                 leaving.spawn(ended);
             }
         }
     }
 
-    let (bus, key) = (fleet.stage.bus(), fleet.keys.write(&Key::Api(ApiCall::Submit)));
+    let (bus, key) = (fleet.processes.bus(), fleet.keys.write(&Key::Api(ApiCall::Submit)));
     let request = lab_samples(&format!("after-kill-{number}"), "IC Room 6");
     let submitting = tokio::spawn(async move {
-        let (mut tries, mut beat) = (JoinSet::new(), interval(TRY_EVERY));
+        let (mut tries, mut ticker) = (JoinSet::new(), interval(TRY_EVERY));
         loop {
             tokio::select! {
                 Some(Ok(Some(at))) = tries.join_next() => return at,
-                _ = beat.tick() => {
+                _ = ticker.tick() => {
                     let (bus, key, request) = (bus.clone(), key.clone(), request.clone());
                     tries.spawn(async move {
-                        let answer = ask(&bus, &key, &request, LIMIT).await;
+                        let answer = query_json(&bus, &key, &request, LIMIT).await;
                         acknowledged(answer.as_ref()).map(|_| Instant::now())
                     });
                 }
@@ -135,7 +140,7 @@ async fn takeover(fleet: &mut Fleet, end: End, number: usize) -> Result<(f64, f6
     let ((), elected) = next.await?;
     let acknowledged = tokio::time::timeout(LIMIT, submitting).await;
     let acknowledged = acknowledged.map_err(|_| format!("no mission was acknowledged within {LIMIT:?}"))?;
-    let acknowledged = acknowledged.map_err(|problem| problem.to_string())?;
+    let acknowledged = acknowledged.map_err(|error| error.to_string())?;
     while leaving.join_next().await.is_some() {}
     Ok((ms(killed, elected), ms(killed, acknowledged)))
 }

@@ -1,4 +1,4 @@
-//! What does not hold is found, and cut down to what it takes.
+//! Chaos finds injected bugs and shrinks their schedules.
 
 use crate::{jobs, once};
 use consort_protocol::mutants::Mutant;
@@ -18,7 +18,7 @@ fn every_mutant_is_found_within_its_number_of_seeds() {
 }
 
 #[test]
-fn a_violation_is_cut_down_to_the_steps_that_it_takes() {
+fn a_violation_is_shrunk_to_the_necessary_actions() {
     let order = RunConfig { seed: 3, nodes: 5, minutes: 1.0, closed: false };
     let schedule = generate(order.seed, &ChaosFleet::of(5), order.minutes, &FaultKind::FAULTS);
     let fails = |schedule: &_| {
@@ -27,6 +27,6 @@ fn a_violation_is_cut_down_to_the_steps_that_it_takes() {
     };
     assert!(fails(&schedule), "{schedule}");
     let smallest = shrink(&schedule, 60, fails);
-    // A mission is all it takes to pass a wait too early.
+    // A single mission suffices to pass a wait too early.
     assert!(matches!(&smallest.steps[..], [step] if matches!(step.action, ChaosAction::Submit { .. })), "{smallest}");
 }

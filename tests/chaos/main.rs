@@ -1,6 +1,8 @@
-//! Fleets under generated faults: that everything holds, that one seed is one run, and that mistakes are found.
+//! Fleets under generated faults: invariants hold, a seed determines a run, and injected bugs are
+//! found.
 //!
-//! Hundreds of fleets, on all cores: some minutes on two. `consort chaos` runs as many as there is time for.
+//! These tests run hundreds of fleets on all cores, for some minutes on two cores. `consort chaos`
+//! runs as many as time permits.
 
 mod injected_bugs;
 mod seeds;
@@ -13,7 +15,7 @@ fn jobs() -> usize {
     thread::available_parallelism().map_or(1, Into::into)
 }
 
-/// One run, perhaps of a fleet that makes a mistake.
+/// Executes a single run, optionally with an injected bug.
 fn once(order: &RunConfig, schedule: &Schedule, mutant: Option<Mutant>) -> RunOutcome {
     let again = (order.clone(), schedule.clone());
     let mut outcome = None;

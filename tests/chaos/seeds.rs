@@ -1,9 +1,9 @@
-//! What must hold, held.
+//! Invariants hold for the first seeds.
 
 use crate::{jobs, once};
 use consort_tests::chaos::{ChaosFleet, FaultKind, RunConfig, SeedSweep, generate};
 
-/// Runs the first so many seeds, of open fleets or of closed ones.
+/// Runs the seeds from 1 to `seeds` with open or closed fleets.
 fn everything_holds(seeds: u64, minutes: f64, closed: bool) {
     let order = |seed| RunConfig { seed, nodes: 7, minutes, closed };
     let cast = ChaosFleet::of(7);
@@ -14,29 +14,29 @@ fn everything_holds(seeds: u64, minutes: f64, closed: bool) {
         config: &|seed| (order(seed), generate(seed, &cast, minutes, &FaultKind::FAULTS)),
         prepare: &|| (),
     }
-    .run(|outcome| missions += outcome.tally.acknowledged);
+    .run(|outcome| missions += outcome.counters.acknowledged);
     if let Some(outcome) = found
         && let Some(violation) = outcome.violation
     {
         let schedule = generate(outcome.seed, &cast, minutes, &FaultKind::FAULTS);
-        let tale = violation.tale.join("\n");
-        panic!("seed {}: {}: {}\n{tale}\n{schedule}", outcome.seed, violation.invariant, violation.why);
+        let tale = violation.events_before.join("\n");
+        panic!("seed {}: {}: {}\n{tale}\n{schedule}", outcome.seed, violation.invariant, violation.reason);
     }
-    assert!(missions >= usize::try_from(seeds).expect("a few hundred"), "{missions} missions were asked for");
+    assert!(missions >= usize::try_from(seeds).expect("a few hundred"), "only {missions} missions were submitted");
 }
 
 #[test]
-fn everything_holds_for_the_first_seeds() {
+fn invariants_hold_for_the_first_seeds() {
     everything_holds(250, 3.0, false);
 }
 
 #[test]
-fn everything_holds_where_words_are_sealed() {
+fn invariants_hold_in_closed_fleets() {
     everything_holds(12, 2.0, true);
 }
 
 #[test]
-fn a_seed_is_the_same_run_each_time_to_the_byte() {
+fn a_seed_determines_a_run_to_the_byte() {
     let cast = ChaosFleet::of(5);
     let runs: Vec<_> = (11..=12)
         .map(|seed| {

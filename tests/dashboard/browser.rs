@@ -1,4 +1,4 @@
-//! A browser without a window, and what a person does with one.
+//! A headless browser and the actions of its user.
 
 use crate::support::{Folder, until};
 use fantoccini::actions::{InputSource, KeyAction, KeyActions};
@@ -12,13 +12,13 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 use tokio::runtime::Runtime;
 
-/// How long the page may take to show something.
+/// Limit for the page to show something.
 pub(crate) const SOON: Duration = Duration::from_secs(30);
 
-/// The control key, as WebDriver has it.
+/// Control key in WebDriver.
 const CONTROL: char = '\u{e009}';
 
-/// Ends the holding of a key.
+/// Releases the control key.
 const RELEASE: char = '\u{e000}';
 
 /// Chromium, driven by chromedriver.
@@ -28,7 +28,7 @@ pub(crate) struct Browser {
     driver: Child,
 }
 
-/// A command of chromedriver's beyond the standard.
+/// A command of chromedriver beyond the standard.
 #[derive(Debug)]
 struct Raw {
     path: &'static str,
@@ -46,8 +46,8 @@ impl WebDriverCompatibleCommand for Raw {
 }
 
 impl Browser {
-    /// Starts a browser; `None`, with the reason on the standard error, where there is none.
-    #[expect(clippy::print_stderr, reason = "a skipped test says so")]
+    /// Starts a browser. Returns `None` and prints the reason if there is none.
+    #[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
     pub(crate) fn start(folder: &Folder) -> Option<Browser> {
         for program in ["chromedriver", "chromium"] {
             let there = Command::new(program).arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
@@ -95,7 +95,7 @@ impl Browser {
         self.runtime.block_on(self.client.goto(url)).expect("the page can be opened");
     }
 
-    /// What an expression of JavaScript comes to.
+    /// Evaluates a JavaScript expression.
     pub(crate) fn value(&self, expression: &str) -> Value {
         let script = format!("return ({expression});");
         self.runtime
@@ -108,7 +108,7 @@ impl Browser {
         value.as_str().unwrap_or_default().to_owned()
     }
 
-    /// Waits until an expression is true of the page.
+    /// Waits until an expression is true on the page.
     #[track_caller]
     pub(crate) fn wait_until(&self, what: &str, expression: &str) {
         self.wait_until_within(SOON, what, expression);
@@ -117,7 +117,7 @@ impl Browser {
     #[track_caller]
     pub(crate) fn wait_until_within(&self, limit: Duration, what: &str, expression: &str) {
         let seen = std::cell::Cell::new(false);
-        // What is asked of an element that is not drawn yet is not true yet.
+        // An expression about an element that is not drawn yet is false.
         let script = format!(
             "(() => {{ try {{ return Boolean({expression}); }} catch (problem) {{ if (problem instanceof TypeError) return false; throw problem; }} }})()"
         );
@@ -134,7 +134,7 @@ impl Browser {
         }
     }
 
-    /// Presses keys, as a person at the keyboard does: on whatever has the focus. Control is held until [`RELEASE`].
+    /// Types keys into the focused element. Control is held until [`RELEASE`].
     pub(crate) fn press(&self, keys: &str) {
         let mut actions = KeyActions::new("keyboard".to_owned());
         for value in keys.chars() {
@@ -153,31 +153,31 @@ impl Browser {
         clicked.unwrap_or_else(|problem| panic!("{selector}: {problem}"));
     }
 
-    /// Says yes to the question that the page asks.
+    /// Confirms the dialog of the page.
     pub(crate) fn accept(&self) {
         until("a question", SOON, || self.runtime.block_on(self.client.accept_alert()).ok());
     }
 
-    /// A command of the browser's own protocol for developers.
+    /// Sends a command of the DevTools protocol.
     pub(crate) fn command(&self, name: &str, parameters: Value) -> Value {
         let raw = Raw { path: "goog/cdp/execute", body: json!({ "cmd": name, "params": parameters }) };
         self.runtime.block_on(self.client.issue_cmd(raw)).unwrap_or_else(|problem| panic!("{name}: {problem}"))
     }
 
-    /// A screen of this size; a narrow one is a phone's.
+    /// Sets the size of the screen; a narrow screen is a phone.
     pub(crate) fn screen(&self, width: u32, height: u32) {
         let phone = width < 700;
         let parameters = json!({ "width": width, "height": height, "deviceScaleFactor": if phone { 2 } else { 1 }, "mobile": phone });
         self.command("Emulation.setDeviceMetricsOverride", parameters);
     }
 
-    /// What the system says of colours: `light` or `dark`.
+    /// Sets the preferred colour scheme: `light` or `dark`.
     pub(crate) fn prefers(&self, scheme: &str) {
         let features = json!([{ "name": "prefers-color-scheme", "value": scheme }]);
         self.command("Emulation.setEmulatedMedia", json!({ "features": features }));
     }
 
-    /// Leaves a picture of what is seen.
+    /// Stores a screenshot.
     pub(crate) fn screenshot(&self, name: &str) {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("dashboard");
         let picture = self.runtime.block_on(self.client.screenshot()).expect("a picture can be taken");
@@ -185,7 +185,7 @@ impl Browser {
         fs::write(folder.join(format!("{name}.png")), &picture).expect("the folder can be written to");
     }
 
-    /// The same, and for the documentation where that is asked for.
+    /// Stores a screenshot, also for the documentation if requested.
     pub(crate) fn documentation_screenshot(&self, name: &str) {
         self.screenshot(name);
         if std::env::var_os("CONSORT_PICTURES").is_some() {
@@ -196,7 +196,7 @@ impl Browser {
         }
     }
 
-    /// What the page has complained of since it was last asked.
+    /// Returns the new warnings and errors of the console.
     pub(crate) fn console(&self) -> Vec<String> {
         let raw = Raw { path: "se/log", body: json!({ "type": "browser" }) };
         let entries = self.runtime.block_on(self.client.issue_cmd(raw)).expect("the browser keeps a log");
@@ -208,7 +208,7 @@ impl Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // The session's end is the browser's; whatever is left is found by its folder.
+        // The end of the session ends the browser; leftover processes are found by their folder.
         let _ = self.runtime.block_on(self.client.clone().close());
         let _ = self.driver.kill();
         let _ = self.driver.wait();

@@ -1,14 +1,14 @@
-//! The demo's fleet on the page: what is seen, what is asked for, and what is said when it is lost.
+//! The fleet of the demo on the page: views, requests, and the loss of the connection.
 
 use crate::browser::{Browser, SOON};
 use crate::support::{Folder, Program, until};
 use serde_json::Value;
 use std::time::Duration;
 
-/// How long a mission may take.
+/// Limit for a mission.
 const MISSION: Duration = Duration::from_secs(180);
 
-/// What the keys are called in WebDriver.
+/// Key codes of WebDriver.
 const TAB: &str = "\u{e004}";
 pub(crate) const ENTER: &str = "\u{e007}";
 const RIGHT: &str = "\u{e014}";
@@ -16,7 +16,7 @@ const DOWN: &str = "\u{e015}";
 const HOME: &str = "\u{e011}";
 const END: &str = "\u{e010}";
 
-/// The address that a demo prints.
+/// Returns the dashboard address that a demo prints.
 fn address(demo: &Program) -> String {
     until("the address of the dashboard", SOON, || {
         let said = demo.stdout();
@@ -31,7 +31,8 @@ fn address(demo: &Program) -> String {
     })
 }
 
-/// What everybody who uses the page without eyes or mouse relies on, and what is missing of it.
+/// Returns accessibility faults of the page: missing names, captions and landmarks, skipped heading
+/// levels, duplicate ids.
 const ACCESS: &str = r"(() => {
     const faults = [];
     const seen = (one) => one.checkVisibility() && !one.closest('[hidden], .unseen');
@@ -53,7 +54,7 @@ const ACCESS: &str = r"(() => {
     return faults;
 })()";
 
-/// Texts that do not stand out from what is behind them as much as WCAG 2 (AA) asks.
+/// Returns texts with less contrast than WCAG 2 (AA) requires.
 const CONTRAST: &str = r"(() => {
     const numbers = (colour) => (colour.match(/[\d.]+/g) ?? []).map(Number);
     const light = ([r, g, b]) => [r, g, b].map((c) => c / 255).map((c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4))
@@ -85,7 +86,7 @@ pub(crate) fn check_access(browser: &Browser, when: &str) {
     }
 }
 
-/// Presses Tab until something is focused, as a person does who has no mouse.
+/// Presses Tab until an element has the focus, as a keyboard user does.
 pub(crate) fn tab_to(browser: &Browser, selector: &str) {
     for _ in 0..80 {
         if browser.value(&format!("document.activeElement.matches({selector:?})")) == true {
@@ -99,31 +100,34 @@ pub(crate) fn tab_to(browser: &Browser, selector: &str) {
 }
 
 fn state_of(mission: &str) -> String {
-    format!("consort.line.picture.missions[{mission:?}]?.state")
+    format!("consort.connection.model.missions[{mission:?}]?.state")
 }
 
 #[test]
-fn the_demo_is_followed_and_asked_for_more_without_a_mouse() {
+fn the_demo_is_usable_without_a_mouse() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
     let demo =
         Program::start(&folder, "demo", &["demo", "--json", "--keep-running", "--missions", "2", "--speed", "6"]);
     browser.open(&address(&demo));
-    // It is gone if the page is ever loaded again.
+    // A reload of the page would remove this variable.
     browser.value("window.loadedOnce = true");
 
-    // The fleet is there, and a mission runs.
+    // The fleet is visible and a mission runs.
     browser.wait_until("eight robots", "document.querySelectorAll('#robots tbody tr').length >= 8");
-    browser.wait_until("who coordinates", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
+    browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
     browser.wait_until("missions", "document.querySelectorAll('#missions tbody tr').length === 2");
     browser.wait_until("nurses", "document.querySelectorAll('#people tbody tr').length === 2");
-    browser.wait_until("a way ahead", "Object.values(consort.line.picture.robots).some((robot) => robot.route.length)");
+    browser.wait_until(
+        "a way ahead",
+        "Object.values(consort.connection.model.robots).some((robot) => robot.route.length)",
+    );
 
-    // The demo kills the coordinator; the page says who took over.
-    browser.wait_until("a takeover", "consort.line.picture.takeovers.some((one) => one.from)");
+    // The demo kills the coordinator; the page shows the next coordinator.
+    browser.wait_until("a takeover", "consort.connection.model.takeovers.some((one) => one.from)");
     browser.wait_until(
         "the new coordinator",
-        "document.querySelector('#coordinator').innerText.startsWith(consort.line.picture.takeovers.at(-1).node)",
+        "document.querySelector('#coordinator').innerText.startsWith(consort.connection.model.takeovers.at(-1).node)",
     );
     browser.wait_until("takeovers are counted", "/Takeovers\\s*[1-9]/.test(document.querySelector('#kpis').innerText)");
     assert_eq!(browser.value("window.loadedOnce"), true);
@@ -134,7 +138,7 @@ fn the_demo_is_followed_and_asked_for_more_without_a_mouse() {
 
     look_at_the_schedule(&browser);
 
-    // Tabs by arrows. The auction has every bid with its parts.
+    // Arrow keys change tabs. The auction shows every bid with its parts.
     tab_to(&browser, "#tab-missions");
     browser.press(RIGHT);
     browser.press(RIGHT);
@@ -147,7 +151,7 @@ fn the_demo_is_followed_and_asked_for_more_without_a_mouse() {
     browser.documentation_screenshot("auction");
     browser.press(RIGHT);
     browser.wait_until(
-        "why somebody is no member",
+        "the reason why a node is no member",
         "document.querySelector('#ensembles').innerText.includes('is false for')",
     );
     check_access(&browser, "ensembles");
@@ -166,8 +170,8 @@ fn the_demo_is_followed_and_asked_for_more_without_a_mouse() {
     check_access(&browser, "log");
     browser.screenshot("log");
 
-    // Both end well, and the history says so.
-    browser.wait_until_within(MISSION, "both missions completed", "consort.line.picture.kpis.completed === 2");
+    // Both missions complete, and the history lists them.
+    browser.wait_until_within(MISSION, "both missions completed", "consort.connection.model.kpis.completed === 2");
     tab_to(&browser, "[role=tab][aria-selected=true]");
     browser.press(END);
     browser.wait_until("the history", "document.querySelectorAll('#history tbody tr').length === 2");
@@ -186,7 +190,8 @@ fn the_demo_is_followed_and_asked_for_more_without_a_mouse() {
     assert_eq!(browser.value("window.loadedOnce"), true);
 }
 
-/// The chart of all missions: a bar for each role, one stop for Tab, and a table that says the same.
+/// Checks the chart of all missions: a bar per role, a single Tab stop, and a table with the same
+/// content.
 fn look_at_the_schedule(browser: &Browser) {
     tab_to(browser, "#tab-missions");
     browser.press(RIGHT);
@@ -231,40 +236,40 @@ fn ask_for_one_by_keyboard_and_withdraw_it(browser: &Browser) {
     browser.press(ENTER);
     browser.wait_until(
         "the form",
-        "document.querySelector('#order').open && document.activeElement.id === 'order-mission'",
+        "document.querySelector('#submit').open && document.activeElement.id === 'submit-mission'",
     );
     browser.wait_until("its parameters", "document.querySelectorAll('[data-parameter]').length === 2");
     check_access(browser, "the form");
     browser.screenshot("form");
-    // Chosen as in any list: by the first letters of its name.
+    // As in any list, typing the first letters of a name selects it.
     tab_to(browser, "[data-parameter=room]");
     browser.press("PC Room 8");
-    tab_to(browser, "#order-priority");
+    tab_to(browser, "#submit-priority");
     browser.press("\u{e009}a\u{e000}5");
-    tab_to(browser, "#order-send");
+    tab_to(browser, "#submit-send");
     browser.press(ENTER);
-    browser.wait_until("the form is closed", "!document.querySelector('#order').open");
+    browser.wait_until("the form is closed", "!document.querySelector('#submit').open");
     browser.wait_until("the new mission", &state_of("lab-samples-3"));
     browser.wait_until("it is looked at", "document.querySelector('#mission h3').innerText === 'lab-samples-3'");
-    assert_eq!(browser.value("consort.line.picture.missions['lab-samples-3'].parameters.room"), "PC Room 8");
-    browser.wait_until("its priority", "consort.line.picture.missions['lab-samples-3'].priority === 5");
+    assert_eq!(browser.value("consort.connection.model.missions['lab-samples-3'].parameters.room"), "PC Room 8");
+    browser.wait_until("its priority", "consort.connection.model.missions['lab-samples-3'].priority === 5");
 
     tab_to(browser, "#mission .danger");
     browser.press(ENTER);
     browser.accept();
-    browser.wait_until("it is canceled", "consort.line.picture.missions['lab-samples-3'].state === 'canceled'");
+    browser.wait_until("it is canceled", "consort.connection.model.missions['lab-samples-3'].state === 'canceled'");
     browser.wait_until(
-        "that is said",
+        "the page shows it",
         "document.querySelector('#mission').innerText.includes('by the dashboard of demo')",
     );
 
-    // What makes no sense is refused, in the words of the coordinator.
+    // An invalid request is rejected with the error of the coordinator.
     let refused = browser.value(
         "fetch('/api/missions', { method: 'POST', headers: { 'content-type': 'application/json' }, body: '{\"mission\": \"dance\"}' }).then(async (answer) => [answer.status, (await answer.json()).error])",
     );
     assert_eq!(refused[0], 400);
     assert!(refused[1].as_str().expect("words").contains("no mission \"dance\" is shipped"), "{refused}");
-    // That is what the browser's console has to say about it.
+    // The console of the browser reports the same rejection.
     let said = browser.console();
     assert!(said.iter().all(|line| line.contains("/api/missions") && line.contains("400")), "{said:#?}");
 }
@@ -297,7 +302,7 @@ fn in_the_dark_and_on_a_phone(browser: &Browser) {
 }
 
 #[test]
-fn a_page_whose_node_is_cut_off_says_so_and_comes_back_with_it() {
+fn a_page_shows_the_loss_of_its_node_and_reconnects() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
     let mut demo = Program::start(&folder, "demo", &["demo", "--json", "--keep-running", "--no-kill", "--speed", "6"]);
@@ -321,7 +326,7 @@ fn a_page_whose_node_is_cut_off_says_so_and_comes_back_with_it() {
     browser.wait_until("a live fleet", "document.querySelector('#connection').innerText === 'live'");
     assert_eq!(browser.value("document.querySelector('#banner').hidden"), true);
 
-    // All others are gone: the page shows what was, and says how old it is.
+    // All other nodes are gone: the page shows the last state and its age.
     demo.kill();
     browser.wait_until("a banner", "/^desk is cut off.* ago/s.test(document.querySelector('#banner').innerText)");
     browser.wait_until("grey", "document.body.classList.contains('stale')");
@@ -331,11 +336,11 @@ fn a_page_whose_node_is_cut_off_says_so_and_comes_back_with_it() {
     check_access(&browser, "cut off");
     browser.screenshot("cut-off");
 
-    // The node itself dies, and comes back at its address.
+    // The node itself is killed and restarted at its address.
     desk.kill();
     browser.wait_until("the line is down", "document.querySelector('#banner').innerText.includes('interrupted')");
     let address = url.trim_start_matches("http://").trim_end_matches('/').to_owned();
     let _desk = station("desk-again", &address);
-    browser.wait_until_within(Duration::from_secs(60), "the line is up", "consort.line.state === 'open'");
-    browser.wait_until("another picture", "Object.keys(consort.line.picture.missions).length === 0");
+    browser.wait_until_within(Duration::from_secs(60), "the line is up", "consort.connection.state === 'open'");
+    browser.wait_until("another picture", "Object.keys(consort.connection.model.missions).length === 0");
 }

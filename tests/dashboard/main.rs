@@ -1,8 +1,9 @@
-//! The dashboard in a real browser: Chromium without a window, driven over WebDriver.
+//! The dashboard in a real browser: headless Chromium, driven over WebDriver.
 //!
-//! They need the programs `chromium` and `chromedriver` (Debian: `apt-get install chromium chromium-driver`); without them
-//! each test is skipped, and says so. Pictures of what was seen are left in `target/tmp/dashboard/`; those in `nodes/docs/` are
-//! made by the same tests, where `CONSORT_PICTURES` is set.
+//! The tests need the programs `chromium` and `chromedriver` (Debian:
+//! `apt-get install chromium chromium-driver`); without them each test is skipped with a message.
+//! Screenshots are stored in `target/tmp/dashboard/`. With `CONSORT_PICTURES` set, the same tests
+//! also write the screenshots in `nodes/docs/`.
 
 mod browser;
 mod closed;

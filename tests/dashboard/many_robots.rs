@@ -1,4 +1,4 @@
-//! Two hundred robots that report five times a second, and a page that keeps up with its screen.
+//! Two hundred robots that report five times a second, and a page that draws every report.
 
 use crate::browser::Browser;
 use crate::support::Folder;
@@ -19,18 +19,18 @@ use std::time::Duration;
 
 const ROBOTS: usize = 200;
 
-/// Five times a second.
+/// Five reports per second.
 const REPORTS: Duration = Duration::from_millis(200);
 
-/// Rows of tables that are changed in one frame at most: those that are seen (a dozen, and one that is cut off at either end),
-/// and ten in turn of those that are not.
+/// Largest number of table rows that change in a frame: the visible rows (a dozen, and a partly
+/// visible row at either end), and ten of the others in turn.
 const ROWS_AT_ONCE: u64 = 40;
 
 fn name(index: usize) -> String {
     format!("robot-{index:03}")
 }
 
-/// The fleet as the coordinator shows it.
+/// Returns the fleet view of the coordinator.
 fn fleet() -> Value {
     let node = |index: usize| {
         let availability = match index % 3 {
@@ -46,7 +46,8 @@ fn fleet() -> Value {
         "ensembles": [{ "name": "logistics", "nodes": members.collect::<Vec<_>>() }] })
 }
 
-/// Each robot goes round in a circle of its own, and all spend a hundredth of their charge in a second: as many rows change.
+/// Each robot drives in its own circle, and all consume a hundredth of their charge per second, so
+/// all rows change.
 fn telemetry(index: usize, now_ms: u64) -> Telemetry {
     let share = index as f64 / ROBOTS as f64;
     let turn = TAU * ((now_ms % 3_600_000) as f64 / 40_000.0 + share * 7.0);
@@ -56,7 +57,7 @@ fn telemetry(index: usize, now_ms: u64) -> Telemetry {
     let battery = 0.2 + 0.8 * share - spent;
     let telemetry =
         json!({ "time": 1.0, "pose": pose, "place": "Crossing", "battery": battery, "able": true, "closed": [] });
-    serde_json::from_value(telemetry).expect("a body's report")
+    serde_json::from_value(telemetry).expect("telemetry of a robot")
 }
 
 fn report(board: &FramePublisher) {
@@ -71,12 +72,13 @@ fn report(board: &FramePublisher) {
     });
 }
 
-/// Counts for some seconds: the browser's frames, of which those are dropped that should have come in gaps of more than one and a half
-/// of the usual; what the page was told and drew; and how many rows of tables it changed in one frame at most.
+/// Counts for some seconds: the frames of the browser, its dropped frames (gaps above one and a
+/// half of the usual gap), the messages and reports of the page, and the largest number of table
+/// rows changed in a frame.
 const MEASURE: &str = "((seconds) => new Promise((tell) => {
     const page = window.consort;
-    const counts = () => (page ? { ...page.line.heard, ...page.drawn } : {});
-    if (page) page.drawn.worst = 0;
+    const counts = () => (page ? { ...page.connection.received, ...page.drawStats } : {});
+    if (page) page.drawStats.worst = 0;
     const [times, began, before] = [[], performance.now(), counts()];
     const rows = { now: new Set(), most: 0, all: 0 };
     const watch = new MutationObserver((changes) => {
@@ -105,8 +107,8 @@ const MEASURE: &str = "((seconds) => new Promise((tell) => {
 }))";
 
 #[test]
-#[expect(clippy::print_stderr, reason = "what was measured is told")]
-fn two_hundred_robots_are_shown_and_drawn_in_every_frame() {
+#[expect(clippy::print_stderr, reason = "the measurements are printed")]
+fn two_hundred_robots_are_drawn_in_every_frame() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
     let runtime =
@@ -129,29 +131,31 @@ fn two_hundred_robots_are_shown_and_drawn_in_every_frame() {
             report(&board);
         }
     });
-    // What this machine can do, without the page.
+    // The frame rate of this machine without the page.
     let measure = |seconds: u32| browser.value(&format!("{MEASURE}({seconds})"));
     browser.open("about:blank");
     let machine = measure(5);
     browser.open(&dashboard.url());
     browser.wait_until("all robots", &format!("document.querySelectorAll('#robots tbody tr').length === {ROBOTS}"));
-    // Whatever is done once has been done.
-    browser.wait_until("frames", "consort.drawn.frames > 100");
+    // By then the initial work is done.
+    browser.wait_until("frames", "consort.drawStats.frames > 100");
     let page = measure(10);
     eprintln!("an empty page, 5 s: {machine}\n{ROBOTS} robots at 5 Hz, 10 s: {page}");
     browser.screenshot("many-robots");
 
-    // How many frames a second there are is the machine's affair, and what else it is at. The page's are these, on any machine:
+    // The frame rate depends on the machine and its load. The page must guarantee the following on
+    // any machine:
     let number = |key: &str| page[key].as_u64().unwrap_or_else(|| panic!("{key} in {page}"));
-    // it was told what changed, one change after the other: whoever misses one gets the whole again;
+    // It received changes, in sequence; a page that misses a change receives a full frame again.
     assert!(number("patches") > 0 && number("wholes") == 0, "{page}");
-    // each report was drawn, but for those between which the browser asked for no frame at all; the last may yet be;
+    // It drew each report, except reports between which the browser requested no frame; the last
+    // report may still be pending.
     let undrawn = number("patches").saturating_sub(number("reports") + number("missed"));
     assert!(undrawn <= 1 && number("missed_with_a_frame_between") == 0, "{page}");
-    // and it changes few rows of its tables at a time, although every robot's changes all the time.
+    // It changes few table rows at a time, although the row of every robot changes all the time.
     assert!(number("rows_in_a_frame") <= ROWS_AT_ONCE, "{page}");
     let age = browser.value(
-        "consort.line.now() - Math.min(...Object.values(consort.line.picture.robots).map((robot) => robot.body_ms))",
+        "consort.connection.now() - Math.min(...Object.values(consort.connection.model.robots).map((robot) => robot.telemetry_ms))",
     );
     assert!(age.as_f64().expect("a number") < 5000.0, "the page is {age} ms behind");
     assert_eq!(browser.console(), Vec::<String>::new());

@@ -1,4 +1,4 @@
-//! A fleet that loses its coordinator is recorded, and looked at afterwards.
+//! A fleet that loses its coordinator is recorded and replayed afterwards.
 
 use crate::browser::{Browser, SOON};
 use crate::demo_fleet::check_access;
@@ -6,16 +6,17 @@ use crate::support::{Client, Folder, Program, hospital, until};
 use serde_json::{Value, json};
 use std::time::Duration;
 
-/// How long each part of a mission may take.
+/// Limit for each part of a mission.
 const LONG: Duration = Duration::from_secs(120);
 
-/// What keys are called in WebDriver.
+/// Key codes of WebDriver.
 const LEFT: &str = "\u{e012}";
 const RIGHT: &str = "\u{e014}";
 const HOME: &str = "\u{e011}";
 const END: &str = "\u{e010}";
 
-/// Records a mission during which the coordinator is killed: the file, and who coordinated before and after.
+/// Records a mission during which the coordinator is killed. Returns the file and the coordinators
+/// before and after.
 fn record(folder: &Folder) -> (String, String, String) {
     let file = folder.path().join("run.mcap").display().to_string();
     let mut fleet = hospital("taped");
@@ -27,7 +28,7 @@ fn record(folder: &Folder) -> (String, String, String) {
         let there = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).contains(text);
         std::fs::read(&file).is_ok_and(there).then_some(())
     };
-    until("the recorder has heard who coordinates", SOON, || holds(&format!(r#"{{"node":"{first}","term":"#)));
+    until("the recorder has received the coordinator", SOON, || holds(&format!(r#"{{"node":"{first}","term":"#)));
     let asked = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "taped-1"}"#;
     until("the mission is acknowledged", LONG, || {
         client.ask("api/submit", asked)["mission"].as_str().map(|mission| assert_eq!(mission, "lab-samples-1"))
@@ -38,8 +39,8 @@ fn record(folder: &Folder) -> (String, String, String) {
         .hears("another is elected", LONG, |event| event["event"] == "elected" && event["node"] != first.as_str());
     client
         .hears("the mission is completed", LONG, |event| event["event"] == "mission" && event["state"] == "completed");
-    // It was there before, but it may hear of things a moment later.
-    until("the recorder has heard of it", SOON, || holds(r#""state":"completed","submitted_at_ms""#));
+    // The mission completed before, but the recorder may receive it a moment later.
+    until("the recorder has received it", SOON, || holds(r#""state":"completed","submitted_at_ms""#));
     recorder.signal("INT");
     let said = recorder.end(SOON).expect(0).stdout;
     assert!(said.starts_with(&format!("{file}: ")) && said.contains(" events, "), "{said}");
@@ -47,7 +48,7 @@ fn record(folder: &Folder) -> (String, String, String) {
     (file, first, elected["node"].as_str().expect("a name").to_owned())
 }
 
-/// The address that a replay prints.
+/// Starts a replay and returns its dashboard address.
 fn replay(folder: &Folder, name: &str, file: &str) -> (Program, String) {
     let program = Program::start(folder, name, &["replay", file]);
     let url = until("the address of the dashboard", SOON, || {
@@ -57,16 +58,16 @@ fn replay(folder: &Folder, name: &str, file: &str) -> (Program, String) {
     (program, url)
 }
 
-/// Nothing is shown that was heard later than the instant that is shown.
+/// Asserts that the page shows no input later than the current instant.
 fn check_nothing_is_of_later(browser: &Browser) {
     let later = browser.value(
-        "(() => { const { picture, now } = consort.line; return Object.values(picture.robots ?? {}).filter((one) => one.body_ms > now()).length
+        "(() => { const { model, now } = consort.connection; return Object.values(model.robots ?? {}).filter((one) => one.telemetry_ms > now()).length
             + Object.values(picture.log ?? {}).filter((one) => one.at_ms > now() + 50).length; })()",
     );
     assert_eq!(later, 0, "robots and events of later");
 }
 
-/// Moves the slider, as a hand does that lets go at the end.
+/// Moves the slider and releases it.
 fn slide(browser: &Browser, to: &str) {
     browser.value(&format!(
         "(() => {{ const slider = document.querySelector('#replay-slider'); slider.value = Math.round({to});
@@ -74,14 +75,14 @@ fn slide(browser: &Browser, to: &str) {
     ));
 }
 
-const MISSION: &str = "consort.line.picture.missions?.['lab-samples-1']?.state";
+const MISSION: &str = "consort.connection.model.missions?.['lab-samples-1']?.state";
 
 fn coordinates(node: &str) -> String {
     format!("document.querySelector('#coordinator').innerText.startsWith('{node}, ')")
 }
 
 #[test]
-fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro() {
+fn a_recorded_takeover_is_replayed_in_both_directions() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
     let (file, first, second) = record(&folder);
@@ -89,61 +90,61 @@ fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro(
     browser.open(&url);
     browser.value("window.loadedOnce = true");
     browser.wait_until(
-        "it says what it is",
-        "/^Recording of taped, begun on .* nothing can be asked/.test(document.querySelector('#replay h2')?.innerText)",
+        "the page is titled as a recording",
+        "/^Recording of taped, begun on .* accepts no requests/.test(document.querySelector('#replay h2')?.innerText)",
     );
     browser.wait_until("it plays", "document.querySelector('#replay-play')?.innerText === 'Pause'");
     browser.press(" ");
     browser.wait_until("space stops it", "document.querySelector('#replay-play')?.innerText === 'Play'");
-    let marks = browser.value("consort.line.picture.recording.marks");
+    let marks = browser.value("consort.connection.model.recording.marks");
     let marks = marks.as_array().expect("a list");
     let kinds: Vec<&str> = marks.iter().filter_map(|mark| mark["kind"].as_str()).collect();
-    // A coordinator that was just elected may be succeeded at once: as often as it happened, it is marked.
+    // The new coordinator may transfer the lead at once. Each change has a mark.
     let changes = kinds.iter().take_while(|kind| **kind == "coordinator").count();
     assert!(changes >= 1 && kinds[changes..] == ["completed"], "{marks:#?}");
     let taken_over = marks[0]["text"].as_str().expect("words");
-    assert!(taken_over.starts_with(&format!("{second} coordinates, term ")), "{second}: {marks:#?}");
+    assert!(taken_over.starts_with(&format!("coordinator {second}, term ")), "{second}: {marks:#?}");
     assert_eq!(browser.value("document.querySelectorAll('#replay .marks li').length"), marks.len());
 
     // The beginning: the first coordinator, and no mission.
     browser.press(HOME);
-    browser.wait_until("the beginning", "consort.line.now() === consort.line.picture.recording.from_ms");
+    browser.wait_until("the beginning", "consort.connection.now() === consort.connection.model.recording.from_ms");
     browser.press(RIGHT);
-    browser.wait_until("five seconds on, or the end", "consort.line.now() >= Math.min(consort.line.picture.recording.from_ms + 5000, consort.line.picture.recording.to_ms)");
+    browser.wait_until("five seconds on, or the end", "consort.connection.now() >= Math.min(consort.connection.model.recording.from_ms + 5000, consort.connection.model.recording.to_ms)");
     browser.press(HOME);
     browser.press(".");
     browser.wait_until("the takeover", &coordinates(&second));
     browser.wait_until("the mission runs", &format!("{MISSION} === 'running'"));
     check_nothing_is_of_later(&browser);
-    // A moment before, as a person with a mouse or a screen reader has it.
+    // A moment before, by slider, as with a mouse or a screen reader.
     let takeover_ms = marks[0]["at_ms"].as_u64().expect("an instant");
-    slide(&browser, &format!("{takeover_ms} - consort.line.picture.recording.from_ms - 1"));
-    browser.wait_until("who coordinated before", &coordinates(&first));
-    assert_eq!(browser.value("consort.line.now()"), takeover_ms - 1);
+    slide(&browser, &format!("{takeover_ms} - consort.connection.model.recording.from_ms - 1"));
+    browser.wait_until("the previous coordinator", &coordinates(&first));
+    assert_eq!(browser.value("consort.connection.now()"), takeover_ms - 1);
     check_nothing_is_of_later(&browser);
     browser.press(LEFT);
-    let back = format!("Math.max({takeover_ms} - 1 - 5000, consort.line.picture.recording.from_ms)");
-    browser.wait_until("five seconds back, or the beginning", &format!("consort.line.now() === {back}"));
+    let back = format!("Math.max({takeover_ms} - 1 - 5000, consort.connection.model.recording.from_ms)");
+    browser.wait_until("five seconds back, or the beginning", &format!("consort.connection.now() === {back}"));
     browser.press(".");
     browser.wait_until("the takeover again", &coordinates(&second));
     browser.press(&".".repeat(changes));
     browser.wait_until("the end of the mission", &format!("{MISSION} === 'completed'"));
     browser.wait_until(
-        "it is said",
+        "it is announced",
         "/^lab-samples-1 completed, at /.test(document.querySelector('#announce').innerText)",
     );
     check_nothing_is_of_later(&browser);
     browser.press(",");
     browser.wait_until("back, it still runs", &format!("{MISSION} === 'running'"));
-    browser.wait_until("and is drawn so", "document.querySelector('#missions tbody').innerText.includes('running')");
+    browser.wait_until("the table shows it", "document.querySelector('#missions tbody').innerText.includes('running')");
     browser.press(HOME);
-    browser.wait_until("it was not yet asked for", &format!("{MISSION} === undefined"));
+    browser.wait_until("the mission does not exist yet", &format!("{MISSION} === undefined"));
     check_nothing_is_of_later(&browser);
     assert_eq!(browser.value("window.loadedOnce"), true);
 
     slide(&browser, "slider.max * 0.5");
-    let middle = "(consort.line.picture.recording.from_ms + consort.line.picture.recording.to_ms) / 2";
-    browser.wait_until("the middle", &format!("Math.abs(consort.line.now() - {middle}) < 2"));
+    let middle = "(consort.connection.model.recording.from_ms + consort.connection.model.recording.to_ms) / 2";
+    browser.wait_until("the middle", &format!("Math.abs(consort.connection.now() - {middle}) < 2"));
     let said = browser.value("document.querySelector('#replay-slider').getAttribute('aria-valuetext')");
     assert!(said.as_str().expect("words").contains(" of "), "{said}");
     let drawn = "/ term [2-9]/.test(document.querySelector('#coordinator').innerText) && document.querySelector('#missions tbody').innerText.includes('/16')";
@@ -152,7 +153,7 @@ fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro(
     browser.documentation_screenshot("replay");
     in_the_dark_and_on_a_phone(&browser);
 
-    // Played to its end at a hundred times its speed, it stands still there.
+    // Played to its end at a hundred times its speed, the replay stops there.
     let set = |command: Value| {
         browser.value(&format!(
         "fetch('/api/replay', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, body: '{command}' }}).then((answer) => answer.json())"
@@ -161,21 +162,21 @@ fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro(
     set(json!({ "playing": true, "speed": 100.0 }));
     browser.wait_until(
         "the end",
-        "!consort.line.picture.recording.playing && consort.line.now() === consort.line.picture.recording.to_ms",
+        "!consort.connection.model.recording.playing && consort.connection.now() === consort.connection.model.recording.to_ms",
     );
     browser.wait_until("and its mission", &format!("{MISSION} === 'completed'"));
     browser.press(END);
     assert_eq!(browser.console(), Vec::<String>::new());
 
-    // A fleet that was can be asked for nothing.
+    // A recorded fleet accepts no requests.
     assert_eq!(browser.value("document.querySelector('#new-mission').checkVisibility()"), false);
-    for path in ["/api/missions", "/api/missions/lab-samples-1/cancel", "/api/missions/lab-samples-1/rescued"] {
+    for path in ["/api/missions", "/api/missions/lab-samples-1/cancel", "/api/missions/lab-samples-1/resolve"] {
         let refused = browser.value(&format!(
             "fetch('{path}', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, body: '{{}}' }}).then(async (answer) => [answer.status, (await answer.json()).error])"
         ));
         assert_eq!(
             refused,
-            json!([409, "this is a recording of taped: a fleet that was can be asked for nothing"]),
+            json!([409, "this is a recording of taped: a recorded fleet accepts no requests"]),
             "{path}"
         );
     }
@@ -195,7 +196,7 @@ fn in_the_dark_and_on_a_phone(browser: &Browser) {
     browser.prefers("light");
 }
 
-/// Half of a file is shown, and said to be no more.
+/// Half of a file is shown and reported as incomplete.
 fn cut_short(folder: &Folder, browser: &Browser, file: &str) {
     let bytes = std::fs::read(file).expect("a file of ours");
     let half = folder.path().join("half.mcap");
@@ -204,8 +205,8 @@ fn cut_short(folder: &Folder, browser: &Browser, file: &str) {
     assert!(replay.stderr().contains("half.mcap: it has no end"), "{}", replay.stderr());
     browser.open(&url);
     browser.wait_until(
-        "it says that it is not whole",
-        "document.querySelector('#replay h2')?.innerText.includes('Not whole: it has no end')",
+        "the page reports that the recording is incomplete",
+        "document.querySelector('#replay h2')?.innerText.includes('Incomplete: it has no end')",
     );
     browser.wait_until("robots", "document.querySelectorAll('#robots tbody tr').length === 2");
 }

@@ -1,4 +1,5 @@
-//! What is depended on is what `deny.toml` allows. cargo-deny checks more, and takes longer to have; this needs cargo alone.
+//! Dependencies match `deny.toml`. cargo-deny checks more but must be installed; this test needs
+//! cargo alone.
 
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -7,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use toml::Table;
 
-/// The locks of this repository: what is passed on, and two workspaces beside it.
+/// Lock files of this repository: the main workspace and two separate workspaces.
 const LOCKS: [&str; 3] = ["Cargo.lock", "sim_bridge/ros2/Cargo.lock", "tests/fuzz/Cargo.lock"];
 
 fn root() -> PathBuf {
@@ -22,7 +23,7 @@ fn table(file: &str) -> Table {
     read(file).parse().unwrap_or_else(|problem| panic!("{file}: {problem}"))
 }
 
-/// The tables of a list below a section.
+/// Returns the tables of a list in a section.
 fn entries(deny: &Table, section: &str, list: &str) -> Vec<Table> {
     let list = deny[section][list].as_array().expect("a list");
     list.iter().map(|entry| entry.as_table().expect("each is a table").clone()).collect()
@@ -36,7 +37,7 @@ fn texts(list: &toml::Value) -> BTreeSet<String> {
     list.as_array().expect("a list").iter().map(|text| text.as_str().expect("a text").to_owned()).collect()
 }
 
-/// Names and versions in a lock.
+/// Returns the names and versions in a lock file.
 fn locked(lock: &str) -> BTreeSet<(String, String)> {
     let table = table(lock);
     let packages = table["package"].as_array().expect("a list");
@@ -44,7 +45,8 @@ fn locked(lock: &str) -> BTreeSet<(String, String)> {
     packages.iter().map(|package| (of(package, "name"), of(package, "version"))).collect()
 }
 
-/// Whether an expression of SPDX is met by licences that are allowed: `(MIT OR Apache-2.0) AND Unicode-3.0`.
+/// Checks whether allowed licences satisfy an SPDX expression:
+/// `(MIT OR Apache-2.0) AND Unicode-3.0`.
 fn is_met(expression: &str, is_allowed: &dyn Fn(&str) -> bool) -> bool {
     let spaced = expression.replace('(', " ( ").replace(')', " ) ").replace('/', " OR ");
     let mut words = spaced.split_whitespace().peekable();
@@ -86,7 +88,7 @@ fn one(words: &mut Words<'_>, is_allowed: &dyn Fn(&str) -> bool) -> bool {
 }
 
 #[test]
-fn expressions_of_licences_are_read() {
+fn licence_expressions_are_evaluated() {
     let allowed = |licence: &str| ["MIT", "Zlib", "A WITH B"].contains(&licence);
     for met in ["MIT", "GPL-3.0 OR MIT", "GPL/MIT", "(GPL OR MIT) AND Zlib", "A WITH B OR GPL"] {
         assert!(is_met(met, &allowed), "{met}");
@@ -121,7 +123,7 @@ fn every_licence_is_allowed() {
 }
 
 #[test]
-fn everything_comes_from_the_registry() {
+fn every_dependency_comes_from_the_registry() {
     for lock in LOCKS {
         let table = table(lock);
         let packages = table["package"].as_array().expect("a list");

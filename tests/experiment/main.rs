@@ -1,4 +1,4 @@
-//! Evaluations from design to rows: whole fleets on virtual time, thin designs.
+//! Evaluations from design to rows: whole fleets on virtual time, reduced designs.
 
 mod published;
 mod trials;

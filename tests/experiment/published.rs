@@ -1,4 +1,4 @@
-//! The published scenarios on the published map: the same choices from the same inputs.
+//! The published scenarios on the published map: the same inputs give the same assignments.
 
 use consort_sim::experiment::design::shipped;
 use consort_sim::experiment::policy::Policy;
@@ -9,21 +9,21 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A file of the published evaluation; `None` where the material is not there.
-#[expect(clippy::print_stdout, reason = "whoever runs the tests is to know what was left out")]
-fn material(file: &str) -> Option<String> {
+/// Returns a file of the published evaluation; `None` if the material is not installed.
+#[expect(clippy::print_stdout, reason = "the test output states that a test was skipped")]
+fn published_file(file: &str) -> Option<String> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/reference/mission_control");
     let found = std::fs::read_to_string(folder.join(file)).ok();
     if found.is_none() {
-        println!("skipped: {} is not there", folder.join(file).display());
+        println!("skipped: {} does not exist", folder.join(file).display());
     }
     found
 }
 
 #[test]
-fn the_fleet_chooses_as_published() {
+fn the_fleet_assigns_the_published_robots() {
     let (Some(scenarios), Some(map), Some(bids)) =
-        (material("scenarios_81.json"), material("hospital_map.json"), material("bids_27.jsonl"))
+        (published_file("scenarios_81.json"), published_file("hospital_map.json"), published_file("bids_27.jsonl"))
     else {
         return;
     };
@@ -37,15 +37,15 @@ fn the_fleet_chooses_as_published() {
     let mut design = shipped("published").unwrap().unwrap();
     design.policies = vec![Policy::Consort, Policy::MissionControl];
     design.repetitions = 1;
-    // The choice is all that is looked at.
+    // Only the assignment is compared.
     design.limits.sim_s = 5.0;
     let mut chosen = published_format::scenarios(&scenarios, &design).unwrap();
     chosen.retain(|scenario| selected.contains_key(&scenario.code));
     assert_eq!(chosen.len(), 27);
     let map = published_format::published_map(&map, "hospital_map.json").unwrap();
-    let stage =
+    let setup =
         ExperimentSetup::new(design, chosen, map, TravelModel::Kinematic(TravelSettings::default()), None).unwrap();
-    for outcome in run(&stage, &trials(&stage), 2, |_| ()) {
+    for outcome in run(&setup, &trials(&setup), 2, |_| ()) {
         let row = outcome.row;
         let robot = row.robots.split(' ').find_map(|pair| pair.strip_prefix("r1=")).unwrap_or_default().to_owned();
         assert_eq!(robot, selected[&row.scenario], "{row:?}");
@@ -53,8 +53,8 @@ fn the_fleet_chooses_as_published() {
 }
 
 #[test]
-fn the_published_legs_can_be_driven() {
-    let Some(legs) = material("nav_legs.csv") else { return };
+fn the_published_legs_are_read() {
+    let Some(legs) = published_file("nav_legs.csv") else { return };
     let legs = MeasuredLegs::read(legs.as_bytes()).unwrap();
     assert_eq!(TravelModel::Empirical(legs).describe(), "empirical, 2162 drives on 21 pairs of places");
 }

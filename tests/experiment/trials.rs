@@ -1,4 +1,4 @@
-//! What comes of trials.
+//! Outcomes of trials.
 
 use consort_sim::experiment::design::{Design, FactorLevels, scenarios, shipped};
 use consort_sim::experiment::outcome::EndState;
@@ -8,12 +8,12 @@ use consort_sim::experiment::travel::TravelModel;
 use consort_tests::experiment::{ExperimentSetup, run, trials};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A shipped design cut down to its first scenarios.
-pub(crate) fn thin(name: &str, scenarios_max: usize, change: impl FnOnce(&mut Design)) -> ExperimentSetup {
+/// Returns a shipped design reduced to a few scenarios.
+pub(crate) fn reduced_setup(name: &str, scenarios_max: usize, change: impl FnOnce(&mut Design)) -> ExperimentSetup {
     let mut design = shipped(name).unwrap().unwrap();
     change(&mut design);
     let mut chosen = scenarios(&design);
-    // Every so many, so that all levels come up.
+    // Scenarios at equal distances, so that all levels occur.
     let step = (chosen.len() / scenarios_max).max(1);
     chosen = chosen.into_iter().step_by(step).take(scenarios_max).collect();
     let map = consort_sim::map::shipped(&design.map).unwrap();
@@ -21,8 +21,8 @@ pub(crate) fn thin(name: &str, scenarios_max: usize, change: impl FnOnce(&mut De
     ExperimentSetup::new(design, chosen, map, travel, None).unwrap()
 }
 
-pub(crate) fn rows(stage: &ExperimentSetup, jobs: usize) -> Vec<TrialRow> {
-    run(stage, &trials(stage), jobs, |_| ()).into_iter().map(|outcome| outcome.row).collect()
+pub(crate) fn rows(setup: &ExperimentSetup, jobs: usize) -> Vec<TrialRow> {
+    run(setup, &trials(setup), jobs, |_| ()).into_iter().map(|outcome| outcome.row).collect()
 }
 
 fn text(rows: &[TrialRow]) -> String {
@@ -32,15 +32,15 @@ fn text(rows: &[TrialRow]) -> String {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_rows_to_the_byte_however_many_run_at_a_time() {
-    let stage = thin("published", 2, |design| {
+fn the_same_seed_gives_identical_rows_with_any_number_of_jobs() {
+    let setup = reduced_setup("published", 2, |design| {
         design.repetitions = 2;
         design.treatments = vec![Treatment::Calm, Treatment::CoordinatorKilled];
     });
-    let one = text(&rows(&stage, 1));
+    let one = text(&rows(&setup, 1));
     assert_eq!(one.lines().count(), 1 + 2 * 2 * 2 * 2);
-    assert_eq!(text(&rows(&stage, 2)), one);
-    let other = thin("published", 2, |design| {
+    assert_eq!(text(&rows(&setup, 2)), one);
+    let other = reduced_setup("published", 2, |design| {
         design.repetitions = 2;
         design.treatments = vec![Treatment::Calm, Treatment::CoordinatorKilled];
         design.seed = 7;
@@ -49,12 +49,12 @@ fn the_same_seed_gives_the_same_rows_to_the_byte_however_many_run_at_a_time() {
 }
 
 #[test]
-fn every_repetition_has_chance_of_its_own_and_policies_that_choose_alike_end_alike() {
-    let stage = thin("published", 3, |design| {
+fn repetitions_differ_and_equal_assignments_end_equally() {
+    let setup = reduced_setup("published", 3, |design| {
         design.repetitions = 3;
         design.policies = vec![Policy::Consort, Policy::MissionControl];
     });
-    let rows = rows(&stage, 2);
+    let rows = rows(&setup, 2);
     let mut times: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
     for row in rows.iter().filter(|row| row.policy == Policy::Consort) {
         times.entry(&row.scenario).or_default().insert(format!("{:?}", row.ttc_s));
@@ -63,7 +63,7 @@ fn every_repetition_has_chance_of_its_own_and_policies_that_choose_alike_end_ali
                 && (&other.scenario, other.repetition) == (&row.scenario, row.repetition)
         });
         let other = other.unwrap();
-        // One role that moves and estimates that are the same: the rule is the same, too.
+        // With a single mobile role and equal estimates, both rules choose the same robot.
         assert_eq!(other.robots, row.robots);
         assert_eq!((other.end_state, other.ttc_s, &other.note), (row.end_state, row.ttc_s, &row.note));
     }
@@ -71,9 +71,9 @@ fn every_repetition_has_chance_of_its_own_and_policies_that_choose_alike_end_ali
 }
 
 #[test]
-fn consort_never_sends_a_robot_without_the_skill_and_chance_does() {
-    let stage = thin("published", 9, |design| design.repetitions = 1);
-    let rows = rows(&stage, 2);
+fn only_the_random_policy_assigns_robots_without_the_skill() {
+    let setup = reduced_setup("published", 9, |design| design.repetitions = 1);
+    let rows = rows(&setup, 2);
     let unskilled = |policy| {
         let of = rows.iter().filter(|row| row.policy == policy && row.end_state == EndState::NoSkill);
         of.map(|row| row.note.as_str()).collect::<Vec<_>>()
@@ -89,13 +89,13 @@ fn consort_never_sends_a_robot_without_the_skill_and_chance_does() {
 }
 
 #[test]
-fn a_mission_goes_on_when_its_coordinator_is_killed() {
-    let stage = thin("published", 3, |design| {
+fn a_mission_continues_when_its_coordinator_is_killed() {
+    let setup = reduced_setup("published", 3, |design| {
         design.repetitions = 2;
         design.policies = vec![Policy::Consort];
         design.treatments = vec![Treatment::Calm, Treatment::CoordinatorKilled];
     });
-    let rows = rows(&stage, 2);
+    let rows = rows(&setup, 2);
     let ends = |treatment| {
         let of = rows.iter().filter(|row| row.treatment == treatment);
         of.map(|row| (row.scenario.as_str(), row.repetition, row.end_state)).collect::<Vec<_>>()
@@ -106,14 +106,15 @@ fn a_mission_goes_on_when_its_coordinator_is_killed() {
 }
 
 #[test]
-fn a_robot_that_stands_still_with_an_empty_battery_is_a_battery_failure_though_its_role_is_taken_away_at_once() {
-    let mut stage = thin("published", 81, |design| {
+fn an_empty_battery_is_a_failure_even_if_the_role_is_released() {
+    let mut setup = reduced_setup("published", 81, |design| {
         design.repetitions = 3;
         design.policies = vec![Policy::Consort];
     });
-    // A robot with just enough by its own estimates, on drives that take half as long again.
-    stage.scenarios.retain(|scenario| scenario.code == "aacbc");
-    let rows = rows(&stage, 2);
+    // The battery of this robot is just sufficient by its own estimates, but drives take half as
+    // long again.
+    setup.scenarios.retain(|scenario| scenario.code == "aacbc");
+    let rows = rows(&setup, 2);
     let empty: Vec<&TrialRow> = rows.iter().filter(|row| row.note.contains("battery low: the battery of r")).collect();
     assert!(!empty.is_empty(), "{rows:?}");
     assert!(empty.iter().all(|row| row.end_state == EndState::LowBattery), "{empty:?}");
@@ -121,14 +122,14 @@ fn a_robot_that_stands_still_with_an_empty_battery_is_a_battery_failure_though_i
 }
 
 #[test]
-fn missions_with_several_managed_roles_are_carried_out() {
+fn missions_with_several_managed_roles_complete() {
     for (name, roles) in [("food", ["porter=", "server="]), ("rounds", ["left=", "right="])] {
-        let stage = thin(name, 6, |design| {
+        let setup = reduced_setup(name, 6, |design| {
             design.repetitions = 1;
             design.policies = vec![Policy::Consort, Policy::Optimal];
             design.treatments = vec![Treatment::Calm];
         });
-        let rows = rows(&stage, 2);
+        let rows = rows(&setup, 2);
         let successes = rows.iter().filter(|row| row.end_state == EndState::Success).count();
         assert!(successes >= rows.len() / 2, "{name}: {rows:#?}");
         assert!(rows.iter().all(|row| row.robots.is_empty() || roles.iter().all(|role| row.robots.contains(role))));
@@ -137,7 +138,7 @@ fn missions_with_several_managed_roles_are_carried_out() {
 }
 
 #[test]
-fn a_place_that_is_not_on_the_map_is_told_before_anything_runs() {
+fn an_unknown_place_is_reported_before_any_trial() {
     let design = shipped("published").unwrap().unwrap();
     let mut chosen = scenarios(&design);
     chosen.truncate(1);
@@ -145,9 +146,9 @@ fn a_place_that_is_not_on_the_map_is_told_before_anything_runs() {
     chosen[0].levels = FactorLevels::default();
     let map = consort_sim::map::shipped("hospital").unwrap();
     let travel = TravelModel::Kinematic(design.travel.clone());
-    let problems = ExperimentSetup::new(design, chosen, map, travel, None).err().unwrap();
+    let violations = ExperimentSetup::new(design, chosen, map, travel, None).err().unwrap();
     assert_eq!(
-        problems.0,
+        violations.0,
         ["scenario aaaaa, r1: there is no place \"IC Rom 1\" on map hospital; did you mean \"IC Room 1\"?"]
     );
 }

@@ -27,13 +27,13 @@ Feature: Batteries
     Then within 20 minutes the mission is completed
     And birch did task navto_lab
     And r1 was taken from a robot because "of the battery, less than 8.0 %"
-    And nobody acted for another
+    And every active role had its own robot
 
   Scenario: A battery that runs down with the sample in the drawer: the robot stands, and a person has to come
     Given a robot amber at "IC Room 4"
     And the battery of amber drops to 4 % when task navto_lab has begun
     When a sample is requested from "IC Room 6"
-    Then within 30 minutes the mission is in need of rescue
+    Then within 30 minutes the mission is in need of intervention
     And amber cannot move
     And "sample of IC Room 6" is in the drawer of amber
 

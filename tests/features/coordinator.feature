@@ -13,13 +13,13 @@ Feature: Nobody is indispensable
     And a nurse in "IC Room 6"
 
   Scenario Outline: The coordinator dies while <task> is under way
-    Given the coordinator dies when task <task> has begun
+    Given the coordinator is killed when task <task> has begun
     When a sample is requested from "IC Room 6"
     Then within 10 minutes the mission is completed
-    And somebody else coordinates
+    And another node is the coordinator
     And the sample of "IC Room 6" was delivered to lab-arm
     And every task of the mission was done once
-    And nobody acted for another
+    And every active role had its own robot
 
     Examples:
       | task           |
@@ -30,36 +30,36 @@ Feature: Nobody is indispensable
       | pick_up_sample |
 
   Scenario: A successor is there at once
-    When the fleet runs until somebody coordinates
-    And the coordinator dies
-    Then nobody coordinates
-    And within 2 s somebody else coordinates
-    And for 10 s somebody coordinates
+    When the fleet runs until there is a coordinator
+    And the coordinator is killed
+    Then there is no coordinator
+    And within 2 s another node is the coordinator
+    And for 10 s there is a coordinator
 
-  Scenario: A mission asked for while nobody coordinates is done once
-    When the fleet runs until somebody coordinates
-    And the coordinator dies
+  Scenario: A mission asked for while there is no coordinator is done once
+    When the fleet runs until there is a coordinator
+    And the coordinator is killed
     And a sample is requested from "IC Room 6"
     Then within 10 minutes the mission is completed
-    And somebody else coordinates
+    And another node is the coordinator
     And every task of the mission was done once
 
   Scenario: A coordinator that is cut off is replaced, and is no second one when it can be heard again
-    When the fleet runs until somebody coordinates
+    When the fleet runs until there is a coordinator
     And the coordinator is cut off
-    Then within 5 s somebody else coordinates
+    Then within 5 s another node is the coordinator
     When a sample is requested from "IC Room 6"
     And the fleet runs for 10 s
-    And all can hear each other again
+    And the network is healed
     Then within 10 minutes the mission is completed
     And every task of the mission was done once
-    And nobody acted for another
+    And every active role had its own robot
 
   Scenario: Three of five voters die: nobody can coordinate, and a robot at work finishes what it can
     When a sample is requested from "IC Room 6"
     And the fleet runs until task navto_room has begun
-    And node aster dies
-    And node basil dies
-    And node clove dies
-    Then within 60 s nobody coordinates
-    And for 60 s nobody coordinates
+    And node aster is killed
+    And node basil is killed
+    And node clove is killed
+    Then within 60 s there is no coordinator
+    And for 60 s there is no coordinator

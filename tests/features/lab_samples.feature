@@ -15,7 +15,7 @@ Feature: Lab samples
     And birch did task navto_lab
     And the sample of "IC Room 6" was delivered to lab-arm
     And every task of the mission was done once
-    And nobody acted for another
+    And every active role had its own robot
 
   Scenario: What happens on the way, step by step
     When a sample is requested from "IC Room 6"
@@ -50,9 +50,9 @@ Feature: Lab samples
 
   Scenario: Nobody has the skills: the mission waits until somebody comes who has
     Given stations aster and basil
-    When the fleet runs until somebody coordinates
-    And node amber dies
-    And node birch dies
+    When the fleet runs until there is a coordinator
+    And node amber is killed
+    And node birch is killed
     And a sample is requested from "IC Room 6"
     Then for 60 s the mission is pending
     When node birch starts again

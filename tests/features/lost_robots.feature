@@ -12,22 +12,22 @@ Feature: Robots that are lost
     And a nurse in "IC Room 6"
 
   Scenario: The carrier dies on its way to the nurse and another takes its part
-    Given node amber dies when task navto_room has begun
+    Given node amber is killed when task navto_room has begun
     When a sample is requested from "IC Room 6"
     Then within 20 minutes the mission is completed
     And birch did task navto_lab
     And task navto_room has begun 2 times
-    And nobody acted for another
+    And every active role had its own robot
 
   Scenario: The carrier dies with the sample: it is said who has it
-    Given node amber dies when task navto_lab has begun
+    Given node amber is killed when task navto_lab has begun
     When a sample is requested from "IC Room 6"
-    Then within 20 minutes the mission is in need of rescue
+    Then within 20 minutes the mission is in need of intervention
     And "sample of IC Room 6" is in the drawer of amber
     And birch never had a role in the mission
 
   Scenario: The carrier's program starts again and goes on where it was
-    Given node amber dies when task navto_lab has begun
+    Given node amber is killed when task navto_lab has begun
     When a sample is requested from "IC Room 6"
     And the fleet runs until task navto_lab has begun
     And the fleet runs for 2 s
@@ -40,15 +40,15 @@ Feature: Robots that are lost
     Given these robots:
       | name  | place | skills                                                                            |
       | watch | Dock  | navigation, wait                                                                  |
-    And node amber dies when task navto_lab has begun
+    And node amber is killed when task navto_lab has begun
     When the mission "lab-samples-watched" is requested
       | room      |
       | IC Room 6 |
     Then within 20 minutes watch did task stand_by
-    And within 20 minutes the mission is in need of rescue
+    And within 20 minutes the mission is in need of intervention
 
   Scenario: The arm's program dies and comes back
-    Given node lab-arm dies when task navto_room has begun
+    Given node lab-arm is killed when task navto_room has begun
     When a sample is requested from "IC Room 6"
     And the fleet runs until task navto_lab has begun
     And node lab-arm starts again

@@ -16,19 +16,19 @@ Feature: Missions of several robots
     And task rest has begun 2 times
     And amber did task rest
     And birch did task rest
-    And nobody acted for another
+    And every active role had its own robot
 
-  Scenario: Two robots, of which the coordinator dies while they are at work
+  Scenario: Two robots, of which the coordinator is killed while they are at work
     Given these robots:
       | name  | place     | skills           |
       | amber | Dock      | navigation, wait |
       | birch | PC Room 3 | navigation, wait |
     And stations aster, basil and clove
-    And the coordinator dies when task right_goes has begun
+    And the coordinator is killed when task right_goes has begun
     When the mission "missions/rounds.yaml" is requested
     Then within 10 minutes the mission is completed
-    And somebody else coordinates
-    And nobody acted for another
+    And another node is the coordinator
+    And every active role had its own robot
 
   Scenario: A mission for two waits until there are two
     Given these robots:
@@ -36,8 +36,8 @@ Feature: Missions of several robots
       | amber | Dock      | navigation, wait |
       | birch | PC Room 3 | navigation, wait |
     And stations aster and basil
-    When the fleet runs until somebody coordinates
-    And node birch dies
+    When the fleet runs until there is a coordinator
+    And node birch is killed
     And the mission "missions/rounds.yaml" is requested
     Then for 60 s the mission is pending
     And for 10 s amber is at "Dock"
@@ -72,7 +72,7 @@ Feature: Missions of several robots
     And the sample of "IC Room 6" was delivered to lab-arm
     And the sample of "PC Room 3" was delivered to lab-arm
     And the sample of "PC Room 7" was delivered to lab-arm
-    And nobody acted for another
+    And every active role had its own robot
 
   Scenario: What is urgent comes first
     Given a robot amber at "Dock"
@@ -92,7 +92,7 @@ Feature: Missions of several robots
       | room      | priority |
       | PC Room 7 | 50       |
     And the fleet runs until mission urgent is completed
-    Then it is not so that mission later is completed
+    Then it is not true that mission later is completed
     And within 30 minutes all missions are completed
 
   Scenario: A mission that is not done by its deadline is given up

@@ -23,21 +23,21 @@ Feature: A nurse changes her mind
   Scenario: She calls it off as she is about to hand the sample over: nobody can be sure that she has not
     Given the nurse in "IC Room 6" cancels once handing over
     When a sample is requested from "IC Room 6"
-    Then within 10 minutes the mission needs rescue because "canceled by nurse of IC Room 6"
+    Then within 10 minutes the mission needs intervention because "canceled by nurse of IC Room 6"
     And "sample of IC Room 6" is still with "nurse of IC Room 6"
 
   Scenario: She calls it off when the robot has the sample: somebody has to come for it
     Given the nurse in "IC Room 6" cancels once handed over
     When a sample is requested from "IC Room 6"
-    Then within 10 minutes the mission needs rescue because "canceled by nurse of IC Room 6"
+    Then within 10 minutes the mission needs intervention because "canceled by nurse of IC Room 6"
     And "sample of IC Room 6" is in the drawer of amber
 
   Scenario: Somebody else withdraws the mission while the robot is on its way
     When a sample is requested from "IC Room 6"
     And the fleet runs until task navto_room has begun
-    And the mission is withdrawn by "ward 3"
+    And the mission is canceled by "ward 3"
     Then within 5 s the mission was canceled by "ward 3"
-    And for 60 s it is never so that amber is at "IC Room 6"
+    And for 60 s it is never true that amber is at "IC Room 6"
 
   Scenario: After a mission was called off the robot takes the next one
     Given a nurse in "PC Room 1"
@@ -51,9 +51,9 @@ Feature: A nurse changes her mind
   Scenario: She declines: the mission fails and says so
     Given the nurse in "IC Room 6" declines once handing over
     When a sample is requested from "IC Room 6"
-    Then within 30 minutes the mission is over
+    Then within 30 minutes the mission has ended
     And "sample of IC Room 6" is still with "nurse of IC Room 6"
-    And it is not so that the mission is completed
+    And it is not true that the mission is completed
 
   Scenario: She walks away from the robot for good: it waits a while, then the mission fails and says so
     Given the nurse in "IC Room 6" walks away once approached
@@ -81,7 +81,7 @@ Feature: A nurse changes her mind
     When a sample is requested from "IC Room 6"
     Then within 10 minutes the nurse in "IC Room 6" is away
     And for 100 s the mission is running
-    And within 30 minutes the mission needs rescue because "every nurse has walked away; waited for 120 s"
+    And within 30 minutes the mission needs intervention because "every nurse has walked away; waited for 120 s"
     And "sample of IC Room 6" is still with "nurse of IC Room 6"
 
   Scenario: Another nurse who walks away is of no concern
@@ -100,6 +100,6 @@ Feature: A nurse changes her mind
   Scenario: She is not there at all
     When the nurse in "IC Room 6" walks away
     And a sample is requested from "IC Room 6"
-    Then within 30 minutes the mission is over
+    Then within 30 minutes the mission has ended
     And "sample of IC Room 6" is still with "nurse of IC Room 6"
-    And it is not so that the mission is completed
+    And it is not true that the mission is completed

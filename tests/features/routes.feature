@@ -10,7 +10,7 @@ Feature: Corridors that are closed
     And the corridor between "IC Corridor 3" and "IC Corridor 6" is closed
     When a sample is requested from "IC Room 6"
     Then within 30 minutes the mission has failed because "no route"
-    And amber tried again because "stands in it"
+    And amber retried a task because "is in the way"
 
   Scenario: No way to the laboratory once the robot has the sample: somebody has to come for it
     Given a robot amber at "IC Room 4"
@@ -19,7 +19,7 @@ Feature: Corridors that are closed
     And a nurse in "IC Room 6"
     And the corridor between "Laboratory Corridor" and "Laboratory" closes when task close_drawer_nurse has ended
     When a sample is requested from "IC Room 6"
-    Then within 30 minutes the mission is in need of rescue
+    Then within 30 minutes the mission is in need of intervention
     And "sample of IC Room 6" is in the drawer of amber
 
   Scenario: A corridor that is closed for a while is waited for
@@ -50,4 +50,4 @@ Feature: Corridors that are closed
       | East  |
     Then within 10 minutes the mission is completed
     And amber is at "East"
-    And amber was held up because "barrier between North and West stands in it"
+    And a goal of amber was aborted because "barrier between North and West is in the way"

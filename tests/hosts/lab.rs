@@ -1,14 +1,16 @@
-//! A laboratory of hosts: network namespaces on a switch, each with a cable, an address and a process.
+//! A laboratory of hosts: network namespaces on a switch, each with a cable, an address and a
+//! process.
 //!
 //! ```text
 //!   this process ── 10.77.0.254 ── br0 ──┬── port 1 ~~~cable~~~ eth0 of host 1, 10.77.0.1
 //!                                  br1   ├── port 2 ~~~cable~~~ eth0 of host 2, 10.77.0.2
-//!                                  br2   └── …          a port may be plugged into another bridge, or taken down
-//!        host 1 ── 10.78.1.1 ~~~ 10.78.1.2 ── host 2   or hosts are linked directly, and nothing forwards
+//!                                  br2   └── …          a port may be moved to another bridge, or taken down
+//!        host 1 ── 10.78.1.1 ~~~ 10.78.1.2 ── host 2   or hosts are linked directly, without forwarding
 //! ```
 //!
-//! The namespaces belong to a user namespace of the test's own, so no rights are needed where unprivileged user namespaces
-//! are allowed. All of it ends with the first process in there.
+//! The namespaces belong to a user namespace of the test, so no privileges are needed where
+//! unprivileged user namespaces
+//! are allowed. All of it ends with the first process in the namespace.
 
 use crate::support::{Client, Ended, Folder, Program, until};
 use std::collections::BTreeMap;
@@ -19,23 +21,23 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 use toml::Table;
 
-/// How long a node may take to open its port, and to end.
+/// Limit for a node to open its port, and to end.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Set for a test that has been started again inside the namespaces.
+/// Set for a test that was restarted inside the namespaces.
 const INSIDE: &str = "CONSORT_HOSTS_INSIDE";
 
-/// What starts something in namespaces of its own: user, network, mount and process ids; whoever starts it takes all of it
-/// along when it ends.
+/// Starts a program in its own namespaces: user, network, mount and process ids. All processes in
+/// there end with their parent.
 const UNSHARE: [&str; 6] = ["-Urnm", "--pid", "--fork", "--mount-proc", "--kill-child", "--"];
 
-/// Tells a story in namespaces of its own: starts the test of this name again, inside. Where that is not allowed or a tool
-/// is missing, it says why and tells nothing.
+/// Runs a test in its own namespaces by restarting the test binary with the name of the test. Where
+/// that is not allowed or a tool is missing, the test is skipped with a message.
 pub(crate) fn inside(test: &str, tools: &[&str], story: impl FnOnce()) {
     inside_again(&["--exact", test, "--nocapture"], tools, story);
 }
 
-/// The same for a program that is no test, started again with these arguments.
+/// Same for a program other than a test, restarted with these arguments.
 pub(crate) fn inside_again(arguments: &[&str], tools: &[&str], story: impl FnOnce()) {
     let what = arguments.join(" ");
     if std::env::var_os(INSIDE).is_some() {
@@ -43,21 +45,21 @@ pub(crate) fn inside_again(arguments: &[&str], tools: &[&str], story: impl FnOnc
         return story();
     }
     if let Some(reason) = hindrance(tools) {
-        // A test prints what it has to say; the lint means the program.
+        // Tests may print; the lint applies to the program.
         let _ = writeln!(std::io::stderr(), "skipped: {what}: {reason}");
         return;
     }
     let program = std::env::current_exe().expect("a test has a path");
     let mut again = Command::new("unshare");
     again.args(UNSHARE).arg(program).args(arguments);
-    // Inside all are process 1 or 2: by this they know their folders apart.
+    // In a namespace every test is process 1 or 2; this id distinguishes their folders.
     static STORIES: AtomicU32 = AtomicU32::new(0);
     let own = format!("{}-{}", std::process::id(), STORIES.fetch_add(1, Ordering::Relaxed));
     let status = again.env(INSIDE, own).status().expect("unshare was there a moment ago");
     assert!(status.success(), "inside its namespaces, {what} failed");
 }
 
-/// Why there can be no laboratory here.
+/// Returns the reason why there can be no laboratory here.
 fn hindrance(tools: &[&str]) -> Option<String> {
     let mut script = String::from("set -e; ip link add br0 type bridge; ip link add v0 type veth peer name v1");
     for tool in tools {
@@ -70,7 +72,7 @@ fn hindrance(tools: &[&str]) -> Option<String> {
     }
 }
 
-/// Runs a program to its good end.
+/// Runs a program that must succeed.
 #[track_caller]
 pub(crate) fn run(program: &str, arguments: &[&str]) {
     let ended = Command::new(program).args(arguments).output();
@@ -83,24 +85,24 @@ pub(crate) fn run(program: &str, arguments: &[&str]) {
     );
 }
 
-/// Runs `ip` with the words of a line.
+/// Runs `ip` with the arguments of a line.
 #[track_caller]
 pub(crate) fn ip(line: &str) {
     run("ip", &line.split(' ').collect::<Vec<_>>());
 }
 
-/// Which way packets of a host get lost.
+/// Direction in which packets of a host are dropped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Way {
-    /// What others send to it.
+    /// Packets to the host.
     In,
-    /// What it sends.
+    /// Packets from the host.
     Out,
 }
 
 struct Host {
     number: usize,
-    /// Where others reach it, by who they are; elsewhere at its address on the switch.
+    /// Addresses on direct links, by the other host; other hosts use its address on the switch.
     links: BTreeMap<String, String>,
     program: Option<Program>,
 }
@@ -112,12 +114,12 @@ pub(crate) struct Lab {
     links: usize,
     commands: usize,
     folder: Folder,
-    /// Whether nodes have certificates.
+    /// Nodes have certificates.
     closed: bool,
 }
 
 impl Lab {
-    /// A switch without hosts.
+    /// Creates a switch without hosts.
     pub(crate) fn new(fleet: &Table) -> Lab {
         let folder = Folder::new();
         folder.write("fleet.toml", &fleet.to_string());
@@ -131,7 +133,8 @@ impl Lab {
         Lab { fleet, hosts: BTreeMap::new(), links: 0, commands: 0, folder, closed: false }
     }
 
-    /// From now on nodes are started with certificates: these, each with its roles, have one; and somebody who may read.
+    /// Creates certificates for these nodes with their roles, and for a person with the read scope.
+    /// Nodes start with certificates from now on.
     pub(crate) fn close(&mut self, nodes: &[(&str, &str)]) {
         let dir = self.certs("").display().to_string();
         let cert = |words: &[&str]| run(env!("CARGO_BIN_EXE_consort"), &[&["cert", "--dir", &dir], words].concat());
@@ -147,7 +150,7 @@ impl Lab {
         self.folder.path().join("certs").join(of)
     }
 
-    /// A client of a host's node.
+    /// Connects a client to the node of a host.
     pub(crate) fn client(&self, of: &str, fleet: &'static str) -> Client {
         let certs = self.closed.then(|| self.certs("looker"));
         Client::open_with(&self.address(of, ""), fleet, certs.as_deref())
@@ -175,7 +178,7 @@ impl Lab {
         ip(&format!("-n {name} link set eth0 up"));
     }
 
-    /// Joins two hosts by a cable of their own.
+    /// Joins two hosts by a direct cable.
     pub(crate) fn link(&mut self, a: &str, b: &str) {
         self.links += 1;
         let number = self.links;
@@ -188,13 +191,14 @@ impl Lab {
         }
     }
 
-    /// Where `to` is reached, by `from` if they have a cable of their own.
+    /// Returns the address of `to`, as seen by `from` if they have a direct cable.
     pub(crate) fn address(&self, to: &str, from: &str) -> String {
         let host = &self.hosts[to];
         host.links.get(from).cloned().unwrap_or_else(|| format!("{}/10.77.0.{}:7447", self.protocol(), host.number))
     }
 
-    /// Starts a host's node: `consort KIND --config FILE`, on all its addresses, linked with these others.
+    /// Starts the node of a host with `consort KIND --config FILE`, on all its addresses, linked to
+    /// these hosts.
     pub(crate) fn start(&mut self, kind: &str, mut node: Table, neighbours: &[&str]) {
         let name = node["name"].as_str().expect("a node has a name").to_owned();
         let connect: Vec<String> = neighbours.iter().map(|other| self.address(other, &name)).collect();
@@ -211,7 +215,7 @@ impl Lab {
         self.hosts.get_mut(&name).expect("a host").program = Some(program);
     }
 
-    /// Waits until these nodes listen.
+    /// Waits until the nodes listen.
     pub(crate) fn await_open(&mut self) {
         for (name, host) in &mut self.hosts {
             let Some(program) = &mut host.program else { continue };
@@ -222,7 +226,7 @@ impl Lab {
         }
     }
 
-    /// Runs a command that asks the fleet, on a host, to its end; it asks that host's own node for `patience`.
+    /// Runs a command on a host against the node of that host, with `patience` as its timeout.
     pub(crate) fn run(&mut self, arguments: &[&str], on: &str, patience: Duration) -> Ended {
         self.commands += 1;
         let (name, patience) = (format!("command-{}", self.commands), patience.as_secs().to_string());
@@ -231,7 +235,7 @@ impl Lab {
         program.end(PATIENCE * 2)
     }
 
-    /// Takes the cable of a host out of the switch: both ends notice that the line is dead.
+    /// Removes the cable of a host from the switch: both ends see the link go down.
     pub(crate) fn unplug(&self, name: &str) {
         ip(&format!("link set port{} down", self.hosts[name].number));
     }
@@ -243,8 +247,8 @@ impl Lab {
         ip(&format!("link set port{number} up"));
     }
 
-    /// From now on this share of the packets of a host is lost, in percent, besides what was lost before. Its own with
-    /// itself are not.
+    /// Drops a percentage of the packets of a host, in addition to previous rules. Its loopback is
+    /// unaffected.
     pub(crate) fn lose(&self, name: &str, way: Way, percent: u32) {
         let (hook, device) = match way {
             Way::In => ("input", "iifname"),
@@ -258,17 +262,17 @@ impl Lab {
         run("ip", &["netns", "exec", name, "nft", &rules]);
     }
 
-    /// Ends all loss at a host.
+    /// Ends all packet loss at a host.
     pub(crate) fn lose_nothing(&self, name: &str) {
         run("ip", &["netns", "exec", name, "nft", "add table inet faults; delete table inet faults"]);
     }
 
-    /// The process of a host's node.
+    /// Returns the process id of the node of a host.
     pub(crate) fn process(&self, name: &str) -> u32 {
         self.hosts[name].program.as_ref().expect("a node that runs").id()
     }
 
-    /// Bytes that have crossed a host's cable: sent by it, and received.
+    /// Returns the bytes on the cable of a host: sent and received.
     pub(crate) fn bytes(&self, name: &str) -> (u64, u64) {
         let port = format!("port{}", self.hosts[name].number);
         let shown = Command::new("ip").args(["-s", "-j", "link", "show", "dev", &port]).output().expect("ip was there");
@@ -277,23 +281,23 @@ impl Lab {
         (count("rx"), count("tx"))
     }
 
-    /// Ends a node's process with SIGKILL.
+    /// Ends the process of a node with SIGKILL.
     pub(crate) fn kill(&mut self, name: &str) {
         self.hosts.get_mut(name).and_then(|host| host.program.take()).expect("a node that runs").kill();
     }
 
-    /// What a node has logged.
+    /// Returns the log of a node.
     pub(crate) fn log(&self, name: &str) -> String {
         self.hosts[name].program.as_ref().map(Program::stderr).unwrap_or_default()
     }
 
-    /// What all have logged, for the message of a failed test.
+    /// Returns all logs, for the message of a failed test.
     pub(crate) fn logs(&self) -> String {
         self.hosts.keys().map(|name| format!("--- {name}\n{}", self.log(name))).collect()
     }
 }
 
-/// What runs a program on a host.
+/// Returns the prefix that runs a program on a host.
 pub(crate) fn within(host: &str) -> [&str; 4] {
     ["ip", "netns", "exec", host]
 }

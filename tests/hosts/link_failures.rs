@@ -1,4 +1,4 @@
-//! Cables are cut: a link that is down, both ways, and nobody is told.
+//! Cut cables: a link is down in both directions.
 
 use crate::lab::Lab;
 use crate::lab::inside;
@@ -11,8 +11,8 @@ use serde_json::json;
 use toml::Table;
 
 #[test]
-fn the_coordinator_loses_its_cable_and_another_sees_the_mission_through() {
-    inside("cables::the_coordinator_loses_its_cable_and_another_sees_the_mission_through", &[], || {
+fn a_mission_completes_although_the_coordinator_loses_its_cable() {
+    inside("link_failures::a_mission_completes_although_the_coordinator_loses_its_cable", &[], || {
         let (mut lab, mut client) = hospital(5.0, false);
         let mission = submit(&client, "cable-1");
         begins(&mut client, &mission);
@@ -29,8 +29,8 @@ fn the_coordinator_loses_its_cable_and_another_sees_the_mission_through() {
 }
 
 #[test]
-fn the_robot_that_holds_the_role_loses_its_cable_suspends_and_is_replaced() {
-    inside("cables::the_robot_that_holds_the_role_loses_its_cable_suspends_and_is_replaced", &[], || {
+fn a_role_holder_without_its_cable_suspends_and_is_replaced() {
+    inside("link_failures::a_role_holder_without_its_cable_suspends_and_is_replaced", &[], || {
         let lease: Table = "lease_ms = 1500\ngrace_ms = 500".parse().expect("TOML");
         let mut lab = Lab::new(&with(fleet(1), "lease", lease));
         for host in ["s1", "world", "ada", "bob", "lab-arm"] {
@@ -56,7 +56,7 @@ fn the_robot_that_holds_the_role_loses_its_cable_suspends_and_is_replaced() {
         client.hears("the role is given to the other robot", LONG, |event| {
             event["event"] == "awarded" && event["mission"] == mission.as_str() && event["holders"]["r1"] == other
         });
-        // By then it has stopped by itself, out of anybody's reach.
+        // By then it has stopped by itself, without a link.
         assert!(lab.log(&lost).contains("suspend"), "{}", lab.log(&lost));
         lab.plug(&lost, "br0");
         completes(&mut client, &mission);

@@ -1,7 +1,8 @@
-//! Hosts of their own: network namespaces, cables that are cut, packets that get lost, networks that fall apart.
+//! Tests on separate hosts: network namespaces, cut cables, packet loss and partitions.
 //!
-//! Each test starts itself again inside namespaces that it makes (`lab`); where that is not allowed it is skipped, and says
-//! why. Loss is made by nftables (`nft`), cables are virtual Ethernet pairs, the switch is a bridge.
+//! Each test restarts itself inside its own namespaces (`lab`); where that is not allowed it is
+//! skipped with a message. nftables (`nft`) drops packets, virtual Ethernet pairs are the cables,
+//! and a bridge is the switch.
 
 #[expect(dead_code, reason = "the benches use the rest")]
 mod lab;

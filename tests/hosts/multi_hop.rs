@@ -6,8 +6,8 @@ use crate::support::{example, until};
 use std::time::Duration;
 
 #[test]
-fn what_the_ends_of_a_chain_know_and_bid_crosses_it_though_they_never_meet() {
-    inside("chain::what_the_ends_of_a_chain_know_and_bid_crosses_it_though_they_never_meet", &[], || {
+fn knowledge_and_bids_cross_a_chain_of_hosts() {
+    inside("multi_hop::knowledge_and_bids_cross_a_chain_of_hosts", &[], || {
         let mut lab = Lab::new(&fleet(1));
         let chain = ["s1", "lab-arm", "world", "ada"];
         for host in chain {
@@ -22,7 +22,7 @@ fn what_the_ends_of_a_chain_know_and_bid_crosses_it_though_they_never_meet() {
         lab.start("robot", robot("robot"), &["world"]);
         lab.await_open();
         for (here, there) in [("s1", "ada"), ("ada", "s1")] {
-            until(&format!("{here} knows {there}"), LONG, || {
+            until(&format!("{here} lists {there} as alive"), LONG, || {
                 let seen = lab.run(&["fleet", "--json"], here, Duration::from_secs(30));
                 seen.status.success().then_some(())?;
                 let seen = seen.json();

@@ -1,4 +1,4 @@
-//! Packets get lost: some of them everywhere, or all of them one way.
+//! Packet loss: some packets at all hosts, or all packets in a direction.
 
 use crate::lab::{Way, inside};
 use crate::story::{agreed, begins, completes_once, coordinator, hospital, submit, succession};
@@ -6,8 +6,8 @@ use crate::story::{agreed, begins, completes_once, coordinator, hospital, submit
 const HOSTS: [&str; 8] = ["s1", "s2", "s3", "s4", "s5", "world", "ada", "lab-arm"];
 
 #[test]
-fn a_tenth_of_all_packets_is_lost_and_missions_and_takeovers_go_on() {
-    inside("loss::a_tenth_of_all_packets_is_lost_and_missions_and_takeovers_go_on", &["nft"], || {
+fn missions_and_takeovers_survive_a_tenth_of_packet_loss() {
+    inside("packet_loss::missions_and_takeovers_survive_a_tenth_of_packet_loss", &["nft"], || {
         let (mut lab, mut client) = hospital(5.0, false);
         for host in HOSTS {
             lab.lose(host, Way::In, 10);
@@ -35,15 +35,15 @@ fn the_coordinator_loses_all(way: Way, request: &str) {
 }
 
 #[test]
-fn nobody_hears_the_coordinator_any_more_and_another_is_elected() {
-    inside("loss::nobody_hears_the_coordinator_any_more_and_another_is_elected", &["nft"], || {
+fn a_coordinator_whose_packets_are_lost_is_replaced() {
+    inside("packet_loss::a_coordinator_whose_packets_are_lost_is_replaced", &["nft"], || {
         the_coordinator_loses_all(Way::Out, "unheard");
     });
 }
 
 #[test]
-fn the_coordinator_hears_nobody_any_more_and_another_is_elected() {
-    inside("loss::the_coordinator_hears_nobody_any_more_and_another_is_elected", &["nft"], || {
+fn a_coordinator_that_receives_no_packets_is_replaced() {
+    inside("packet_loss::a_coordinator_that_receives_no_packets_is_replaced", &["nft"], || {
         the_coordinator_loses_all(Way::In, "deaf");
     });
 }

@@ -1,18 +1,18 @@
-//! The network falls apart: ports are plugged into different switches.
+//! A partitioned network: ports are plugged into different bridges.
 
 use crate::lab::{Lab, inside};
 use crate::story::{agreed, begins, completes, completes_once, coordinator, hospital, serves_nobody, submit};
 
 const STATIONS: [&str; 5] = ["s1", "s2", "s3", "s4", "s5"];
 
-/// The stations, the coordinator first.
+/// Returns the stations, the coordinator first.
 fn from_coordinator(first: &str) -> Vec<&'static str> {
     let (mut chosen, others): (Vec<&str>, Vec<&str>) = STATIONS.into_iter().partition(|station| *station == first);
     chosen.extend(others);
     chosen
 }
 
-/// What was parted is joined, and all agree on one coordinator.
+/// Joins the parts and waits until all agree on a coordinator.
 fn heal(lab: &mut Lab) -> String {
     for station in STATIONS {
         lab.plug(station, "br0");
@@ -21,8 +21,8 @@ fn heal(lab: &mut Lab) -> String {
 }
 
 #[test]
-fn three_go_on_without_the_two_among_whom_the_coordinator_was() {
-    inside("partition::three_go_on_without_the_two_among_whom_the_coordinator_was", &[], || {
+fn three_stations_continue_without_the_coordinator_and_another() {
+    inside("partition::three_stations_continue_without_the_coordinator_and_another", &[], || {
         let (mut lab, mut client) = hospital(5.0, false);
         let mission = submit(&client, "three-two");
         begins(&mut client, &mission);
@@ -42,8 +42,8 @@ fn three_go_on_without_the_two_among_whom_the_coordinator_was() {
 }
 
 #[test]
-fn where_no_part_has_a_majority_nobody_is_served_and_what_is_under_way_goes_on() {
-    inside("partition::where_no_part_has_a_majority_nobody_is_served_and_what_is_under_way_goes_on", &[], || {
+fn parts_without_a_majority_serve_no_requests_but_robots_continue() {
+    inside("partition::parts_without_a_majority_serve_no_requests_but_robots_continue", &[], || {
         let (mut lab, mut client) = hospital(5.0, false);
         let mission = submit(&client, "two-two-one");
         begins(&mut client, &mission);
@@ -58,7 +58,7 @@ fn where_no_part_has_a_majority_nobody_is_served_and_what_is_under_way_goes_on()
         let last = heal(&mut lab);
         assert_eq!(last, coordinator(&client).0);
         completes(&mut client, &mission);
-        // A request that nobody acknowledged may have been written down all the same by who coordinated until then.
+        // The previous coordinator may have stored a request that was never acknowledged.
         let known = client.view("missions");
         assert_eq!(known["missions"][0]["mission"], mission.as_str(), "{known}");
         assert_eq!(known["missions"][0]["state"], "completed", "{known}");

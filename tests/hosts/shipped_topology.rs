@@ -1,13 +1,15 @@
-//! Machines of a topology that is shipped: each with the addresses that its documentation gives it, and a node from the very
-//! file and unit that are shipped.
+//! Machines of a shipped topology: each with the addresses of the documentation, and with a node
+//! started from the shipped
+//! file and unit.
 //!
 //! ```text
-//!   north-1 ── 10.1.0.1 ── north ── 10.1.0.4 ── ada        a network is a bridge, and forwards to no other
+//!   north-1 ── 10.1.0.1 ── north ── 10.1.0.4 ── ada        a network is a bridge, without forwarding between networks
 //!      └───── 192.0.2.1 ── between ── 192.0.2.101 ── gate-south ── 10.2.0.1 ── south
 //! ```
 //!
-//! `/etc/consort` of a machine is a folder of the test's with copies of the files, `/var/lib/consort` another; names are in
-//! `/etc/hosts`.
+//! `/etc/consort` of a machine is a folder of the test with copies of the files, `/var/lib/consort`
+//! is another folder; host
+//! names are in `/etc/hosts`.
 
 use crate::lab::{ip, run, within};
 use crate::support::{Ended, Folder, Program, until};
@@ -15,21 +17,21 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// How long whatever is certain to happen may take.
+/// Limit for events that must happen.
 pub(crate) const LONG: Duration = Duration::from_secs(90);
 
-/// What is shipped for machines of its own.
+/// Folder of the shipped deployment files.
 const DEPLOY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy");
 
-/// What nodes log in these stories: what they do by default, and all that they tell.
+/// Log filter of the nodes: the default, and all published events.
 const LOG: &str =
-    "CONSORT_LOG=info,zenoh=error,openraft=error,openraft::replication=off,ractor=warn,consort::told=debug";
+    "CONSORT_LOG=info,zenoh=error,openraft=error,openraft::replication=off,ractor=warn,consort::events=debug";
 
 /// The machines and their networks.
 pub(crate) struct ShippedTopology {
     topology: PathBuf,
     networks: BTreeSet<String>,
-    /// The port by which a machine is plugged into a network.
+    /// Port of a machine in a network.
     ports: BTreeMap<(String, String), String>,
     cables: usize,
     nodes: BTreeMap<String, Program>,
@@ -38,7 +40,7 @@ pub(crate) struct ShippedTopology {
 }
 
 impl ShippedTopology {
-    /// A topology, and what its names stand for.
+    /// Loads a topology with these host names.
     pub(crate) fn new(topology: &str, names: &[(&str, &str)]) -> ShippedTopology {
         let folder = Folder::new();
         ip("link set lo up");
@@ -56,8 +58,9 @@ impl ShippedTopology {
         }
     }
 
-    /// Sets up a machine with a cable to each of these networks, under an address there. The fleet's file, its own, and its
-    /// certificate, if one was made, are put where its unit looks for them.
+    /// Creates a machine with a cable and an address in each of these networks. Copies the fleet
+    /// file, its own file and its certificate, if there is one, to the places that its unit
+    /// expects.
     pub(crate) fn machine(&mut self, name: &str, cables: &[(&str, &str)]) {
         ip(&format!("netns add {name}"));
         ip(&format!("-n {name} link set lo up"));
@@ -78,17 +81,17 @@ impl ShippedTopology {
         }
     }
 
-    /// Where a machine has its configuration.
+    /// Returns the configuration folder of a machine.
     fn etc(&self, name: &str) -> PathBuf {
         self.folder.path().join(name).join("etc")
     }
 
-    /// A folder of the test's.
+    /// Returns a path in the folder of the test.
     pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
-    /// Joins a machine to a network, under an address of 24 bits.
+    /// Connects a machine to a network with a 24-bit prefix.
     pub(crate) fn cable(&mut self, name: &str, network: &str, address: &str) {
         if self.networks.insert(network.to_owned()) {
             ip(&format!("link add {network} type bridge"));
@@ -108,24 +111,24 @@ impl ShippedTopology {
         &self.ports[&(name.to_owned(), network.to_owned())]
     }
 
-    /// Cuts the cable of a machine to a network: neither end is told what it sends is lost.
+    /// Cuts the cable of a machine to a network: neither end is notified that its packets are lost.
     pub(crate) fn unplug(&self, name: &str, network: &str) {
         ip(&format!("link set {} down", self.port(name, network)));
     }
 
-    /// Mends the cable.
+    /// Restores the cable.
     pub(crate) fn plug(&self, name: &str, network: &str) {
         ip(&format!("link set {} up", self.port(name, network)));
     }
 
-    /// Carries a machine from one network to another, where it gets another address.
+    /// Moves a machine from a network to another, with a new address.
     pub(crate) fn move_to_network(&mut self, name: &str, from: &str, to: &str, address: &str) {
         let port = self.ports.remove(&(name.to_owned(), from.to_owned())).expect("a cable");
         ip(&format!("link del {port}"));
         self.cable(name, to, address);
     }
 
-    /// Starts a machine's node as its unit does. What is set besides stands in its environment.
+    /// Starts the node of a machine as its unit does, with additional environment variables.
     pub(crate) fn start(&mut self, kind: &str, name: &str, besides: &[&str]) {
         self.started += 1;
         let (arguments, variables) = self.unit(kind, name);
@@ -136,7 +139,7 @@ impl ShippedTopology {
         self.nodes.insert(name.to_owned(), program);
     }
 
-    /// The arguments and the variables that the unit of a node gives it.
+    /// Returns the arguments and environment variables of the unit of a node.
     fn unit(&self, kind: &str, name: &str) -> (Vec<String>, Vec<String>) {
         let read = |file: &str| std::fs::read_to_string(Path::new(DEPLOY).join("systemd").join(file)).expect("a unit");
         let (unit, common) = (read(&format!("consort-{kind}@.service")), read("consort-.service.d/node.conf"));
@@ -151,7 +154,7 @@ impl ShippedTopology {
         (start.split(' ').map(str::to_owned).collect(), values(&common, "Environment="))
     }
 
-    /// Waits until every node says that it has started.
+    /// Waits until every node has logged its start.
     pub(crate) fn await_started(&mut self) {
         for (name, node) in &mut self.nodes {
             until(&format!("{name} has started"), LONG, || {
@@ -166,7 +169,7 @@ impl ShippedTopology {
         self.nodes.remove(name).expect("a node that runs").kill();
     }
 
-    /// Begins a command on a machine, which asks the node there unless it says otherwise.
+    /// Starts a command on a machine. It queries the local node by default.
     pub(crate) fn begin(&mut self, arguments: &[&str], on: &str) -> Program {
         self.started += 1;
         Program::start_by(&within(on), &self.folder, &format!("command-{}", self.started), arguments)
@@ -177,13 +180,13 @@ impl ShippedTopology {
         self.begin(arguments, on).end(LONG)
     }
 
-    /// Runs a command on no machine of the topology, that asks nobody.
+    /// Runs a command outside the topology, without a connection.
     pub(crate) fn tool(&mut self, arguments: &[&str]) -> Ended {
         self.started += 1;
         Program::start(&self.folder, &format!("tool-{}", self.started), arguments).end(LONG)
     }
 
-    /// Waits until a command succeeds whose JSON gives something.
+    /// Waits until a command succeeds and `look` finds a value in its JSON output.
     #[track_caller]
     pub(crate) fn wait_for_json<T>(
         &mut self,
@@ -198,12 +201,12 @@ impl ShippedTopology {
         })
     }
 
-    /// What a node has logged since it was started last.
+    /// Returns the log of a node since its latest start.
     pub(crate) fn log(&self, name: &str) -> String {
         self.nodes.get(name).map(Program::stderr).unwrap_or_default()
     }
 
-    /// Waits until a node says that it is linked with these others and nobody else.
+    /// Waits until a node is linked to exactly these other nodes.
     #[track_caller]
     pub(crate) fn wait_for_links(&self, name: &str, others: &[&str]) {
         let id = |other: &str| {
@@ -231,9 +234,9 @@ impl ShippedTopology {
     }
 }
 
-/// A story that fails shows what the nodes had logged.
+/// Prints the logs of the nodes if the test fails.
 impl Drop for ShippedTopology {
-    #[expect(clippy::print_stderr, reason = "a failed test tells why")]
+    #[expect(clippy::print_stderr, reason = "a failed test prints the logs")]
     fn drop(&mut self) {
         if std::thread::panicking() {
             for name in self.nodes.keys() {

@@ -1,4 +1,4 @@
-//! A fleet on the hosts of a laboratory, with a mission to carry out.
+//! A fleet on the hosts of a laboratory, with a mission.
 
 use crate::lab::Lab;
 use crate::support::{Client, example, until};
@@ -7,10 +7,10 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 use toml::Table;
 
-/// How long whatever is certain to happen may take.
+/// Limit for events that must happen.
 pub(crate) const LONG: Duration = Duration::from_secs(90);
 
-/// The fleet's name.
+/// Name of the fleet.
 pub(crate) const FLEET: &str = "hosts";
 
 pub(crate) fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -> Table {
@@ -18,12 +18,12 @@ pub(crate) fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -
     table
 }
 
-/// The fleet's file, where so many nodes found the ledger.
+/// Returns the fleet file for this number of first voters.
 pub(crate) fn fleet(voters: i64) -> Table {
     with(with(example("fleet"), "name", FLEET), "bootstrap_expect", voters)
 }
 
-/// The world, with a second carrier, and at this speed.
+/// Returns the world file with a second carrier and this speed.
 pub(crate) fn world(speed: f64) -> Table {
     let mut world = with(example("world"), "speed", speed);
     let bodies = world["robot"].as_array_mut().expect("bodies");
@@ -32,13 +32,13 @@ pub(crate) fn world(speed: f64) -> Table {
     world
 }
 
-/// A robot that does not keep the ledger.
+/// Returns the file of a robot that is no voter.
 pub(crate) fn robot(kind: &str) -> Table {
     with(example(kind), "may_vote", false)
 }
 
-/// Five stations that keep the ledger, a world, a carrier and an arm, a host each; and a client beside the switch, linked
-/// with the world's host. In a closed fleet all have certificates.
+/// Starts five stations as voters, a world, a carrier and an arm, each on its own host, and a
+/// client at the switch, linked to the world host. In a closed fleet all of them have certificates.
 pub(crate) fn hospital(speed: f64, closed: bool) -> (Lab, Client) {
     let mut lab = Lab::new(&fleet(5));
     let stations = ["s1", "s2", "s3", "s4", "s5"];
@@ -57,7 +57,7 @@ pub(crate) fn hospital(speed: f64, closed: bool) -> (Lab, Client) {
     lab.start("robot", robot("arm"), &["world", "s1", "s2", "s3"]);
     lab.await_open();
     let client = lab.client("world", FLEET);
-    until("the carrier and the arm are members, and five keep the ledger", LONG, || {
+    until("the carrier and the arm are members, and there are five voters", LONG, || {
         let members = client.all("view/fleet", "").into_iter().next()?.1["ensembles"][0]["nodes"].clone();
         let members = members.as_array()?.iter().filter(|entry| entry["member"] == true).count();
         let voters = client.all("view/coordinator", "").into_iter().next()?.1["voters"].as_array()?.len();
@@ -66,7 +66,7 @@ pub(crate) fn hospital(speed: f64, closed: bool) -> (Lab, Client) {
     (lab, client)
 }
 
-/// Who coordinates, by what all that answer say; and in which term.
+/// Returns the coordinator and its term from the views.
 pub(crate) fn coordinator(client: &Client) -> (String, u64) {
     until("somebody coordinates", LONG, || {
         let (_, view) = client.all("view/coordinator", "").into_iter().next()?;
@@ -74,7 +74,7 @@ pub(crate) fn coordinator(client: &Client) -> (String, u64) {
     })
 }
 
-/// Asks for lab samples, and gives the mission's name.
+/// Requests lab samples and returns the name of the mission.
 pub(crate) fn submit(client: &Client, request: &str) -> String {
     let asked =
         format!(r#"{{"mission": "lab-samples", "parameters": {{"room": "IC Room 6"}}, "request": "{request}"}}"#);
@@ -91,7 +91,7 @@ pub(crate) fn begins(client: &mut Client, mission: &str) -> Value {
     })
 }
 
-/// Waits until another coordinates than the one before, in a later term.
+/// Waits for the election of another node in a later term.
 pub(crate) fn succession(client: &mut Client, before: &str, term: u64) -> String {
     let elected = client.hears("another is elected", LONG, |event| {
         event["event"] == "elected" && event["node"] != before && event["term"].as_u64() > Some(term)
@@ -115,9 +115,9 @@ pub(crate) fn completes(client: &mut Client, mission: &str) {
     });
 }
 
-/// Waits until all these hosts name the same coordinator, and gives it.
+/// Waits until all these hosts report the same coordinator, and returns it.
 pub(crate) fn agreed(lab: &mut Lab, hosts: &[&str]) -> String {
-    until("all hosts name one coordinator", LONG * 2, || {
+    until("all hosts name the same coordinator", LONG * 2, || {
         let mut named: Vec<String> = vec![];
         for host in hosts {
             let ended = lab.run(&["fleet", "--json"], host, Duration::from_secs(20));
@@ -130,7 +130,7 @@ pub(crate) fn agreed(lab: &mut Lab, hosts: &[&str]) -> String {
     })
 }
 
-/// A host without a majority serves nobody: nothing is acknowledged.
+/// Asserts that a host without a majority acknowledges no request.
 #[track_caller]
 pub(crate) fn serves_nobody(lab: &mut Lab, host: &str) {
     let ended = lab.run(&["submit", "lab-samples", "--set", "room=IC Room 6"], host, Duration::from_secs(4));

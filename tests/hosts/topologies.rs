@@ -1,4 +1,4 @@
-//! The topologies that are shipped, each through what it is meant to survive.
+//! The shipped topologies, each with the failure that it must survive.
 
 use crate::lab::{inside, within};
 use crate::shipped_topology::{LONG, ShippedTopology};
@@ -6,24 +6,24 @@ use serde_json::Value;
 use std::cell::RefCell;
 use std::process::{Child, Command};
 
-/// The world runs this much faster than the file says, in which it runs in real time.
+/// The world runs ten times as fast as real time, which the file sets.
 const QUICK: [&str; 1] = ["CONSORT_SPEED=10"];
 
-/// Asks for a sample, and waits for the end of the mission.
+/// Requests a sample and waits for the end of the mission.
 const SUBMIT: [&str; 7] = ["submit", "lab-samples", "--set", "room=IC Room 6", "--wait", "--timeout", "60"];
 
-/// How many nodes are alive, as a node sees it.
+/// Counts the nodes that a node sees alive.
 fn alive(fleet: &Value) -> usize {
     let nodes = fleet["fleet"]["nodes"].as_array().into_iter().flatten();
     nodes.filter(|node| node["alive"] == true).count()
 }
 
-/// Who coordinates.
+/// Returns the coordinator.
 fn coordinator(fleet: &Value) -> Option<String> {
     fleet["coordinator"]["node"].as_str().map(str::to_owned)
 }
 
-/// Waits until so many are alive and somebody coordinates, as a node sees it, and says who.
+/// Waits until a node sees `count` nodes alive and a coordinator, and returns the coordinator.
 fn settled(shipped: &mut ShippedTopology, count: usize, on: &str, more: &[&str]) -> String {
     let asked = [&["fleet", "--json"], more].concat();
     shipped.wait_for_json(&format!("{count} are there"), &asked, on, |fleet| {
@@ -32,8 +32,8 @@ fn settled(shipped: &mut ShippedTopology, count: usize, on: &str, more: &[&str])
 }
 
 #[test]
-fn one_network_loses_the_machine_that_coordinates() {
-    inside("topologies::one_network_loses_the_machine_that_coordinates", &[], || {
+fn a_network_survives_the_loss_of_its_coordinator() {
+    inside("topologies::a_network_survives_the_loss_of_its_coordinator", &[], || {
         let stations = ["station-1", "station-2", "station-3"];
         let mut shipped = ShippedTopology::new(
             "lan",
@@ -67,7 +67,7 @@ fn one_network_loses_the_machine_that_coordinates() {
     });
 }
 
-/// A site of so many nodes whose router is killed, and started again, while a mission runs.
+/// Kills and restarts the router of a site with `count` nodes while a mission runs.
 fn a_router_is_restarted(count: usize, start: impl Fn(&mut ShippedTopology), kill: impl Fn(&mut ShippedTopology)) {
     let stations = ["station-1", "station-2", "station-3"];
     let mut shipped = ShippedTopology::new(
@@ -76,7 +76,7 @@ fn a_router_is_restarted(count: usize, start: impl Fn(&mut ShippedTopology), kil
             ("10.0.0.1", "station-1.ward.example"),
             ("10.0.0.2", "station-2.ward.example"),
             ("10.0.0.3", "station-3.ward.example"),
-            // On the wired network; robots know it by its address on theirs.
+            // Its address for stations on the wired network; robots use its address on theirs.
             ("10.0.1.254", "router.ward.example"),
         ],
     );
@@ -104,25 +104,25 @@ fn a_router_is_restarted(count: usize, start: impl Fn(&mut ShippedTopology), kil
     start(&mut shipped);
     let ended = mission.end(LONG).expect(0);
     assert!(ended.stdout.ends_with(" completed\n"), "{}", ended.stdout);
-    // She kept her role, and none of the stations took another for dead.
+    // ada kept her role, and no station declared another node dead.
     assert!(!shipped.log("ada").contains("suspend"), "{}", shipped.log("ada"));
     assert_eq!(settled(&mut shipped, count, "ada", &[]), coordinator);
 }
 
 #[test]
-fn a_site_gets_over_a_restart_of_its_router() {
-    inside("topologies::a_site_gets_over_a_restart_of_its_router", &[], || {
+fn a_site_survives_a_restart_of_its_router() {
+    inside("topologies::a_site_survives_a_restart_of_its_router", &[], || {
         let start = |shipped: &mut ShippedTopology| shipped.start("station", "router", &[]);
         a_router_is_restarted(7, start, |shipped| shipped.kill("router"));
     });
 }
 
-/// Zenoh's own router, where `tests/processes/foreign/router.sh` has built it.
+/// Zenoh's own router, built by `tests/processes/foreign/router.sh`.
 const ZENOHD: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/foreign-router/zenohd");
 
 #[test]
-fn a_site_gets_over_a_restart_of_a_router_of_zenohs_own() {
-    inside("topologies::a_site_gets_over_a_restart_of_a_router_of_zenohs_own", &[ZENOHD], || {
+fn a_site_survives_a_restart_of_zenohd() {
+    inside("topologies::a_site_survives_a_restart_of_zenohd", &[ZENOHD], || {
         let stations = [1, 2, 3].map(|number| format!("--connect=tcp/station-{number}.ward.example:7447"));
         let running = RefCell::new(None);
         let start = |_: &mut ShippedTopology| {
@@ -138,7 +138,7 @@ fn a_site_gets_over_a_restart_of_a_router_of_zenohs_own() {
     });
 }
 
-/// The certificates of the two sites, by the commands of the documentation.
+/// Creates the certificates of both sites with the commands of the documentation.
 fn certify(shipped: &mut ShippedTopology) {
     let dir = shipped.path("certs").display().to_string();
     for line in documented("consort cert ") {
@@ -147,17 +147,17 @@ fn certify(shipped: &mut ShippedTopology) {
     }
 }
 
-/// The lines of the documentation that begin so, without that, in words.
+/// Returns the arguments of documented command lines that begin with `command`.
 fn documented(command: &str) -> Vec<Vec<String>> {
     let text = include_str!("../../nodes/docs/deployment.md");
     let lines: Vec<_> = text.lines().filter_map(|line| line.strip_prefix(command)).collect();
-    assert!(lines.len() > 5, "the documentation says how certificates are made: {lines:?}");
+    assert!(lines.len() > 5, "the documentation has too few certificate commands: {lines:?}");
     lines.iter().map(|line| line.split_whitespace().map(str::to_owned).collect()).collect()
 }
 
 #[test]
-fn a_robot_roams_from_site_to_site_and_an_uplink_is_cut_while_it_works() {
-    inside("topologies::a_robot_roams_from_site_to_site_and_an_uplink_is_cut_while_it_works", &[], || {
+fn a_robot_roams_between_sites_while_an_uplink_is_cut() {
+    inside("topologies::a_robot_roams_between_sites_while_an_uplink_is_cut", &[], || {
         let mut shipped = ShippedTopology::new(
             "sites",
             &[
@@ -185,7 +185,7 @@ fn a_robot_roams_from_site_to_site_and_an_uplink_is_cut_while_it_works() {
         shipped.await_started();
         let kim = shipped.path("certs/kim").display().to_string();
         let by_kim = ["--certs", &kim, "--connect", "tls/127.0.0.1:7447"];
-        // Asked for at the gate: whoever is in the south knows all there is in the north.
+        // Queried at the gate: a node in the south has the knowledge of the north.
         let coordinator = settled(&mut shipped, 7, "gate-south", &by_kim);
         assert!(coordinator.starts_with("north-"), "{coordinator} coordinates");
         let mut mission = shipped.begin(&[&SUBMIT[..], &by_kim].concat(), "gate-south");

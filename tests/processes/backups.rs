@@ -1,4 +1,5 @@
-//! Copies of the ledger are made while a fleet is at work and under load; when all its disks are lost, it goes on from one.
+//! Backups of the ledger taken from a fleet under load. After the loss of all disks, the fleet
+//! continues from a backup.
 
 use crate::crashes::{STATIONS, reign, start_hospital, submit, with};
 use crate::support::{Client, Fleet, example, until};
@@ -14,14 +15,14 @@ use std::time::Duration;
 const LONG: Duration = Duration::from_secs(90);
 const SPEED: f64 = 8.0;
 
-/// Fewer missions than a ledger remembers of those that have ended.
+/// Below the number of ended missions that a ledger keeps.
 const MOST: usize = 400;
 
-/// Request and mission of all that was acknowledged.
+/// Request and mission of each acknowledgement.
 type Acknowledged = Arc<Mutex<Vec<(String, String)>>>;
 
-/// Asks for missions without a pause until it is told to end. All but the first few are withdrawn at once: nobody could carry out
-/// that many.
+/// Submits missions without a pause until `ended` is set. All but the first few are canceled at
+/// once, because the robots could not carry out that many.
 fn load(address: String, acknowledged: Acknowledged, ended: Arc<AtomicBool>) {
     let client = Client::open(&address, "backups");
     for number in 0..MOST {
@@ -33,7 +34,7 @@ fn load(address: String, acknowledged: Acknowledged, ended: Arc<AtomicBool>) {
         if number >= 3 {
             client.all("api/cancel", &json!({ "mission": mission, "by": "the load" }).to_string());
         }
-        acknowledged.lock().expect("nobody panics with it").push((request, mission));
+        acknowledged.lock().expect("no panic while it is locked").push((request, mission));
     }
 }
 
@@ -46,12 +47,12 @@ fn ledger(file: &Path) -> (Backup, Ledger) {
 fn has_all(ledger: &Ledger, acknowledged: &[(String, String)]) {
     for (request, mission) in acknowledged {
         let found = ledger.mission_of_request(&request.parse().expect("a name")).map(|entry| entry.id.as_str());
-        assert_eq!(found, Some(mission.as_str()), "{request} was acknowledged before the copy was asked for");
+        assert_eq!(found, Some(mission.as_str()), "{request} was acknowledged before the backup was requested");
     }
 }
 
 #[test]
-fn a_fleet_that_lost_all_its_disks_goes_on_from_a_copy_that_was_made_under_load() {
+fn a_fleet_without_disks_continues_from_a_backup_made_under_load() {
     let mut fleet = Fleet::new(&with(example("fleet"), "name", "backups"));
     start_hospital(&mut fleet, SPEED);
     let address = fleet.address("world");
@@ -64,7 +65,7 @@ fn a_fleet_that_lost_all_its_disks_goes_on_from_a_copy_that_was_made_under_load(
 
     let mut positions = vec![];
     for number in 0..4 {
-        let before = acknowledged.lock().expect("nobody panics with it").clone();
+        let before = acknowledged.lock().expect("no panic while it is locked").clone();
         let file = fleet.path(&format!("copy-{number}.json"));
         let ran = fleet.run(&["backup", "--out", &file.display().to_string()], "world").expect(0);
         let (backup, copied) = ledger(&file);
@@ -73,7 +74,7 @@ fn a_fleet_that_lost_all_its_disks_goes_on_from_a_copy_that_was_made_under_load(
         has_all(&copied, &before);
         positions.push((backup.term, backup.index));
         if number == 1 {
-            // Whoever takes over gives copies too.
+            // The next coordinator can create backups too.
             fleet.kill(&reign(&client).0);
         }
     }
@@ -82,14 +83,14 @@ fn a_fleet_that_lost_all_its_disks_goes_on_from_a_copy_that_was_made_under_load(
     let again = fleet.path("copy-3.json").display().to_string();
     let refused = fleet.run(&["backup", "--out", &again], "world").expect(2);
     assert!(
-        refused.stderr.contains("copy-3.json: this file is there already; --force replaces it"),
+        refused.stderr.contains("copy-3.json: this file exists already; --force replaces it"),
         "{}",
         refused.stderr
     );
     ended.store(true, Ordering::SeqCst);
     busy.join().expect("the load was borne");
 
-    // Everything dies, and no disk is left; only the copy, which somebody had carried away.
+    // Kills all nodes and removes all disks. Only a backup stored elsewhere remains.
     for name in fleet.names().into_iter().map(str::to_owned).collect::<Vec<_>>() {
         fleet.kill(&name);
     }
@@ -109,9 +110,9 @@ fn a_fleet_that_lost_all_its_disks_goes_on_from_a_copy_that_was_made_under_load(
     let mut client = Client::open(&fleet.address("world"), "backups");
     let (_, ledger) = ledger(Path::new(&file));
     let under_way: Vec<String> = ledger.active_missions().iter().map(|entry| entry.id.to_string()).collect();
-    assert!(!under_way.is_empty(), "the first few were not withdrawn");
-    let (request, mission) = acknowledged.lock().expect("nobody panics with it")[0].clone();
-    assert_eq!(submit(&client, &request), mission, "a request that was acknowledged before is not a new one");
+    assert!(!under_way.is_empty(), "the first few missions were not canceled");
+    let (request, mission) = acknowledged.lock().expect("no panic while it is locked")[0].clone();
+    assert_eq!(submit(&client, &request), mission, "an acknowledged request is not a new request");
     client.hears("a mission of before completes", LONG * 2, |event| {
         event["event"] == "mission"
             && event["state"] == "completed"

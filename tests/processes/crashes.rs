@@ -1,4 +1,4 @@
-//! Processes are killed, stopped and started again, at whatever step of a mission.
+//! Processes are killed, stopped and restarted at any step of a mission.
 
 use crate::demo::each_once;
 use crate::support::{Client, Fleet, example, until};
@@ -14,7 +14,7 @@ pub(crate) fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -
     table
 }
 
-/// The world, with samples for many missions.
+/// Returns the configuration of a world with samples for many missions.
 pub(crate) fn world(speed: f64) -> Table {
     let mut world = with(example("world"), "speed", speed);
     let samples: Vec<String> = (1..=12).map(|number| format!("blood-{number}")).collect();
@@ -22,8 +22,8 @@ pub(crate) fn world(speed: f64) -> Table {
     world
 }
 
-/// Three stations keep the ledger, each on a disk of its own. The world, which is no part of a real fleet, is where they
-/// meet.
+/// Starts three stations as voters, each with its own data directory. They connect to the world,
+/// which a real fleet does not contain.
 pub(crate) fn keepers(name: &str, speed: f64) -> Fleet {
     let mut fleet = Fleet::new(&with(example("fleet"), "name", name));
     start_keepers(&mut fleet, speed);
@@ -41,7 +41,7 @@ fn start_keepers(fleet: &mut Fleet, speed: f64) {
     }
 }
 
-/// The same with two robots: one carries, one is the arm.
+/// Starts the same fleet with two robots: a carrier and an arm.
 fn hospital(name: &str, speed: f64) -> Fleet {
     let mut fleet = Fleet::new(&with(example("fleet"), "name", name));
     start_hospital(&mut fleet, speed);
@@ -57,12 +57,12 @@ pub(crate) fn start_hospital(fleet: &mut Fleet, speed: f64) {
     }
 }
 
-/// Who coordinates, once somebody says so.
+/// Waits for a coordinator and returns its name.
 fn coordinator(client: &Client) -> String {
     reign(client).0
 }
 
-/// Who coordinates and in which term, once somebody says so.
+/// Waits for a coordinator and returns its name and term.
 pub(crate) fn reign(client: &Client) -> (String, u64) {
     until("somebody coordinates", LONG, || {
         let answers = client.all("view/coordinator", "");
@@ -71,7 +71,7 @@ pub(crate) fn reign(client: &Client) -> (String, u64) {
     })
 }
 
-/// Asks for a mission until it is acknowledged, always by one name: it is one request.
+/// Repeats a request under the same name until it is acknowledged.
 pub(crate) fn submit(client: &Client, request: &str) -> String {
     let asked =
         format!(r#"{{"mission": "lab-samples", "parameters": {{"room": "IC Room 6"}}, "request": "{request}"}}"#);
@@ -100,13 +100,13 @@ pub(crate) fn completes(client: &mut Client, mission: &str) {
 }
 
 fn state(client: &Client, mission: &str) -> Value {
-    until(&format!("the state of {mission} is told"), LONG, || {
+    until(&format!("the state of {mission} is known"), LONG, || {
         let answers = client.all(&format!("view/mission/{mission}"), "");
         answers.into_iter().map(|(_, view)| view["state"].clone()).find(Value::is_string)
     })
 }
 
-/// Kills whoever coordinates, and starts it again.
+/// Kills the coordinator and restarts it.
 fn kill_and_start_again(fleet: &mut Fleet, client: &Client) {
     let victim = coordinator(client);
     fleet.kill(&victim);
@@ -114,17 +114,19 @@ fn kill_and_start_again(fleet: &mut Fleet, client: &Client) {
 }
 
 #[test]
-fn the_coordinator_is_killed_at_each_step_of_the_protocol_and_each_mission_completes_once() {
+fn missions_survive_coordinator_kills_at_each_protocol_step() {
     let mut fleet = hospital("steps", 20.0);
     let mut client = Client::open(&fleet.address("world"), "steps");
     ready(&client, 2);
     let mut steps_seen = 0;
-    for (number, step) in ["submitted", "called", "awarded", "started", "sent", "progress"].into_iter().enumerate() {
+    for (number, step) in
+        ["submitted", "bids_requested", "awarded", "started", "sent", "progress"].into_iter().enumerate()
+    {
         let mission = format!("lab-samples-{}", number + 1);
-        // Nobody waits for the answer: the coordinator may be dead before it gives one.
+        // The reply may be missing: the coordinator may be dead before it replies.
         let asking = submit(&client, step);
         assert_eq!(asking, mission, "{step}");
-        // A node that has just started again may tell of a step before it has heard who listens.
+        // A restarted node may publish an event before it has discovered its subscribers.
         let seen = until(&format!("{mission} is {step}, or over"), LONG, || {
             let events = client.events();
             let over = events.iter().any(|event| is_of(event, "mission", &mission) && event["state"] == "completed");
@@ -140,7 +142,7 @@ fn the_coordinator_is_killed_at_each_step_of_the_protocol_and_each_mission_compl
         );
         completes(&mut client, &mission);
         assert_eq!(client.tasks(&mission), each_once(), "killed when it was {step}\n{}", fleet.logs());
-        // The last step has been reported, and its coordinator dies before anybody asks.
+        // The last step has been reported; the coordinator is killed before the next query.
         kill_and_start_again(&mut fleet, &client);
         assert_eq!(state(&client, &mission), "completed", "{step}");
     }
@@ -149,7 +151,7 @@ fn the_coordinator_is_killed_at_each_step_of_the_protocol_and_each_mission_compl
 }
 
 #[test]
-fn the_coordinator_is_killed_at_each_task_of_a_mission_which_completes_once() {
+fn a_mission_survives_a_coordinator_kill_at_each_task() {
     let mut fleet = hospital("tasks", 4.0);
     let mut client = Client::open(&fleet.address("world"), "tasks");
     ready(&client, 2);
@@ -176,7 +178,7 @@ fn the_coordinator_is_killed_at_each_task_of_a_mission_which_completes_once() {
 }
 
 #[test]
-fn a_coordinator_that_stood_still_comes_back_and_has_no_say() {
+fn a_coordinator_that_was_stopped_returns_without_authority() {
     let mut fleet = hospital("still", 4.0);
     let mut client = Client::open(&fleet.address("world"), "still");
     ready(&client, 2);
@@ -188,14 +190,15 @@ fn a_coordinator_that_stood_still_comes_back_and_has_no_say() {
         .hears("another is elected", LONG, |event| event["event"] == "elected" && event["node"] != first.as_str());
     let before = client.events().len();
     fleet.node(&first).signal("CONT");
-    until("the one that stood still knows that it coordinates no more", LONG, || {
+    until("the stopped node has noticed that it no longer coordinates", LONG, || {
         fleet.node(&first).stderr().contains("no longer coordinates").then_some(())
     });
     completes(&mut client, &mission);
     assert_eq!(client.tasks(&mission), each_once(), "{}", fleet.logs());
     let says = |event: &&Value| {
         let what = event["event"].as_str().unwrap_or("?");
-        event["node"] == first.as_str() && ["awarded", "released", "mission", "called", "closed"].contains(&what)
+        event["node"] == first.as_str()
+            && ["awarded", "released", "mission", "bids_requested", "closed"].contains(&what)
     };
     assert_eq!(client.events()[before..].iter().filter(says).collect::<Vec<_>>(), Vec::<&Value>::new());
     let last = coordinator(&client);
@@ -209,7 +212,7 @@ fn a_coordinator_that_stood_still_comes_back_and_has_no_say() {
 }
 
 #[test]
-fn everybody_is_killed_at_once_and_the_mission_under_way_completes() {
+fn a_running_mission_completes_after_all_nodes_were_killed() {
     let mut fleet = hospital("all", 8.0);
     let mut client = Client::open(&fleet.address("world"), "all");
     ready(&client, 2);
@@ -242,7 +245,7 @@ fn everybody_is_killed_at_once_and_the_mission_under_way_completes() {
 }
 
 #[test]
-fn the_world_is_killed_and_the_fleet_serves_again_once_it_is_back() {
+fn the_fleet_continues_after_a_restart_of_the_world() {
     let mut fleet = Fleet::new(&with(with(example("fleet"), "name", "worldless"), "bootstrap_expect", 1));
     fleet.start("station", example("station"), &[]);
     fleet.start("world", world(10.0), &["station-1"]);
@@ -254,12 +257,12 @@ fn the_world_is_killed_and_the_fleet_serves_again_once_it_is_back() {
     let first = submit(&client, "before");
     client.hears("the carrier sets out", LONG, |event| is_of(event, "task_began", &first) && event["role"] == "r1");
     fleet.kill("world");
-    until("the carrier says that its body does not answer, or has ended its mission", LONG, || {
+    until("the carrier reports that its driver server does not reply, or has ended its mission", LONG, || {
         let (_, view) = client.all("view/robot/ada", "").into_iter().next()?;
         view["robot"].is_object().then_some(())
     });
     fleet.start_again("world");
-    until("the mission of before has ended, in one way or another", LONG, || {
+    until("the earlier mission has ended in any state", LONG, || {
         let (_, view) = client.all(&format!("view/mission/{first}"), "").into_iter().next()?;
         let over = !["pending", "running"].contains(&view["state"].as_str()?);
         over.then_some(())

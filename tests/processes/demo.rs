@@ -1,11 +1,11 @@
-//! `consort demo`, just so: the main job.
+//! `consort demo` without arguments: the main job.
 
 use crate::support::{Folder, Program, tasks};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// Each task of the shipped mission, with the role that carries it out.
+/// Tasks of the shipped mission with their roles.
 pub(crate) const LAB_SAMPLES: [&str; 11] = [
     "lab_arm/pick_up_sample",
     "nurse/deposit",
@@ -20,7 +20,7 @@ pub(crate) const LAB_SAMPLES: [&str; 11] = [
     "r1/open_drawer_lab",
 ];
 
-/// Each of them begun once and ended once.
+/// Returns the expected counts: each task begun once and ended once.
 pub(crate) fn each_once() -> BTreeMap<String, (u32, u32)> {
     LAB_SAMPLES.iter().map(|task| ((*task).to_owned(), (1, 1))).collect()
 }
@@ -30,19 +30,19 @@ fn of<'a>(events: &'a [Value], name: &str) -> Vec<&'a Value> {
 }
 
 #[test]
-fn the_coordinator_is_killed_once_another_takes_over_and_the_sample_arrives() {
+fn the_demo_kills_its_coordinator_and_the_sample_arrives() {
     let folder = Folder::new();
     let ended = Program::start(&folder, "demo", &["demo", "--json"]).end(Duration::from_secs(120)).expect(0);
     let events = ended.json_lines();
 
-    let [killed] = of(&events, "demo_killed")[..] else { panic!("not one kill\n{}", ended.stdout) };
-    let [takeover] = of(&events, "demo_takeover")[..] else { panic!("not one takeover\n{}", ended.stdout) };
+    let [killed] = of(&events, "demo_killed")[..] else { panic!("expected a single kill\n{}", ended.stdout) };
+    let [takeover] = of(&events, "demo_takeover")[..] else { panic!("expected a single takeover\n{}", ended.stdout) };
     assert_ne!(killed["node"], takeover["node"]);
     let elected: Vec<&Value> = of(&events, "elected");
-    assert_eq!(elected[0]["node"], killed["node"], "the coordinator is who was killed");
+    assert_eq!(elected[0]["node"], killed["node"], "the coordinator was killed");
     let successor = elected.iter().find(|event| event["node"] == takeover["node"]).expect("it was elected");
     assert!(successor["term"].as_u64() > elected[0]["term"].as_u64(), "{elected:?}");
-    // It is killed while the mission runs, not before or after.
+    // The demo kills the coordinator while the mission runs.
     let place = |name: &str| events.iter().position(|event| event["event"] == name);
     assert!(place("task_began") < place("demo_killed"));
     let completed = events.iter().rposition(|event| event["event"] == "mission" && event["state"] == "completed");
@@ -52,7 +52,7 @@ fn the_coordinator_is_killed_once_another_takes_over_and_the_sample_arrives() {
     assert_eq!(missions.len(), 1);
     let mission = missions[0]["mission"].as_str().expect("a mission's name");
     assert_eq!(tasks(&events, mission), each_once());
-    assert_eq!(of(&events, "released"), Vec::<&Value>::new(), "nobody lost a role");
+    assert_eq!(of(&events, "released"), Vec::<&Value>::new(), "no role was released");
 
     let summary = events.last().expect("a summary");
     assert_eq!(summary["event"], "demo_summary");

@@ -1,4 +1,4 @@
-//! `consort demo --virtual`: one seed, one run.
+//! `consort demo --virtual`: a seed determines a run.
 
 use crate::support::{Ended, Folder, Program};
 use std::time::Duration;
@@ -9,7 +9,7 @@ fn play(folder: &Folder, name: &str, arguments: &[&str]) -> Ended {
 }
 
 #[test]
-fn one_seed_gives_one_run_to_the_byte_and_another_seed_another() {
+fn each_seed_determines_its_own_run_to_the_byte() {
     let folder = Folder::new();
     let [once, again] = ["once", "again"].map(|name| play(&folder, name, &["--seed", "3"]));
     assert!(once.stdout == again.stdout, "--- once\n{}\n--- again\n{}", once.stdout, again.stdout);
@@ -21,7 +21,7 @@ fn one_seed_gives_one_run_to_the_byte_and_another_seed_another() {
 }
 
 #[test]
-fn without_a_kill_and_with_few_or_many_robots_every_sample_arrives() {
+fn every_sample_arrives_with_any_number_of_robots() {
     let folder = Folder::new();
     let quiet = play(&folder, "no-kill", &["--no-kill"]).stdout;
     assert!(!quiet.contains("KILL") && !quiet.contains("TAKEOVER"), "{quiet}");
@@ -34,7 +34,7 @@ fn without_a_kill_and_with_few_or_many_robots_every_sample_arrives() {
 }
 
 #[test]
-fn the_demo_can_be_looked_at_afterwards_and_is_the_same_for_it() {
+fn recording_the_demo_does_not_change_its_run() {
     let folder = Folder::new();
     let plain = play(&folder, "plain", &["--seed", "3"]);
     let [once, again] = ["once", "again"].map(|name| {
@@ -44,10 +44,10 @@ fn the_demo_can_be_looked_at_afterwards_and_is_the_same_for_it() {
         assert!(played.stderr.contains(" m driven by "), "{}", played.stderr);
         [mcap, svg].map(|file| std::fs::read(folder.path().join(file)).expect("a file"))
     });
-    assert!(once == again, "one seed, one recording");
+    assert!(once == again, "a seed determines the recording");
     assert!(once[0].ends_with(b"\x89MCAP0\r\n"));
     let picture = String::from_utf8(once[1].clone()).expect("text");
-    assert!(picture.contains("class=\"driven\"") && picture.contains("Laboratory"), "{picture:.200}");
+    assert!(picture.contains("class=\"trail-line\"") && picture.contains("Laboratory"), "{picture:.200}");
     let refused = Program::start(&folder, "refused", &["demo", "--record", "run.mcap"]);
     let refused = refused.end(Duration::from_secs(20)).expect(2);
     assert!(refused.stderr.contains("--record and --svg go with --virtual"), "{}", refused.stderr);

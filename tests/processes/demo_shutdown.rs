@@ -1,12 +1,12 @@
-//! However the demo is ended, nothing of it stays.
+//! The demo leaves no processes and no files, however it ends.
 
 use crate::support::{Folder, Program, until};
 use std::time::Duration;
 
-/// How long the children of a demo that has ended may outlive it: the time they have to say goodbye, and some more.
+/// Longest time for which child processes may outlive the demo: their shutdown time plus a margin.
 const END: Duration = Duration::from_secs(10);
 
-/// A demo whose fleet is up: somebody coordinates, and a mission runs.
+/// Starts a demo and waits until its fleet has a coordinator and runs a mission.
 fn under_way(folder: &Folder) -> Program {
     let mut demo = Program::start(folder, "demo", &["demo", "--json", "--speed", "1"]);
     until("the mission of the demo begins", Duration::from_secs(60), || {
@@ -43,7 +43,7 @@ fn ctrl_c_before_the_fleet_has_met_ends_it_too() {
 }
 
 #[test]
-fn a_fleet_that_is_kept_running_ends_well_at_sigterm() {
+fn a_demo_that_keeps_running_ends_cleanly_at_sigterm() {
     let folder = Folder::new();
     let arguments = ["demo", "--json", "--no-kill", "--robots", "1", "--speed", "40", "--keep-running"];
     let demo = Program::start(&folder, "demo", &arguments);

@@ -1,4 +1,4 @@
-//! The main job by hand: the example files, a process for each, and the commands that ask and look.
+//! The main job with the example files, a process per node, and the commands of a client.
 
 use crate::support::{Client, Fleet, Folder, Program, example, until};
 use serde_json::{Value, json};
@@ -9,13 +9,13 @@ fn mission<'a>(missions: &'a Value, id: &str) -> &'a Value {
     all.iter().find(|entry| entry["mission"] == id).unwrap_or_else(|| panic!("{id} is not in {missions}"))
 }
 
-/// Who holds which role of which mission, as the fleet's nodes have it.
+/// Returns mission, role and robot of all held roles, from the fleet view.
 fn held(fleet: &Value) -> Vec<(Value, Value, Value)> {
     let nodes = fleet["fleet"]["nodes"].as_array().expect("a list").iter().filter(|node| node["holds"].is_object());
     nodes.map(|node| (node["holds"]["mission"].clone(), node["holds"]["role"].clone(), node["node"].clone())).collect()
 }
 
-/// The same, as the missions have it.
+/// Returns the same data from the missions view.
 fn holders(missions: &Value) -> Vec<(Value, Value, Value)> {
     let running = missions["missions"].as_array().expect("a list").iter().filter(|entry| entry["state"] == "running");
     let mut all: Vec<_> = running
@@ -28,7 +28,7 @@ fn holders(missions: &Value) -> Vec<(Value, Value, Value)> {
     all
 }
 
-/// Those of them that were carried out, as the missions themselves have it.
+/// Returns the holders of roles that have ended, from the mission views.
 fn ended(client: &Client, missions: &Value) -> Vec<(Value, Value, Value)> {
     let carried_out = |(mission, role, _): &(Value, Value, Value)| {
         let view = client.view(&format!("mission/{}", mission.as_str().expect("a name")));
@@ -39,7 +39,7 @@ fn ended(client: &Client, missions: &Value) -> Vec<(Value, Value, Value)> {
 }
 
 #[test]
-fn a_mission_is_submitted_watched_and_canceled_with_the_commands_and_the_example_files() {
+fn commands_submit_watch_and_cancel_missions_of_the_example_fleet() {
     let mut fleet = Fleet::new(&example("fleet"));
     fleet.start("station", example("station"), &[]);
     let mut world = example("world");
@@ -48,7 +48,7 @@ fn a_mission_is_submitted_watched_and_canceled_with_the_commands_and_the_example
     fleet.start("robot", example("robot"), &["station-1", "world"]);
     fleet.start("robot", example("arm"), &["station-1", "world"]);
 
-    // One mission, waited for, and looked at meanwhile.
+    // Runs a mission to its end and compares the views meanwhile.
     let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--request", "order-1"];
     let mut waiting = fleet.begin(&[&submit[..], &["--wait"]].concat(), "world");
     let client = Client::open(&fleet.address("world"), "ward");
@@ -61,7 +61,8 @@ fn a_mission_is_submitted_watched_and_canceled_with_the_commands_and_the_example
         let after = fleet.run(&["missions", "--json"], "lab-arm").expect(0).json();
         let told = holders(&before);
         if told == holders(&after) && !told.is_empty() && ended_before == ended_after {
-            // A role that was carried out is held no longer, and is still told of: that is all in which the two differ.
+            // An ended role is no longer held but still listed with its mission. This is the only
+            // difference.
             let left: Vec<_> = told.into_iter().filter(|role| !ended_before.contains(role)).collect();
             assert_eq!(held(&seen), left, "\n{seen}\n{before}");
             agreed += 1;
@@ -76,7 +77,7 @@ fn a_mission_is_submitted_watched_and_canceled_with_the_commands_and_the_example
     );
     assert!(agreed > 0, "the mission was never seen while it ran");
 
-    // Everyone is there, with what the files say.
+    // All nodes are there with the settings of the files.
     let seen = fleet.run(&["fleet", "--json"], "world").expect(0).json();
     let nodes = seen["fleet"]["nodes"].as_array().expect("a list");
     let alive: Vec<&str> =
@@ -91,21 +92,21 @@ fn a_mission_is_submitted_watched_and_canceled_with_the_commands_and_the_example
     let ada = nodes.iter().find(|node| node["node"] == "ada").expect("ada");
     assert_eq!(ada["robot"]["place"], "Laboratory");
 
-    // The same request again is the same mission.
+    // The same request returns the same mission.
     let again = fleet.run(&[&submit[..], &["--json"]].concat(), "ada").expect(0).json();
     assert_eq!(again, json!({ "mission": "lab-samples-1", "again": true, "request": "order-1" }));
 
-    // A mission for which there are no robots waits, and says why; it can be withdrawn, once.
+    // A mission without suitable robots waits and reports the reason; it can be canceled once.
     let pending = fleet.run(&["submit", "bed-transfer", "--json"], "ada").expect(0).json();
     let request = pending["request"].as_str().expect("a request that was not named is").to_owned();
     assert_eq!(pending, json!({ "mission": "bed-transfer-2", "again": false, "request": request }));
     let again = fleet.run(&["submit", "bed-transfer", "--json", "--request", &request], "world").expect(0).json();
     assert_eq!(again, json!({ "mission": "bed-transfer-2", "again": true, "request": request }));
-    until("the auction of bed-transfer-2 says why it fails", Duration::from_secs(30), || {
+    until("the auction of bed-transfer-2 has a reason of failure", Duration::from_secs(30), || {
         let missions = fleet.run(&["missions", "--json"], "world").expect(0).json();
         let entry = mission(&missions, "bed-transfer-2");
         assert_eq!(entry["state"], "pending");
-        entry["why_pending"].is_string().then_some(())
+        entry["pending_reason"].is_string().then_some(())
     });
     let said = fleet.run(&["cancel", "bed-transfer-2", "--by", "ward 3"], "station-1").expect(0).stdout;
     assert_eq!(said, "bed-transfer-2 canceled: by ward 3\n");
@@ -114,7 +115,7 @@ fn a_mission_is_submitted_watched_and_canceled_with_the_commands_and_the_example
     assert_eq!(mission(&missions, "lab-samples-1")["state"], "completed");
     assert_eq!(missions["missions"].as_array().map(Vec::len), Some(2), "{missions}");
 
-    // What has ended stays as it ended; what is unknown is said to be.
+    // An ended mission keeps its state; an unknown mission is reported.
     let said = fleet.run(&["cancel", "lab-samples-1"], "ada").expect(1).stderr;
     assert!(said.contains("lab-samples-1") && said.contains("completed"), "{said}");
     let said = fleet.run(&["cancel", "lab-samples-9"], "ada").expect(1).stderr;
@@ -124,12 +125,12 @@ fn a_mission_is_submitted_watched_and_canceled_with_the_commands_and_the_example
 }
 
 #[test]
-fn a_fleet_that_is_not_there_is_said_not_to_be() {
+fn an_unreachable_fleet_is_reported() {
     let folder = Folder::new();
     let free = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
     let address = format!("tcp/{}", free.local_addr().expect("it has an address"));
     drop(free);
     let arguments = ["missions", "--connect", &address, "--timeout", "1"];
     let ended = Program::start(&folder, "missions", &arguments).end(Duration::from_secs(20)).expect(3);
-    assert!(ended.stderr.contains(&format!("nothing answers at {address}")), "{}", ended.stderr);
+    assert!(ended.stderr.contains(&format!("no node answers at {address}")), "{}", ended.stderr);
 }

@@ -1,8 +1,8 @@
-//! Clients that are not ours, by others' programs: Zenoh's own library for Python, and `zenoh` of `zenoh-cli`; and recordings, read
-//! by the library of those who made their format.
+//! Third-party clients: Zenoh's Python library and `zenoh` of `zenoh-cli`. Recordings are read with
+//! the library of the MCAP authors.
 //!
-//! They are put into a folder of the build's once (`pip`, over the network). Where they cannot be had, the tests are skipped
-//! and say why.
+//! `pip` installs them once into a folder of the build, over the network. Where that fails, the
+//! tests are skipped and print the reason.
 
 use crate::support::{Client, hospital, until};
 use serde_json::Value;
@@ -14,13 +14,13 @@ use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-/// What is installed.
+/// The installed packages.
 const PACKAGES: [&str; 3] = ["eclipse-zenoh==1.10.2", "zenoh-cli==0.7.0", "mcap==1.6.0"];
 
-/// How long everything that a client does may take.
+/// Limit for all steps of a client.
 const LONG: Duration = Duration::from_secs(150);
 
-/// The folder with the clients' programs, or why there is none.
+/// Returns the folder with the programs of the clients, or the reason why there is none.
 fn clients() -> &'static Result<PathBuf, String> {
     static CLIENTS: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     CLIENTS.get_or_init(|| {
@@ -47,8 +47,8 @@ fn run(command: &mut Command) -> Result<String, String> {
     }
 }
 
-/// The program of a client, if it can be had.
-#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
+/// Returns the program of a client, if it is available.
+#[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
 fn program(name: &str) -> Option<PathBuf> {
     match clients() {
         Ok(bin) => Some(bin.join(name)),
@@ -59,19 +59,19 @@ fn program(name: &str) -> Option<PathBuf> {
     }
 }
 
-/// A client's process, which is killed when this is dropped.
+/// Process of a client, killed on drop.
 struct Running(Child);
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // One that has ended already cannot be killed.
+        // The process may have ended already.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
 #[test]
-fn a_python_client_follows_a_mission_to_its_end_while_the_coordinator_is_killed() {
+fn a_python_client_follows_a_mission_through_a_takeover() {
     let Some(python) = program("python") else { return };
     let mut fleet = hospital("python");
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/foreign/follow.py");
@@ -81,7 +81,7 @@ fn a_python_client_follows_a_mission_to_its_end_while_the_coordinator_is_killed(
     let mut told = String::new();
     let (mut coordinator, mut elected) = (String::new(), String::new());
     let stdout = client.0.stdout.take().expect("it is piped");
-    // The script has limits of its own for all that it waits for.
+    // The script has its own limits.
     for line in BufReader::new(stdout).lines() {
         let line = line.expect("text");
         writeln!(told, "{line}").expect("a string takes text");
@@ -99,12 +99,12 @@ fn a_python_client_follows_a_mission_to_its_end_while_the_coordinator_is_killed(
     }
     assert!(status.success(), "{status}\n{told}\n{said}\n{}", fleet.logs());
     assert!(elected.starts_with("station-") && elected != coordinator, "{told}");
-    assert!(told.contains("explain r1: ada gets it with "), "{told}");
+    assert!(told.contains("explain r1: ada gets the role with "), "{told}");
     fleet.stop();
 }
 
 #[test]
-fn the_command_zenoh_shows_each_view_once() {
+fn the_zenoh_command_shows_each_view_once() {
     let Some(zenoh) = program("zenoh") else { return };
     let mut fleet = hospital("command");
     let address = fleet.address("world");
@@ -133,7 +133,7 @@ fn the_command_zenoh_shows_each_view_once() {
         let views = get("view/coordinator", None);
         views.first().filter(|view| view["node"].is_string()).map(|_| assert_eq!(views.len(), 1, "{views:?}"))
     });
-    // Five nodes answer, and each view is there once.
+    // Five nodes answer, and each view appears once.
     let views = get("view/**", None);
     assert_eq!(views.iter().filter(|view| view["missions"].is_array()).count(), 1, "{views:#?}");
     assert!(views.iter().all(|view| view["seen_by"].is_string()), "{views:#?}");
@@ -153,7 +153,7 @@ fn the_command_zenoh_shows_each_view_once() {
 }
 
 #[test]
-fn the_library_of_the_formats_makers_reads_a_recording() {
+fn the_mcap_library_reads_a_recording() {
     let Some(python) = program("python") else { return };
     let mut fleet = hospital("foreign-reader");
     let file = fleet.path("run.mcap").display().to_string();
@@ -164,9 +164,9 @@ fn the_library_of_the_formats_makers_reads_a_recording() {
     client.hears("a task ends", LONG, |event| event["event"] == "task_ended");
     recorder.signal("TERM");
     let said = recorder.end(LONG).expect(0).json();
-    // A file that is there is not touched.
+    // An existing file is not overwritten.
     let again = fleet.run(&["record", "--out", &file], "world").expect(2);
-    assert!(again.stderr.contains("this file is there already; --force replaces it"), "{}", again.stderr);
+    assert!(again.stderr.contains("this file exists already; --force replaces it"), "{}", again.stderr);
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/foreign/read_mcap.py");
     let told = run(Command::new(python).arg(script).arg(&file)).unwrap_or_else(|problem| panic!("{problem}"));
     let told: Value = serde_json::from_str(&told).expect("JSON");

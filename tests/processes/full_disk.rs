@@ -1,4 +1,4 @@
-//! A disk that is full.
+//! A full disk.
 
 use crate::crashes::{completes, submit, with, world};
 use crate::support::{Client, Fleet, example, until};
@@ -9,14 +9,14 @@ use std::time::Duration;
 
 const LONG: Duration = Duration::from_secs(90);
 
-/// Starts a program that sees a small disk of its own at `$1`.
+/// Starts a program with its own small disk at `$1`.
 const SMALL_DISK: &str = "mkdir -p \"$1\" && mount -t tmpfs -o size=16m none \"$1\" && shift && exec \"$@\"";
 
 #[test]
-fn a_node_whose_disk_is_full_ends_and_says_so_and_the_fleet_goes_on() {
+fn a_node_with_a_full_disk_ends_and_the_fleet_continues() {
     let allowed = Command::new("unshare").args(["-Urm", "mount", "-t", "tmpfs", "none", "/mnt"]).output();
     if !allowed.as_ref().is_ok_and(|tried| tried.status.success()) {
-        // A test prints what it has to say; the lint means the program.
+        // Tests may print; the lint applies to the program.
         let _ = writeln!(std::io::stderr(), "skipped: no small disk can be made here: {allowed:?}");
         return;
     }
@@ -36,14 +36,14 @@ fn a_node_whose_disk_is_full_ends_and_says_so_and_the_fleet_goes_on() {
         fleet.start("robot", with(example(kind), "may_vote", false), &["world", "station-1"]);
     }
     let mut client = Client::open(&fleet.address("world"), "disks");
-    until("all three keep the ledger", LONG, || {
+    until("all three are voters", LONG, || {
         let (_, view) = client.all("view/coordinator", "").into_iter().next()?;
         (view["voters"].as_array()?.len() == 3).then_some(())
     });
     let first = submit(&client, "room-enough");
     completes(&mut client, &first);
 
-    // Seen from outside by way of its process.
+    // The disk is reached through the process of the node.
     let disk = fleet.path("station-3-data");
     let disk = format!("/proc/{}/root{}", fleet.node("station-3").id(), disk.display());
     let mut ballast = File::create(format!("{disk}/ballast")).expect("its disk can be reached");
@@ -60,7 +60,8 @@ fn a_node_whose_disk_is_full_ends_and_says_so_and_the_fleet_goes_on() {
     let said = ended.stderr.to_lowercase();
     assert!(said.contains("no space left"), "{}", ended.stderr);
     let last = submit(&client, "the-others");
-    client
-        .hears("its auction is called", LONG, |event| event["event"] == "called" && event["mission"] == last.as_str());
+    client.hears("its auction is called", LONG, |event| {
+        event["event"] == "bids_requested" && event["mission"] == last.as_str()
+    });
     fleet.stop();
 }

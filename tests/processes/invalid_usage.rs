@@ -1,10 +1,10 @@
-//! What is missing or wrong is said, with what to do; nothing is started.
+//! Missing or wrong arguments are reported with a remedy; no process starts.
 
 use crate::support::{Folder, Program};
 use std::net::TcpListener;
 use std::time::Duration;
 
-/// Runs the demo, which must refuse; gives what it says.
+/// Runs the demo, which must reject its arguments, and returns its error output.
 fn refused(folder: &Folder, arguments: &[&str]) -> String {
     let all: Vec<&str> = ["demo"].into_iter().chain(arguments.iter().copied()).collect();
     let ended = Program::start(folder, "demo", &all).end(Duration::from_secs(20)).expect(2);
@@ -15,19 +15,19 @@ fn refused(folder: &Folder, arguments: &[&str]) -> String {
 }
 
 #[test]
-fn a_port_that_is_taken_is_named() {
+fn an_occupied_port_is_reported() {
     let folder = Folder::new();
     let taken = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
     let port = taken.local_addr().expect("it has an address").port().to_string();
     let said = refused(&folder, &["--port", &port]);
     assert!(said.contains(&format!("port {port} of {port} to ")), "{said}");
-    assert!(said.contains("choose others with --port, or leave it out to have free ones found"), "{said}");
+    assert!(said.contains("choose other ports with --port, or leave it out to use free ports"), "{said}");
     let said = refused(&folder, &["--port", "65530"]);
     assert!(said.contains("--port 65530: 8 ports are needed, up to 65537; allowed is up to 65535"), "{said}");
 }
 
 #[test]
-fn a_mission_that_is_not_there_or_not_right_is_refused_before_anything_starts() {
+fn an_unknown_or_invalid_mission_is_rejected_before_the_start() {
     let folder = Folder::new();
     let said = refused(&folder, &["--mission", "nope"]);
     for word in [

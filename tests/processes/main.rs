@@ -1,8 +1,8 @@
-//! The one binary as it is used: real processes, real Zenoh, signals and a client that has nothing of ours.
+//! Tests of the released binary: real processes, real Zenoh, signals, and a plain Zenoh client.
 //!
-//! Every test has a folder of its own, and every process that it starts carries that folder's path on its command line or
-//! in its environment. So what is left over can be found, and what belongs to others is never touched. Each process is
-//! killed when its handle is dropped, also when a test fails.
+//! Every test has its own folder, and every process that it starts has the path of that folder on
+//! its command line or in its environment. So the test finds its leftover processes and never
+//! touches others. Each process is killed when its handle is dropped, also when a test fails.
 
 mod backups;
 mod closed;

@@ -1,4 +1,5 @@
-//! What is recorded of a world, however its process ends; and of a fleet, whoever dies: its coordinator, or the recorder.
+//! Recordings of a world, however its process ends, and recordings of a fleet when its coordinator
+//! or the recorder is killed.
 
 use crate::support::{Client, Folder, Program, hospital, until};
 use consort_nodes::recording::{RecordingReader, TimelineMarkKind};
@@ -6,13 +7,13 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-/// MCAP files begin and, if they are complete, end with this.
+/// First bytes of an MCAP file, and last bytes of a complete one.
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
 const WORLD: &str = "name = \"world\"\nspeed = 50.0\n[[robot]]\nid = \"ada\"\nplace = \"Dock\"\nspeed_mps = 0.6\n\
                      battery = 0.9\ndischarge_share_per_s = 0.0004\n";
 
-/// A world that is up, and recorded.
+/// Starts a recorded world.
 fn recorded(folder: &Folder) -> Program {
     fs::write(folder.path().join("world.toml"), WORLD).expect("the folder can be written to");
     let arguments = ["world", "--config", "world.toml", "--record", "run.mcap", "--svg", "paths.svg"];
@@ -25,7 +26,7 @@ fn recorded(folder: &Folder) -> Program {
 }
 
 #[test]
-fn a_world_that_is_told_to_end_completes_its_recordings() {
+fn a_stopped_world_completes_its_recordings() {
     for signal in ["TERM", "INT"] {
         let folder = Folder::new();
         let world = recorded(&folder);
@@ -42,10 +43,11 @@ fn a_world_that_is_told_to_end_completes_its_recordings() {
 }
 
 #[test]
-fn a_world_that_is_killed_leaves_what_it_had_written() {
+fn a_killed_world_leaves_a_partial_recording() {
     let folder = Folder::new();
     let mut world = recorded(&folder);
-    // What is in the world at first is written 5 s of its time after: a tenth of a second.
+    // The initial state of the world is written after 5 s of world time, which is a tenth of a
+    // second.
     let written = || fs::read(folder.path().join("run.mcap")).ok().filter(|mcap| mcap.len() > 1000);
     until("the first chunk", Duration::from_secs(20), written);
     world.kill();
@@ -54,14 +56,14 @@ fn a_world_that_is_killed_leaves_what_it_had_written() {
     assert_eq!(fs::read_to_string(folder.path().join("paths.svg")).expect("made ready"), "");
 }
 
-/// Whether a text is in a file by now.
+/// Checks whether a file contains a text.
 fn holds(file: &Path, text: &str) -> Option<()> {
     let there = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).contains(text);
     fs::read(file).is_ok_and(there).then_some(())
 }
 
 #[test]
-fn a_recorder_goes_on_when_the_coordinator_dies_to_which_it_was_linked_and_can_be_killed_itself() {
+fn a_recorder_survives_the_loss_of_its_node_and_can_be_killed() {
     let long = Duration::from_secs(60);
     let mut fleet = hospital("linked");
     let client = Client::open(&fleet.address("world"), "linked");
@@ -69,21 +71,21 @@ fn a_recorder_goes_on_when_the_coordinator_dies_to_which_it_was_linked_and_can_b
         until("somebody coordinates", long, || Some(client.view("coordinator")["node"].as_str()?.to_owned()));
     let (address, file) = (fleet.address(&coordinator), fleet.path("run.mcap"));
     let name = file.display().to_string();
-    // The first that can be reached is used.
+    // The client uses the first reachable node.
     let mut recorder = fleet.begin(&["record", "--out", &name, "--connect", &address], "world");
-    until("it has heard who coordinates", long, || holds(&file, &format!(r#"{{"node":"{coordinator}","term":"#)));
+    until("it has received the coordinator", long, || holds(&file, &format!(r#"{{"node":"{coordinator}","term":"#)));
     fleet.kill(&coordinator);
     let next = until("somebody else coordinates", long, || {
         let node = client.view("coordinator")["node"].as_str()?.to_owned();
         (node != coordinator).then_some(node)
     });
-    until("it has heard who coordinates now", long, || holds(&file, &format!(r#"{{"node":"{next}","term":"#)));
+    until("it has received the new coordinator", long, || holds(&file, &format!(r#"{{"node":"{next}","term":"#)));
     recorder.kill();
-    let reel = RecordingReader::open(&file).expect("what was heard is there");
+    let reel = RecordingReader::open(&file).expect("the recording is readable");
     assert!(reel.damage().is_some_and(|problem| problem.contains("it has no end")), "{:?}", reel.damage());
     let changes = reel.marks().iter().filter(|mark| mark.kind == TimelineMarkKind::Coordinator);
-    assert!(changes.clone().any(|mark| mark.text.starts_with(&format!("{next} coordinates"))), "{:?}", reel.marks());
-    let before = changes.clone().next().expect("there is one").at_ms - 1;
+    assert!(changes.clone().any(|mark| mark.text.starts_with(&format!("coordinator {next}"))), "{:?}", reel.marks());
+    let before = changes.clone().next().expect("there is a change").at_ms - 1;
     assert_eq!(reel.model_at(before).coordinator().map(|now| now.node.as_str()), Some(coordinator.as_str()));
     fleet.stop();
 }

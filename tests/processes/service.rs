@@ -1,4 +1,4 @@
-//! A node under a service manager: what it tells it, and when.
+//! Notifications of a node to its service manager.
 
 use crate::support::{Fleet, Folder, Program, example, until};
 use std::os::unix::net::UnixDatagram;
@@ -6,10 +6,10 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-/// How long whatever is certain to happen may take.
+/// Limit for events that must happen.
 const LONG: Duration = Duration::from_secs(60);
 
-/// The ear of a service manager: a socket by which the nodes that it starts reach it.
+/// Notification socket of a service manager.
 struct Manager {
     socket: UnixDatagram,
     path: PathBuf,
@@ -19,20 +19,20 @@ struct Manager {
 impl Manager {
     fn new() -> Manager {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
-        // The path of a socket has 107 characters at most, and that of a checkout may have more.
+        // The path of a socket has at most 107 characters, and a checkout may have a longer path.
         let name = format!("consort-manager-{}-{}", std::process::id(), NUMBER.fetch_add(1, Ordering::Relaxed));
         let path = std::env::temp_dir().join(name);
         let socket = UnixDatagram::bind(&path).expect("a socket");
         Manager { socket, path, heard: vec![] }
     }
 
-    /// What the environment of its services says.
+    /// Returns the environment variables of its services.
     fn variables(&self, watchdog: Duration) -> [String; 3] {
         let watchdog = watchdog.as_micros();
         ["env".to_owned(), format!("NOTIFY_SOCKET={}", self.path.display()), format!("WATCHDOG_USEC={watchdog}")]
     }
 
-    /// Waits for the next thing that is said, at most for the limit.
+    /// Waits at most `limit` for the next notification.
     fn hears(&mut self, limit: Duration) -> Option<String> {
         self.socket.set_read_timeout(Some(limit)).expect("a limit");
         let mut buffer = [0; 4096];
@@ -42,10 +42,10 @@ impl Manager {
         Some(said)
     }
 
-    /// Waits until something is said that contains a line.
+    /// Waits for a notification that contains a line.
     #[track_caller]
     fn awaits(&mut self, line: &str) -> String {
-        until(&format!("{line} is said; up to then: {:?}", self.heard), LONG, || {
+        until(&format!("notification {line}; received so far: {:?}", self.heard), LONG, || {
             self.hears(Duration::from_millis(100)).filter(|said| said.lines().any(|of| of.starts_with(line)))
         })
     }
@@ -53,12 +53,12 @@ impl Manager {
 
 impl Drop for Manager {
     fn drop(&mut self) {
-        // Nobody misses it if it has gone.
+        // The file may be gone already.
         let _ = std::fs::remove_file(&self.path);
     }
 }
 
-/// More than any test takes.
+/// More than the duration of any test.
 const PATIENT: Duration = Duration::from_secs(600);
 
 fn by(variables: &[String; 3]) -> [&str; 3] {
@@ -66,7 +66,7 @@ fn by(variables: &[String; 3]) -> [&str; 3] {
 }
 
 #[test]
-fn a_node_says_that_it_is_there_once_it_is_how_it_is_linked_and_that_it_stops() {
+fn a_node_notifies_its_start_links_and_stop() {
     let mut manager = Manager::new();
     let mut fleet = Fleet::new(&example("fleet"));
     fleet.start("world", example("world"), &[]);
@@ -82,7 +82,7 @@ fn a_node_says_that_it_is_there_once_it_is_how_it_is_linked_and_that_it_stops() 
         manager.awaits(linked);
     }
     fleet.kill("world");
-    manager.awaits("STATUS=linked to nobody; keeps trying tcp/127.0.0.1:");
+    manager.awaits("STATUS=no links; retrying tcp/127.0.0.1:");
     fleet.node("station-1").signal("TERM");
     manager.awaits("STOPPING=1");
     fleet.ends("station-1");
@@ -92,7 +92,7 @@ fn a_node_says_that_it_is_there_once_it_is_how_it_is_linked_and_that_it_stops() 
 }
 
 #[test]
-fn a_node_that_cannot_start_never_says_that_it_is_there() {
+fn a_node_that_cannot_start_never_reports_readiness() {
     let mut manager = Manager::new();
     let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = format!("tcp/{}", taken.local_addr().expect("its address"));
@@ -104,7 +104,7 @@ fn a_node_that_cannot_start_never_says_that_it_is_there() {
 }
 
 #[test]
-fn a_node_gives_signs_of_life_in_time_and_none_while_it_stands_still() {
+fn a_node_feeds_its_watchdog_unless_it_is_stopped() {
     let mut manager = Manager::new();
     let mut fleet = Fleet::new(&example("fleet"));
     let patience = Duration::from_secs(3);
@@ -114,7 +114,7 @@ fn a_node_gives_signs_of_life_in_time_and_none_while_it_stands_still() {
         manager.awaits("WATCHDOG=1");
     }
     fleet.node("station-1").signal("STOP");
-    // What was on its way is heard still.
+    // Drains notifications that were already on their way.
     while manager.hears(Duration::from_millis(50)).is_some() {}
     assert_eq!(manager.hears(patience), None, "it stands still");
     fleet.node("station-1").signal("CONT");

@@ -1,4 +1,5 @@
-//! Whoever has Zenoh has all of it: keys are written out here, as in any other language.
+//! A plain Zenoh client can use everything: the keys are written out here, as in any other
+//! language.
 
 use crate::demo::each_once;
 use crate::support::{Client, hospital, until};
@@ -14,11 +15,11 @@ fn names(list: &Value, key: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_stock_client_sees_everything_and_has_a_mission_done_across_the_death_of_the_coordinator() {
+fn a_plain_zenoh_client_runs_a_mission_through_a_takeover() {
     let mut fleet = hospital("stock");
     let mut client = Client::open(&fleet.address("world"), "stock");
 
-    // Before anything is asked for: who is there, as each view and the presence tokens have it.
+    // Before the first request: the nodes in each view and in the presence tokens.
     let everyone = ["ada", "lab-arm", "station-1", "station-2", "station-3", "world"].map(str::to_owned).to_vec();
     until("all nodes are in the fleet's view, alive and judged", LONG, || {
         let nodes = client.view("fleet")["nodes"].clone();
@@ -43,27 +44,28 @@ fn a_stock_client_sees_everything_and_has_a_mission_done_across_the_death_of_the
     present.extend(["robot/ada", "robot/lab-arm"].map(str::to_owned));
     present.insert(format!("coordinator/{term}/{first}"));
     assert_eq!(client.present(), present);
-    // Also for those who leave all settings as they are.
+    // Also for clients that leave all settings at their defaults.
     let views = ["auctions", "coordinator", "ensembles", "fleet", "health", "map", "missions", "robot/ada", "world"];
     for view in views {
         assert!(client.view_by_default(view).is_object(), "{view}");
-        // And for those who have all nodes asked: of several answers on one key Zenoh gives one.
+        // Also for clients that query all nodes: of several replies on the same key Zenoh returns
+        // one.
         assert_eq!(client.asked_of_all_nodes(&format!("view/{view}")).len(), 1, "{view}");
     }
     let whole: BTreeSet<String> = client.all("view/**", "").into_iter().map(|(key, _)| key).collect();
     let expected = views.iter().chain(&["robot/lab-arm"]).map(|view| format!("view/{view}"));
     assert_eq!(whole, expected.collect());
-    // Whoever wants to know what each node has asks for that.
+    // The views of each single node have their own keys.
     let seen: BTreeSet<String> = client.all("seen/*/coordinator", "").into_iter().map(|(key, _)| key).collect();
     assert_eq!(seen, everyone.iter().map(|node| format!("seen/{node}/coordinator")).collect());
 
-    // What cannot be done is answered too.
+    // Impossible requests are answered too.
     let refused = client.ask("api/submit", r#"{"mission": "nope"}"#);
     assert!(refused["error"].as_str().is_some_and(|text| text.contains("lab-samples")), "{refused}");
     let refused = client.ask("api/submit", "no JSON");
     assert!(refused["error"].is_string(), "{refused}");
 
-    // A mission is asked for; the coordinator dies while it runs.
+    // Submits a mission and kills the coordinator while it runs.
     let request = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "stock-1"}"#;
     assert_eq!(client.ask("api/submit", request), json!({ "mission": "lab-samples-1", "again": false }));
     client.hears("the mission's first task begins", LONG, |event| event["event"] == "task_began");
@@ -71,8 +73,8 @@ fn a_stock_client_sees_everything_and_has_a_mission_done_across_the_death_of_the
     let successor = client
         .hears("another node is elected", LONG, |event| event["event"] == "elected" && event["node"] != first.as_str());
     assert!(successor["term"].as_u64() > term.as_u64(), "{successor}");
-    // What was acknowledged is not lost, and is not taken for something new.
-    let again = until("the next coordinator answers", LONG, || {
+    // The acknowledged mission is not lost and not treated as new.
+    let again = until("the next coordinator replies", LONG, || {
         let answer = client.ask("api/submit", request);
         answer["error"].is_null().then_some(answer)
     });
@@ -82,7 +84,7 @@ fn a_stock_client_sees_everything_and_has_a_mission_done_across_the_death_of_the
     });
     assert_eq!(client.tasks("lab-samples-1"), each_once());
 
-    // The views of the new coordinator.
+    // Views of the new coordinator.
     let mission = client.view("mission/lab-samples-1");
     assert_eq!((&mission["state"], &mission["done"]), (&json!("completed"), &mission["steps"]), "{mission}");
     assert_eq!(names(&mission["roles"], "holder"), ["lab-arm", "ada"]);
@@ -90,7 +92,7 @@ fn a_stock_client_sees_everything_and_has_a_mission_done_across_the_death_of_the
     let auctions = client.view("auctions");
     let record = &auctions["auctions"][0];
     assert_eq!(record["chosen"], json!({ "lab_arm": "lab-arm", "r1": "ada" }));
-    // Each robot's answer for each role: a bid, or why there is none.
+    // Reply of each robot for each role: a bid or a refusal.
     assert_eq!(record["entries"].as_array().map(Vec::len), Some(4), "{record}");
     assert_eq!(client.view("world")["samples"][0]["place"], "Laboratory");
     assert_eq!(client.view("robot/ada")["robot"]["place"], "Laboratory");
@@ -100,9 +102,9 @@ fn a_stock_client_sees_everything_and_has_a_mission_done_across_the_death_of_the
     let token = format!("coordinator/{}/{}", now["term"], now["node"].as_str().expect("a name"));
     present.retain(|key| !key.ends_with(&first));
     present.insert(token);
-    until("the dead node's tokens are gone", LONG, || (client.present() == present).then_some(()));
+    until("the tokens of the dead node are removed", LONG, || (client.present() == present).then_some(()));
 
-    // And back to the command line: it tells the same.
+    // The command line shows the same.
     let said = fleet.run(&["missions", "--json"], "ada").expect(0).json();
     assert_eq!(said["missions"], client.view("missions")["missions"]);
     fleet.stop();

@@ -1,4 +1,5 @@
-//! `consort watch` on a terminal: one that `script` (util-linux) makes. Without that program the test is skipped, and says so.
+//! `consort watch` on a terminal that `script` (util-linux) provides. Without that program the test
+//! is skipped with a message.
 
 use crate::support::{Fleet, Folder, example, until};
 use std::fs;
@@ -8,23 +9,24 @@ use std::time::Duration;
 
 const LONG: Duration = Duration::from_secs(60);
 
-/// What the terminal has: lines and columns.
+/// Size of the terminal: lines and columns.
 const SIZE: (usize, usize) = (40, 140);
 
-/// What takes a program's own screen away, and what shows the cursor again.
+/// Sequences that leave the alternate screen and that show the cursor.
 const LEAVE: &str = "\x1b[?1049l";
 const CURSOR: &str = "\x1b[?25h";
 
-/// A command on a terminal of its own, which is killed when this is dropped.
+/// A command on its own terminal, killed on drop.
 struct Terminal {
     child: Child,
     folder: Folder,
 }
 
 impl Terminal {
-    /// Runs `consort` there; `None`, with the reason on the standard error, where no terminal can be made. When it has ended,
-    /// its exit code is told, and whether the terminal is set as it was before.
-    #[expect(clippy::print_stderr, reason = "a skipped test says so")]
+    /// Runs `consort` on a new terminal. Returns `None` and prints the reason if there can be no
+    /// terminal. After its end the terminal shows its exit code and whether the terminal settings
+    /// were restored.
+    #[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
     fn start(arguments: &[&str]) -> Option<Terminal> {
         let there = Command::new("script").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
         if !there.is_ok_and(|status| status.success()) {
@@ -52,14 +54,14 @@ impl Terminal {
         stdin.write_all(keys.as_bytes()).and_then(|()| stdin.flush()).expect("the terminal is there");
     }
 
-    /// All that was written to it.
+    /// Returns everything written to the terminal.
     fn written(&self) -> String {
         let bytes = fs::read(self.folder.path().join("typescript")).unwrap_or_default();
-        // The first line is `script`'s own.
+        // `script` writes the first line.
         String::from_utf8_lossy(&bytes).split_once('\n').map(|(_, written)| written.to_owned()).unwrap_or_default()
     }
 
-    /// What is to be seen.
+    /// Returns the current screen content.
     fn screen(&self) -> String {
         shown(&self.written())
     }
@@ -67,14 +69,15 @@ impl Terminal {
 
 impl Drop for Terminal {
     fn drop(&mut self) {
-        // It may have ended; what runs on its terminal bears the folder's name, and ends with the folder.
+        // It may have ended. Processes on its terminal contain the name of the folder and end with
+        // the folder.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// The screen after what was written: letters where the cursor is, the cursor where it is put. Colours and the like are left
-/// out.
+/// Interprets the output: characters at the cursor, and cursor movements. Colours and other
+/// attributes are ignored.
 fn shown(written: &str) -> String {
     let mut screen = vec![vec![' '; SIZE.1]; SIZE.0];
     let (mut line, mut column) = (0_usize, 0_usize);
@@ -112,7 +115,7 @@ fn shown(written: &str) -> String {
 }
 
 #[test]
-fn the_fleet_is_drawn_on_a_terminal_which_is_as_before_when_that_has_ended() {
+fn watch_draws_the_fleet_and_restores_the_terminal() {
     let mut file = example("fleet");
     file.insert("name".to_owned(), "watched".into());
     file.insert("bootstrap_expect".to_owned(), 1.into());
@@ -126,7 +129,7 @@ fn the_fleet_is_drawn_on_a_terminal_which_is_as_before_when_that_has_ended() {
         fn has<'a>(parts: &'a [&'a str]) -> impl Fn(&String) -> bool + 'a {
             move |screen| parts.iter().all(|part| screen.contains(part))
         }
-        let parts = ["coordinates, term", "ada", "90 %", "q quit"];
+        let parts = ["coordinator ada, term", "90 %", "q quit"];
         let mut screen = String::new();
         until("the fleet is drawn", LONG, || {
             screen = terminal.screen();

@@ -1,7 +1,7 @@
-//! A fleet goes from the release before to this one, node by node, while missions go on.
+//! Rolling upgrade of a fleet from the previous release to this version, while missions continue.
 //!
-//! The release before is the program itself, kept: `kept/consort-0.1.0-x86_64-linux-gnu.xz`. Elsewhere, and where there is no `xz`,
-//! these stories are skipped, and say so.
+//! The previous release is a stored binary: `kept/consort-0.1.0-x86_64-linux-gnu.xz`. On other
+//! platforms, or without `xz`, these tests are skipped with a message.
 
 use crate::crashes::{STATIONS, reign, submit, with, world};
 use crate::support::{Client, Closed, Ended, Fleet, example, until};
@@ -18,8 +18,8 @@ use toml::Table;
 const LONG: Duration = Duration::from_secs(120);
 const ROBOTS: [&str; 2] = ["ada", "lab-arm"];
 
-/// The program of the release before, if it runs here.
-#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
+/// Returns the program of the previous release, if it runs here.
+#[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
 fn former(folder: &Path) -> Option<PathBuf> {
     let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/kept/consort-0.1.0-x86_64-linux-gnu.xz");
     let here = cfg!(all(target_arch = "x86_64", target_os = "linux", target_env = "gnu"));
@@ -41,8 +41,8 @@ fn former(folder: &Path) -> Option<PathBuf> {
     Some(program)
 }
 
-/// How the release before is started where this one would be: `consort` is what the shell is told to run, and it runs the other
-/// in its place.
+/// Returns a command that starts the previous release in the place of this program: the shell
+/// receives `consort` as an argument and executes the other program instead.
 fn by(former: &str) -> [&str; 4] {
     ["sh", "-c", "shift; exec \"$0\" \"$@\"", former]
 }
@@ -75,7 +75,7 @@ impl Hospital {
         }
     }
 
-    /// Starts a node, linked with all that run.
+    /// Starts a node, linked with all running nodes.
     fn start(&mut self, node: &str, by_former: bool) {
         let others: Vec<String> = self.fleet.names().into_iter().map(str::to_owned).collect();
         let others: Vec<&str> = others.iter().map(String::as_str).collect();
@@ -85,7 +85,8 @@ impl Hospital {
         self.fleet.start_by(if by_former { &former } else { &[] }, kind, file, &others);
     }
 
-    /// Ends a node well and starts it by the one program or the other, once the others have seen it go; then it is back.
+    /// Stops a node, waits until the others have noticed, and starts it with the chosen program.
+    /// Waits until it is back.
     fn move_over(&mut self, node: &str, by_former: bool, seen_by: &Client) {
         self.fleet.node(node).signal("TERM");
         self.fleet.ends(node);
@@ -93,7 +94,7 @@ impl Hospital {
         self.back(node, seen_by);
     }
 
-    /// Waits until a node is alive again and, if it keeps the ledger, a voter who has not been lost.
+    /// Waits until a node is alive again. A station must also be a voter in good health.
     fn back(&mut self, node: &str, seen_by: &Client) {
         let mine = self.fleet.address(node);
         until(&format!("{node} is back at {mine}"), LONG, || {
@@ -112,7 +113,8 @@ impl Hospital {
     }
 }
 
-/// Has missions carried out, one after the other, until it is told to end; gives those that it asked for.
+/// Submits missions in sequence and waits for each, until `ended` is set. Returns the
+/// missions.
 fn work(address: &str, fleet: &'static str, ended: &AtomicBool) -> Vec<String> {
     let client = Client::open(address, fleet);
     let mut missions = vec![];
@@ -128,7 +130,7 @@ fn work(address: &str, fleet: &'static str, ended: &AtomicBool) -> Vec<String> {
 }
 
 #[test]
-fn a_fleet_is_upgraded_node_by_node_while_missions_go_on() {
+fn a_fleet_is_upgraded_node_by_node_during_missions() {
     let Some(mut hospital) = Hospital::open("upgrade", 10.0) else { return };
     let address = hospital.fleet.address("world");
     let mut client = Client::open(&address, "upgrade");
@@ -139,18 +141,19 @@ fn a_fleet_is_upgraded_node_by_node_while_missions_go_on() {
     let worker = std::thread::spawn(move || work(&at, "upgrade", &told));
     client.hears("a mission is under way", LONG, |event| event["event"] == "task_began");
 
-    // Whoever coordinates comes last.
+    // The coordinator comes last.
     let mut stations = STATIONS.to_vec();
     stations.sort_by_key(|station| *station == leader);
     hospital.move_over(stations[0], false, &client);
-    // It does not suit: back to the release that it came from, and to this one again.
+    // Downgrades to the previous release and upgrades again.
     hospital.move_over(stations[0], true, &client);
     hospital.move_over(stations[0], false, &client);
     for station in &stations[1..] {
         hospital.move_over(station, false, &client);
     }
-    // A part of the fleet is of the one release, a part of the other, and it writes what both read.
-    until("it is known who reads what", LONG, || {
+    // Some nodes run the old release and some the new. The fleet writes the version that all of
+    // them read.
+    until("the versions of all nodes are known", LONG, || {
         let told = client.ask("api/upgrade", "{}");
         let ready: Vec<&str> = told["nodes"]
             .as_array()?
@@ -166,9 +169,9 @@ fn a_fleet_is_upgraded_node_by_node_while_missions_go_on() {
         "{refused}"
     );
     let shown = hospital.upgrade(&[], "world").expect(0).stdout;
-    assert!(shown.starts_with("the fleet writes version 1 of the wire; 3 of 6 nodes do not read 2 yet\n"), "{shown}");
+    assert!(shown.starts_with("the fleet writes wire version 1; 3 of 6 nodes do not read 2 yet\n"), "{shown}");
 
-    // In the middle of a mission.
+    // Restarts a robot in the middle of a mission.
     client.hears("ada carries something out", LONG, |event| event["event"] == "task_began" && event["node"] == "ada");
     for robot in ROBOTS {
         hospital.move_over(robot, false, &client);
@@ -178,14 +181,14 @@ fn a_fleet_is_upgraded_node_by_node_while_missions_go_on() {
     for mission in &missions {
         let state = client.view(&format!("mission/{mission}"))["state"].clone();
         assert_eq!(state, "completed", "{mission}\n{}", hospital.fleet.logs());
-        // What was under way at a restart may have been begun anew, and ended once.
+        // A restart may have interrupted a task, which then began again and ended once.
         for (task, (begun, ended)) in client.tasks(mission) {
             assert!(ended == 1 && begun >= 1, "{mission}, {task}: begun {begun} times, ended {ended} times");
         }
     }
     assert!(!missions.is_empty());
 
-    // The world is where they meet: who restarts it, restarts the samples.
+    // The nodes connect to the world. A restart of the world also restores its samples.
     drop(client);
     hospital.fleet.node("world").signal("TERM");
     hospital.fleet.ends("world");
@@ -195,13 +198,13 @@ fn a_fleet_is_upgraded_node_by_node_while_missions_go_on() {
         hospital.move_over(node, false, &seen_by);
     }
     let client = Client::open(&hospital.fleet.address("world"), "upgrade");
-    until("everybody reads version 2", LONG, || {
+    until("all nodes read version 2", LONG, || {
         let told = client.ask("api/upgrade", "{}");
         told["nodes"].as_array()?.iter().all(|node| node["ready"] == true).then_some(())
     });
     let said = hospital.upgrade(&["--finish"], "world").expect(0).stdout;
     assert!(
-        said.starts_with("the fleet writes version 2 of the wire; its coordinator's release reads none later"),
+        said.starts_with("the fleet writes wire version 2; the coordinator's release reads no later version"),
         "{said}"
     );
     let mission = submit(&client, "afterwards");
@@ -209,12 +212,12 @@ fn a_fleet_is_upgraded_node_by_node_while_missions_go_on() {
         (client.view(&format!("mission/{mission}"))["state"] == "completed").then_some(())
     });
 
-    // There is no way back.
+    // A downgrade is no longer possible.
     hospital.fleet.node("lab-arm").signal("TERM");
     hospital.fleet.ends("lab-arm");
     hospital.start("lab-arm", true);
     let left = hospital.fleet.take("lab-arm").end(LONG).expect(1);
-    let says = "the fleet writes version 2 of the wire, and this program, 0.1.0, reads 1: install the release that the others run";
+    let says = "the fleet writes wire version 2, but this program, 0.1.0, reads 1: install the release that the other nodes run";
     assert!(left.stderr.contains(says), "{}", left.stderr);
     hospital.start("lab-arm", false);
     hospital.back("lab-arm", &client);
@@ -222,13 +225,13 @@ fn a_fleet_is_upgraded_node_by_node_while_missions_go_on() {
 }
 
 #[test]
-fn nodes_of_two_releases_believe_one_another_in_a_closed_fleet() {
+fn two_releases_accept_each_other_in_a_closed_fleet() {
     let mut closed = Closed::new();
     let Some(former) = former(&closed.fleet.path(".")) else { return };
     let former = former.display().to_string();
     let former = by(&former);
     let operator = closed.of("operate").display().to_string();
-    // All three keep the ledger, two of them by 0.1.0.
+    // All three stations are voters, two of them with 0.1.0.
     let folder = closed.fleet.path(".");
     let file = |kind: &str| with(example(kind), "data_dir", folder.join(format!("{kind}-data")).display().to_string());
     closed.start_by(&former, "station", file("station"), &[]);
@@ -236,7 +239,7 @@ fn nodes_of_two_releases_believe_one_another_in_a_closed_fleet() {
     closed.start("robot", file("robot"), &["station-1", "world"]);
     closed.start_by(&former, "robot", file("arm"), &["station-1", "world"]);
     let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--wait", "--certs", &operator];
-    // What a station of 0.1.0 answers bears no signature: its own commands believe it.
+    // Replies of a station with 0.1.0 are unsigned; its own commands accept them.
     let ended = closed.fleet.begin_by(&former, &submit, "world").end(LONG).expect(0);
     assert!(ended.stdout.ends_with("completed\n"), "{}", ended.stdout);
     for name in ["station-1", "world", "ada", "lab-arm"] {
@@ -249,9 +252,9 @@ fn nodes_of_two_releases_believe_one_another_in_a_closed_fleet() {
         let others: Vec<String> = closed.fleet.names().into_iter().map(str::to_owned).collect();
         closed.start(kind, file, &others.iter().map(String::as_str).collect::<Vec<_>>());
     }
-    until("everybody reads version 2", LONG, || {
+    until("all nodes read version 2", LONG, || {
         let ran = closed.fleet.run(&["upgrade", "--finish", "--certs", &operator], "world");
-        (ran.code() == 0 && ran.stdout.starts_with("the fleet writes version 2 of the wire;")).then_some(())
+        (ran.code() == 0 && ran.stdout.starts_with("the fleet writes wire version 2;")).then_some(())
     });
     let again = ["submit", "lab-samples", "--set", "room=IC Room 6", "--wait", "--certs", &operator];
     let ended = closed.fleet.run(&again, "world").expect(0);

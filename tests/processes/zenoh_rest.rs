@@ -1,7 +1,7 @@
-//! A fleet over plain HTTP: Zenoh's own router with its REST plug-in, and nothing of ours in either.
+//! A fleet over plain HTTP: Zenoh's own router with its REST plug-in, both unmodified.
 //!
-//! Both are built by `tests/processes/foreign/router.sh`, which takes minutes. It is run by whoever wants it, or by this test if
-//! `CONSORT_FOREIGN_ROUTER` is set; else the test is skipped and says so.
+//! `tests/processes/foreign/router.sh` builds both in some minutes. This test runs the script if
+//! `CONSORT_FOREIGN_ROUTER` is set; otherwise, without the programs, it is skipped with a message.
 
 use crate::support::{Folder, hospital_by, until};
 use serde_json::{Value, json};
@@ -16,8 +16,8 @@ use std::time::{Duration, Instant};
 
 const LONG: Duration = Duration::from_secs(60);
 
-/// The folder with the router and its plug-in, if they can be had.
-#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
+/// Returns the folder with the router and its plug-in, if available.
+#[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
 fn programs() -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("foreign-router");
     if folder.join("zenohd").exists() {
@@ -39,12 +39,12 @@ fn programs() -> Option<PathBuf> {
     Some(folder)
 }
 
-/// A router with the plug-in, which is killed when this is dropped.
+/// A router with the plug-in, killed on drop.
 struct Router {
     child: Child,
-    /// Where it speaks Zenoh.
+    /// Its Zenoh address.
     address: String,
-    /// Where it speaks HTTP.
+    /// Its HTTP address.
     http: String,
     _folder: Folder,
 }
@@ -52,7 +52,7 @@ struct Router {
 impl Router {
     fn start(programs: &Path) -> Router {
         let folder = Folder::new();
-        // The plug-in does not say which port it was given, so it is told one.
+        // The plug-in does not print its port, so the test chooses a port.
         let free = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
         let http = free.local_addr().expect("it has an address").to_string();
         drop(free);
@@ -64,7 +64,7 @@ impl Router {
         let err = out.try_clone().expect("a file can be had twice");
         let mut child =
             command.stdin(Stdio::null()).stdout(out).stderr(err).spawn().expect("the router can be started");
-        let address = until("the router says where it is", LONG, || {
+        let address = until("the router logs its address", LONG, || {
             let said = fs::read_to_string(&said).ok()?;
             assert!(child.try_wait().expect("a child of ours").is_none(), "the router has ended:\n{said}");
             let (_, rest) = said.split_once("can be reached at: ")?;
@@ -75,11 +75,11 @@ impl Router {
         Router { child, address, http, _folder: folder }
     }
 
-    /// Makes a request as any program would; the answer's body is what can be read from then on.
+    /// Sends a request and returns a reader of the response body.
     fn ask(&self, request: &str, headers: &str, body: &str) -> BufReader<TcpStream> {
         let mut stream = TcpStream::connect(&self.http).expect("the router listens");
         stream.set_read_timeout(Some(LONG)).expect("a limit can be set");
-        // Nothing comes in chunks in HTTP/1.0.
+        // HTTP/1.0 has no chunked encoding.
         write!(stream, "{request} HTTP/1.0\r\n{headers}Content-Length: {}\r\n\r\n{body}", body.len())
             .expect("it reads");
         let mut answer = BufReader::new(stream);
@@ -91,7 +91,7 @@ impl Router {
         answer
     }
 
-    /// All answers by their keys, each of which is there once.
+    /// Returns the replies by key. Each key may appear only once.
     fn answers(&self, request: &str, body: &str) -> BTreeMap<String, Value> {
         let mut text = String::new();
         let json = "Content-Type: application/json\r\n";
@@ -114,15 +114,15 @@ impl Router {
         self.answers(&format!("GET /consort/rest/{key}"), "")
     }
 
-    /// Makes a request of the coordinator until somebody coordinates.
+    /// Repeats a request until a coordinator answers it.
     fn call(&self, call: &str, body: &Value) -> Value {
-        until(&format!("an answer to {call}"), LONG, || {
+        until(&format!("a reply to {call}"), LONG, || {
             let mut answers = self.answers(&format!("POST /consort/rest/api/{call}"), &body.to_string());
             answers.remove(&format!("api/{call}")).filter(|answer| answer["retry_after_ms"].is_null())
         })
     }
 
-    /// Follows what happens, as server-sent events.
+    /// Subscribes to the events as server-sent events.
     fn follow(&self) -> Receiver<Value> {
         let stream = self.ask("GET /consort/rest/events/**", "Accept: text/event-stream\r\n", "");
         let (to, heard) = channel();
@@ -141,19 +141,19 @@ impl Router {
 
 impl Drop for Router {
     fn drop(&mut self) {
-        // One that has ended already cannot be killed.
+        // The process may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
 #[test]
-fn a_mission_is_followed_to_its_end_over_http_while_the_coordinator_is_killed() {
+fn an_http_client_follows_a_mission_through_a_takeover() {
     let Some(programs) = programs() else { return };
     let router = Router::start(&programs);
     let mut fleet = hospital_by("rest", &router.address);
     let heard = router.follow();
-    let coordinator = until("somebody coordinates and the robots are members", LONG, || {
+    let coordinator = until("there is a coordinator and the robots are members", LONG, || {
         let members = router.get("view/ensembles").remove("view/ensembles")?["ensembles"][0]["members"].clone();
         let view = router.get("view/coordinator").remove("view/coordinator")?;
         let node = view["node"].as_str()?.to_owned();
@@ -179,7 +179,7 @@ fn a_mission_is_followed_to_its_end_over_http_while_the_coordinator_is_killed() 
     assert_eq!(views["view/coordinator"]["node"], coordinator.as_str());
     assert_eq!(views["view/robot/ada"]["robot"]["place"], "Dock");
     let seen = router.get("seen/*/coordinator");
-    assert_eq!(seen.len(), 6, "each node, if one asks for it: {seen:#?}");
+    assert_eq!(seen.len(), 6, "each node has its own view: {seen:#?}");
     assert_eq!(router.get("api/submit/help")["api/submit/help"]["payload_schema"]["required"], json!(["mission"]));
 
     let refused = router.call("submit", &json!({ "mission": "lab-samples", "priority": "high" }));
@@ -212,23 +212,23 @@ fn a_mission_is_followed_to_its_end_over_http_while_the_coordinator_is_killed() 
                 _ => {}
             }
         }
-        // Whatever becomes of the coordinator, somebody answers. A question that lies with it as it dies comes back without an
-        // answer, as Zenoh has it; then the next one asked answers.
+        // A node answers, whatever happens to the coordinator. Zenoh returns a query without a
+        // reply if its target dies meanwhile; another node answers the next query.
         let began = Instant::now();
         let missions = until("a view of the missions", LONG, || {
             let answer = router.get("view/missions").remove("view/missions");
-            assert!(killed || answer.is_some(), "nobody answers, though nobody died\n{}", fleet.logs());
+            assert!(killed || answer.is_some(), "no node replies, although all nodes run\n{}", fleet.logs());
             answer
         });
         slowest = slowest.max(began.elapsed());
         assert_eq!(missions["missions"][0]["mission"], "lab-samples-1", "{missions}");
     }
-    let elected = elected.expect("somebody was elected in the place of the coordinator");
+    let elected = elected.expect("a new coordinator was elected");
     assert!(slowest < Duration::from_secs(5), "a view took {slowest:?}");
     assert_eq!(router.call("submit", &asked), json!({ "mission": "lab-samples-1", "again": true }));
     let explained = router.call("explain", &json!({ "mission": "lab-samples-1" }));
-    assert!(explained["words"].to_string().contains("r1: ada gets it with "), "{explained}");
-    let now = router.get("view/coordinator").remove("view/coordinator").expect("an answer");
+    assert!(explained["text"].to_string().contains("r1: ada gets the role with "), "{explained}");
+    let now = router.get("view/coordinator").remove("view/coordinator").expect("a reply");
     assert_eq!(now["node"], elected.as_str(), "{now}");
     fleet.stop();
 }

@@ -1,14 +1,14 @@
-//! What must hold in every story.
+//! Assertions that hold in every test of a whole fleet.
 
 use crate::{Fleet, RoleInterval};
 use consort_protocol::ids::MissionId;
 use consort_sim::world::SampleHolder;
 
 impl Fleet {
-    /// No task was begun or ended twice, and what was begun was ended.
+    /// Asserts that each task of the mission began once and ended once.
     ///
     /// # Panics
-    /// When it is not so.
+    /// If a task began or ended more or less than once, or if the mission has no tasks.
     pub fn assert_each_task_once(&self, mission: &MissionId) {
         let tasks = self.task_counts(mission);
         assert!(!tasks.is_empty(), "seed {}: {mission} has no tasks\n{}", self.seed, self.event_log_text());
@@ -23,16 +23,17 @@ impl Fleet {
         }
     }
 
-    /// The sample of a room went from its nurse into one robot's drawer, and from there to the arm: once each.
+    /// Asserts that the sample of a room moved once from its nurse into the drawer of a robot, and
+    /// once from there to the arm.
     ///
     /// # Panics
-    /// When it is not so.
+    /// If the sample took another path.
     pub fn assert_sample_delivered(&self, room: &str) {
         let id = format!("sample of {room}").as_str().into();
         let sample = self.world.with(|world| world.sample(&id).expect("a sample of this world"));
         let story = format!("seed {}: sample of {room}: {sample:?}\n{}", self.seed, self.event_log_text());
-        let mut keepers = sample.history.iter().map(|(_, keeper)| keeper).chain([&sample.keeper]).collect::<Vec<_>>();
-        // An arm lays down what it holds when the next sample comes.
+        let mut keepers = sample.history.iter().map(|(_, keeper)| keeper).chain([&sample.holder]).collect::<Vec<_>>();
+        // An arm lays down what it holds when the next sample arrives.
         keepers.pop_if(|last| matches!(last, SampleHolder::Table(_)));
         assert_eq!(sample.place.as_str(), "Laboratory", "{story}");
         assert!(
@@ -41,10 +42,11 @@ impl Fleet {
         );
     }
 
-    /// At no instant did one robot act in two roles, or two robots in one.
+    /// Asserts that no robot acted in two roles at once, and that no role had two active robots at
+    /// once.
     ///
     /// # Panics
-    /// When they did.
+    /// If two intervals overlap.
     pub fn assert_exclusive_roles(&self) {
         let spells = self.event_log.role_intervals();
         for (index, one) in spells.iter().enumerate() {
@@ -56,7 +58,7 @@ impl Fleet {
         }
     }
 
-    /// Who acted in a role, in order.
+    /// Returns the intervals in which robots acted in a role, in order.
     pub fn role_intervals_of(&self, mission: &MissionId, role: &str) -> Vec<RoleInterval> {
         let spells = self.event_log.role_intervals().into_iter();
         spells.filter(|spell| spell.mission == *mission && spell.role.as_str() == role).collect()

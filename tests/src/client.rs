@@ -1,4 +1,4 @@
-//! What any client can do: make requests, look, and see who is there.
+//! Client functions: requests, views and presence tokens.
 
 use crate::{Fleet, slug};
 use consort_actors::bus::{Bus, Reply, Stream};
@@ -9,19 +9,20 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 impl Fleet {
-    /// Makes a request as any client would. `None` when nobody answered.
+    /// Sends a request as any client does. Returns `None` if no node replies.
     pub async fn request(&self, call: ApiCall, payload: &Value) -> Option<Value> {
         self.request_raw(call, &payload.to_string()).await
     }
 
-    /// Makes a request of any content. One who has not heard yet that somebody coordinates may put it off, while the one
-    /// who does carries it out: as any client should, this one listens for a moment whether there is a better answer.
+    /// Sends a request with any payload. A node that has no coordinator yet may reply with a retry
+    /// delay while the coordinator carries the request out. So this client waits briefly for a
+    /// better reply, as every client should.
     pub async fn request_raw(&self, call: ApiCall, payload: &str) -> Option<Value> {
         let mut put_off = None;
         let mut replies = self.query(call, payload).await;
         let mut patience = Duration::from_secs(3);
         while let Ok(Some(reply)) = tokio::time::timeout(patience, replies.recv()).await {
-            let voice: Value = serde_json::from_slice(&reply.payload.expect("an answer")).expect("JSON");
+            let voice: Value = serde_json::from_slice(&reply.payload.expect("a reply")).expect("JSON");
             if voice.get("retry_after_ms").is_none() {
                 return Some(voice);
             }
@@ -31,12 +32,12 @@ impl Fleet {
         put_off
     }
 
-    /// Makes a request and gives all that answer it, in the order in which they do.
+    /// Sends a request and returns all replies in the order of arrival.
     pub async fn request_all(&self, call: ApiCall, payload: &Value) -> Vec<Value> {
         let mut replies = self.query(call, &payload.to_string()).await;
         let mut voices = vec![];
         while let Some(reply) = replies.recv().await {
-            voices.push(serde_json::from_slice(&reply.payload.expect("an answer")).expect("JSON"));
+            voices.push(serde_json::from_slice(&reply.payload.expect("a reply")).expect("JSON"));
         }
         voices
     }
@@ -52,16 +53,16 @@ impl Fleet {
         asked.expect("a virtual bus")
     }
 
-    /// Makes a request to which there must be an answer.
+    /// Sends a request and panics without a reply.
     pub async fn request_answered(&self, call: ApiCall, payload: &Value) -> Value {
         let answer = self.request(call, payload).await;
-        answer.unwrap_or_else(|| panic!("seed {}: no answer to {payload}\n{}", self.seed, self.event_log_text()))
+        answer.unwrap_or_else(|| panic!("seed {}: no reply to {payload}\n{}", self.seed, self.event_log_text()))
     }
 
-    /// What is to be seen under a key expression below `view/`, and how often each key was answered.
+    /// Queries the views under a key expression below `view/` and returns them by name.
     ///
     /// # Panics
-    /// When the answers are not JSON, or one key is answered twice.
+    /// If a reply is not JSON, or if a key is answered twice.
     pub async fn view(&self, what: &str) -> BTreeMap<String, Value> {
         let key = format!("consort/ward/view/{what}");
         let limit = Duration::from_secs(1);
@@ -77,20 +78,21 @@ impl Fleet {
         views
     }
 
-    /// Asks a node to leave for good. What it answers: once it has left, or why it stays.
+    /// Asks a node to leave for good. The node replies after it has left, or with the reason why it
+    /// stays.
     pub async fn request_leave(&self, name: &str) -> Value {
         let (key, limit) = (self.keys.write(&Key::Leave(slug(name))), Duration::from_secs(60));
         let mut replies = self.client.query(&key, vec![].into(), limit).await.expect("a virtual bus");
-        let said = replies.recv().await.unwrap_or_else(|| panic!("seed {}: {name} does not answer", self.seed));
-        serde_json::from_slice(&said.payload.expect("an answer")).expect("JSON")
+        let said = replies.recv().await.unwrap_or_else(|| panic!("seed {}: {name} does not reply", self.seed));
+        serde_json::from_slice(&said.payload.expect("a reply")).expect("JSON")
     }
 
-    /// Asks for lab samples from a room until somebody acknowledges it.
+    /// Requests lab samples from a room until the request is acknowledged.
     pub async fn submit(&self, request: &str, room: &str) -> MissionId {
         slug(self.submit_with_reply(request, room).await["mission"].as_str().expect("an acknowledgement names it"))
     }
 
-    /// As [`submit`](Fleet::submit), and gives the whole answer.
+    /// Same as [`submit`](Fleet::submit), but returns the whole reply.
     pub async fn submit_with_reply(&self, request: &str, room: &str) -> Value {
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request });
         self.poll_until(&format!("the acknowledgement of request {request}"), Duration::from_secs(300), async |fleet| {
@@ -99,11 +101,13 @@ impl Fleet {
         .await
     }
 
-    /// Lets virtual time pass until `look` sees something, which it is asked for ten times a second: for what only a question
-    /// tells. What the fleet tells by itself is awaited by [`until`](Fleet::until).
+    /// Lets virtual time pass until `look` returns a value. It calls `look` ten times a second. Use
+    /// it for state that only a query shows; [`wait_until`](Fleet::wait_until) waits for published
+    /// events.
     ///
     /// # Panics
-    /// When it has not within `limit`; the message tells what was awaited, the seed, and all that happened.
+    /// If `look` returns nothing within `limit`. The message contains the condition, the seed and
+    /// the event log.
     pub async fn poll_until<T>(
         &self,
         what: &str,
@@ -125,11 +129,11 @@ impl Fleet {
         }
     }
 
-    /// The presence tokens that a client who comes now sees, without the fleet's prefix.
+    /// Returns the presence tokens that a new client receives, without the prefix of the fleet.
     pub async fn presence_tokens(&self) -> BTreeSet<String> {
         let mut tokens = self.client.watch(&self.keys.any_alive()).await.expect("a virtual bus");
         let mut present = BTreeSet::new();
-        // What is there already is told within one crossing of the network.
+        // Existing tokens arrive within a network latency.
         while let Ok(Some(token)) = tokio::time::timeout(Duration::from_millis(100), tokens.recv()).await {
             let name = token.key.trim_start_matches("consort/ward/alive/").to_owned();
             if token.alive {

@@ -1,4 +1,5 @@
-//! The certificates of a virtual fleet that is closed. All of them follow from its seed, and none is in a file.
+//! Certificates of a closed virtual fleet. All of them derive from its seed; none is stored in a
+//! file.
 
 use consort_actors::bus::SharedBus;
 use consort_actors::clock::Clock;
@@ -16,10 +17,10 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// From 1970 to 2049: stories begin at the one end, chaos in between.
+/// 1970 to 2049. Most tests begin at the start of this range, chaos runs in between.
 const LONG: Validity = Validity { from: Duration::ZERO, until: Duration::from_secs(2_493_072_000) };
 
-/// An authority, and what it issues.
+/// A certificate authority and its issuer.
 pub struct Credentials {
     seed: u64,
     fleet: FleetId,
@@ -28,16 +29,16 @@ pub struct Credentials {
 }
 
 impl Credentials {
-    /// The authority that follows from a seed.
+    /// Derives the authority from a seed.
     pub fn new(fleet: FleetId, seed: u64) -> Credentials {
         let authority =
             create_authority_from(&fleet, LONG, draw(seed, "authority")).expect("a certificate can be made");
-        let issuer =
-            CertificateAuthority::from_pem(&authority.certificate, &authority.key).expect("what was just made");
+        let issuer = CertificateAuthority::from_pem(&authority.certificate, &authority.key)
+            .expect("the certificate just created");
         Credentials { seed, fleet, authority, issuer }
     }
 
-    /// What a node of these roles proves itself with, in this life of it.
+    /// Returns the keyring of a node with these roles, for an incarnation of the node.
     pub fn keyring_of(&self, node: &NodeId, roles: BTreeSet<NodeRole>, life: u64) -> Keyring {
         let bearer = Principal::Node { name: node.clone(), roles };
         let identity = Identity { fleet: self.fleet.clone(), principal: bearer };
@@ -45,17 +46,17 @@ impl Credentials {
         let issued = self.issuer.issue_from(&identity, LONG, drawn).expect("a certificate can be made");
         let keyring =
             Keyring::from_issued(self.fleet.clone(), &self.authority.certificate, &issued, Duration::ZERO, life);
-        keyring.expect("what was just made")
+        keyring.expect("the certificate just created")
     }
 
-    /// A node's end of the network, on which what it says is sealed.
+    /// Wraps the bus of a node in a bus that signs outgoing messages.
     pub async fn signing_bus(&self, bus: SharedBus, keyring: Keyring, clock: Clock) -> Arc<SigningBus> {
         let keys = Keys::new(&self.fleet);
         let sealed = SigningBus::open(bus, keys, Arc::new(keyring), None, clock).await;
         Arc::new(sealed.expect("a virtual bus"))
     }
 
-    /// What a node's certificate must let it be.
+    /// Returns the roles that the certificate of a node must contain.
     pub(crate) fn roles(settings: &NodeSettings) -> BTreeSet<NodeRole> {
         let roles = [
             (settings.robot.is_some(), NodeRole::Robot),
@@ -66,7 +67,7 @@ impl Credentials {
     }
 }
 
-/// What somebody's key and certificate are drawn from.
+/// Derives the key and the serial number of a certificate.
 fn draw(seed: u64, name: &str) -> KeyMaterial {
     let mut from = [0; 32];
     from[..8].copy_from_slice(&seed.to_be_bytes());

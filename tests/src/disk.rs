@@ -1,8 +1,9 @@
-//! A disk that takes time, and that forgets at a crash what it had not acknowledged.
+//! Simulated disk with latency, which loses unacknowledged writes in a crash.
 //!
-//! Writes reach the platter in the order in which they were asked for. Each is acknowledged when it is there, and not
-//! before. A crash tears off the queue: how many of the waiting writes made it is drawn by chance, the rest is gone, as it
-//! may be on a real disk whose cache has just been ordered to be flushed.
+//! Writes reach the platter in the order of their requests. Each write is acknowledged after it has
+//! reached the platter, and not before. A crash drops the queue: a random number of waiting writes
+//! still reach the platter, the rest is lost. A real disk may do the same when its cache has just
+//! been ordered to flush.
 
 use async_trait::async_trait;
 use consort_actors::raft::{LogStore, PersistentState, StoreIdentity};
@@ -14,19 +15,19 @@ use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// How long a write takes on a disk in good order: an SSD's flush.
+/// Duration of a write on a healthy disk: the flush of an SSD.
 const QUICK: (Duration, Duration) = (Duration::from_micros(500), Duration::from_millis(3));
 
-/// What becomes of writes that a crash meets on their way.
+/// Effect of a crash on writes in the queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum UnsyncedWrites {
-    /// All of them made it.
+    /// All of them reach the platter.
     AllKept,
-    /// Some of the first made it, by chance; the rest is gone.
+    /// A random prefix reaches the platter; the rest is lost.
     SomeLost,
 }
 
-/// A node's disk. Clones are the same disk; it outlives the node.
+/// Disk of a node. Clones share the same disk; it outlives the node.
 #[derive(Clone)]
 pub struct VirtualDisk(Arc<Mutex<State>>);
 
@@ -34,15 +35,15 @@ struct State {
     identity: StoreIdentity,
     journal: PersistentState,
     page: Option<Vec<u8>>,
-    /// Asked for and not there yet, with a running number.
+    /// Queued writes with their sequence numbers.
     waiting: VecDeque<(u64, Write)>,
-    /// Number of the last write that was asked for.
+    /// Sequence number of the last queued write.
     asked: u64,
-    /// Number of the last write that is there.
+    /// Sequence number of the last write on the platter.
     there: u64,
     slow: Option<(Duration, Duration)>,
     chance: ChaCha8Rng,
-    /// Which life of the node writes: what an earlier one still has in hand is void.
+    /// Incarnation of the node that may write. Queued writes of an earlier incarnation are void.
     life: u64,
 }
 
@@ -57,7 +58,7 @@ enum Write {
 }
 
 impl VirtualDisk {
-    /// An empty disk with a name of its own.
+    /// Creates an empty disk with its own identity.
     pub fn new(seed: u64) -> VirtualDisk {
         VirtualDisk(Arc::new(Mutex::new(State {
             identity: StoreIdentity::from_seed(seed),
@@ -72,7 +73,8 @@ impl VirtualDisk {
         })))
     }
 
-    /// The memory of the node's next life. The former one's writes are void from now on.
+    /// Returns the store of the next incarnation. Writes of the previous incarnation are void from
+    /// now on.
     pub fn store(&self) -> NodeStore {
         let mut state = self.lock();
         state.life += 1;
@@ -80,12 +82,13 @@ impl VirtualDisk {
         NodeStore { log_store: end.clone(), checkpoints: end }
     }
 
-    /// From now on each write takes so long, from the shortest to the longest; `None` ends that.
+    /// Sets the duration range of each write, from the shortest to the longest; `None` restores the
+    /// default.
     pub fn set_slow(&self, slow: Option<(Duration, Duration)>) {
         self.lock().slow = slow;
     }
 
-    /// The node has crashed.
+    /// Applies a crash of the node.
     pub fn crash(&self, torn: UnsyncedWrites) {
         let mut state = self.lock();
         let made_it = match torn {
@@ -108,7 +111,7 @@ impl VirtualDisk {
 }
 
 impl State {
-    /// The next write reaches the platter.
+    /// Applies the next queued write to the platter.
     fn land(&mut self) {
         let Some((number, write)) = self.waiting.pop_front() else { return };
         self.there = number;
@@ -133,7 +136,7 @@ impl State {
     }
 }
 
-/// One life's end of a disk.
+/// Handle of an incarnation to a disk.
 struct End {
     disk: VirtualDisk,
     life: u64,
@@ -154,7 +157,7 @@ impl End {
         Ok((number, delay))
     }
 
-    /// Writes, and returns when it is there; with it, all that was asked for before.
+    /// Queues a write and returns once it and all earlier writes are on the platter.
     async fn write(&self, write: Write) -> io::Result<()> {
         let (number, delay) = self.ask(write)?;
         tokio::time::sleep(delay).await;
@@ -181,7 +184,7 @@ impl LogStore for End {
     }
 
     async fn save_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
-        // It may be lazy: it lands with whatever is written next.
+        // This write may be lazy: it reaches the platter with the next other write.
         self.ask(Write::Committed(committed)).map(drop)
     }
 
@@ -222,12 +225,12 @@ mod tests {
     }
 
     #[tokio::test(flavor = "current_thread", start_paused = true)]
-    async fn what_was_acknowledged_survives_and_what_was_not_is_torn_off_in_order() {
+    async fn a_crash_keeps_acknowledged_writes_and_a_prefix_of_the_rest() {
         let mut kept = vec![];
         for seed in 0..20 {
             let disk = VirtualDisk::new(seed);
             let store = disk.store();
-            store.log_store.append(entry(1)).await.expect("a disk in good order");
+            store.log_store.append(entry(1)).await.expect("a healthy disk");
             for index in 2..=4 {
                 let journal = store.log_store.clone();
                 tokio::spawn(async move { journal.append(entry(index)).await });
@@ -245,11 +248,11 @@ mod tests {
     }
 
     #[tokio::test(flavor = "current_thread", start_paused = true)]
-    async fn a_slow_disk_takes_its_time() {
+    async fn a_slow_disk_delays_writes() {
         let disk = VirtualDisk::new(1);
         disk.set_slow(Some((Duration::from_millis(200), Duration::from_millis(300))));
         let before = tokio::time::Instant::now();
-        disk.store().checkpoints.write(Some(vec![7])).await.expect("a disk in good order");
+        disk.store().checkpoints.write(Some(vec![7])).await.expect("a healthy disk");
         assert!(before.elapsed() >= Duration::from_millis(200));
         assert_eq!(disk.store().checkpoints.read().await.expect("readable"), Some(vec![7]));
     }

@@ -1,4 +1,5 @@
-//! All that happened in a fleet, as each node told it at its own place: faults between nodes hide nothing.
+//! Log of everything that happens in a fleet. Each node appends its events locally, so network
+//! faults hide none of them.
 
 use consort_actors::observe::Observer;
 use consort_actors::raft::LeaderId;
@@ -14,51 +15,51 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-/// Something that happened, or that the test did to a node.
+/// Something that happened in a fleet, or that the test did to a node.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Observation {
-    /// A node told of it.
+    /// A node published an event.
     Published(Event),
-    /// The test did it.
+    /// The test did something to a node.
     TestAction {
-        /// To which node.
+        /// The affected node.
         node: NodeId,
-        /// What.
+        /// The action.
         action: &'static str,
     },
-    /// What a node believes of who leads has changed.
+    /// The leadership view of a node changed.
     LeadershipChanged {
-        /// Which node.
+        /// The node.
         node: NodeId,
         /// Its term.
         term: u64,
-        /// Whether it leads itself, and in which reign.
+        /// The leader id of the node if it leads itself.
         leading_as: Option<LeaderId>,
     },
-    /// A client's request was acknowledged.
+    /// A client request was acknowledged.
     RequestAcknowledged {
         /// The client.
         node: NodeId,
-        /// The request's name, if the client gave it one.
+        /// Name of the request, if the client named it.
         request: Option<String>,
-        /// The mission that it stands for.
+        /// The mission of the request.
         mission: MissionId,
     },
-    /// A node's copy of the ledger took in an entry.
+    /// A replica applied an entry of the log.
     EntryApplied {
-        /// Which node.
+        /// The node.
         node: NodeId,
-        /// The entry's place.
+        /// Position of the entry.
         at: Epoch,
-        /// A digest of its command; `None` for an entry of Raft's own.
+        /// Digest of its commands; `None` for an entry of Raft itself.
         digest: Option<u64>,
-        /// Its commands, in their order.
+        /// Its commands in order.
         commands: Arc<[Command]>,
     },
 }
 
 impl Observation {
-    /// What a node told.
+    /// Returns the kind of the published event.
     pub fn event_kind(&self) -> Option<&EventKind> {
         match self {
             Observation::Published(event) => Some(&event.kind),
@@ -66,7 +67,7 @@ impl Observation {
         }
     }
 
-    /// At which node it happened.
+    /// Returns the node of the observation.
     pub fn node(&self) -> &NodeId {
         match self {
             Observation::Published(event) => &event.node,
@@ -78,7 +79,7 @@ impl Observation {
     }
 }
 
-/// The record; clones are one.
+/// The log. Clones share the same entries.
 #[derive(Clone)]
 pub struct EventLog {
     started: Instant,
@@ -91,12 +92,12 @@ impl EventLog {
         EventLog { started: Instant::now(), entries: Arc::default(), grown: watch::Sender::new(0) }
     }
 
-    /// How long it has been kept, in virtual time.
+    /// Returns the virtual time since the log was created.
     pub(crate) fn elapsed(&self) -> Duration {
         self.started.elapsed()
     }
 
-    /// Adds what has just happened.
+    /// Appends an observation with the current time.
     pub(crate) fn add(&self, entry: Observation) {
         self.lock().push((self.elapsed(), entry));
         self.grown.send_modify(|count| *count += 1);
@@ -107,59 +108,59 @@ impl EventLog {
     }
 
     fn lock(&self) -> MutexGuard<'_, Vec<(Duration, Observation)>> {
-        self.entries.lock().expect("no panic while it is held")
+        self.entries.lock().expect("no panic while it is locked")
     }
 
-    /// Everything, in order.
+    /// Returns all entries in order.
     pub fn entries(&self) -> Vec<(Duration, Observation)> {
         self.lock().clone()
     }
 
-    /// What was added after the first `count` entries, in order.
+    /// Returns the entries after the first `count`, in order.
     pub fn since(&self, count: usize) -> Vec<(Duration, Observation)> {
         self.lock().get(count..).map_or(vec![], <[_]>::to_vec)
     }
 
-    /// How much there is.
+    /// Returns the number of entries.
     pub fn len(&self) -> usize {
         self.lock().len()
     }
 
-    /// Whether nothing has happened yet.
+    /// Checks whether the log is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// When something of the kind happened, each time.
+    /// Returns the times of all events of a kind.
     pub fn times(&self, what: impl Fn(&EventKind) -> bool) -> Vec<Duration> {
         let entries = self.lock();
         let wanted = entries.iter().filter(|(_, entry)| entry.event_kind().is_some_and(&what));
         wanted.map(|(at, _)| *at).collect()
     }
 
-    /// How often something of the kind happened.
+    /// Counts the events of a kind.
     pub fn count(&self, what: impl Fn(&EventKind) -> bool) -> usize {
         self.times(what).len()
     }
 
-    /// Everything, a line each, for a person who looks for the reason.
+    /// Formats the log for debugging, with a line per entry.
     pub fn to_text(&self) -> String {
         let told = |entry: &Observation| !matches!(entry, Observation::LeadershipChanged { .. });
         self.lines(told).into_iter().map(|(_, line)| line + "\n").collect()
     }
 
-    /// What of it is worth telling, with its time.
+    /// Formats the selected entries with their times.
     pub fn lines(&self, told: impl Fn(&Observation) -> bool) -> Vec<(Duration, String)> {
         let line = |(at, entry): &(Duration, Observation)| {
             let mut what = match entry {
                 Observation::Published(event) => format!("{:?}", event.kind),
                 Observation::TestAction { action: what, .. } => format!("*** {what}"),
                 Observation::RequestAcknowledged { request, mission, .. } => {
-                    let request = request.as_deref().unwrap_or("a request without a name");
+                    let request = request.as_deref().unwrap_or("an unnamed request");
                     format!("*** {request} acknowledged as {mission}")
                 }
                 Observation::LeadershipChanged { term, leading_as: Some(reign), .. } => {
-                    format!("leads in reign {reign} (term {term})")
+                    format!("leads as {reign} (term {term})")
                 }
                 Observation::LeadershipChanged { term, leading_as: None, .. } => format!("does not lead (term {term})"),
                 Observation::EntryApplied { .. } => return None,
@@ -170,7 +171,8 @@ impl EventLog {
         self.lock().iter().filter(|(_, entry)| told(entry)).filter_map(line).collect()
     }
 
-    /// By task of a mission: at which nodes it was begun, and at which it ended well, in order.
+    /// Returns, for each task of a mission, the nodes at which it began and the nodes at which it
+    /// ended well, in order.
     pub fn task_executors(&self, mission: &MissionId) -> BTreeMap<String, (Vec<String>, Vec<String>)> {
         let mut doers: BTreeMap<String, (Vec<String>, Vec<String>)> = BTreeMap::new();
         for (_, entry) in self.lock().iter() {
@@ -187,7 +189,8 @@ impl EventLog {
         doers
     }
 
-    /// Who acted in which role from when to when: from its start or resumption until it suspended, halted or was killed.
+    /// Returns the intervals in which robots acted in roles: from a start or resumption until the
+    /// robot suspended, halted or was killed.
     pub fn role_intervals(&self) -> Vec<RoleInterval> {
         let mut spells: Vec<RoleInterval> = vec![];
         let entries = self.entries();
@@ -232,30 +235,30 @@ impl Observer for EventLog {
     fn on_applied(&self, node: &NodeId, at: Epoch, commands: &[Command]) {
         let digest = (!commands.is_empty()).then(|| {
             let mut hasher = DefaultHasher::new();
-            hasher.write(&codec::encode_record(&commands).expect("it was read from bytes"));
+            hasher.write(&codec::encode_record(&commands).expect("it was decoded from bytes"));
             hasher.finish()
         });
         self.add(Observation::EntryApplied { node: node.clone(), at, digest, commands: commands.into() });
     }
 }
 
-/// One robot's acting in one role.
+/// Interval in which a robot acted in a role.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RoleInterval {
-    /// Who.
+    /// The robot.
     pub robot: RobotId,
-    /// For which mission.
+    /// The mission.
     pub mission: MissionId,
-    /// In which role.
+    /// The role.
     pub role: RoleId,
-    /// Since when.
+    /// Start time.
     pub from: Duration,
-    /// Until when; `None` if still.
+    /// End time; `None` while it lasts.
     pub to: Option<Duration>,
 }
 
 impl RoleInterval {
-    /// Whether there was an instant that belongs to both.
+    /// Checks whether both intervals share an instant.
     pub fn overlaps(&self, other: &RoleInterval) -> bool {
         let ends = |spell: &RoleInterval| spell.to.unwrap_or(Duration::MAX);
         self.from < ends(other) && other.from < ends(self)

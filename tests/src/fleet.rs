@@ -1,4 +1,4 @@
-//! A whole fleet in one process on virtual time.
+//! A whole fleet in a single process on virtual time.
 
 use crate::credentials::Credentials;
 use crate::event_log::{EventLog, Observation};
@@ -27,77 +27,79 @@ use tokio::time::Instant;
 
 /// The fleet.
 pub struct Fleet {
-    /// What its randomness comes from; name it in every failed assertion.
+    /// Source of all randomness. Every failed assertion must name it.
     pub seed: u64,
-    /// Faults are made here.
+    /// The network; tests inject network faults here.
     pub network: VirtualNetwork,
-    /// The world its bodies are in.
+    /// The simulated world with the robots.
     pub world: SharedWorld,
-    /// All that happened.
+    /// Everything that happened.
     pub event_log: EventLog,
     pub(crate) keys: Keys,
     settings: FleetSettings,
-    /// World seconds in a second of the nodes' time.
+    /// World seconds per second of node time.
     speed: f64,
     members: BTreeMap<String, RobotSpec>,
     pub(crate) nodes: BTreeMap<String, NodeHandle>,
-    /// A client's end of the network.
+    /// Network endpoint of a client.
     pub client: VirtualBus,
-    /// What happened in the world, as far as it was looked at.
+    /// World events drained so far.
     pub(crate) journal: Vec<LoggedEvent>,
     lives: u64,
-    /// What the latest life of each node left behind.
+    /// Stores of the latest incarnation of each node.
     stores: BTreeMap<String, NodeStore>,
     adjust: AdjustNode,
-    /// Those who write down what nodes believe.
+    /// Tasks that record the leadership views of nodes.
     followers: BTreeMap<String, AbortHandle>,
-    /// What nodes prove themselves with, if the fleet is closed.
+    /// Certificates of the nodes, if the fleet is closed.
     pub credentials: Option<Credentials>,
-    /// The buses on which nodes of a closed fleet seal what they say.
+    /// Signing buses of the nodes of a closed fleet.
     pub signing_buses: BTreeMap<String, Arc<SigningBus>>,
 }
 
-/// Changes what a node is to be, each time before it starts.
+/// Changes the settings of a node before each start.
 pub type AdjustNode = Box<dyn FnMut(&mut NodeSettings)>;
 
-/// All that a fleet begins with.
+/// Initial state of a fleet.
 pub(crate) struct FleetSetup {
     pub(crate) seed: u64,
-    /// The robots' nodes; their bodies are in the world.
+    /// Nodes of the robots; the simulated robots are in the world.
     pub(crate) members: Vec<RobotSpec>,
     pub(crate) stations: Vec<String>,
     pub(crate) world: SharedWorld,
-    /// World seconds in a second of the nodes' time.
+    /// World seconds per second of node time.
     pub(crate) speed: f64,
-    /// Robots with one of these skills are asked for bids.
+    /// Robots with any of these skills receive calls for bids.
     pub(crate) skills: Vec<String>,
     pub(crate) adjust: AdjustNode,
-    /// Whether nodes have certificates, and seal what they say.
+    /// Nodes have certificates and sign their messages.
     pub(crate) closed: bool,
 }
 
-/// A nurse who waits in a room with one sample; both are called after the room.
+/// Returns a nurse that waits in a room with one sample; both are named after the room.
 pub(crate) fn nurse_in(room: &str) -> PersonSetup {
     PersonSetup {
         name: format!("nurse of {room}").as_str().into(),
         role: slug("nurse"),
         place: slug(room),
         samples: vec![format!("sample of {room}").as_str().into()],
-        mood: vec![],
+        spontaneous_actions: vec![],
     }
 }
 
 impl Fleet {
-    /// The hospital with a nurse in each of the rooms named, an arm in the laboratory, and these mobile robots; a station
-    /// each for `stations`. World time runs ten times as fast as node time.
+    /// Starts the hospital with a nurse in each named room, an arm in the laboratory, these mobile
+    /// robots, and a station per name in `stations`. World time runs ten times as fast as node
+    /// time.
     ///
-    /// The first voters are up to five, an odd number: the arm and the stations before the mobile robots, and by name.
-    /// The first of them by name founds the ledger and, as a rule, is the first to coordinate.
+    /// The first voters are at most five, an odd number: the arm and the stations before the mobile
+    /// robots, ordered by name. The first voter by name creates the cluster and is usually the
+    /// first coordinator.
     pub async fn hospital(seed: u64, members: Vec<RobotSpec>, stations: &[&str], rooms: &[&str]) -> Fleet {
         Fleet::adjusted_hospital(seed, members, stations, rooms, Box::new(|_| ())).await
     }
 
-    /// The same, with nodes that are changed before they start.
+    /// Starts the same hospital with changed node settings.
     pub async fn adjusted_hospital(
         seed: u64,
         members: Vec<RobotSpec>,
@@ -108,12 +110,12 @@ impl Fleet {
         Fleet::hospital_with(seed, members, stations, rooms, adjust, false).await
     }
 
-    /// The same, whose nodes have certificates and seal what they say.
+    /// Starts the same hospital with certificates; nodes sign their messages.
     pub async fn closed_hospital(seed: u64, members: Vec<RobotSpec>, stations: &[&str], rooms: &[&str]) -> Fleet {
         Fleet::hospital_with(seed, members, stations, rooms, Box::new(|_| ()), true).await
     }
 
-    /// The hospital, open or closed.
+    /// Starts the hospital, open or closed.
     pub(crate) async fn hospital_with(
         seed: u64,
         mut members: Vec<RobotSpec>,
@@ -133,13 +135,13 @@ impl Fleet {
         for room in rooms {
             setup = setup.person(nurse_in(room));
         }
-        let world = SharedWorld::new(World::new(setup).expect("the test's own world"));
+        let world = SharedWorld::new(World::new(setup).expect("a valid world"));
         let stations = stations.iter().map(|station| (*station).to_owned()).collect();
         let skills = ["operate_drawer", "pick_up"].map(str::to_owned).to_vec();
         Fleet::from_setup(FleetSetup { seed, members, stations, world, speed: 10.0, skills, adjust, closed }).await
     }
 
-    /// A fleet whose bodies are in this world.
+    /// Starts a fleet for the robots of an existing world.
     pub(crate) async fn from_setup(staging: FleetSetup) -> Fleet {
         let FleetSetup { seed, members, stations, world, speed, skills, adjust, closed } = staging;
         let network = VirtualNetwork::new(seed, LinkModel::LAN);
@@ -180,28 +182,28 @@ impl Fleet {
         fleet
     }
 
-    /// Starts the node that hosts the bodies and the people, for the first time or again. The world itself goes on in any
-    /// case.
+    /// Starts or restarts the node that hosts the simulated robots and the people. The world itself
+    /// continues in any case.
     pub async fn start_world(&mut self) {
         let host = DriverServerPart { world: Box::new(self.world.clone()), speed: self.speed };
         let settings = NodeSettings { driver_server: Some(host), ..self.node("world", false, None) };
         self.start(settings).await;
     }
 
-    /// Starts the node of a station, for the first time or again with an empty memory.
+    /// Starts or restarts the node of a station with an empty store.
     pub async fn start_station(&mut self, name: &str) {
         self.stores.remove(name);
         let settings = self.node(name, true, None);
         self.start(settings).await;
     }
 
-    /// Starts a robot's node, for the first time or again with an empty memory.
+    /// Starts or restarts the node of a robot with an empty store.
     pub async fn start_robot(&mut self, name: &str) {
         self.stores.remove(name);
         self.restart(name).await;
     }
 
-    /// Starts a robot's node again with what its former life had written down.
+    /// Restarts the node of a robot with the store of its previous incarnation.
     pub async fn restart(&mut self, name: &str) {
         let member = self.members.get(name).expect("a robot of this fleet").clone();
         let robot = self.world.with(|world| {
@@ -258,7 +260,7 @@ impl Fleet {
         self.nodes.insert(name, node);
     }
 
-    /// Writes down from now on what a node believes of who leads, until it ends.
+    /// Records the leadership view of a node from now on, until the node ends.
     pub(crate) fn record_leadership(&mut self, name: &str) {
         let Some(replica) = self.nodes.get(name).and_then(|node| node.replica.as_ref()) else { return };
         let (mut leadership, chronicle, node) = (replica.leadership(), self.event_log.clone(), slug::<NodeId>(name));
@@ -281,40 +283,41 @@ impl Fleet {
         self.followers.insert(name.to_owned(), follower.abort_handle());
     }
 
-    /// Whether a node is a robot's.
+    /// Checks whether a node belongs to a robot.
     pub fn is_robot(&self, node: &NodeId) -> bool {
         self.members.contains_key(node.as_str())
     }
 
-    /// The fleet's keys.
+    /// Returns the key expressions of the fleet.
     pub fn keys(&self) -> &Keys {
         &self.keys
     }
 
-    /// What a robot has written down.
+    /// Returns the stored checkpoint of a robot.
     pub async fn checkpoint(&self, name: &str) -> Option<Vec<u8>> {
-        self.stores[name].checkpoints.read().await.expect("a notebook in memory")
+        self.stores[name].checkpoints.read().await.expect("a checkpoint store in memory")
     }
 
-    /// Puts something else there while the robot is not running.
+    /// Overwrites the checkpoint while the robot is not running.
     pub async fn overwrite_checkpoint(&self, name: &str, page: Vec<u8>) {
-        self.stores[name].checkpoints.write(Some(page)).await.expect("a notebook in memory");
+        self.stores[name].checkpoints.write(Some(page)).await.expect("a checkpoint store in memory");
     }
 
-    /// Ends a node as SIGKILL would.
+    /// Ends a node as SIGKILL does.
     pub async fn kill(&mut self, name: &str) {
         self.gone(name, "killed");
         self.nodes.remove(name).expect("a node that runs").kill().await;
     }
 
-    /// Ends a node as SIGTERM would: for a while.
+    /// Ends a node as SIGTERM does: it may come back.
     pub async fn stop(&mut self, name: &str) {
         let node = self.nodes.remove(name).expect("a node that runs");
         node.stop().await;
         self.gone(name, "stopped");
     }
 
-    /// Has a node leave for good, as `consort leave` does, and ends it once it has. What it said of it.
+    /// Decommissions a node as `consort leave` does, and shuts it down afterwards. Returns its
+    /// reply.
     pub async fn leave(&mut self, name: &str) -> Value {
         let said = self.request_leave(name).await;
         let mut node = self.nodes.remove(name).expect("a node that runs");
@@ -332,14 +335,14 @@ impl Fleet {
         self.network.crash(&slug(name));
     }
 
-    /// Kills whoever coordinates, and says who it was.
+    /// Kills the coordinator and returns its id.
     pub async fn kill_coordinator(&mut self) -> NodeId {
         let coordinator = self.wait_for_coordinator().await;
         self.kill(coordinator.as_str()).await;
         coordinator
     }
 
-    /// Nodes that hear only one another, and whom nobody else hears, until the network is healed.
+    /// Isolates nodes as a group: they reach only each other until the network is healed.
     pub fn cut_off(&self, names: &[&str]) {
         for name in names {
             self.event_log.add(Observation::TestAction { node: slug(name), action: "cut off" });
@@ -347,16 +350,18 @@ impl Fleet {
         self.network.partition([names.iter().map(|name| slug(name)).collect::<Vec<NodeId>>()]);
     }
 
-    /// Ends all faults of the network.
+    /// Ends all network faults.
     pub fn heal(&self) {
         self.network.heal();
         self.event_log.add(Observation::TestAction { node: slug("client"), action: "all faults healed" });
     }
 
-    /// Lets virtual time pass until `done` says so. Looks whenever something happens, and every ten milliseconds.
+    /// Lets virtual time pass until `done` returns true. It checks after every event and every ten
+    /// milliseconds.
     ///
     /// # Panics
-    /// When it has not within `limit`; the message tells what was awaited, the seed, and what happened last.
+    /// If `done` stays false for `limit`. The message contains the condition, the seed and the last
+    /// events.
     pub async fn wait_until(&mut self, what: &str, limit: Duration, mut done: impl FnMut(&Fleet) -> bool) {
         let deadline = Instant::now() + limit;
         let mut grown = self.event_log.subscribe_len();
@@ -381,22 +386,22 @@ impl Fleet {
                     .collect::<Vec<_>>()
                     .join("\n")
             );
-            // Whether it ends by news or by time, it is time to look.
+            // Both results, an event or a timeout, call for the next check.
             let _ = tokio::time::timeout(Duration::from_millis(10), grown.changed()).await;
         }
     }
 
-    /// Lets virtual time pass: at most so long, and no longer than a glance takes.
+    /// Lets virtual time pass: at most `at_most`, and at most 50 ms.
     pub(crate) async fn step(&mut self, at_most: Duration) {
         tokio::time::sleep(at_most.min(Duration::from_millis(50))).await;
         let news = self.world.with(World::drain_event_log);
         self.journal.extend(news);
     }
 
-    /// Lets virtual time pass in which `must_not` never becomes true.
+    /// Lets virtual time pass and asserts that `must_not` never returns true.
     ///
     /// # Panics
-    /// When it does.
+    /// If it does.
     pub async fn assert_never(&mut self, what: &str, during: Duration, mut must_not: impl FnMut(&Fleet) -> bool) {
         let end = Instant::now() + during;
         let mut broken = false;
@@ -408,18 +413,18 @@ impl Fleet {
         assert!(!broken, "seed {}: {what} happened\n{}", self.seed, self.event_log_text());
     }
 
-    /// Waits until something of the kind happens that had not when this was called.
+    /// Waits until a new event of the kind happens after this call.
     pub async fn wait_for_next(&mut self, what: &str, limit: Duration, is: impl Fn(&EventKind) -> bool) {
         let before = self.event_log.count(&is);
         self.wait_until(what, limit, |fleet| fleet.event_log.count(&is) > before).await;
     }
 
-    /// How long the fleet has run, in virtual time.
+    /// Returns the virtual run time of the fleet.
     pub fn elapsed(&self) -> Duration {
         self.event_log.elapsed()
     }
 
-    /// Everything that happened, a line each, for a person who looks for the reason.
+    /// Formats the whole event log for debugging, with a line per entry.
     pub fn event_log_text(&self) -> String {
         self.event_log.to_text()
     }

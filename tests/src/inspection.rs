@@ -1,4 +1,4 @@
-//! How things stand, looked at from inside and from the world.
+//! Inspection of a fleet: from the state of its nodes and from the world.
 
 use crate::{Fleet, slug};
 use consort_actors::bus::LinkModel;
@@ -14,7 +14,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Who of these coordinates: of several who believe that they do, the latest elected.
+/// Returns the coordinator among these nodes. Of several nodes that count themselves leader, it is
+/// the node of the latest term.
 pub(crate) fn current_coordinator<'a>(nodes: impl Iterator<Item = &'a NodeHandle>) -> Option<NodeId> {
     let leads = |node: &NodeHandle| {
         let leadership = node.replica.as_ref()?.leadership().borrow().clone();
@@ -24,29 +25,30 @@ pub(crate) fn current_coordinator<'a>(nodes: impl Iterator<Item = &'a NodeHandle
 }
 
 impl Fleet {
-    /// Waits until somebody coordinates, and says who.
+    /// Waits until a node coordinates and returns it.
     pub async fn wait_for_coordinator(&mut self) -> NodeId {
         self.wait_until("an election", Duration::from_secs(20), |fleet| fleet.coordinating().is_some()).await;
-        self.coordinating().expect("just seen")
+        self.coordinating().expect("checked before")
     }
 
-    /// Who coordinates at this moment: of several who believe that they do, the latest elected.
+    /// Returns the current coordinator. Of several nodes that count themselves leader, it is the
+    /// node of the latest term.
     pub fn coordinating(&self) -> Option<NodeId> {
         current_coordinator(self.nodes.values())
     }
 
-    /// The names of the nodes that run.
+    /// Returns the names of the running nodes.
     pub fn running(&self) -> Vec<String> {
         self.nodes.keys().cloned().collect()
     }
 
-    /// What the coordinator's ledger says; `None` while nobody coordinates.
+    /// Reads the ledger of the coordinator; `None` without a coordinator.
     pub fn ledger<T>(&self, look: impl FnOnce(&Ledger) -> T) -> Option<T> {
         let coordinator = self.coordinating()?;
         Some(self.nodes[coordinator.as_str()].replica.as_ref()?.read(look))
     }
 
-    /// How a mission stands, as the ledger of that node says which has come furthest.
+    /// Returns the state of a mission from the replica that has applied most of it.
     pub fn mission_state(&self, mission: &MissionId) -> Option<MissionState> {
         let states = self.nodes.values().filter_map(|node| {
             let read = |ledger: &Ledger| {
@@ -58,26 +60,26 @@ impl Fleet {
         states.max_by_key(|(over, done, _)| (*over, *done)).map(|(_, _, state)| state)
     }
 
-    /// The same in one word.
+    /// Returns the same state as a word.
     pub fn state(&self, mission: &MissionId) -> Option<String> {
         self.mission_state(mission).map(|state| state.as_str().to_owned())
     }
 
-    /// Waits for the end of a mission and says how it ended.
+    /// Waits for the end of a mission and returns its final state.
     pub async fn wait_for_end(&mut self, mission: &MissionId) -> MissionState {
         let over = |fleet: &Fleet| fleet.mission_state(mission).filter(MissionState::is_final);
         self.wait_until(&format!("the end of {mission}"), Duration::from_secs(300), |fleet| over(fleet).is_some())
             .await;
-        over(self).expect("just seen")
+        over(self).expect("checked before")
     }
 
-    /// Waits until missions are completed; tells the whole tale if one ends otherwise.
+    /// Waits until a mission completes; panics with the event log if it ends otherwise.
     pub async fn assert_completes(&mut self, mission: &MissionId) {
         let end = self.wait_for_end(mission).await;
         assert_eq!(end, MissionState::Completed, "seed {}: {mission}\n{}", self.seed, self.event_log_text());
     }
 
-    /// Who holds a role of a mission, as the coordinator's ledger says.
+    /// Returns the holder of a role from the ledger of the coordinator.
     pub fn holder(&self, mission: &MissionId, role: &str) -> Option<RobotId> {
         let role = slug(role);
         self.ledger(|ledger| {
@@ -85,7 +87,7 @@ impl Fleet {
         })?
     }
 
-    /// Every robot to which a role of the mission was ever given.
+    /// Returns every robot that a role of the mission was ever assigned to.
     pub fn all_holders(&self, mission: &MissionId) -> BTreeSet<String> {
         let mut robots: BTreeSet<String> = self
             .ledger(|ledger| ledger.mission(mission).map(|entry| entry.holders()))
@@ -111,40 +113,40 @@ impl Fleet {
         robots
     }
 
-    /// All that nodes told, in order.
+    /// Returns all published events in order.
     pub fn events(&self) -> Vec<EventKind> {
         self.event_log.entries().iter().filter_map(|(_, entry)| entry.event_kind().cloned()).collect()
     }
 
-    /// Whether something of the kind has happened.
+    /// Checks whether an event of the kind has happened.
     pub fn has_event(&self, what: impl Fn(&EventKind) -> bool) -> bool {
         self.event_log.count(what) > 0
     }
 
-    /// How often each task of a mission was begun and ended well, by name.
+    /// Counts, by name, how often each task of a mission began and how often it ended well.
     pub fn task_counts(&self, mission: &MissionId) -> BTreeMap<String, (usize, usize)> {
         let doers = self.event_log.task_executors(mission);
         doers.into_iter().map(|(task, (began, ended))| (task, (began.len(), ended.len()))).collect()
     }
 
-    /// What a node has heard.
+    /// Returns the knowledge base of a node.
     pub fn knowledge(&self, node: &str) -> &SharedKnowledge {
         &self.nodes[node].knowledge
     }
 
-    /// What a node knows of a robot.
+    /// Returns the record of a robot in the knowledge base of a node.
     pub fn knowledge_of(&self, node: &str, robot: &NodeId) -> Option<RobotKnowledge> {
         let knowledge = &self.nodes.get(node)?.knowledge;
         knowledge.read(|base| base.get(robot)?.record.knowledge.robot.clone())
     }
 
-    /// Where a robot's body is, in metres.
+    /// Returns the position of a simulated robot in metres.
     pub fn position(&self, robot: &str) -> (f64, f64) {
-        let telemetry = self.world.telemetry(&slug(robot)).expect("a body of this world");
+        let telemetry = self.world.telemetry(&slug(robot)).expect("a robot of this world");
         (telemetry.pose.x, telemetry.pose.y)
     }
 
-    /// How many goals a robot's body has begun and ended, as the world's own journal says.
+    /// Counts the begun and the ended goals of a simulated robot from the journal of the world.
     pub fn goal_counts(&self, robot: &str) -> (usize, usize) {
         self.journal().iter().fold((0, 0), |(began, ended), entry| match &entry.event {
             InWorld::GoalStarted { robot: body, .. } if body.as_str() == robot => (began + 1, ended),
@@ -153,10 +155,11 @@ impl Fleet {
         })
     }
 
-    /// Waits until a robot's body has ended all that it has begun, and what its driver last said has reached it: a goal that was
-    /// sent and canceled at once begins and ends within some crossings of the network.
+    /// Waits until a simulated robot has ended all of its goals and has received the last command
+    /// of its driver. A goal that is sent and canceled at once begins and ends within a few network
+    /// latencies.
     pub async fn wait_for_rest(&mut self, robot: &str) {
-        // The order to begin, its answer, the order to end; and some more.
+        // Goal request, reply, cancel request, and a latency in reserve.
         let crossings = LinkModel::LAN.latency_max * 4;
         let (mut goals, mut since) = (self.goal_counts(robot), Instant::now());
         let at_rest = |fleet: &Fleet| {
@@ -166,16 +169,16 @@ impl Fleet {
             }
             now.0 == now.1 && since.elapsed() > crossings
         };
-        self.wait_until(&format!("the body of {robot} to be at rest"), Duration::from_secs(1), at_rest).await;
+        self.wait_until(&format!("{robot} at rest"), Duration::from_secs(1), at_rest).await;
     }
 
-    /// Who has the sample of a room.
+    /// Returns the holder of the sample of a room.
     pub fn sample_holder(&self, room: &str) -> SampleHolder {
         let id = format!("sample of {room}").as_str().into();
-        self.world.with(|world| world.sample(&id).expect("a sample of this world").keeper)
+        self.world.with(|world| world.sample(&id).expect("a sample of this world").holder)
     }
 
-    /// What happened in the world so far.
+    /// Returns the journal of the world so far.
     pub fn journal(&self) -> &[LoggedEvent] {
         &self.journal
     }

@@ -1,4 +1,4 @@
-//! Whole-fleet stories: the harness that they are told with.
+//! Test harness for whole fleets.
 
 pub mod behavior;
 pub mod chaos;
@@ -22,12 +22,13 @@ pub use station_fleet::StationFleet;
 
 use std::fmt;
 
-/// A name or another slug that the test itself wrote.
+/// Parses a slug that the test itself contains.
 pub fn slug<T: std::str::FromStr<Err: fmt::Debug>>(text: &str) -> T {
     text.parse().expect("a test's own name")
 }
 
-/// Tells a story once for each seed, each time on a paused runtime of its own: nothing of one run is left in the next.
+/// Runs a test once per seed, each time on a new paused runtime, so that no state passes from one
+/// run to the next.
 pub fn for_each_seed(seeds: impl IntoIterator<Item = u64>, story: impl AsyncFn(u64)) {
     for seed in seeds {
         let mut builder = tokio::runtime::Builder::new_current_thread();

@@ -1,4 +1,4 @@
-//! Robots of a fleet, before it starts.
+//! Setup of robots before a fleet starts.
 
 use crate::slug;
 use consort_protocol::ids::PlaceId;
@@ -9,33 +9,33 @@ use consort_sim::map::Map;
 use consort_sim::world::RobotSetup;
 use consort_skills::library::SkillLibrary;
 
-/// A robot of the fleet, before the fleet starts.
+/// Setup of a robot.
 #[derive(Debug, Clone)]
 pub struct RobotSpec {
     /// Its name.
     pub name: String,
-    /// Where it starts.
+    /// Its start place.
     pub place: String,
     /// Metres per second; `None` for an arm.
     pub speed: Option<f64>,
     /// Charge at the start, as a share.
     pub battery: f64,
-    /// Share of a full charge that it loses in a second at work, as it admits.
+    /// Published discharge rate at work, as a share of a full charge per second.
     pub discharge: f64,
     /// Its skills.
     pub skills: Vec<String>,
     /// Changes its skill library before it starts.
     pub customize_library: Option<fn(&mut SkillLibrary)>,
-    /// Whether its node is started only when the test says so.
+    /// The test starts the node of the robot later.
     pub starts_later: bool,
-    /// How many times as fast as it admits its battery empties.
+    /// Actual discharge rate divided by the published rate.
     pub discharge_factor: f64,
-    /// Seconds that its node's clock counts in one.
+    /// Seconds that the clock of its node counts per second.
     pub clock_rate: f64,
 }
 
 impl RobotSpec {
-    /// A robot with a drawer, as lab samples need one.
+    /// Returns a robot with a drawer, as lab samples need it.
     pub fn carrier(name: &str, place: &str) -> RobotSpec {
         let skills = ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
         RobotSpec {
@@ -52,49 +52,49 @@ impl RobotSpec {
         }
     }
 
-    /// An arm that takes samples out of drawers.
+    /// Returns an arm that takes samples out of drawers.
     pub fn arm(name: &str, place: &str) -> RobotSpec {
         let carrier = RobotSpec::carrier(name, place);
         RobotSpec { speed: None, battery: 1.0, discharge: 0.0, skills: vec!["pick_up".to_owned()], ..carrier }
     }
 
-    /// The same robot with another speed, in metres per second.
+    /// Sets the speed in metres per second.
     pub fn with_speed(self, speed: f64) -> RobotSpec {
         RobotSpec { speed: Some(speed), ..self }
     }
 
-    /// The same robot with another charge.
+    /// Sets the charge at the start.
     pub fn with_charge(self, battery: f64) -> RobotSpec {
         RobotSpec { battery, ..self }
     }
 
-    /// The same robot with other skills.
+    /// Replaces the skills.
     pub fn with_skills(self, skills: &[&str]) -> RobotSpec {
         RobotSpec { skills: skills.iter().map(|skill| (*skill).to_owned()).collect(), ..self }
     }
 
-    /// The same robot with one more skill.
+    /// Adds a skill.
     pub fn with_skill(mut self, skill: &str) -> RobotSpec {
         self.skills.push(skill.to_owned());
         self
     }
 
-    /// The same robot with a skill library of its own.
+    /// Sets a function that changes the skill library.
     pub fn with_library(self, train: fn(&mut SkillLibrary)) -> RobotSpec {
         RobotSpec { customize_library: Some(train), ..self }
     }
 
-    /// The same robot, whose node is started later by the test.
+    /// Makes the test start the node of the robot later.
     pub fn starting_later(self) -> RobotSpec {
         RobotSpec { starts_later: true, ..self }
     }
 
-    /// The same robot with a battery that empties so many times as fast as its estimates reckon with.
+    /// Sets how many times as fast as published the battery empties.
     pub fn with_discharge_factor(self, thirst: f64) -> RobotSpec {
         RobotSpec { discharge_factor: thirst, ..self }
     }
 
-    /// The same robot, whose node's clock counts so many seconds in one.
+    /// Sets how many seconds the clock of the node counts per second.
     pub fn with_clock(self, clock_rate: f64) -> RobotSpec {
         RobotSpec { clock_rate, ..self }
     }

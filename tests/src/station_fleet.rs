@@ -1,4 +1,4 @@
-//! A fleet of stations on virtual time: enough to see who keeps the ledger and who coordinates.
+//! A fleet of stations on virtual time, for tests of voters and the coordinator.
 
 use crate::slug;
 use crate::ward::ward;
@@ -17,13 +17,13 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Stations, each with a store that outlives it.
+/// Stations, each with a store that outlives its node.
 pub struct StationFleet {
-    /// What its randomness comes from; name it in every failed assertion.
+    /// Source of all randomness. Every failed assertion must name it.
     pub seed: u64,
-    /// Faults are made here.
+    /// The network; tests inject network faults here.
     pub network: VirtualNetwork,
-    /// Those that run.
+    /// The running nodes.
     pub nodes: BTreeMap<String, NodeHandle>,
     keys: Keys,
     settings: FleetSettings,
@@ -33,7 +33,7 @@ pub struct StationFleet {
 }
 
 impl StationFleet {
-    /// A network and nobody on it. `expect` nodes are to meet before the ledger is founded.
+    /// Creates a network without nodes. A cluster is created once `expect` nodes have met.
     pub fn empty(seed: u64, expect: usize) -> StationFleet {
         let settings = ward(&["pick_up"], expect);
         StationFleet {
@@ -48,7 +48,7 @@ impl StationFleet {
         }
     }
 
-    /// These stations, which found a ledger together.
+    /// Starts these stations, which create a cluster together.
     pub async fn founded(seed: u64, names: &[&str]) -> StationFleet {
         let mut fleet = StationFleet::empty(seed, names.len());
         for name in names {
@@ -59,22 +59,22 @@ impl StationFleet {
         fleet
     }
 
-    /// Aims at so many voters; concerns nodes that are started from now on.
+    /// Sets the target number of voters for nodes that start from now on.
     pub fn set_voter_target(&mut self, voters: usize) {
         self.settings.voters = voters;
     }
 
-    /// Starts a station with the store it had, if it had one.
+    /// Starts a station with its store, if it has one.
     pub async fn start(&mut self, name: &str) {
         self.start_as(name, true).await;
     }
 
-    /// Starts a node that moves about on a battery, with the store it had.
+    /// Starts a battery-powered mobile node with its store.
     pub async fn start_mobile(&mut self, name: &str) {
         self.start_as(name, false).await;
     }
 
-    /// Starts a station whose store is empty.
+    /// Starts a station with an empty store.
     pub async fn start_empty(&mut self, name: &str) {
         self.stores.remove(name);
         self.start(name).await;
@@ -112,29 +112,30 @@ impl StationFleet {
             while let Some(sample) = heard.recv().await {
                 let event: Event = serde_json::from_slice(&sample.payload).expect("an event");
                 if event.node == node {
-                    events.lock().expect("no panic while it is held").push(event);
+                    events.lock().expect("no panic while it is locked").push(event);
                 }
             }
         });
     }
 
-    /// Ends a node as SIGKILL would.
+    /// Ends a node as SIGKILL does.
     pub async fn kill(&mut self, name: &str) {
         self.network.crash(&slug(name));
         self.nodes.remove(name).expect("a node that runs").kill().await;
     }
 
-    /// What a node believes.
+    /// Returns the leadership view of a node.
     pub fn leadership_view(&self, name: &str) -> LeadershipView {
-        self.nodes[name].replica.as_ref().expect("a station keeps the ledger").leadership().borrow().clone()
+        self.nodes[name].replica.as_ref().expect("a station has a replica").leadership().borrow().clone()
     }
 
-    /// Who count themselves leader at this moment.
+    /// Returns the nodes that currently count themselves leader.
     pub fn leaders(&self) -> Vec<String> {
         self.nodes.keys().filter(|name| self.leadership_view(name).is_leader).cloned().collect()
     }
 
-    /// The names of the voters, as the only leader knows them; nobody while there is no leader or a change is under way.
+    /// Returns the names of the voters from the view of the only leader; empty without a leader or
+    /// during a membership change.
     pub fn voters(&self) -> BTreeSet<String> {
         let [leader] = &self.leaders()[..] else { return BTreeSet::new() };
         let believed = self.leadership_view(leader);
@@ -144,28 +145,29 @@ impl StationFleet {
         believed.voters.values().map(ToString::to_string).collect()
     }
 
-    /// Which cluster a node belongs to.
+    /// Returns the cluster of a node.
     pub fn cluster(&self, name: &str) -> Option<ClusterId> {
         self.nodes[name].membership.cluster()
     }
 
-    /// Waits until somebody coordinates, and says who.
+    /// Waits until a single node coordinates and returns its name.
     pub async fn wait_for_coordinator(&self) -> String {
-        self.wait_until("there is one coordinator", |fleet| fleet.leaders().len() == 1).await;
+        self.wait_until("there is a single coordinator", |fleet| fleet.leaders().len() == 1).await;
         self.leaders().remove(0)
     }
 
-    /// Waits until `done`, looking every two virtual milliseconds. At no moment may two lead one cluster.
+    /// Waits until `done` returns true and checks every two virtual milliseconds. A cluster may
+    /// never have two leaders.
     ///
     /// # Panics
-    /// When it has not happened within two minutes, or two lead.
+    /// If `done` stays false for two minutes, or if a cluster has two leaders.
     pub async fn wait_until(&self, what: &str, mut done: impl FnMut(&StationFleet) -> bool) {
         let began = Instant::now();
         while !done(self) {
             let waited = began.elapsed();
             assert!(
                 waited < Duration::from_secs(120),
-                "seed {}: waited in vain for {what}; voters {:?}\n{:#?}",
+                "seed {}: timeout waiting for {what}; voters {:?}\n{:#?}",
                 self.seed,
                 self.voters(),
                 self.events()
@@ -183,18 +185,18 @@ impl StationFleet {
 
     fn one_leader_per_cluster(&self) {
         let leaders = self.leaders();
-        // Until its first command is committed, a ledger does not say which it is.
+        // The cluster id is unknown until the first command of the ledger is committed.
         let clusters: Vec<_> = leaders.iter().filter_map(|name| self.cluster(name)).collect();
         let distinct: BTreeSet<_> = clusters.iter().collect();
         assert_eq!(distinct.len(), clusters.len(), "seed {}: {leaders:?} lead at once", self.seed);
     }
 
-    /// All that nodes told, in order.
+    /// Returns all published events in order.
     pub fn events(&self) -> Vec<EventKind> {
-        self.events.lock().expect("no panic while it is held").iter().map(|event| event.kind.clone()).collect()
+        self.events.lock().expect("no panic while it is locked").iter().map(|event| event.kind.clone()).collect()
     }
 
-    /// Why voters were changed, each time.
+    /// Returns the reason of each voter change.
     pub fn voter_change_reasons(&self) -> Vec<String> {
         let reason = |what: EventKind| match what {
             EventKind::Voters { reason, .. } => Some(reason),
@@ -203,7 +205,7 @@ impl StationFleet {
         self.events().into_iter().filter_map(reason).collect()
     }
 
-    /// Submits a mission, asked on the bus of `at`, until it is acknowledged.
+    /// Submits a mission on the bus of `at` until it is acknowledged.
     pub async fn submit(&self, at: &str, request: &str) -> Value {
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" }, "request": request });
         for _ in 0..400 {
@@ -216,19 +218,19 @@ impl StationFleet {
         panic!("seed {}: request {request} was not acknowledged", self.seed);
     }
 
-    /// Everything that is answered to a question put on the bus of `at`.
+    /// Sends a query on the bus of `at` and returns all replies.
     pub async fn query(&self, at: &str, key: &Key, asked: &Value, limit: Duration) -> Vec<Value> {
         let bus = self.network.bus(slug(at));
         let payload = asked.to_string().into_bytes().into();
         let mut replies = bus.query(&self.keys.write(key), payload, limit).await.expect("a virtual bus");
         let mut answers = vec![];
         while let Some(reply) = replies.recv().await {
-            answers.push(serde_json::from_slice(&reply.payload.expect("an answer")).expect("JSON"));
+            answers.push(serde_json::from_slice(&reply.payload.expect("a reply")).expect("JSON"));
         }
         answers
     }
 
-    /// Where a node's key is, for whoever asks it directly.
+    /// Returns the decommission key of a node.
     pub fn leave_key(name: &str) -> Key {
         Key::Leave(slug::<NodeId>(name))
     }

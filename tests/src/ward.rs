@@ -1,4 +1,4 @@
-//! The fleet that stories are told of, unless they say otherwise.
+//! Default fleet of the tests.
 
 use crate::slug;
 use consort_actors::autopilot::VOTERS;
@@ -14,14 +14,14 @@ use consort_sim::map::shipped;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// The fleet `ward`, whose robots with one of these skills are asked for bids. So many nodes are to meet before its ledger is
-/// founded.
+/// Returns the settings of the fleet `ward`. Robots with any of these skills receive calls for
+/// bids. The cluster is created once `bootstrap_expect` nodes have met.
 pub(crate) fn ward(skills: &[&str], bootstrap_expect: usize) -> FleetSettings {
     let skills = skills.iter().map(|skill| slug(skill)).collect();
     let spec = EnsembleSpec::with_any_skill_of(slug::<EnsembleId>("logistics"), skills);
     FleetSettings {
         fleet: slug("ward"),
-        ensemble: Arc::new(Ensemble::compile(spec).expect("the tests' own ensemble")),
+        ensemble: Arc::new(Ensemble::compile(spec).expect("a valid ensemble")),
         domain: Arc::new(Domain::hospital()),
         limits: BidLimits::default(),
         request_limits: RequestLimits::default(),

@@ -1,16 +1,20 @@
-//! What the release before wrote is read by this one, and written by it to the byte as long as the fleet writes that version.
+//! Golden bytes of the previous release: this version reads them, and writes the same bytes as long
+//! as the fleet uses that wire version.
 //!
-//! `kept/1/` has what release 0.1.0 sends and stores: the seeds of some targets, as `CONSORT_UNTRUSTED_SEEDS=DIR` had that release
-//! write them. Only a new version of the wire adds a folder.
+//! `kept/1/` contains the messages and records of release 0.1.0: the seeds of some targets, written
+//! by that release with `CONSORT_UNTRUSTED_SEEDS=DIR`. Only a new wire version adds a folder.
 
 use super::{seeds, target};
 use std::fs;
 use std::path::Path;
 
 #[test]
-fn what_the_first_release_wrote_is_read_and_still_written() {
-    for name in ["wire", "raft", "award", "notebook", "ledger"] {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/untrusted/kept/1").join(name);
+fn the_golden_bytes_of_the_first_release_are_unchanged() {
+    // The folder of the first release has the old name of the target.
+    for (name, folder) in
+        [("wire", "wire"), ("raft", "raft"), ("award", "award"), ("checkpoint", "notebook"), ("ledger", "ledger")]
+    {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/untrusted/kept/1").join(folder);
         let written = seeds::at_version(1, name);
         assert_eq!(fs::read_dir(&folder).expect("a folder").count(), written.len(), "{name}");
         for (nth, now) in written.iter().enumerate() {

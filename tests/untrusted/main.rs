@@ -1,8 +1,10 @@
-//! Whatever comes from others is read or refused: soon, in little memory, on a worker's stack, and never with a panic.
+//! Untrusted input is read or rejected: quickly, with little memory, on the stack of a worker, and
+//! never with a panic.
 //!
-//! Each [target](targets) is given its seeds, the inputs kept in `tests/fuzz/corpus/` (each was a failure once, or is a known trick),
-//! and seeded changes of both. `CONSORT_UNTRUSTED_CASES` says how many changes, `CONSORT_UNTRUSTED_SEED` which;
-//! `CONSORT_UNTRUSTED_SEEDS=DIR` has the seeds written to a folder for each target, for `tests/fuzz/run.sh` to begin with.
+//! Each [target](targets) receives its seeds, the inputs in `tests/fuzz/corpus/` (each was a
+//! failure once or is a known attack), and seeded mutations of both. `CONSORT_UNTRUSTED_CASES` sets
+//! the number of mutations and `CONSORT_UNTRUSTED_SEED` their seed. `CONSORT_UNTRUSTED_SEEDS=DIR`
+//! writes the seeds into a folder per target, as the initial corpus of `tests/fuzz/run.sh`.
 
 mod golden_bytes;
 mod mutate;
@@ -18,17 +20,17 @@ use std::thread;
 use std::time::{Duration, Instant};
 use targets::Target;
 
-/// What tokio gives its workers, which read what comes in.
+/// Stack size of tokio workers, which read the input.
 const STACK: usize = 2 << 20;
 
-/// How long one input may take, tests not being optimised.
+/// Limit for a single input. Tests are not optimised.
 const SOON: Duration = Duration::from_secs(10);
 
-/// How much more memory than before a target may have in use at any time, in bytes: the largest input that is taken is some
-/// megabytes, and may be that much more when it is read.
+/// Limit for additional memory of a target, in bytes. The largest accepted input is some megabytes,
+/// and may need that much more once it is parsed.
 const MEMORY: u64 = 512 << 20;
 
-/// Changed inputs for each target, unless told otherwise.
+/// Default number of mutations per target.
 const CASES: u64 = 600;
 
 macro_rules! tried {
@@ -39,12 +41,12 @@ macro_rules! tried {
 }
 
 tried! {
-    wire seal certificate pem names gossip raft award notebook ledger store request mission_yaml mission_json ihtn map_yaml
-    map_json drawing building tree condition feature config design calibration tables recording picture dashboard
+    wire signed_envelope certificate pem names gossip raft award checkpoint ledger store request mission_yaml mission_json ihtn map_yaml
+    map_json drawing building tree condition feature config design calibration tables recording fleet_model dashboard
 }
 
 #[test]
-fn every_target_is_tried_and_can_be_fuzzed() {
+fn every_target_has_a_test_and_a_fuzz_program() {
     let names: Vec<&str> = targets::ALL.iter().map(|target| target.name).collect();
     assert_eq!(TRIED, names);
     let manifest = fs::read_to_string(fuzz().join("Cargo.toml")).expect("the fuzz crate");
@@ -63,7 +65,7 @@ fn fuzz() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fuzz")
 }
 
-/// Inputs that are kept.
+/// Returns the inputs in the corpus.
 fn kept(name: &str) -> Vec<Vec<u8>> {
     let Ok(folder) = fs::read_dir(fuzz().join("corpus").join(name)) else { return vec![] };
     let mut files: Vec<PathBuf> = folder.map(|file| file.expect("a file").path()).collect();
@@ -95,7 +97,7 @@ fn try_out(name: &str) {
     let tried = thread::scope(|scope| {
         let all = || {
             for (nth, seed) in seeds.iter().enumerate() {
-                assert!(trial.case(seed), "nothing of seed {nth} could be read: what is it good for?");
+                assert!(trial.case(seed), "seed {nth} contains nothing valid");
             }
             for input in &kept {
                 trial.case(input);
@@ -117,7 +119,7 @@ fn try_out(name: &str) {
         let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("untrusted-{name}"));
         fs::write(&file, &*input).expect("a file");
         let words = String::from_utf8_lossy(&input[..input.len().min(400)]).into_owned();
-        panic!("{name}: see above; the input, {} bytes, is in {}: {words:?}", input.len(), file.display());
+        panic!("{name}: failed, see above; the input ({} bytes) is in {}: {words:?}", input.len(), file.display());
     }
     let grown = peak().saturating_sub(before);
     assert!(grown <= MEMORY, "{name} took {} MiB of memory, where {} are allowed", grown >> 20, MEMORY >> 20);
@@ -125,12 +127,12 @@ fn try_out(name: &str) {
 
 struct Trial {
     target: &'static Target,
-    /// What is being read.
+    /// The current input.
     last: Mutex<Vec<u8>>,
 }
 
 impl Trial {
-    /// Reads one input; whether anything of it made sense.
+    /// Reads an input. Returns whether any part of it was valid.
     fn case(&self, input: &[u8]) -> bool {
         input.clone_into(&mut self.last.lock().unwrap_or_else(PoisonError::into_inner));
         let began = Instant::now();
@@ -141,7 +143,7 @@ impl Trial {
     }
 }
 
-/// The most memory that this process has had in use, in bytes; nothing where the system does not tell.
+/// Returns the peak memory of this process in bytes; 0 where the system does not report it.
 fn peak() -> u64 {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));

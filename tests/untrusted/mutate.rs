@@ -1,9 +1,9 @@
-//! Inputs changed by chance, as somebody who knows the form would change them, and as a bad disk would.
+//! Random mutations of inputs, both by the rules of a format and by plain corruption.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Words that are trouble somewhere: numbers at their ends, nesting, references, entities, escapes.
+/// Problematic tokens: numeric limits, nesting, references, entities, escapes.
 const TROUBLE: &[&[u8]] = &[
     b"0",
     b"-1",
@@ -46,10 +46,10 @@ const TROUBLE: &[&[u8]] = &[
     b"\xfd\x00\x00\x00\x00\x00\x00\x00\x40",
 ];
 
-/// An input does not grow beyond this, in bytes, by being changed.
+/// Largest size of a mutated input, in bytes.
 const LONG: usize = 256 * 1024;
 
-/// Makes changed inputs, one after the other: the same ones for the same name and seed.
+/// Generator of mutated inputs. The same name and seed produce the same inputs.
 pub(crate) struct Mutator {
     rng: ChaCha8Rng,
     pool: Vec<Vec<u8>>,
@@ -79,7 +79,7 @@ impl Mutator {
         if limit == 0 { 0 } else { self.rng.random_range(0..limit) }
     }
 
-    /// The next input: one of the pool, changed once to some times.
+    /// Returns the next input: an input of the pool with at least one mutation.
     pub(crate) fn next(&mut self) -> Vec<u8> {
         let chosen = self.below(self.pool.len());
         let mut input = self.pool[chosen].clone();
@@ -94,19 +94,19 @@ impl Mutator {
         let at = self.below(input.len() + 1);
         let end = at + self.below(input.len().saturating_sub(at).min(64) + 1);
         match self.below(10) {
-            // A bit, a byte.
+            // Flip a bit, replace a byte.
             0 if at < input.len() => input[at] ^= 1 << self.below(8),
             1 if at < input.len() => input[at] = self.rng.random(),
-            // Cut off, cut out.
+            // Truncate, cut a piece out.
             2 => input.truncate(at),
             3 => drop(input.drain(at..end)),
-            // Said twice, or very often.
+            // Repeat a piece, at times very often.
             4 => {
                 let piece = input[at..end].to_vec();
                 let times = if self.below(20) == 0 { 2000 } else { 1 + self.below(4) };
                 input.splice(at..at, piece.repeat(times));
             }
-            // A word put in, or in place of what was there.
+            // Insert a token, or replace a piece by a token.
             5 | 6 => {
                 let word = self.word();
                 input.splice(at..at, word);
@@ -115,9 +115,9 @@ impl Mutator {
                 let word = self.word();
                 input.splice(at..end, word);
             }
-            // A word exchanged for another, wherever it stands next.
+            // Replace the next token by another.
             8 => self.exchange(input, at),
-            // The end of another.
+            // Append the end of another input.
             _ => {
                 let other = self.below(self.pool.len());
                 let from = self.below(self.pool[other].len() + 1);
@@ -128,7 +128,7 @@ impl Mutator {
     }
 
     fn word(&mut self) -> Vec<u8> {
-        // Half of them trouble.
+        // Half of the tokens are problematic.
         let among = if self.below(2) == 0 { TROUBLE.len() } else { self.words.len() };
         let chosen = self.below(among);
         self.words[chosen].clone()

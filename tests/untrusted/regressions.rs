@@ -1,4 +1,4 @@
-//! What was found once, each by its name. What is small is kept in `tests/fuzz/corpus/` too.
+//! Named regression tests of former findings. Small inputs are also in `tests/fuzz/corpus/`.
 
 use super::{SOON, STACK};
 use consort_nodes::address::BoundAddress;
@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Has something read on a worker's stack, and sees that it takes no longer than it may.
+/// Reads an input on the stack of a worker and checks the time limit.
 #[track_caller]
 fn soon<T: Send>(read: impl FnOnce() -> T + Send) -> T {
     let began = Instant::now();
@@ -31,21 +31,21 @@ fn attributes(count: usize) -> String {
 }
 
 #[test]
-fn a_drawing_with_an_element_of_many_attributes() {
+fn a_drawing_with_too_many_attributes_is_rejected() {
     let text = format!("<mxGraphModel>\n<root{}/></mxGraphModel>", attributes(400_000));
     let why = soon(|| map::read(&text, "a.drawio")).unwrap_err().to_string();
     assert!(why.contains("the element in line 2 has more than the 256 attributes allowed"), "{why}");
 }
 
 #[test]
-fn a_tree_with_an_element_of_many_attributes() {
+fn a_tree_with_too_many_attributes_is_rejected() {
     let text = format!("<root BTCPP_format=\"4\">\n<BehaviorTree ID=\"a\"{}/></root>", attributes(100_000));
     let why = soon(|| read_xml("a.xml", &text)).unwrap_err().to_string();
     assert!(why.starts_with("a.xml:2: "), "{why}");
 }
 
 #[test]
-fn elements_that_each_declare_a_namespace() {
+fn a_drawing_with_too_many_namespaces_is_rejected() {
     let open: String = (0..5000).map(|nth| format!("<a xmlns:n{nth}=\"u{nth}\">")).collect();
     let text = format!("<mxGraphModel>{open}{}</mxGraphModel>", "</a>".repeat(5000));
     let why = soon(|| map::read(&text, "a.drawio")).unwrap_err().to_string();
@@ -53,14 +53,14 @@ fn elements_that_each_declare_a_namespace() {
 }
 
 #[test]
-fn a_drawing_of_many_nodes_when_it_is_inflated() {
+fn a_drawing_that_inflates_to_many_nodes_is_rejected() {
     let text = include_str!("../fuzz/corpus/drawing/nodes_that_are_many_when_inflated");
     let why = soon(|| map::read(text, "a.drawio")).unwrap_err().to_string();
     assert!(why.contains("nodes limit reached"), "{why}");
 }
 
 #[test]
-fn a_file_of_many_keys_that_nobody_knows() {
+fn a_file_with_many_unknown_keys_reports_fifty() {
     let text: String = (0..20_000).map(|nth| format!("a{nth} = 1\n")).collect();
     let Diagnostics(problems) = soon(|| from_text::<FleetConfig>(&text, "a.toml")).unwrap_err();
     assert_eq!(problems.len(), 50);
@@ -68,16 +68,16 @@ fn a_file_of_many_keys_that_nobody_knows() {
 }
 
 #[test]
-fn a_file_of_tables_within_tables_without_end() {
+fn a_deeply_nested_file_is_rejected() {
     let deep = "a.".repeat(50_000);
     for text in [format!("[{deep}a]\n"), format!("{deep}a = 1\n"), format!("a = {}", "{ b = ".repeat(50_000))] {
         assert!(soon(|| from_text::<WorldConfig>(&text, "a.toml").is_err()));
     }
 }
 
-/// The dashboard makes room for what a frame says that it has, so it must not believe everything.
+/// The dashboard allocates memory for the stated length of a frame, so it must limit that length.
 #[test]
-fn a_web_socket_frame_that_says_it_is_large() {
+fn a_large_web_socket_frame_is_rejected() {
     let runtime =
         tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().expect("a runtime");
     let dashboard = runtime.block_on(async {
@@ -98,14 +98,14 @@ fn a_web_socket_frame_that_says_it_is_large() {
     );
     stream.write_all(hello.as_bytes()).expect("a connection");
     let mut head = [0; 12];
-    stream.read_exact(&mut head).expect("an answer");
+    stream.read_exact(&mut head).expect("a reply");
     assert_eq!(&head, b"HTTP/1.1 101");
-    // A binary frame, masked, of a megabyte, of which nothing comes.
+    // A masked binary frame with a stated length of a megabyte and no content.
     let mut frame = vec![0x82, 0x80 | 127];
     frame.extend((1_u64 << 20).to_be_bytes());
     frame.extend([0; 4]);
     stream.write_all(&frame).expect("a connection");
-    // It hangs up; until then it tells of the fleet.
+    // The server closes the connection; until then it sends the state of the fleet.
     let began = Instant::now();
     let mut heard = [0; 4096];
     while stream.read(&mut heard).expect("it hangs up before long") > 0 {
@@ -114,7 +114,7 @@ fn a_web_socket_frame_that_says_it_is_large() {
 }
 
 #[test]
-fn a_recording_with_a_record_that_is_longer_than_its_chunk() {
+fn a_record_longer_than_its_chunk_is_reported() {
     let recording = include_bytes!("../fuzz/corpus/recording/chunk_whose_last_record_is_longer_than_it");
     let file = std::env::temp_dir().join(format!("consort-untrusted-long-{}.mcap", std::process::id()));
     std::fs::write(&file, recording).expect("a file");

@@ -1,4 +1,4 @@
-//! What a building and its people do to missions.
+//! Effects of the building and its people on missions.
 
 use crate::support::task_began;
 use consort_protocol::event::EventKind;
@@ -17,9 +17,9 @@ async fn fleet(seed: u64) -> Fleet {
     fleet
 }
 
-/// She says so to the robot beside her, while she is asked and before.
+/// She reports it to the robot next to her, while the robot asks her and before.
 #[test]
-fn a_nurse_who_calls_the_mission_off_has_it_canceled() {
+fn a_nurse_can_cancel_the_mission_at_the_robot() {
     for stage in ["approach", "deposit"] {
         for_each_seed([761, 762], async |seed| {
             let mut fleet = fleet(seed).await;
@@ -36,26 +36,27 @@ fn a_nurse_who_calls_the_mission_off_has_it_canceled() {
             });
             let end = fleet.wait_for_end(&mission).await;
             let story = format!("seed {seed}, {stage}: {end:?}\n{}", fleet.event_log_text());
-            // Once she was asked to, she may have handed the sample over before she changed her mind, for all the ledger knows.
+            // After the robot asked her, she may have handed the sample over before she changed her
+            // mind. The ledger cannot exclude that.
             match &end {
                 MissionState::Canceled { by, .. } => assert!(stage == "approach" && *by == nurse, "{story}"),
-                MissionState::NeedsRescue { cause, items } => {
+                MissionState::NeedsIntervention { cause, items } => {
                     assert!(stage == "deposit" && cause.starts_with(&format!("canceled by {nurse}")), "{story}");
                     assert!(items.iter().all(|item| !item.certain), "{story}");
                     return;
                 }
                 _ => panic!("{story}"),
             }
-            // What she said counts for this mission alone.
+            // Her cancellation applies to this mission only.
             let next = fleet.submit("b", ROOM).await;
             fleet.assert_completes(&next).await;
         });
     }
 }
 
-/// There is no other way to the room: the robot says so, and does not wait for ever.
+/// There is no other route to the room. The robot reports that and does not wait forever.
 #[test]
-fn a_corridor_that_is_closed_fails_the_drive_that_has_no_other_way() {
+fn a_drive_fails_if_its_only_corridor_is_closed() {
     for_each_seed([771, 772], async |seed| {
         let mut fleet = fleet(seed).await;
         let cleaning = Obstacle::between("cleaning", slug("IC Corridor 3"), slug("IC Corridor 6"));
@@ -66,7 +67,7 @@ fn a_corridor_that_is_closed_fails_the_drive_that_has_no_other_way() {
         let story = format!("seed {seed}: {end:?}\n{}", fleet.event_log_text());
         let closed = "no route from IC Corridor 3 to IC Room 6: the ways between them are closed";
         assert!(
-            format!("{end:?}").contains(closed) && fleet.event_log_text().contains("cleaning stands in it"),
+            format!("{end:?}").contains(closed) && fleet.event_log_text().contains("cleaning is in the way"),
             "{story}"
         );
     });

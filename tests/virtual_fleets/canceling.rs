@@ -1,4 +1,4 @@
-//! A mission is withdrawn, however far it has come.
+//! Cancellation of a mission at any stage.
 
 use crate::support::task_began;
 use consort_protocol::event::EventKind;
@@ -16,7 +16,7 @@ const SOON: Duration = Duration::from_secs(60);
 async fn fleet(seed: u64) -> Fleet {
     let robots = vec![RobotSpec::carrier("gorse", "IC Room 4")];
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
-    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: who coordinates");
+    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the coordinator");
     fleet
 }
 
@@ -24,7 +24,7 @@ fn halted(mission: &MissionId) -> impl Fn(&EventKind) -> bool {
     move |what| matches!(what, EventKind::Halted { mission: of, .. } if of == mission)
 }
 
-/// Nothing moves any more.
+/// Asserts that the robot does not move any more.
 async fn stands_still(fleet: &mut Fleet) {
     fleet.wait_for_rest("gorse").await;
     let place = fleet.position("gorse");
@@ -32,10 +32,10 @@ async fn stands_still(fleet: &mut Fleet) {
 }
 
 #[test]
-fn while_it_is_called_proposed_awarded_and_confirmed() {
+fn a_mission_can_be_canceled_at_any_stage_of_its_award() {
     for_each_seed([681, 682], async |seed| {
         let mut fleet = fleet(seed).await;
-        // From before the first call to after the first task.
+        // From before the first call for bids to after the first task.
         for (number, after_ms) in [0, 1, 2, 3, 4, 6, 8, 12, 20, 40, 80, 200].into_iter().enumerate() {
             let mission = fleet.submit(&format!("r{number}"), ROOM).await;
             tokio::time::sleep(Duration::from_millis(after_ms)).await;
@@ -53,7 +53,7 @@ fn while_it_is_called_proposed_awarded_and_confirmed() {
             stands_still(&mut fleet).await;
             assert_eq!(fleet.event_log.count(halted(&mission)), begun(&fleet), "{story}\n{}", fleet.event_log_text());
         }
-        // The fleet is none the worse for it.
+        // The fleet still works.
         let mission = fleet.submit("last", ROOM).await;
         fleet.assert_completes(&mission).await;
         fleet.assert_exclusive_roles();
@@ -61,7 +61,7 @@ fn while_it_is_called_proposed_awarded_and_confirmed() {
 }
 
 #[test]
-fn while_its_robot_is_suspended() {
+fn a_mission_can_be_canceled_while_its_robot_is_suspended() {
     for_each_seed([691, 692], async |seed| {
         let mut fleet = fleet(seed).await;
         let mission = fleet.submit("a", ROOM).await;
@@ -78,7 +78,7 @@ fn while_its_robot_is_suspended() {
 }
 
 #[test]
-fn while_nobody_coordinates() {
+fn a_mission_can_be_canceled_without_a_coordinator() {
     for_each_seed([701, 702], async |seed| {
         let mut fleet = fleet(seed).await;
         let mission = fleet.submit("a", ROOM).await;
@@ -88,7 +88,7 @@ fn while_nobody_coordinates() {
         let settled = async |fleet: &Fleet| {
             fleet.request(ApiCall::Cancel, &asked).await.filter(|answer| answer.get("retry_after_ms").is_none())
         };
-        let answer = fleet.poll_until("an answer of the next coordinator", SOON, settled).await;
+        let answer = fleet.poll_until("a reply of the next coordinator", SOON, settled).await;
         assert_eq!(answer["state"], json!({ "canceled": { "by": "Nia" } }), "seed {seed}");
         fleet.wait_until("both to halt", SOON, |fleet| fleet.event_log.count(halted(&mission)) == 2).await;
         stands_still(&mut fleet).await;
@@ -96,26 +96,26 @@ fn while_nobody_coordinates() {
 }
 
 #[test]
-fn with_the_sample_in_a_drawer_it_needs_rescue_which_no_further_cancellation_closes() {
+fn a_canceled_mission_with_a_held_item_needs_intervention() {
     for_each_seed([711, 712], async |seed| {
         let mut fleet = fleet(seed).await;
         let mission = fleet.submit("a", ROOM).await;
         fleet.wait_until("the way to the laboratory", SOON, |fleet| fleet.has_event(task_began("navto_lab"))).await;
         fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": "Nia" })).await;
-        let MissionState::NeedsRescue { cause, items } = fleet.wait_for_end(&mission).await else {
-            panic!("seed {seed}: it ended otherwise\n{}", fleet.event_log_text())
+        let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
+            panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
         };
         let place = items[0].place.as_ref().expect("known");
         assert_eq!(cause, format!("canceled by Nia; the sample is with gorse at {place}"), "seed {seed}");
-        let rescue = |what: &EventKind| matches!(what, EventKind::Halted { reason: EndReason::Rescue, .. });
+        let rescue = |what: &EventKind| matches!(what, EventKind::Halted { reason: EndReason::NeedsIntervention, .. });
         fleet.wait_until("both to halt", SOON, |fleet| fleet.event_log.count(rescue) == 2).await;
         stands_still(&mut fleet).await;
         for by in ["Nia", "Abe"] {
             let answer = fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": by })).await;
-            assert_eq!(answer["state"]["needs_rescue"]["cause"], json!(cause), "seed {seed}: {by}");
+            assert_eq!(answer["state"]["needs_intervention"]["cause"], json!(cause), "seed {seed}: {by}");
         }
         let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Abe" })).await;
-        let cause = format!("{cause}; rescued by Abe");
+        let cause = format!("{cause}; resolved by Abe");
         assert_eq!(answer["state"], json!({ "failed": { "cause": cause } }), "seed {seed}");
         assert_eq!(
             fleet.mission_state(&slug(mission.as_str())).map(|state| state.is_final()),

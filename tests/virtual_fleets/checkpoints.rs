@@ -1,4 +1,4 @@
-//! A robot whose notebook cannot be written promises nothing that it could not keep after a crash.
+//! A robot whose checkpoint cannot be written makes no promise that it could break after a crash.
 
 use crate::support::task_began;
 use async_trait::async_trait;
@@ -16,9 +16,9 @@ use std::time::Duration;
 
 const ROOMS: [&str; 2] = ["IC Room 6", "IC Room 5"];
 const SOON: Duration = Duration::from_secs(60);
-const WHY: &str = "its notebook cannot be written: no space left on it";
+const WHY: &str = "its checkpoint cannot be written: no space left on it";
 
-/// A notebook that can be made to break, and be mended.
+/// A checkpoint store that a test can break and repair.
 #[derive(Clone)]
 struct Fragile {
     inner: Arc<dyn CheckpointStore>,
@@ -39,7 +39,7 @@ impl CheckpointStore for Fragile {
     }
 }
 
-/// `gorse` is nearest and has a fragile notebook; `fern` could do its work.
+/// `gorse` is nearest and has a breakable checkpoint store; `fern` could take its work.
 async fn fleet(seed: u64, broken: &Arc<AtomicBool>) -> Fleet {
     let robots = vec![RobotSpec::carrier("gorse", "IC Room 4"), RobotSpec::carrier("fern", "Dock")];
     let broken = Arc::clone(broken);
@@ -62,7 +62,7 @@ fn out_of_service() -> Option<Availability> {
     Some(Availability::OutOfService { problem: WHY.to_owned() })
 }
 
-/// Who carried a mission out as `r1`.
+/// Waits until the mission completes and returns the holder of `r1`.
 async fn carried_out(fleet: &mut Fleet, mission: &MissionId, room: &str) -> String {
     fleet.assert_completes(mission).await;
     fleet.assert_sample_delivered(room);
@@ -74,7 +74,7 @@ fn a_robot_that_cannot_write_is_out_of_service_until_it_can() {
     for_each_seed([1301, 1302], async |seed| {
         let broken = Arc::new(AtomicBool::new(true));
         let mut fleet = fleet(seed, &broken).await;
-        fleet.wait_until("gorse to say so", SOON, |fleet| says(fleet) == out_of_service()).await;
+        fleet.wait_until("gorse to report it", SOON, |fleet| says(fleet) == out_of_service()).await;
         let first = fleet.submit("a", ROOMS[0]).await;
         assert_eq!(carried_out(&mut fleet, &first, ROOMS[0]).await, "fern", "seed {seed}\n{}", fleet.event_log_text());
         let refusals: Vec<String> = fleet
@@ -101,12 +101,12 @@ fn a_robot_that_cannot_write_is_out_of_service_until_it_can() {
 }
 
 #[test]
-fn a_role_that_cannot_be_written_down_is_given_back_before_anything_is_begun() {
+fn a_role_that_cannot_be_stored_is_returned_before_it_begins() {
     for_each_seed([1311, 1312], async |seed| {
         let broken = Arc::new(AtomicBool::new(false));
         let mut fleet = fleet(seed, &broken).await;
         fleet.wait_until("gorse to be free", SOON, |fleet| says(fleet) == Some(Availability::Free)).await;
-        // It learns of it only when it has something to write.
+        // The robot notices only when it has something to write.
         broken.store(true, Ordering::SeqCst);
         let mission = fleet.submit("a", ROOMS[0]).await;
         assert_eq!(
@@ -115,9 +115,9 @@ fn a_role_that_cannot_be_written_down_is_given_back_before_anything_is_begun() {
             "seed {seed}\n{}",
             fleet.event_log_text()
         );
-        let gave_up = fleet
-            .event_log
-            .count(|what| matches!(what, EventKind::GaveUp { kind: FailureKind::Notebook, cause, .. } if cause == WHY));
+        let gave_up = fleet.event_log.count(
+            |what| matches!(what, EventKind::GaveUp { kind: FailureKind::Checkpoint, cause, .. } if cause == WHY),
+        );
         let released = |what: &EventKind| matches!(what, EventKind::Released { cause, .. } if cause.ends_with(WHY));
         let all = |what: &EventKind| matches!(what, EventKind::Released { .. });
         let counts = (gave_up, fleet.event_log.count(released), fleet.event_log.count(all));
@@ -131,7 +131,7 @@ fn a_role_that_cannot_be_written_down_is_given_back_before_anything_is_begun() {
 }
 
 #[test]
-fn a_role_that_is_on_record_is_carried_out_although_the_notebook_breaks() {
+fn a_stored_role_is_finished_although_the_store_breaks() {
     for_each_seed([1321, 1322], async |seed| {
         let broken = Arc::new(AtomicBool::new(false));
         let mut fleet = fleet(seed, &broken).await;
@@ -146,8 +146,9 @@ fn a_role_that_is_on_record_is_carried_out_although_the_notebook_breaks() {
             fleet.event_log_text()
         );
         fleet.assert_each_task_once(&mission);
-        fleet.wait_until("gorse to say so", SOON, |fleet| says(fleet) == out_of_service()).await;
-        // With the page of a role that is over it starts anew, and learns that it is.
+        fleet.wait_until("gorse to report it", SOON, |fleet| says(fleet) == out_of_service()).await;
+        // After the restart its checkpoint contains an ended role, and the robot learns that the
+        // role has ended.
         fleet.kill("gorse").await;
         broken.store(false, Ordering::SeqCst);
         fleet.restart("gorse").await;

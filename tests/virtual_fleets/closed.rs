@@ -1,4 +1,5 @@
-//! Fleets whose nodes have certificates and seal what they say, and what somebody who has a robot's key can do there.
+//! Fleets whose nodes have certificates and sign their messages, and the effect of an attacker with
+//! the key of a robot.
 
 use crate::support::released;
 use bytes::Bytes;
@@ -23,21 +24,22 @@ const SEEDS: [u64; 3] = [51, 52, 53];
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
-/// `fern` is far away and `gorse` near, so that `gorse` carries; the node of `fern` is not started where somebody else has her key.
+/// `fern` is far away and `gorse` near, so that `gorse` carries. Tests with an attacker do not
+/// start the node of `fern`.
 async fn closed(seed: u64, fern: RobotSpec) -> Fleet {
     let robots = vec![fern, RobotSpec::carrier("gorse", "IC Room 4")];
     let mut fleet = Fleet::closed_hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
-    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: who coordinates first");
+    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the first coordinator");
     fleet
 }
 
-/// What nodes did not believe.
+/// Returns the messages that nodes rejected.
 fn refused(fleet: &Fleet) -> BTreeSet<String> {
     fleet.signing_buses.values().flat_map(|bus| bus.rejections()).collect()
 }
 
 #[test]
-fn a_closed_fleet_carries_a_mission_through_the_death_of_its_coordinator() {
+fn a_closed_fleet_completes_a_mission_after_a_takeover() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock")).await;
         let mission = fleet.submit("a", ROOM).await;
@@ -65,13 +67,13 @@ fn within<T: Serialize>(said: &T) -> Bytes {
     wire(&ClusterEnvelope { cluster: None, payload: wire(said).to_vec() })
 }
 
-/// Somebody with the key of a robot, at its place in the network.
+/// Attacker with the key of a robot, at the robot's place in the network.
 struct Compromised {
-    /// As a node uses it, and as it is.
+    /// The signing bus of a node, and the plain bus below it.
     sealed: SharedBus,
     plain: SharedBus,
     keys: Keys,
-    /// How often each was done: repeated, moved, claimed, answered.
+    /// Number of replayed, redirected, forged and answered messages.
     did: [AtomicU64; 4],
 }
 
@@ -80,7 +82,7 @@ impl Compromised {
         bus.publish_with_attachment(key, payload, beside, Encoding::Wire, Delivery::Block).await.expect("a network");
     }
 
-    /// Says again whatever is heard, there and on the keys of others.
+    /// Replays every received message, on the same key and on the keys of other nodes.
     async fn repeats(self: Arc<Self>) {
         let mut heard = self.plain.subscribe("consort/ward/**").await.expect("a network");
         let mut said: BTreeSet<Bytes> = BTreeSet::new();
@@ -104,7 +106,7 @@ impl Compromised {
         }
     }
 
-    /// Says what only others may say, with the seal that it has.
+    /// Publishes messages of other nodes, signed with its own key.
     async fn claims(self: Arc<Self>) {
         let node = |name: &str| NodeId::new(name).expect("a name");
         let still = RecordUpdate::Refresh {
@@ -143,7 +145,8 @@ impl Compromised {
         }
     }
 
-    /// Answers what others are asked: with the question, sealed and bare; and asks it again of whom it is for.
+    /// Answers queries for other nodes by returning the query, signed and unsigned, and repeats the
+    /// query to its target.
     async fn answers(self: Arc<Self>, key: &'static str, bare: bool) {
         let bus = if bare { &self.plain } else { &self.sealed };
         let mut asked = bus.serve(&format!("consort/ward/{key}")).await.expect("a network");
@@ -160,7 +163,7 @@ impl Compromised {
 }
 
 #[test]
-fn whoever_has_the_key_of_a_robot_changes_nothing_of_others() {
+fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
         let papers = fleet.credentials.as_ref().expect("a closed fleet");
@@ -171,9 +174,14 @@ fn whoever_has_the_key_of_a_robot_changes_nothing_of_others() {
         let mut tasks = tokio::task::JoinSet::new();
         tasks.spawn(Arc::clone(&fern).repeats());
         tasks.spawn(Arc::clone(&fern).claims());
-        for key in
-            ["wire/bid/*", "wire/award/*", "wire/report/*", "wire/live/*", "wire/raft/*/*", "wire/body/*/command"]
-        {
+        for key in [
+            "wire/bid/*",
+            "wire/award/*",
+            "wire/report/*",
+            "wire/active_missions/*",
+            "wire/raft/*/*",
+            "wire/body/*/command",
+        ] {
             tasks.spawn(Arc::clone(&fern).answers(key, false));
             tasks.spawn(Arc::clone(&fern).answers(key, true));
         }
@@ -192,10 +200,10 @@ fn whoever_has_the_key_of_a_robot_changes_nothing_of_others() {
         assert_eq!(
             fleet.event_log.count(elected),
             before,
-            "seed {seed}: nobody else coordinates\n{}",
+            "seed {seed}: the coordinator is unchanged\n{}",
             fleet.event_log_text()
         );
-        assert_eq!(fleet.event_log.count(released), 0, "seed {seed}: nobody loses a role\n{}", fleet.event_log_text());
+        assert_eq!(fleet.event_log.count(released), 0, "seed {seed}: no role is released\n{}", fleet.event_log_text());
         assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}");
         let did = fern.did.each_ref().map(|count| count.load(Ordering::Relaxed));
         assert!(did.iter().all(|count| *count > 10), "seed {seed}: repeated, moved, claimed, answered: {did:?}");
@@ -216,14 +224,14 @@ fn whoever_has_the_key_of_a_robot_changes_nothing_of_others() {
     });
 }
 
-/// What a node knows of a robot: the record, as it was signed.
+/// Returns the signed record of a robot in the knowledge base of a node.
 fn record(fleet: &Fleet, at: &str, of: &str) -> Record {
     let heard = |base: &KnowledgeBase| base.get(&of.parse().expect("a name")).map(|heard| heard.record.clone());
     fleet.knowledge(at).read(heard).expect("it is known")
 }
 
 #[test]
-fn whoever_hands_on_what_others_said_can_neither_change_it_nor_make_it_up() {
+fn a_relaying_node_can_neither_change_nor_forge_records() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
         let papers = fleet.credentials.as_ref().expect("a closed fleet");
@@ -251,15 +259,15 @@ fn whoever_hands_on_what_others_said_can_neither_change_it_nor_make_it_up() {
             let mut answers = sealed.query(&key, bytes.into(), Duration::from_secs(1)).await.expect("a network");
             answers.recv().await.is_some_and(|answer| answer.payload.is_ok())
         };
-        // Whose certificate is not known yet is to ask again.
+        // A node whose certificate is not known yet must repeat the query.
         while !hand_over(Digest::new(), vec![]).await {}
         for record in [broken, by_fern, renewed, unsigned] {
             assert!(hand_over(Digest::new(), vec![record]).await, "seed {seed}: the rest of it is answered");
         }
-        // And that gorse itself had said something that nobody can go beyond.
+        // And that gorse itself has published a version that cannot be exceeded.
         let own = Digest::from([("gorse".parse().expect("a name"), later)]);
         assert!(!hand_over(own, vec![]).await, "seed {seed}: what cannot be is not answered");
-        fleet.wait_until("gorse has told of it", SOON, |fleet| malformed(fleet) == before + 4).await;
+        fleet.wait_until("gorse has counted them", SOON, |fleet| malformed(fleet) == before + 4).await;
         for of in ["lab-arm", "gorse"] {
             let known = record(&fleet, "gorse", of);
             assert!(known.stamp.incarnation < 100, "seed {seed}: {known:?}");

@@ -1,4 +1,5 @@
-//! Two halves of a fleet that founded a ledger each: nothing merges, both say so, and each goes on.
+//! Two halves of a fleet that have each created a cluster: the ledgers do not merge, both report
+//! it, and both continue.
 
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{ClusterId, NodeId};
@@ -16,7 +17,7 @@ use tokio::time::Instant;
 const ONE: [&str; 3] = ["aster", "basil", "clove"];
 const OTHER: [&str; 3] = ["daisy", "elder", "fennel"];
 
-/// Both halves, which have not heard of each other.
+/// Starts both halves without a link between them.
 async fn halves(seed: u64) -> StationFleet {
     let mut fleet = StationFleet::empty(seed, 3);
     fleet.network.partition([ONE.map(slug), OTHER.map(slug)]);
@@ -41,7 +42,7 @@ fn missions(fleet: &StationFleet, names: &[&str]) -> Vec<Vec<String>> {
 }
 
 #[test]
-fn two_that_were_founded_apart_do_not_merge_and_both_say_so() {
+fn two_separate_clusters_do_not_merge_and_report_each_other() {
     for_each_seed(1..3, async |seed| {
         let mut fleet = halves(seed).await;
         fleet.submit("basil", "of-one").await;
@@ -59,7 +60,7 @@ fn two_that_were_founded_apart_do_not_merge_and_both_say_so() {
             });
             told.collect::<Vec<_>>()
         };
-        fleet.wait_until("both say so", |fleet| foreign(fleet).len() >= 2).await;
+        fleet.wait_until("both report it", |fleet| foreign(fleet).len() >= 2).await;
         fleet.advance(Duration::from_secs(60)).await;
         let told = foreign(&fleet);
         assert_eq!(told.len(), 2, "seed {seed}: {told:?}");
@@ -69,13 +70,14 @@ fn two_that_were_founded_apart_do_not_merge_and_both_say_so() {
         assert_eq!(missions(&fleet, &ONE), [["of-one"]; 3], "seed {seed}");
         assert_eq!(missions(&fleet, &OTHER), [["of-the-other"]; 3], "seed {seed}");
 
-        // Each half still elects and commits by itself, with the other in reach.
-        let leader = fleet.leaders().into_iter().find(|name| ONE.contains(&name.as_str())).expect("a leader of one");
+        // Each half still elects and commits by itself while the other half is reachable.
+        let leader =
+            fleet.leaders().into_iter().find(|name| ONE.contains(&name.as_str())).expect("a leader of the first half");
         fleet.kill(&leader).await;
         fleet.wait_until("two coordinators again", |fleet| fleet.leaders().len() == 2).await;
         let cancel = json!({ "mission": "lab-samples-9" });
         let answers = fleet.query("fennel", &Key::Api(ApiCall::Cancel), &cancel, Duration::from_secs(1)).await;
-        assert_eq!(answers.len(), 2, "seed {seed}: each answers for its own: {answers:?}");
+        assert_eq!(answers.len(), 2, "seed {seed}: each coordinator replies: {answers:?}");
         let shown = fleet.query("fennel", &Key::ViewCoordinator, &Value::Null, Duration::from_secs(1)).await;
         for view in &shown {
             assert_eq!(view["foreign"].as_object().map(serde_json::Map::len), Some(1), "seed {seed}: {view}");
@@ -84,7 +86,7 @@ fn two_that_were_founded_apart_do_not_merge_and_both_say_so() {
 }
 
 #[test]
-fn a_node_that_hears_of_a_cluster_founds_none() {
+fn a_node_that_discovers_a_cluster_creates_none() {
     for_each_seed(1..5, async |seed| {
         let mut fleet = StationFleet::empty(seed, 1);
         fleet.start("aster").await;
@@ -100,7 +102,7 @@ fn a_node_that_hears_of_a_cluster_founds_none() {
 }
 
 #[test]
-fn a_newcomer_that_two_clusters_court_belongs_to_one_of_them() {
+fn a_new_node_between_two_clusters_joins_only_one() {
     for_each_seed(1..4, async |seed| {
         let mut fleet = halves(seed).await;
         fleet.network.heal();
@@ -123,8 +125,8 @@ fn a_newcomer_that_two_clusters_court_belongs_to_one_of_them() {
 
 const FIVE: [&str; 5] = ["aster", "basil", "clove", "daisy", "elder"];
 
-/// Five nodes that are started within milliseconds of one another, fixed and mobile ones, in an order and at distances in
-/// time that the seed draws. One after the other is linked to the rest, up to `link_up` after the first.
+/// Starts five nodes within milliseconds, fixed and mobile nodes, in an order and at intervals
+/// drawn from the seed. The nodes are linked in sequence, up to `link_up` after the first.
 async fn all_at_once(seed: u64, expect: usize, link_up: Duration) -> StationFleet {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut fleet = StationFleet::empty(seed, expect);
@@ -155,7 +157,7 @@ async fn all_at_once(seed: u64, expect: usize, link_up: Duration) -> StationFlee
     fleet
 }
 
-/// Tells how long it takes until all belong to one cluster. Nobody may ever belong to another.
+/// Returns the time until all nodes belong to the same cluster. No node may ever belong to another.
 async fn one_cluster(fleet: &StationFleet) -> Duration {
     let began = Instant::now();
     let looks = |fleet: &StationFleet| {
@@ -163,15 +165,15 @@ async fn one_cluster(fleet: &StationFleet) -> Duration {
         assert!(known.len() < 2, "seed {}: {known:?}", fleet.seed);
         (known.len(), clusters(fleet).contains(&None))
     };
-    fleet.wait_until("all belong to one cluster", |fleet| looks(fleet) == (1, false)).await;
+    fleet.wait_until("all belong to the same cluster", |fleet| looks(fleet) == (1, false)).await;
     let took = began.elapsed();
     let end = Instant::now() + Duration::from_secs(5);
-    fleet.wait_until("nobody to found another", |fleet| looks(fleet) == (1, false) && Instant::now() >= end).await;
+    fleet.wait_until("no further cluster", |fleet| looks(fleet) == (1, false) && Instant::now() >= end).await;
     took
 }
 
 #[test]
-fn five_that_start_at_once_found_one_cluster_however_few_they_expect() {
+fn five_simultaneous_nodes_create_a_single_cluster() {
     for expect in [1, 2, 5] {
         let took = RefCell::new(vec![]);
         for_each_seed(0..60, async |seed| {
@@ -181,13 +183,13 @@ fn five_that_start_at_once_found_one_cluster_however_few_they_expect() {
         });
         let mut took = took.into_inner();
         took.sort_unstable();
-        // They listen for 600 ms; the question is one round trip.
+        // They listen for 600 ms; the query takes a round trip.
         assert!(took[30] < Duration::from_millis(700), "expecting {expect}: {took:?}");
     }
 }
 
 #[test]
-fn five_whose_links_come_up_while_they_listen_found_one_cluster_however_few_they_expect() {
+fn five_nodes_with_late_links_create_a_single_cluster() {
     for expect in [1, 2, 5] {
         for_each_seed(100..160, async |seed| {
             let fleet = all_at_once(seed, expect, Duration::from_millis(550)).await;
@@ -197,8 +199,9 @@ fn five_whose_links_come_up_while_they_listen_found_one_cluster_however_few_they
 }
 
 #[test]
-fn a_node_that_comes_while_another_founds_does_not_found_as_well() {
-    // It would be the first of the two. It starts before the other has founded, and has listened until after.
+fn a_node_does_not_create_a_second_cluster_during_a_bootstrap() {
+    // `aster` would come first of the two. It starts before the other node has created a cluster
+    // and listens until after that.
     for_each_seed(200..260, async |seed| {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut fleet = StationFleet::empty(seed, 1);

@@ -1,4 +1,4 @@
-//! Which mission is served first, and until when.
+//! Priorities and deadlines of missions.
 
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
@@ -20,7 +20,7 @@ async fn submit(fleet: &Fleet, request: &str, room: &str, more: Value) -> Missio
     slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {}: {answer}", fleet.seed)))
 }
 
-/// In which order missions were begun.
+/// Returns the missions in the order of their first award.
 fn begun(fleet: &Fleet) -> Vec<MissionId> {
     let mut order: Vec<MissionId> = vec![];
     for what in fleet.events() {
@@ -34,7 +34,7 @@ fn begun(fleet: &Fleet) -> Vec<MissionId> {
 }
 
 #[test]
-fn waiting_missions_are_served_by_priority_and_then_in_order_also_by_the_next_coordinator() {
+fn waiting_missions_run_by_priority_and_order_after_a_takeover() {
     for_each_seed([641, 642, 643], async |seed| {
         let robots = vec![RobotSpec::carrier("amber", "PC Room 8").with_speed(1.5)];
         let mut fleet = Fleet::hospital(seed, robots, &["aba", "abb", "abc"], &ROOMS).await;
@@ -55,7 +55,7 @@ fn waiting_missions_are_served_by_priority_and_then_in_order_also_by_the_next_co
 }
 
 #[test]
-fn of_two_missions_asked_for_at_one_moment_the_urgent_one_gets_the_robot() {
+fn the_urgent_mission_of_two_simultaneous_requests_wins() {
     for_each_seed([651, 652, 653, 654], async |seed| {
         let mut fleet = Fleet::hospital(seed, vec![RobotSpec::carrier("amber", "PC Room 8")], &["aba"], &ROOMS).await;
         fleet.wait_for_coordinator().await;
@@ -74,7 +74,7 @@ fn of_two_missions_asked_for_at_one_moment_the_urgent_one_gets_the_robot() {
 }
 
 #[test]
-fn past_its_deadline_a_mission_fails_with_what_it_had_waited_for_or_how_far_it_had_come() {
+fn a_mission_past_its_deadline_fails_with_its_progress() {
     for_each_seed([661, 662], async |seed| {
         let robots = vec![RobotSpec::carrier("amber", "Dock").with_speed(0.05)];
         let mut fleet = Fleet::hospital(seed, robots, &["aba"], &ROOMS).await;
@@ -83,12 +83,12 @@ fn past_its_deadline_a_mission_fails_with_what_it_had_waited_for_or_how_far_it_h
         fleet.wait_until("the first to begin", SOON, |fleet| fleet.holder(&running, "r1").is_some()).await;
         let waiting = submit(&fleet, "b", ROOMS[1], json!({ "deadline_s": 3 })).await;
         let MissionState::Failed { cause } = fleet.wait_for_end(&waiting).await else {
-            panic!("seed {seed}: otherwise")
+            panic!("seed {seed}: it ended in another state")
         };
         assert_eq!(cause, "its deadline passed while it waited: no viable bid for lab_arm, r1", "seed {seed}");
         let at = fleet.elapsed();
         let MissionState::Failed { cause } = fleet.wait_for_end(&running).await else {
-            panic!("seed {seed}: otherwise")
+            panic!("seed {seed}: it ended in another state")
         };
         assert_eq!(cause, "its deadline passed after 0 of 16 steps", "seed {seed}");
         assert!(fleet.elapsed() - at > Duration::from_secs(7), "seed {seed}: too early\n{}", fleet.event_log_text());
@@ -101,12 +101,12 @@ fn past_its_deadline_a_mission_fails_with_what_it_had_waited_for_or_how_far_it_h
 }
 
 #[test]
-fn a_priority_or_a_deadline_that_is_none_is_refused() {
+fn an_invalid_priority_or_deadline_is_rejected() {
     for_each_seed([671], async |seed| {
         let mut fleet = Fleet::hospital(seed, vec![], &["aba"], &ROOMS).await;
         fleet.wait_for_coordinator().await;
         for (more, says) in [
-            (json!({ "priority": 101 }), "101 is no priority; allowed are -100 to 100"),
+            (json!({ "priority": 101 }), "101 is not a valid priority; allowed are -100 to 100"),
             (json!({ "deadline_s": 0 }), "deadline_s is 0; allowed are more than 0"),
             (json!({ "deadline_s": -3.5 }), "deadline_s is -3.5; allowed are more than 0"),
         ] {

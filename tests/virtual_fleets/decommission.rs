@@ -1,4 +1,4 @@
-//! Nodes that leave: for a while or for good, as coordinator, as voter, or as neither.
+//! Nodes that leave for a while or for good: a coordinator, a voter, and neither.
 
 use consort_actors::bus::Bus;
 use consort_tests::{StationFleet, for_each_seed};
@@ -11,7 +11,7 @@ const FIVE: [&str; 5] = ["aster", "basil", "clove", "daisy", "elder"];
 const SEEDS: std::ops::Range<u64> = 1..6;
 
 #[test]
-fn a_coordinator_that_is_stopped_hands_over_within_a_tenth_of_a_second_and_keeps_its_vote() {
+fn a_stopping_coordinator_transfers_the_lead_and_keeps_its_vote() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = StationFleet::founded(seed, &FIVE).await;
         fleet.submit("elder", "before").await;
@@ -21,7 +21,7 @@ fn a_coordinator_that_is_stopped_hands_over_within_a_tenth_of_a_second_and_keeps
         let other = FIVE.iter().find(|name| **name != coordinator).expect("five");
         let began = Instant::now();
         let stopping = tokio::spawn(node.stop());
-        // Whoever leads has committed the first entry of its term.
+        // A leader has committed the first entry of its term.
         fleet.wait_until("another coordinator", |fleet| fleet.leaders().iter().any(|name| *name != coordinator)).await;
         let took = began.elapsed();
         assert!(took < Duration::from_millis(100), "seed {seed}: {took:?}");
@@ -36,12 +36,12 @@ fn a_coordinator_that_is_stopped_hands_over_within_a_tenth_of_a_second_and_keeps
 }
 
 #[test]
-fn whoever_leaves_for_good_loses_its_vote_to_another_before_it_goes() {
+fn a_leaving_node_passes_its_vote_on_before_it_ends() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = StationFleet::founded(seed, &FIVE).await;
         fleet.start("fennel").await;
         fleet.advance(Duration::from_secs(2)).await;
-        // First a coordinator, then voters that are none, until nobody is left to take over.
+        // First a coordinator, then other voters, until no node is left to take over.
         for round in 0..3 {
             let coordinator = fleet.wait_for_coordinator().await;
             let leaver = match round {
@@ -52,7 +52,7 @@ fn whoever_leaves_for_good_loses_its_vote_to_another_before_it_goes() {
             let limit = Duration::from_secs(20);
             let answers = fleet.query(&asker, &StationFleet::leave_key(&leaver), &serde_json::Value::Null, limit).await;
             let [farewell] = &answers[..] else { panic!("seed {seed}: {answers:?}") };
-            assert_eq!(farewell["released"], true, "seed {seed}, round {round}: {farewell}");
+            assert_eq!(farewell["vote_released"], true, "seed {seed}, round {round}: {farewell}");
             assert_eq!(farewell["successor"].is_string(), round == 0, "seed {seed}: {farewell}");
             let mut node = fleet.nodes.remove(&leaver).expect("it runs");
             assert!(node.ended_or_decommissioned().await.is_ok(), "seed {seed}");
@@ -69,13 +69,13 @@ fn whoever_leaves_for_good_loses_its_vote_to_another_before_it_goes() {
 }
 
 #[test]
-fn a_leaver_that_is_elected_once_more_hands_over_again() {
+fn a_leaving_node_that_is_elected_again_transfers_again() {
     let led_again = Cell::new(0);
     for seed in 101..121 {
         for_each_seed([seed], async |seed| {
             let mut fleet = StationFleet::founded(seed, &FIVE).await;
             let leaver = fleet.wait_for_coordinator().await;
-            // It hands over to the one of the lowest number.
+            // It transfers the lead to the voter with the lowest id.
             let others = fleet.leadership_view(&leaver).voters.into_values().map(|name| name.to_string());
             let successor = others.into_iter().find(|name| *name != leaver).expect("several");
             let asker = FIVE.into_iter().find(|name| *name != leaver && *name != successor).expect("five");
@@ -83,15 +83,16 @@ fn a_leaver_that_is_elected_once_more_hands_over_again() {
             let key = format!("consort/ward/api/leave/{leaver}");
             let asked = tokio::spawn(async move {
                 let mut replies = bus.query(&key, vec![].into(), Duration::from_secs(20)).await.expect("a virtual bus");
-                let said = replies.recv().await.expect("an answer").payload.expect("no refusal");
+                let said = replies.recv().await.expect("a reply").payload.expect("no refusal");
                 serde_json::from_slice::<serde_json::Value>(&said).expect("JSON")
             });
-            // Who is to take over dies before it can, and the others elect anew: perhaps the leaver.
+            // The target of the transfer is killed before it takes over, and the others hold an
+            // election. The leaving node may win it.
             fleet.wait_until("it to hand over", |fleet| !fleet.leadership_view(&leaver).is_leader).await;
             fleet.kill(&successor).await;
             fleet.wait_until("it to have left", |_| asked.is_finished()).await;
             let farewell = asked.await.expect("no panic");
-            assert_eq!(farewell["released"], true, "seed {seed}: {farewell}");
+            assert_eq!(farewell["vote_released"], true, "seed {seed}: {farewell}");
             let again = farewell["successor"].as_str().is_some_and(|last| last != successor);
             led_again.set(led_again.get() + usize::from(again));
             let node = fleet.nodes.remove(&leaver).expect("it runs");
@@ -110,7 +111,7 @@ fn a_leaver_that_is_elected_once_more_hands_over_again() {
 }
 
 #[test]
-fn the_only_voter_says_that_it_must_stay_and_leaves_once_there_is_another() {
+fn the_only_voter_may_leave_once_there_is_another() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = StationFleet::founded(seed, &["aster"]).await;
         let limit = Duration::from_secs(20);
@@ -132,7 +133,7 @@ fn the_only_voter_says_that_it_must_stay_and_leaves_once_there_is_another() {
 }
 
 #[test]
-fn of_two_voters_one_stays_while_the_other_is_down_and_leads_on_once_it_is_back() {
+fn a_voter_may_not_leave_while_the_other_is_down() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = StationFleet::founded(seed, &["aster"]).await;
         fleet.submit("aster", "before").await;
@@ -142,13 +143,13 @@ fn of_two_voters_one_stays_while_the_other_is_down_and_leads_on_once_it_is_back(
         let asked = tokio::spawn(async move {
             let key = "consort/ward/api/leave/aster";
             let mut replies = bus.query(key, vec![].into(), Duration::from_secs(20)).await.expect("a virtual bus");
-            let said = replies.recv().await.expect("an answer").payload.expect("no refusal");
+            let said = replies.recv().await.expect("a reply").payload.expect("no refusal");
             serde_json::from_slice::<serde_json::Value>(&said).expect("JSON")
         });
-        // Whoever was to relieve it dies before it can.
+        // The node that should take over is killed before it can.
         fleet.wait_until("two voters", |fleet| fleet.leadership_view("aster").voters.len() == 2).await;
         fleet.kill("basil").await;
-        fleet.wait_until("an answer", |_| asked.is_finished()).await;
+        fleet.wait_until("a reply", |_| asked.is_finished()).await;
         let said = asked.await.expect("no panic");
         let problem = said["error"].as_str().expect("a refusal");
         assert!(problem.starts_with("aster and basil are the only voters, and basil has not relieved"), "{problem}");

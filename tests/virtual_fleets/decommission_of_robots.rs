@@ -1,4 +1,4 @@
-//! Robots that leave while they hold a role: for good, or for a while.
+//! Robots that leave while they hold a role, for good or for a while.
 
 use crate::support::{release_reason, released, task_began};
 use consort_actors::node::NodeSettings;
@@ -13,7 +13,8 @@ use std::time::Duration;
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
-/// `gorse` holds the role and is at this task; `fern` could take over; the arm and the stations keep the ledger.
+/// `gorse` holds the role and is at this task; `fern` could take over; the arm and the stations are
+/// voters.
 async fn under_way(seed: u64, task: &'static str) -> (Fleet, MissionId) {
     let robots = vec![RobotSpec::carrier("gorse", "IC Room 4"), RobotSpec::carrier("fern", "Dock")];
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove", "dill"], &[ROOM]).await;
@@ -24,7 +25,7 @@ async fn under_way(seed: u64, task: &'static str) -> (Fleet, MissionId) {
     (fleet, mission)
 }
 
-/// Waits until the coordinator's view no longer has such a node.
+/// Waits until the view of the coordinator contains no such node.
 async fn no_more(fleet: &Fleet, what: &str, limit: Duration, is: impl Fn(&Value) -> bool) {
     let gone = async |fleet: &Fleet| {
         let views = fleet.view("fleet").await;
@@ -34,14 +35,14 @@ async fn no_more(fleet: &Fleet, what: &str, limit: Duration, is: impl Fn(&Value)
 }
 
 #[test]
-fn a_robot_that_leaves_for_good_gives_its_role_back_and_is_forgotten() {
+fn a_leaving_robot_returns_its_role_and_is_removed() {
     for_each_seed([1201, 1202, 1203], async |seed| {
         let (mut fleet, mission) = under_way(seed, "navto_room").await;
         let began_to_leave = fleet.elapsed();
         let said = fleet.leave("gorse").await;
         let left = fleet.elapsed();
-        assert_eq!((&said["role_given_back"], &said["successor"]), (&json!(true), &json!(null)), "seed {seed}: {said}");
-        // By its own word, and long before its silence would have been noticed.
+        assert_eq!((&said["role_released"], &said["successor"]), (&json!(true), &json!(null)), "seed {seed}: {said}");
+        // The robot reports it by itself, long before its lease would have expired.
         let causes: Vec<_> = fleet.events().iter().filter_map(release_reason).collect();
         assert_eq!(
             causes,
@@ -65,32 +66,32 @@ fn a_robot_that_leaves_for_good_gives_its_role_back_and_is_forgotten() {
         assert_eq!(fleet.position("gorse"), place, "seed {seed}: it stands still");
         fleet.assert_sample_delivered(ROOM);
         fleet.assert_exclusive_roles();
-        // It is in no view any more, once it is forgotten.
+        // Once removed, the robot is in no view.
         no_more(&fleet, "that gorse is forgotten", SOON, is_gorse).await;
         assert!(!fleet.presence_tokens().await.iter().any(|token| token.contains("gorse")), "seed {seed}");
     });
 }
 
 #[test]
-fn a_robot_that_leaves_for_good_with_the_sample_says_so_and_needs_rescue() {
+fn a_robot_that_leaves_with_the_sample_needs_intervention() {
     for_each_seed([1211, 1212], async |seed| {
         let (mut fleet, mission) = under_way(seed, "navto_lab").await;
         let said = fleet.leave("gorse").await;
-        assert_eq!(said["role_given_back"], true, "seed {seed}: {said}");
-        let MissionState::NeedsRescue { cause, items } = fleet.wait_for_end(&mission).await else {
-            panic!("seed {seed}: it ended otherwise\n{}", fleet.event_log_text())
+        assert_eq!(said["role_released"], true, "seed {seed}: {said}");
+        let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
+            panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
         };
         assert!(cause.starts_with("gorse was lost as r1 and has the sample: "), "seed {seed}: {cause}");
         assert!(cause.ends_with("it leaves the fleet"), "seed {seed}: {cause}");
         assert!(items[0].certain && items[0].place.is_some(), "seed {seed}: {items:?}");
         assert_eq!(fleet.sample_holder(ROOM), SampleHolder::Drawer(slug("gorse")), "seed {seed}");
         let tasks = fleet.task_counts(&mission);
-        assert_eq!(tasks["navto_lab"], (1, 0), "seed {seed}: nobody else began it\n{}", fleet.event_log_text());
+        assert_eq!(tasks["navto_lab"], (1, 0), "seed {seed}: no other robot began it\n{}", fleet.event_log_text());
     });
 }
 
 #[test]
-fn a_robot_that_is_stopped_for_a_while_goes_on_if_it_is_back_in_time() {
+fn a_stopped_robot_continues_if_it_returns_in_time() {
     for_each_seed([1221, 1222], async |seed| {
         let (mut fleet, mission) = under_way(seed, "navto_lab").await;
         fleet.stop("gorse").await;
@@ -105,7 +106,7 @@ fn a_robot_that_is_stopped_for_a_while_goes_on_if_it_is_back_in_time() {
 }
 
 #[test]
-fn a_robot_that_is_stopped_and_stays_away_is_replaced_after_its_lease() {
+fn a_stopped_robot_is_replaced_after_its_lease() {
     for_each_seed([1231, 1232], async |seed| {
         let (mut fleet, mission) = under_way(seed, "navto_room").await;
         let stopped = fleet.elapsed();
@@ -120,7 +121,7 @@ fn a_robot_that_is_stopped_and_stays_away_is_replaced_after_its_lease() {
     });
 }
 
-/// A fleet in which `gorse`, a robot, is the only node that may vote.
+/// Starts a fleet in which the robot `gorse` is the only possible voter.
 async fn of_one_voter(seed: u64) -> Fleet {
     let robots = vec![RobotSpec::carrier("gorse", "IC Room 4")];
     let only_gorse = |settings: &mut NodeSettings| {
@@ -138,7 +139,7 @@ fn must_stay(said: &Value) -> bool {
 }
 
 #[test]
-fn a_robot_whose_leave_is_refused_goes_on_bidding_and_wins_the_next_mission() {
+fn a_robot_that_may_not_leave_still_wins_missions() {
     for_each_seed([1241, 1242], async |seed| {
         let mut fleet = of_one_voter(seed).await;
         fleet.wait_for_coordinator().await;
@@ -148,13 +149,13 @@ fn a_robot_whose_leave_is_refused_goes_on_bidding_and_wins_the_next_mission() {
         fleet.assert_completes(&mission).await;
         assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "gorse", "seed {seed}");
         fleet.assert_sample_delivered(ROOM);
-        // Whoever stops it means it.
+        // SIGTERM works in any case.
         fleet.stop("gorse").await;
     });
 }
 
 #[test]
-fn a_robot_whose_leave_is_refused_in_the_middle_of_a_mission_keeps_its_role() {
+fn a_robot_that_may_not_leave_keeps_its_role() {
     for_each_seed([1251, 1252], async |seed| {
         let mut fleet = of_one_voter(seed).await;
         fleet.wait_for_coordinator().await;

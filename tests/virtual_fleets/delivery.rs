@@ -1,4 +1,4 @@
-//! The main job: a sample goes from a nurse to the laboratory.
+//! The main job: a sample moves from a nurse to the laboratory.
 
 use consort_tests::{Fleet, RobotSpec};
 
@@ -11,7 +11,7 @@ fn robots() -> Vec<RobotSpec> {
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn a_sample_is_fetched_from_the_nurse_and_ends_with_the_arm_in_the_laboratory() {
+async fn a_sample_moves_from_the_nurse_to_the_arm_in_the_laboratory() {
     let mut fleet = Fleet::hospital(1, robots(), &[], &["IC Room 6"]).await;
     fleet.wait_for_coordinator().await;
     let mission = fleet.submit("a", "IC Room 6").await;

@@ -1,4 +1,4 @@
-//! One seed is one run.
+//! A seed determines a run.
 
 use consort_actors::bus::LinkModel;
 use consort_protocol::event::EventKind;
@@ -6,7 +6,7 @@ use consort_tests::{Fleet, Observation, RobotSpec, for_each_seed};
 use std::cell::RefCell;
 use std::time::Duration;
 
-/// A mission over bad links, with a takeover and a restart in it, in an open fleet or a closed one.
+/// Runs a mission over bad links with a takeover and a restart, in an open or a closed fleet.
 async fn run(seed: u64, closed: bool) -> (Vec<(Duration, Observation)>, u64) {
     let robots = vec![
         RobotSpec::carrier("amber", "PC Room 8"),
@@ -41,11 +41,11 @@ fn alone(seed: u64, closed: bool) -> (Vec<(Duration, Observation)>, u64) {
         let outcome = run(seed, closed).await;
         runs.borrow_mut().push(outcome);
     });
-    runs.into_inner().pop().expect("one run")
+    runs.into_inner().pop().expect("a single run")
 }
 
 #[test]
-fn a_seed_gives_the_same_tale_and_the_same_messages_each_time() {
+fn a_seed_determines_the_event_log_and_the_messages() {
     for (seed, closed) in [(1, false), (2, false), (3, false), (4, true)] {
         let (tale, digest) = alone(seed, closed);
         let (again, digest_again) = alone(seed, closed);

@@ -1,4 +1,4 @@
-//! What is said under an award that is no longer in force is not listened to.
+//! Messages under an outdated award are ignored.
 
 use crate::support::task_began;
 use consort_actors::bus::{Bus, Delivery, Encoding};
@@ -24,10 +24,11 @@ fn picked_up() -> Signal {
 }
 
 fn heard_it(what: &EventKind) -> bool {
-    matches!(what, EventKind::Heard { signal, .. } if *signal == picked_up())
+    matches!(what, EventKind::Received { signal, .. } if *signal == picked_up())
 }
 
-/// Somebody says that the sample has been taken, while the carrier opens its drawer in the laboratory for that.
+/// A client forges the signal that the sample has been taken, while the carrier opens its drawer in
+/// the laboratory.
 async fn told_too_early(seed: u64, epoch: impl Fn(Epoch) -> Epoch) -> (Fleet, MissionId) {
     let mut fleet = Fleet::hospital(seed, vec![RobotSpec::carrier("gorse", "IC Room 4")], &["aster"], &[ROOM]).await;
     fleet.wait_for_coordinator().await;
@@ -38,17 +39,17 @@ async fn told_too_early(seed: u64, epoch: impl Fn(Epoch) -> Epoch) -> (Fleet, Mi
     let epoch = epoch(held.flatten().expect("the arm holds its role").epoch);
     let said = SignalHistory { mission: mission.clone(), epoch, signals: BTreeSet::from([picked_up()]) };
     let key = fleet.keys().write(&Key::Signal(mission.clone(), slug("r1")));
-    let bytes = codec::encode(&said).expect("one signal fits a message").into();
-    // Somebody of the same cluster: it is the epoch alone that tells them apart.
+    let bytes = codec::encode(&said).expect("a signal fits a message").into();
+    // The client belongs to the same cluster, so that only the epoch distinguishes the signals.
     let allegiance = ClusterMembership::default();
-    allegiance.set_from_ledger(fleet.ledger(|ledger| ledger.cluster()).flatten().expect("a ledger that was founded"));
+    allegiance.set_from_ledger(fleet.ledger(|ledger| ledger.cluster()).flatten().expect("a cluster was created"));
     let client = ClusterBus::new(Arc::new(fleet.client.clone()), fleet.keys().clone(), allegiance);
     client.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await.expect("a virtual bus");
     (fleet, mission)
 }
 
 #[test]
-fn a_signal_of_an_older_award_is_ignored_counted_and_told_of_once() {
+fn a_signal_of_an_older_award_is_ignored_and_reported_once() {
     for_each_seed([401, 402], async |seed| {
         let (mut fleet, mission) = told_too_early(seed, |held| Epoch { index: held.index - 1, ..held }).await;
         fleet.assert_completes(&mission).await;
@@ -56,7 +57,7 @@ fn a_signal_of_an_older_award_is_ignored_counted_and_told_of_once() {
             .events()
             .iter()
             .filter_map(|what| match what {
-                EventKind::Outdated { signal, count, .. } if *signal == picked_up() => Some(*count),
+                EventKind::StaleSignal { signal, count, .. } if *signal == picked_up() => Some(*count),
                 _ => None,
             })
             .collect();
@@ -71,10 +72,10 @@ fn a_signal_of_an_older_award_is_ignored_counted_and_told_of_once() {
 }
 
 #[test]
-fn the_same_signal_of_the_award_in_force_would_be_believed() {
+fn the_same_signal_of_the_current_award_is_accepted() {
     for_each_seed([403], async |seed| {
         let (mut fleet, _) = told_too_early(seed, |held| held).await;
-        fleet.wait_until("the carrier to believe it", SOON, |fleet| fleet.has_event(heard_it)).await;
+        fleet.wait_until("the carrier to accept it", SOON, |fleet| fleet.has_event(heard_it)).await;
         let taken =
             |what: &EventKind| matches!(what, EventKind::TaskEnded { task, .. } if task.as_str() == "pick_up_sample");
         assert!(!fleet.has_event(taken), "seed {seed}\n{}", fleet.event_log_text());

@@ -15,7 +15,7 @@ const SOON: Duration = Duration::from_secs(60);
 const SKILLS: [&str; 6] =
     ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot", "wait"];
 
-/// `amber` drives to the laboratory with the sample, and is killed.
+/// Kills `amber` while it drives to the laboratory with the sample.
 async fn lost_on_its_way(seed: u64, kind: &str) -> (Fleet, MissionId) {
     let robots = vec![
         RobotSpec::carrier("amber", "IC Room 4").with_skills(&SKILLS),
@@ -32,10 +32,10 @@ async fn lost_on_its_way(seed: u64, kind: &str) -> (Fleet, MissionId) {
 }
 
 #[test]
-fn a_mission_with_a_recovery_branch_sends_another_robot_to_stand_by_the_sample() {
+fn a_recovery_branch_sends_another_robot_to_the_sample() {
     for_each_seed([601, 602], async |seed| {
         let (mut fleet, mission) = lost_on_its_way(seed, "lab-samples-watched").await;
-        fleet.wait_until("somebody to stand by", SOON, |fleet| fleet.has_event(task_began("stand_by"))).await;
+        fleet.wait_until("a robot to stand by", SOON, |fleet| fleet.has_event(task_began("stand_by"))).await;
         assert_eq!(fleet.holder(&mission, "watch").expect("held").as_str(), "birch", "seed {seed}");
         let (x, y) = (fleet.position("amber"), fleet.position("birch"));
         let apart = ((x.0 - y.0).powi(2) + (x.1 - y.1).powi(2)).sqrt();
@@ -43,10 +43,10 @@ fn a_mission_with_a_recovery_branch_sends_another_robot_to_stand_by_the_sample()
         let replaced = |what: &EventKind| matches!(what, EventKind::Halted { reason: EndReason::Replaced, .. });
         assert_eq!(fleet.event_log.count(replaced), 1, "seed {seed}: the arm\n{}", fleet.event_log_text());
 
-        let MissionState::NeedsRescue { cause, items } = fleet.wait_for_end(&mission).await else {
-            panic!("seed {seed}: it ended otherwise\n{}", fleet.event_log_text())
+        let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
+            panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
         };
-        assert!(cause.starts_with("the recovery branch was carried out; the sample is with amber at "), "{cause}");
+        assert!(cause.starts_with("the recovery branch was completed; the sample is with amber at "), "{cause}");
         let kept: Vec<_> = items.iter().map(|kept| (kept.robot.as_str(), kept.certain)).collect();
         assert_eq!(kept, [("amber", true)], "seed {seed}");
         let views = fleet.view(&format!("mission/{mission}")).await;
@@ -58,11 +58,11 @@ fn a_mission_with_a_recovery_branch_sends_another_robot_to_stand_by_the_sample()
 }
 
 #[test]
-fn only_a_person_closes_a_mission_that_needs_rescue() {
+fn only_a_person_resolves_a_mission_that_needs_intervention() {
     for_each_seed([611, 612], async |seed| {
         let (mut fleet, mission) = lost_on_its_way(seed, "lab-samples").await;
-        let MissionState::NeedsRescue { cause, items } = fleet.wait_for_end(&mission).await else {
-            panic!("seed {seed}: it ended otherwise\n{}", fleet.event_log_text())
+        let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
+            panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
         };
         assert!(
             cause.starts_with("amber was lost as r1 and has the sample: amber silent for "),
@@ -70,10 +70,11 @@ fn only_a_person_closes_a_mission_that_needs_rescue() {
         );
         assert_eq!(items.len(), 1, "seed {seed}: {items:?}");
         assert!(items[0].certain && items[0].place.is_some(), "seed {seed}: {items:?}");
-        let halted = |what: &EventKind| matches!(what, EventKind::Halted { reason: EndReason::Rescue, .. });
-        fleet.wait_until("the arm to put its role down", SOON, |fleet| fleet.has_event(halted)).await;
+        let halted = |what: &EventKind| matches!(what, EventKind::Halted { reason: EndReason::NeedsIntervention, .. });
+        fleet.wait_until("the arm to halt its role", SOON, |fleet| fleet.has_event(halted)).await;
 
-        // It survives a takeover, and the robot gets no role when it is back, until somebody has closed the mission.
+        // The state survives a takeover. The robot receives no role after its restart until a
+        // person has resolved the mission.
         fleet.kill("lab-arm").await;
         fleet.wait_for_coordinator().await;
         fleet.start_robot("lab-arm").await;
@@ -87,16 +88,19 @@ fn only_a_person_closes_a_mission_that_needs_rescue() {
             };
             fleet.events().into_iter().filter_map(said).next_back().unwrap_or_default()
         };
-        fleet.wait_until("amber to be refused", SOON, |fleet| why(fleet).contains("hands_full")).await;
+        fleet.wait_until("amber to be refused", SOON, |fleet| why(fleet).contains("carries_item")).await;
         let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;
-        let cause = format!("{cause}; rescued by Nia");
+        let cause = format!("{cause}; resolved by Nia");
         assert_eq!(answer["state"], json!({ "failed": { "cause": cause } }), "seed {seed}");
         fleet.wait_until("amber to be given work", SOON, |fleet| fleet.holder(&next, "r1").is_some()).await;
-        // Asked once more for want of an answer, it has been heard; by another it is too late.
+        // A repeated request is acknowledged again; a request of another person comes too late.
         let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;
         assert_eq!(answer["state"], json!({ "failed": { "cause": cause } }), "seed {seed}");
         let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Tom" })).await;
         let error = answer["error"].as_str().expect("an error");
-        assert!(error.contains("is failed; only one that needs rescue can be closed"), "seed {seed}: {error}");
+        assert!(
+            error.contains("is failed; only a mission that needs intervention can be resolved"),
+            "seed {seed}: {error}"
+        );
     });
 }

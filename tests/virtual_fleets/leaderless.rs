@@ -1,4 +1,4 @@
-//! Requests that come while nobody coordinates.
+//! Requests while there is no coordinator.
 
 use consort_protocol::keys::ApiCall;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
@@ -9,12 +9,13 @@ use tokio::time::Instant;
 const ROOM: &str = "IC Room 6";
 
 #[test]
-fn a_request_in_a_leaderless_second_is_answered_at_once_by_one_voice_and_done_once_when_made_again() {
+fn a_request_without_a_leader_is_delayed_and_carried_out_once() {
     for_each_seed([621, 622, 623, 624], async |seed| {
         let robots = vec![RobotSpec::carrier("fern", "Dock"), RobotSpec::carrier("gorse", "IC Room 4")];
         let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
         fleet.wait_for_coordinator().await;
-        // Nobody is elected until the others reach one another, however soon they cease to believe in the last.
+        // No node can win an election until the links are restored, no matter how soon the nodes
+        // stop following the last leader.
         let names = ["aster", "basil", "clove", "fern", "gorse", "lab-arm"];
         for (from, to) in names.iter().flat_map(|from| names.iter().map(move |to| (*from, *to))) {
             if from != to {
@@ -43,7 +44,7 @@ fn a_request_in_a_leaderless_second_is_answered_at_once_by_one_voice_and_done_on
             fleet.network.heal();
             tokio::time::sleep(Duration::from_millis(20)).await;
         };
-        assert!(put_off > 0, "seed {seed}: nobody said that nobody coordinates\n{}", fleet.event_log_text());
+        assert!(put_off > 0, "seed {seed}: no reply reported the missing coordinator\n{}", fleet.event_log_text());
         let missions = fleet.ledger(|ledger| ledger.missions().count());
         assert_eq!(missions, Some(1), "seed {seed}: done once");
         fleet.assert_completes(&mission.parse().expect("an id")).await;
@@ -51,7 +52,7 @@ fn a_request_in_a_leaderless_second_is_answered_at_once_by_one_voice_and_done_on
 }
 
 #[test]
-fn without_a_quorum_it_is_said_how_many_voters_are_reachable() {
+fn an_error_without_a_quorum_counts_the_reachable_voters() {
     for_each_seed([631, 632], async |seed| {
         let robots = vec![RobotSpec::carrier("fern", "Dock").starting_later()];
         let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil"], &[ROOM]).await;

@@ -1,4 +1,4 @@
-//! A role has one active holder at most, whatever the network does.
+//! A role has at most a single active holder under all network faults.
 
 use crate::support::{released, task_began};
 use consort_protocol::event::EventKind;
@@ -12,7 +12,7 @@ use std::time::Duration;
 const SEEDS: [u64; 3] = [81, 82, 83];
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
-/// How often a robot looks after its lease.
+/// Interval at which a robot checks its lease.
 const BEAT: Duration = Duration::from_millis(260);
 
 fn suspended(what: &EventKind) -> bool {
@@ -23,12 +23,13 @@ fn replaced(what: &EventKind) -> bool {
     matches!(what, EventKind::Halted { reason: EndReason::Replaced, .. })
 }
 
-/// One of the two carriers is on its long way to the room, and has told nobody anything.
+/// Starts a mission; a carrier is on its long way to the room and has sent no signal yet.
 async fn under_way(seed: u64) -> (Fleet, MissionId) {
     with_clocks(seed, 1.0, [0.6, 0.7]).await
 }
 
-/// The same; the clocks of the carriers count so many seconds in one, all others are right.
+/// Same, but the clocks of the carriers count `rate` seconds per second; all other clocks are
+/// right.
 async fn with_clocks(seed: u64, rate: f64, speeds: [f64; 2]) -> (Fleet, MissionId) {
     let [fern, gorse] = speeds;
     let robots = [
@@ -37,7 +38,7 @@ async fn with_clocks(seed: u64, rate: f64, speeds: [f64; 2]) -> (Fleet, MissionI
     ];
     let robots = robots.into_iter().map(|robot| robot.with_clock(rate)).collect();
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
-    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: who coordinates");
+    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the coordinator");
     let mission = fleet.submit("a", ROOM).await;
     fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
     (fleet, mission)
@@ -49,7 +50,7 @@ fn holder(fleet: &Fleet, mission: &MissionId) -> (String, String) {
     (holder, other.to_owned())
 }
 
-/// Whether at some instant of the world both carriers drove, and when.
+/// Returns an instant of the world at which both carriers drove, if there is any.
 fn two_drove(fleet: &Fleet) -> Option<String> {
     let mut driving: Vec<(String, u64)> = vec![];
     let mut drives = 0;
@@ -72,7 +73,7 @@ fn two_drove(fleet: &Fleet) -> Option<String> {
     clash
 }
 
-/// Only the host of its body hears a robot any more, so that nothing but its own lease stops it.
+/// Leaves a robot only its link to the world host, so that nothing but its own lease stops it.
 fn leave_its_body_alone(fleet: &Fleet, robot: &str) {
     for node in fleet.running().iter().filter(|node| **node != robot && *node != "world") {
         let (robot, node) = (slug::<NodeId>(robot), slug::<NodeId>(node));
@@ -81,7 +82,8 @@ fn leave_its_body_alone(fleet: &Fleet, robot: &str) {
     }
 }
 
-/// The holder suspends in time, the role goes to the other only afterwards, and only one ends the mission.
+/// Asserts that the holder suspends in time, that the role moves to the other carrier only
+/// afterwards, and that only the other carrier completes the mission.
 async fn replaced_in_time(fleet: &mut Fleet, mission: &MissionId, latest: Duration) {
     let seed = fleet.seed;
     let (old, new) = holder(fleet, mission);
@@ -104,7 +106,7 @@ async fn replaced_in_time(fleet: &mut Fleet, mission: &MissionId, latest: Durati
         .await;
     assert_eq!(fleet.position(&old), place, "seed {seed}: it stands still\n{}", fleet.event_log_text());
     fleet.heal();
-    fleet.wait_until("the old holder to put its role down", SOON, |fleet| fleet.has_event(replaced)).await;
+    fleet.wait_until("the previous holder to halt its role", SOON, |fleet| fleet.has_event(replaced)).await;
     fleet.assert_completes(mission).await;
     fleet.assert_sample_delivered(ROOM);
     fleet.assert_exclusive_roles();
@@ -114,7 +116,7 @@ async fn replaced_in_time(fleet: &mut Fleet, mission: &MissionId, latest: Durati
 }
 
 #[test]
-fn a_robot_that_nobody_hears_suspends_and_is_replaced_only_then() {
+fn an_isolated_robot_suspends_before_it_is_replaced() {
     for_each_seed(SEEDS, async |seed| {
         let (mut fleet, mission) = under_way(seed).await;
         let (old, _) = holder(&fleet, &mission);
@@ -124,7 +126,7 @@ fn a_robot_that_nobody_hears_suspends_and_is_replaced_only_then() {
 }
 
 #[test]
-fn a_robot_that_still_reaches_its_body_stops_it_all_the_same() {
+fn a_robot_that_reaches_only_its_driver_still_suspends() {
     for_each_seed(SEEDS, async |seed| {
         let (mut fleet, mission) = under_way(seed).await;
         let (old, _) = holder(&fleet, &mission);
@@ -134,7 +136,7 @@ fn a_robot_that_still_reaches_its_body_stops_it_all_the_same() {
 }
 
 #[test]
-fn a_blackout_shorter_than_the_lease_is_survived_in_motion() {
+fn a_robot_keeps_moving_through_a_short_isolation() {
     for_each_seed(SEEDS, async |seed| {
         let (mut fleet, mission) = under_way(seed).await;
         let (old, _) = holder(&fleet, &mission);
@@ -154,22 +156,22 @@ fn a_coordinator_cut_off_with_a_holder_stops_renewing_its_lease() {
         let (mut fleet, mission) = under_way(seed).await;
         let (old, _) = holder(&fleet, &mission);
         fleet.cut_off(&["aster", &old]);
-        // It may renew for as long as it may believe that it leads.
+        // It may renew as long as its check-quorum period lasts.
         let terms = LeaseTerms::default();
         replaced_in_time(&mut fleet, &mission, terms.leadership_age_max() + terms.lease).await;
         let coordinator = fleet.wait_for_coordinator().await;
         assert_ne!(coordinator.as_str(), "aster", "seed {seed}");
         let down = fleet.event_log.count(|what| matches!(what, EventKind::SteppedDown { .. }));
-        assert_eq!(down, 1, "seed {seed}: the former coordinator knows\n{}", fleet.event_log_text());
+        assert_eq!(down, 1, "seed {seed}: the previous coordinator has noticed\n{}", fleet.event_log_text());
     });
 }
 
-/// How long a robot may take from the end of its lease until its body is at rest: its beat, and the crossing of the network
-/// to its body.
+/// Longest time from the end of a lease until the simulated robot is at rest: the check interval of
+/// the robot and the latency to its driver server.
 const REACTION: Duration = Duration::from_millis(500);
 
 #[test]
-fn an_isolated_robots_body_is_at_rest_within_the_bound_on_drift_and_never_moves_before_it_was_confirmed() {
+fn an_isolated_robot_rests_within_the_drift_bound() {
     let terms = LeaseTerms::default();
     let drift = terms.drift_max(REACTION);
     for (seed, rate) in [(84, 1.0), (85, 1.0 / (1.0 + drift)), (86, 1.0 + drift)] {
@@ -179,9 +181,9 @@ fn an_isolated_robots_body_is_at_rest_within_the_bound_on_drift_and_never_moves_
             leave_its_body_alone(&fleet, &old);
             let cut = fleet.elapsed();
             let at_rest = |fleet: &Fleet| fleet.goal_counts(&old).0 == fleet.goal_counts(&old).1;
-            // Between two legs of its way it is at rest, too.
+            // The robot is also at rest between two legs of its way.
             fleet.wait_until("the suspension", SOON, |fleet| fleet.has_event(suspended)).await;
-            fleet.wait_until("its body to be at rest", SOON, at_rest).await;
+            fleet.wait_until("the robot to be at rest", SOON, at_rest).await;
             let rested = fleet.elapsed() - cut;
             let latest = terms.lease.mul_f64(1.0 + drift) + REACTION;
             assert!(rested <= latest, "seed {seed}: at rest only after {rested:?}\n{}", fleet.event_log_text());
@@ -204,7 +206,7 @@ fn an_isolated_robots_body_is_at_rest_within_the_bound_on_drift_and_never_moves_
 }
 
 #[test]
-fn a_clock_far_beyond_the_bound_lets_two_drive_which_this_check_finds() {
+fn two_robots_drive_if_a_clock_exceeds_the_drift_bound() {
     for_each_seed([87], async |seed| {
         let (mut fleet, mission) = with_clocks(seed, 0.3, [0.15, 0.16]).await;
         let (old, new) = holder(&fleet, &mission);

@@ -1,4 +1,4 @@
-//! The worked example of a skill: a path of 15 waypoints, followed by a whole fleet's robot.
+//! Worked example of a skill: a robot of a whole fleet follows a path of 15 waypoints.
 
 use crate::support::task_began;
 use consort_protocol::event::EventKind;
@@ -15,7 +15,8 @@ const MISSION: &str = include_str!("../../nodes/examples/follow-path.yaml");
 const SEEDS: [u64; 2] = [781, 782];
 const SOON: Duration = Duration::from_secs(60);
 
-/// A robot that follows paths, away from where the path begins, and one that does not.
+/// Starts a fleet with a robot that can follow paths, away from the start of the path, and a robot
+/// that cannot.
 async fn fleet(seed: u64) -> Fleet {
     let robots =
         vec![RobotSpec::carrier("fern", "IC Room 4").with_skill("follow_path"), RobotSpec::carrier("gorse", "Dock")];
@@ -30,7 +31,7 @@ async fn submit(fleet: &Fleet) -> MissionId {
     slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {}: {answer}", fleet.seed)))
 }
 
-/// The goal by which the path is followed, as the world was asked for it.
+/// Returns the waypoints of the goal that the world received.
 fn waypoints(fleet: &Fleet) -> Option<Vec<(f64, f64)>> {
     fleet.journal().iter().find_map(|entry| match &entry.event {
         InWorld::GoalStarted { goal: Goal::FollowWaypoints { waypoints }, .. } => {
@@ -45,19 +46,19 @@ fn apart(a: (f64, f64), b: (f64, f64)) -> f64 {
 }
 
 #[test]
-fn a_robot_that_can_follows_the_path_over_all_15_waypoints_in_order_and_ends_where_it_began() {
+fn a_robot_follows_a_path_over_all_waypoints_in_order() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed).await;
         let mission = submit(&fleet).await;
         fleet.wait_until("the path", SOON, |fleet| waypoints(fleet).is_some()).await;
-        let path = waypoints(&fleet).expect("just seen");
+        let path = waypoints(&fleet).expect("checked before");
         assert_eq!(path.len(), 15, "seed {seed}");
         assert!(
             apart(path[14], fleet.position("fern")) < 0.01,
             "seed {seed}: it begins at {:?}",
             fleet.position("fern")
         );
-        // Where it was, every ten milliseconds: six centimetres.
+        // Positions every ten milliseconds, which is every six centimetres.
         let mut driven = vec![];
         fleet
             .wait_until("the end of the path", SOON, |fleet| {
@@ -83,7 +84,7 @@ fn a_robot_that_can_follows_the_path_over_all_15_waypoints_in_order_and_ends_whe
 }
 
 #[test]
-fn a_path_that_is_called_off_in_the_middle_stops_the_robot_there() {
+fn a_canceled_path_stops_the_robot_on_its_way() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed).await;
         let mission = submit(&fleet).await;
@@ -92,7 +93,7 @@ fn a_path_that_is_called_off_in_the_middle_stops_the_robot_there() {
                 fleet.has_event(task_began("follow_path")) && waypoints(fleet).is_some()
             })
             .await;
-        let path = waypoints(&fleet).expect("just seen");
+        let path = waypoints(&fleet).expect("checked before");
         let fifth = path[4];
         fleet.wait_until("the fifth waypoint", SOON, |fleet| apart(fleet.position("fern"), fifth) < 0.2).await;
         fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission })).await;

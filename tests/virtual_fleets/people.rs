@@ -1,4 +1,4 @@
-//! What people are asked to do, and what is said for them, while robots are lost and replaced.
+//! Requests to people while robots are lost and replaced.
 
 use crate::support::task_began;
 use consort_actors::bus::Bus;
@@ -24,10 +24,10 @@ async fn submit(fleet: &mut Fleet, mission: Value) -> MissionId {
     slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")))
 }
 
-/// She leaves when the robot has met her, and stays away so long of the world's time; then it has the sample, or the mission is
-/// over.
+/// She leaves after the robot has met her and stays away for `away_s` of world time. Afterwards
+/// either the robot has the sample or the mission has failed.
 #[test]
-fn a_nurse_who_is_called_away_and_comes_back_costs_no_mission() {
+fn a_nurse_who_leaves_and_returns_does_not_fail_the_mission() {
     let nurse = format!("nurse of {ROOM}").as_str().into();
     for (task, away_s, comes_back) in [
         ("authenticate_nurse", 100.0, true),
@@ -60,7 +60,7 @@ fn a_nurse_who_is_called_away_and_comes_back_costs_no_mission() {
     }
 }
 
-/// The parts of whoever meets a nurse in a room: the tasks' names end with `mark`.
+/// Returns the tasks of meeting a nurse in a room; the task names end with `mark`.
 fn meeting(role: &str, room: &str, mark: &str) -> Vec<Value> {
     let task = |name: &str, of: &str, role: &str, parameters: Value| json!({ "task": format!("{name}{mark}"), "type": of, "roles": [role], "parameters": parameters });
     vec![
@@ -72,10 +72,10 @@ fn meeting(role: &str, room: &str, mark: &str) -> Vec<Value> {
     ]
 }
 
-/// `amber` is lost with the sample; `birch` is to fetch another one, from the nurse of another room. What was done for the
-/// first is reported once more.
+/// `amber` is lost with the sample; `birch` fetches another sample from the nurse of another room.
+/// The report for the first sample arrives again.
 #[test]
-fn what_a_nurse_did_before_is_not_taken_for_what_she_does_in_the_recovery_branch() {
+fn an_old_report_does_not_count_in_the_recovery_branch() {
     for_each_seed([711, 712], async |seed| {
         let robots = vec![RobotSpec::carrier("amber", "IC Room 4"), RobotSpec::carrier("birch", "Dock")];
         let stations = ["post-1", "post-2", "post-3"];
@@ -115,15 +115,15 @@ fn what_a_nurse_did_before_is_not_taken_for_what_she_does_in_the_recovery_branch
         let coordinator = fleet.wait_for_coordinator().await;
         let key = fleet.keys().write(&Key::Report(coordinator));
         let mut replies = fleet.client.query(&key, said.into(), SOON).await.expect("a bus");
-        let reply = replies.recv().await.expect("an answer").payload.expect("no refusal");
+        let reply = replies.recv().await.expect("a reply").payload.expect("no refusal");
         let (epoch, reason) = (Epoch::default(), EndReason::Replaced);
-        let answer: ReportReply = codec::decode(&reply).expect("an answer");
+        let answer: ReportReply = codec::decode(&reply).expect("a reply");
         assert_eq!(answer, ReportReply::Ended { epoch, reason, current: None }, "seed {seed}");
 
-        let MissionState::NeedsRescue { cause, .. } = fleet.wait_for_end(&mission).await else {
-            panic!("seed {seed}: it ended otherwise\n{}", fleet.event_log_text())
+        let MissionState::NeedsIntervention { cause, .. } = fleet.wait_for_end(&mission).await else {
+            panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
         };
-        assert!(cause.starts_with("the recovery branch was carried out; the sample is with amber"), "{cause}");
+        assert!(cause.starts_with("the recovery branch was completed; the sample is with amber"), "{cause}");
         let tasks = fleet.task_counts(&mission);
         let story = format!("seed {seed}: {tasks:?}\n{}", fleet.event_log_text());
         assert_eq!((tasks["deposit"], tasks["deposit-2"], tasks["close-2"]), ((1, 1), (1, 1), (1, 1)), "{story}");
@@ -132,11 +132,12 @@ fn what_a_nurse_did_before_is_not_taken_for_what_she_does_in_the_recovery_branch
     });
 }
 
-/// A mission of which the nurse's part waits for nothing that a robot says: she may be asked at once.
+/// Returns a mission in which the task of the nurse waits for no signal of a robot, so that she may
+/// be asked at once.
 fn at_her_leisure(room: &str) -> Value {
     let mut of_robot = meeting("r1", room, "");
     let deposit = of_robot.remove(3);
-    // It stands there with an open drawer for as long as she likes.
+    // The robot waits there with an open drawer for as long as she needs.
     of_robot[3] = json!({ "task": "stay", "type": "wait", "roles": ["r1"], "parameters": { "seconds": "60" } });
     json!({
         "mission": "leisure", "roles": { "nurse": { "kind": "unmanaged" }, "r1": { "kind": "managed" } },
@@ -147,9 +148,10 @@ fn at_her_leisure(room: &str) -> Value {
     })
 }
 
-/// Nobody can take the role at first. She was asked at once, into the drawer of nobody; the answer failed the mission.
+/// No robot can take the role at first. Before the fix she was asked at once without a receiving
+/// robot, and the result failed the mission.
 #[test]
-fn a_nurse_is_asked_to_meet_a_robot_once_there_is_one_to_be_met() {
+fn a_nurse_is_asked_to_meet_a_robot_once_there_is_a_holder() {
     for_each_seed([731, 732], async |seed| {
         let robots = vec![RobotSpec::carrier("gorse", "IC Room 4").with_skill("wait")];
         let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
@@ -157,10 +159,10 @@ fn a_nurse_is_asked_to_meet_a_robot_once_there_is_one_to_be_met() {
         fleet.kill("gorse").await;
         let mission = submit(&mut fleet, at_her_leisure(ROOM)).await;
         let asked = |fleet: &Fleet| fleet.has_event(task_began("deposit"));
-        fleet.assert_never("that she is asked for nobody", Duration::from_secs(10), asked).await;
+        fleet.assert_never("a request without a robot", Duration::from_secs(10), asked).await;
         assert_eq!(fleet.state(&mission).as_deref(), Some("pending"), "seed {seed}\n{}", fleet.event_log_text());
         fleet.start_robot("gorse").await;
-        fleet.wait_until("that she is asked", SOON, asked).await;
+        fleet.wait_until("a request to her", SOON, asked).await;
         fleet
             .wait_until("that gorse has the sample", SOON, |fleet| {
                 fleet.sample_holder(ROOM) == SampleHolder::Drawer(slug("gorse"))
@@ -171,24 +173,25 @@ fn a_nurse_is_asked_to_meet_a_robot_once_there_is_one_to_be_met() {
     });
 }
 
-/// The node beside the nurses dies while one is asked, and the mission is withdrawn meanwhile. Nobody knew of the ask any more:
-/// she was to hand her sample to the next robot for the mission that was over, and had none for its own.
+/// The node of the nurses is killed while a nurse has an open request, and the mission is canceled
+/// meanwhile. Before the fix the request was forgotten: she handed her sample to the next robot for
+/// the ended mission and had none for the new mission.
 #[test]
-fn what_a_nurse_was_asked_for_a_mission_that_is_over_is_withdrawn_though_whoever_asked_is_gone() {
+fn a_request_to_a_nurse_is_canceled_after_a_restart_of_its_node() {
     for_each_seed([741, 742], async |seed| {
         let robots = vec![RobotSpec::carrier("amber", "IC Room 4").with_skill("wait")];
         let mut fleet = Fleet::hospital(seed, robots, &["post-1", "post-2", "post-3"], &[ROOM]).await;
         fleet.wait_for_coordinator().await;
         let mission = submit(&mut fleet, at_her_leisure(ROOM)).await;
-        fleet.wait_until("that she is asked", SOON, |fleet| fleet.has_event(task_began("deposit"))).await;
+        fleet.wait_until("a request to her", SOON, |fleet| fleet.has_event(task_began("deposit"))).await;
         let asks = |fleet: &Fleet| fleet.world.with(|world| world.open_person_requests());
-        fleet.wait_until("that she has heard", SOON, move |fleet| !asks(fleet).is_empty()).await;
+        fleet.wait_until("her open request", SOON, move |fleet| !asks(fleet).is_empty()).await;
         fleet.kill("world").await;
         let answer = fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": "a nurse" })).await;
         assert_eq!(answer["state"]["canceled"]["by"], "a nurse", "seed {seed}: {answer}");
-        assert_eq!(asks(&fleet).len(), 1, "seed {seed}: she was told by nobody");
+        assert_eq!(asks(&fleet).len(), 1, "seed {seed}: the request is still open");
         fleet.start_world().await;
-        fleet.wait_until("that she is told", Duration::from_secs(10), move |fleet| asks(fleet).is_empty()).await;
+        fleet.wait_until("the end of the request", Duration::from_secs(10), move |fleet| asks(fleet).is_empty()).await;
 
         let next = fleet.submit("b", ROOM).await;
         fleet.assert_completes(&next).await;

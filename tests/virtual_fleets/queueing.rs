@@ -23,7 +23,7 @@ async fn fleet(seed: u64) -> Fleet {
     fleet
 }
 
-/// The robots that hold a role, each as often as it does.
+/// Returns the robots with a role, each as often as it holds one.
 fn holding(ledger: &Ledger) -> Vec<String> {
     let live = ledger.active_missions().into_iter();
     let held = live.flat_map(|entry| entry.holders().into_values().filter(|robot| ledger.held_by(robot).is_some()));
@@ -35,7 +35,7 @@ fn completed(fleet: &Fleet, missions: &[MissionId]) -> usize {
 }
 
 #[test]
-fn three_missions_share_two_carriers_and_none_holds_two_roles() {
+fn three_missions_share_two_carriers_with_a_role_each() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed).await;
         let mut missions = vec![];
@@ -44,7 +44,7 @@ fn three_missions_share_two_carriers_and_none_holds_two_roles() {
         }
         let third = missions[2].clone();
 
-        // The third waits, and both the list and the mission say for what.
+        // The third mission waits; the list and the mission view contain the reason.
         let why =
             |fleet: &Fleet| fleet.ledger(|ledger| ledger.mission(&third)?.auction.as_ref()?.failure.clone()).flatten();
         fleet.wait_until("the reason", SOON, |fleet| why(fleet).is_some()).await;
@@ -53,7 +53,7 @@ fn three_missions_share_two_carriers_and_none_holds_two_roles() {
         let shown: Vec<_> = listed.iter().map(|brief| brief["mission"].as_str().expect("an id").to_owned()).collect();
         assert_eq!(shown, missions.iter().map(ToString::to_string).collect::<Vec<_>>(), "seed {seed}");
         assert_eq!(listed[2]["state"], "pending", "seed {seed}");
-        assert_eq!(listed[2]["why_pending"], "no viable bid for lab_arm, r1", "seed {seed}");
+        assert_eq!(listed[2]["pending_reason"], "no viable bid for lab_arm, r1", "seed {seed}");
 
         let mut twice = vec![];
         let mut first_end = None;
@@ -79,7 +79,7 @@ fn three_missions_share_two_carriers_and_none_holds_two_roles() {
 
         let awarded = |what: &EventKind| matches!(what, EventKind::Awarded { mission, .. } if *mission == third);
         let [started] = fleet.event_log.times(awarded)[..] else {
-            panic!("seed {seed}: one award\n{}", fleet.event_log_text())
+            panic!("seed {seed}: expected a single award\n{}", fleet.event_log_text())
         };
         let waited = started.checked_sub(first_end.expect("seen")).expect("the third came last");
         assert!(
@@ -92,10 +92,10 @@ fn three_missions_share_two_carriers_and_none_holds_two_roles() {
             fleet.assert_each_task_once(mission);
             fleet.assert_sample_delivered(room);
         }
-        // One of the carriers won, finished, and won again.
+        // A carrier won, finished and won again.
         let mut wins: BTreeMap<String, usize> = BTreeMap::new();
         for mission in &missions {
-            *wins.entry(fleet.holder(mission, "r1").expect("who did it").to_string()).or_default() += 1;
+            *wins.entry(fleet.holder(mission, "r1").expect("the holder").to_string()).or_default() += 1;
         }
         assert_eq!(wins.values().sum::<usize>(), 3, "seed {seed}: {wins:?}");
         assert_eq!(wins.values().copied().max(), Some(2), "seed {seed}: {wins:?}");

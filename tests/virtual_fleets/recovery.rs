@@ -1,4 +1,4 @@
-//! What a robot cannot carry to its end another one does, where that helps.
+//! If a robot cannot finish a role, another robot takes it where that helps.
 
 use crate::support::task_began;
 use consort_protocol::event::EventKind;
@@ -17,10 +17,10 @@ fn gave_up(kind: FailureKind) -> impl Fn(&EventKind) -> bool {
 }
 
 fn goes_on(what: &EventKind) -> bool {
-    matches!(what, EventKind::ChargeShort { .. })
+    matches!(what, EventKind::LowCharge { .. })
 }
 
-/// `gorse` is nearer and wins; `fern` could do it, too.
+/// `gorse` is nearer and wins; `fern` could take the role too.
 async fn submitted(seed: u64, gorse: RobotSpec) -> (Fleet, MissionId) {
     let robots = vec![gorse, RobotSpec::carrier("fern", "Dock")];
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
@@ -37,7 +37,7 @@ async fn submitted(seed: u64, gorse: RobotSpec) -> (Fleet, MissionId) {
 }
 
 #[test]
-fn a_battery_that_drains_faster_than_forecast_gives_the_role_back_before_it_is_empty() {
+fn a_robot_with_a_fast_draining_battery_returns_its_role() {
     for_each_seed([501, 502, 503], async |seed| {
         let gorse =
             RobotSpec::carrier("gorse", "PC Room 8").with_speed(1.0).with_charge(0.2).with_discharge_factor(8.0);
@@ -66,7 +66,7 @@ fn a_battery_that_drains_faster_than_forecast_gives_the_role_back_before_it_is_e
 }
 
 #[test]
-fn a_robot_that_carries_the_sample_goes_on_although_its_battery_falls_short() {
+fn a_robot_with_the_sample_continues_on_a_low_battery() {
     for_each_seed([511, 512], async |seed| {
         let gorse = RobotSpec::carrier("gorse", "IC Room 4").with_charge(0.145).with_discharge_factor(1.6);
         let (mut fleet, mission) = submitted(seed, gorse).await;
@@ -80,9 +80,9 @@ fn a_robot_that_carries_the_sample_goes_on_although_its_battery_falls_short() {
 }
 
 #[test]
-fn a_bid_that_was_only_just_taken_is_not_given_back() {
+fn a_barely_viable_bid_is_not_returned() {
     for_each_seed([521, 522], async |seed| {
-        // What is left is more than the useful charge by less than a thousandth.
+        // The remaining charge exceeds the useful charge by less than a thousandth.
         let (mut fleet, mission) = submitted(seed, RobotSpec::carrier("gorse", "IC Room 4").with_charge(0.1365)).await;
         fleet.assert_completes(&mission).await;
         assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "gorse", "seed {seed}");
@@ -92,7 +92,7 @@ fn a_bid_that_was_only_just_taken_is_not_given_back() {
 }
 
 #[test]
-fn a_robot_that_came_back_having_forgotten_its_role_is_replaced_before_custody() {
+fn a_robot_without_its_checkpoint_is_replaced_before_custody() {
     for_each_seed([531], async |seed| {
         let (mut fleet, mission) = submitted(seed, RobotSpec::carrier("gorse", "IC Room 4")).await;
         let drives = task_began("navto_room");
@@ -108,7 +108,7 @@ fn a_robot_that_came_back_having_forgotten_its_role_is_replaced_before_custody()
 }
 
 #[test]
-fn a_robot_that_came_back_having_forgotten_that_it_carries_the_sample_needs_rescue() {
+fn a_robot_with_the_sample_but_no_checkpoint_needs_intervention() {
     for_each_seed([541, 542], async |seed| {
         let (mut fleet, mission) = submitted(seed, RobotSpec::carrier("gorse", "IC Room 4")).await;
         let drives = task_began("navto_lab");
@@ -117,7 +117,9 @@ fn a_robot_that_came_back_having_forgotten_that_it_carries_the_sample_needs_resc
         fleet.start_robot("gorse").await;
         let story = |fleet: &Fleet| format!("seed {seed}\n{}", fleet.event_log_text());
         fleet
-            .wait_until("a call for rescue", SOON, |fleet| fleet.state(&mission).as_deref() == Some("needs_rescue"))
+            .wait_until("the need of intervention", SOON, |fleet| {
+                fleet.state(&mission).as_deref() == Some("needs_intervention")
+            })
             .await;
         assert_eq!(fleet.sample_holder(ROOM), SampleHolder::Drawer(slug("gorse")), "{}", story(&fleet));
         let place = fleet.position("gorse");
@@ -126,9 +128,9 @@ fn a_robot_that_came_back_having_forgotten_that_it_carries_the_sample_needs_resc
     });
 }
 
-/// `gorse` is to go to a room, or else to another, and then to the dock.
+/// `gorse` drives to a room, or otherwise to another room, and then to the dock.
 #[test]
-fn where_a_mission_gives_another_way_it_is_taken_before_anybody_is_asked_for_help() {
+fn an_alternative_is_taken_before_the_role_is_returned() {
     use super::task_failures::{SkillFault, fails_as_listed, set_faults};
     for_each_seed([551, 552], async |seed| {
         set_faults(&[SkillFault::Fails, SkillFault::Crashes]);

@@ -1,4 +1,4 @@
-//! Why a robot does not get a role is said, to people and programs.
+//! Reasons why a robot does not win a role are published for people and programs.
 
 use consort_actors::node::NodeSettings;
 use consort_protocol::auction::{AuctionRecord, BidVerdict, RefusalReason, ViabilityError};
@@ -15,10 +15,10 @@ const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
 fn called(what: &EventKind) -> bool {
-    matches!(what, EventKind::Called { .. })
+    matches!(what, EventKind::BidsRequested { .. })
 }
 
-/// The records of all auctions that were closed, in order.
+/// Returns the records of all closed auctions in order.
 fn records(fleet: &Fleet) -> Vec<AuctionRecord> {
     let closed = |what| match what {
         EventKind::Closed { record, .. } => Some(record),
@@ -27,7 +27,7 @@ fn records(fleet: &Fleet) -> Vec<AuctionRecord> {
     fleet.events().into_iter().filter_map(closed).collect()
 }
 
-/// What came of a robot's answer for the role of the carrier.
+/// Returns the verdict on the bid of a robot for the role of the carrier.
 fn verdict(record: &AuctionRecord, robot: &str) -> BidVerdict {
     let is = |robot_is: &str, role: &str| robot_is == robot && role == "r1";
     let entry = record.entries.iter().find(|entry| is(entry.robot.as_str(), entry.role.as_str()));
@@ -35,7 +35,7 @@ fn verdict(record: &AuctionRecord, robot: &str) -> BidVerdict {
 }
 
 #[test]
-fn every_reason_is_in_the_events_and_in_the_view() {
+fn every_refusal_reason_is_in_the_events_and_the_view() {
     for_each_seed(SEEDS, async |seed| {
         let able = ["navigation", "operate_drawer", "approach_robot"];
         let robots = vec![
@@ -46,7 +46,7 @@ fn every_reason_is_in_the_events_and_in_the_view() {
             RobotSpec::carrier("elm", "Dock"),
         ];
         let mut fleet = Fleet::hospital(seed, robots, &["aba", "abb"], &[ROOM, "PC Room 8"]).await;
-        assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aba", "seed {seed}: who coordinates");
+        assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aba", "seed {seed}: the coordinator");
         fleet.submit("a", ROOM).await;
         fleet.wait_until("the first award", SOON, |fleet| records(fleet).len() == 1).await;
         fleet.network.block_outgoing(slug("elm"));
@@ -75,14 +75,14 @@ fn every_reason_is_in_the_events_and_in_the_view() {
             BidVerdict::Refused { reason: RefusalReason::Silent { window_ms: 200 } },
             "seed {seed}"
         );
-        // The view shows the very same record, and that of the first auction.
+        // The view contains the same record, and the record of the first auction.
         let newest =
             |fleet: &Fleet| fleet.ledger(|ledger| ledger.mission(&slug("lab-samples-2"))?.auction.clone()).flatten();
         fleet.wait_until("the record in the ledger", SOON, |fleet| newest(fleet).is_some()).await;
         let view = fleet.view("auctions").await.remove("auctions").expect("a view");
         let mut shown = view["auctions"].as_array().expect("a list").iter();
         let mut shown = shown.find(|shown| shown["auction"]["mission"] == "lab-samples-2").expect("the second").clone();
-        // Beside it is the same in words.
+        // The view also contains the record as text.
         let explanation = shown.as_object_mut().and_then(|shown| shown.remove("explanation")).expect("it is explained");
         let silent = explanation.to_string().contains("did not answer within 200 ms");
         assert!(silent, "seed {seed}: {explanation}");
@@ -93,10 +93,11 @@ fn every_reason_is_in_the_events_and_in_the_view() {
 }
 
 #[test]
-fn a_place_to_which_a_robot_knows_no_way_is_a_refusal_with_the_task_and_no_bid() {
+fn an_unreachable_place_leads_to_a_refusal_with_the_task() {
     for_each_seed(SEEDS, async |seed| {
         let robots = vec![RobotSpec::carrier("amber", "IC Room 4")];
-        // Whoever admits the mission knows of an attic, as with a newer map, or of no map at all; the robot does not.
+        // The node that admits the mission knows an attic, as with a newer map or without a map;
+        // the robot does not.
         let adjust = Box::new(|node: &mut NodeSettings| node.fleet.domain = Arc::new(Domain::hospital()));
         let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aba"], &[ROOM], adjust).await;
         fleet.wait_for_coordinator().await;
@@ -118,7 +119,7 @@ fn a_place_to_which_a_robot_knows_no_way_is_a_refusal_with_the_task_and_no_bid()
 }
 
 #[test]
-fn a_mission_that_nobody_can_do_is_tried_ever_more_rarely_and_awarded_to_one_who_joins() {
+fn auctions_of_an_impossible_mission_back_off_until_a_robot_joins() {
     for_each_seed(SEEDS, async |seed| {
         let robots = vec![
             RobotSpec::carrier("amber", "IC Room 4").with_charge(0.1),
@@ -132,22 +133,22 @@ fn a_mission_that_nobody_can_do_is_tried_ever_more_rarely_and_awarded_to_one_who
         let pauses: Vec<Duration> = calls.windows(2).map(|pair| pair[1] - pair[0]).collect();
         for (pause, least_ms) in pauses.iter().zip([250, 500, 1000, 2000, 4000, 5000]) {
             let least = Duration::from_millis(least_ms);
-            // The coordinator looks after its duties every 200 ms.
+            // The coordinator reconciles every 200 ms.
             assert!(*pause >= least && *pause < least + Duration::from_millis(300), "seed {seed}: {pauses:?}");
         }
         let views = fleet.view("missions").await;
         let brief = &views["missions"]["missions"][0];
         assert_eq!(brief["state"], "pending", "seed {seed}");
-        assert_eq!(brief["why_pending"], "no viable bid for r1", "seed {seed}");
+        assert_eq!(brief["pending_reason"], "no viable bid for r1", "seed {seed}");
         let deferred = fleet.has_event(|what| matches!(what, EventKind::Awarded { .. }));
         assert!(!deferred, "seed {seed}\n{}", fleet.event_log_text());
 
         fleet.start_robot("birch").await;
         let joined = fleet.elapsed();
         fleet.assert_completes(&mission).await;
-        assert_eq!(fleet.holder(&mission, "r1").expect("who did it").as_str(), "birch", "seed {seed}");
+        assert_eq!(fleet.holder(&mission, "r1").expect("the holder").as_str(), "birch", "seed {seed}");
         let [awarded] = fleet.event_log.times(|what| matches!(what, EventKind::Awarded { .. }))[..] else {
-            panic!("seed {seed}: one award\n{}", fleet.event_log_text())
+            panic!("seed {seed}: expected a single award\n{}", fleet.event_log_text())
         };
         assert!(awarded - joined < Duration::from_secs(6), "seed {seed}: {:?}", awarded - joined);
         fleet.assert_each_task_once(&mission);

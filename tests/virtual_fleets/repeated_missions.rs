@@ -1,4 +1,4 @@
-//! One mission after another.
+//! Consecutive missions.
 
 use consort_protocol::event::EventKind;
 use consort_protocol::ledger::MissionState;

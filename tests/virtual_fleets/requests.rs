@@ -1,4 +1,4 @@
-//! What clients ask for, and what they get.
+//! Requests of clients and their replies.
 
 use crate::support::{fleet, task_began};
 use consort_actors::node::NodeSettings;
@@ -13,7 +13,7 @@ const SEEDS: [u64; 2] = [91, 92];
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
-/// Nobody can do it: all carriers are nearly empty.
+/// Starts a fleet in which all carriers are nearly empty, so that no mission can begin.
 async fn tired_fleet(seed: u64) -> Fleet {
     let robots = vec![
         RobotSpec::carrier("fern", "Dock").with_charge(0.1),
@@ -29,7 +29,7 @@ fn missions(fleet: &Fleet) -> Option<usize> {
 }
 
 #[test]
-fn a_repeated_request_gets_the_first_answer_again_whoever_coordinates() {
+fn a_repeated_request_gets_the_same_reply_after_a_takeover() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let first = fleet.submit_with_reply("my-7", ROOM).await;
@@ -46,7 +46,7 @@ fn a_repeated_request_gets_the_first_answer_again_whoever_coordinates() {
 }
 
 #[test]
-fn a_fleet_takes_on_so_many_missions_and_no_more_until_one_has_ended() {
+fn a_fleet_limits_its_active_missions() {
     for_each_seed(SEEDS, async |seed| {
         let robots = vec![RobotSpec::carrier("fern", "Dock").with_charge(0.1)];
         let adjust = Box::new(|settings: &mut NodeSettings| settings.fleet.request_limits.missions_max = 2);
@@ -56,18 +56,18 @@ fn a_fleet_takes_on_so_many_missions_and_no_more_until_one_has_ended() {
             assert_eq!(fleet.submit_with_reply(request, ROOM).await["mission"], mission, "seed {seed}");
         }
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "c" });
-        let refused = fleet.request(ApiCall::Submit, &asked).await.expect("an answer");
-        let says = "2 missions are under way, as many as this fleet takes on at once";
+        let refused = fleet.request(ApiCall::Submit, &asked).await.expect("a reply");
+        let says = "2 missions are active, the maximum of this fleet";
         assert_eq!(refused, json!({ "error": says, "retry_after_ms": 300 }), "seed {seed}");
         let again = json!({ "mission": "lab-samples-2", "again": true });
         assert_eq!(fleet.submit_with_reply("b", ROOM).await, again, "seed {seed}: what was taken on is answered again");
-        fleet.request(ApiCall::Cancel, &json!({ "mission": "lab-samples-1", "by": "Nia" })).await.expect("an answer");
+        fleet.request(ApiCall::Cancel, &json!({ "mission": "lab-samples-1", "by": "Nia" })).await.expect("a reply");
         assert_eq!(fleet.submit_with_reply("c", ROOM).await["mission"], "lab-samples-3", "seed {seed}");
     });
 }
 
 #[test]
-fn who_asks_without_end_is_told_when_to_ask_again_and_is_served_then() {
+fn a_rate_limited_client_is_served_after_its_delay() {
     for_each_seed(SEEDS, async |seed| {
         let robots = vec![RobotSpec::carrier("fern", "Dock").with_charge(0.1)];
         let adjust = Box::new(|settings: &mut NodeSettings| settings.fleet.request_limits.requests_per_s = 1);
@@ -76,25 +76,25 @@ fn who_asks_without_end_is_told_when_to_ask_again_and_is_served_then() {
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "a" });
         let mut refused = None;
         for _ in 0..20 {
-            let answer = fleet.request(ApiCall::Submit, &asked).await.expect("an answer");
+            let answer = fleet.request(ApiCall::Submit, &asked).await.expect("a reply");
             refused = answer["retry_after_ms"].as_u64().or(refused);
         }
         let after = refused.expect("twenty in an instant are more than five");
         assert!((1..=1000).contains(&after), "seed {seed}: {after}");
         tokio::time::sleep(Duration::from_millis(after)).await;
-        let answer = fleet.request(ApiCall::Submit, &asked).await.expect("an answer");
+        let answer = fleet.request(ApiCall::Submit, &asked).await.expect("a reply");
         assert_eq!(answer, json!({ "mission": "lab-samples-1", "again": true }), "seed {seed}");
     });
 }
 
 #[test]
-fn an_answer_that_was_lost_with_its_coordinator_is_given_by_the_next() {
+fn the_next_coordinator_repeats_a_lost_reply() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         fleet.network.cut("aster".parse().expect("a name"), "client".parse().expect("a name"));
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "my-7" });
         let answer = fleet.request(ApiCall::Submit, &asked).await;
-        assert_eq!(answer, None, "seed {seed}: the answer was lost");
+        assert_eq!(answer, None, "seed {seed}: the reply was lost");
         assert_eq!(missions(&fleet), Some(1), "seed {seed}: and the mission committed");
         fleet.kill("aster").await;
         fleet.heal();
@@ -108,7 +108,7 @@ fn an_answer_that_was_lost_with_its_coordinator_is_given_by_the_next() {
 }
 
 #[test]
-fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() {
+fn an_invalid_request_is_rejected_with_a_hint() {
     for_each_seed(SEEDS, async |seed| {
         let fleet = fleet(seed, ROOM).await;
         let cases: [(ApiCall, &str, &[&str]); 10] = [
@@ -147,7 +147,7 @@ fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() 
         ];
         for (call, payload, says) in cases {
             let answer = fleet.request_raw(call, payload).await;
-            let answer = answer.unwrap_or_else(|| panic!("seed {seed}: no answer to {payload}"));
+            let answer = answer.unwrap_or_else(|| panic!("seed {seed}: no reply to {payload}"));
             let error = answer["error"].as_str().unwrap_or_else(|| panic!("seed {seed}: {payload} got {answer}"));
             for part in says {
                 assert!(error.contains(part), "seed {seed}: {payload} got {error:?}, without {part:?}");
@@ -171,7 +171,7 @@ fn a_mission_canceled_while_it_waits_is_never_begun() {
         let state = json!({ "canceled": { "by": "a nurse" } });
         assert_eq!(answer, json!({ "mission": mission, "state": state }), "seed {seed}");
         assert_eq!(fleet.wait_for_end(&mission).await.as_str(), "canceled", "seed {seed}");
-        let called = |what: &EventKind| matches!(what, EventKind::Called { .. });
+        let called = |what: &EventKind| matches!(what, EventKind::BidsRequested { .. });
         let calls = fleet.event_log.count(called);
         fleet.assert_never("a call", Duration::from_secs(10), |fleet| fleet.event_log.count(called) > calls).await;
         assert!(fleet.task_counts(&mission).is_empty(), "seed {seed}\n{}", fleet.event_log_text());
@@ -207,7 +207,7 @@ fn a_mission_canceled_under_way_stops_its_robots_and_frees_them() {
             })
             .await;
 
-        // Once more is an error, and changes nothing.
+        // Another cancellation is an error and changes nothing.
         let answer = fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": "a late one" })).await;
         let error = answer["error"].as_str().expect("an error");
         assert!(error.contains(mission.as_str()) && error.contains("canceled"), "seed {seed}: {error}");
@@ -217,7 +217,7 @@ fn a_mission_canceled_under_way_stops_its_robots_and_frees_them() {
 }
 
 #[test]
-fn missions_can_be_listed_and_looked_at_one_by_one() {
+fn missions_can_be_listed_and_read_individually() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         assert_eq!(fleet.request_answered(ApiCall::List, &Value::Null).await["missions"], json!([]), "seed {seed}");

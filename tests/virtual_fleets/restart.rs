@@ -1,4 +1,4 @@
-//! A robot's node that crashes and comes back goes on where it was, if its role is still its own.
+//! A restarted robot node continues its role if it still holds it.
 
 use crate::support::{released, task_began};
 use consort_protocol::event::EventKind;
@@ -16,7 +16,7 @@ fn resumed(what: &EventKind) -> bool {
     matches!(what, EventKind::Resumed { .. })
 }
 
-/// `gorse` is near and wins; the ledger is kept by the stations and the arm.
+/// `gorse` is near and wins; the stations and the arm are voters.
 async fn under_way(seed: u64, others: &[&'static str], task: &'static str) -> (Fleet, MissionId) {
     let mut robots = vec![RobotSpec::carrier("gorse", "IC Room 4")];
     robots.extend(others.iter().map(|name| RobotSpec::carrier(name, "Dock")));
@@ -28,7 +28,8 @@ async fn under_way(seed: u64, others: &[&'static str], task: &'static str) -> (F
     (fleet, mission)
 }
 
-/// The mission was completed by those who began it, and nothing was done twice but what a crash had broken off.
+/// Asserts that the first holders completed the mission, and that no task was repeated except the
+/// task that a crash interrupted.
 fn done_once(fleet: &Fleet, mission: &MissionId, begun_twice: &[&str]) {
     let story = fleet.event_log_text();
     let tasks: BTreeMap<String, (usize, usize)> = fleet.task_counts(mission);
@@ -41,18 +42,19 @@ fn done_once(fleet: &Fleet, mission: &MissionId, begun_twice: &[&str]) {
     fleet.assert_exclusive_roles();
 }
 
-/// Waits until a robot's notebook is empty.
+/// Waits until the checkpoint store of a robot is empty.
 async fn page_torn_out(fleet: &Fleet, robot: &str) {
-    let what = format!("the empty notebook of {robot}");
+    let what = format!("the empty checkpoint store of {robot}");
     fleet.poll_until(&what, SOON, async |fleet| fleet.checkpoint(robot).await.is_none().then_some(())).await;
 }
 
 #[test]
-fn a_carrier_that_is_back_within_its_lease_goes_on_with_the_sample_in_its_drawer() {
+fn a_carrier_that_restarts_within_its_lease_continues() {
     for_each_seed([301, 302, 303], async |seed| {
         let (mut fleet, mission) = under_way(seed, &["fern"], "navto_lab").await;
         fleet.kill("gorse").await;
-        // From at once, while its body still drives, to after its body was found undriven.
+        // From a restart at once, while the simulated robot still drives, to a restart after the
+        // world noticed the missing driver.
         tokio::time::sleep(Duration::from_millis(50 + (seed - 301) * 1500)).await;
         fleet.restart("gorse").await;
         fleet.assert_completes(&mission).await;
@@ -63,7 +65,7 @@ fn a_carrier_that_is_back_within_its_lease_goes_on_with_the_sample_in_its_drawer
 }
 
 #[test]
-fn a_robot_that_is_back_too_late_learns_that_the_role_is_gone_and_is_free_for_the_next() {
+fn a_robot_that_restarts_too_late_loses_its_role_and_is_free() {
     for_each_seed([311, 312], async |seed| {
         let (mut fleet, mission) = under_way(seed, &["fern"], "navto_room").await;
         fleet.kill("gorse").await;
@@ -96,7 +98,7 @@ fn a_robot_that_is_back_too_late_learns_that_the_role_is_gone_and_is_free_for_th
 }
 
 #[test]
-fn a_page_that_cannot_be_read_is_torn_out_and_the_robot_treated_as_one_that_forgot() {
+fn an_unreadable_checkpoint_is_discarded() {
     let pages: [&[u8]; 3] = [&[], &[99, 1, 2, 3], &[2, 1, 255, 255, 255]];
     for (page, seed) in pages.into_iter().zip(321..) {
         for_each_seed([seed], async |seed| {
@@ -114,11 +116,11 @@ fn a_page_that_cannot_be_read_is_torn_out_and_the_robot_treated_as_one_that_forg
 }
 
 #[test]
-fn a_robot_that_asks_whether_its_role_is_still_its_own_is_not_free() {
+fn a_restarted_robot_is_not_free_until_its_role_is_settled() {
     for_each_seed([331], async |seed| {
         let (mut fleet, mission) = under_way(seed, &[], "navto_room").await;
         fleet.kill("gorse").await;
-        // It finds nobody whom it could ask.
+        // It reaches no node that could answer.
         fleet.cut_off(&["gorse"]);
         fleet.restart("gorse").await;
         let place = fleet.position("gorse");
@@ -128,7 +130,7 @@ fn a_robot_that_asks_whether_its_role_is_still_its_own_is_not_free() {
         };
         use consort_protocol::knowledge::Availability;
         let held = Availability::Holding { mission: mission.clone(), role: slug("r1"), suspended: true };
-        fleet.wait_until("it to say that it holds a role", SOON, |fleet| says(fleet) == Some(held.clone())).await;
+        fleet.wait_until("it to report that it holds a role", SOON, |fleet| says(fleet) == Some(held.clone())).await;
         fleet.assert_never("something else", Duration::from_secs(20), |fleet| says(fleet) != Some(held.clone())).await;
         assert!(
             fleet.position("gorse") == place && !fleet.has_event(resumed),
@@ -142,7 +144,8 @@ fn a_robot_that_asks_whether_its_role_is_still_its_own_is_not_free() {
     });
 }
 
-/// Kills `robot` after the `nth` happening since the request and brings it back; false when the mission was over before.
+/// Kills `robot` after `nth` observations since the request and restarts it. Returns false if the
+/// mission had ended before.
 async fn interrupted(seed: u64, nth: usize, robot: &'static str, away: Duration) -> bool {
     let robots = vec![RobotSpec::carrier("gorse", "PC Room 8").with_speed(1.5)];
     let room = "PC Room 8";
@@ -171,7 +174,8 @@ async fn interrupted(seed: u64, nth: usize, robot: &'static str, away: Duration)
     true
 }
 
-/// Tells of a crash after so many happenings, more and more, until the mission is over before; says how often it was not.
+/// Runs a test with a crash after more and more observations, until the mission ends before the
+/// crash. Returns the number of crashes.
 fn at_any_step(step: usize, seed: impl Fn(u64) -> u64, story: impl AsyncFn(u64, usize, Duration) -> bool) -> usize {
     for (kills, nth) in (0..).step_by(step).enumerate() {
         let (number, went_on) = (nth as u64, Cell::new(true));
@@ -199,8 +203,8 @@ fn an_arm_may_crash_at_any_step() {
 }
 
 #[test]
-fn what_the_body_did_while_its_robot_was_dead_is_not_done_again() {
-    // From the moment at which the arm reaches into the drawer until the lease is all but over.
+fn a_goal_that_ended_during_a_restart_is_not_repeated() {
+    // From the moment at which the arm reaches into the drawer until its lease has almost expired.
     for (seed, away_ms) in [(371, 0), (372, 150), (373, 700), (374, 3200)] {
         for_each_seed([seed], async |seed| {
             let (mut fleet, mission) = under_way(seed, &["fern"], "pick_up_sample").await;
@@ -223,8 +227,8 @@ fn what_the_body_did_while_its_robot_was_dead_is_not_done_again() {
     }
 }
 
-/// Kills the node that hosts bodies and people after the `nth` happening since the request and brings it back; false when the
-/// mission was over before.
+/// Kills the world host after `nth` observations since the request and restarts it. Returns false
+/// if the mission had ended before.
 async fn world_interrupted(seed: u64, nth: usize, away: Duration) -> bool {
     let room = "PC Room 8";
     let robots = vec![RobotSpec::carrier("gorse", room).with_speed(1.5)];
@@ -253,7 +257,7 @@ async fn world_interrupted(seed: u64, nth: usize, away: Duration) -> bool {
 }
 
 #[test]
-fn what_people_have_done_and_said_survives_the_node_that_speaks_for_them() {
+fn the_tasks_of_people_survive_restarts_of_their_node() {
     let kills = at_any_step(4, |nth| 360 + nth % 5, world_interrupted);
     assert!(kills > 8, "the mission was over after {kills} kills");
 }

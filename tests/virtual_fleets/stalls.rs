@@ -1,4 +1,4 @@
-//! A robot that holds a role, answers and renews, and ends no step: in time the role is taken from it.
+//! A robot that renews its lease but completes no step loses its role.
 
 use super::task_failures::{SkillFault, fails_with_others, set_faults};
 use crate::support::{release_reason, released, task_began};
@@ -12,13 +12,13 @@ use std::time::Duration;
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
-/// Longer than any step of a robot that is at work, and shorter than the robot's own patience with a task that takes somebody
-/// else: ten minutes in the world, of which ten pass in a second.
+/// Longer than any step of a working robot, and shorter than the robot's own timeout of a task with
+/// another participant: ten minutes of world time, of which ten seconds pass in a second.
 const STALL_AFTER: Duration = Duration::from_secs(25);
 
-/// `gorse` is near and wins; at the task named it stands still for ever. `fern` could take over.
+/// `gorse` is near and wins; at the named task it stops forever. `fern` could take over.
 async fn stands_still(seed: u64, stall_after: Duration, at: &'static str) -> (Fleet, MissionId) {
-    // It approaches the nurse, who stands still, and then the arm.
+    // It approaches the nurse and later the arm.
     set_faults(match at {
         "approach_nurse" => &[SkillFault::Stalls],
         _ => &[SkillFault::Passes, SkillFault::Stalls],
@@ -39,20 +39,22 @@ async fn stands_still(seed: u64, stall_after: Duration, at: &'static str) -> (Fl
 }
 
 #[test]
-fn a_role_that_makes_no_progress_is_taken_from_its_holder_and_carried_out_by_another() {
+fn a_stalled_role_moves_to_another_robot() {
     for_each_seed([1101, 1102, 1103], async |seed| {
         let (mut fleet, mission) = stands_still(seed, STALL_AFTER, "approach_nurse").await;
         let stood = fleet.elapsed();
         let given_up = |fleet: &Fleet| fleet.has_event(released);
         fleet.wait_until("the role to be released", STALL_AFTER * 2, given_up).await;
         let waited = fleet.elapsed() - stood;
-        // It is renewed no more, and loses the role when its lease has certainly run out.
+        // The coordinator stops renewing and releases the role when the lease has certainly
+        // expired.
         let (terms, second) = (LeaseTerms::default(), Duration::from_secs(1));
         let expected = STALL_AFTER + terms.lease - second..STALL_AFTER + terms.lease + terms.grace + second * 2;
         assert!(expected.contains(&waited), "seed {seed}: {waited:?}\n{}", fleet.event_log_text());
-        // It heard so, and stands still; the arm has waited just as long, for others, and keeps its role.
+        // `gorse` received the release and stands still. The arm has waited just as long for others
+        // and keeps its role.
         let halted = |what: &EventKind| matches!(what, EventKind::Halted { .. });
-        fleet.wait_until("gorse to put its role down", SOON, |fleet| fleet.has_event(halted)).await;
+        fleet.wait_until("gorse to halt its role", SOON, |fleet| fleet.has_event(halted)).await;
         fleet.assert_completes(&mission).await;
         let causes: Vec<_> = fleet.events().iter().filter_map(release_reason).collect();
         assert_eq!(causes, ["r1: gorse as r1 ended no step for 25 s"], "seed {seed}\n{}", fleet.event_log_text());
@@ -70,11 +72,11 @@ fn a_role_that_makes_no_progress_is_taken_from_its_holder_and_carried_out_by_ano
 }
 
 #[test]
-fn a_robot_that_makes_no_progress_with_the_sample_in_its_drawer_needs_rescue() {
+fn a_robot_that_stalls_with_the_sample_needs_intervention() {
     for_each_seed([1111, 1112], async |seed| {
         let (mut fleet, mission) = stands_still(seed, STALL_AFTER, "approach_arm").await;
-        let MissionState::NeedsRescue { cause, items } = fleet.wait_for_end(&mission).await else {
-            panic!("seed {seed}: it ended otherwise\n{}", fleet.event_log_text())
+        let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
+            panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
         };
         assert_eq!(cause, "gorse was lost as r1 and has the sample: gorse as r1 ended no step for 25 s", "seed {seed}");
         let kept: Vec<_> = items.iter().map(|kept| (kept.robot.as_str(), kept.certain)).collect();
@@ -84,12 +86,12 @@ fn a_robot_that_makes_no_progress_with_the_sample_in_its_drawer_needs_rescue() {
 }
 
 #[test]
-fn with_a_time_of_zero_a_holder_is_left_to_its_own_patience() {
+fn a_stall_limit_of_zero_leaves_stalls_to_the_task_timeout() {
     for_each_seed([1121], async |seed| {
         let (mut fleet, mission) = stands_still(seed, Duration::ZERO, "approach_nurse").await;
         let given_up = |fleet: &Fleet| fleet.has_event(released);
         fleet.assert_never("a release", STALL_AFTER * 2, given_up).await;
-        // After its ten minutes the robot itself breaks the task off, and does it on the second attempt.
+        // After ten minutes the robot itself interrupts the task; the second attempt succeeds.
         fleet.assert_completes(&mission).await;
         assert_eq!(
             fleet.holder(&mission, "r1").expect("held").as_str(),

@@ -1,4 +1,4 @@
-//! A skill that panics takes nothing down with it.
+//! A panic in a skill affects nothing else.
 
 use consort_protocol::event::EventKind;
 use consort_skills::bt::{LeafContext, NodeKind, NodeManifest, SyncLeaf};
@@ -9,7 +9,7 @@ use std::cell::Cell;
 
 const ROOM: &str = "IC Room 6";
 
-/// Approaching a person panics the first two times.
+/// Makes approaching a person panic the first two times.
 fn stumbles_twice(library: &mut SkillLibrary) {
     library
         .extend(|registry| {
@@ -32,12 +32,12 @@ fn stumbles_twice(library: &mut SkillLibrary) {
 }
 
 thread_local! {
-    /// Of this thread, and so of this test, alone.
+    /// State of this thread, and so of this test only.
     static STUMBLES: Cell<u32> = const { Cell::new(0) };
 }
 
 #[test]
-fn a_skill_that_panics_each_time_costs_its_robot_the_role_and_nobody_anything_else() {
+fn a_panicking_skill_costs_only_the_role_of_its_robot() {
     for_each_seed([101, 102], async |seed| {
         STUMBLES.with(|stumbles| stumbles.set(2));
         let robots = vec![
@@ -64,14 +64,14 @@ fn a_skill_that_panics_each_time_costs_its_robot_the_role_and_nobody_anything_el
         let retried = |what: &EventKind| matches!(what, EventKind::TaskRetried { .. });
         let counts = (fleet.event_log.count(failed), fleet.event_log.count(retried));
         assert_eq!(counts, (1, 1), "seed {seed}\n{}", fleet.event_log_text());
-        assert_eq!(fleet.holder(&mission, "r1").expect("who did it").as_str(), "fern", "seed {seed}");
+        assert_eq!(fleet.holder(&mission, "r1").expect("the holder").as_str(), "fern", "seed {seed}");
         fleet.assert_exclusive_roles();
         fleet.assert_sample_delivered(ROOM);
 
-        // The node has not noticed: the same robot takes the next mission and carries it out.
+        // The node is unaffected: the same robot takes the next mission and completes it.
         let next = fleet.submit("b", "IC Room 5").await;
         fleet.assert_completes(&next).await;
-        assert_eq!(fleet.holder(&next, "r1").expect("who did it").as_str(), "gorse", "seed {seed}");
+        assert_eq!(fleet.holder(&next, "r1").expect("the holder").as_str(), "gorse", "seed {seed}");
         fleet.assert_each_task_once(&next);
         fleet.assert_sample_delivered("IC Room 5");
     });

@@ -1,7 +1,8 @@
-//! The coordinator is killed at any point, and missions go on.
+//! The coordinator is killed at any point, and missions continue.
 //!
-//! In a fleet with the stations `aster`, `basil` and `clove`, the voters are these three, the arm and `fern`, the first
-//! of the robots by name; `aster` founds the ledger. None of the nodes that may coordinate first holds a role that way.
+//! In a fleet with the stations `aster`, `basil` and `clove`, the voters are these three, the arm
+//! and `fern`, the first of the robots by name. `aster` creates the cluster. So no node that may
+//! coordinate first holds a role.
 
 use crate::support::{fleet, task_began};
 use consort_protocol::event::EventKind;
@@ -14,33 +15,33 @@ const SEEDS: [u64; 3] = [11, 12, 13];
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
-/// `fern` is far away and `gorse` near, so that `gorse` carries.
+/// Matches a call for bids.
 fn called(what: &EventKind) -> bool {
-    matches!(what, EventKind::Called { .. })
+    matches!(what, EventKind::BidsRequested { .. })
 }
 
 fn awarded(what: &EventKind) -> bool {
     matches!(what, EventKind::Awarded { .. })
 }
 
-/// The mission was carried out once, and nobody noticed more than that.
+/// Asserts that the mission was carried out once and had no other effect.
 async fn carried_out_once(fleet: &mut Fleet, mission: &MissionId) {
     fleet.assert_completes(mission).await;
     fleet.assert_each_task_once(mission);
     fleet.assert_sample_delivered(ROOM);
     fleet.assert_exclusive_roles();
-    // A coordinator that only came later finds the mission ended, too.
+    // A later coordinator also finds the mission completed.
     let seed = fleet.seed;
     let end = |fleet: &Fleet| fleet.ledger(|ledger| ledger.mission(mission).map(|entry| entry.state.clone()));
     fleet
-        .wait_until("the new coordinator to know", SOON, |fleet| end(fleet) == Some(Some(MissionState::Completed)))
+        .wait_until("the new coordinator to have it", SOON, |fleet| end(fleet) == Some(Some(MissionState::Completed)))
         .await;
     let number = fleet.ledger(|ledger| ledger.missions().count());
     assert_eq!(number, Some(1), "seed {seed}: missions in the ledger");
 }
 
 #[test]
-fn killed_as_soon_as_the_request_is_acknowledged_it_leaves_the_auction_to_the_next() {
+fn the_next_coordinator_auctions_an_acknowledged_mission() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
@@ -52,10 +53,10 @@ fn killed_as_soon_as_the_request_is_acknowledged_it_leaves_the_auction_to_the_ne
 }
 
 #[test]
-fn killed_while_bids_come_in_it_leaves_a_new_auction_to_the_next() {
+fn the_next_coordinator_repeats_an_interrupted_auction() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
-        // A member that is not heard holds the auction open.
+        // A member that cannot be received keeps the auction open.
         fleet.network.block_outgoing("fern".parse().expect("a name"));
         let mission = fleet.submit("a", ROOM).await;
         fleet.wait_until("a call for bids", SOON, |fleet| fleet.has_event(called)).await;
@@ -72,7 +73,7 @@ fn killed_while_bids_come_in_it_leaves_a_new_auction_to_the_next() {
 }
 
 #[test]
-fn killed_when_the_award_is_committed_and_nobody_knows_it_leaves_the_award_in_force() {
+fn the_next_coordinator_keeps_a_committed_award() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
@@ -87,7 +88,7 @@ fn killed_when_the_award_is_committed_and_nobody_knows_it_leaves_the_award_in_fo
         };
         let before = epoch(&fleet);
         let accepted = |what: &EventKind| matches!(what, EventKind::Started { .. });
-        assert!(!fleet.has_event(accepted), "seed {seed}: nobody has begun at the kill\n{}", fleet.event_log_text());
+        assert!(!fleet.has_event(accepted), "seed {seed}: no role has begun at the kill\n{}", fleet.event_log_text());
         fleet.kill("aster").await;
         fleet.wait_until("the next coordinator", SOON, |fleet| fleet.coordinating().is_some()).await;
         carried_out_once(&mut fleet, &mission).await;
@@ -97,7 +98,7 @@ fn killed_when_the_award_is_committed_and_nobody_knows_it_leaves_the_award_in_fo
 }
 
 #[test]
-fn killed_at_any_point_of_the_execution_it_is_not_missed() {
+fn a_mission_survives_a_coordinator_kill_during_any_task() {
     let points = ["navto_room", "authenticate_nurse", "deposit", "navto_lab", "pick_up_sample", "close_drawer_lab"];
     for_each_seed(21..27, async |seed| {
         let point = points[usize::try_from(seed - 21).expect("a small number")];
@@ -119,7 +120,7 @@ fn five_voters_survive_two_coordinators_killed_in_one_mission() {
         let robots = vec![RobotSpec::carrier("fern", "Dock"), RobotSpec::carrier("gorse", "IC Room 4")];
         let stations = ["aster", "basil", "clove", "daisy", "elder"];
         let mut fleet = Fleet::hospital(seed, robots, &stations, &[ROOM]).await;
-        assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: who coordinates first");
+        assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the first coordinator");
         let mission = fleet.submit("a", ROOM).await;
         fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
         fleet.kill("aster").await;

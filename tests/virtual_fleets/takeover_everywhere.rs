@@ -1,4 +1,4 @@
-//! The coordinator is killed after the n-th thing that happens, for every fifth n.
+//! The coordinator is killed after n observations, for every fifth n.
 
 use consort_protocol::ledger::MissionState;
 use consort_tests::{Fleet, RobotSpec, for_each_seed};
@@ -7,7 +7,8 @@ use std::time::Duration;
 
 const ROOM: &str = "PC Room 8";
 
-/// Kills the coordinator after the `nth` happening since the request. `None` when the mission was over before.
+/// Kills the coordinator after `nth` observations since the request. Returns `None` if the mission
+/// had ended before.
 async fn killed_after(seed: u64, nth: usize, stations: &[&'static str]) -> Option<(Fleet, String, MissionState)> {
     let robots = vec![RobotSpec::carrier("amber", "PC Room 8"), RobotSpec::carrier("birch", "PC Room 2")];
     let robots = robots.into_iter().map(|robot| robot.with_speed(1.5)).collect();
@@ -36,7 +37,8 @@ async fn killed_after(seed: u64, nth: usize, stations: &[&'static str]) -> Optio
     Some((fleet, coordinator, end))
 }
 
-/// How missions ended whose coordinator was killed after each `every`th happening.
+/// Returns the final states of missions whose coordinator was killed after a multiple of `every`
+/// observations.
 fn ends(every: usize, first_seed: u64, stations: &[&'static str], coordinates: &str) -> Vec<MissionState> {
     let ends = RefCell::new(vec![]);
     for nth in (0..).step_by(every) {
@@ -55,21 +57,21 @@ fn ends(every: usize, first_seed: u64, stations: &[&'static str], coordinates: &
 }
 
 #[test]
-fn a_coordinator_without_a_role_is_never_missed() {
+fn missions_complete_after_the_kill_of_a_coordinator_without_a_role() {
     let ends = ends(5, 50, &["aba", "abb"], "aba");
     assert!(ends.len() > 8, "the mission was over after {} kills", ends.len());
     assert!(ends.iter().all(|end| *end == MissionState::Completed), "{ends:?}");
 }
 
 #[test]
-fn a_coordinator_with_a_role_is_replaced_or_its_mission_says_who_has_the_sample_and_where() {
+fn a_killed_coordinator_is_replaced_or_its_sample_is_located() {
     let (completed, otherwise): (Vec<_>, Vec<_>) =
         ends(5, 60, &["post-1", "post-2"], "amber").into_iter().partition(|end| *end == MissionState::Completed);
     for end in &otherwise {
-        let MissionState::NeedsRescue { items, .. } = end else { panic!("{end:?}") };
+        let MissionState::NeedsIntervention { items, .. } = end else { panic!("{end:?}") };
         let [stranded] = &items[..] else { panic!("the sample alone: {end:?}") };
         assert_eq!((stranded.item.as_str(), stranded.robot.as_str()), ("sample", "amber"), "{end:?}");
         assert!(stranded.place.is_some(), "{end:?}");
     }
-    assert!(completed.len() > 3 && otherwise.len() > 3, "{completed:?}, {otherwise:?}");
+    assert!(completed.len() > 3 && otherwise.len() > 3, "completed {completed:?}, not completed {otherwise:?}");
 }

@@ -1,4 +1,4 @@
-//! The coordinator that is killed holds a role itself.
+//! The killed coordinator holds a role itself.
 
 use crate::support::{released, task_began};
 use consort_protocol::event::EventKind;
@@ -12,27 +12,28 @@ const SEEDS: [u64; 3] = [31, 32, 33];
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
-/// All five are voters; `amber` founds the ledger, and is near the room, so that it also wins the role.
+/// All five nodes are voters. `amber` creates the cluster and is near the room, so that it also
+/// wins the role.
 async fn led_by_a_carrier(seed: u64) -> (Fleet, MissionId) {
     let robots = vec![RobotSpec::carrier("amber", "IC Room 4"), RobotSpec::carrier("birch", "Dock")];
     let mut fleet = Fleet::hospital(seed, robots, &["post-1", "post-2"], &[ROOM]).await;
-    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "amber", "seed {seed}: who coordinates");
+    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "amber", "seed {seed}: the coordinator");
     let mission = fleet.submit("a", ROOM).await;
     (fleet, mission)
 }
 
-/// `lab-arm` founds the ledger with the posts; robots that move are not among the five voters.
+/// `lab-arm` creates the cluster with the posts; mobile robots are not among the five voters.
 async fn led_by_the_arm(seed: u64) -> (Fleet, MissionId) {
     let robots = vec![RobotSpec::carrier("amber", "IC Room 4"), RobotSpec::carrier("birch", "Dock")];
     let posts = ["post-1", "post-2", "post-3", "post-4"];
     let mut fleet = Fleet::hospital(seed, robots, &posts, &[ROOM]).await;
-    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "lab-arm", "seed {seed}: who coordinates");
+    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "lab-arm", "seed {seed}: the coordinator");
     let mission = fleet.submit("a", ROOM).await;
     (fleet, mission)
 }
 
 #[test]
-fn a_carrier_killed_before_it_told_anybody_is_replaced_after_lease_and_grace() {
+fn a_carrier_killed_before_custody_is_replaced_after_lease_and_grace() {
     for_each_seed(SEEDS, async |seed| {
         let (mut fleet, mission) = led_by_a_carrier(seed).await;
         fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
@@ -43,7 +44,7 @@ fn a_carrier_killed_before_it_told_anybody_is_replaced_after_lease_and_grace() {
         fleet.assert_sample_delivered(ROOM);
         fleet.assert_exclusive_roles();
         let [given_up] = fleet.event_log.times(released)[..] else {
-            panic!("seed {seed}: one release\n{}", fleet.event_log_text())
+            panic!("seed {seed}: expected a single release\n{}", fleet.event_log_text())
         };
         let terms = LeaseTerms::default();
         let silence = given_up - killed;
@@ -58,7 +59,7 @@ fn a_carrier_killed_before_it_told_anybody_is_replaced_after_lease_and_grace() {
             fleet.event_log_text()
         );
         for (task, (began, ended)) in fleet.event_log.task_executors(&mission) {
-            // Only what the dead one was at was begun twice, and it ended none of its tasks.
+            // Only the interrupted task began twice, and the killed robot ended none of its tasks.
             let who: &[&str] = match task.as_str() {
                 "navto_room" => &["amber", "birch"],
                 "deposit" => &["world"],
@@ -72,7 +73,7 @@ fn a_carrier_killed_before_it_told_anybody_is_replaced_after_lease_and_grace() {
     });
 }
 
-/// The items that are left, as `amber (r1) at IC Room 6!`, or `?` if it is not certain.
+/// Formats held items as `amber (r1) at IC Room 6!`, or with `?` if the item is not certain.
 fn left(items: &[HeldItem]) -> Vec<String> {
     let line = |kept: &HeldItem| {
         let place = kept.place.as_ref().map_or("?", |place| place.as_str());
@@ -82,9 +83,10 @@ fn left(items: &[HeldItem]) -> Vec<String> {
 }
 
 #[test]
-fn a_carrier_killed_with_the_sample_leaves_a_mission_that_needs_rescue_and_says_where() {
-    // The other one is killed with it, so that nobody can tell how the handing over ended. When the nurse begins, the
-    // ledger knows that she was told; when the arm begins, either may have the sample.
+fn a_carrier_killed_with_the_sample_needs_intervention() {
+    // The other participant is killed too, so that the result of the handover is unknown. When the
+    // nurse begins, the ledger contains the signal to her; when the arm begins, either robot may
+    // have the sample.
     let points = [
         ("deposit", Some("world"), "may have", vec!["amber (r1) at IC Room 6?"]),
         ("deposit", None, "has", vec!["amber (r1) at IC Room 6!"]),
@@ -99,11 +101,11 @@ fn a_carrier_killed_with_the_sample_leaves_a_mission_that_needs_rescue_and_says_
             if let Some(other) = other {
                 fleet.kill(other).await;
             }
-            let MissionState::NeedsRescue { cause, items } = fleet.wait_for_end(&mission).await else {
-                panic!("seed {seed}, {point}: the mission ended otherwise\n{}", fleet.event_log_text())
+            let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
+                panic!("seed {seed}, {point}: the mission ended in another state\n{}", fleet.event_log_text())
             };
             if other == Some("lab-arm") {
-                // Which of the two is given up first is open, and only its place is said.
+                // The order of the two releases is open, and only the place of the first is stated.
                 assert!(cause.contains(" may have the sample: "), "seed {seed}, {point}: {cause}");
                 let robots: Vec<_> = items.iter().map(|kept| (kept.robot.as_str(), kept.certain)).collect();
                 assert_eq!(robots, [("amber", false), ("lab-arm", false)], "seed {seed}, {point}");
@@ -115,14 +117,14 @@ fn a_carrier_killed_with_the_sample_leaves_a_mission_that_needs_rescue_and_says_
             assert_eq!(
                 fleet.task_counts(&mission)["navto_room"],
                 (1, 1),
-                "seed {seed}: nobody else began\n{}",
+                "seed {seed}: no other robot began\n{}",
                 fleet.event_log_text()
             );
-            // The other robot is free for what comes next.
+            // The other robot is free for the next mission.
             let free = |fleet: &Fleet| fleet.ledger(|ledger| ledger.held_by(&slug("lab-arm")).is_none());
             assert_eq!(free(&fleet), Some(true), "seed {seed}");
             fleet
-                .wait_until("the arm to put its role down", SOON, |fleet| {
+                .wait_until("the arm to halt its role", SOON, |fleet| {
                     fleet.role_intervals_of(&mission, "lab_arm").iter().all(|spell| spell.to.is_some())
                 })
                 .await;
@@ -131,7 +133,7 @@ fn a_carrier_killed_with_the_sample_leaves_a_mission_that_needs_rescue_and_says_
 }
 
 #[test]
-fn a_carrier_killed_when_the_arm_has_the_sample_has_done_its_part() {
+fn a_carrier_killed_after_the_handover_has_done_its_part() {
     for_each_seed(SEEDS, async |seed| {
         let (mut fleet, mission) = led_by_a_carrier(seed).await;
         fleet.wait_until("the handing over", SOON, |fleet| fleet.has_event(task_began("pick_up_sample"))).await;
@@ -143,14 +145,14 @@ fn a_carrier_killed_when_the_arm_has_the_sample_has_done_its_part() {
         assert_eq!(
             fleet.task_counts(&mission)["navto_room"],
             (1, 1),
-            "seed {seed}: nobody else began\n{}",
+            "seed {seed}: no other robot began\n{}",
             fleet.event_log_text()
         );
     });
 }
 
 #[test]
-fn an_arm_killed_and_restarted_at_once_is_given_its_role_anew() {
+fn an_arm_that_restarts_at_once_receives_its_role_again() {
     for_each_seed(SEEDS, async |seed| {
         let (mut fleet, mission) = led_by_the_arm(seed).await;
         fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
@@ -161,7 +163,8 @@ fn an_arm_killed_and_restarted_at_once_is_given_its_role_anew() {
         fleet.assert_each_task_once(&mission);
         fleet.assert_sample_delivered(ROOM);
         fleet.assert_exclusive_roles();
-        // It came back without a ledger, and neither founded another nor unseated anybody.
+        // It came back without a ledger. It neither created another cluster nor replaced the
+        // coordinator.
         assert_eq!(fleet.coordinating(), Some(second), "seed {seed}\n{}", fleet.event_log_text());
         let elections = fleet.event_log.count(|what| matches!(what, EventKind::Elected { .. }));
         assert_eq!(elections, 2, "seed {seed}: elections\n{}", fleet.event_log_text());
@@ -169,7 +172,7 @@ fn an_arm_killed_and_restarted_at_once_is_given_its_role_anew() {
 }
 
 #[test]
-fn an_arm_that_stays_away_holds_the_mission_up_with_the_reason_until_it_returns() {
+fn a_mission_waits_with_a_reason_until_its_arm_returns() {
     for_each_seed(SEEDS, async |seed| {
         let (mut fleet, mission) = led_by_the_arm(seed).await;
         fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
@@ -178,7 +181,7 @@ fn an_arm_that_stays_away_holds_the_mission_up_with_the_reason_until_it_returns(
         let why = |fleet: &Fleet| {
             fleet.ledger(|ledger| ledger.mission(&mission)?.auction.as_ref()?.failure.clone()).flatten()
         };
-        fleet.wait_until("an auction in vain", SOON, |fleet| why(fleet).is_some()).await;
+        fleet.wait_until("an auction without a result", SOON, |fleet| why(fleet).is_some()).await;
         assert_eq!(
             why(&fleet).as_deref(),
             Some("no viable bid for lab_arm"),
@@ -186,7 +189,8 @@ fn an_arm_that_stays_away_holds_the_mission_up_with_the_reason_until_it_returns(
             fleet.event_log_text()
         );
         assert_eq!(fleet.state(&mission).as_deref(), Some("pending"), "seed {seed}");
-        // The carrier goes on with what it holds, and waits in the laboratory for somebody to hand over to.
+        // The carrier keeps its role and waits in the laboratory for an arm to hand the sample
+        // over.
         let arrived =
             |what: &EventKind| matches!(what, EventKind::TaskEnded { task, .. } if task.as_str() == "navto_lab");
         fleet.wait_until("the carrier in the laboratory", SOON, |fleet| fleet.has_event(arrived)).await;

@@ -1,4 +1,4 @@
-//! Skills that fail, crash or come to no end are tried again before anybody else is asked for help.
+//! A failing, crashing or stalling skill is retried before the role moves to another robot.
 
 use crate::support::task_began;
 use consort_protocol::event::EventKind;
@@ -12,10 +12,10 @@ use std::time::Duration;
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
-/// What goes wrong at one attempt.
+/// Fault of an attempt.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum SkillFault {
-    /// None at all.
+    /// No fault.
     Passes,
     Fails,
     Crashes,
@@ -23,11 +23,11 @@ pub(super) enum SkillFault {
 }
 
 thread_local! {
-    /// What is yet to go wrong: of this thread, and so of this test, alone.
+    /// Remaining faults of this thread, and so of this test only.
     static MISHAPS: RefCell<Vec<SkillFault>> = const { RefCell::new(vec![]) };
 }
 
-/// Goes wrong as often as it is to, and then no more.
+/// Leaf that injects the remaining faults and succeeds afterwards.
 struct Stumble {
     stalled: bool,
 }
@@ -53,26 +53,26 @@ impl Leaf for Stumble {
     }
 }
 
-/// These go wrong from now on, the first first.
+/// Sets the faults of the next attempts, in order.
 pub(super) fn set_faults(list: &[SkillFault]) {
     MISHAPS.with(|mishaps| *mishaps.borrow_mut() = list.iter().rev().copied().collect());
 }
 
-/// Drives go wrong at their end.
+/// Makes drives fail at their end.
 pub(super) fn fails_as_listed(library: &mut SkillLibrary) {
     let leaves = r#"<PlanRoute to="{to}" legs="{legs}"/>
         <LoopString queue="{legs}" value="{leg}" if_empty="SUCCESS"><NavigateToPose place="{leg}"/></LoopString>"#;
     stumbles_after(library, &[("navigation", leaves)]);
 }
 
-/// Approaching a person or a robot goes wrong at its end.
+/// Makes approaching a person or a robot fail at its end.
 pub(super) fn fails_with_others(library: &mut SkillLibrary) {
     let person = r#"<FindPerson person_role="{person_role}" role="{role}"/><ApproachPerson role="{role}"/>"#;
-    let robot = r#"<FindHolder role="{robot_role}" robot="{robot}"/><ApproachRobot robot="{robot}"/>"#;
+    let robot = r#"<FindRoleHolder role="{robot_role}" robot="{robot}"/><ApproachRobot robot="{robot}"/>"#;
     stumbles_after(library, &[("approach_person", person), ("approach_robot", robot)]);
 }
 
-/// Skills of these names, each after these leaves.
+/// Replaces the trees of these skills by these leaves, followed by a fault.
 fn stumbles_after(library: &mut SkillLibrary, skills: &[(&str, &str)]) {
     library
         .extend(|registry| {
@@ -96,7 +96,7 @@ fn retried(what: &EventKind) -> Option<(String, u8, String)> {
     }
 }
 
-/// The first drive goes wrong once; what the robot made of it.
+/// Injects a fault into the first drive and checks the reaction of the robot.
 fn one_mishap(mishap: SkillFault, cause: &'static str) {
     for_each_seed([201, 202], async |seed| {
         set_faults(&[mishap]);
@@ -116,22 +116,22 @@ fn one_mishap(mishap: SkillFault, cause: &'static str) {
 }
 
 #[test]
-fn a_skill_that_fails_is_tried_again() {
+fn a_failing_skill_is_retried() {
     one_mishap(SkillFault::Fails, "nobody stands there");
 }
 
 #[test]
-fn a_skill_that_crashes_is_tried_again() {
+fn a_crashing_skill_is_retried() {
     one_mishap(SkillFault::Crashes, "tripped over a cable");
 }
 
 #[test]
-fn a_task_that_comes_to_no_end_is_broken_off_and_tried_again() {
-    one_mishap(SkillFault::Stalls, "no end after");
+fn a_task_without_an_end_is_interrupted_and_retried() {
+    one_mishap(SkillFault::Stalls, "not completed after");
 }
 
 #[test]
-fn a_crash_takes_nothing_down_with_it_and_the_robot_wins_again() {
+fn a_crash_of_a_skill_does_not_affect_its_robot() {
     for_each_seed([203, 204], async |seed| {
         set_faults(&[SkillFault::Crashes]);
         let robots = vec![RobotSpec::carrier("gorse", "IC Room 4").with_library(fails_as_listed)];
@@ -140,17 +140,17 @@ fn a_crash_takes_nothing_down_with_it_and_the_robot_wins_again() {
         for (request, room) in [("a", ROOM), ("b", "PC Room 1")] {
             let mission = fleet.submit(request, room).await;
             fleet.assert_completes(&mission).await;
-            assert_eq!(fleet.holder(&mission, "r1").expect("who did it").as_str(), "gorse", "seed {seed}");
+            assert_eq!(fleet.holder(&mission, "r1").expect("the holder").as_str(), "gorse", "seed {seed}");
             fleet.assert_sample_delivered(room);
         }
     });
 }
 
 #[test]
-fn a_canceled_mission_leaves_the_body_at_rest_and_the_drawer_as_it_was() {
+fn a_canceled_mission_leaves_robot_and_drawer_at_rest() {
     use consort_protocol::keys::ApiCall;
     use consort_sim::world::WorldEvent as InWorld;
-    // At each of these the mission is canceled while the skill is at work.
+    // The mission is canceled during each of these tasks.
     for (number, task) in (0..).zip(["navto_room", "approach_nurse", "open_drawer_for_nurse", "close_drawer_nurse"]) {
         for_each_seed([210 + number], async |seed| {
             let robots = vec![RobotSpec::carrier("gorse", "IC Room 4")];
@@ -163,11 +163,11 @@ fn a_canceled_mission_leaves_the_body_at_rest_and_the_drawer_as_it_was() {
                 fleet.request_answered(ApiCall::Cancel, &serde_json::json!({ "mission": mission, "by": "test" })).await;
             let put_down = |what: &EventKind| matches!(what, EventKind::Halted { mission: of, .. } if *of == mission);
             fleet
-                .wait_until(&format!("both to put their roles down ({answer})"), SOON, |fleet| {
+                .wait_until(&format!("both to halt their roles ({answer})"), SOON, |fleet| {
                     fleet.event_log.count(put_down) == 2
                 })
                 .await;
-            // A canceled goal ends within a crossing of the network.
+            // A canceled goal ends within a network latency.
             let goals = |fleet: &Fleet| {
                 fleet.journal().iter().fold((0, 0), |(began, ended), entry| match entry.event {
                     InWorld::GoalStarted { .. } => (began + 1, ended),
@@ -176,20 +176,21 @@ fn a_canceled_mission_leaves_the_body_at_rest_and_the_drawer_as_it_was() {
                 })
             };
             let at_rest = |fleet: &Fleet| goals(fleet).0 == goals(fleet).1;
-            fleet.wait_until("the body to be at rest", Duration::from_secs(1), at_rest).await;
+            fleet.wait_until("the robot to be at rest", Duration::from_secs(1), at_rest).await;
             let (place, begun) = (fleet.position("gorse"), goals(&fleet).0);
             fleet.assert_never("another goal", Duration::from_secs(10), |fleet| goals(fleet).0 != begun).await;
             assert_eq!(fleet.position("gorse"), place, "seed {seed}\n{}", fleet.event_log_text());
-            // A drawer is open or closed: what was under way had no effect, or had it whole.
+            // A drawer is open or closed: the interrupted goal had either no effect or its whole
+            // effect.
             let opened =
                 fleet.journal().iter().filter(|entry| matches!(entry.event, InWorld::DrawerMoved { .. })).count();
             let least = usize::from(task == "close_drawer_nurse");
             assert!(opened == least || opened == least + 1, "seed {seed}: {opened}\n{}", fleet.event_log_text());
-            // With the sample in its drawer, somebody has to come for that first.
-            let state = if least == 0 { "canceled" } else { "needs_rescue" };
+            // With the sample in its drawer, a person must intervene first.
+            let state = if least == 0 { "canceled" } else { "needs_intervention" };
             assert_eq!(fleet.state(&mission).as_deref(), Some(state), "seed {seed}\n{}", fleet.event_log_text());
 
-            if state == "needs_rescue" {
+            if state == "needs_intervention" {
                 return; // and until then it is given nothing else
             }
             let next = fleet.submit("b", ROOM).await;

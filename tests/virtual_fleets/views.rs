@@ -1,4 +1,4 @@
-//! What anybody can see of a fleet.
+//! Views of a fleet for any client.
 
 use crate::support::{fleet, task_began};
 use consort_actors::bus::{Bus, VirtualBus};
@@ -16,13 +16,13 @@ const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
 #[test]
-fn every_view_is_answered_once_and_says_how_things_stand() {
+fn every_view_has_a_single_reply_with_the_current_state() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
         let began = task_began("deposit");
         fleet.wait_until("the deposit", SOON, |fleet| fleet.has_event(&began)).await;
-        // What robots say of themselves comes by gossip.
+        // The state of robots arrives by gossip.
         let told = async |fleet: &Fleet| {
             let views = fleet.view("**").await;
             let mut tasks = BTreeMap::new();
@@ -95,7 +95,8 @@ fn every_view_is_answered_once_and_says_how_things_stand() {
         assert_eq!(views["missions"]["missions"][0]["done"], shown["done"], "seed {seed}");
         assert_eq!(views["auctions"]["auctions"][0]["chosen"], json!({ "lab_arm": "lab-arm", "r1": "gorse" }));
 
-        // The tree has the task that was awaited under way, what comes before it done, and what comes after it waiting.
+        // In the tree, the awaited task is under way, earlier tasks are done, and later tasks are
+        // waiting.
         let mut tasks = BTreeMap::new();
         elementary(&shown["tree"], &mut tasks);
         assert_eq!(tasks["navto_room"], "done", "seed {seed}: {tasks:?}");
@@ -120,7 +121,7 @@ fn every_view_is_answered_once_and_says_how_things_stand() {
     });
 }
 
-/// The elementary tasks of a tree with their states.
+/// Collects the elementary tasks of a tree with their states.
 fn elementary(tree: &Value, tasks: &mut BTreeMap<String, String>) {
     for child in tree["children"].as_array().into_iter().flatten() {
         elementary(child, tasks);
@@ -131,7 +132,7 @@ fn elementary(tree: &Value, tasks: &mut BTreeMap<String, String>) {
     }
 }
 
-/// What is answered on the bus of a node, or of a client: with the time that it took.
+/// Queries a key on the bus of a node or a client. Returns the replies and the duration.
 async fn look(bus: &VirtualBus, key: &str) -> (BTreeMap<String, Value>, Duration) {
     let asked = Instant::now();
     let mut replies = bus.query_nearest(key, vec![].into(), Duration::from_secs(3)).await.expect("a virtual bus");
@@ -145,14 +146,14 @@ async fn look(bus: &VirtualBus, key: &str) -> (BTreeMap<String, Value>, Duration
 }
 
 #[test]
-fn any_node_answers_alone_and_says_whose_it_is_and_how_old() {
+fn every_node_answers_views_with_their_origin_and_age() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
         let began = task_began("deposit");
         fleet.wait_until("the deposit", SOON, |fleet| fleet.has_event(&began)).await;
         let nodes = ["aster", "basil", "clove", "fern", "gorse", "lab-arm", "world"];
-        // Those without a copy of the ledger have the missions from one that keeps it.
+        // Nodes without a ledger show the missions of a voter.
         for node in nodes {
             let bus = fleet.network.bus(slug(node));
             let (views, _) = look(&bus, "consort/ward/view/**").await;
@@ -171,7 +172,7 @@ fn any_node_answers_alone_and_says_whose_it_is_and_how_old() {
             let got = look(&bus, "consort/ward/api/list").await.0;
             assert_eq!(got["api/list"]["missions"][0]["mission"], json!(mission), "seed {seed}: {node}");
         }
-        // Each by itself, for whoever wants all of them.
+        // Each node answers separately on its own key.
         let (seen, _) = look(&fleet.client, "consort/ward/seen/*/coordinator").await;
         let seen: BTreeMap<&str, &str> =
             seen.iter().map(|(key, view)| (key.as_str(), view["coordinator"].as_str().unwrap_or("nobody"))).collect();
@@ -182,7 +183,7 @@ fn any_node_answers_alone_and_says_whose_it_is_and_how_old() {
 }
 
 #[test]
-fn views_are_answered_in_a_moment_while_nobody_leads_and_say_so() {
+fn views_are_answered_quickly_without_a_leader() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
@@ -203,7 +204,7 @@ fn views_are_answered_in_a_moment_while_nobody_leads_and_say_so() {
         let next = leaders.last().and_then(Value::as_str).expect("the next is known").to_owned();
         assert_ne!(next, "aster", "seed {seed}");
 
-        // Without a majority nobody leads any more; those who are left say what is the matter.
+        // Without a majority there is no leader; the remaining nodes report the problem.
         for voter in ["basil", "clove", "fern", "lab-arm"].into_iter().filter(|voter| *voter != next).take(2) {
             fleet.kill(voter).await;
         }
@@ -220,7 +221,7 @@ fn views_are_answered_in_a_moment_while_nobody_leads_and_say_so() {
 }
 
 #[test]
-fn a_robot_that_is_down_holds_what_the_ledger_says_and_not_what_it_last_said() {
+fn a_dead_robot_holds_the_role_in_the_ledger_not_in_its_record() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
@@ -232,10 +233,10 @@ fn a_robot_that_is_down_holds_what_the_ledger_says_and_not_what_it_last_said() {
         fleet.poll_until("gorse's word that it holds r1", SOON, says).await;
         fleet.kill("gorse").await;
         let end = fleet.wait_for_end(&mission).await;
-        assert!(matches!(end, MissionState::NeedsRescue { .. }), "seed {seed}: {end:?}");
+        assert!(matches!(end, MissionState::NeedsIntervention { .. }), "seed {seed}: {end:?}");
         let closed = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;
         assert!(closed["state"]["failed"].is_object(), "seed {seed}: {closed}");
-        // Whether it keeps the ledger, as most do, or has nothing but gorse's last word, as the world's node.
+        // Most of these nodes have a ledger; the world host only has the last record of gorse.
         for node in ["aster", "basil", "clove", "fern", "lab-arm", "world"] {
             let shown = async |_: &Fleet| {
                 let (views, _) = look(&fleet.network.bus(slug(node)), "consort/ward/view/**").await;
@@ -252,18 +253,18 @@ fn a_robot_that_is_down_holds_what_the_ledger_says_and_not_what_it_last_said() {
 }
 
 #[test]
-fn why_each_robot_did_or_did_not_get_each_role_is_explained() {
+fn the_explanation_contains_the_result_of_each_robot() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
         fleet.assert_completes(&mission).await;
         let said = fleet.request_answered(ApiCall::Explain, &json!({ "mission": mission })).await;
-        let words: Vec<&str> = said["words"].as_array().expect("sentences").iter().filter_map(Value::as_str).collect();
+        let words: Vec<&str> = said["text"].as_array().expect("sentences").iter().filter_map(Value::as_str).collect();
         assert_eq!(words[0], format!("{mission} is completed; auction 1:"), "seed {seed}");
         for says in [
-            "lab_arm: lab-arm gets it with ",
+            "lab_arm: lab-arm gets the role with ",
             "  fern lacks ",
-            "r1: gorse gets it with ",
+            "r1: gorse gets the role with ",
             "  gorse bid ",
             "    navto_room ",
             "  fern bid ",
@@ -291,27 +292,27 @@ fn why_each_robot_did_or_did_not_get_each_role_is_explained() {
 }
 
 #[test]
-fn every_call_says_what_it_takes() {
+fn every_call_documents_its_payload() {
     for_each_seed([123], async |_| {
         let fleet = fleet(123, ROOM).await;
         let help = fleet.request_answered(ApiCall::Help, &Value::Null).await;
         let calls: Vec<&str> =
             help["calls"].as_array().expect("calls").iter().filter_map(|call| call["call"].as_str()).collect();
-        assert_eq!(calls, ["submit", "cancel", "rescued", "backup", "upgrade", "get", "list", "explain", "help"]);
+        assert_eq!(calls, ["submit", "cancel", "resolve", "backup", "upgrade", "get", "list", "explain", "help"]);
         let (each, _) = look(&fleet.client, "consort/ward/api/*/help").await;
         assert_eq!(each.len(), calls.len());
         let submit = &each["api/submit/help"];
         assert_eq!(submit["payload_schema"]["required"], json!(["mission"]), "{submit}");
-        let taken = fleet.request(ApiCall::Submit, &submit["example"]).await.expect("an answer");
+        let taken = fleet.request(ApiCall::Submit, &submit["example"]).await.expect("a reply");
         assert!(taken["mission"].is_string(), "the example is taken: {taken}");
         let refused = fleet.request_raw(ApiCall::Submit, r#"{"mission": "lab-samples", "priority": "high"}"#).await;
-        let error = refused.expect("an answer")["error"].as_str().expect("an error").to_owned();
+        let error = refused.expect("a reply")["error"].as_str().expect("an error").to_owned();
         assert!(error.starts_with("priority is a string; allowed is integer"), "{error}");
     });
 }
 
 #[test]
-fn presence_follows_life_and_office() {
+fn presence_tokens_follow_nodes_and_the_coordinator() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let nodes = ["aster", "basil", "clove", "fern", "gorse", "lab-arm", "world"];
@@ -332,7 +333,7 @@ fn presence_follows_life_and_office() {
             EventKind::Elected { term, .. } => Some(*term),
             _ => None,
         });
-        let office = format!("{}/{next}", term.expect("just seen"));
+        let office = format!("{}/{next}", term.expect("checked before"));
         assert_eq!(fleet.presence_tokens().await, expected(&office, &["gorse", "aster"]), "seed {seed}");
         fleet.start_robot("gorse").await;
         assert_eq!(fleet.presence_tokens().await, expected(&office, &["aster"]), "seed {seed}");

@@ -1,4 +1,4 @@
-//! The autopilot keeps enough voters alive, whoever dies, returns, or turns out to be better placed.
+//! The autopilot keeps enough voters alive when nodes die, return, or are better suited.
 
 use consort_protocol::event::EventKind;
 use consort_tests::{StationFleet, for_each_seed};
@@ -14,7 +14,7 @@ fn set(names: &[&str]) -> BTreeSet<String> {
 }
 
 #[test]
-fn seven_survive_the_loss_of_four_of_the_first_five_voters_one_after_the_other() {
+fn seven_stations_survive_the_loss_of_four_voters_in_turn() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = StationFleet::founded(seed, &SEVEN).await;
         let first = fleet.voters();
@@ -41,7 +41,7 @@ fn seven_survive_the_loss_of_four_of_the_first_five_voters_one_after_the_other()
 }
 
 #[test]
-fn two_killed_at_once_are_both_replaced() {
+fn two_voters_killed_at_once_are_both_replaced() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = StationFleet::founded(seed, &SEVEN).await;
         fleet.kill("aster").await;
@@ -57,7 +57,7 @@ fn two_killed_at_once_are_both_replaced() {
 }
 
 #[test]
-fn a_voter_that_is_back_in_time_with_its_store_votes_as_before() {
+fn a_voter_that_returns_in_time_with_its_store_keeps_its_vote() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = StationFleet::founded(seed, &SEVEN).await;
         let before = fleet.voters();
@@ -67,7 +67,7 @@ fn a_voter_that_is_back_in_time_with_its_store_votes_as_before() {
         fleet.advance(Duration::from_secs(20)).await;
         assert_eq!(fleet.voters(), before, "seed {seed}");
         assert_eq!(fleet.voter_change_reasons(), [""; 0], "seed {seed}");
-        // Its vote is as good as any: with it, three of five live.
+        // Its vote counts: with it, three of five voters are alive.
         fleet.kill("clove").await;
         fleet.kill("daisy").await;
         fleet.submit("gorse", "after").await;
@@ -75,7 +75,7 @@ fn a_voter_that_is_back_in_time_with_its_store_votes_as_before() {
 }
 
 #[test]
-fn a_voter_that_lost_its_store_gets_a_vote_back_as_another_member() {
+fn a_voter_without_its_store_returns_as_a_new_member() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = StationFleet::founded(seed, &["aster", "basil", "clove"]).await;
         let coordinator = fleet.wait_for_coordinator().await;
@@ -102,7 +102,7 @@ fn a_voter_that_lost_its_store_gets_a_vote_back_as_another_member() {
 }
 
 #[test]
-fn one_founds_alone_and_others_join_it_up_to_an_odd_number() {
+fn nodes_join_a_single_node_cluster_up_to_an_odd_number() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = StationFleet::empty(seed, 1);
         fleet.start("aster").await;
@@ -118,7 +118,7 @@ fn one_founds_alone_and_others_join_it_up_to_an_odd_number() {
 }
 
 #[test]
-fn of_nodes_that_start_at_once_and_expect_one_only_one_founds() {
+fn only_one_of_several_simultaneous_nodes_creates_a_cluster() {
     for_each_seed(1..9, async |seed| {
         let mut fleet = StationFleet::empty(seed, 1);
         for name in &SEVEN[..5] {
@@ -131,7 +131,7 @@ fn of_nodes_that_start_at_once_and_expect_one_only_one_founds() {
 }
 
 #[test]
-fn a_station_takes_the_place_of_a_node_that_moves_once_it_has_settled() {
+fn a_settled_station_replaces_a_mobile_voter() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = StationFleet::empty(seed, 3);
         fleet.set_voter_target(3);
@@ -150,7 +150,7 @@ fn a_station_takes_the_place_of_a_node_that_moves_once_it_has_settled() {
 }
 
 #[test]
-fn a_leader_that_moves_hands_over_to_a_station_that_has_settled_and_takes_the_lead_from_nobody() {
+fn a_mobile_leader_transfers_the_lead_to_a_settled_station() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = StationFleet::empty(seed, 1);
         fleet.set_voter_target(3);
@@ -177,11 +177,12 @@ fn a_leader_that_moves_hands_over_to_a_station_that_has_settled_and_takes_the_le
 }
 
 #[test]
-fn a_change_that_a_dead_leader_began_is_completed_by_the_next() {
+fn the_next_leader_completes_a_membership_change() {
     for_each_seed(1..13, async |seed| {
         let mut fleet = StationFleet::founded(seed, &SEVEN).await;
         fleet.kill("elder").await;
-        // The leader dies at some point of the exchange that follows: before, between and after its two entries.
+        // The leader is killed at some point of the following membership change: before, between
+        // and after its two entries.
         let election = fleet.wait_for_coordinator().await;
         fleet
             .wait_until("an observer", |fleet| {

@@ -1,4 +1,5 @@
-//! Who founds the ledger, and with whom: [`Promise`] decides, and this carries it out.
+//! Bootstrap of the cluster: selects the first voters. [`BootstrapPromise`] decides, and this
+//! module performs the I/O.
 
 use super::VOTERS_MAX;
 use super::bootstrap_promise::{BootstrapPromise, ObservedFleet};
@@ -18,135 +19,141 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tracing::{debug, info, warn};
 
-/// How long a node listens, from its start, before it founds anything. A fleet that is there already is heard of within
-/// one exchange of gossip, some milliseconds after the first link is up.
-const LISTEN: Duration = Duration::from_millis(600);
+/// Time from its start for which a node only listens, before it bootstraps a cluster. It learns of
+/// an existing cluster within a single exchange of gossip, some milliseconds after the first link
+/// is up.
+const LISTEN_TIME: Duration = Duration::from_millis(600);
 
-/// A promise to let somebody else found holds for so many times the time that its question may take: it founds when that
-/// has passed, at the latest, and soon afterwards all know. A guess.
-const PROMISE_HOLDS: u32 = 3;
+/// Duration of a promise to let another node bootstrap, as a multiple of the time limit of its
+/// requests: that node bootstraps before this time has passed, and soon afterwards all nodes have
+/// received the result. A guess.
+const PROMISE_REPLY_TIMEOUTS: u32 = 3;
 
-/// What it takes to found a ledger, or to leave that to others.
+/// State needed to bootstrap a cluster, or to leave the bootstrap to another node.
 pub(crate) struct Bootstrap {
-    /// This node, as one that could.
+    /// This node as a candidate for the bootstrap.
     pub(crate) me: BootstrapRequest,
     pub(crate) keys: Keys,
     pub(crate) bus: SharedBus,
     pub(crate) replica: Replica<Ledger>,
     pub(crate) knowledge: SharedKnowledge,
     pub(crate) membership: ClusterMembership,
-    /// Nodes that may vote and must have met, and agree.
+    /// Number of nodes with the right to vote that must be reachable and agree.
     pub(crate) expected_nodes: usize,
-    /// Voters aimed at.
+    /// Target number of voters.
     pub(crate) target_voters: usize,
-    /// How long a node that does not answer is waited for.
+    /// Time limit for the replies of other nodes.
     pub(crate) reply_timeout: Duration,
 }
 
 impl Bootstrap {
-    /// Founds the ledger if that is this node's turn, and answers all others that would.
+    /// Bootstraps the cluster if it is this node's turn, and replies to the bootstrap requests of
+    /// other nodes.
     ///
-    /// Once `expect` nodes that may vote have met, they are to keep the ledger: up to `target` of them, an odd number, stationary
-    /// and mains-powered ones before others. It is the turn of the first of these by name, who asks all that it can reach, and
-    /// founds the ledger. Nobody founds who has heard of a
-    /// cluster of this fleet's name, however little is left of it: its ledger may hold promises. The autopilot of that
-    /// cluster takes newcomers in.
-    pub(crate) async fn run(self, asked: Stream<Query>) {
-        let promise = Mutex::new(BootstrapPromise::new(self.me.clone(), self.reply_timeout * PROMISE_HOLDS));
-        tokio::join!(self.answer_all(&promise, asked), self.found_in_turn(&promise));
+    /// The bootstrap starts once `expected_nodes` nodes with the right to vote are known. The first
+    /// voters are up to `target_voters` of these nodes, an odd number, stationary and mains-powered
+    /// nodes before others. It is the turn of the first of them by name. That node asks all nodes
+    /// that it can reach, and then bootstraps the cluster. A node that knows of a cluster of this
+    /// fleet's name never bootstraps, even if little of that cluster is left: its ledger may
+    /// contain promises. The autopilot of that cluster adds new nodes.
+    pub(crate) async fn run(self, requests: Stream<Query>) {
+        let promise = Mutex::new(BootstrapPromise::new(self.me.clone(), self.reply_timeout * PROMISE_REPLY_TIMEOUTS));
+        tokio::join!(self.reply_to_all(&promise, requests), self.bootstrap_in_turn(&promise));
     }
 
-    async fn answer_all(&self, promise: &Mutex<BootstrapPromise>, mut asked: Stream<Query>) {
+    async fn reply_to_all(&self, promise: &Mutex<BootstrapPromise>, mut requests: Stream<Query>) {
         let key = self.keys.write(&Key::Bootstrap(self.me.node.clone()));
-        while let Some(query) = asked.recv().await {
-            let Some(founder) = reply::decode_or_refuse::<BootstrapRequest>(&query).await else { continue };
-            let said = lock(promise).reply(&founder, &self.heard(), Instant::now());
-            reply::wire(&query, &key, &said).await;
+        while let Some(query) = requests.recv().await {
+            let Some(request) = reply::decode_or_refuse::<BootstrapRequest>(&query).await else { continue };
+            let answer = lock(promise).reply(&request, &self.observed_fleet(), Instant::now());
+            reply::wire(&query, &key, &answer).await;
         }
     }
 
-    async fn found_in_turn(&self, promise: &Mutex<BootstrapPromise>) {
+    async fn bootstrap_in_turn(&self, promise: &Mutex<BootstrapPromise>) {
         let node = &self.me.node;
-        let listens_until = Instant::now() + LISTEN;
+        let listen_deadline = Instant::now() + LISTEN_TIME;
         let mut changed = self.knowledge.changes();
         loop {
-            let heard = self.heard();
-            if heard.has_voters {
-                return; // somebody has founded it
+            let observed_fleet = self.observed_fleet();
+            if observed_fleet.has_voters {
+                return; // another node has bootstrapped the cluster
             }
-            let enough = self.met().len() >= self.expected_nodes.max(1);
+            let knows_enough = self.candidates().len() >= self.expected_nodes.max(1);
             let now = Instant::now();
-            if now >= listens_until && enough && lock(promise).begin_request(&heard, now) {
+            if now >= listen_deadline && knows_enough && lock(promise).begin_request(&observed_fleet, now) {
                 match self.all_agree().await {
-                    Ok(()) if lock(promise).confirm(&self.heard(), Instant::now()) => {
-                        let met = self.met();
-                        let voters = first_voters(met.keys().cloned().collect(), self.target_voters);
-                        let voters: BTreeMap<_, _> = voters.map(|voter| (met[&voter], voter.node)).collect();
-                        info!(%node, voters = voters.len(), "founds the ledger");
-                        if let Err(problem) = self.replica.bootstrap(voters).await {
-                            warn!(%node, %problem, "did not found the ledger");
+                    Ok(()) if lock(promise).confirm(&self.observed_fleet(), Instant::now()) => {
+                        let candidates = self.candidates();
+                        let voters = first_voters(candidates.keys().cloned().collect(), self.target_voters);
+                        let voters: BTreeMap<_, _> = voters.map(|voter| (candidates[&voter], voter.node)).collect();
+                        info!(%node, voters = voters.len(), "bootstrapping the cluster");
+                        if let Err(error) = self.replica.bootstrap(voters).await {
+                            warn!(%node, %error, "bootstrap failed");
                         }
                         return;
                     }
-                    Ok(()) => debug!(%node, "founds nothing: it has given way"),
-                    Err(reason) => debug!(%node, reason, "founds nothing"),
+                    Ok(()) => debug!(%node, "no bootstrap: this node has given way"),
+                    Err(reason) => debug!(%node, reason, "no bootstrap"),
                 }
                 tokio::time::sleep(self.reply_timeout).await;
                 continue;
             }
-            // A cluster may be forgotten without anybody's saying so, and a promise end.
-            let wait = if now < listens_until { listens_until - now } else { self.reply_timeout * PROMISE_HOLDS };
+            // The record of a cluster may expire without a notification, and so may a promise.
+            let wait =
+                if now < listen_deadline { listen_deadline - now } else { self.reply_timeout * PROMISE_REPLY_TIMEOUTS };
             if let Ok(Err(_)) = tokio::time::timeout(wait, changed.changed()).await {
                 return;
             }
         }
     }
 
-    /// Asks all that can be reached, met or not, whether this node may found the ledger.
+    /// Asks all reachable nodes, known or not, whether this node may bootstrap the cluster.
     async fn all_agree(&self) -> Result<(), String> {
-        let asked = codec::encode(&self.me).map_err(|problem| problem.to_string())?;
-        let replies = self.bus.query(&self.keys.any_bootstrap(), Bytes::from(asked), self.reply_timeout).await;
-        let mut replies = replies.map_err(|problem| problem.to_string())?;
+        let request = codec::encode(&self.me).map_err(|error| error.to_string())?;
+        let replies = self.bus.query(&self.keys.any_bootstrap(), Bytes::from(request), self.reply_timeout).await;
+        let mut replies = replies.map_err(|error| error.to_string())?;
         let mut agreed = BTreeSet::from([self.me.node.clone()]);
         while let Some(reply) = replies.recv().await {
-            let said = reply.payload.ok().and_then(|payload| codec::decode(&payload).ok());
-            match (self.keys.read(&reply.key), said) {
+            let answer = reply.payload.ok().and_then(|payload| codec::decode(&payload).ok());
+            match (self.keys.read(&reply.key), answer) {
                 (Some(Key::Bootstrap(node)), Some(BootstrapReply::Agreed)) => drop(agreed.insert(node)),
                 (Some(Key::Bootstrap(node)), Some(BootstrapReply::Refused { reason })) => {
-                    return Err(format!("{node} says: {reason}"));
+                    return Err(format!("{node} refused: {reason}"));
                 }
-                (key, said) => debug!(?key, ?said, "no answer to who may found"),
+                (key, answer) => debug!(?key, ?answer, "unexpected reply to the bootstrap request"),
             }
         }
         match agreed.len() >= self.expected_nodes {
             true => Ok(()),
-            false => Err(format!("{} of {} expected have agreed", agreed.len(), self.expected_nodes)),
+            false => Err(format!("{} of {} expected nodes have agreed", agreed.len(), self.expected_nodes)),
         }
     }
 
-    fn heard(&self) -> ObservedFleet {
-        let told = self.knowledge.read(|base| base.iter().find_map(|(_, heard)| heard.record.knowledge.cluster));
-        let met = self.met().into_keys().collect();
+    fn observed_fleet(&self) -> ObservedFleet {
+        let known_cluster =
+            self.knowledge.read(|base| base.iter().find_map(|(_, entry)| entry.record.knowledge.cluster));
+        let candidates = self.candidates().into_keys().collect();
         ObservedFleet {
-            cluster: self.membership.cluster().or(told),
+            cluster: self.membership.cluster().or(known_cluster),
             has_voters: !self.replica.leadership().borrow().voters.is_empty(),
-            next_founder: first_voters(met, self.target_voters).map(|voter| voter.node).min(),
+            next_founder: first_voters(candidates, self.target_voters).map(|voter| voter.node).min(),
         }
     }
 
-    /// All that could found a ledger, with the numbers under which they would vote.
-    fn met(&self) -> BTreeMap<BootstrapRequest, RaftId> {
-        let mut met: BTreeMap<BootstrapRequest, RaftId> = self.knowledge.read(|base| {
-            let candidates = base.iter().filter_map(|(node, heard)| {
-                let known = &heard.record.knowledge;
-                let id = known.replica.filter(|_| known.may_vote && !known.leaving)?;
-                let (mobile, on_battery) = (!known.stationary, !known.mains_powered);
+    /// Returns all nodes that could bootstrap the cluster, with their raft ids.
+    fn candidates(&self) -> BTreeMap<BootstrapRequest, RaftId> {
+        let mut candidates: BTreeMap<BootstrapRequest, RaftId> = self.knowledge.read(|base| {
+            let known_nodes = base.iter().filter_map(|(node, entry)| {
+                let knowledge = &entry.record.knowledge;
+                let id = knowledge.replica.filter(|_| knowledge.may_vote && !knowledge.leaving)?;
+                let (mobile, on_battery) = (!knowledge.stationary, !knowledge.mains_powered);
                 Some((BootstrapRequest { mobile, on_battery, node: node.clone() }, RaftId(id)))
             });
-            candidates.collect()
+            known_nodes.collect()
         });
-        met.retain(|founder, _| self.knowledge.is_alive(&founder.node));
-        met
+        candidates.retain(|request, _| self.knowledge.is_alive(&request.node));
+        candidates
     }
 }
 
@@ -154,9 +161,9 @@ fn lock(promise: &Mutex<BootstrapPromise>) -> MutexGuard<'_, BootstrapPromise> {
     promise.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// An odd number of these, the best placed.
-fn first_voters(met: BTreeSet<BootstrapRequest>, target: usize) -> impl Iterator<Item = BootstrapRequest> {
-    let count = met.len().min(target.clamp(1, VOTERS_MAX));
+/// Returns an odd number of the candidates, the most suitable first.
+fn first_voters(candidates: BTreeSet<BootstrapRequest>, target: usize) -> impl Iterator<Item = BootstrapRequest> {
+    let count = candidates.len().min(target.clamp(1, VOTERS_MAX));
     let odd = if count.is_multiple_of(2) { count.saturating_sub(1) } else { count };
-    met.into_iter().take(odd)
+    candidates.into_iter().take(odd)
 }

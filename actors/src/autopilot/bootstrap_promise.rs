@@ -1,97 +1,106 @@
-//! Whether a node may found a ledger, as a value: what it has promised to others, and what it tells those who ask.
+//! Promise of a node about the bootstrap of the cluster, and its replies to bootstrap requests. It
+//! does no I/O.
 //!
 //! ```text
-//!  founder                                      each node that may vote
-//!    │ has listened, has met enough, it is its turn
-//!    ├── may I? ────────────────────────────────────▶│ knows of no ledger, and has promised it to nobody else;
-//!    │◀──────────────────────────────────── agreed ──┤ if it asks itself, the lesser of the two goes on
-//!    │ founds                                        │ founds none meanwhile
+//!  bootstrapping node                           each node with the right to vote
+//!    │ has listened, knows enough nodes, has the turn
+//!    ├── request ──────────────────────────────────▶│ knows of no ledger, and has made no other promise;
+//!    │◀─────────────────────────────────── agreed ──┤ of two nodes that both ask, the lesser continues
+//!    │ bootstraps                                   │ does not bootstrap meanwhile
 //! ```
 //!
-//! Whose turn it is depends on who has been met, and two that have met different nodes may both think that it is their own.
-//! Of two that can reach each other when either asks, one at most founds all the same: one refuses, or gives way. So it is with
-//! two that cannot, if both reach a third, as long as its promise holds. Two that nobody connects may found a ledger each,
-//! unless more than half of all nodes must agree: no rule tells a network that is cut from a fleet that is small.
+//! The turn depends on the nodes that are known, and two nodes that know of different nodes may
+//! both conclude that it is their turn. If they can reach each other when either asks, at most one
+//! of the two bootstraps all the same: the other refuses, or gives way. The same holds for two
+//! nodes that cannot, if both reach a third node, for the duration of its promise. Two nodes
+//! without any connection may bootstrap a ledger each, unless more than half of all nodes must
+//! agree: no rule can distinguish a partitioned network from a small fleet.
 
 use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::message::{BootstrapReply, BootstrapRequest};
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// What a node has heard of the fleet.
+/// State of the fleet as observed by a node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct ObservedFleet {
-    /// A cluster of the fleet's name.
+    /// Known cluster of the fleet's name.
     pub(super) cluster: Option<ClusterId>,
-    /// Whether the node's own copy of the ledger has voters.
+    /// The node's own replica of the ledger has voters.
     pub(super) has_voters: bool,
-    /// Whose turn it is to found a ledger, by all that it has met.
+    /// Node that has the turn to bootstrap, considering all nodes known to this node.
     pub(super) next_founder: Option<NodeId>,
 }
 
 impl ObservedFleet {
-    /// Why nobody is to found a ledger, if so.
-    fn of_ledger(&self) -> Option<String> {
-        let cluster = self.cluster.map(|cluster| format!("there is a cluster of this name, {cluster}"));
-        cluster.or_else(|| self.has_voters.then(|| "there is a ledger of this name".to_owned()))
+    /// Returns the reason why no node may bootstrap, if there is any.
+    fn reason_against_bootstrap(&self) -> Option<String> {
+        let cluster = self.cluster.map(|cluster| format!("a cluster of this name exists: {cluster}"));
+        cluster.or_else(|| self.has_voters.then(|| "a ledger of this name exists".to_owned()))
     }
 }
 
-/// To whom a node has left it to found the ledger.
+/// Promise of a node to let another node bootstrap the cluster.
 #[derive(Debug)]
 pub(super) struct BootstrapPromise {
     me: BootstrapRequest,
-    /// How long a promise binds.
-    holds: Duration,
+    /// Duration of a promise.
+    duration: Duration,
     given: Option<(BootstrapRequest, Instant)>,
-    founded: bool,
+    has_bootstrapped: bool,
 }
 
 impl BootstrapPromise {
-    pub(super) fn new(me: BootstrapRequest, holds: Duration) -> BootstrapPromise {
-        BootstrapPromise { me, holds, given: None, founded: false }
+    pub(super) fn new(me: BootstrapRequest, duration: Duration) -> BootstrapPromise {
+        BootstrapPromise { me, duration, given: None, has_bootstrapped: false }
     }
 
     fn given_to(&self, now: Instant) -> Option<&BootstrapRequest> {
-        self.given.as_ref().filter(|(_, until)| now < *until).map(|(founder, _)| founder)
+        self.given.as_ref().filter(|(_, until)| now < *until).map(|(candidate, _)| candidate)
     }
 
-    /// Answers one that asks. A node that is asking itself gives way to a lesser one.
-    pub(super) fn reply(&mut self, founder: &BootstrapRequest, heard: &ObservedFleet, now: Instant) -> BootstrapReply {
-        let founded = || self.founded.then(|| format!("{} has founded it", self.me.node));
+    /// Replies to a bootstrap request. A node that is asking itself gives way to a lesser node.
+    pub(super) fn reply(
+        &mut self,
+        candidate: &BootstrapRequest,
+        fleet: &ObservedFleet,
+        now: Instant,
+    ) -> BootstrapReply {
+        let has_bootstrapped =
+            || self.has_bootstrapped.then(|| format!("{} has bootstrapped the cluster", self.me.node));
         let bound = || {
-            let gives_way = |to: &BootstrapRequest| *to == self.me && founder < to;
-            let other = self.given_to(now).filter(|to| *to != founder && !gives_way(to))?;
-            Some(format!("{} is to found it", other.node))
+            let gives_way = |to: &BootstrapRequest| *to == self.me && candidate < to;
+            let other = self.given_to(now).filter(|to| *to != candidate && !gives_way(to))?;
+            Some(format!("{} is to bootstrap the cluster", other.node))
         };
-        match founded().or_else(|| heard.of_ledger()).or_else(bound) {
+        match has_bootstrapped().or_else(|| fleet.reason_against_bootstrap()).or_else(bound) {
             Some(reason) => BootstrapReply::Refused { reason },
             None => {
-                self.given = Some((founder.clone(), now + self.holds));
+                self.given = Some((candidate.clone(), now + self.duration));
                 BootstrapReply::Agreed
             }
         }
     }
 
-    /// Whether this node may ask the others now; if so, it is bound to nobody but itself.
-    pub(super) fn begin_request(&mut self, heard: &ObservedFleet, now: Instant) -> bool {
-        let stands = self.is_free(heard, now);
-        if stands {
-            self.given = Some((self.me.clone(), now + self.holds));
+    /// Checks whether this node may ask the other nodes now. If so, it is bound only to itself.
+    pub(super) fn begin_request(&mut self, fleet: &ObservedFleet, now: Instant) -> bool {
+        let may_ask = self.is_free(fleet, now);
+        if may_ask {
+            self.given = Some((self.me.clone(), now + self.duration));
         }
-        stands
+        may_ask
     }
 
-    /// Whether this node, with which the others have agreed, founds the ledger: unless it has given way, or heard of one, since
-    /// it asked.
-    pub(super) fn confirm(&mut self, heard: &ObservedFleet, now: Instant) -> bool {
-        self.founded = self.given_to(now) == Some(&self.me) && self.is_free(heard, now);
-        self.founded
+    /// Checks whether this node may bootstrap after the others have agreed: it may not if it has
+    /// given way, or has received news of a ledger, since it asked.
+    pub(super) fn confirm(&mut self, fleet: &ObservedFleet, now: Instant) -> bool {
+        self.has_bootstrapped = self.given_to(now) == Some(&self.me) && self.is_free(fleet, now);
+        self.has_bootstrapped
     }
 
-    fn is_free(&self, heard: &ObservedFleet, now: Instant) -> bool {
-        let own_turn = heard.of_ledger().is_none() && heard.next_founder.as_ref() == Some(&self.me.node);
-        own_turn && self.given_to(now).is_none_or(|founder| *founder == self.me)
+    fn is_free(&self, fleet: &ObservedFleet, now: Instant) -> bool {
+        let own_turn = fleet.reason_against_bootstrap().is_none() && fleet.next_founder.as_ref() == Some(&self.me.node);
+        own_turn && self.given_to(now).is_none_or(|candidate| *candidate == self.me)
     }
 }
 
@@ -99,18 +108,18 @@ impl BootstrapPromise {
 mod tests {
     use super::*;
 
-    const HOLDS: Duration = Duration::from_secs(1);
+    const DURATION: Duration = Duration::from_secs(1);
 
-    fn founder(name: &str) -> BootstrapRequest {
+    fn candidate(name: &str) -> BootstrapRequest {
         BootstrapRequest { mobile: false, on_battery: false, node: NodeId::new(name).unwrap() }
     }
 
-    /// It has met these.
-    fn sees(names: &[&str]) -> ObservedFleet {
+    /// A fleet in which only these nodes are known.
+    fn fleet_with(names: &[&str]) -> ObservedFleet {
         ObservedFleet {
             cluster: None,
             has_voters: false,
-            next_founder: names.iter().map(|name| founder(name).node).min(),
+            next_founder: names.iter().map(|name| candidate(name).node).min(),
         }
     }
 
@@ -119,115 +128,115 @@ mod tests {
     }
 
     #[test]
-    fn a_promise_binds_for_its_time_and_no_longer() {
+    fn a_promise_binds_for_its_duration() {
         let now = Instant::now();
-        let mut cyd = BootstrapPromise::new(founder("cyd"), HOLDS);
-        let all = sees(&["ada", "bob", "cyd"]);
-        assert_eq!(cyd.reply(&founder("bob"), &all, now), BootstrapReply::Agreed);
-        let late = now + HOLDS / 2;
-        assert_eq!(cyd.reply(&founder("ada"), &all, late), refused("bob is to found it"));
-        assert!(!cyd.begin_request(&sees(&["cyd"]), late));
-        assert_eq!(cyd.reply(&founder("ada"), &all, now + HOLDS), BootstrapReply::Agreed);
-        assert!(cyd.begin_request(&sees(&["cyd"]), now + HOLDS * 2));
+        let mut cyd = BootstrapPromise::new(candidate("cyd"), DURATION);
+        let all = fleet_with(&["ada", "bob", "cyd"]);
+        assert_eq!(cyd.reply(&candidate("bob"), &all, now), BootstrapReply::Agreed);
+        let late = now + DURATION / 2;
+        assert_eq!(cyd.reply(&candidate("ada"), &all, late), refused("bob is to bootstrap the cluster"));
+        assert!(!cyd.begin_request(&fleet_with(&["cyd"]), late));
+        assert_eq!(cyd.reply(&candidate("ada"), &all, now + DURATION), BootstrapReply::Agreed);
+        assert!(cyd.begin_request(&fleet_with(&["cyd"]), now + DURATION * 2));
     }
 
     #[test]
-    fn nobody_founds_who_hears_of_a_ledger_or_whose_turn_it_is_not() {
+    fn a_node_bootstraps_only_on_its_turn_and_without_a_known_ledger() {
         let now = Instant::now();
-        let alone = sees(&["bob"]);
+        let alone = fleet_with(&["bob"]);
         let known = ObservedFleet { cluster: Some(ClusterId(7)), ..alone.clone() };
         let kept = ObservedFleet { has_voters: true, ..alone.clone() };
-        for heard in [&known, &kept, &sees(&["ada", "bob"]), &sees(&[])] {
-            let mut bob = BootstrapPromise::new(founder("bob"), HOLDS);
-            assert!(!bob.begin_request(heard, now), "{heard:?}");
-            assert!(bob.begin_request(&alone, now) && !bob.confirm(heard, now), "{heard:?}");
+        for fleet in [&known, &kept, &fleet_with(&["ada", "bob"]), &fleet_with(&[])] {
+            let mut bob = BootstrapPromise::new(candidate("bob"), DURATION);
+            assert!(!bob.begin_request(fleet, now), "{fleet:?}");
+            assert!(bob.begin_request(&alone, now) && !bob.confirm(fleet, now), "{fleet:?}");
         }
-        let mut bob = BootstrapPromise::new(founder("bob"), HOLDS);
-        let reason = format!("there is a cluster of this name, {}", ClusterId(7));
-        assert_eq!(bob.reply(&founder("ada"), &known, now), refused(&reason));
-        assert_eq!(bob.reply(&founder("ada"), &kept, now), refused("there is a ledger of this name"));
+        let mut bob = BootstrapPromise::new(candidate("bob"), DURATION);
+        let reason = format!("a cluster of this name exists: {}", ClusterId(7));
+        assert_eq!(bob.reply(&candidate("ada"), &known, now), refused(&reason));
+        assert_eq!(bob.reply(&candidate("ada"), &kept, now), refused("a ledger of this name exists"));
         assert!(bob.begin_request(&alone, now) && bob.confirm(&alone, now));
-        assert_eq!(bob.reply(&founder("ada"), &alone, now), refused("bob has founded it"));
+        assert_eq!(bob.reply(&candidate("ada"), &alone, now), refused("bob has bootstrapped the cluster"));
     }
 
-    /// What happens to one of two that would both found.
+    /// Step of a node in the test of two nodes that both bootstrap.
     #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-    enum Turn {
-        Stands,
-        AsksTheOther,
-        AsksTheThird,
-        Founds,
+    enum Step {
+        BeginsRequest,
+        AsksOther,
+        AsksThird,
+        Confirms,
     }
 
-    /// Both orders of every pair of turns, each one's own turns in their order.
-    fn orders(ada: &[Turn], bob: &[Turn]) -> Vec<Vec<(usize, Turn)>> {
+    /// Returns all interleavings of the steps of both nodes, each node's own steps in order.
+    fn interleavings(ada: &[Step], bob: &[Step]) -> Vec<Vec<(usize, Step)>> {
         if ada.is_empty() && bob.is_empty() {
             return vec![vec![]];
         }
         let mut all = vec![];
-        for (who, mine, rest) in [(0, ada, bob), (1, bob, ada)] {
-            let Some((turn, left)) = mine.split_first() else { continue };
-            let (ada, bob) = if who == 0 { (left, rest) } else { (rest, left) };
-            for mut order in orders(ada, bob) {
-                order.insert(0, (who, *turn));
+        for (node, own_steps, other_steps) in [(0, ada, bob), (1, bob, ada)] {
+            let Some((step, remaining)) = own_steps.split_first() else { continue };
+            let (ada, bob) = if node == 0 { (remaining, other_steps) } else { (other_steps, remaining) };
+            for mut order in interleavings(ada, bob) {
+                order.insert(0, (node, *step));
                 all.push(order);
             }
         }
         all
     }
 
-    /// Who founds, of ada and bob, in this order of turns. Neither has met the other; cyd has met nobody either.
-    fn founders(order: &[(usize, Turn)]) -> Vec<usize> {
+    /// Returns which of ada and bob bootstrap, in this order of steps. Neither knows the other; cyd
+    /// knows neither.
+    fn bootstrapping_nodes(order: &[(usize, Step)]) -> Vec<usize> {
         let names = ["ada", "bob", "cyd"];
         let now = Instant::now();
-        let mut nodes = names.map(|name| BootstrapPromise::new(founder(name), HOLDS));
-        let mut stands = [false; 2];
-        for (who, turn) in order {
-            let own = sees(&[names[*who]]);
-            let mut ask = |whom: usize| {
-                if !stands[*who] {
-                    return; // whoever may not ask does not
+        let mut promises = names.map(|name| BootstrapPromise::new(candidate(name), DURATION));
+        let mut may_ask = [false; 2];
+        for (node, step) in order {
+            let fleet = fleet_with(&[names[*node]]);
+            let mut ask = |target: usize| {
+                if !may_ask[*node] {
+                    return; // it may not ask
                 }
-                let answer = nodes[whom].reply(&founder(names[*who]), &sees(&[names[whom]]), now);
-                stands[*who] = answer == BootstrapReply::Agreed;
+                let reply = promises[target].reply(&candidate(names[*node]), &fleet_with(&[names[target]]), now);
+                may_ask[*node] = reply == BootstrapReply::Agreed;
             };
-            match turn {
-                Turn::AsksTheOther => ask(1 - who),
-                Turn::AsksTheThird => ask(2),
-                Turn::Stands => stands[*who] = nodes[*who].begin_request(&own, now),
-                Turn::Founds => stands[*who] = stands[*who] && nodes[*who].confirm(&own, now),
+            match step {
+                Step::AsksOther => ask(1 - node),
+                Step::AsksThird => ask(2),
+                Step::BeginsRequest => may_ask[*node] = promises[*node].begin_request(&fleet, now),
+                Step::Confirms => may_ask[*node] = may_ask[*node] && promises[*node].confirm(&fleet, now),
             }
         }
-        (0..2).filter(|who| stands[*who]).collect()
+        (0..2).filter(|node| may_ask[*node]).collect()
     }
 
     #[test]
-    fn of_two_that_ask_each_other_or_a_third_never_both_found_in_whatever_order() {
-        use Turn::{AsksTheOther, AsksTheThird, Founds, Stands};
-        for asks in [&[AsksTheOther][..], &[AsksTheThird], &[AsksTheOther, AsksTheThird], &[AsksTheThird, AsksTheOther]]
-        {
-            let turns = [&[Stands], asks, &[Founds]].concat();
-            let all = orders(&turns, &turns);
+    fn two_nodes_that_ask_a_common_node_never_both_bootstrap() {
+        use Step::{AsksOther, AsksThird, BeginsRequest, Confirms};
+        for requests in [&[AsksOther][..], &[AsksThird], &[AsksOther, AsksThird], &[AsksThird, AsksOther]] {
+            let steps = [&[BeginsRequest], requests, &[Confirms]].concat();
+            let all = interleavings(&steps, &steps);
             assert!(all.len() >= 20);
             for order in &all {
-                assert!(founders(order).len() <= 1, "{order:?}");
+                assert!(bootstrapping_nodes(order).len() <= 1, "{order:?}");
             }
         }
-        // Who reaches nobody cannot be told from who is alone.
-        let deaf = [Stands, Founds];
-        assert!(orders(&deaf, &deaf).iter().all(|order| founders(order).len() == 2));
+        // An unreachable node cannot be distinguished from a node that is alone.
+        let isolated = [BeginsRequest, Confirms];
+        assert!(interleavings(&isolated, &isolated).iter().all(|order| bootstrapping_nodes(order).len() == 2));
     }
 
     #[test]
-    fn of_two_that_ask_each_other_at_once_one_founds() {
-        use Turn::{AsksTheOther, Founds, Stands};
-        let turns = |who| [Stands, AsksTheOther, Founds].map(move |turn| (who, turn));
-        let [[a, b, c], [d, e, f]] = [turns(0), turns(1)];
-        // Both have asked: the lesser goes on.
-        assert_eq!(founders(&[a, d, b, e, c, f]), [0]);
-        assert_eq!(founders(&[d, a, e, b, f, c]), [0]);
-        // It was asked before it asked, or came when the other had founded.
-        assert_eq!(founders(&[d, e, a, b, c, f]), [1]);
-        assert_eq!(founders(&[d, f, a, b, c]), [1]);
+    fn exactly_one_of_two_nodes_that_ask_each_other_bootstraps() {
+        use Step::{AsksOther, BeginsRequest, Confirms};
+        let steps = |node| [BeginsRequest, AsksOther, Confirms].map(move |step| (node, step));
+        let [[a, b, c], [d, e, f]] = [steps(0), steps(1)];
+        // Both have asked: the lesser continues.
+        assert_eq!(bootstrapping_nodes(&[a, d, b, e, c, f]), [0]);
+        assert_eq!(bootstrapping_nodes(&[d, a, e, b, f, c]), [0]);
+        // It received the request before it asked, or asked after the other had bootstrapped.
+        assert_eq!(bootstrapping_nodes(&[d, e, a, b, c, f]), [1]);
+        assert_eq!(bootstrapping_nodes(&[d, f, a, b, c]), [1]);
     }
 }

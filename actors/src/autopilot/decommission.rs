@@ -1,10 +1,10 @@
-//! How a node leaves: for a while, keeping its vote, or for good.
+//! Leaving of a node: temporarily, with its vote kept, or for good (decommission).
 //!
-//! | | for a while (SIGTERM) | for good (`consort leave`) |
+//! | | temporarily (SIGTERM) | for good (`consort leave`) |
 //! |---|---|---|
-//! | the robot's role | stays in its store, for its next life | is given back |
-//! | the lead | is handed over | is handed over |
-//! | the vote | is kept: a restart costs the fleet no voter | is taken over by another, or removed |
+//! | role of the robot | stays in its store, for the next start | is released |
+//! | leadership | is transferred | is transferred |
+//! | vote | is kept: a restart costs the fleet no voter | is given to another node, or removed |
 
 use crate::bus::{BusError, Sample, SharedBus, Stream};
 use crate::gossip::{GossipHandle, SharedKnowledge};
@@ -24,137 +24,140 @@ use std::time::Duration;
 use tokio::time::{Instant, timeout};
 use tracing::{debug, info, warn};
 
-/// How a node left for good.
+/// Report on the decommission of a node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct DecommissionReport {
-    /// Which node.
+    /// Node that left.
     pub node: NodeId,
-    /// Who coordinates in its place, if it did.
+    /// New coordinator, if the node was the coordinator.
     pub successor: Option<NodeId>,
-    /// Whether it had a vote, or kept a copy of the ledger, when it began to leave.
-    pub kept_ledger: bool,
-    /// Whether nobody counts on it any more. If not, the autopilot will see that it is gone after a while.
-    pub released: bool,
-    /// Whether its robot holds no role any more.
-    pub role_given_back: bool,
+    /// The node was a voter or learner when it began to leave.
+    pub was_member: bool,
+    /// The node is no longer a voter. If `false`, the autopilot removes it after a while.
+    pub vote_released: bool,
+    /// The robot of the node holds no role any more.
+    pub role_released: bool,
 }
 
-/// Why a node stays. It goes on as if nobody had asked: its robot has not been told.
+/// The node stays. It continues as before; its robot was not notified.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DecommissionError {
-    /// With it, the ledger would go.
+    /// Without the node, the ledger would be lost.
     #[error(
-        "{node} is the only voter, and there is no other node that may vote: with it the ledger would go. Start another \
-         node that may vote, or stop this one (SIGTERM) and keep its data"
+        "{node} is the only voter, and there is no other node that may vote: without {node} the ledger would be lost. Start \
+         another node that may vote, or stop {node} (SIGTERM) and keep its data"
     )]
     OnlyVoter {
-        /// Which node.
+        /// Node that stays.
         node: NodeId,
     },
-    /// Of two voters neither can do without the other. Ordinary while the other is down.
+    /// Neither of two voters has a quorum without the other. Expected while the other voter is
+    /// down.
     #[error(
-        "{node} and {other} are the only voters, and {other} has not relieved {node} in time: without its vote the ledger \
-         would stand still. See that {other} runs and ask again, or stop this one (SIGTERM) and keep its data"
+        "{node} and {other} are the only voters, and {other} has not relieved {node} in time: without the vote of {node} the \
+         ledger would have no quorum. Check that {other} runs and try again, or stop {node} (SIGTERM) and keep its data"
     )]
     QuorumNeeded {
-        /// Which node.
+        /// Node that stays.
         node: NodeId,
         /// The other voter.
         other: NodeId,
     },
 }
 
-/// What became of a leaver's vote.
+/// Result of giving up the vote.
 struct Vote {
-    /// Whether there was one, or a copy of the ledger.
-    kept_ledger: bool,
+    /// The node was a voter or learner.
+    was_member: bool,
     successor: Option<NodeId>,
-    released: bool,
+    vote_released: bool,
 }
 
-/// What it takes to leave. Clones belong to the same node.
+/// Performs the leaving of a node. Clones belong to the same node.
 #[derive(Clone)]
 pub struct Decommission {
     pub(crate) node: NodeId,
     pub(crate) keys: Keys,
-    /// Within the node's cluster.
+    /// Bus within the node's cluster.
     pub(crate) bus: SharedBus,
     pub(crate) replica: Option<Replica<Ledger>>,
     pub(crate) gossip: GossipHandle,
     pub(crate) knowledge: SharedKnowledge,
     pub(crate) robot: Option<ActorRef<RobotMessage>>,
     pub(crate) terms: LeaseTerms,
-    pub(crate) times: TimingParameters,
+    pub(crate) timing: TimingParameters,
 }
 
 impl Decommission {
-    /// Hands over the lead, if this node has it, and waits until somebody else leads. The node may be stopped then: its vote
-    /// and its robot's role wait for its next life.
+    /// Transfers leadership, if this node is the leader, and waits until another node leads. The
+    /// node may be stopped then: its vote and the role of its robot are kept for the next start.
     pub async fn step_down(&self) -> Option<NodeId> {
         let replica = self.replica.as_ref()?;
-        let successor = match self.hand_over(replica).await {
+        let successor = match self.transfer_leadership(replica).await {
             Ok(successor) => successor,
             Err(TransferError::NotLeader) => return None,
-            Err(problem) => {
-                warn!(node = %self.node, %problem, "goes without handing over");
+            Err(error) => {
+                warn!(node = %self.node, %error, "stopping without a leadership transfer");
                 return None;
             }
         };
-        // Until it leads, this node's vote may be needed.
+        // This node's vote may be needed until the successor leads.
         let mut leadership = replica.leadership();
-        let led = leadership.wait_for(|now| now.leader.is_some());
-        if timeout(self.times.election_max, led).await.is_err() {
-            warn!(node = %self.node, %successor, "stops before its successor leads");
+        let has_leader = leadership.wait_for(|now| now.leader.is_some());
+        if timeout(self.timing.election_max, has_leader).await.is_err() {
+            warn!(node = %self.node, %successor, "stopping before the successor is the leader");
         }
         Some(successor)
     }
 
-    async fn hand_over(&self, replica: &Replica<Ledger>) -> Result<NodeId, TransferError> {
-        let shunned: BTreeSet<NodeId> = self.knowledge.read(|base| {
-            let leaving = base.iter().filter(|(_, heard)| heard.record.knowledge.leaving);
+    async fn transfer_leadership(&self, replica: &Replica<Ledger>) -> Result<NodeId, TransferError> {
+        let avoid: BTreeSet<NodeId> = self.knowledge.read(|base| {
+            let leaving = base.iter().filter(|(_, entry)| entry.record.knowledge.leaving);
             leaving.map(|(node, _)| node.clone()).collect()
         });
-        let successor = replica.transfer_leadership(&shunned, self.times.election_min).await?;
-        info!(node = %self.node, %successor, "handed over the coordination");
+        let successor = replica.transfer_leadership(&avoid, self.timing.election_min).await?;
+        info!(node = %self.node, %successor, "leadership transferred");
         Ok(successor)
     }
 
-    /// Leaves for good: hands over the lead, waits, for some seconds at most, until its vote is another's or is removed, and
-    /// then has its robot give its role back. The node is to be stopped then.
+    /// Decommissions the node: transfers leadership, waits, for some seconds at most, until its
+    /// vote is given to another node or removed, and then makes its robot release its role. The
+    /// node is to be stopped then.
     ///
     /// # Errors
-    /// [`LeaveError`]: it stays.
+    /// [`DecommissionError`]: the node stays.
     pub async fn run(&self) -> Result<DecommissionReport, DecommissionError> {
-        info!(node = %self.node, "leaves for good");
-        let Vote { kept_ledger, successor, released } = self.give_up_vote().await?;
-        // Not before: the robot of a node that must stay works and bids as if nobody had asked.
-        let role_given_back = self.give_back_role().await;
-        Ok(DecommissionReport { node: self.node.clone(), successor, kept_ledger, released, role_given_back })
+        info!(node = %self.node, "decommissioning started");
+        let Vote { was_member, successor, vote_released } = self.give_up_vote().await?;
+        // Not earlier: the robot of a node that must stay keeps working and bidding.
+        let role_released = self.release_role().await;
+        Ok(DecommissionReport { node: self.node.clone(), successor, was_member, vote_released, role_released })
     }
 
     async fn give_up_vote(&self) -> Result<Vote, DecommissionError> {
-        // The beacons are heard from before anything changes.
+        // Subscribes to the beacons before anything changes.
         let beacons = self.bus.subscribe(&self.keys.write(&Key::Beacon)).await;
-        self.tell_leaving(true);
-        let member = |replica: &&Replica<Ledger>| {
+        self.publish_leaving(true);
+        let is_member = |replica: &&Replica<Ledger>| {
             let now = replica.leadership().borrow().clone();
             now.voters.contains_key(&replica.id()) || now.learners.contains_key(&replica.id())
         };
-        let Some(replica) = self.replica.as_ref().filter(member) else {
-            return Ok(Vote { kept_ledger: false, successor: None, released: true });
+        let Some(replica) = self.replica.as_ref().filter(is_member) else {
+            return Ok(Vote { was_member: false, successor: None, vote_released: true });
         };
         let mut successor = None;
-        let deadline = Instant::now() + self.times.election_max * 8;
-        let released = self.until_released(replica, beacons, deadline, &mut successor).await;
-        if !released && let Err(needed) = self.can_be_spared(replica) {
-            self.tell_leaving(false);
-            return Err(needed);
+        let deadline = Instant::now() + self.timing.election_max * 8;
+        let vote_released = self.wait_vote_released(replica, beacons, deadline, &mut successor).await;
+        if !vote_released && let Err(error) = self.check_quorum_without_self(replica) {
+            self.publish_leaving(false);
+            return Err(error);
         }
-        Ok(Vote { kept_ledger: true, successor, released })
+        Ok(Vote { was_member: true, successor, vote_released })
     }
 
-    /// Hands over the lead whenever this node has it, and waits until whoever leads counts on this node's vote no more.
-    async fn until_released(
+    /// Transfers leadership whenever this node is the leader, and waits until the leader no longer
+    /// lists this node as a voter.
+    async fn wait_vote_released(
         &self,
         replica: &Replica<Ledger>,
         beacons: Result<Stream<Sample>, BusError>,
@@ -164,7 +167,7 @@ impl Decommission {
         let Ok(mut beacons) = beacons else { return false };
         let mut leadership = replica.leadership();
         loop {
-            let leads = async { leadership.wait_for(|now| now.is_leader).await.map(drop) };
+            let is_leader = async { leadership.wait_for(|now| now.is_leader).await.map(drop) };
             tokio::select! {
                 biased;
                 () = tokio::time::sleep_until(deadline) => return false,
@@ -175,22 +178,23 @@ impl Decommission {
                         return true;
                     }
                 }
-                // At first, or because nobody else was elected: a leader cannot take its own vote away. No deadline breaks off
-                // a handing over: it would leave a leader that has resigned, and stays.
-                Ok(()) = leads => match self.hand_over(replica).await {
+                // At the start, or because no other node was elected: a leader cannot remove its
+                // own vote. The deadline does not cancel a transfer: that would leave a leader that
+                // has resigned, and stays.
+                Ok(()) = is_leader => match self.transfer_leadership(replica).await {
                     Ok(node) => *successor = Some(node),
-                    Err(problem) => {
-                        // While it is alone, its autopilot looks for somebody to join it.
-                        debug!(node = %self.node, %problem, "cannot hand over yet");
-                        tokio::time::sleep(self.times.beacon_interval).await;
+                    Err(error) => {
+                        // While it is the only voter, its autopilot looks for a node to add.
+                        debug!(node = %self.node, %error, "leadership transfer not possible yet");
+                        tokio::time::sleep(self.timing.beacon_interval).await;
                     }
                 },
             }
         }
     }
 
-    /// Whether the voters are a majority without this one, which is still one of them.
-    fn can_be_spared(&self, replica: &Replica<Ledger>) -> Result<(), DecommissionError> {
+    /// Checks whether the other voters have a quorum without this node, which is still a voter.
+    fn check_quorum_without_self(&self, replica: &Replica<Ledger>) -> Result<(), DecommissionError> {
         let mut others = replica.leadership().borrow().voters.clone();
         if others.remove(&replica.id()).is_none() {
             return Ok(());
@@ -204,18 +208,18 @@ impl Decommission {
         }
     }
 
-    fn tell_leaving(&self, leaving: bool) {
-        // A gossip that has stopped cannot tell; then the autopilot finds out by itself.
+    fn publish_leaving(&self, leaving: bool) {
+        // A stopped gossiper cannot publish it; then the autopilot detects the absence by itself.
         let _ = self.gossip.update_with(move |knowledge| knowledge.leaving = leaving);
     }
 
-    async fn give_back_role(&self) -> bool {
+    async fn release_role(&self) -> bool {
         let Some(robot) = &self.robot else { return true };
-        let within = self.terms.lease + self.terms.grace;
-        let (done, answered) = ractor::concurrency::oneshot();
-        if robot.cast(RobotMessage::Decommission { timeout: within, done: done.into() }).is_err() {
+        let release_timeout = self.terms.lease + self.terms.grace;
+        let (done, result) = ractor::concurrency::oneshot();
+        if robot.cast(RobotMessage::Decommission { timeout: release_timeout, done: done.into() }).is_err() {
             return false;
         }
-        timeout(within + Duration::from_secs(1), answered).await.is_ok_and(|said| said.unwrap_or(false))
+        timeout(release_timeout + Duration::from_secs(1), result).await.is_ok_and(|released| released.unwrap_or(false))
     }
 }

@@ -1,13 +1,15 @@
-//! Who votes: the first voters, the changes that keep enough of them alive, and how a node leaves.
+//! Autopilot: selects the first voters, changes the voters so that enough of them stay alive, and
+//! decommissions nodes.
 //!
 //! ```text
 //!  gossip (alive? leaving? which store?) ─┐
-//!  replica (answers? how far behind?) ────┴─▶ View ─▶ decide ─▶ Change ─▶ perform ─▶ ledger
-//!                                              └── one at a time, by whoever coordinates ──┘
+//!  replica (contact? how far behind?) ────┴─▶ AutopilotInput ─▶ decide ─▶ AutopilotAction ─▶ perform ─▶ ledger
+//!                                              └────── one at a time, by the coordinator ──────────┘
 //! ```
 //!
-//! As Consul's and Nomad's autopilot, and more: a dead voter is replaced, not only removed; voters that stay where they
-//! are and live on mains power are preferred; a voter that came back with an empty store is another member.
+//! It follows the autopilot of Consul and Nomad, and does more: a dead voter is replaced, not only
+//! removed; stationary voters on mains power are preferred; a voter that came back with an empty
+//! store is a different member.
 
 mod bootstrap;
 mod bootstrap_promise;
@@ -22,8 +24,8 @@ pub use decommission::{Decommission, DecommissionError, DecommissionReport};
 pub use perform::ActionResult;
 pub(crate) use perform::{Autopilot, perform};
 
-/// Most voters: more slow every commit and survive little more.
+/// Greatest number of voters: more voters slow down every commit and add little fault tolerance.
 pub const VOTERS_MAX: usize = 9;
 
-/// Voters aimed at, where nothing else is said: two of five may fail at once.
+/// Default target number of voters: two of five may fail at the same time.
 pub const VOTERS: usize = 5;

@@ -1,4 +1,5 @@
-//! When there is something to decide, and how it is carried out. Lives as long as its node coordinates.
+//! Autopilot actions: selection of the next action, and its execution. It exists while its node is
+//! the coordinator.
 
 use super::cluster_snapshot::{ClusterSnapshot, StabilityTracker};
 use super::decide::{AutopilotAction, AutopilotInput, decide};
@@ -10,68 +11,76 @@ use serde_json::{Value, json};
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// How long a change may take to be committed.
-const LIMIT: Duration = Duration::from_secs(2);
+/// Time limit for the commit of a membership change.
+const CHANGE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How long one of those that should lead may take to have the whole log. Meanwhile nobody takes requests.
-const HAND_OVER: Duration = Duration::from_millis(200);
+/// Time limit for a preferred voter to have the whole log. Meanwhile no node accepts requests.
+const TRANSFER_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// How long to wait after a change that failed.
-const AGAIN: Duration = Duration::from_secs(1);
+/// Pause after a failed action.
+const RETRY_PAUSE: Duration = Duration::from_secs(1);
 
-/// The autopilot of one reign.
+/// Autopilot of a single leader session.
 pub(crate) struct Autopilot {
-    target: usize,
+    target_voters: usize,
     dead_after: Duration,
-    /// A member that has answered within this time is there.
-    near: Duration,
+    /// A member with contact within this time is healthy.
+    contact_max: Duration,
     began: Instant,
-    /// When something was changed last.
+    /// Time of the last change.
     changed: Instant,
     not_before: Instant,
     busy: bool,
-    attendance: StabilityTracker,
-    /// When this node last gave the lead away because another was better placed.
-    yielded: Option<Instant>,
+    stability: StabilityTracker,
+    /// Time at which this node last transferred leadership because another voter was more suitable.
+    last_transfer_at: Option<Instant>,
     latest: Option<(Instant, String)>,
 }
 
-/// A change that was carried out, or was not.
+/// Result of an action.
 pub struct ActionResult {
-    change: AutopilotAction,
-    outcome: Result<(), ActionError>,
+    action: AutopilotAction,
+    result: Result<(), ActionError>,
 }
 
-/// Why a change was not made.
+/// The action was not completed.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ActionError {
-    /// The ledger's keepers are as they were, or the next leader completes what was begun.
+    /// The voters are unchanged, or the next leader completes a change that was begun.
     #[error(transparent)]
-    Members(#[from] MemberError),
-    /// This node leads as before, or somebody else is elected.
+    Membership(#[from] MemberError),
+    /// This node is still the leader, or another node is elected.
     #[error(transparent)]
-    Lead(#[from] TransferError),
+    Transfer(#[from] TransferError),
 }
 
 impl Autopilot {
-    /// `yielded` is what [`yielded`](Self::yielded) said at the end of this node's former reign.
-    pub(crate) fn new(target: usize, dead_after: Duration, near: Duration, yielded: Option<Instant>) -> Autopilot {
+    /// Creates the autopilot. `last_transfer_at` is the value of
+    /// [`last_transfer_at`](Self::last_transfer_at) at the end of this node's previous leader
+    /// session.
+    pub(crate) fn new(
+        target_voters: usize,
+        dead_after: Duration,
+        contact_max: Duration,
+        last_transfer_at: Option<Instant>,
+    ) -> Autopilot {
         let now = Instant::now();
         Autopilot {
-            target,
+            target_voters,
             dead_after,
-            near,
+            contact_max,
             began: now,
             changed: now,
             not_before: now,
             busy: false,
-            attendance: StabilityTracker::default(),
-            yielded,
+            stability: StabilityTracker::default(),
+            last_transfer_at,
             latest: None,
         }
     }
 
-    /// The change to begin now. Until [`done`](Self::done) is told of it, there is no other.
+    /// Returns the action to begin now. There is no other until [`complete`](Self::complete) is
+    /// called with its result.
     pub(crate) fn next_action(
         &mut self,
         replica: &Replica<Ledger>,
@@ -81,81 +90,81 @@ impl Autopilot {
         if self.busy || Instant::now() < self.not_before {
             return None;
         }
-        let change = decide(&self.view(replica, knowledge, cluster))?;
+        let action = decide(&self.input(replica, knowledge, cluster))?;
         self.busy = true;
-        if let AutopilotAction::TransferLeadership { .. } = change {
-            self.yielded = Some(Instant::now());
+        if let AutopilotAction::TransferLeadership { .. } = action {
+            self.last_transfer_at = Some(Instant::now());
         }
-        Some(change)
+        Some(action)
     }
 
-    /// When this node last gave the lead away because another was better placed.
+    /// Time at which this node last transferred leadership because another voter was more suitable.
     pub(crate) fn last_transfer_at(&self) -> Option<Instant> {
-        self.yielded
+        self.last_transfer_at
     }
 
-    /// Takes note of what became of a change; gives the reason of one that was made.
-    pub(crate) fn complete(&mut self, done: ActionResult) -> Result<String, (String, ActionError)> {
+    /// Records the result of an action; returns the reason of a completed action.
+    pub(crate) fn complete(&mut self, result: ActionResult) -> Result<String, (String, ActionError)> {
         self.busy = false;
-        let reason = done.change.reason().to_owned();
-        match done.outcome {
+        let reason = result.action.reason().to_owned();
+        match result.result {
             Ok(()) => {
                 self.changed = Instant::now();
                 self.latest = Some((self.changed, reason.clone()));
                 Ok(reason)
             }
-            Err(problem) => {
-                self.not_before = Instant::now() + AGAIN;
-                Err((reason, problem))
+            Err(error) => {
+                self.not_before = Instant::now() + RETRY_PAUSE;
+                Err((reason, error))
             }
         }
     }
 
-    /// To show.
+    /// Returns the status for display.
     pub(crate) fn status(&self) -> Value {
         let latest = self.latest.as_ref().map(|(at, reason)| {
             let age_ms = u64::try_from(at.elapsed().as_millis()).unwrap_or(u64::MAX);
             json!({ "reason": reason, "age_ms": age_ms })
         });
-        json!({ "voters_aimed_at": self.target, "changing": self.busy, "latest_change": latest })
+        json!({ "target_voters": self.target_voters, "change_in_progress": self.busy, "latest_change": latest })
     }
 
-    fn view(&mut self, replica: &Replica<Ledger>, knowledge: &SharedKnowledge, cluster: ClusterId) -> AutopilotInput {
+    fn input(&mut self, replica: &Replica<Ledger>, knowledge: &SharedKnowledge, cluster: ClusterId) -> AutopilotInput {
         let leadership = replica.leadership().borrow().clone();
-        let sight = ClusterSnapshot::take(replica, knowledge, self.near, self.began.elapsed());
-        let (mut voters, mut observers) = (sight.members(&leadership.voters), sight.members(&leadership.learners));
-        let mut candidates = sight.candidates(&leadership, cluster);
-        self.attendance.update([&mut voters, &mut observers, &mut candidates]);
+        let snapshot = ClusterSnapshot::take(replica, knowledge, self.contact_max, self.began.elapsed());
+        let (mut voters, mut learners) = (snapshot.members(&leadership.voters), snapshot.members(&leadership.learners));
+        let mut candidates = snapshot.candidates(&leadership, cluster);
+        self.stability.update([&mut voters, &mut learners, &mut candidates]);
         AutopilotInput {
             me: replica.id(),
-            target_voters: self.target,
+            target_voters: self.target_voters,
             dead_after: self.dead_after,
             settle_time: self.dead_after * 3,
             unchanged_for: self.changed.elapsed(),
-            since_transfer: self.yielded.map(|at| at.elapsed()),
+            since_transfer: self.last_transfer_at.map(|at| at.elapsed()),
             voters,
             pending_voters: leadership.pending_voters,
-            learners: observers,
+            learners,
             candidates,
         }
     }
 }
 
-/// Carries a change out.
-pub(crate) async fn perform(replica: Replica<Ledger>, change: AutopilotAction) -> ActionResult {
-    let outcome = match &change {
+/// Performs an action.
+pub(crate) async fn perform(replica: Replica<Ledger>, action: AutopilotAction) -> ActionResult {
+    let result = match &action {
         AutopilotAction::AddLearner { id, node, .. } => {
-            replica.add_learner(*id, node.clone(), LIMIT).await.map_err(ActionError::from)
+            replica.add_learner(*id, node.clone(), CHANGE_TIMEOUT).await.map_err(ActionError::from)
         }
         AutopilotAction::SetVoters { voters, .. } => {
-            replica.set_voters(voters.clone(), LIMIT).await.map_err(ActionError::from)
+            replica.set_voters(voters.clone(), CHANGE_TIMEOUT).await.map_err(ActionError::from)
         }
         AutopilotAction::RemoveLearner { id, .. } => {
-            replica.remove_learner(*id, LIMIT).await.map_err(ActionError::from)
+            replica.remove_learner(*id, CHANGE_TIMEOUT).await.map_err(ActionError::from)
         }
         AutopilotAction::TransferLeadership { to, .. } => {
-            replica.transfer_leadership_to(to, HAND_OVER).await.map(drop).map_err(ActionError::from)
+            replica.transfer_leadership_to(to, TRANSFER_TIMEOUT).await.map(drop).map_err(ActionError::from)
         }
     };
-    ActionResult { change, outcome }
+    ActionResult { action, result }
 }

@@ -1,8 +1,8 @@
-//! A bus over another bus, which makes something of what is said and heard on it: counts it, seals it, keeps it within a
-//! cluster.
+//! Bus layers. A layer wraps another bus and transforms the messages that pass: it counts them,
+//! signs them, or restricts them to a cluster.
 //!
 //! ```text
-//! actors ──▶ ClusterBus ──▶ SealedBus ──▶ MeteredBus ──▶ ZenohBus
+//! actors ──▶ ClusterBus ──▶ SigningBus ──▶ MeteredBus ──▶ ZenohBus
 //! ```
 
 use super::{
@@ -14,53 +14,54 @@ use bytes::Bytes;
 use std::time::Duration;
 use tracing::debug;
 
-/// A content, and what stands beside it.
+/// Payload and attachment of a message.
 pub(crate) struct MessageContent {
     pub(crate) payload: Bytes,
     pub(crate) attachment: Bytes,
 }
 
-/// What a layer makes of what passes; all else, presence and links, is the carrier's. Whoever asks or serves may do so in two
-/// ways, of which a layer need not know.
+/// Transformations that a layer applies to messages. Presence and links are passed to the inner
+/// bus. A layer need not distinguish the two kinds of query and of service.
 pub(crate) trait Layer: Send + Sync + 'static {
-    /// What is remembered of a question until it is answered.
+    /// State kept for a query until its replies have arrived.
     type QueryState: Send;
 
-    /// The bus on which this one lies.
+    /// Returns the wrapped bus.
     fn inner(&self) -> &SharedBus;
 
-    /// What is published on `key` in the place of `said`.
+    /// Transforms a publication on `key` before it is sent.
     ///
     /// # Errors
-    /// [`BusError`] if it cannot be said at all.
-    fn outgoing_publication(&self, key: &str, said: MessageContent) -> Result<MessageContent, BusError>;
+    /// [`BusError`] if the message cannot be published at all.
+    fn outgoing_publication(&self, key: &str, content: MessageContent) -> Result<MessageContent, BusError>;
 
-    /// What a subscriber to `key_expr` hears of `samples`.
+    /// Transforms the publications delivered to a subscriber of `key_expr`. A layer may drop
+    /// samples.
     fn incoming_publications(&self, key_expr: &str, samples: Stream<Sample>) -> Stream<Sample>;
 
-    /// What is asked on `key_expr` in the place of `said`.
+    /// Transforms a query on `key_expr` before it is sent.
     ///
     /// # Errors
-    /// [`BusError`] if it cannot be asked at all.
+    /// [`BusError`] if the query cannot be sent at all.
     fn outgoing_query(
         &self,
         key_expr: &str,
-        said: MessageContent,
+        content: MessageContent,
     ) -> Result<(MessageContent, Self::QueryState), BusError>;
 
-    /// What whoever asked hears of `replies`.
-    fn incoming_replies(&self, asked: Self::QueryState, replies: Stream<Reply>) -> Stream<Reply>;
+    /// Transforms the replies delivered to the querying node.
+    fn incoming_replies(&self, state: Self::QueryState, replies: Stream<Reply>) -> Stream<Reply>;
 
-    /// What a service on `key_expr` is asked of `questions`.
-    fn incoming_queries(&self, key_expr: &str, questions: Stream<Query>) -> Stream<Query>;
+    /// Transforms the queries delivered to a service on `key_expr`. A layer may drop queries.
+    fn incoming_queries(&self, key_expr: &str, queries: Stream<Query>) -> Stream<Query>;
 }
 
-/// Refuses a question that is not let through, while the next one is looked at: whoever asks in good faith need not wait for
-/// its limit.
+/// Refuses a query in a background task, so that the next query is not delayed. A requester in good
+/// faith then need not wait for its timeout.
 pub(crate) fn refuse_in_background(query: Query, reason: String) {
     tokio::spawn(async move {
         if let Err(problem) = query.replier.refuse(&reason).await {
-            debug!(%problem, "a refusal was not sent");
+            debug!(%problem, "failed to send an error reply");
         }
     });
 }
@@ -71,12 +72,12 @@ impl<L: Layer> Bus for L {
         &self,
         key: &str,
         payload: Bytes,
-        beside: Bytes,
+        attachment: Bytes,
         encoding: Encoding,
         delivery: Delivery,
     ) -> Result<(), BusError> {
         let MessageContent { payload, attachment } =
-            self.outgoing_publication(key, MessageContent { payload, attachment: beside })?;
+            self.outgoing_publication(key, MessageContent { payload, attachment })?;
         self.inner().publish_with_attachment(key, payload, attachment, encoding, delivery).await
     }
 
@@ -88,13 +89,13 @@ impl<L: Layer> Bus for L {
         &self,
         key_expr: &str,
         payload: Bytes,
-        beside: Bytes,
-        limit: Duration,
-        whom: ServiceSelection,
+        attachment: Bytes,
+        timeout: Duration,
+        target: ServiceSelection,
     ) -> Result<Stream<Reply>, BusError> {
-        let (MessageContent { payload, attachment }, asked) =
-            self.outgoing_query(key_expr, MessageContent { payload, attachment: beside })?;
-        Ok(self.incoming_replies(asked, self.inner().query_with(key_expr, payload, attachment, limit, whom).await?))
+        let (MessageContent { payload, attachment }, state) =
+            self.outgoing_query(key_expr, MessageContent { payload, attachment })?;
+        Ok(self.incoming_replies(state, self.inner().query_with(key_expr, payload, attachment, timeout, target).await?))
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {

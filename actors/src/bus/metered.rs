@@ -1,5 +1,5 @@
-//! A bus whose traffic is counted, for a node's metrics: what a node sends and hears itself, by payload, without what it
-//! relays for others and what the bus adds.
+//! A bus that counts its traffic for a node's metrics: payload bytes that the node itself sends and
+//! receives, without relayed messages and without the bus's own overhead.
 
 use super::{BusError, Encoding, Layer, MessageContent, Query, Replier, Reply, Sample, SharedBus, Stream};
 use async_trait::async_trait;
@@ -7,29 +7,29 @@ use bytes::Bytes;
 use consort_protocol::keys::KeyKind;
 use std::sync::Arc;
 
-/// Which way a message goes.
+/// Direction of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Direction {
-    /// From this node.
+    /// Sent by this node.
     Sent,
-    /// To this node.
+    /// Received by this node.
     Received,
 }
 
-/// Counts. It is called for every message, so it neither waits nor panics.
+/// A message counter. It is called for every message, so it must neither block nor panic.
 pub trait Meter: Send + Sync + 'static {
-    /// A message with a payload of so many bytes.
+    /// Counts a message with a payload of `bytes` bytes.
     fn count(&self, kind: KeyKind, direction: Direction, bytes: usize);
 }
 
-/// A bus whose messages are counted.
+/// Bus that counts its messages.
 pub struct MeteredBus {
     bus: SharedBus,
     meter: Arc<dyn Meter>,
 }
 
 impl MeteredBus {
-    /// `bus`, whose messages `meter` counts.
+    /// Creates a bus that passes messages to `bus` and counts them with `meter`.
     pub fn new(bus: SharedBus, meter: Arc<dyn Meter>) -> MeteredBus {
         MeteredBus { bus, meter }
     }
@@ -42,9 +42,9 @@ impl Layer for MeteredBus {
         &self.bus
     }
 
-    fn outgoing_publication(&self, key: &str, said: MessageContent) -> Result<MessageContent, BusError> {
-        self.meter.count(KeyKind::of(key), Direction::Sent, said.payload.len() + said.attachment.len());
-        Ok(said)
+    fn outgoing_publication(&self, key: &str, content: MessageContent) -> Result<MessageContent, BusError> {
+        self.meter.count(KeyKind::of(key), Direction::Sent, content.payload.len() + content.attachment.len());
+        Ok(content)
     }
 
     fn incoming_publications(&self, _: &str, samples: Stream<Sample>) -> Stream<Sample> {
@@ -55,9 +55,9 @@ impl Layer for MeteredBus {
         })
     }
 
-    fn outgoing_query(&self, key_expr: &str, said: MessageContent) -> Result<(MessageContent, ()), BusError> {
-        self.meter.count(KeyKind::of(key_expr), Direction::Sent, said.payload.len() + said.attachment.len());
-        Ok((said, ()))
+    fn outgoing_query(&self, key_expr: &str, content: MessageContent) -> Result<(MessageContent, ()), BusError> {
+        self.meter.count(KeyKind::of(key_expr), Direction::Sent, content.payload.len() + content.attachment.len());
+        Ok((content, ()))
     }
 
     fn incoming_replies(&self, (): (), replies: Stream<Reply>) -> Stream<Reply> {
@@ -90,11 +90,11 @@ impl Replier for MeteredReplier {
         &self,
         key: &str,
         payload: Bytes,
-        beside: Bytes,
+        attachment: Bytes,
         encoding: Encoding,
     ) -> Result<(), BusError> {
-        self.meter.count(KeyKind::of(key), Direction::Sent, payload.len() + beside.len());
-        self.replier.reply_with_attachment(key, payload, beside, encoding).await
+        self.meter.count(KeyKind::of(key), Direction::Sent, payload.len() + attachment.len());
+        self.replier.reply_with_attachment(key, payload, attachment, encoding).await
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {

@@ -1,32 +1,35 @@
-//! The bus: everything that nodes say to one another goes through [`Bus`].
+//! The bus: all messages between nodes pass through [`Bus`].
 //!
-//! `ZenohBus` is the real one; `VirtualBus` keeps a whole fleet in one process on virtual time, with faults. Both
-//! match keys by the same rules (crate `zenoh-keyexpr`) and pass one conformance suite, so that an actor cannot tell
-//! which it is on.
+//! `ZenohBus` is the real bus. `VirtualBus` runs a whole fleet in one process on virtual time, with
+//! faults. Both match keys by the same rules (crate `zenoh-keyexpr`) and pass the same conformance
+//! suite, so an actor cannot distinguish them.
 //!
-//! What is promised, and what is not:
-//! - Samples of one publisher on one key arrive in the order sent, or not at all. Nothing else is ordered.
-//! - A publication may be lost: what must arrive is acknowledged by the application (use a query).
-//! - A query streams the replies of all matching services and ends when all have finished, or at its limit.
-//! - A query of the nearest gives one answer on each key, whoever gives it.
-//! - A token's disappearance is a hint that its node is gone, never a proof.
+//! Guarantees and their limits:
+//! - Samples of a publisher on a key arrive in the order sent, or not at all. Nothing else is
+//!   ordered.
+//! - A publication may be lost. Anything that must arrive is acknowledged by the application (use a
+//!   query).
+//! - A query streams the replies of all matching services. It ends when all have finished, or at
+//!   its timeout.
+//! - A query to the nearest service returns a single reply per key, from any service.
+//! - The disappearance of a token suggests that its node is gone. It is not a proof.
 //!
 //! ```
 //! use consort_actors::bus::{Bus, Delivery, Encoding, LinkModel, VirtualNetwork};
 //!
 //! # #[tokio::main(flavor = "current_thread", start_paused = true)]
 //! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! // A seed is a run: what is lost, and how long the rest takes, follow from it.
+//! // The seed determines the run: the losses and the latencies follow from it.
 //! let network = VirtualNetwork::new(7, LinkModel::LAN);
 //! let (ada, bob) = (network.bus("ada".parse()?), network.bus("bob".parse()?));
-//! let mut heard = bob.subscribe("consort/ward/events/*").await?;
+//! let mut samples = bob.subscribe("consort/ward/events/*").await?;
 //! ada.publish("consort/ward/events/ada", "{}".into(), Encoding::Json, Delivery::Drop).await?;
-//! assert_eq!(heard.recv().await.map(|sample| sample.key).as_deref(), Some("consort/ward/events/ada"));
+//! assert_eq!(samples.recv().await.map(|sample| sample.key).as_deref(), Some("consort/ward/events/ada"));
 //!
-//! network.isolate("ada".parse()?); // her cable is cut, both ways
+//! network.isolate("ada".parse()?); // cuts the links of ada in both directions
 //! ada.publish("consort/ward/events/ada", "{}".into(), Encoding::Json, Delivery::Drop).await?;
-//! tokio::time::sleep(std::time::Duration::from_secs(60)).await; // virtual: no time passes
-//! assert!(heard.try_recv().is_none());
+//! tokio::time::sleep(std::time::Duration::from_secs(60)).await; // virtual time: returns at once
+//! assert!(samples.try_recv().is_none());
 //! # Ok(())
 //! # }
 //! ```
@@ -47,170 +50,176 @@ use bytes::Bytes;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Largest message on either bus, in bytes, the few kilobytes around its payload included. A larger payload is an error
-/// where it is sent.
+/// Maximum size of a message on either bus, in bytes, including a few kilobytes of overhead around
+/// its payload. Sending a larger payload is an error.
 pub const MESSAGE_MAX: usize = 4 * 1024 * 1024;
 
-/// How a payload is to be read. It is set on every sample.
+/// Encoding of a payload. It is set on every sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
-    /// `application/octet-stream`: our own wire format.
+    /// `application/octet-stream`: the project's own wire format.
     Wire,
     /// `application/json`.
     Json,
 }
 
-/// What happens to a publication when a receiver is slow.
+/// Treatment of a publication when a receiver is slow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Delivery {
-    /// It may be dropped: for what repeats or repairs itself.
+    /// The publication may be dropped: for messages that are repeated or repaired.
     Drop,
-    /// The publisher is held up rather than lose it. One frozen receiver holds up everybody for seconds.
+    /// The publisher waits rather than lose the publication. A single frozen receiver delays all
+    /// others for seconds.
     Block,
 }
 
-/// Something published.
+/// A publication as received.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sample {
-    /// The key it was published on.
+    /// Key of the publication.
     pub key: String,
-    /// Its content.
+    /// Content.
     pub payload: Bytes,
-    /// How to read it.
+    /// Encoding of the payload.
     pub encoding: Encoding,
-    /// What is said beside the content, empty if nothing: whoever does not know of it does not see it (Zenoh's attachments).
+    /// Attachment, empty if absent. A receiver unaware of it ignores it (Zenoh's attachments).
     pub attachment: Bytes,
 }
 
-/// An answer to a query.
+/// A reply to a query.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Reply {
-    /// The key it answers on: every service answers on its own.
+    /// Key of the reply: each service replies on its own key.
     pub key: String,
-    /// Content, or the error that the service gave instead.
+    /// Content, or the error text sent by the service.
     pub payload: Result<Bytes, String>,
-    /// What is said beside the content, empty if nothing.
+    /// Attachment, empty if absent.
     pub attachment: Bytes,
 }
 
-/// A change in who is there.
+/// An appearance or disappearance of a presence token.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Presence {
-    /// The token's key.
+    /// Key of the token.
     pub key: String,
-    /// Whether it appeared or vanished.
+    /// True if the token appeared, false if it vanished.
     pub alive: bool,
 }
 
-/// Why the bus did not do as asked. Nothing was sent or declared.
+/// The bus failed to perform an operation. Nothing was sent or declared.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
-    /// Our own mistake, or a name that should have been checked before.
-    #[error("{key:?} is no key expression: {problem}")]
+    /// An invalid key: an error of this program, or of a name that should have been validated
+    /// earlier.
+    #[error("{key:?} is not a valid key: {problem}")]
     Key {
-        /// The text given.
+        /// The invalid text.
         key: String,
-        /// What is wrong with it.
+        /// Reason why it is invalid.
         problem: String,
     },
-    /// The bus is closed or broken; ordinary while a node shuts down.
+    /// The bus is closed or broken. Expected while a node shuts down.
     #[error("the bus failed to {operation}: {problem}")]
     Failed {
-        /// What was attempted.
+        /// Operation that failed.
         operation: String,
-        /// What the bus said.
+        /// Error reported by the bus.
         problem: String,
     },
 }
 
-/// What an item of a stream becomes when it is taken out; nothing, if it is not handed out.
-type Sift<T> = Box<dyn FnMut(T) -> Option<T> + Send + Sync>;
+/// Transformation of a stream's item on removal. It returns `None` for an item that the stream
+/// drops.
+type Transform<T> = Box<dyn FnMut(T) -> Option<T> + Send + Sync>;
 
-/// A stream of what arrives; dropping it ends the declaration behind it.
+/// A stream of received items. Dropping it ends the declaration behind it.
 pub struct Stream<T> {
     receiver: tokio::sync::mpsc::UnboundedReceiver<T>,
-    /// What each passes through before it is handed out.
-    sift: Option<Sift<T>>,
-    /// Whatever keeps the declaration alive.
+    /// Applied to each item before it is returned.
+    transform: Option<Transform<T>>,
+    /// Keeps the declaration alive.
     _guard: Box<dyn Send + Sync>,
 }
 
 impl<T: 'static> Stream<T> {
-    /// A stream fed through `receiver`, whose declaration lives as long as `guard`.
+    /// Creates a stream fed through `receiver`. Its declaration lives as long as `guard`.
     pub fn new(receiver: tokio::sync::mpsc::UnboundedReceiver<T>, guard: Box<dyn Send + Sync>) -> Self {
-        Stream { receiver, sift: None, _guard: guard }
+        Stream { receiver, transform: None, _guard: guard }
     }
 
-    /// This stream, each of whose items passes through `pass` when it is taken out, after whatever it passed through before.
+    /// Returns this stream with `transform` applied to each item on removal, after all earlier
+    /// transformations.
     #[must_use]
-    pub fn map(self, mut pass: impl FnMut(T) -> T + Send + Sync + 'static) -> Self {
-        self.filter_map(move |item| Some(pass(item)))
+    pub fn map(self, mut transform: impl FnMut(T) -> T + Send + Sync + 'static) -> Self {
+        self.filter_map(move |item| Some(transform(item)))
     }
 
-    /// This stream, of which only those items are handed out that pass `sift`, after whatever they passed through before.
+    /// Returns this stream with `transform` applied to each item on removal, after all earlier
+    /// transformations. Items mapped to `None` are dropped.
     #[must_use]
-    pub fn filter_map(self, mut sift: impl FnMut(T) -> Option<T> + Send + Sync + 'static) -> Self {
-        let sift: Sift<T> = match self.sift {
-            Some(mut before) => Box::new(move |item| before(item).and_then(&mut sift)),
-            None => Box::new(sift),
+    pub fn filter_map(self, mut transform: impl FnMut(T) -> Option<T> + Send + Sync + 'static) -> Self {
+        let transform: Transform<T> = match self.transform {
+            Some(mut before) => Box::new(move |item| before(item).and_then(&mut transform)),
+            None => Box::new(transform),
         };
-        Stream { sift: Some(sift), ..self }
+        Stream { transform: Some(transform), ..self }
     }
 
-    /// The next one; `None` once there will be no more.
+    /// Returns the next item, or `None` after the end of the stream.
     pub async fn recv(&mut self) -> Option<T> {
         loop {
             let next = self.receiver.recv().await?;
-            if let Some(item) = self.sifted(next) {
+            if let Some(item) = self.transformed(next) {
                 return Some(item);
             }
         }
     }
 
-    /// The next one if it is already here.
+    /// Returns the next item if it has already arrived.
     pub fn try_recv(&mut self) -> Option<T> {
         loop {
             let next = self.receiver.try_recv().ok()?;
-            if let Some(item) = self.sifted(next) {
+            if let Some(item) = self.transformed(next) {
                 return Some(item);
             }
         }
     }
 
-    fn sifted(&mut self, item: T) -> Option<T> {
-        match &mut self.sift {
-            Some(sift) => sift(item),
+    fn transformed(&mut self, item: T) -> Option<T> {
+        match &mut self.transform {
+            Some(transform) => transform(item),
             None => Some(item),
         }
     }
 }
 
-/// A question from some node or client. Dropping it ends the answer.
+/// A query received from a node or a client. Dropping it ends this service's part of the reply.
 pub struct Query {
-    /// The key expression that was asked.
+    /// Key expression of the query.
     pub key: String,
-    /// The selector's parameters, as text (`a=1;b=2`), empty if none.
+    /// Parameters of the selector, as text (`a=1;b=2`), empty if absent.
     pub parameters: String,
-    /// The question's content, empty if none.
+    /// Payload of the query, empty if absent.
     pub payload: Bytes,
-    /// What is said beside the content, empty if nothing.
+    /// Attachment, empty if absent.
     pub attachment: Bytes,
-    /// How to answer.
+    /// Sends the replies.
     pub replier: Box<dyn Replier>,
 }
 
-/// How a service answers one query.
+/// Sends a service's replies to a query.
 #[async_trait]
 pub trait Replier: Send + Sync {
-    /// Answers on `key`, which must match the query's key expression.
+    /// Replies on `key`, which must match the query's key expression.
     ///
     /// # Errors
-    /// [`BusError`] if `key` does not match the query, the payload is larger than [`MESSAGE_MAX`], or the bus is closed.
+    /// [`BusError`] if `key` does not match the query, the payload is larger than [`MESSAGE_MAX`],
+    /// or the bus is closed.
     async fn reply(&self, key: &str, payload: Bytes, encoding: Encoding) -> Result<(), BusError> {
         self.reply_with_attachment(key, payload, Bytes::new(), encoding).await
     }
 
-    /// The same with something beside the content, of a kilobyte or two.
+    /// Replies with an attachment of at most a kilobyte or two.
     ///
     /// # Errors
     /// As [`reply`](Self::reply).
@@ -218,60 +227,61 @@ pub trait Replier: Send + Sync {
         &self,
         key: &str,
         payload: Bytes,
-        beside: Bytes,
+        attachment: Bytes,
         encoding: Encoding,
     ) -> Result<(), BusError>;
 
-    /// Answers that it cannot answer, and why.
+    /// Replies with an error and its reason.
     ///
     /// # Errors
     /// [`BusError::Failed`] if the bus is closed.
     async fn refuse(&self, reason: &str) -> Result<(), BusError>;
 }
 
-/// Keeps a presence token alive.
+/// Guard of a presence token: the token exists until the guard is dropped.
 pub struct PresenceToken {
     _guard: Box<dyn Send + Sync>,
 }
 
 impl PresenceToken {
-    /// A token whose declaration lives as long as `guard`.
+    /// Creates a token. Its declaration lives as long as `guard`.
     pub fn new(guard: Box<dyn Send + Sync>) -> Self {
         PresenceToken { _guard: guard }
     }
 }
 
-/// A neighbour this node has a link to.
+/// A link from this node to a neighbour.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Link {
-    /// The neighbour's id on the bus.
+    /// Id of the neighbour on the bus.
     pub peer: String,
-    /// `router`, `peer` or `client`.
+    /// Kind of the neighbour: `router`, `peer` or `client`.
     pub kind: String,
 }
 
-/// Who is asked.
+/// Selection of the services that receive a query.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ServiceSelection {
-    /// Every service that matches.
+    /// Every matching service.
     All,
-    /// The nearest of those that are [complete](Bus::serve_complete); if there is none, as above, with one answer on each key.
+    /// The nearest of the matching services that are [complete](Bus::serve_complete). If there is
+    /// none, every matching service, and a single reply is returned per key.
     Nearest,
 }
 
-/// The bus as actors see it.
+/// The interface of a bus, as used by actors.
 #[async_trait]
 pub trait Bus: Send + Sync + 'static {
     /// Publishes on a key.
     ///
     /// # Errors
-    /// [`BusError`] if `key` is no key, the payload is larger than [`MESSAGE_MAX`], or the bus is closed. That nobody hears
-    /// it is none.
+    /// [`BusError`] if `key` is invalid, the payload is larger than [`MESSAGE_MAX`], or the bus is
+    /// closed. A publication without subscribers is no error.
     async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError> {
         self.publish_with_attachment(key, payload, Bytes::new(), encoding, delivery).await
     }
 
-    /// The same with something beside the content, of a kilobyte or two.
+    /// Publishes with an attachment of at most a kilobyte or two.
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
@@ -279,38 +289,46 @@ pub trait Bus: Send + Sync + 'static {
         &self,
         key: &str,
         payload: Bytes,
-        beside: Bytes,
+        attachment: Bytes,
         encoding: Encoding,
         delivery: Delivery,
     ) -> Result<(), BusError>;
 
-    /// Hears what is published on keys that match.
+    /// Subscribes to publications on matching keys.
     ///
     /// # Errors
-    /// [`BusError`] if the text is no key expression, or the bus is closed.
+    /// [`BusError`] if the text is not a key expression, or the bus is closed.
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError>;
 
-    /// Asks all services that match; the stream ends when all have answered, or at the limit.
+    /// Queries all matching services. The stream ends when all have replied, or at the timeout.
     ///
     /// # Errors
-    /// [`BusError`] if `key_expr` is none, the payload is larger than [`MESSAGE_MAX`], or the bus is closed. That nobody
-    /// answers is none.
-    async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.query_with(key_expr, payload, Bytes::new(), limit, ServiceSelection::All).await
+    /// [`BusError`] if `key_expr` is not a key expression, the payload is larger than
+    /// [`MESSAGE_MAX`], or the bus is closed. A query without replies is no error.
+    async fn query(&self, key_expr: &str, payload: Bytes, timeout: Duration) -> Result<Stream<Reply>, BusError> {
+        self.query_with(key_expr, payload, Bytes::new(), timeout, ServiceSelection::All).await
     }
 
-    /// Asks for one answer on each key. If services that match are [complete](Self::serve_complete) for all that is asked,
-    /// the nearest is asked instead of all (on Zenoh the nearest here and the nearest elsewhere). Of several answers on one key
-    /// one is given, and of two services that answer on the same keys those of one. All that was answered is given when the
-    /// query ends, or at the limit. That is how Zenoh asks unless it is told otherwise.
+    /// Queries for a single reply per key.
+    ///
+    /// If matching services are [complete](Self::serve_complete) for the whole query, only the
+    /// nearest is queried (on Zenoh the nearest on this node and the nearest elsewhere). Of several
+    /// replies on a key a single one is returned; of two services that reply on the same keys, all
+    /// replies come from the same service. Replies are returned when the query ends, or at the
+    /// timeout. This is Zenoh's default kind of query.
     ///
     /// # Errors
     /// As [`query`](Self::query).
-    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.query_with(key_expr, payload, Bytes::new(), limit, ServiceSelection::Nearest).await
+    async fn query_nearest(
+        &self,
+        key_expr: &str,
+        payload: Bytes,
+        timeout: Duration,
+    ) -> Result<Stream<Reply>, BusError> {
+        self.query_with(key_expr, payload, Bytes::new(), timeout, ServiceSelection::Nearest).await
     }
 
-    /// Either of these, with something beside the content, of a kilobyte or two.
+    /// Queries the selected services, with an attachment of at most a kilobyte or two.
     ///
     /// # Errors
     /// As [`query`](Self::query).
@@ -318,39 +336,40 @@ pub trait Bus: Send + Sync + 'static {
         &self,
         key_expr: &str,
         payload: Bytes,
-        beside: Bytes,
-        limit: Duration,
-        whom: ServiceSelection,
+        attachment: Bytes,
+        timeout: Duration,
+        target: ServiceSelection,
     ) -> Result<Stream<Reply>, BusError>;
 
-    /// Answers queries that match.
+    /// Serves matching queries.
     ///
     /// # Errors
-    /// [`BusError`] if the text is no key expression, or the bus is closed.
+    /// [`BusError`] if the text is not a key expression, or the bus is closed.
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError>;
 
-    /// Answers queries that match, and knows everything there is below `key_expr`, as others do that serve the same:
-    /// [`query_nearest`](Self::query_nearest) asks one of them.
+    /// Serves matching queries as a complete service: it has every value below `key_expr`, like all
+    /// other complete services of that expression. [`query_nearest`](Self::query_nearest) queries a
+    /// single complete service.
     ///
     /// # Errors
-    /// [`BusError`] if the text is no key expression, or the bus is closed.
+    /// [`BusError`] if the text is not a key expression, or the bus is closed.
     async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError>;
 
-    /// Declares presence under a key.
+    /// Declares a presence token on a key.
     ///
     /// # Errors
-    /// [`BusError`] if the text is no key expression, or the bus is closed.
+    /// [`BusError`] if the text is not a key expression, or the bus is closed.
     async fn announce(&self, key: &str) -> Result<PresenceToken, BusError>;
 
-    /// Hears of presence: what is there already, then every change.
+    /// Watches presence tokens: first reports the existing tokens, then each change.
     ///
     /// # Errors
-    /// [`BusError`] if the text is no key expression, or the bus is closed.
+    /// [`BusError`] if the text is not a key expression, or the bus is closed.
     async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError>;
 
-    /// The neighbours this node is connected to at this moment, in order.
+    /// Returns the neighbours that this node is connected to at this moment, in order.
     async fn links(&self) -> Vec<Link>;
 }
 
-/// A bus that is shared by the actors of a node.
+/// A bus shared by the actors of a node.
 pub type SharedBus = Arc<dyn Bus>;

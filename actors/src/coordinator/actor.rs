@@ -1,4 +1,4 @@
-//! The actor that coordinates while its node leads the ledger, and does nothing otherwise.
+//! The coordinator actor: active only while its node leads the ledger.
 
 use super::leader_session::LeaderSession;
 use super::no_leader::{no_leader_reply, retry_reply};
@@ -32,10 +32,10 @@ use tokio::sync::oneshot;
 use tokio::time::Instant;
 use tracing::info;
 
-/// How a coordinator works. Fleet-wide but for the first few.
+/// Settings of a coordinator. Most are the same in the whole fleet.
 #[derive(Clone)]
 pub struct CoordinatorSettings {
-    /// This node.
+    /// Id of this node.
     pub node: NodeId,
     /// The fleet's keys.
     pub keys: Keys,
@@ -45,110 +45,112 @@ pub struct CoordinatorSettings {
     pub clock: Clock,
     /// The node's copy of the ledger.
     pub replica: Replica<Ledger>,
-    /// What the node has heard.
+    /// Records received from other nodes.
     pub knowledge: SharedKnowledge,
-    /// Which version of the wire the node writes.
+    /// Wire version that the node writes.
     pub wire_version: WireVersion,
-    /// Where it tells what happens.
+    /// Event publisher.
     pub events: EventPublisher,
-    /// Whose members are asked for bids.
+    /// The ensemble: its members receive calls for bids.
     pub ensemble: Arc<Ensemble>,
     /// The task types that missions may use.
     pub domain: Arc<Domain>,
-    /// What bids must keep to.
+    /// Limits that bids must meet.
     pub limits: BidLimits,
-    /// What is taken on of all that is asked for.
+    /// Limits of accepted requests and missions.
     pub request_limits: RequestLimits,
-    /// The rule by which roles are given to robots.
+    /// Allocation rule of the auctions.
     pub allocator: Arc<dyn Allocator>,
-    /// How long awards last.
+    /// Durations of leases.
     pub lease_terms: LeaseTerms,
-    /// How long an auction waits for a member that does not answer. Raised: slow links still win roles, silent robots
-    /// hold up everybody for longer. Default 200 ms.
+    /// Time for which an auction waits for missing bids. Raised: robots on slow links still win
+    /// roles, unreachable robots delay every auction for longer. Default 200 ms.
     pub bid_window: Duration,
-    /// After how long a held role none of whose steps ends, although it waits for nobody, is taken from its holder; zero for
-    /// never. Raised: longer drives are left alone, robots that do nothing keep their roles for longer.
+    /// Maximum time for a held role without an ended step, while it could make progress. Then the
+    /// role is taken from its holder. Zero means never. Raised: long drives are not interrupted,
+    /// idle holders keep their roles for longer.
     pub stall_timeout: Duration,
-    /// How often the coordinator says that it is there and looks after its duties. Default 250 ms.
+    /// Interval of the beacon and of the periodic work. Default 250 ms.
     pub tick_interval: Duration,
-    /// What the ledger's identity is drawn from, should this node be the first to coordinate.
+    /// Seed of the cluster id, in case this node founds the ledger.
     pub cluster_seed: u64,
-    /// Voters that the autopilot aims at.
+    /// Number of voters that the autopilot aims at.
     pub voters: usize,
-    /// How long a voter must be gone until the autopilot replaces it.
+    /// Time without contact after which the autopilot replaces a voter.
     pub dead_after: Duration,
-    /// How long ago a voter may have answered last and still counts as there: several heartbeats.
+    /// Age of the last reply up to which a voter counts as reachable: several heartbeats.
     pub contact_timeout: Duration,
 }
 
-/// After how long a request that was left to another coordinator is looked at again: that one may have been gone already. A
-/// killed node is noticed in less.
-const SECOND_THOUGHT: Duration = Duration::from_millis(100);
+/// Delay before a request that was left to another coordinator is checked again: that node may have
+/// been gone already. A killed node is detected in less time.
+const RECHECK_DELAY: Duration = Duration::from_millis(100);
 
-/// To a coordinator.
+/// Message for the coordinator actor.
 pub enum CoordinatorMessage {
-    /// Who leads the ledger has changed.
+    /// The leader of the ledger has changed.
     Leadership,
     /// The ledger has changed.
     Ledger,
-    /// Time to look after everything.
+    /// Periodic timer: publish the beacon and perform all periodic work.
     Tick,
-    /// All bids are in, or the window has closed.
+    /// All bids have arrived, or the bid window has closed.
     BidsCollected {
-        /// The call that was answered.
+        /// The call for bids.
         call: Box<CallForBids>,
-        /// Who should have answered.
+        /// Robots that were expected to reply.
         expected: BTreeSet<RobotId>,
-        /// The answers.
+        /// The bid responses.
         responses: Vec<BidResponse>,
     },
-    /// The ledger has answered to an award or a deferral.
+    /// The ledger has committed or refused an award or a deferral.
     AuctionRecorded {
-        /// Which auction.
+        /// Id of the auction.
         auction: AuctionId,
-        /// What it said.
+        /// Outcome of the proposal.
         outcome: Result<CommandOutcome, ProposeError>,
     },
-    /// A robot answered a notice.
+    /// A robot has replied to an award notice.
     NoticeReplied {
         /// The mission.
         mission: MissionId,
         /// The role.
         role: RoleId,
-        /// Who.
+        /// The robot.
         robot: RobotId,
-        /// Which award.
+        /// Epoch of the award.
         epoch: Epoch,
-        /// What it said.
+        /// The robot's reply.
         reply: AwardReply,
     },
-    /// A change of the ledger's keepers was made, or was not.
+    /// A voter change has ended, with or without success.
     VotersChanged(ActionResult),
-    /// A robot reports.
+    /// Report of a robot.
     Report(Query),
-    /// Somebody asks which missions are under way.
+    /// Query for the active missions.
     ActiveMissions(Query),
-    /// A coordinator says that it is there.
+    /// Beacon of a coordinator.
     Beacon(Sample),
-    /// A client asks for something.
+    /// Request of a client.
     Api(Query),
-    /// A client has asked for something a moment ago, when somebody else was believed to coordinate.
+    /// Request of a client that arrived while another node was the coordinator, to be checked
+    /// again.
     ApiRecheck(Query),
-    /// Somebody looks: how does this node coordinate, if it does?
+    /// Query for the status of this node's session. Without a session the query is dropped.
     QueryStatus(oneshot::Sender<CoordinatorStatus>),
 }
 
-/// The actor.
+/// The coordinator actor.
 pub struct Coordinator;
 
 /// State of [`Coordinator`].
 pub struct CoordinatorState {
     settings: CoordinatorSettings,
-    reign: Option<LeaderSession>,
-    /// Who was last heard to coordinate, and when.
-    heard: Option<(NodeId, NodeTime)>,
-    /// When this node last gave the lead away because another was better placed.
-    yielded: Option<Instant>,
+    session: Option<LeaderSession>,
+    /// Latest other coordinator with a beacon, and the time of that beacon.
+    last_beacon: Option<(NodeId, NodeTime)>,
+    /// Last time this node transferred leadership to a better placed node.
+    yielded_at: Option<Instant>,
     tasks: Tasks,
 }
 
@@ -172,7 +174,7 @@ impl Actor for Coordinator {
         let beacons = settings.bus.subscribe(&settings.keys.write(&Key::Beacon)).await?;
         tasks.forward(beacons, &myself, CoordinatorMessage::Beacon);
         tasks.send_every(settings.tick_interval, &myself, || CoordinatorMessage::Tick);
-        Ok(CoordinatorState { settings, reign: None, heard: None, yielded: None, tasks })
+        Ok(CoordinatorState { settings, session: None, last_beacon: None, yielded_at: None, tasks })
     }
 
     async fn handle(
@@ -182,78 +184,81 @@ impl Actor for Coordinator {
         state: &mut Self::State,
     ) -> Result<(), ActorProcessingErr> {
         let settings = &state.settings;
-        match (message, &mut state.reign) {
+        match (message, &mut state.session) {
             (CoordinatorMessage::Leadership, _) => state.follow_leadership(&myself).await?,
-            (CoordinatorMessage::Beacon(sample), _) => state.hear_of_another(&sample),
-            // Any node answers those that change nothing: see `views`.
-            (CoordinatorMessage::Api(query), _) if changes_nothing(settings, &query) => {}
-            (CoordinatorMessage::Api(query), None) => state.leave_to_another(&myself, query).await,
-            (CoordinatorMessage::ApiRecheck(query), None) => drop(state.put_off(query).await),
-            (_, None) => {} // of a reign that is over
-            (CoordinatorMessage::Ledger, Some(reign)) => reign.reconcile(settings, &myself),
-            (CoordinatorMessage::Tick, Some(reign)) => reign.tick(settings, &myself).await,
-            (CoordinatorMessage::VotersChanged(done), Some(reign)) => {
-                reign.handle_voters_changed(settings, done);
-                // Whoever leaves waits to hear that nobody counts on it any more.
-                reign.publish_beacon(settings).await;
+            (CoordinatorMessage::Beacon(sample), _) => state.follow_beacon(&sample),
+            // Any node replies to read-only requests: see `views`.
+            (CoordinatorMessage::Api(query), _) if is_read_only(settings, &query) => {}
+            (CoordinatorMessage::Api(query), None) => state.leave_to_coordinator(&myself, query).await,
+            (CoordinatorMessage::ApiRecheck(query), None) => drop(state.reply_without_leader(query).await),
+            (_, None) => {} // message of an ended session
+            (CoordinatorMessage::Ledger, Some(session)) => session.reconcile(settings, &myself),
+            (CoordinatorMessage::Tick, Some(session)) => session.tick(settings, &myself).await,
+            (CoordinatorMessage::VotersChanged(done), Some(session)) => {
+                session.handle_voters_changed(settings, done);
+                // A node in decommission waits for a beacon without its name among the voters.
+                session.publish_beacon(settings).await;
             }
-            (CoordinatorMessage::BidsCollected { call, expected, responses: tenders }, Some(reign)) => {
-                reign.close_bidding(settings, &myself, *call, expected, tenders);
+            (CoordinatorMessage::BidsCollected { call, expected, responses }, Some(session)) => {
+                session.close_bidding(settings, &myself, *call, expected, responses);
             }
-            (CoordinatorMessage::AuctionRecorded { auction, outcome }, Some(reign)) => {
-                reign.handle_auction_recorded(settings, &auction, outcome);
-                reign.reconcile(settings, &myself);
+            (CoordinatorMessage::AuctionRecorded { auction, outcome }, Some(session)) => {
+                session.handle_auction_recorded(settings, &auction, outcome);
+                session.reconcile(settings, &myself);
             }
-            (CoordinatorMessage::NoticeReplied { mission, role, robot, epoch, reply: answer }, Some(reign)) => {
-                if let AwardReply::Declined(why) = answer {
+            (CoordinatorMessage::NoticeReplied { mission, role, robot, epoch, reply }, Some(session)) => {
+                if let AwardReply::Declined(why) = reply {
                     let cause = format!("{robot} declined: {why}");
-                    reign.release_role(settings, mission, role, &robot, epoch, cause, false);
+                    session.release_role(settings, mission, role, &robot, epoch, cause, false);
                 }
             }
-            (CoordinatorMessage::Report(query), Some(reign)) => reign.handle_report(settings, query).await,
-            (CoordinatorMessage::ActiveMissions(query), Some(reign)) => {
-                reign.handle_active_missions(settings, query).await
+            (CoordinatorMessage::Report(query), Some(session)) => session.handle_report(settings, query).await,
+            (CoordinatorMessage::ActiveMissions(query), Some(session)) => {
+                session.handle_active_missions(settings, query).await
             }
-            (CoordinatorMessage::Api(query), Some(reign)) => reign.handle_api(settings, query),
+            (CoordinatorMessage::Api(query), Some(session)) => session.handle_api(settings, query),
             (CoordinatorMessage::ApiRecheck(query), Some(_)) => {
-                // Whether the former coordinator has carried it out, only the same request again can tell.
+                // The former coordinator may or may not have executed the request. A repeated
+                // request shows it.
                 reply::json(&query, &query.key, &retry_reply(String::new())).await;
             }
-            // Whoever looked may have given up.
-            (CoordinatorMessage::QueryStatus(to), Some(reign)) => drop(to.send(reign.status(settings))),
+            // The requester may have stopped waiting.
+            (CoordinatorMessage::QueryStatus(to), Some(session)) => drop(to.send(session.status(settings))),
         }
         Ok(())
     }
 }
 
-fn changes_nothing(settings: &CoordinatorSettings, query: &Query) -> bool {
+fn is_read_only(settings: &CoordinatorSettings, query: &Query) -> bool {
     matches!(settings.keys.read(&query.key), Some(Key::Api(call)) if call.is_read_only())
 }
 
 impl CoordinatorState {
-    fn hear_of_another(&mut self, sample: &Sample) {
+    fn follow_beacon(&mut self, sample: &Sample) {
         if let Ok(beacon) = codec::decode::<Beacon>(&sample.payload)
             && beacon.node != self.settings.node
         {
-            self.heard = Some((beacon.node, self.settings.clock.now()));
+            self.last_beacon = Some((beacon.node, self.settings.clock.now()));
         }
     }
 
-    /// Leaves a request to whoever coordinates, and looks at it again in a moment if this node has nothing to say to it now.
-    async fn leave_to_another(&mut self, myself: &ActorRef<CoordinatorMessage>, query: Query) {
-        if let Some(query) = self.put_off(query).await {
-            self.tasks.send_after(SECOND_THOUGHT, myself, CoordinatorMessage::ApiRecheck(query));
+    /// Leaves a request to the active coordinator, and checks it again after a short delay if this
+    /// node cannot reply now.
+    async fn leave_to_coordinator(&mut self, myself: &ActorRef<CoordinatorMessage>, query: Query) {
+        if let Some(query) = self.reply_without_leader(query).await {
+            self.tasks.send_after(RECHECK_DELAY, myself, CoordinatorMessage::ApiRecheck(query));
         }
     }
 
-    /// Answers a request while this node does not coordinate, if it is for this node to answer; else gives it back.
-    async fn put_off(&self, query: Query) -> Option<Query> {
+    /// Replies to a request while this node is not the coordinator, if the reply is up to this
+    /// node. Otherwise returns the request.
+    async fn reply_without_leader(&self, query: Query) -> Option<Query> {
         let CoordinatorSettings { node, replica, knowledge, .. } = &self.settings;
         let leadership = replica.leadership().borrow().clone();
         let now = self.settings.clock.now();
-        let heard = self.heard.as_ref().map(|(node, at)| (node, now.since(*at)));
-        if let Some(said) = no_leader_reply(node, &leadership, knowledge, heard) {
-            reply::json(&query, &query.key, &said).await;
+        let last_beacon = self.last_beacon.as_ref().map(|(node, at)| (node, now.since(*at)));
+        if let Some(reply) = no_leader_reply(node, &leadership, knowledge, last_beacon) {
+            reply::json(&query, &query.key, &reply).await;
             return None;
         }
         Some(query)
@@ -262,20 +267,20 @@ impl CoordinatorState {
     async fn follow_leadership(&mut self, myself: &ActorRef<CoordinatorMessage>) -> Result<(), BusError> {
         let leadership = self.settings.replica.leadership().borrow().clone();
         let term = leadership.is_leader.then_some(leadership.term);
-        if self.reign.as_ref().map(|reign| reign.term) == term {
+        if self.session.as_ref().map(|session| session.term) == term {
             return Ok(());
         }
-        if let Some(reign) = self.reign.take() {
-            self.yielded = reign.yielded_at();
-            info!(node = %self.settings.node, term = reign.term, "no longer coordinates");
-            self.settings.events.publish(EventKind::SteppedDown { term: reign.term });
+        if let Some(session) = self.session.take() {
+            self.yielded_at = session.yielded_at();
+            info!(node = %self.settings.node, term = session.term, "no longer coordinates");
+            self.settings.events.publish(EventKind::SteppedDown { term: session.term });
         }
         if let Some(term) = term {
-            let mut reign = LeaderSession::start(&self.settings, &leadership, term, self.yielded, myself).await?;
-            reign.publish_beacon(&self.settings).await;
-            reign.update_members(&self.settings);
-            reign.reconcile(&self.settings, myself);
-            self.reign = Some(reign);
+            let mut session = LeaderSession::start(&self.settings, &leadership, term, self.yielded_at, myself).await?;
+            session.publish_beacon(&self.settings).await;
+            session.update_members(&self.settings);
+            session.reconcile(&self.settings, myself);
+            self.session = Some(session);
         }
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! Asking for bids and collecting the answers.
+//! The auctioneer: sends a call for bids and collects the responses.
 
 use crate::bus::SharedBus;
 use bytes::Bytes;
@@ -10,8 +10,8 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 use tracing::{debug, warn};
 
-/// Asks all robots, and returns as soon as every expected one has answered, else when the window closes. Answers of
-/// robots that were not expected count too: gossip about them may not have come this far yet.
+/// Calls all robots, and returns once every expected robot has replied or the bid window closes.
+/// Responses of unexpected robots count too: their gossip records may not have arrived here yet.
 pub(super) async fn collect_bids(
     bus: SharedBus,
     keys: Keys,
@@ -33,21 +33,21 @@ pub(super) async fn collect_bids(
             return vec![];
         }
     };
-    let mut waiting = expected;
-    let mut tenders = vec![];
+    let mut missing = expected;
+    let mut responses = vec![];
     while let Some(reply) = replies.recv().await {
         match reply.payload.map(|payload| codec::decode::<BidResponse>(&payload)) {
-            Ok(Ok(tender)) => {
-                waiting.remove(&tender.robot);
-                tenders.push(tender);
+            Ok(Ok(response)) => {
+                missing.remove(&response.robot);
+                responses.push(response);
             }
-            Ok(Err(problem)) => warn!(key = reply.key, %problem, "a tender that cannot be read"),
-            Err(problem) => debug!(key = reply.key, problem, "no tender"),
+            Ok(Err(problem)) => warn!(key = reply.key, %problem, "bid response cannot be decoded"),
+            Err(problem) => debug!(key = reply.key, problem, "no bid response"),
         }
-        if waiting.is_empty() {
+        if missing.is_empty() {
             break;
         }
     }
-    tenders.sort_by(|a, b| a.robot.cmp(&b.robot));
-    tenders
+    responses.sort_by(|a, b| a.robot.cmp(&b.robot));
+    responses
 }

@@ -1,9 +1,10 @@
-//! The auctions of a reign, and who is served first.
+//! Auctions of a leader session, and the order in which missions are served.
 //!
-//! Missions are auctioned side by side. When a robot could serve two of them, the one that is served first gets it, by
-//! priority and then by number: an auction whose bids are in, and which would fill its roles, first lets all better-ranked
-//! missions conclude that are being called. Those that wait out a back-off are called at once, since what it has found may
-//! be what they wait for. It waits for two windows at most.
+//! Missions are auctioned in parallel. If several missions need the same robot, the mission with
+//! the higher priority gets it, and among equals the mission with the lower number. Therefore an
+//! auction that has its bids and would fill its roles first waits for all better-ranked missions
+//! that are collecting bids. Better-ranked missions in backoff are called at once, because the
+//! robots found may be the robots they wait for. An auction waits for at most 2 bid windows.
 
 use super::actor::{CoordinatorMessage, CoordinatorSettings};
 use super::auctioneer;
@@ -24,15 +25,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tracing::debug;
 
-/// How long the ledger may take to accept an award.
-const AWARD_LIMIT: Duration = Duration::from_secs(2);
+/// Timeout for the ledger to commit an award.
+const AWARD_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// After so many rounds in a row in which all who are left refuse a role for good, and at which somebody has failed before,
-/// its mission is given up.
+/// A mission fails after this number of consecutive rounds in which every remaining robot refuses a
+/// role permanently, provided that a robot has failed in that role before.
 const HOPELESS_ROUNDS: u32 = 3;
 
-/// Most robots that the cause of a failed mission names.
-const NAMED: usize = 8;
+/// Maximum number of robots named in the cause of a failed mission.
+const NAMED_ROBOTS_MAX: usize = 8;
 
 impl LeaderSession {
     pub(super) fn call_for_bids(
@@ -48,15 +49,15 @@ impl LeaderSession {
             Some((entry.branch, plans.collect::<Option<BTreeMap<_, _>>>()?))
         });
         let Some((branch, roles)) = called.filter(|(_, roles)| !roles.is_empty()) else { return };
-        let former = self.rounds.get_mut(mission).map(|round| {
+        let previous = self.rounds.get_mut(mission).map(|round| {
             round.follow_branch(branch, now);
             (round.number + 1, round.hopeless_rounds)
         });
-        let (number, hopeless) = former.unwrap_or((1, 0));
+        let (number, hopeless) = previous.unwrap_or((1, 0));
         let auction = AuctionId { mission: mission.clone(), term: self.term, round: number };
         let call = CallForBids { auction, ensemble: settings.ensemble.spec().name.clone(), roles };
         let expected: BTreeSet<RobotId> = live_members(settings, now).into_iter().map(RobotId::from).collect();
-        settings.events.publish(EventKind::Called {
+        settings.events.publish(EventKind::BidsRequested {
             mission: mission.clone(),
             roles: call.roles.keys().cloned().collect(),
             round: number,
@@ -69,47 +70,47 @@ impl LeaderSession {
         let (bus, keys, window, to) =
             (settings.bus.clone(), settings.keys.clone(), settings.bid_window, myself.clone());
         self.tasks.spawn(async move {
-            let tenders = auctioneer::collect_bids(bus, keys, call.clone(), expected.clone(), window).await;
-            // A coordinator that has stopped needs no bids.
-            let _ = to.cast(CoordinatorMessage::BidsCollected { call: Box::new(call), expected, responses: tenders });
+            let responses = auctioneer::collect_bids(bus, keys, call.clone(), expected.clone(), window).await;
+            // A stopped coordinator needs no bids.
+            let _ = to.cast(CoordinatorMessage::BidsCollected { call: Box::new(call), expected, responses });
         });
     }
 
-    /// All bids are in, or the window has closed.
+    /// Closes an auction: all bids have arrived, or the bid window has closed.
     pub(super) fn close_bidding(
         &mut self,
         settings: &CoordinatorSettings,
         myself: &ActorRef<CoordinatorMessage>,
         call: CallForBids,
         expected: BTreeSet<RobotId>,
-        tenders: Vec<BidResponse>,
+        responses: Vec<BidResponse>,
     ) {
         let mission = call.auction.mission.clone();
         let current =
             |round: &&mut AuctionRound| round.number == call.auction.round && round.phase == RoundPhase::Bidding;
         let Some(round) = self.rounds.get_mut(&mission).filter(current) else {
-            return; // the mission has ended, or another round has begun
+            return; // the mission has ended, or another round has started
         };
-        for bid in tenders.iter().flat_map(|tender| &tender.replies) {
+        for bid in responses.iter().flat_map(|response| &response.replies) {
             if let RoleReply::Bid(bid) = bid {
                 settings.events.publish(EventKind::Bid { mission: mission.clone(), bid: bid.clone() });
             }
         }
         let until = settings.clock.now() + settings.bid_window * 2;
-        round.phase =
-            RoundPhase::BiddingClosed(Box::new(ClosedBidding { call, expected, responses: tenders, deadline: until }));
+        round.phase = RoundPhase::BiddingClosed(Box::new(ClosedBidding { call, expected, responses, deadline: until }));
         self.clear_auctions(settings, myself);
     }
 
-    /// Concludes the closed auctions that need not wait for a better-ranked mission.
+    /// Clears the closed auctions that need not wait for a better-ranked mission.
     pub(super) fn clear_auctions(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
         if !self.rounds.values().any(|round| matches!(round.phase, RoundPhase::BiddingClosed(_))) {
             return;
         }
         let now = settings.clock.now();
         let open = settings.replica.read(|ledger| {
-            let watch = lock_monitor(&self.lease_monitor);
-            let open = ledger.active_missions().into_iter().filter(|entry| can_be_auctioned(entry, &watch, now));
+            let lease_monitor = lock_monitor(&self.lease_monitor);
+            let open =
+                ledger.active_missions().into_iter().filter(|entry| can_be_auctioned(entry, &lease_monitor, now));
             open.map(|entry| entry.id.clone()).collect::<Vec<_>>()
         });
         let mut calling = false;
@@ -122,54 +123,54 @@ impl LeaderSession {
                 RoundPhase::BackingOff { since, .. } => waiting.push((mission, *since)),
                 RoundPhase::Proposing(_) => {}
                 RoundPhase::BiddingClosed(closed) => {
-                    let conclusion = self.conclude(settings, closed);
-                    if conclusion.holders.is_some() && now < closed.deadline {
-                        for (better, _) in waiting.iter().filter(|(_, since)| *since < called) {
-                            self.call_for_bids(settings, myself, better, now);
+                    let outcome = self.clear(settings, closed);
+                    if outcome.holders.is_some() && now < closed.deadline {
+                        for (better_ranked, _) in waiting.iter().filter(|(_, since)| *since < called) {
+                            self.call_for_bids(settings, myself, better_ranked, now);
                             calling = true;
                         }
                         if calling {
-                            continue; // and whoever comes after this one waits, too
+                            continue; // lower-ranked missions wait, too
                         }
                     }
-                    self.decide(settings, myself, &mission, conclusion);
+                    self.record_outcome(settings, myself, &mission, outcome);
                 }
             }
         }
     }
 
-    fn conclude(&self, settings: &CoordinatorSettings, closed: &ClosedBidding) -> AuctionOutcome {
-        let ClosedBidding { call, expected, responses: tenders, .. } = closed;
-        let (taken, excluded) = settings.replica.read(|ledger| {
+    fn clear(&self, settings: &CoordinatorSettings, closed: &ClosedBidding) -> AuctionOutcome {
+        let ClosedBidding { call, expected, responses, .. } = closed;
+        let (unavailable, excluded) = settings.replica.read(|ledger| {
             let entry = ledger.mission(&call.auction.mission);
             let excluded = |role: &RoleId| entry.map(|entry| entry.excluded(role)).unwrap_or_default();
             let excluded = call.roles.keys().map(|role| (role.clone(), excluded(role))).collect();
             (unavailable_robots(ledger, &self.rounds, &call.auction.mission), excluded)
         });
-        let circumstances = AuctionContext {
+        let context = AuctionContext {
             invited: expected,
-            unavailable: &taken,
+            unavailable: &unavailable,
             excluded: &excluded,
             limits: &settings.limits,
             window_ms: u64::try_from(settings.bid_window.as_millis()).unwrap_or(u64::MAX),
             at_ms: settings.clock.wall_ms(),
         };
-        clear_auction_with(call, tenders, &circumstances, &*settings.allocator)
+        clear_auction_with(call, responses, &context, &*settings.allocator)
     }
 
-    fn decide(
+    fn record_outcome(
         &mut self,
         settings: &CoordinatorSettings,
         myself: &ActorRef<CoordinatorMessage>,
         mission: &MissionId,
-        conclusion: AuctionOutcome,
+        outcome: AuctionOutcome,
     ) {
-        let AuctionOutcome { holders, record, unfillable } = conclusion;
+        let AuctionOutcome { holders, record, unfillable } = outcome;
         let auction = record.auction.clone();
         settings.events.publish(EventKind::Closed { mission: mission.clone(), record: record.clone() });
         let Some(round) = self.rounds.get_mut(mission) else { return };
         round.hopeless_rounds = if unfillable.is_empty() { 0 } else { round.hopeless_rounds + 1 };
-        let (branch, given_up) = (round.branch, round.hopeless_rounds >= HOPELESS_ROUNDS);
+        let (branch, has_failed) = (round.branch, round.hopeless_rounds >= HOPELESS_ROUNDS);
         let command = match holders {
             Some(holders) => {
                 round.phase = RoundPhase::Proposing(holders.clone());
@@ -178,26 +179,27 @@ impl LeaderSession {
             None => {
                 let since = settings.clock.now();
                 round.phase = RoundPhase::BackingOff { until: since + backoff(auction.round), since };
-                let news = settings.replica.read(|ledger| {
+                let has_changed = settings.replica.read(|ledger| {
                     let known = ledger.mission(mission).and_then(|entry| entry.auction.as_ref());
-                    known.is_none_or(|known| tells_otherwise(known, &record))
+                    known.is_none_or(|known| differs(known, &record))
                 });
-                if given_up {
+                if has_failed {
                     let places =
                         settings.replica.read(|ledger| last_known_places(&settings.knowledge, ledger.mission(mission)));
-                    let cause = nobody_is_left(&unfillable, &record.entries);
+                    let cause = no_robot_left(&unfillable, &record.entries);
                     let mission = mission.clone();
                     let fail = Command::Fail { mission, cause, branch: Some(branch), places };
                     propose(settings, &mut self.tasks, fail);
                 }
-                news.then(|| Command::Defer { mission: mission.clone(), branch, auction: record })
+                has_changed.then(|| Command::Defer { mission: mission.clone(), branch, auction: record })
             }
         };
         let Some(command) = command else { return };
         let (replica, to) = (settings.replica.clone(), myself.clone());
         self.tasks.spawn(async move {
-            let outcome = replica.propose(command, AWARD_LIMIT).await;
-            // A coordinator that has stopped leaves the award to the next one: it is in the ledger or it is not.
+            let outcome = replica.propose(command, AWARD_TIMEOUT).await;
+            // If the coordinator has stopped, the next coordinator finds the award in the ledger or
+            // repeats the auction.
             let _ = to.cast(CoordinatorMessage::AuctionRecorded { auction, outcome });
         });
     }
@@ -210,15 +212,15 @@ impl LeaderSession {
     ) {
         let since = settings.clock.now();
         let mission = &auction.mission;
-        let known_for = self.time_known(mission, since);
+        let time_known = self.time_known(mission, since);
         let Some(round) = self.rounds.get_mut(mission).filter(|round| round.number == auction.round) else { return };
         let RoundPhase::Proposing(holders) = &round.phase else { return };
         match outcome {
             Ok(CommandOutcome::Awarded { epoch }) => {
-                let after_ms = known_for.map(|known| known.as_secs_f64() * 1000.0);
+                let after_ms = time_known.map(|known| known.as_secs_f64() * 1000.0);
                 let (mission, holders) = (mission.clone(), holders.clone());
                 settings.events.publish(EventKind::Awarded { mission, holders, epoch, after_ms });
-                // Should a role of it be released, the rounds begin anew.
+                // If a role of the mission is released, its rounds start again from 1.
                 self.rounds.remove(&auction.mission);
             }
             Ok(outcome) => {
@@ -226,7 +228,7 @@ impl LeaderSession {
                 round.phase = RoundPhase::BackingOff { until: since + backoff(1), since };
             }
             Err(problem) => {
-                // Whether it will be committed is unknown; the next look at the ledger tells.
+                // The commit is uncertain; the next reconciliation shows it.
                 debug!(%mission, %problem, "the award was not committed");
                 round.phase = RoundPhase::BackingOff { until: since + backoff(round.number), since };
             }
@@ -234,32 +236,33 @@ impl LeaderSession {
     }
 }
 
-/// Whether a record says anything that the former one did not, times and counters aside.
-fn tells_otherwise(known: &AuctionRecord, record: &AuctionRecord) -> bool {
-    let gist = |record: &AuctionRecord| {
+/// Checks whether a record differs from the previous record in more than times and counters.
+fn differs(known: &AuctionRecord, record: &AuctionRecord) -> bool {
+    let essence = |record: &AuctionRecord| {
         let verdicts = record
             .entries
             .iter()
             .map(|entry| (entry.role.clone(), entry.robot.clone(), std::mem::discriminant(&entry.verdict)));
         (record.failure.clone(), verdicts.collect::<Vec<_>>())
     };
-    gist(known) != gist(record)
+    essence(known) != essence(record)
 }
 
-/// `nobody is left for r1: amber failed at it before: …; birch lacks …`.
-fn nobody_is_left(hopeless: &BTreeSet<RoleId>, entries: &[AuctionEntry]) -> String {
+/// Returns a text like `no robot is left for r1: amber failed at it before: …; birch lacks …`.
+fn no_robot_left(hopeless: &BTreeSet<RoleId>, entries: &[AuctionEntry]) -> String {
     let of_role = |role: &RoleId| {
         let refusals = entries.iter().filter(|entry| entry.role == *role).filter_map(|entry| match &entry.verdict {
             BidVerdict::Refused { reason } => Some(format!("{} {reason}", entry.robot)),
             BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => None,
         });
         let mut refusals: Vec<String> = refusals.collect();
-        // Whoever failed is the reason; the others merely cannot help.
+        // Robots that have failed come first, because they are the cause. The others only cannot
+        // help.
         refusals.sort_by_key(|refusal| !refusal.contains(" failed at it before: "));
-        let more = refusals.len().saturating_sub(NAMED);
-        refusals.truncate(NAMED);
+        let more = refusals.len().saturating_sub(NAMED_ROBOTS_MAX);
+        refusals.truncate(NAMED_ROBOTS_MAX);
         let more = if more > 0 { format!("; and {more} more") } else { String::new() };
-        format!("nobody is left for {role}: {}{more}", refusals.join("; "))
+        format!("no robot is left for {role}: {}{more}", refusals.join("; "))
     };
     hopeless.iter().map(of_role).collect::<Vec<_>>().join("; ")
 }

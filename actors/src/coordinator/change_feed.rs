@@ -1,4 +1,5 @@
-//! What is new in the ledger: told as events, to robots whose awards have ended, and to those who follow missions.
+//! Change feed of the ledger: changes are published as events, sent to robots whose awards have
+//! ended, and announced to subscribers of missions.
 
 use super::actor::CoordinatorSettings;
 use super::leader_session::{LeaderSession, publish};
@@ -12,28 +13,28 @@ use consort_protocol::units::NodeTime;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// How a mission stood when it was last looked at.
+/// State of a mission when it was last compared.
 #[derive(Clone, PartialEq)]
 pub(super) struct MissionSnapshot {
     state: MissionState,
     done: usize,
-    /// The awards in force.
-    holdings: BTreeMap<RoleId, RoleHolder>,
-    /// How often a role was taken from a robot.
+    /// Awards in force.
+    holders: BTreeMap<RoleId, RoleHolder>,
+    /// Number of times a role was released.
     released: u32,
-    /// When this coordinator first saw the mission.
+    /// Time at which this coordinator first found the mission.
     since: NodeTime,
 }
 
 impl MissionSnapshot {
     pub(super) fn of(entry: &MissionEntry, since: NodeTime) -> MissionSnapshot {
         let in_force = |role: &RoleEntry| matches!(role.phase, RolePhase::Awarded | RolePhase::Active);
-        let mut holdings = if entry.state.is_final() { BTreeMap::new() } else { entry.role_holders() };
-        holdings.retain(|role, _| entry.roles.get(role).is_some_and(in_force));
+        let mut holders = if entry.state.is_final() { BTreeMap::new() } else { entry.role_holders() };
+        holders.retain(|role, _| entry.roles.get(role).is_some_and(in_force));
         MissionSnapshot {
             state: entry.state.clone(),
             done: entry.progress().0,
-            holdings,
+            holders,
             released: entry.release_count,
             since,
         }
@@ -41,44 +42,45 @@ impl MissionSnapshot {
 }
 
 impl LeaderSession {
-    /// Tells what has changed since missions were last looked at.
+    /// Publishes all changes since the last comparison.
     pub(super) fn publish_changes(&mut self, settings: &CoordinatorSettings, now: NodeTime) {
         let mut changed = false;
         let mut revoked: Vec<(RobotId, Epoch, EndReason)> = vec![];
         settings.replica.read(|ledger| {
             for entry in ledger.missions() {
-                let known = self.mission_snapshots.get(&entry.id);
-                let since = known.map_or(now, |seen| seen.since);
-                let seen = MissionSnapshot::of(entry, since);
-                if known == Some(&seen) {
+                let previous = self.mission_snapshots.get(&entry.id);
+                let since = previous.map_or(now, |snapshot| snapshot.since);
+                let snapshot = MissionSnapshot::of(entry, since);
+                if previous == Some(&snapshot) {
                     continue;
                 }
                 changed = true;
                 let mission = entry.id.clone();
-                if known.is_none() {
+                if previous.is_none() {
                     let parameters = entry.submission.parameters.clone();
                     settings.events.publish(EventKind::Submitted { mission: mission.clone(), parameters });
                 }
-                if known.is_some_and(|known| known.done != seen.done) {
+                if previous.is_some_and(|previous| previous.done != snapshot.done) {
                     let (done, steps) = entry.progress();
                     settings.events.publish(EventKind::Progress { mission: mission.clone(), done, steps });
                 }
-                let given_up = known.map_or(0, |known| seen.released.saturating_sub(known.released)) as usize;
-                for RoleRelease { role, cause, .. } in entry.releases.iter().rev().take(given_up).rev() {
+                let new_releases =
+                    previous.map_or(0, |previous| snapshot.released.saturating_sub(previous.released)) as usize;
+                for RoleRelease { role, cause, .. } in entry.releases.iter().rev().take(new_releases).rev() {
                     let (mission, role, cause) = (mission.clone(), role.clone(), cause.clone());
                     settings.events.publish(EventKind::Released { mission, role, cause });
                 }
-                if known.is_none_or(|known| known.state != seen.state) {
-                    let (mission, state) = (mission.clone(), seen.state.clone());
+                if previous.is_none_or(|previous| previous.state != snapshot.state) {
+                    let (mission, state) = (mission.clone(), snapshot.state.clone());
                     let submitted_at_ms = entry.submission.at_ms;
                     settings.events.publish(EventKind::Mission { mission, state, submitted_at_ms });
                 }
-                let former = known.into_iter().flat_map(|known| &known.holdings);
-                for (role, held) in former.filter(|(role, held)| seen.holdings.get(*role) != Some(held)) {
-                    let reason = ending(entry, role, held.epoch);
+                let former_holders = previous.into_iter().flat_map(|previous| &previous.holders);
+                for (role, held) in former_holders.filter(|(role, held)| snapshot.holders.get(*role) != Some(held)) {
+                    let reason = end_reason(entry, role, held.epoch);
                     revoked.extend(reason.map(|reason| (held.robot.clone(), held.epoch, reason)));
                 }
-                self.mission_snapshots.insert(mission, seen);
+                self.mission_snapshots.insert(mission, snapshot);
             }
         });
         for (robot, epoch, reason) in revoked {
@@ -92,18 +94,18 @@ impl LeaderSession {
         }
     }
 
-    /// How long this coordinator has known of a mission.
+    /// Returns the time since this coordinator first found a mission.
     pub(super) fn time_known(&self, mission: &MissionId, now: NodeTime) -> Option<Duration> {
-        self.mission_snapshots.get(mission).map(|seen| now.since(seen.since))
+        self.mission_snapshots.get(mission).map(|snapshot| now.since(snapshot.since))
     }
 }
 
-/// Why a robot that held a role no longer does; nothing if it carried the role out.
-fn ending(entry: &MissionEntry, role: &RoleId, epoch: Epoch) -> Option<EndReason> {
+/// Returns the reason for the end of an award; `None` if the role was completed.
+fn end_reason(entry: &MissionEntry, role: &RoleId, epoch: Epoch) -> Option<EndReason> {
     match &entry.state {
         MissionState::Canceled { .. } => Some(EndReason::Canceled),
         MissionState::Failed { .. } => Some(EndReason::Failed),
-        MissionState::NeedsRescue { .. } => Some(EndReason::Rescue),
+        MissionState::NeedsIntervention { .. } => Some(EndReason::NeedsIntervention),
         MissionState::Completed => Some(EndReason::Over),
         MissionState::Pending | MissionState::Running => match entry.roles.get(role) {
             Some(RoleEntry { holder: Some(holder), phase: RolePhase::Ended, .. }) if holder.epoch == epoch => None,

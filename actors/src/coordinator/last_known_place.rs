@@ -1,19 +1,20 @@
-//! Where robots were last known to be, which is where to look for what they carry, and who is in another cluster.
+//! Last known places of robots, which is where to search for the items they carry, and nodes of
+//! other clusters.
 
 use crate::gossip::SharedKnowledge;
 use consort_protocol::ids::{ClusterId, NodeId, PlaceId, RobotId};
 use consort_protocol::ledger::MissionEntry;
 use std::collections::BTreeMap;
 
-/// Where a robot last said that it was.
+/// Returns the last published place of a robot.
 pub(super) fn last_known_place(knowledge: &SharedKnowledge, robot: &RobotId) -> Option<PlaceId> {
     knowledge.read(|base| {
-        let heard = base.get(&NodeId::from(robot.clone()))?;
-        heard.record.knowledge.robot.as_ref().map(|worker| worker.place.clone())
+        let stored = base.get(&NodeId::from(robot.clone()))?;
+        stored.record.knowledge.robot.as_ref().map(|worker| worker.place.clone())
     })
 }
 
-/// Where the robots of a mission are.
+/// Returns the last published places of a mission's robots.
 pub(super) fn last_known_places(
     knowledge: &SharedKnowledge,
     entry: Option<&MissionEntry>,
@@ -22,10 +23,11 @@ pub(super) fn last_known_places(
     holders.filter_map(|robot| last_known_place(knowledge, &robot).map(|place| (robot, place))).collect()
 }
 
-/// Other clusters of this fleet's name that are heard of, and a node of each.
+/// Returns the other clusters with the name of this fleet, according to received records, each with
+/// a node of it.
 pub(crate) fn foreign_clusters(knowledge: &SharedKnowledge, own: Option<ClusterId>) -> BTreeMap<ClusterId, NodeId> {
     knowledge.read(|base| {
-        let its = base.iter().filter_map(|(node, heard)| Some((heard.record.knowledge.cluster?, node.clone())));
-        its.filter(|(cluster, _)| Some(*cluster) != own).collect()
+        let clusters = base.iter().filter_map(|(node, stored)| Some((stored.record.knowledge.cluster?, node.clone())));
+        clusters.filter(|(cluster, _)| Some(*cluster) != own).collect()
     })
 }

@@ -1,4 +1,4 @@
-//! One reign: what a node does, and remembers, from taking over until it no longer coordinates.
+//! Leader session: state and work of a node from the start to the end of its term as coordinator.
 
 use super::actor::{CoordinatorMessage, CoordinatorSettings};
 use super::api::ApiHandler;
@@ -34,49 +34,52 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tracing::{debug, error, info, warn};
 
-/// How long the ledger may take to accept that a role or a mission is given up.
-const GIVE_UP_LIMIT: Duration = Duration::from_secs(1);
+/// Timeout for the ledger to commit the release of a role or the end of a mission.
+const RELEASE_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How long the ledger may take to accept its identity.
-const FOUND_LIMIT: Duration = Duration::from_secs(2);
+/// Timeout for the ledger to commit its cluster id.
+const BOOTSTRAP_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How long to wait before a mission that should have been given up is given up again.
-const FAIL_AGAIN: Duration = Duration::from_secs(2);
+/// Delay before the failure of a mission is proposed again.
+const FAIL_RETRY_DELAY: Duration = Duration::from_secs(2);
 
-/// What lasts as long as this node coordinates. Dropping it withdraws all declarations and ends all work under way.
+/// State of a single term as coordinator. Dropping it withdraws all declarations and aborts all
+/// tasks.
 pub(super) struct LeaderSession {
     pub(super) term: u64,
     since: NodeTime,
-    /// When this node began to coordinate, by its wall clock in milliseconds: no other reign of its term did then.
+    /// Start of the session by the node's wall clock, in milliseconds. Distinguishes the sessions
+    /// of a term.
     since_wall_ms: u64,
     pub(super) lease_monitor: SharedLeaseMonitor,
     pub(super) rounds: BTreeMap<MissionId, AuctionRound>,
-    pace: StallDetector,
-    /// Roles to be taken from holders that answer and do not get on, once their leases have run out.
+    stall_detector: StallDetector,
+    /// Roles to be released because their holders reply but make no progress, once the leases have
+    /// expired.
     stalled: BTreeMap<(Epoch, RoleId), String>,
-    /// Missions that are being given up, and since when.
+    /// Missions with a proposed failure, with the time of the proposal.
     failing: BTreeMap<MissionId, NodeTime>,
-    told: BTreeMap<(Epoch, RoleId), NodeTime>,
-    /// How missions stood when last looked at, to tell what has changed.
+    notified: BTreeMap<(Epoch, RoleId), NodeTime>,
+    /// Last published state of each mission, to detect changes.
     pub(super) mission_snapshots: BTreeMap<MissionId, MissionSnapshot>,
     members: BTreeSet<NodeId>,
-    /// Those of them that say they are free.
+    /// Members that are free by their own record.
     free: BTreeSet<NodeId>,
     requests: u64,
-    intake: RequestLimiter,
+    request_limiter: RequestLimiter,
     autopilot: Autopilot,
-    /// Other clusters of this fleet's name, and a node of each.
+    /// Other clusters with the name of this fleet, each with a node of it.
     foreign: BTreeMap<ClusterId, NodeId>,
     pub(super) tasks: Tasks,
     _token: PresenceToken,
 }
 
-/// Which leases run, for those who renew them and those who end them.
+/// Leases in force. Reports renew them and `reconcile` ends them, so access is shared.
 pub(super) type SharedLeaseMonitor = Arc<Mutex<LeaseMonitor>>;
 
-pub(super) fn lock_monitor(watch: &SharedLeaseMonitor) -> MutexGuard<'_, LeaseMonitor> {
-    // A panic under the lock has not left it half written: writes are single steps.
-    watch.lock().unwrap_or_else(PoisonError::into_inner)
+pub(super) fn lock_monitor(lease_monitor: &SharedLeaseMonitor) -> MutexGuard<'_, LeaseMonitor> {
+    // A panic under the lock leaves no partial write, because each write is a single step.
+    lease_monitor.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl LeaderSession {
@@ -98,28 +101,29 @@ impl LeaderSession {
         );
         let token = bus.announce(&keys.write(&Key::AliveCoordinator(term, node.clone()))).await?;
         let since = settings.clock.now();
-        info!(%node, term, "coordinates");
+        info!(%node, term, "started to coordinate");
         let voters = leadership.voters.values().cloned().collect();
         settings.events.publish(EventKind::Elected { term, voters });
         if settings.replica.cluster().borrow().is_none() {
             let (replica, cluster) = (settings.replica.clone(), ClusterId(settings.cluster_seed));
             let wire = first_version(settings);
             tasks.spawn(async move {
-                // Should it fail, this node no longer leads, and the next one does it.
-                match replica.propose(Command::Bootstrap { cluster }, FOUND_LIMIT).await {
+                // On failure this node no longer leads, and the next leader retries.
+                match replica.propose(Command::Bootstrap { cluster }, BOOTSTRAP_TIMEOUT).await {
                     Ok(_) => info!(%cluster, "founded the ledger"),
                     Err(problem) => debug!(%cluster, %problem, "did not found the ledger"),
                 }
-                if let Err(problem) = replica.propose(Command::RaiseWireVersion { wire }, FOUND_LIMIT).await {
-                    debug!(%problem, "did not say which version of the wire the fleet writes");
+                if let Err(problem) = replica.propose(Command::RaiseWireVersion { wire }, BOOTSTRAP_TIMEOUT).await {
+                    debug!(%problem, "wire version was not recorded");
                 }
             });
         } else if settings.replica.read(Ledger::wire).is_none() {
-            // Whoever founded it died before it said this; then nobody has written more than what everybody reads.
+            // The founder died before this proposal. Until then, no node has written more than the
+            // first version, which every node reads.
             propose(settings, &mut tasks, Command::RaiseWireVersion { wire: codec::FIRST_VERSION });
         }
-        // What stood in the ledger before this reign is not news.
-        let seen = settings.replica.read(|ledger| {
+        // Entries that were in the ledger before this session are not reported as changes.
+        let mission_snapshots = settings.replica.read(|ledger| {
             ledger.missions().map(|entry| (entry.id.clone(), MissionSnapshot::of(entry, since))).collect()
         });
         Ok(LeaderSession {
@@ -128,15 +132,15 @@ impl LeaderSession {
             since_wall_ms: settings.clock.wall_ms(),
             lease_monitor: Arc::new(Mutex::new(LeaseMonitor::new(settings.lease_terms))),
             rounds: BTreeMap::new(),
-            pace: StallDetector::new(settings.stall_timeout),
+            stall_detector: StallDetector::new(settings.stall_timeout),
             stalled: BTreeMap::new(),
             failing: BTreeMap::new(),
-            told: BTreeMap::new(),
-            mission_snapshots: seen,
+            notified: BTreeMap::new(),
+            mission_snapshots,
             members: BTreeSet::new(),
             free: BTreeSet::new(),
             requests: 0,
-            intake: RequestLimiter::new(settings.request_limits, since),
+            request_limiter: RequestLimiter::new(settings.request_limits, since),
             autopilot: Autopilot::new(settings.voters, settings.dead_after, settings.contact_timeout, yielded),
             foreign: BTreeMap::new(),
             tasks,
@@ -144,23 +148,23 @@ impl LeaderSession {
         })
     }
 
-    /// When this node last gave the lead away because another was better placed.
+    /// Returns the time at which this node last transferred leadership to a better placed node.
     pub(super) fn yielded_at(&self) -> Option<Instant> {
         self.autopilot.last_transfer_at()
     }
 
-    /// Says that this node coordinates, and looks after everything.
+    /// Publishes the beacon and performs all periodic work.
     pub(super) async fn tick(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
         let (cluster, wire) = settings.replica.read(|ledger| (ledger.cluster(), ledger.wire()));
         settings.wire_version.adopt(cluster, wire);
         self.publish_beacon(settings).await;
         self.update_members(settings);
-        self.look_abroad(settings);
-        self.keep_keepers(settings, myself);
+        self.report_foreign_clusters(settings);
+        self.start_voter_change(settings, myself);
         self.reconcile(settings, myself);
     }
 
-    /// Tells everybody who coordinates.
+    /// Publishes the beacon: the node, term and voters of this coordinator.
     pub(super) async fn publish_beacon(&self, settings: &CoordinatorSettings) {
         let voters = settings.replica.leadership().borrow().voters.values().cloned().collect();
         let since_ms = u64::try_from(settings.clock.now().since(self.since).as_millis()).unwrap_or(u64::MAX);
@@ -170,30 +174,31 @@ impl LeaderSession {
         publish(settings, &Key::Beacon, &beacon).await;
     }
 
-    /// Says so once when there is another cluster of this fleet's name.
-    fn look_abroad(&mut self, settings: &CoordinatorSettings) {
+    /// Reports each other cluster with the name of this fleet, once.
+    fn report_foreign_clusters(&mut self, settings: &CoordinatorSettings) {
         let Some(own) = *settings.replica.cluster().borrow() else { return };
         let foreign = foreign_clusters(&settings.knowledge, Some(own));
         for (cluster, node) in &foreign {
             if !self.foreign.contains_key(cluster) {
-                error!(%own, foreign = %cluster, %node, "another cluster of this fleet's name was founded apart: they do not \
-                    merge. Stop the nodes of one of them and start them again with empty stores");
+                error!(%own, foreign = %cluster, %node, "another cluster with this fleet's name was founded separately: \
+                    they do not merge. Stop the nodes of either cluster and restart them with empty stores");
                 let (cluster, foreign, member) = (own, *cluster, node.clone());
                 settings.events.publish(EventKind::Foreign { cluster, foreign, member });
             }
         }
-        // Once told, a cluster stays told of, though it is shown only while it is heard of.
+        // A reported cluster is not reported again, although views show it only while its records
+        // arrive.
         self.foreign.extend(foreign);
     }
 
-    /// Makes the change of the ledger's keepers that is due.
-    fn keep_keepers(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
+    /// Starts the voter change that is due.
+    fn start_voter_change(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
         let Some(change) = self.autopilot.next_action(&settings.replica, &settings.knowledge) else { return };
-        info!(reason = change.reason(), "changes who keeps the ledger");
+        info!(reason = change.reason(), "changing the voters");
         let (replica, to) = (settings.replica.clone(), myself.clone());
         self.tasks.spawn(async move {
             let done = perform(replica, change).await;
-            // A coordinator that has stopped leaves a change that was begun to the next one.
+            // If the coordinator has stopped, the next coordinator completes a change in progress.
             let _ = to.cast(CoordinatorMessage::VotersChanged(done));
         });
     }
@@ -204,11 +209,12 @@ impl LeaderSession {
                 let voters = settings.replica.leadership().borrow().voters.values().cloned().collect();
                 settings.events.publish(EventKind::Voters { voters, reason });
             }
-            Err((reason, problem)) => warn!(reason, %problem, "who keeps the ledger was not changed"),
+            Err((reason, problem)) => warn!(reason, %problem, "voters were not changed"),
         }
     }
 
-    /// Tells who joined and left the ensemble, as far as this coordinator has heard.
+    /// Publishes changes of the ensemble's membership, as far as this coordinator has received
+    /// them.
     pub(super) fn update_members(&mut self, settings: &CoordinatorSettings) {
         let now = settings.clock.now();
         let ensemble = settings.ensemble.spec().name.clone();
@@ -217,17 +223,17 @@ impl LeaderSession {
             settings.events.publish(EventKind::Joined { ensemble: ensemble.clone(), member: member.clone() });
         }
         for member in self.members.difference(&members) {
-            let verdict =
+            let membership =
                 settings.knowledge.read(|base| settings.ensemble.membership_of(member, &settings.node, base, now));
-            let reason = if verdict.member { "judged dead".to_owned() } else { verdict.reason };
+            let reason = if membership.member { "judged dead".to_owned() } else { membership.reason };
             settings.events.publish(EventKind::Left { ensemble: ensemble.clone(), member: member.clone(), reason });
         }
         let free = settings.knowledge.read(|base| {
-            let is_free = |node: &&NodeId| base.get(node).is_some_and(|heard| heard.record.knowledge.is_free());
+            let is_free = |node: &&NodeId| base.get(node).is_some_and(|stored| stored.record.knowledge.is_free());
             members.iter().filter(is_free).cloned().collect::<BTreeSet<_>>()
         });
         if !free.is_subset(&self.free) {
-            // Those who wait for a robot need not sit out their back-off.
+            // A robot is free: auctions that wait for a robot skip the rest of their backoff.
             for round in self.rounds.values_mut() {
                 if let RoundPhase::BackingOff { until, .. } = &mut round.phase {
                     *until = now;
@@ -238,20 +244,20 @@ impl LeaderSession {
         self.members = members;
     }
 
-    /// Looks at the ledger, tells what is new in it, and does what is to be done.
+    /// Compares the ledger with the session, publishes changes and performs the pending actions.
     pub(super) fn reconcile(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
         let now = settings.clock.now();
         self.publish_changes(settings, now);
         let wall_ms = settings.clock.wall_ms();
-        let todo = settings.replica.read(|ledger| {
-            let mut watch = lock_monitor(&self.lease_monitor);
+        let actions = settings.replica.read(|ledger| {
+            let mut lease_monitor = lock_monitor(&self.lease_monitor);
             let awards = awards_in_force(ledger);
             for (epoch, robot) in &awards {
-                watch.track(*epoch, robot, now);
+                lease_monitor.track(*epoch, robot, now);
             }
             let epochs = awards.into_iter().map(|(epoch, _)| epoch).collect();
-            watch.retain(&epochs, now);
-            self.told.retain(|(epoch, _), _| epochs.contains(epoch));
+            lease_monitor.retain(&epochs, now);
+            self.notified.retain(|(epoch, _), _| epochs.contains(epoch));
             self.stalled.retain(|(epoch, _), _| epochs.contains(epoch));
             self.mission_snapshots.retain(|mission, _| ledger.mission(mission).is_some());
             self.rounds.retain(|mission, round| {
@@ -259,32 +265,33 @@ impl LeaderSession {
                 entry.inspect(|entry| round.follow_branch(entry.branch, now)).is_some()
             });
             self.failing.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_final()));
-            for StalledRole { role, robot, epoch, cause } in self.pace.check(ledger, now) {
-                watch.stop_renewing(epoch, &robot, now);
+            for StalledRole { role, robot, epoch, cause } in self.stall_detector.check(ledger, now) {
+                lease_monitor.stop_renewing(epoch, &robot, now);
                 self.stalled.entry((epoch, role)).or_insert(cause);
             }
-            let memory = SessionState { lease_monitor: &watch, rounds: &self.rounds, notified: &self.told };
-            let todo = pending_actions(ledger, &memory, now, wall_ms);
-            for duty in &todo {
-                if let CoordinatorAction::ReleaseRole { epoch, robot, .. } = duty {
-                    watch.stop_renewing(*epoch, robot, now);
+            let session_state =
+                SessionState { lease_monitor: &lease_monitor, rounds: &self.rounds, notified: &self.notified };
+            let actions = pending_actions(ledger, &session_state, now, wall_ms);
+            for action in &actions {
+                if let CoordinatorAction::ReleaseRole { epoch, robot, .. } = action {
+                    lease_monitor.stop_renewing(*epoch, robot, now);
                 }
             }
-            todo
+            actions
         });
-        for duty in todo {
-            match duty {
+        for action in actions {
+            match action {
                 CoordinatorAction::CallForBids(mission) => self.call_for_bids(settings, myself, &mission, now),
                 CoordinatorAction::NotifyAward { mission, role, robot, epoch } => {
-                    self.tell(settings, myself, mission, role, robot, epoch, now);
+                    self.notify_award(settings, myself, mission, role, robot, epoch, now);
                 }
                 CoordinatorAction::ReleaseRole { mission, role, robot, epoch, cause } => {
                     let stalled = self.stalled.get(&(epoch, role.clone())).cloned();
-                    let (blamed, cause) = (stalled.is_some(), stalled.unwrap_or(cause));
-                    self.release_role(settings, mission, role, &robot, epoch, cause, blamed);
+                    let (robot_failed, cause) = (stalled.is_some(), stalled.unwrap_or(cause));
+                    self.release_role(settings, mission, role, &robot, epoch, cause, robot_failed);
                 }
                 CoordinatorAction::FailMission { mission, cause } => {
-                    if self.failing.get(&mission).is_none_or(|at| now.since(*at) >= FAIL_AGAIN) {
+                    if self.failing.get(&mission).is_none_or(|at| now.since(*at) >= FAIL_RETRY_DELAY) {
                         self.failing.insert(mission.clone(), now);
                         let places = settings
                             .replica
@@ -297,8 +304,8 @@ impl LeaderSession {
         self.clear_auctions(settings, myself);
     }
 
-    #[expect(clippy::too_many_arguments, reason = "they name one award and the moment")]
-    fn tell(
+    #[expect(clippy::too_many_arguments, reason = "the parameters name an award and the time")]
+    fn notify_award(
         &mut self,
         settings: &CoordinatorSettings,
         myself: &ActorRef<CoordinatorMessage>,
@@ -314,11 +321,11 @@ impl LeaderSession {
             Some(Award { mission: mission.clone(), role: role.clone(), robot: robot.clone(), epoch, plan, holders })
         });
         let Some(award) = award else { return };
-        self.told.insert((epoch, role.clone()), now);
-        let (to, who) = (myself.clone(), robot.clone());
-        self.notify(settings, &robot, AwardNotice::Awarded(Box::new(award)), move |answer| {
-            // A coordinator that has stopped leaves the award to the next one.
-            let _ = to.cast(CoordinatorMessage::NoticeReplied { mission, role, robot: who, epoch, reply: answer });
+        self.notified.insert((epoch, role.clone()), now);
+        let (to, notified_robot) = (myself.clone(), robot.clone());
+        self.notify(settings, &robot, AwardNotice::Awarded(Box::new(award)), move |reply| {
+            // If the coordinator has stopped, the next coordinator sends the award notice.
+            let _ = to.cast(CoordinatorMessage::NoticeReplied { mission, role, robot: notified_robot, epoch, reply });
         });
     }
 
@@ -332,19 +339,19 @@ impl LeaderSession {
         let key = settings.keys.write(&Key::Award(robot.clone()));
         let bytes = match codec::encode(&notice) {
             Ok(bytes) => Bytes::from(bytes),
-            Err(problem) => return warn!(%robot, %problem, "a notice does not fit a message"),
+            Err(problem) => return warn!(%robot, %problem, "award notice does not fit a message"),
         };
         let (bus, robot) = (settings.bus.clone(), robot.clone());
         self.tasks.spawn(async move {
             let Ok(mut replies) = bus.query(&key, bytes, Duration::from_millis(500)).await else { return };
             match replies.recv().await.map(|reply| reply.payload.map(|bytes| codec::decode(&bytes))) {
-                Some(Ok(Ok(answer))) => then(answer),
-                other => debug!(%robot, ?other, "a notice was not answered"),
+                Some(Ok(Ok(reply))) => then(reply),
+                other => debug!(%robot, ?other, "award notice got no reply"),
             }
         });
     }
 
-    #[expect(clippy::too_many_arguments, reason = "they name one award and why it ends")]
+    #[expect(clippy::too_many_arguments, reason = "the parameters name an award and the reason for its end")]
     pub(super) fn release_role(
         &mut self,
         settings: &CoordinatorSettings,
@@ -353,16 +360,16 @@ impl LeaderSession {
         robot: &RobotId,
         epoch: Epoch,
         cause: String,
-        blamed: bool,
+        robot_failed: bool,
     ) {
         let place = last_known_place(&settings.knowledge, robot);
-        let command = Command::Release { mission, role, epoch, cause, robot_failed: blamed, place };
+        let command = Command::Release { mission, role, epoch, cause, robot_failed, place };
         propose(settings, &mut self.tasks, command);
     }
 
     pub(super) async fn handle_report(&mut self, settings: &CoordinatorSettings, query: Query) {
         let Some(report) = reply::decode_or_refuse::<Report>(&query).await else { return };
-        let clerk = ReportHandler {
+        let handler = ReportHandler {
             replica: settings.replica.clone(),
             knowledge: settings.knowledge.clone(),
             leadership_age_max: settings.lease_terms.leadership_age_max(),
@@ -370,17 +377,20 @@ impl LeaderSession {
             lease_monitor: self.lease_monitor.clone(),
         };
         self.tasks.spawn(async move {
-            let said = clerk.handle(report).await;
-            reply::wire(&query, &query.key, &said).await;
+            let reply = handler.handle(report).await;
+            reply::wire(&query, &query.key, &reply).await;
         });
     }
 
     pub(super) async fn handle_active_missions(&mut self, settings: &CoordinatorSettings, query: Query) {
-        let (parts, unfit) = settings.replica.read(|ledger| {
-            ActiveMissions::split(ledger.cluster(), ledger.active_missions().into_iter().flat_map(unmanaged).collect())
+        let (parts, too_large) = settings.replica.read(|ledger| {
+            ActiveMissions::split(
+                ledger.cluster(),
+                ledger.active_missions().into_iter().flat_map(unmanaged_plans).collect(),
+            )
         });
-        for ActivePlan { mission, plan, .. } in unfit {
-            warn!(%mission, role = %plan.role, "a plan that fits no message: nobody can act in this role");
+        for ActivePlan { mission, plan, .. } in too_large {
+            warn!(%mission, role = %plan.role, "plan does not fit a message: the role cannot be executed");
         }
         for part in parts {
             reply::wire(&query, &query.key, &part).await;
@@ -395,13 +405,13 @@ impl LeaderSession {
             self.tasks.spawn(async move { reply::json(&query, &query.key, &json!({ "error": error })).await });
             return;
         };
-        if let Err(after) = self.intake.try_acquire(settings.clock.now()) {
-            let said = busy_reply("more is asked of the fleet than it takes on", after);
-            self.tasks.spawn(async move { reply::json(&query, &query.key, &said).await });
+        if let Err(after) = self.request_limiter.try_acquire(settings.clock.now()) {
+            let reply = busy_reply("too many requests per second", after);
+            self.tasks.spawn(async move { reply::json(&query, &query.key, &reply).await });
             return;
         }
         self.requests += 1;
-        let desk = ApiHandler {
+        let handler = ApiHandler {
             fleet: settings.keys.fleet().clone(),
             node: settings.node.clone(),
             replica: settings.replica.clone(),
@@ -418,66 +428,67 @@ impl LeaderSession {
             missions_max: settings.request_limits.missions_max,
         };
         self.tasks.spawn(async move {
-            let said = desk.handle(call, &query.payload).await;
-            reply::json(&query, &query.key, &said).await;
+            let reply = handler.handle(call, &query.payload).await;
+            reply::json(&query, &query.key, &reply).await;
         });
     }
 
-    /// What this node knows of its own reign.
+    /// Returns the status of this session.
     pub(super) fn status(&self, settings: &CoordinatorSettings) -> CoordinatorStatus {
         let since_ms = u64::try_from(settings.clock.now().since(self.since).as_millis()).unwrap_or(u64::MAX);
         CoordinatorStatus { term: self.term, since_ms, autopilot: self.autopilot.status() }
     }
 }
 
-/// Which version of the wire a fleet writes that is founded now: the newest, unless somebody is known who does not read it.
+/// Returns the wire version of a newly founded fleet: the newest, unless a known node cannot read
+/// it.
 fn first_version(settings: &CoordinatorSettings) -> u8 {
     let VersionRange { oldest, newest } = VersionRange::OWN;
     let read_by_all = settings
         .knowledge
-        .read(|base| base.iter().all(|(_, heard)| heard.record.knowledge.supported_versions.contains(newest)));
+        .read(|base| base.iter().all(|(_, stored)| stored.record.knowledge.supported_versions.contains(newest)));
     if read_by_all { newest } else { oldest }
 }
 
-/// Lets the ledger hear something whose outcome it will show.
+/// Proposes a command in the background. The ledger shows its outcome.
 pub(super) fn propose(settings: &CoordinatorSettings, tasks: &mut Tasks, command: Command) {
     let replica = settings.replica.clone();
     tasks.spawn(async move {
-        let outcome = replica.propose(command.clone(), GIVE_UP_LIMIT).await;
+        let outcome = replica.propose(command.clone(), RELEASE_TIMEOUT).await;
         if !matches!(outcome, Ok(CommandOutcome::Done)) {
-            debug!(?command, ?outcome, "not done");
+            debug!(?command, ?outcome, "proposal was not applied");
         }
     });
 }
 
-/// The members of the ensemble that are believed to be alive.
+/// Returns the members of the ensemble that are alive.
 pub(super) fn live_members(settings: &CoordinatorSettings, now: NodeTime) -> BTreeSet<NodeId> {
     let members = settings.knowledge.read(|base| settings.ensemble.members(&settings.node, base, now));
     let own = *settings.replica.cluster().borrow();
-    let ours = settings.knowledge.read(|base| {
-        let ours = |node: &NodeId| {
-            let its = base.get(node).and_then(|heard| heard.record.knowledge.cluster);
-            its.is_none() || own.is_none() || its == own
+    let own_members = settings.knowledge.read(|base| {
+        let own_members = |node: &NodeId| {
+            let cluster = base.get(node).and_then(|stored| stored.record.knowledge.cluster);
+            cluster.is_none() || own.is_none() || cluster == own
         };
-        members.into_iter().filter(ours).collect::<Vec<_>>()
+        members.into_iter().filter(own_members).collect::<Vec<_>>()
     });
-    ours.into_iter().filter(|node| settings.knowledge.is_alive(node)).collect()
+    own_members.into_iter().filter(|node| settings.knowledge.is_alive(node)).collect()
 }
 
-fn unmanaged(entry: &MissionEntry) -> Vec<ActivePlan> {
+fn unmanaged_plans(entry: &MissionEntry) -> Vec<ActivePlan> {
     let roles = entry.roles.iter().filter(|(_, role)| role.kind == RoleKind::Unmanaged);
     roles
         .filter_map(|(id, role)| {
             let (mission, plan) = (entry.id.clone(), entry.plan(id)?.clone());
-            let (branch, holders, vacant, told) =
+            let (branch, holders, vacant, signals) =
                 (entry.branch, entry.role_holders(), entry.open_roles(), entry.signals_to(id));
-            Some(ActivePlan { mission, branch, plan, ended: role.ended.clone(), holders, vacant, signals: told })
+            Some(ActivePlan { mission, branch, plan, ended: role.ended.clone(), holders, vacant, signals })
         })
         .collect()
 }
 
 pub(super) async fn publish<T: serde::Serialize>(settings: &CoordinatorSettings, key: &Key, message: &T) {
-    let bytes = Bytes::from(codec::encode(message).expect("a sign of life fits a message"));
+    let bytes = Bytes::from(codec::encode(message).expect("a beacon fits a message"));
     let key = settings.keys.write(key);
     if let Err(problem) = settings.bus.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await {
         debug!(%problem, key, "not published");

@@ -1,16 +1,18 @@
-//! The coordinator: a role that every node is ready for and one plays at a time, the one that leads the ledger.
+//! The coordinator: a role for which every voter is ready. The leader of the ledger is the only
+//! active coordinator.
 //!
-//! It keeps no truth of its own. What it has promised is in the ledger; what it remembers beside (who was last in
-//! contact, which auctions are open) can be forgotten at any instant, and the next coordinator begins with an empty
-//! memory and full leases.
+//! The coordinator owns no durable state. Its promises are in the ledger. Everything else (last
+//! contacts, open auctions) can be lost at any time: the next coordinator starts with empty state
+//! and full leases.
 //!
 //! ```text
-//!  submit ─▶ ledger ─▶ call for bids ─▶ conclude ─▶ award ─▶ ledger ─▶ notice ─▶ robot
-//!                                                                       ▲          │
-//!                                           accept, progress, fail ─────┴─ report ─┘
+//!  submit ─▶ ledger ─▶ call for bids ─▶ clear ─▶ award ─▶ ledger ─▶ notice ─▶ robot
+//!                                                                     ▲          │
+//!                                         accept, progress, fail ─────┴─ report ─┘
 //! ```
 //!
-//! `duties` says what is to be done, as a value; the [`Coordinator`] actor does it, reign by reign.
+//! `reconcile` computes the pending actions as values. The [`Coordinator`] actor performs them, in
+//! a separate session for each term.
 
 mod actor;
 mod api;

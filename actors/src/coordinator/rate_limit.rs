@@ -1,4 +1,4 @@
-//! How much a coordinator takes on at once, of all that is asked of the fleet.
+//! Rate limit: the number of requests and missions that a coordinator accepts.
 
 use consort_protocol::units::NodeTime;
 use governor::clock::{Clock as _, FakeRelativeClock};
@@ -9,21 +9,22 @@ use governor::{Quota, RateLimiter};
 use std::num::NonZeroU32;
 use std::time::Duration;
 
-/// How many requests may come at once, in seconds' worth of the steady rate.
+/// Burst size, in seconds of the steady rate.
 const BURST_S: NonZeroU32 = NonZeroU32::new(5).unwrap();
 
-/// What a fleet takes on.
+/// Limits of a fleet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RequestLimits {
-    /// Missions under way at once; 0 for no limit. More: longer queues are kept in the ledger, and looked through at each auction.
+    /// Maximum number of active missions; 0 for no limit. Raised: the ledger keeps longer queues,
+    /// and each auction has to search them.
     pub missions_max: usize,
-    /// Requests in a second, in the long run, with five times as many at once; 0 for no limit. More: whoever asks without end
-    /// has more of the coordinator's time.
+    /// Steady rate of requests per second, with bursts of 5 times as many; 0 for no limit. Raised:
+    /// a client that sends requests without end uses more of the coordinator's time.
     pub requests_per_s: u32,
 }
 
 impl Default for RequestLimits {
-    /// 1000 missions, 200 requests in a second.
+    /// 1000 missions, 200 requests per second.
     fn default() -> Self {
         RequestLimits { missions_max: 1000, requests_per_s: 200 }
     }
@@ -31,9 +32,9 @@ impl Default for RequestLimits {
 
 type Limiter = RateLimiter<NotKeyed, InMemoryState, FakeRelativeClock, NoOpMiddleware<Nanos>>;
 
-/// Counts requests, by the node's clock.
+/// Rate limiter of requests, on the node's clock.
 pub(super) struct RequestLimiter {
-    /// The clock of the limiter, and what it shows. None if there is no limit.
+    /// The limiter and its clock. `None` for no limit.
     limiter: Option<(Limiter, FakeRelativeClock)>,
     now: NodeTime,
 }
@@ -48,7 +49,7 @@ impl RequestLimiter {
         RequestLimiter { limiter, now }
     }
 
-    /// Takes a request, or says after how long one would be taken.
+    /// Accepts a request, or returns the time until the next request would be accepted.
     pub(super) fn try_acquire(&mut self, now: NodeTime) -> Result<(), Duration> {
         let Some((limiter, clock)) = &self.limiter else { return Ok(()) };
         clock.advance(now.since(self.now));
@@ -66,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn a_steady_rate_and_a_burst_are_taken_and_no_more() {
+    fn the_limiter_accepts_a_steady_rate_and_a_burst() {
         let limits = RequestLimits { requests_per_s: 10, ..RequestLimits::default() };
         let mut intake = RequestLimiter::new(limits, at(0));
         let taken = (0..100).filter(|_| intake.try_acquire(at(0)).is_ok()).count();
@@ -78,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_limit_all_are_taken() {
+    fn without_a_limit_every_request_is_accepted() {
         let mut intake = RequestLimiter::new(RequestLimits { missions_max: 0, requests_per_s: 0 }, at(0));
         assert!((0..10_000).all(|_| intake.try_acquire(at(0)).is_ok()));
     }

@@ -1,4 +1,4 @@
-//! What the coordinator does with a robot's report, and what it answers.
+//! Handling of robot reports by the coordinator.
 
 use super::last_known_place::last_known_places;
 use super::leader_session::{SharedLeaseMonitor, lock_monitor};
@@ -18,19 +18,19 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 use tracing::{debug, info};
 
-/// How long the ledger may take to accept what was reported.
-const LIMIT: Duration = Duration::from_secs(1);
+/// Timeout for the ledger to commit a report.
+const COMMIT_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// What the ledger needs to hear before a report can be answered.
+/// Next step of handling a report.
 #[derive(Debug, Clone, PartialEq)]
 enum Step {
-    /// Nothing more: answer.
-    Answer(ReportReply),
-    /// This first.
+    /// Send this reply; nothing is left to commit.
+    Reply(ReportReply),
+    /// Commit this command first.
     Commit(Command),
 }
 
-/// What reports are answered with.
+/// Handler of reports, with the state it needs.
 pub(super) struct ReportHandler {
     pub(super) replica: Replica<Ledger>,
     pub(super) knowledge: SharedKnowledge,
@@ -40,67 +40,70 @@ pub(super) struct ReportHandler {
 }
 
 impl ReportHandler {
-    /// Writes what is new in a report into the ledger, then answers. Nothing but `NotCoordinator` is said before the ledger
-    /// has it, and a lease is renewed only while a majority is known to follow this coordinator.
+    /// Commits the news of a report to the ledger, then returns the reply. Until the commit the
+    /// only possible reply is `NotCoordinator`. A lease is renewed only while a majority is known
+    /// to follow this coordinator.
     pub(super) async fn handle(&self, report: Report) -> ReportReply {
         let ReportHandler { replica, knowledge, .. } = self;
-        // Accept, progress, release: no report needs more commits than this.
+        // Accept, progress, release: no report needs more commits.
         for _ in 0..4 {
             let step = replica.read(|ledger| {
                 let entry = ledger.mission(&report.mission);
                 next(entry, &report, || last_known_places(knowledge, entry))
             });
             let command = match step {
-                Step::Answer(answer) => return self.renew_if_sure(answer, &report),
+                Step::Reply(reply) => return self.renew_if_leader(reply, &report),
                 Step::Commit(command) => command,
             };
             if mutants::is_active(Mutant::UncommittedReport)
                 && let Command::Progress { .. } = command
             {
-                return answer_at_once(replica.clone(), command, &report);
+                return reply_before_commit(replica.clone(), command, &report);
             }
-            match replica.propose(command, LIMIT).await {
+            match replica.propose(command, COMMIT_TIMEOUT).await {
                 Ok(CommandOutcome::Refused(CommandError::Restarted { .. })) => {
-                    info!(robot = %report.robot, mission = %report.mission, role = %report.role, "has started anew: released");
-                    let cause = format!("{} started anew and has forgotten the plan", report.robot);
-                    if let Err(problem) = replica.propose(release(&report, cause, false), LIMIT).await {
-                        return unsure(problem);
+                    let Report { robot, mission, role, .. } = &report;
+                    info!(%robot, %mission, %role, "robot restarted: role released");
+                    let cause = format!("{} restarted and has lost the plan", report.robot);
+                    if let Err(problem) = replica.propose(release(&report, cause, false), COMMIT_TIMEOUT).await {
+                        return reply_not_coordinator(problem);
                     }
                 }
-                Ok(_) => {} // whatever it was, the ledger now shows it
-                Err(problem) => return unsure(problem),
+                Ok(_) => {} // the ledger shows the result
+                Err(problem) => return reply_not_coordinator(problem),
             }
         }
-        debug!(robot = %report.robot, mission = %report.mission, "the ledger moved on while a report was being answered");
+        debug!(robot = %report.robot, mission = %report.mission, "ledger changed while a report was being handled");
         ReportReply::NotCoordinator { coordinator: None }
     }
 
-    fn renew_if_sure(&self, answer: ReportReply, report: &Report) -> ReportReply {
+    fn renew_if_leader(&self, reply: ReportReply, report: &Report) -> ReportReply {
         if self.replica.quorum_ack_age().is_none_or(|age| age > self.leadership_age_max) {
             return ReportReply::NotCoordinator { coordinator: None };
         }
-        // Whoever is told that the lease goes on was in contact before anybody can find the lease to have ended.
+        // A robot that gets a renewal counts as contacted before the lease can be found expired.
         let may_renew = || {
             let renewed = lock_monitor(&self.lease_monitor).renew(report.epoch, &report.robot, self.clock.now());
-            // To ignore epochs is to ignore that this one was taken away, too.
+            // Ignoring epochs includes ignoring that this award was revoked.
             renewed || mutants::is_active(Mutant::IgnoreEpoch) || mutants::is_active(Mutant::RefusedApplied)
         };
-        if matches!(answer, ReportReply::Renewed { .. }) && !may_renew() {
-            debug!(robot = %report.robot, mission = %report.mission, role = %report.role, "not renewed: about to be released");
+        if matches!(reply, ReportReply::Renewed { .. }) && !may_renew() {
+            let Report { robot, mission, role, .. } = report;
+            debug!(%robot, %mission, %role, "lease not renewed: release is due");
             return ReportReply::NotCoordinator { coordinator: None };
         }
-        answer
+        reply
     }
 }
 
-/// A mistake: it says that the ledger has what it was only just asked to take.
-fn answer_at_once(replica: Replica<Ledger>, command: Command, report: &Report) -> ReportReply {
+/// Injected bug: reports a proposal as committed before it is.
+fn reply_before_commit(replica: Replica<Ledger>, command: Command, report: &Report) -> ReportReply {
     let (steps, holders) = replica.read(|ledger| {
         let entry = ledger.mission(&report.mission);
         let plan = entry.and_then(|entry| entry.plan(&report.role));
         (plan.map(|plan| plan.steps.len()), entry.map(MissionEntry::role_holders).unwrap_or_default())
     });
-    tokio::spawn(async move { replica.propose(command, LIMIT).await });
+    tokio::spawn(async move { replica.propose(command, COMMIT_TIMEOUT).await });
     let epoch = report.epoch;
     if steps == Some(report.ended.len()) {
         ReportReply::Ended { epoch, reason: EndReason::Over, current: Some(epoch) }
@@ -109,7 +112,7 @@ fn answer_at_once(replica: Replica<Ledger>, command: Command, report: &Report) -
     }
 }
 
-fn unsure(problem: ProposeError) -> ReportReply {
+fn reply_not_coordinator(problem: ProposeError) -> ReportReply {
     debug!(%problem, "a report was not committed");
     let coordinator: Option<NodeId> = match problem {
         ProposeError::NotLeader { leader } => leader,
@@ -118,22 +121,22 @@ fn unsure(problem: ProposeError) -> ReportReply {
     ReportReply::NotCoordinator { coordinator }
 }
 
-fn release(report: &Report, cause: String, blamed: bool) -> Command {
+fn release(report: &Report, cause: String, robot_failed: bool) -> Command {
     let (mission, role, epoch) = (report.mission.clone(), report.role.clone(), report.epoch);
-    Command::Release { mission, role, epoch, cause, robot_failed: blamed, place: report.place.clone() }
+    Command::Release { mission, role, epoch, cause, robot_failed, place: report.place.clone() }
 }
 
 fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> BTreeMap<RobotId, PlaceId>) -> Step {
     let holder = entry.and_then(|entry| entry.roles.get(&report.role)?.holder.as_ref());
     let current = holder.map(|holder| holder.epoch);
-    let ended = |reason| Step::Answer(ReportReply::Ended { epoch: report.epoch, reason, current });
+    let ended = |reason| Step::Reply(ReportReply::Ended { epoch: report.epoch, reason, current });
     let Some(entry) = entry else { return ended(EndReason::Over) };
     match &entry.state {
         MissionState::Pending | MissionState::Running => {}
         MissionState::Completed => return ended(EndReason::Over),
         MissionState::Failed { .. } => return ended(EndReason::Failed),
         MissionState::Canceled { .. } => return ended(EndReason::Canceled),
-        MissionState::NeedsRescue { .. } => return ended(EndReason::Rescue),
+        MissionState::NeedsIntervention { .. } => return ended(EndReason::NeedsIntervention),
     }
     let Some(role) = entry.roles.get(&report.role) else { return ended(EndReason::Replaced) };
     match role.kind {
@@ -144,7 +147,7 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
                     return ended(EndReason::Over);
                 }
                 if holder.incarnation.is_some_and(|known| known > report.incarnation) {
-                    return ended(EndReason::Replaced); // by a later life of the same robot
+                    return ended(EndReason::Replaced); // by a later incarnation of the same robot
                 }
                 if holder.incarnation != Some(report.incarnation) {
                     return Step::Commit(Command::Accept {
@@ -161,10 +164,11 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
             None => return ended(EndReason::Released),
         },
         RoleKind::Unmanaged => match report.branch.cmp(&entry.branch) {
-            Ordering::Less => return ended(EndReason::Replaced), // by its namesake in the recovery branch
+            // The recovery branch has a role of the same name.
+            Ordering::Less => return ended(EndReason::Replaced),
             Ordering::Equal => {}
-            // What the reporter has been told this node has yet to learn.
-            Ordering::Greater => return Step::Answer(ReportReply::NotCoordinator { coordinator: None }),
+            // The reporter has received a change that this node has not applied yet.
+            Ordering::Greater => return Step::Reply(ReportReply::NotCoordinator { coordinator: None }),
         },
     }
     if !report.ended.is_subset(&role.ended) {
@@ -174,17 +178,17 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
         let what = failure.task.as_ref().map_or("go on".to_owned(), |task| format!("do {task}"));
         let cause = format!("{} as {} could not {what}: {}", report.robot, report.role, failure.cause);
         return Step::Commit(match role.kind {
-            // It leaves the role to another. One that merely leaves the fleet, or has begun nothing because it could not
-            // write that down, may come back and bid.
+            // The role is released to another robot. A robot that only leaves the fleet, or that
+            // has started nothing because its checkpoint failed, may bid again.
             RoleKind::Managed => {
-                release(report, cause, !matches!(failure.kind, FailureKind::Leaving | FailureKind::Notebook))
+                release(report, cause, !matches!(failure.kind, FailureKind::Leaving | FailureKind::Checkpoint))
             }
             RoleKind::Unmanaged => {
                 Command::Fail { mission: report.mission.clone(), cause, branch: Some(report.branch), places: places() }
             }
         });
     }
-    Step::Answer(ReportReply::Renewed {
+    Step::Reply(ReportReply::Renewed {
         epoch: report.epoch,
         ended: role.ended.clone(),
         holders: entry.role_holders(),

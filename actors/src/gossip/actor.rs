@@ -1,13 +1,14 @@
-//! The actor around [`Gossiper`]: its mailbox, its timer and its share of the bus. It decides nothing.
+//! The actor around [`Gossiper`]: its mailbox, its timer and its declarations on the bus. It makes
+//! no decisions.
 //!
 //! ```text
 //!  bus streams ─▶ forwarders ─▶ mailbox ─▶ Gossiper ─▶ actions ─┬▶ outbox ─▶ bus
-//!                   alarm ────────┘  ▲                          └▶ a task per question asked
-//!                                    └──────── answer ─────────────────┘
+//!                   alarm ────────┘  ▲                          └▶ a task per request
+//!                                    └──────── reply ─────────────────┘
 //! ```
 //!
-//! Nothing is awaited on the bus within the mailbox: a bus that stalls holds up the outbox, which then drops what does
-//! not fit. All of it repeats or is repaired.
+//! The mailbox never waits for the bus. If the bus stalls, the outbox fills and then drops further
+//! messages. All of them are repeated or repaired.
 
 use super::gossiper::{Action, Change, Event, Gossiper};
 use super::record_signer::{ProofStatus, SharedRecordSigner};
@@ -29,32 +30,32 @@ use rand_chacha::ChaCha8Rng;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 
-/// All that a node's gossip begins with.
+/// Initial state of a node's gossip.
 pub struct GossipStart {
-    /// Who it is, and how often it speaks.
+    /// Identity and intervals.
     pub settings: Settings,
-    /// What it says of itself.
+    /// Knowledge to publish.
     pub knowledge: Knowledge,
-    /// Where it keeps what it hears: a new one, or that of the actor in whose place it is started.
+    /// Storage for received knowledge: new, or taken over from a failed actor.
     pub shared: SharedKnowledge,
-    /// How it speaks.
+    /// Bus to use.
     pub bus: SharedBus,
-    /// The node's clock.
+    /// Clock of the node.
     pub clock: Clock,
-    /// Where all chance comes from.
+    /// Source of all randomness.
     pub rng: ChaCha8Rng,
-    /// Which version of the wire it writes.
+    /// Wire version to write.
     pub wire_version: WireVersion,
-    /// Who signs what it says of itself and judges what others hand on, where the fleet has certificates.
+    /// Signer of the own record and verifier of forwarded records, if the fleet has certificates.
     pub signer: Option<SharedRecordSigner>,
 }
 
-/// Gossip has stopped: nothing was changed.
+/// Gossip has stopped. Nothing was changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("gossip has stopped")]
 pub struct GossipStopped;
 
-/// The way to a node's gossip.
+/// Handle of a node's gossip.
 #[derive(Clone)]
 pub struct GossipHandle {
     actor: ActorRef<Message>,
@@ -62,41 +63,44 @@ pub struct GossipHandle {
 }
 
 impl GossipHandle {
-    /// What the node says of itself is now this. Others hear of it at once, unless it is what it said already.
+    /// Replaces the node's knowledge. It is published at once, unless it is unchanged.
     ///
     /// # Errors
-    /// [`Stopped`].
+    /// [`GossipStopped`].
     pub fn update(&self, knowledge: Knowledge) -> Result<(), GossipStopped> {
         self.update_with(move |own| *own = knowledge)
     }
 
-    /// Changes a part of what the node says of itself. A record beyond 3 KiB is not taken; that is logged.
+    /// Changes a part of the node's knowledge. A record larger than 3 KiB is rejected and logged.
     ///
     /// # Errors
-    /// [`Stopped`].
+    /// [`GossipStopped`].
     pub fn update_with(&self, change: impl FnOnce(&mut Knowledge) + Send + 'static) -> Result<(), GossipStopped> {
-        self.actor.cast(Message::Change(Box::new(change))).map_err(|_| GossipStopped)
+        self.actor.cast(Message::ChangeKnowledge(Box::new(change))).map_err(|_| GossipStopped)
     }
 
-    /// What the node has heard.
+    /// Returns the knowledge received from all nodes.
     pub fn shared(&self) -> &SharedKnowledge {
         &self.shared
     }
 
-    /// The actor, to link, stop or kill it. Stopped, it tells others that the node leaves; killed, it does not.
+    /// Returns the actor, to link, stop or kill it. A stopped actor announces that the node leaves;
+    /// a killed actor does not.
     pub fn cell(&self) -> ActorCell {
         self.actor.get_cell()
     }
 }
 
-/// The actor which tells others what its node knows and hears what they know. Start it by [`Gossip::start`].
+/// Actor that publishes its node's knowledge and receives the knowledge of other nodes. Start it by
+/// [`Gossip::start`].
 pub struct Gossip;
 
 impl Gossip {
-    /// Starts it, linked to a supervisor if there is one: that hears when it fails, as it does when the bus closes.
+    /// Starts the actor, linked to a supervisor if given. The supervisor is notified of a failure,
+    /// for example when the bus closes.
     ///
     /// # Errors
-    /// When the bus refuses a declaration.
+    /// If the bus rejects a declaration.
     pub async fn start(
         start: GossipStart,
         supervisor: Option<ActorCell>,
@@ -110,25 +114,25 @@ impl Gossip {
     }
 }
 
-/// What reaches the mailbox.
+/// Message to the actor.
 #[doc(hidden)]
 pub enum Message {
     /// The node's own knowledge changes.
-    Change(Change),
-    /// A node said something of itself.
-    Knowledge(Sample),
+    ChangeKnowledge(Change),
+    /// A node published its record.
+    RecordReceived(Sample),
     /// A packet of failure detection.
     Packet(Bytes),
     /// A token appeared or vanished.
     Presence(Presence),
     /// A peer compares digests.
-    Asked(Query),
-    /// A peer answered, refused, or did neither in time.
-    Answered(u64, Option<Result<Bytes, String>>),
-    /// Something is due.
-    Woke,
-    /// The fleet writes another version of the wire.
-    Raised,
+    RequestReceived(Query),
+    /// A peer replied, refused, or did neither in time.
+    ReplyReceived(u64, Option<Result<Bytes, String>>),
+    /// A timer has expired.
+    TimerFired,
+    /// The fleet writes another wire version.
+    VersionRaised,
     /// The bus has closed.
     Closed(&'static str),
 }
@@ -138,7 +142,7 @@ enum Outgoing {
     Reply(Query, Bytes),
 }
 
-/// Messages that may wait for the bus.
+/// Capacity of the outbox, in messages.
 const OUTBOX: usize = 1024;
 
 #[doc(hidden)]
@@ -153,7 +157,7 @@ pub struct State {
     shared: SharedKnowledge,
     outbox: mpsc::Sender<Outgoing>,
     alarm: watch::Sender<Option<NodeTime>>,
-    /// Ended with the actor, however it ends.
+    /// Aborted when the actor ends for any reason.
     tasks: JoinSet<()>,
     _token: PresenceToken,
 }
@@ -171,21 +175,21 @@ impl Actor for Gossip {
         let node = settings.node.clone();
 
         let records = bus.subscribe(&keys.any_knowledge()).await?;
-        forward(&mut tasks, &myself, records, "records", Message::Knowledge);
+        forward(&mut tasks, &myself, records, "records", Message::RecordReceived);
         let packets = bus.subscribe(&keys.write(&Key::Swim(node.clone()))).await?;
         forward(&mut tasks, &myself, packets, "packets", |sample: Sample| Message::Packet(sample.payload));
-        let questions = bus.serve(&keys.write(&Key::Gossip(node.clone()))).await?;
-        forward(&mut tasks, &myself, questions, "questions", Message::Asked);
+        let queries = bus.serve(&keys.write(&Key::Gossip(node.clone()))).await?;
+        forward(&mut tasks, &myself, queries, "queries", Message::RequestReceived);
         let presence = bus.watch(&keys.any_alive_node()).await?;
         forward(&mut tasks, &myself, presence, "tokens", Message::Presence);
-        // Announced last: whoever sees the token may ask at once.
+        // Announced last: other nodes may query as soon as they receive the token.
         let token = bus.announce(&keys.write(&Key::AliveNode(node))).await?;
 
         let (outbox, outgoing) = mpsc::channel(OUTBOX);
         tasks.spawn(send(bus.clone(), outgoing, keys.write(&Key::Gossip(settings.node.clone())), shared.clone()));
         let (alarm, alarm_set) = watch::channel(None);
-        tasks.spawn(ring(clock, alarm_set, myself.clone()));
-        tasks.spawn(tell_of_raises(wire_version.clone(), myself));
+        tasks.spawn(run_alarm(clock, alarm_set, myself.clone()));
+        tasks.spawn(forward_version_changes(wire_version.clone(), myself));
 
         let now = clock.now();
         let (gossiper, actions) =
@@ -214,49 +218,51 @@ impl Actor for Gossip {
         message: Message,
         state: &mut State,
     ) -> Result<(), ActorProcessingErr> {
-        let mut asker = None;
+        let mut requester = None;
         let event = match message {
-            Message::Change(change) => Ok(Event::KnowledgeChanged(change)),
-            Message::Knowledge(sample) => {
-                state.read_statement(&sample).map(|(owner, statement)| Event::Published(owner, statement))
+            Message::ChangeKnowledge(change) => Ok(Event::KnowledgeChanged(change)),
+            Message::RecordReceived(sample) => {
+                state.read_update(&sample).map(|(owner, update)| Event::Published(owner, update))
             }
             Message::Packet(bytes) => Ok(Event::Packet(bytes)),
             Message::Presence(presence) => match state.keys.read(&presence.key) {
                 Some(Key::AliveNode(node)) => Ok(Event::Token(node, presence.alive)),
-                _ => Err(format!("{:?} is no node's token", presence.key)),
+                _ => Err(format!("key {:?} is not a node's presence token", presence.key)),
             },
-            Message::Asked(query) => {
+            Message::RequestReceived(query) => {
                 let exchange = state.read_exchange(&query.payload).map(Event::RequestReceived);
-                asker = Some(query);
+                requester = Some(query);
                 exchange
             }
-            Message::Answered(round, Some(Ok(bytes))) => {
+            Message::ReplyReceived(round, Some(Ok(bytes))) => {
                 state.read_exchange(&bytes).map(|exchange| Event::ReplyReceived(round, Some(exchange)))
             }
-            Message::Answered(round, Some(Err(refusal))) => {
-                tracing::debug!(%refusal, "a peer would not compare digests");
+            Message::ReplyReceived(round, Some(Err(refusal))) => {
+                tracing::debug!(%refusal, "a peer refused to compare digests");
                 Ok(Event::ReplyReceived(round, None))
             }
-            Message::Answered(round, None) => Ok(Event::ReplyReceived(round, None)),
-            Message::Woke => {
-                // It has rung: whatever is due next is to be set again, be it the same instant.
-                state.alarm.send_if_modified(|set| set.take().is_none());
+            Message::ReplyReceived(round, None) => Ok(Event::ReplyReceived(round, None)),
+            Message::TimerFired => {
+                // The alarm has fired: the next due time must be set again, even if it is the same.
+                state.alarm.send_if_modified(|alarm| alarm.take().is_none());
                 Ok(Event::TimerFired)
             }
-            Message::Raised => Ok(Event::VersionRaised { with_proofs: state.wire_version.get() >= Exchange::SINCE }),
-            Message::Closed(what) => return Err(format!("the bus brings no more {what}").into()),
+            Message::VersionRaised => {
+                Ok(Event::VersionRaised { with_proofs: state.wire_version.get() >= Exchange::SINCE })
+            }
+            Message::Closed(what) => return Err(format!("the bus closed the stream of {what}").into()),
         };
         let now = state.clock.now();
         let handled = event.and_then(|event| state.gossiper.handle(event, &mut state.shared.lock(), now));
         match handled {
-            Ok(actions) => state.perform(actions, asker, Some(&myself)),
-            Err(problem) => state.complain(&problem),
+            Ok(actions) => state.perform(actions, requester, Some(&myself)),
+            Err(problem) => state.count_malformed(&problem),
         }
         Ok(())
     }
 
     async fn post_stop(&self, _: ActorRef<Message>, state: &mut State) -> Result<(), ActorProcessingErr> {
-        // The outbox ends with the actor, so this does not go through it.
+        // The outbox ends with the actor, so these messages do not pass through it.
         for action in state.gossiper.leave() {
             if let Action::Send(to, bytes) = action {
                 state.bus.publish(&state.keys.write(&Key::Swim(to)), bytes, Encoding::Wire, Delivery::Drop).await?;
@@ -267,26 +273,26 @@ impl Actor for Gossip {
 }
 
 impl State {
-    fn perform(&mut self, actions: Vec<Action>, mut asker: Option<Query>, myself: Option<&ActorRef<Message>>) {
+    fn perform(&mut self, actions: Vec<Action>, mut requester: Option<Query>, myself: Option<&ActorRef<Message>>) {
         for action in actions {
             match action {
-                Action::Publish(statement) => {
+                Action::Publish(update) => {
                     let key = self.keys.write(&Key::Knowledge(self.settings.node.clone()));
-                    self.send(Outgoing::Publish(key, self.encode(statement)));
+                    self.send(Outgoing::Publish(key, self.encode(update)));
                 }
                 Action::Send(to, bytes) => {
                     let key = self.keys.write(&Key::Swim(to));
                     self.send(Outgoing::Publish(key, bytes));
                 }
                 Action::SendReply(exchange) => {
-                    if let Some(query) = asker.take() {
+                    if let Some(query) = requester.take() {
                         self.send(Outgoing::Reply(query, self.encode(exchange)));
                     }
                 }
                 Action::SendRequest(round, peer, exchange) => {
                     if let Some(myself) = myself {
-                        let asked = self.encode(exchange);
-                        self.ask(round, &peer, asked, myself.clone());
+                        let request = self.encode(exchange);
+                        self.send_request(round, &peer, request, myself.clone());
                     }
                 }
             }
@@ -295,7 +301,7 @@ impl State {
             self.shared.notify_change();
         }
         let due = self.gossiper.next_due();
-        self.alarm.send_if_modified(|set| std::mem::replace(set, due) != due);
+        self.alarm.send_if_modified(|alarm| std::mem::replace(alarm, due) != due);
     }
 
     fn send(&self, outgoing: Outgoing) {
@@ -304,42 +310,42 @@ impl State {
         }
     }
 
-    fn ask(&mut self, round: u64, peer: &NodeId, payload: Bytes, myself: ActorRef<Message>) {
+    fn send_request(&mut self, round: u64, peer: &NodeId, payload: Bytes, myself: ActorRef<Message>) {
         while self.tasks.try_join_next().is_some() {}
         let (bus, key, limit) =
             (self.bus.clone(), self.keys.write(&Key::Gossip(peer.clone())), self.settings.reply_timeout);
         self.tasks.spawn(async move {
-            let answer = match bus.query(&key, payload, limit).await {
+            let reply = match bus.query(&key, payload, limit).await {
                 Ok(mut replies) => replies.recv().await.map(|reply| reply.payload),
                 Err(problem) => Some(Err(problem.to_string())),
             };
-            // It fails only when the actor has ended, and this task with it.
-            drop(myself.cast(Message::Answered(round, answer)));
+            // This fails only after the end of the actor, which also ends this task.
+            drop(myself.cast(Message::ReplyReceived(round, reply)));
         });
     }
 
     fn encode<T: VersionedMessage>(&self, message: T) -> Bytes {
         let bytes = codec::encode_for_version(self.wire_version.get(), message);
-        bytes.expect("records and exchanges are bounded when they are made").into()
+        bytes.expect("the size of records and exchanges is limited on creation").into()
     }
 
-    /// What a peer tells, less what it cannot prove that its owners said.
+    /// Decodes a peer's exchange and removes the records without a valid proof of their owner.
     fn read_exchange(&mut self, bytes: &[u8]) -> Result<Exchange, String> {
         let mut exchange: Exchange = decode(bytes)?;
-        let Some(notary) = self.signer.clone() else { return Ok(exchange) };
-        // As long as the fleet writes a version without proofs, none can be asked for.
+        let Some(signer) = self.signer.clone() else { return Ok(exchange) };
+        // While the fleet writes a version without proofs, proofs cannot be required.
         let with_proofs = self.wire_version.get() >= Exchange::SINCE;
         let known = self.shared.clone();
         exchange.records.retain(|record| {
-            // What is not later changes nothing: it need not be judged.
-            if known.read(|base| base.get(&record.owner).is_some_and(|heard| heard.record.stamp >= record.stamp)) {
+            // An older record changes nothing, so it is not verified.
+            if known.read(|base| base.get(&record.owner).is_some_and(|stored| stored.record.stamp >= record.stamp)) {
                 return false;
             }
-            match notary.verify(record) {
+            match signer.verify(record) {
                 ProofStatus::Valid => true,
                 ProofStatus::Unproven => !with_proofs,
                 ProofStatus::Forged(problem) => {
-                    self.complain(&problem);
+                    self.count_malformed(&problem);
                     false
                 }
             }
@@ -347,29 +353,30 @@ impl State {
         Ok(exchange)
     }
 
-    /// Who published, and what.
-    fn read_statement(&self, sample: &Sample) -> Result<(NodeId, RecordUpdate), String> {
-        let statement: RecordUpdate = decode(&sample.payload)?;
-        match (self.keys.read(&sample.key), &statement) {
+    /// Decodes a published record update, and returns its owner.
+    fn read_update(&self, sample: &Sample) -> Result<(NodeId, RecordUpdate), String> {
+        let update: RecordUpdate = decode(&sample.payload)?;
+        match (self.keys.read(&sample.key), &update) {
             (Some(Key::Knowledge(node)), RecordUpdate::Record(record)) if node != record.owner => {
                 Err(format!("record of {} on key {:?}", record.owner, sample.key))
             }
-            (Some(Key::Knowledge(node)), _) => Ok((node, statement)),
+            (Some(Key::Knowledge(node)), _) => Ok((node, update)),
             _ => Err(format!("knowledge on key {:?}", sample.key)),
         }
     }
 
-    /// Counts and logs a message that cannot be used: aloud when there are twice as many as the last time.
-    fn complain(&self, problem: &str) {
+    /// Counts and logs an unusable message: as a warning when the count has doubled since the last
+    /// warning.
+    fn count_malformed(&self, problem: &str) {
         let count = {
             let mut known = self.shared.lock();
             known.counters.malformed += 1;
             known.counters.malformed
         };
         if count.is_power_of_two() {
-            tracing::warn!(node = %self.settings.node, count, problem, "dropped a message");
+            tracing::warn!(node = %self.settings.node, count, problem, "dropped a malformed message");
         } else {
-            tracing::debug!(node = %self.settings.node, count, problem, "dropped a message");
+            tracing::debug!(node = %self.settings.node, count, problem, "dropped a malformed message");
         }
     }
 }
@@ -378,7 +385,7 @@ fn decode<T: VersionedMessage>(bytes: &[u8]) -> Result<T, String> {
     codec::decode_any_version(bytes).map_err(|e| e.to_string())
 }
 
-/// Brings what a stream of the bus yields to the mailbox.
+/// Forwards the items of a bus stream to the mailbox.
 fn forward<T: Send + 'static>(
     tasks: &mut JoinSet<()>,
     to: &ActorRef<Message>,
@@ -397,7 +404,7 @@ fn forward<T: Send + 'static>(
     });
 }
 
-/// Sends what waits in the outbox, in order.
+/// Sends the messages in the outbox, in order.
 async fn send(bus: SharedBus, mut outgoing: mpsc::Receiver<Outgoing>, own_key: String, shared: SharedKnowledge) {
     while let Some(message) = outgoing.recv().await {
         let sent: Result<(), BusError> = match message {
@@ -405,38 +412,38 @@ async fn send(bus: SharedBus, mut outgoing: mpsc::Receiver<Outgoing>, own_key: S
             Outgoing::Reply(query, payload) => query.replier.reply(&own_key, payload, Encoding::Wire).await,
         };
         if let Err(problem) = sent {
-            tracing::debug!(%problem, "not sent");
+            tracing::debug!(%problem, "failed to send a message");
             shared.lock().counters.unsent += 1;
         }
     }
 }
 
-/// Brings word when the fleet writes another version of the wire.
-async fn tell_of_raises(wire: WireVersion, to: ActorRef<Message>) {
+/// Notifies the actor when the fleet writes another wire version.
+async fn forward_version_changes(wire: WireVersion, to: ActorRef<Message>) {
     let mut versions = wire.subscribe();
-    while versions.changed().await.is_ok() && to.cast(Message::Raised).is_ok() {}
+    while versions.changed().await.is_ok() && to.cast(Message::VersionRaised).is_ok() {}
 }
 
-/// Rings when the time comes that was last set.
-async fn ring(clock: Clock, mut set: watch::Receiver<Option<NodeTime>>, whom: ActorRef<Message>) {
+/// Sends `TimerFired` at the time that was set last.
+async fn run_alarm(clock: Clock, mut alarm: watch::Receiver<Option<NodeTime>>, actor: ActorRef<Message>) {
     loop {
-        let due = *set.borrow_and_update();
-        let rung = match due {
+        let due = *alarm.borrow_and_update();
+        let expired = match due {
             None => false,
             Some(due) => tokio::select! {
                 biased;
-                changed = set.changed() => match changed {
+                changed = alarm.changed() => match changed {
                     Ok(()) => continue,
                     Err(_) => return,
                 },
                 () = tokio::time::sleep_until(clock.instant(due)) => true,
             },
         };
-        if rung && whom.cast(Message::Woke).is_err() {
+        if expired && actor.cast(Message::TimerFired).is_err() {
             return;
         }
-        // What is due has been told; there will be a next time.
-        if set.changed().await.is_err() {
+        // The due time has been reported; a later change sets the next time.
+        if alarm.changed().await.is_err() {
             return;
         }
     }

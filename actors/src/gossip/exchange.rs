@@ -1,7 +1,8 @@
-//! What of a digest and of records goes into one message.
+//! Selection of digest entries and records for a single message.
 //!
-//! A message is bounded ([`codec::LIMIT`]). What does not fit waits for the next: each selection begins behind the last
-//! owner of the selection before it, so that every owner's turn comes, however large the fleet.
+//! The size of a message is limited ([`codec::MESSAGE_BYTES_MAX`]). Entries that do not fit wait
+//! for the next message. Each selection begins after the last owner of the selection before it, so
+//! every owner is included eventually, however large the fleet.
 
 use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
@@ -9,21 +10,23 @@ use consort_protocol::knowledge::{Digest, DigestScope, Record};
 use consort_protocol::message::Exchange;
 use serde::Serialize;
 
-/// Largest record. Eight fit into a message beside the largest digest; a robot's takes some 200 bytes.
+/// Maximum size of a record, in bytes. Eight fit into a message with the largest digest; the record
+/// of a robot takes some 200 bytes.
 pub(super) const RECORD_MAX: usize = 3 * 1024;
 
-/// Bytes of a digest: some 1500 owners with names of usual length. The other's digest tells no more than ours.
+/// Maximum size of a digest, in bytes: some 1500 owners with names of usual length. The peer's
+/// digest is limited likewise.
 const DIGEST_MAX: usize = 38 * 1024;
 
-/// For the version byte and the two lengths.
+/// Bytes for the version byte and the two lengths.
 const FRAME: usize = 32;
 
-/// Bytes that a value takes within a message.
+/// Returns the encoded size of a value within a message, in bytes.
 pub(super) fn encoded_size<T: Serialize>(value: &T) -> usize {
     codec::encode(value).map_or(usize::MAX, |bytes| bytes.len() - 1)
 }
 
-/// Whose turn is next, in digests and in records.
+/// Last selected owners of digest entries and of records.
 #[derive(Debug, Default)]
 pub(super) struct ExchangeCursors {
     digest: Option<NodeId>,
@@ -31,25 +34,27 @@ pub(super) struct ExchangeCursors {
 }
 
 impl ExchangeCursors {
-    /// A message with as much of both as fits. The digest is of those in the scope.
-    pub(super) fn compose(&mut self, scope: DigestScope, digest: Digest, lacking: &[&Record]) -> Exchange {
+    /// Composes a message with as many digest entries and records as fit. The digest is limited to
+    /// `scope`.
+    pub(super) fn compose(&mut self, scope: DigestScope, digest: Digest, missing: &[&Record]) -> Exchange {
         let entries: Vec<_> = digest.into_iter().collect();
         let (entries, used) = fitting(entries, |(owner, _)| owner, DIGEST_MAX, &mut self.digest);
         let left = codec::MESSAGE_BYTES_MAX - FRAME - used;
-        let (records, _) = fitting(lacking.to_vec(), |record| &record.owner, left, &mut self.records);
+        let (records, _) = fitting(missing.to_vec(), |record| &record.owner, left, &mut self.records);
         let sums = vec![];
         Exchange { sums, scope, digest: entries.into_iter().collect(), records: records.into_iter().cloned().collect() }
     }
 }
 
-/// As many items as fit, given in the order of their owners, beginning behind `turn`; and how many bytes they take.
+/// Selects as many items as fit, in the order of their owners, beginning after `turn`. Returns the
+/// items and their total size.
 fn fitting<T: Serialize>(
     mut items: Vec<T>,
     owner: impl Fn(&T) -> &NodeId,
     budget: usize,
-    turn: &mut Option<NodeId>,
+    cursor: &mut Option<NodeId>,
 ) -> (Vec<T>, usize) {
-    let begin = turn.as_ref().map_or(0, |last| items.partition_point(|item| owner(item) <= last));
+    let begin = cursor.as_ref().map_or(0, |last| items.partition_point(|item| owner(item) <= last));
     let begin = begin % items.len().max(1);
     items.rotate_left(begin);
     let mut used = 0;
@@ -58,10 +63,10 @@ fn fitting<T: Serialize>(
         used <= budget
     };
     let taken = items.iter().map(fits).take_while(|fit| *fit).count();
-    // Only when some had to wait is there a turn to remember.
+    // The cursor moves only if some items did not fit.
     if taken < items.len() {
-        // One that fits no message at all must not hold up the others for ever.
-        *turn = items.get(taken.saturating_sub(1)).map(|item| owner(item).clone());
+        // An item too large for any message must not block the others forever.
+        *cursor = items.get(taken.saturating_sub(1)).map(|item| owner(item).clone());
         items.truncate(taken);
     }
     let used = items.iter().map(encoded_size).sum();
@@ -96,28 +101,28 @@ mod tests {
     }
 
     #[test]
-    fn every_turn_comes_and_every_message_fits() {
+    fn every_owner_is_included_and_every_message_fits() {
         for count in [0, 1, 20, 3000] {
             let records = records(count, |n| format!("{n:0>64}"));
-            let lacking: Vec<&Record> = records.iter().collect();
+            let missing: Vec<&Record> = records.iter().collect();
             let digest: Digest = records.iter().map(|record| (record.owner.clone(), record.stamp)).collect();
-            let (mut told, mut handed) = (BTreeSet::new(), BTreeSet::new());
-            let mut turns = ExchangeCursors::default();
+            let (mut listed, mut sent) = (BTreeSet::new(), BTreeSet::new());
+            let mut cursors = ExchangeCursors::default();
             for _ in 0..=count / 150 {
-                let exchange = turns.compose(DigestScope::ALL, digest.clone(), &lacking);
+                let exchange = cursors.compose(DigestScope::ALL, digest.clone(), &missing);
                 assert!(codec::encode_for_version(VersionRange::OWN.newest, exchange.clone()).is_ok());
-                told.extend(exchange.digest.into_keys());
-                handed.extend(exchange.records.into_iter().map(|record| record.owner));
+                listed.extend(exchange.digest.into_keys());
+                sent.extend(exchange.records.into_iter().map(|record| record.owner));
             }
-            assert_eq!((told.len(), handed.len()), (count, count));
+            assert_eq!((listed.len(), sent.len()), (count, count));
         }
     }
 
     #[test]
-    fn what_fits_is_sent_whole_and_in_order() {
+    fn entries_that_fit_are_sent_in_order() {
         let records = records(20, |n| format!("node{n:02}"));
-        let mut turns = ExchangeCursors { digest: None, records: Some(NodeId::new("node07").unwrap()) };
-        let exchange = turns.compose(DigestScope::ALL, Digest::new(), &records.iter().collect::<Vec<_>>());
+        let mut cursors = ExchangeCursors { digest: None, records: Some(NodeId::new("node07").unwrap()) };
+        let exchange = cursors.compose(DigestScope::ALL, Digest::new(), &records.iter().collect::<Vec<_>>());
         assert_eq!(exchange.records.len(), 20);
         assert_eq!(exchange.records[0].owner.as_str(), "node08");
     }

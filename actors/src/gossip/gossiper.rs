@@ -1,4 +1,5 @@
-//! What a node does about what it hears, as values: [`Event`]s go in, [`Action`]s come out. It waits for nobody.
+//! Decisions of gossip as a state machine: it takes [`Event`]s and returns [`Action`]s, and never
+//! blocks.
 
 use super::exchange::ExchangeCursors;
 use super::record_signer::SharedRecordSigner;
@@ -19,205 +20,212 @@ use std::time::Duration;
 /// A change of the own knowledge.
 pub(super) type Change = Box<dyn FnOnce(&mut Knowledge) + Send>;
 
-/// Something that happened.
-#[expect(clippy::large_enum_variant, reason = "one is handled at a time")]
+/// An input of the state machine.
+#[expect(clippy::large_enum_variant, reason = "a single event exists at a time")]
 pub(super) enum Event {
     /// The node's own knowledge changes.
     KnowledgeChanged(Change),
-    /// A node said something of itself.
+    /// A node published an update of its record.
     Published(NodeId, RecordUpdate),
-    /// A packet of failure detection came in.
+    /// A packet of failure detection arrived.
     Packet(Bytes),
     /// A node's presence token appeared or vanished.
     Token(NodeId, bool),
-    /// A peer compares digests with us.
+    /// A peer compares digests with this node.
     RequestReceived(Exchange),
-    /// A peer answered in this round, or nobody did.
+    /// A peer replied in this round, or no reply arrived.
     ReplyReceived(u64, Option<Exchange>),
-    /// The time last given by [`Gossiper::next_due`] has come.
+    /// The time last returned by [`Gossiper::next_due`] has come.
     TimerFired,
-    /// The fleet writes another version of the wire, and with it proofs or not: what the own record says is said anew, in full.
+    /// The fleet writes another wire version, with or without proofs. The own record is published
+    /// again, in full.
     VersionRaised {
-        /// Whether records that are handed on have proofs in it.
+        /// True if forwarded records carry proofs in this version.
         with_proofs: bool,
     },
 }
 
-/// Something to carry out, in the order given.
-#[expect(clippy::large_enum_variant, reason = "there are few at a time")]
+/// An effect for the caller to perform, in the order given.
+#[expect(clippy::large_enum_variant, reason = "few actions exist at a time")]
 #[derive(Debug, PartialEq)]
 pub(super) enum Action {
-    /// Say something of the own node.
+    /// Publish an update of the own record.
     Publish(RecordUpdate),
-    /// Hand a packet to a node.
+    /// Send a packet to a node.
     Send(NodeId, Bytes),
-    /// Compare digests with a peer, and bring the answer back as [`Event::Answered`] with the same number.
+    /// Compare digests with a peer, and return its reply as [`Event::ReplyReceived`] with the same
+    /// number.
     SendRequest(u64, NodeId, Exchange),
-    /// The answer to [`Event::Asked`].
+    /// Reply to [`Event::RequestReceived`].
     SendReply(Exchange),
 }
 
-/// Something that comes in time.
+/// A timer.
 #[derive(Debug)]
-enum Due {
-    Beat,
+enum ScheduledTimer {
+    Heartbeat,
     Round,
-    Greet,
+    Announce,
     Swim(Timer),
-    /// A node whose token vanished should have answered by now; the number tells this question from earlier ones.
-    Answer(NodeId, u64),
-    /// It was suspected then, and should have answered that by now.
-    Condemn(Suspicion, NodeId, u64),
+    /// A node with a vanished token should have answered by now. The number distinguishes this
+    /// query from earlier ones.
+    QueryTimeout(NodeId, u64),
+    /// The node was then suspected, and should have refuted the suspicion by now.
+    SuspicionTimeout(Suspicion, NodeId, u64),
 }
 
-/// A round of anti-entropy under way.
+/// A round of anti-entropy in progress.
 struct Round {
     number: u64,
     peer: NodeId,
-    /// Messages to the peer that told what this node has; the sums before them do not count.
-    legs: u32,
-    /// What the peer was handed in this round: it is not handed over twice, even if the peer will not have it.
-    handed: BTreeSet<(NodeId, RecordStamp)>,
+    /// Messages to the peer that contained a digest; the initial sums do not count.
+    messages: u32,
+    /// Records sent to the peer in this round. They are not sent twice, even if the peer rejects
+    /// them.
+    sent: BTreeSet<(NodeId, RecordStamp)>,
 }
 
-/// Messages to one peer in one round at most: the rest waits for the next.
-const LEGS: u32 = 4;
+/// Maximum number of messages to a peer per round; the rest waits for the next round.
+const MESSAGES_PER_ROUND: u32 = 4;
 
-/// How long a node repeats the whole record after a change, or after somebody came. Then it says no more than that it still
-/// says so; whoever missed the record asks for it. Raised: more traffic, and fewer that have to ask. 10 s: as many
-/// repetitions as a link that loses half of everything needs.
-const LOUD: Duration = Duration::from_secs(10);
+/// Time for which the whole record is repeated after a change, or after a node joined. Then only
+/// refreshes are published; a node that missed the record queries it. Raised: more traffic, and
+/// fewer queries. 10 s: as many repetitions as needed on a link that loses half of all messages.
+const FULL_RECORD_PERIOD: Duration = Duration::from_secs(10);
 
-/// Each further node lengthens the pause between beats by so much, once there are too many for the shortest pause. 50 ms: a
-/// node hears 20 beats a second at most, until the pause cannot grow any more.
-const PAUSE_FOR_EACH: Duration = Duration::from_millis(50);
+/// Extension of the heartbeat interval per node, once there are too many nodes for the shortest
+/// interval. 50 ms: a node receives at most 20 heartbeats a second, until the interval reaches its
+/// maximum.
+const INTERVAL_PER_NODE: Duration = Duration::from_millis(50);
 
-/// Greetings at once, and the pause before the next: when hundreds of nodes start together, the answers to the first
-/// few make most of the others known.
-const GREETINGS: usize = 5;
-const GREETING_PAUSE: Duration = Duration::from_millis(100);
+/// Maximum number of announcements at once, and the pause before the next. When hundreds of nodes
+/// start together, the replies to the first few announcements introduce most of the others.
+const ANNOUNCEMENTS_MAX: usize = 5;
+const ANNOUNCEMENT_PAUSE: Duration = Duration::from_millis(100);
 
-/// By how much an earlier life of the node may have been ahead of this one, in milliseconds: a century, for clocks that were set
-/// wrong. Beyond it somebody makes stamps up, and would have the node run out of them.
-const AHEAD_MAX: u64 = 100 * 366 * 24 * 3600 * 1000;
+/// Maximum lead of an earlier incarnation over this one, in milliseconds: a century, for clocks
+/// that were set wrongly. A larger stamp is forged, and would exhaust the node's own stamps.
+const INCARNATION_LEAD_MAX: u64 = 100 * 366 * 24 * 3600 * 1000;
 
 pub(super) struct Gossiper {
     settings: Settings,
     records: RecordStore,
     swim: Swim,
     rng: ChaCha8Rng,
-    agenda: BTreeMap<(NodeTime, u64), Due>,
-    /// Tells apart what is due at one instant, rounds, and questions.
+    agenda: BTreeMap<(NodeTime, u64), ScheduledTimer>,
+    /// Last assigned number, for timers due at the same instant, rounds and queries.
     last_number: u64,
     tokens: BTreeSet<NodeId>,
-    to_greet: BTreeSet<NodeId>,
-    questioned: BTreeMap<NodeId, u64>,
+    to_announce: BTreeSet<NodeId>,
+    queried: BTreeMap<NodeId, u64>,
     round: Option<Round>,
-    turns: ExchangeCursors,
-    /// Whether the last round came to an end: then the next may well find nothing to tell, and begins with sums.
-    agreed: bool,
-    /// Who has said something that this node missed.
+    cursors: ExchangeCursors,
+    /// True if the last round completed. The next round may then find no difference, and begins
+    /// with sums.
+    last_round_completed: bool,
+    /// Owners with an update that this node missed.
     missing_from: BTreeSet<NodeId>,
-    /// Until when the whole record is repeated.
-    loud_until: NodeTime,
+    /// End of the period in which the whole record is repeated.
+    full_record_until: NodeTime,
     changed: bool,
-    /// When the own record was last published.
-    spoke: NodeTime,
+    /// Time of the last publication of the own record.
+    last_published: NodeTime,
 }
 
 impl Gossiper {
-    /// Starts, with what to do first.
+    /// Creates the state machine and returns the first actions.
     pub(super) fn new(
         settings: Settings,
         knowledge: Knowledge,
-        notary: Option<SharedRecordSigner>,
+        signer: Option<SharedRecordSigner>,
         mut rng: ChaCha8Rng,
-        known: &mut GossipState,
+        state: &mut GossipState,
         now: NodeTime,
     ) -> (Gossiper, Vec<Action>) {
-        // Whoever was alive to an actor before this one has to be met again.
-        known.status = BTreeMap::from([(settings.node.clone(), MemberStatus::Alive { since: now })]);
-        let memory = RecordStore::new(settings.node.clone(), settings.incarnation, knowledge, notary, known, now);
+        // Nodes that were alive for an earlier actor must be contacted again.
+        state.status = BTreeMap::from([(settings.node.clone(), MemberStatus::Alive { since: now })]);
+        let records = RecordStore::new(settings.node.clone(), settings.incarnation, knowledge, signer, state, now);
         let swim =
             Swim::new(settings.node.clone(), settings.incarnation, settings.swim(), ChaCha8Rng::from_rng(&mut rng));
         let mut gossiper = Gossiper {
-            records: memory,
+            records,
             swim,
             agenda: BTreeMap::new(),
             last_number: 0,
             tokens: BTreeSet::new(),
-            to_greet: BTreeSet::new(),
-            questioned: BTreeMap::new(),
+            to_announce: BTreeSet::new(),
+            queried: BTreeMap::new(),
             round: None,
-            turns: ExchangeCursors::default(),
-            agreed: false,
+            cursors: ExchangeCursors::default(),
+            last_round_completed: false,
             missing_from: BTreeSet::new(),
-            loud_until: now,
+            full_record_until: now,
             changed: true,
-            spoke: now,
+            last_published: now,
             settings,
             rng,
         };
-        // Nodes that start together should not speak together ever after.
-        let (beat, round) = (gossiper.settings.heartbeat, gossiper.settings.round);
-        let (beat, round) = (gossiper.up_to(beat), gossiper.up_to(round));
-        gossiper.at(now + beat, Due::Beat);
-        gossiper.at(now + round, Due::Round);
-        let first = gossiper.publish(known, now);
+        // Nodes that start together must not stay synchronized.
+        let (heartbeat_interval, round) = (gossiper.settings.heartbeat, gossiper.settings.round);
+        let (heartbeat_interval, round) = (gossiper.random_up_to(heartbeat_interval), gossiper.random_up_to(round));
+        gossiper.at(now + heartbeat_interval, ScheduledTimer::Heartbeat);
+        gossiper.at(now + round, ScheduledTimer::Round);
+        let first = gossiper.publish(state, now);
         (gossiper, vec![first])
     }
 
-    /// When to be woken.
+    /// Returns the time of the next timer.
     pub(super) fn next_due(&self) -> Option<NodeTime> {
         self.agenda.first_key_value().map(|((at, _), _)| *at)
     }
 
-    /// Whether what there is to read has changed since this was last asked.
+    /// Returns and clears the flag that readable state has changed.
     pub(super) fn take_changed(&mut self) -> bool {
         std::mem::take(&mut self.changed)
     }
 
-    /// Something happened. An error says what was wrong with a message; nothing was changed by it.
+    /// Handles an event. An error is the reason why a message is invalid; the message has changed
+    /// nothing.
     pub(super) fn handle(
         &mut self,
         event: Event,
-        known: &mut GossipState,
+        state: &mut GossipState,
         now: NodeTime,
     ) -> Result<Vec<Action>, String> {
         let mut actions = vec![];
         match event {
-            Event::KnowledgeChanged(change) => self.change(change, known, now, &mut actions)?,
-            Event::Published(owner, said) => self.published(owner, said, known, now, &mut actions)?,
+            Event::KnowledgeChanged(change) => self.change(change, state, now, &mut actions)?,
+            Event::Published(owner, update) => self.handle_update(owner, update, state, now, &mut actions)?,
             Event::Packet(bytes) => {
-                let (from, what) = self.swim.receive(&bytes)?;
-                self.questioned.remove(&from);
-                self.obey(what, known, now, &mut actions);
+                let (from, swim_actions) = self.swim.receive(&bytes)?;
+                self.queried.remove(&from);
+                self.perform_swim(swim_actions, state, now, &mut actions);
             }
-            Event::Token(node, there) => self.token(node, there, known, now, &mut actions)?,
-            Event::RequestReceived(exchange) => self.asked(exchange, known, now, &mut actions)?,
+            Event::Token(node, present) => self.token(node, present, state, now, &mut actions)?,
+            Event::RequestReceived(exchange) => self.handle_request(exchange, state, now, &mut actions)?,
             Event::ReplyReceived(number, Some(exchange)) => {
-                self.answered(number, exchange, known, now, &mut actions)?
+                self.handle_reply(number, exchange, state, now, &mut actions)?
             }
             Event::ReplyReceived(number, None) => {
                 if self.round.take_if(|round| round.number == number).is_some() {
-                    self.agreed = false;
+                    self.last_round_completed = false;
                 }
             }
-            Event::TimerFired => self.woke(known, now, &mut actions)?,
+            Event::TimerFired => self.fire_timers(state, now, &mut actions)?,
             Event::VersionRaised { with_proofs } => {
                 if with_proofs {
-                    self.changed |= self.records.forget_unproven(known);
+                    self.changed |= self.records.remove_unproven(state);
                 }
-                self.records.restate(known, now);
-                actions.push(self.publish(known, now));
+                self.records.republish(state, now);
+                actions.push(self.publish(state, now));
             }
         }
         Ok(actions)
     }
 
-    /// Says farewell.
+    /// Announces that the node leaves.
     pub(super) fn leave(&mut self) -> Vec<Action> {
-        let what = self.swim.leave().unwrap_or_default();
+        let swim_actions = self.swim.leave().unwrap_or_default();
         let send = |action| match action {
             SwimAction::Send(to, bytes) => Some(Action::Send(to, bytes)),
             SwimAction::SetTimer(..)
@@ -227,231 +235,234 @@ impl Gossiper {
             | SwimAction::Cleared(_)
             | SwimAction::Rejoined => None,
         };
-        what.into_iter().filter_map(send).collect()
+        swim_actions.into_iter().filter_map(send).collect()
     }
 
     fn change(
         &mut self,
         change: Change,
-        known: &mut GossipState,
+        state: &mut GossipState,
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
-        match self.records.update(change, known, now) {
+        match self.records.update(change, state, now) {
             Ok(false) => {}
             Ok(true) => {
                 self.changed = true;
-                actions.push(self.publish(known, now));
+                actions.push(self.publish(state, now));
             }
-            Err(bytes) => return Err(format!("own record of {bytes} bytes is too large, and was not changed")),
+            Err(bytes) => return Err(format!("own record not changed: {bytes} bytes exceed the limit")),
         }
         Ok(())
     }
 
-    fn published(
+    fn handle_update(
         &mut self,
         owner: NodeId,
-        said: RecordUpdate,
-        known: &mut GossipState,
+        update: RecordUpdate,
+        state: &mut GossipState,
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
-        match said {
+        match update {
             RecordUpdate::Record(record) => {
                 let stamp = record.stamp;
-                self.hear(record, known, now, actions)?;
-                known.base.confirm(&owner, stamp, now);
+                self.receive(record, state, now, actions)?;
+                state.base.confirm(&owner, stamp, now);
             }
             RecordUpdate::Refresh { stamp, since, proof } => {
-                match self.records.receive_refresh(&owner, stamp, since, proof, known, now) {
+                match self.records.receive_refresh(&owner, stamp, since, proof, state, now) {
                     MergeOutcome::Missing => drop(self.missing_from.insert(owner.clone())),
-                    MergeOutcome::Own(stamp) => self.overtake(stamp, known, now, actions)?,
+                    MergeOutcome::Own(stamp) => self.overtake(stamp, state, now, actions)?,
                     MergeOutcome::Stale | MergeOutcome::Renewed | MergeOutcome::Changed => {}
                 }
             }
         }
-        // It speaks, so it is worth a greeting, but that we hear it is no proof that it hears us.
-        self.meet(owner, known, now);
+        // A publisher deserves an announcement. Receiving from it is no proof that it receives from
+        // this node.
+        self.schedule_announcement(owner, state, now);
         Ok(())
     }
 
-    fn hear(
+    fn receive(
         &mut self,
         record: Record,
-        known: &mut GossipState,
+        state: &mut GossipState,
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<bool, String> {
         let owner = record.owner.clone();
-        match self.records.receive(record, known, now) {
+        match self.records.receive(record, state, now) {
             MergeOutcome::Stale => return Ok(false),
             MergeOutcome::Renewed | MergeOutcome::Missing => {}
             MergeOutcome::Changed => self.changed = true,
             MergeOutcome::Own(stamp) => {
-                self.overtake(stamp, known, now, actions)?;
+                self.overtake(stamp, state, now, actions)?;
                 return Ok(false);
             }
         }
         self.missing_from.remove(&owner);
-        self.meet(owner, known, now);
+        self.schedule_announcement(owner, state, now);
         Ok(true)
     }
 
-    /// Others know something later of this node than it says itself.
+    /// Handles a stamp of this node that is later than its own.
     fn overtake(
         &mut self,
         stamp: RecordStamp,
-        known: &mut GossipState,
+        state: &mut GossipState,
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
-        if stamp.incarnation > self.settings.incarnation.saturating_add(AHEAD_MAX) {
-            return Err(format!(
-                "somebody says that this node's incarnation was {}, which none can have been",
-                stamp.incarnation
-            ));
+        if stamp.incarnation > self.settings.incarnation.saturating_add(INCARNATION_LEAD_MAX) {
+            return Err(format!("rejected a stamp of this node with the impossible incarnation {}", stamp.incarnation));
         }
-        tracing::warn!(node = %self.settings.node, ?stamp, "others know a later record of this node than it wrote: an \
+        tracing::warn!(node = %self.settings.node, ?stamp, "other nodes have a later record of this node than it wrote: an \
             earlier incarnation was higher, or another node has the same name");
-        self.records.overtake(stamp, known, now);
-        actions.push(self.publish(known, now));
-        let what = self.swim.adopt_incarnation(stamp.incarnation)?;
-        self.obey(what, known, now, actions);
+        self.records.overtake(stamp, state, now);
+        actions.push(self.publish(state, now));
+        let swim_actions = self.swim.adopt_incarnation(stamp.incarnation)?;
+        self.perform_swim(swim_actions, state, now, actions);
         Ok(())
     }
 
-    /// Takes in what a peer handed over. True if any of it was news.
-    fn take_in(
+    /// Merges the records from a peer. Returns true if any of them was new.
+    fn merge_records(
         &mut self,
         records: Vec<Record>,
         digest: &Digest,
-        known: &mut GossipState,
+        state: &mut GossipState,
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<bool, String> {
-        let mut news = false;
+        let mut any_new = false;
         for record in records {
-            news |= self.hear(record, known, now, actions)?;
+            any_new |= self.receive(record, state, now, actions)?;
         }
-        // Nobody hands over records of the dead, which this node is to those who remember a later life of it.
+        // Records of dead nodes are not forwarded, and this node is dead for peers that store its
+        // later incarnation. Their digest contains the stamp.
         if let Some(stamp) = digest.get(&self.settings.node).filter(|stamp| **stamp > self.records.own().stamp) {
-            self.overtake(*stamp, known, now, actions)?;
+            self.overtake(*stamp, state, now, actions)?;
         }
-        Ok(news)
+        Ok(any_new)
     }
 
     fn token(
         &mut self,
         node: NodeId,
-        there: bool,
-        known: &mut GossipState,
+        present: bool,
+        state: &mut GossipState,
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
         if node == self.settings.node {
             return Ok(());
         }
-        if there {
+        if present {
             self.tokens.insert(node.clone());
-            self.questioned.remove(&node);
-            self.meet(node, known, now);
+            self.queried.remove(&node);
+            self.schedule_announcement(node, state, now);
         } else {
             self.tokens.remove(&node);
-            if known.is_alive(&node) {
+            if state.is_alive(&node) {
                 let number = self.number();
-                self.questioned.insert(node.clone(), number);
-                self.at(now + self.settings.token_probe_timeout(), Due::Answer(node.clone(), number));
-                let what = self.swim.announce_to(&node)?;
-                self.obey(what, known, now, actions);
+                self.queried.insert(node.clone(), number);
+                self.at(now + self.settings.token_probe_timeout(), ScheduledTimer::QueryTimeout(node.clone(), number));
+                let swim_actions = self.swim.announce_to(&node)?;
+                self.perform_swim(swim_actions, state, now, actions);
             }
         }
         Ok(())
     }
 
-    fn asked(
+    fn handle_request(
         &mut self,
         exchange: Exchange,
-        known: &mut GossipState,
+        state: &mut GossipState,
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
-        self.take_in(exchange.records, &exchange.digest, known, now, actions)?;
-        known.counters.requests_answered += 1;
-        let answer = if exchange.sums.is_empty() {
-            let digest = self.records.digest_for(known, exchange.scope, &exchange.digest);
-            self.turns.compose(
+        self.merge_records(exchange.records, &exchange.digest, state, now, actions)?;
+        state.counters.requests_answered += 1;
+        let reply = if exchange.sums.is_empty() {
+            let digest = self.records.digest_for(state, exchange.scope, &exchange.digest);
+            self.cursors.compose(
                 exchange.scope,
                 digest,
-                &self.records.missing_records(known, exchange.scope, &exchange.digest),
+                &self.records.missing_records(state, exchange.scope, &exchange.digest),
             )
         } else {
-            // Where the two differ. What the other lacks it will say then.
-            let scope = DigestScope::of_difference(&known.base.class_sums_like(&exchange.sums), &exchange.sums);
-            self.turns.compose(scope, known.base.digest(scope), &[])
+            // The scope of the difference. The peer requests what it lacks in its next message.
+            let scope = DigestScope::of_difference(&state.base.class_sums_like(&exchange.sums), &exchange.sums);
+            self.cursors.compose(scope, state.base.digest(scope), &[])
         };
-        actions.push(Action::SendReply(answer));
+        actions.push(Action::SendReply(reply));
         Ok(())
     }
 
-    fn answered(
+    fn handle_reply(
         &mut self,
         number: u64,
         exchange: Exchange,
-        known: &mut GossipState,
+        state: &mut GossipState,
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
-        let news = self.take_in(exchange.records, &exchange.digest, known, now, actions)?;
+        let any_new = self.merge_records(exchange.records, &exchange.digest, state, now, actions)?;
         let Some(mut round) = self.round.take_if(|round| round.number == number) else { return Ok(()) };
-        self.agreed = true;
-        let mut lacking = self.records.missing_records(known, exchange.scope, &exchange.digest);
-        lacking.retain(|record| !round.handed.contains(&(record.owner.clone(), record.stamp)));
-        // Sums were answered without records. Later, a peer that says nothing new has said all that it will.
-        let more_to_hear = (news || round.legs == 0) && !known.base.outdated_owners(&exchange.digest).is_empty();
-        if round.legs < LEGS && (!lacking.is_empty() || more_to_hear) {
-            round.legs += 1;
-            let message = self.turns.compose(exchange.scope, known.base.digest(exchange.scope), &lacking);
-            round.handed.extend(message.records.iter().map(|record| (record.owner.clone(), record.stamp)));
-            known.counters.requests_sent += 1;
+        self.last_round_completed = true;
+        let mut missing = self.records.missing_records(state, exchange.scope, &exchange.digest);
+        missing.retain(|record| !round.sent.contains(&(record.owner.clone(), record.stamp)));
+        // The reply to sums contains no records. Later, a reply without new records is the peer's
+        // last.
+        let expects_more = (any_new || round.messages == 0) && !state.base.outdated_owners(&exchange.digest).is_empty();
+        if round.messages < MESSAGES_PER_ROUND && (!missing.is_empty() || expects_more) {
+            round.messages += 1;
+            let message = self.cursors.compose(exchange.scope, state.base.digest(exchange.scope), &missing);
+            round.sent.extend(message.records.iter().map(|record| (record.owner.clone(), record.stamp)));
+            state.counters.requests_sent += 1;
             actions.push(Action::SendRequest(number, round.peer.clone(), message));
             self.round = Some(round);
         }
         Ok(())
     }
 
-    fn woke(&mut self, known: &mut GossipState, now: NodeTime, actions: &mut Vec<Action>) -> Result<(), String> {
+    fn fire_timers(&mut self, state: &mut GossipState, now: NodeTime, actions: &mut Vec<Action>) -> Result<(), String> {
         while let Some(entry) = self.agenda.first_entry().filter(|entry| entry.key().0 <= now) {
             match entry.remove() {
-                Due::Beat => {
-                    let beat = self.beat(known);
-                    self.records.repeat(self.settings.renew, beat, known, now);
-                    // A change that was told a moment ago said as much.
-                    if now.since(self.spoke) * 2 > beat {
-                        actions.push(self.repeat(known, now));
+                ScheduledTimer::Heartbeat => {
+                    let heartbeat_interval = self.heartbeat_interval(state);
+                    self.records.repeat(self.settings.renew, heartbeat_interval, state, now);
+                    // A change published a moment ago counts as a heartbeat.
+                    if now.since(self.last_published) * 2 > heartbeat_interval {
+                        actions.push(self.repeat(state, now));
                     }
-                    let pause = self.about(beat);
-                    self.at(now + pause, Due::Beat);
+                    let pause = self.jittered(heartbeat_interval);
+                    self.at(now + pause, ScheduledTimer::Heartbeat);
                 }
-                Due::Round => {
-                    self.changed |= self.records.forget(self.settings.forget_after, known, now);
-                    self.miss(known, now);
-                    self.begin_round(known, actions);
-                    let pause = self.about(self.settings.round);
-                    self.at(now + pause, Due::Round);
+                ScheduledTimer::Round => {
+                    self.changed |= self.records.remove_absent(self.settings.forget_after, state, now);
+                    self.announce_to_absent(state, now);
+                    self.begin_round(state, actions);
+                    let pause = self.jittered(self.settings.round);
+                    self.at(now + pause, ScheduledTimer::Round);
                 }
-                Due::Greet => self.greet(known, now, actions)?,
-                Due::Swim(timer) => {
-                    let spoke = self.beat(known) * 3;
-                    let speaks = |node: &NodeId| known.base.get(node).is_some_and(|heard| heard.age(now) < spoke);
-                    let what = self.swim.fire_timer(timer, speaks)?;
-                    self.obey(what, known, now, actions);
+                ScheduledTimer::Announce => self.send_announcements(state, now, actions)?,
+                ScheduledTimer::Swim(timer) => {
+                    let last_published = self.heartbeat_interval(state) * 3;
+                    let sends =
+                        |node: &NodeId| state.base.get(node).is_some_and(|stored| stored.age(now) < last_published);
+                    let swim_actions = self.swim.fire_timer(timer, sends)?;
+                    self.perform_swim(swim_actions, state, now, actions);
                 }
-                Due::Answer(node, number) => self.unanswered(node, number, known, now, actions)?,
-                Due::Condemn(suspicion, node, number) => {
-                    if self.questioned.get(&node) == Some(&number) {
-                        self.questioned.remove(&node);
-                        let what = self.swim.declare_down(&suspicion)?;
-                        self.obey(what, known, now, actions);
+                ScheduledTimer::QueryTimeout(node, number) => {
+                    self.handle_query_timeout(node, number, state, now, actions)?
+                }
+                ScheduledTimer::SuspicionTimeout(suspicion, node, number) => {
+                    if self.queried.get(&node) == Some(&number) {
+                        self.queried.remove(&node);
+                        let swim_actions = self.swim.declare_down(&suspicion)?;
+                        self.perform_swim(swim_actions, state, now, actions);
                     }
                 }
             }
@@ -459,51 +470,54 @@ impl Gossiper {
         Ok(())
     }
 
-    /// A node whose token vanished was asked whether it is there.
-    fn unanswered(
+    /// Handles the missing answer of a node with a vanished token.
+    fn handle_query_timeout(
         &mut self,
         node: NodeId,
         number: u64,
-        known: &mut GossipState,
+        state: &mut GossipState,
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
-        if self.questioned.get(&node) != Some(&number) {
+        if self.queried.get(&node) != Some(&number) {
             return Ok(());
         }
-        // That half of all vanished at once says more about this node than about them.
-        let others = known.status.values().filter(|status| status.is_alive()).count().saturating_sub(1);
-        let many = self.questioned.len() > 1 && self.questioned.len() * 2 >= others;
-        let suspected = if many || self.swim.is_unhealthy() { None } else { self.swim.suspect(&node)? };
-        let Some((suspicion, what)) = suspected else {
-            self.questioned.remove(&node);
+        // If half of all nodes vanish at once, this node is more likely at fault.
+        let other_members = state.status.values().filter(|status| status.is_alive()).count().saturating_sub(1);
+        let suspicious = self.queried.len() > 1 && self.queried.len() * 2 >= other_members;
+        let suspected = if suspicious || self.swim.is_unhealthy() { None } else { self.swim.suspect(&node)? };
+        let Some((suspicion, swim_actions)) = suspected else {
+            self.queried.remove(&node);
             return Ok(());
         };
-        self.obey(what, known, now, actions);
-        // The question or its answer may have been lost. Whatever it says from now on clears it here.
-        let what = self.swim.announce_to(&node)?;
-        self.obey(what, known, now, actions);
+        self.perform_swim(swim_actions, state, now, actions);
+        // The query or its answer may have been lost. Any message from the node clears the
+        // suspicion here.
+        let swim_actions = self.swim.announce_to(&node)?;
+        self.perform_swim(swim_actions, state, now, actions);
         let pause = self.settings.suspicion_when_vanished * suspicion.timeout_factor();
-        self.at(now + pause, Due::Condemn(suspicion, node, number));
+        self.at(now + pause, ScheduledTimer::SuspicionTimeout(suspicion, node, number));
         Ok(())
     }
 
-    /// The pause between beats: in a large fleet each speaks less often, so that nobody has to hear too much.
-    fn beat(&self, known: &GossipState) -> Duration {
-        let alive = known.status.values().filter(|status| status.is_alive()).count();
-        let long = PAUSE_FOR_EACH.saturating_mul(u32::try_from(alive).unwrap_or(u32::MAX));
-        // Whatever the size, the age of what one hears stays within the pause in which versions are renewed.
-        long.min(self.settings.renew).max(self.settings.heartbeat)
+    /// Returns the heartbeat interval. It is longer in a large fleet, to limit the messages that
+    /// each node receives.
+    fn heartbeat_interval(&self, state: &GossipState) -> Duration {
+        let alive = state.status.values().filter(|status| status.is_alive()).count();
+        let extended = INTERVAL_PER_NODE.saturating_mul(u32::try_from(alive).unwrap_or(u32::MAX));
+        // For any fleet size the age of received records stays within the interval of version
+        // renewal.
+        extended.min(self.settings.renew).max(self.settings.heartbeat)
     }
 
-    /// Compares what is known with one peer that is alive, or whose token at least is there; with one who has said what this
-    /// node missed, if there is one.
-    fn begin_round(&mut self, known: &mut GossipState, actions: &mut Vec<Action>) {
-        self.missing_from.retain(|node| known.is_alive(node));
+    /// Starts a round with a peer: an owner of a missed update if any, else a random node that is
+    /// alive, else a node with a token.
+    fn begin_round(&mut self, state: &mut GossipState, actions: &mut Vec<Action>) {
+        self.missing_from.retain(|node| state.is_alive(node));
         if let Some(peer) = self.missing_from.pop_first() {
-            return self.compare(peer, false, known, actions);
+            return self.compare(peer, false, state, actions);
         }
-        let mut peers: Vec<&NodeId> = known.status.keys().filter(|node| known.is_alive(node)).collect();
+        let mut peers: Vec<&NodeId> = state.status.keys().filter(|node| state.is_alive(node)).collect();
         peers.retain(|node| **node != self.settings.node);
         if peers.is_empty() {
             peers = self.tokens.iter().collect();
@@ -512,118 +526,134 @@ impl Gossiper {
             return;
         }
         let peer = peers[self.rng.random_range(0..peers.len())].clone();
-        self.compare(peer, self.agreed, known, actions);
+        self.compare(peer, self.last_round_completed, state, actions);
     }
 
-    /// Begins a round, by sums or at once by the digest.
-    fn compare(&mut self, peer: NodeId, by_sums: bool, known: &mut GossipState, actions: &mut Vec<Action>) {
+    /// Starts a round, with sums or directly with the digest.
+    fn compare(&mut self, peer: NodeId, by_sums: bool, state: &mut GossipState, actions: &mut Vec<Action>) {
         let number = self.number();
         let message = if by_sums {
-            let sums = known.base.class_sums();
+            let sums = state.base.class_sums();
             Exchange { sums, scope: DigestScope::NONE, digest: Digest::new(), records: vec![] }
         } else {
-            self.turns.compose(DigestScope::ALL, known.base.digest(DigestScope::ALL), &[])
+            self.cursors.compose(DigestScope::ALL, state.base.digest(DigestScope::ALL), &[])
         };
-        known.counters.requests_sent += 1;
+        state.counters.requests_sent += 1;
         actions.push(Action::SendRequest(number, peer.clone(), message));
-        self.round = Some(Round { number, peer, legs: u32::from(!by_sums), handed: BTreeSet::new() });
+        self.round = Some(Round { number, peer, messages: u32::from(!by_sums), sent: BTreeSet::new() });
     }
 
-    /// Remembers to greet a node, unless it is known to be alive.
-    fn meet(&mut self, node: NodeId, known: &GossipState, now: NodeTime) {
-        if node == self.settings.node || known.is_alive(&node) {
+    /// Schedules an announcement to a node, unless it is known to be alive.
+    fn schedule_announcement(&mut self, node: NodeId, state: &GossipState, now: NodeTime) {
+        if node == self.settings.node || state.is_alive(&node) {
             return;
         }
-        if self.to_greet.is_empty() {
-            self.at(now, Due::Greet);
+        if self.to_announce.is_empty() {
+            self.at(now, ScheduledTimer::Announce);
         }
-        self.to_greet.insert(node);
+        self.to_announce.insert(node);
     }
 
-    /// Greets one node that should be there or was once: a greeting may have been lost, or a cut may have healed.
-    fn miss(&mut self, known: &GossipState, now: NodeTime) {
-        let missed: BTreeSet<&NodeId> =
-            self.tokens.iter().chain(self.records.absent_nodes()).filter(|n| !known.is_alive(n)).collect();
-        if !missed.is_empty() {
-            let chosen = self.rng.random_range(0..missed.len());
-            let chosen = missed.into_iter().nth(chosen).cloned();
+    /// Schedules an announcement to a random absent node with a token or an old record: an earlier
+    /// announcement may have been lost, or a cut may have healed.
+    fn announce_to_absent(&mut self, state: &GossipState, now: NodeTime) {
+        let absent: BTreeSet<&NodeId> =
+            self.tokens.iter().chain(self.records.absent_nodes()).filter(|n| !state.is_alive(n)).collect();
+        if !absent.is_empty() {
+            let chosen = self.rng.random_range(0..absent.len());
+            let chosen = absent.into_iter().nth(chosen).cloned();
             if let Some(node) = chosen {
-                self.meet(node, known, now);
+                self.schedule_announcement(node, state, now);
             }
         }
     }
 
-    fn greet(&mut self, known: &mut GossipState, now: NodeTime, actions: &mut Vec<Action>) -> Result<(), String> {
-        self.to_greet.retain(|node| !known.is_alive(node));
-        for _ in 0..GREETINGS.min(self.to_greet.len()) {
-            let chosen = self.rng.random_range(0..self.to_greet.len());
-            if let Some(node) = self.to_greet.iter().nth(chosen).cloned() {
-                self.to_greet.remove(&node);
-                let what = self.swim.announce_to(&node)?;
-                self.obey(what, known, now, actions);
+    fn send_announcements(
+        &mut self,
+        state: &mut GossipState,
+        now: NodeTime,
+        actions: &mut Vec<Action>,
+    ) -> Result<(), String> {
+        self.to_announce.retain(|node| !state.is_alive(node));
+        for _ in 0..ANNOUNCEMENTS_MAX.min(self.to_announce.len()) {
+            let chosen = self.rng.random_range(0..self.to_announce.len());
+            if let Some(node) = self.to_announce.iter().nth(chosen).cloned() {
+                self.to_announce.remove(&node);
+                let swim_actions = self.swim.announce_to(&node)?;
+                self.perform_swim(swim_actions, state, now, actions);
             }
         }
-        if !self.to_greet.is_empty() {
-            self.at(now + GREETING_PAUSE, Due::Greet);
+        if !self.to_announce.is_empty() {
+            self.at(now + ANNOUNCEMENT_PAUSE, ScheduledTimer::Announce);
         }
         Ok(())
     }
 
-    fn obey(&mut self, what: Vec<SwimAction>, known: &mut GossipState, now: NodeTime, actions: &mut Vec<Action>) {
-        for action in what {
+    fn perform_swim(
+        &mut self,
+        swim_actions: Vec<SwimAction>,
+        state: &mut GossipState,
+        now: NodeTime,
+        actions: &mut Vec<Action>,
+    ) {
+        for action in swim_actions {
             match action {
                 SwimAction::Send(to, bytes) => {
-                    known.counters.packets += 1;
+                    state.counters.packets += 1;
                     actions.push(Action::Send(to, bytes));
                 }
-                SwimAction::SetTimer(pause, timer) => self.at(now + pause, Due::Swim(timer)),
+                SwimAction::SetTimer(pause, timer) => self.at(now + pause, ScheduledTimer::Swim(timer)),
                 SwimAction::Up(node) => {
-                    tracing::info!(node = %self.settings.node, other = %node, "is alive");
+                    tracing::info!(node = %self.settings.node, other = %node, "node is alive");
                     self.records.mark_alive(&node);
-                    known.status.insert(node, MemberStatus::Alive { since: now });
+                    state.status.insert(node, MemberStatus::Alive { since: now });
                     self.changed = true;
-                    self.loud_until = now + LOUD;
+                    self.full_record_until = now + FULL_RECORD_PERIOD;
                 }
                 SwimAction::Down(node) => {
-                    tracing::info!(node = %self.settings.node, other = %node, "is down");
+                    tracing::info!(node = %self.settings.node, other = %node, "node is down");
                     self.records.mark_down(&node, now);
-                    known.counters.down_verdicts += 1;
-                    known.status.insert(node, MemberStatus::Down { since: now });
+                    state.counters.down_verdicts += 1;
+                    state.status.insert(node, MemberStatus::Down { since: now });
                     self.changed = true;
                 }
                 SwimAction::Suspected(node) => {
-                    tracing::debug!(node = %self.settings.node, other = %node, "is suspected");
-                    known.status.insert(node, MemberStatus::Suspect { since: now });
+                    tracing::debug!(node = %self.settings.node, other = %node, "node is suspected");
+                    state.status.insert(node, MemberStatus::Suspect { since: now });
                     self.changed = true;
                 }
                 SwimAction::Cleared(node) => {
-                    known.status.insert(node, MemberStatus::Alive { since: now });
+                    state.status.insert(node, MemberStatus::Alive { since: now });
                     self.changed = true;
                 }
                 SwimAction::Rejoined => {
-                    tracing::warn!(node = %self.settings.node, "was judged down by others, and came back");
-                    known.counters.refutations += 1;
+                    tracing::warn!(node = %self.settings.node, "was declared down by other nodes, and rejoined");
+                    state.counters.refutations += 1;
                 }
             }
         }
     }
 
-    /// Tells all of the own record, and begins to repeat it.
-    fn publish(&mut self, known: &mut GossipState, now: NodeTime) -> Action {
-        self.loud_until = now + LOUD;
-        self.repeat(known, now)
+    /// Publishes the whole own record, and starts to repeat it.
+    fn publish(&mut self, state: &mut GossipState, now: NodeTime) -> Action {
+        self.full_record_until = now + FULL_RECORD_PERIOD;
+        self.repeat(state, now)
     }
 
-    fn repeat(&mut self, known: &mut GossipState, now: NodeTime) -> Action {
-        self.spoke = now;
-        known.counters.published += 1;
-        let loud = now < self.loud_until;
-        Action::Publish(if loud { RecordUpdate::Record(self.records.own().clone()) } else { self.records.refresh() })
+    fn repeat(&mut self, state: &mut GossipState, now: NodeTime) -> Action {
+        self.last_published = now;
+        state.counters.published += 1;
+        let full_record = now < self.full_record_until;
+        Action::Publish(if full_record {
+            RecordUpdate::Record(self.records.own().clone())
+        } else {
+            self.records.refresh()
+        })
     }
 
-    fn at(&mut self, due: NodeTime, what: Due) {
+    fn at(&mut self, due: NodeTime, timer: ScheduledTimer) {
         let number = self.number();
-        self.agenda.insert((due, number), what);
+        self.agenda.insert((due, number), timer);
     }
 
     fn number(&mut self) -> u64 {
@@ -631,13 +661,14 @@ impl Gossiper {
         self.last_number
     }
 
-    /// A time from nothing up to this.
-    fn up_to(&mut self, time: Duration) -> Duration {
+    /// Returns a random time between zero and `time`.
+    fn random_up_to(&mut self, time: Duration) -> Duration {
         time.mul_f64(self.rng.random_range(0.0..1.0))
     }
 
-    /// This time, give or take a tenth. Never nothing, or the agenda would not end.
-    fn about(&mut self, time: Duration) -> Duration {
+    /// Returns `time` with a random deviation of up to a tenth. Never zero, or the agenda would not
+    /// end.
+    fn jittered(&mut self, time: Duration) -> Duration {
         time.mul_f64(self.rng.random_range(0.9..1.1)).max(Duration::from_millis(1))
     }
 }

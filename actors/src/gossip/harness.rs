@@ -1,4 +1,4 @@
-//! A node's gossip without a bus, for those who try it with messages of their own.
+//! A node's gossip without a bus, for fuzzing it with arbitrary messages.
 
 use super::gossiper::{Action, Event, Gossiper};
 use super::settings::Settings;
@@ -14,28 +14,28 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::time::Duration;
 
-/// How something was said to it.
+/// Source of an input message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum GossipInput {
-    /// A node published what it says of itself.
+    /// A publication by a node of its own record.
     Published(NodeId),
     /// A packet of failure detection.
     Packet,
-    /// A peer asked, comparing what both know.
+    /// A peer's request to compare digests.
     Request,
-    /// A peer answered in this round.
+    /// A peer's reply in this round.
     Reply(u64),
 }
 
-/// A node's gossip, on time that passes as it is told.
+/// A node's gossip with a manually advanced clock.
 pub struct GossipHarness {
     gossiper: Gossiper,
-    known: GossipState,
+    state: GossipState,
     now: NodeTime,
 }
 
 impl GossipHarness {
-    /// A node that has just started.
+    /// Creates the gossip of a node that has just started.
     pub fn new(fleet: FleetId, node: NodeId) -> GossipHarness {
         let knowledge = Knowledge {
             may_vote: true,
@@ -47,24 +47,26 @@ impl GossipHarness {
             supported_versions: VersionRange::OWN,
             robot: None,
         };
-        let (mut known, rng) = (GossipState::default(), ChaCha8Rng::seed_from_u64(1));
+        let (mut state, rng) = (GossipState::default(), ChaCha8Rng::seed_from_u64(1));
         let settings = Settings::new(fleet, node, 1);
-        let (gossiper, _) = Gossiper::new(settings, knowledge, None, rng, &mut known, NodeTime::ZERO);
-        GossipHarness { gossiper, known, now: NodeTime::ZERO }
+        let (gossiper, _) = Gossiper::new(settings, knowledge, None, rng, &mut state, NodeTime::ZERO);
+        GossipHarness { gossiper, state, now: NodeTime::ZERO }
     }
 
-    /// Hears something, and gives the messages that it would send upon it.
+    /// Processes an input and returns the messages that the node would send.
     ///
     /// # Errors
-    /// What is wrong with the message, which has changed nothing.
-    pub fn receive(&mut self, said: GossipInput, bytes: &[u8]) -> Result<Vec<Vec<u8>>, String> {
+    /// The reason why the message is invalid. It has changed nothing.
+    pub fn receive(&mut self, input: GossipInput, bytes: &[u8]) -> Result<Vec<Vec<u8>>, String> {
         let exchange = || codec::decode_any_version::<Exchange>(bytes).map_err(|problem| problem.to_string());
-        let event = match said {
+        let event = match input {
             GossipInput::Published(owner) => {
                 let statement: RecordUpdate =
                     codec::decode_any_version(bytes).map_err(|problem| problem.to_string())?;
                 match &statement {
-                    RecordUpdate::Record(record) if record.owner != owner => return Err("it is another's".to_owned()),
+                    RecordUpdate::Record(record) if record.owner != owner => {
+                        return Err("the record belongs to another node".to_owned());
+                    }
                     _ => Event::Published(owner, statement),
                 }
             }
@@ -75,23 +77,23 @@ impl GossipHarness {
         self.handle(event)
     }
 
-    /// Time passes; gives the messages that it sends meanwhile.
+    /// Advances the time and returns the messages sent meanwhile.
     ///
     /// # Errors
-    /// As the actor logs them.
+    /// The error that the actor would log.
     pub fn advance(&mut self, time: Duration) -> Result<Vec<Vec<u8>>, String> {
         self.now = self.now + time;
         self.handle(Event::TimerFired)
     }
 
-    /// How many nodes it knows something of.
+    /// Returns the number of nodes with a stored record.
     pub fn known_nodes(&self) -> usize {
-        self.known.base.iter().count()
+        self.state.base.iter().count()
     }
 
     fn handle(&mut self, event: Event) -> Result<Vec<Vec<u8>>, String> {
-        let actions = self.gossiper.handle(event, &mut self.known, self.now)?;
-        let written = |action| match action {
+        let actions = self.gossiper.handle(event, &mut self.state, self.now)?;
+        let encoded = |action| match action {
             Action::Publish(statement) => {
                 codec::encode_for_version(VersionRange::OWN.newest, statement).map_err(|problem| problem.to_string())
             }
@@ -100,6 +102,6 @@ impl GossipHarness {
                 codec::encode_for_version(VersionRange::OWN.newest, exchange).map_err(|problem| problem.to_string())
             }
         };
-        Ok(actions.into_iter().map(|action| written(action).expect("what it says fits a message")).collect())
+        Ok(actions.into_iter().map(|action| encoded(action).expect("own messages fit the size limit")).collect())
     }
 }

@@ -1,27 +1,27 @@
-//! Who vouches for what is handed on of third ones.
+//! Signing and verification of knowledge records.
 
 use consort_protocol::knowledge::{Proof, Record};
 use std::sync::Arc;
 
-/// Signs what the own node says of itself, and judges what others hand on of third ones.
+/// Signs the own node's records, and verifies records that other nodes forward.
 pub trait RecordSigner: Send + Sync {
-    /// The proof that this is the own record: the signature of what it says, with its stamp.
+    /// Returns the proof of the own record: the signature of its content and stamp.
     fn sign(&self, record: &Record) -> Proof;
 
-    /// Whether its owner said this.
+    /// Verifies that a record was signed by its owner.
     fn verify(&self, record: &Record) -> ProofStatus;
 }
 
-/// What is thought of a record that was handed on.
+/// Result of the verification of a forwarded record.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ProofStatus {
-    /// Its owner said it.
+    /// Signed by its owner.
     Valid,
-    /// Nobody can tell yet: it has no proof, or one by a certificate that is not known here.
+    /// Not verifiable yet: the proof is missing, or its certificate is unknown to this node.
     Unproven,
-    /// Its owner did not say it, and what is wrong, in words.
+    /// Not signed by its owner, with the reason.
     Forged(String),
 }
 
-/// Shared by all that a node says.
+/// Signer shared by all publishers of a node.
 pub type SharedRecordSigner = Arc<dyn RecordSigner>;

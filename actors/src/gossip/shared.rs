@@ -1,4 +1,4 @@
-//! What a node has heard, for its other actors to read.
+//! Knowledge received by a node, readable by its other actors.
 
 use consort_protocol::ids::NodeId;
 use consort_protocol::knowledge::KnowledgeBase;
@@ -7,31 +7,31 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
-/// Whether a node is alive, as far as this one can tell.
+/// State of a node in this node's view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MemberStatus {
-    /// Not met yet, or forgotten.
+    /// Not in contact yet, or removed.
     Unknown,
-    /// Alive, as far as anybody has said.
+    /// Alive in every received update.
     Alive {
-        /// Since when, on this node's clock.
+        /// Start of the state, on this node's clock.
         since: NodeTime,
     },
-    /// Somebody waits in vain for its answer. It counts as alive until it is judged down; if it hears of the suspicion and
-    /// is heard, it is alive again.
+    /// A probe or query of this node was not answered. The node counts as alive until it is
+    /// declared down; if it receives the suspicion and its refutation arrives, it is alive again.
     Suspect {
-        /// Since when, on this node's clock.
+        /// Start of the state, on this node's clock.
         since: NodeTime,
     },
-    /// Judged down.
+    /// Declared down.
     Down {
-        /// Since when, on this node's clock.
+        /// Start of the state, on this node's clock.
         since: NodeTime,
     },
 }
 
 impl MemberStatus {
-    /// Whether it counts as alive: it was met, and not judged down.
+    /// Checks whether the node counts as alive: in contact, and not declared down.
     pub fn is_alive(&self) -> bool {
         match self {
             MemberStatus::Alive { .. } | MemberStatus::Suspect { .. } => true,
@@ -39,7 +39,7 @@ impl MemberStatus {
         }
     }
 
-    /// In a word, for people: `unknown`, `alive`, `suspect` or `down`.
+    /// Returns the state as text: `unknown`, `alive`, `suspect` or `down`.
     pub fn as_str(&self) -> &'static str {
         match self {
             MemberStatus::Unknown => "unknown",
@@ -50,28 +50,28 @@ impl MemberStatus {
     }
 }
 
-/// What gossip has done so far.
+/// Counters of a node's gossip.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct GossipCounters {
-    /// Times that the own record was published.
+    /// Publications of the own record.
     pub published: u64,
-    /// Packets of failure detection sent.
+    /// Sent packets of failure detection.
     pub packets: u64,
     /// Digests sent to a peer.
     pub requests_sent: u64,
-    /// Digests of peers answered.
+    /// Replies to digests of peers.
     pub requests_answered: u64,
-    /// Messages that could not be read, and were dropped.
+    /// Malformed messages, dropped.
     pub malformed: u64,
     /// Messages not sent because the bus was slow or failed.
     pub unsent: u64,
-    /// Times that others judged this node down wrongly and it came back.
+    /// Refutations of a wrong down verdict on this node, by a rejoin under a new identity.
     pub refutations: u64,
-    /// Times that this node came to believe another down.
+    /// Down verdicts of this node on other nodes.
     pub down_verdicts: u64,
 }
 
-/// All that there is to read.
+/// Readable state of gossip.
 #[derive(Debug, Default)]
 pub(super) struct GossipState {
     pub(super) base: KnowledgeBase,
@@ -85,55 +85,56 @@ impl GossipState {
     }
 }
 
-/// A handle on what a node has heard. The gossip actor is the only writer; it outlives that actor, so that one which is
-/// started in its place goes on from here and no reader notices.
+/// Handle of the knowledge received by a node. The gossip actor is the only writer. The knowledge
+/// outlives that actor: a replacement actor continues with it, and readers notice nothing.
 #[derive(Debug, Clone)]
 pub struct SharedKnowledge {
-    known: Arc<Mutex<GossipState>>,
+    state: Arc<Mutex<GossipState>>,
     changes: Arc<watch::Sender<u64>>,
 }
 
 impl Default for SharedKnowledge {
     fn default() -> Self {
-        SharedKnowledge { known: Arc::default(), changes: Arc::new(watch::Sender::new(0)) }
+        SharedKnowledge { state: Arc::default(), changes: Arc::new(watch::Sender::new(0)) }
     }
 }
 
 impl SharedKnowledge {
-    /// Reads what is known. The gossip actor waits meanwhile: take out what is needed, and return.
+    /// Reads the knowledge base. The gossip actor waits meanwhile: copy the needed values and
+    /// return.
     pub fn read<T>(&self, look: impl FnOnce(&KnowledgeBase) -> T) -> T {
         look(&self.lock().base)
     }
 
-    /// A number that grows whenever somebody's knowledge or status changes. Being confirmed is no change: to notice that
-    /// knowledge grows old takes a timer.
+    /// Subscribes to a counter that increases on every change of knowledge or status. A
+    /// confirmation is no change: to detect stale knowledge, use a timer.
     pub fn changes(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
     }
 
-    /// Whether a node counts as alive, suspected or not; this one always does.
+    /// Checks whether a node counts as alive, suspected or not. This node always does.
     pub fn is_alive(&self, node: &NodeId) -> bool {
         self.lock().is_alive(node)
     }
 
-    /// The same in detail.
+    /// Returns the status of a node.
     pub fn status(&self, node: &NodeId) -> MemberStatus {
         self.lock().status.get(node).copied().unwrap_or(MemberStatus::Unknown)
     }
 
-    /// The status of all nodes that have one, in the order of their names.
+    /// Returns the status of all nodes with a known status, ordered by name.
     pub fn statuses(&self) -> BTreeMap<NodeId, MemberStatus> {
         self.lock().status.clone()
     }
 
-    /// What gossip has done so far.
+    /// Returns the counters.
     pub fn counters(&self) -> GossipCounters {
         self.lock().counters
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, GossipState> {
         // A reader that panicked has written nothing.
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub(super) fn notify_change(&self) {

@@ -1,4 +1,4 @@
-//! The attendant's mailbox: whom it hears, what it asks for, and what people call off.
+//! The actor of the human task proxy: mailbox, queries and mission cancellation by people.
 
 use super::requests::{PendingCancellations, RecentCancelOrders};
 use super::roles::{ProxyRole, RoleKey, query_signals, send_person_request};
@@ -19,61 +19,62 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 use tracing::{debug, warn};
 
-/// How long the coordinator may take to write down that a mission was called off.
-const CANCEL_LIMIT: Duration = Duration::from_secs(2);
+/// Timeout for the coordinator to record that a mission was canceled.
+const CANCEL_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How an attendant works.
+/// Settings of a human task proxy.
 pub struct HumanTaskProxySettings {
-    /// The node it lives on.
+    /// Id of its node.
     pub node: NodeId,
     /// The fleet's keys.
     pub keys: Keys,
     /// The bus.
     pub bus: SharedBus,
-    /// Where it tells what happens.
+    /// Event publisher.
     pub events: EventPublisher,
-    /// How often it looks after everything; what is heard is acted on at once. Default 1 s.
+    /// Interval of the periodic work. Messages are handled at once. Default 1 s.
     pub tick_interval: Duration,
 }
 
-/// To an attendant.
+/// Message for the human task proxy.
 pub enum HumanTaskProxyMessage {
-    /// Time to look after everything.
+    /// Periodic timer: repeat queries, requests and reports.
     Tick,
-    /// The coordinator says that it is there.
+    /// Beacon of the coordinator.
     Beacon(Sample),
-    /// Missions under way have changed.
+    /// The active missions have changed.
     MissionsChanged(Sample),
-    /// The missions under way, as a coordinator has them, and which question that answers.
+    /// Active missions, as a coordinator reports them, with the number of the query.
     ActiveMissions(u64, ActiveMissions),
-    /// A role of some mission said something.
+    /// Signal of a role.
     Signal(Sample),
-    /// A role answered what it has said.
+    /// Signal history of a role, in reply to a query.
     SignalHistory(SignalHistory),
-    /// A person has ended something.
+    /// Event of a person.
     PersonEvent(Sample),
-    /// The host of people answered to an ask.
+    /// State of a person request, in reply to a command.
     RequestReplied(GoalId, PersonRequestState),
-    /// A report of this branch's plan was answered.
+    /// Reply to a report for this branch.
     ReportReplied(MissionId, RoleId, Branch, ReportReply),
 }
 
-/// The actor.
+/// The human task proxy actor.
 pub struct HumanTaskProxy;
 
-/// State of [`Attendant`].
+/// State of [`HumanTaskProxy`].
 pub struct HumanTaskProxyState {
     pub(super) settings: HumanTaskProxySettings,
     pub(super) coordinator: Option<Beacon>,
     pub(super) roles: BTreeMap<RoleKey, ProxyRole>,
-    /// How often the coordinator was asked which missions are under way, and which of these questions is the latest of which
-    /// the answer was taken: answers may overtake one another.
-    looks: u64,
-    seen: u64,
+    /// Number of queries for the active missions so far. The next field is the latest query with an
+    /// accepted reply: replies may arrive out of order.
+    queries_sent: u64,
+    latest_reply: u64,
     pub(super) cancellations: PendingCancellations,
-    /// Missions that people called off, and who did: asked of the coordinator until they are no longer under way.
-    called_off: BTreeMap<MissionId, String>,
-    words: RecentCancelOrders,
+    /// Missions canceled by people, with the name of the person. The cancellation is repeated until
+    /// the mission is no longer active.
+    canceled_missions: BTreeMap<MissionId, String>,
+    recent_orders: RecentCancelOrders,
     pub(super) signals: SignalExchange,
     pub(super) tasks: Tasks,
 }
@@ -106,11 +107,11 @@ impl Actor for HumanTaskProxy {
             settings,
             coordinator: None,
             roles: BTreeMap::new(),
-            looks: 0,
-            seen: 0,
+            queries_sent: 0,
+            latest_reply: 0,
             cancellations: PendingCancellations::default(),
-            called_off: BTreeMap::new(),
-            words: RecentCancelOrders::default(),
+            canceled_missions: BTreeMap::new(),
+            recent_orders: RecentCancelOrders::default(),
             signals: SignalExchange::new(bus, keys),
             tasks,
         })
@@ -123,26 +124,26 @@ impl Actor for HumanTaskProxy {
         state: &mut Self::State,
     ) -> Result<(), ActorProcessingErr> {
         match message {
-            HumanTaskProxyMessage::Tick => state.beat(&myself).await,
+            HumanTaskProxyMessage::Tick => state.tick(&myself).await,
             HumanTaskProxyMessage::Beacon(sample) => state.follow_coordinator(&myself, &sample),
-            HumanTaskProxyMessage::MissionsChanged(_) => state.look(&myself),
-            HumanTaskProxyMessage::ActiveMissions(look, live) => {
-                if look > state.seen {
-                    state.seen = look;
-                    state.update_missions(&myself, live).await?;
+            HumanTaskProxyMessage::MissionsChanged(_) => state.query_missions(&myself),
+            HumanTaskProxyMessage::ActiveMissions(query_number, active) => {
+                if query_number > state.latest_reply {
+                    state.latest_reply = query_number;
+                    state.update_missions(&myself, active).await?;
                 }
             }
             HumanTaskProxyMessage::Signal(sample) => match codec::decode::<SignalHistory>(&sample.payload) {
-                Ok(said) => state.receive_signals(&myself, &said).await,
-                Err(problem) => warn!(key = sample.key, %problem, "a signal that cannot be read"),
+                Ok(history) => state.receive_signals(&myself, &history).await,
+                Err(problem) => warn!(key = sample.key, %problem, "signal cannot be decoded"),
             },
-            HumanTaskProxyMessage::SignalHistory(said) => state.receive_signals(&myself, &said).await,
+            HumanTaskProxyMessage::SignalHistory(history) => state.receive_signals(&myself, &history).await,
             HumanTaskProxyMessage::PersonEvent(sample) => match codec::decode::<PersonEvent>(&sample.payload) {
                 Ok(PersonEvent::RequestEnded { id, result }) => state.handle_request_ended(&myself, id, result).await,
-                Ok(PersonEvent::CancelMission { by, role, robot, at_ms: said_ms }) => {
-                    state.call_off(&by, &role, &robot, said_ms)
+                Ok(PersonEvent::CancelMission { by, role, robot, at_ms }) => {
+                    state.cancel_mission(&by, &role, &robot, at_ms)
                 }
-                Err(problem) => warn!(%problem, "a person's word that cannot be read"),
+                Err(problem) => warn!(%problem, "event of a person cannot be decoded"),
             },
             HumanTaskProxyMessage::RequestReplied(_, PersonRequestState::Requested) => {}
             HumanTaskProxyMessage::RequestReplied(id, PersonRequestState::Ended(result)) => {
@@ -153,8 +154,8 @@ impl Actor for HumanTaskProxy {
                 state.cancellations.confirm(id);
                 state.renew_request(&myself, id);
             }
-            HumanTaskProxyMessage::ReportReplied(mission, role, branch, answer) => {
-                state.handle_report_reply(&myself, &(mission, role), branch, answer).await;
+            HumanTaskProxyMessage::ReportReplied(mission, role, branch, reply) => {
+                state.handle_report_reply(&myself, &(mission, role), branch, reply).await;
             }
         }
         Ok(())
@@ -162,18 +163,18 @@ impl Actor for HumanTaskProxy {
 }
 
 impl HumanTaskProxyState {
-    async fn beat(&mut self, myself: &ActorRef<HumanTaskProxyMessage>) {
-        self.look(myself);
-        for ((mission, _), job) in &self.roles {
-            query_signals(&self.signals, &mut self.tasks, myself, mission, &job.sequencer);
-            if let Some(asked) = &job.request {
-                send_person_request(&self.settings, &mut self.tasks, myself, asked.id(), Some(asked.request()));
+    async fn tick(&mut self, myself: &ActorRef<HumanTaskProxyMessage>) {
+        self.query_missions(myself);
+        for ((mission, _), proxied) in &self.roles {
+            query_signals(&self.signals, &mut self.tasks, myself, mission, &proxied.sequencer);
+            if let Some(request) = &proxied.request {
+                send_person_request(&self.settings, &mut self.tasks, myself, request.id(), Some(request.request()));
             }
         }
-        let jobs = &self.roles;
-        self.called_off.retain(|mission, _| jobs.keys().any(|(live, _)| live == mission));
-        for (mission, by) in self.called_off.clone() {
-            self.withdraw(mission, by);
+        let roles = &self.roles;
+        self.canceled_missions.retain(|mission, _| roles.keys().any(|(active, _)| active == mission));
+        for (mission, by) in self.canceled_missions.clone() {
+            self.send_cancel(mission, by);
         }
         for id in self.cancellations.pending() {
             send_person_request(&self.settings, &mut self.tasks, myself, id, None);
@@ -191,53 +192,55 @@ impl HumanTaskProxyState {
         let new = beacon.is_other_leader_session(self.coordinator.as_ref());
         self.coordinator = Some(beacon);
         if new {
-            self.look(myself);
+            self.query_missions(myself);
         }
     }
 
-    /// Asks the coordinator which missions are under way.
-    fn look(&mut self, myself: &ActorRef<HumanTaskProxyMessage>) {
+    /// Queries the coordinator for the active missions.
+    fn query_missions(&mut self, myself: &ActorRef<HumanTaskProxyMessage>) {
         let Some(beacon) = &self.coordinator else { return };
         let key = self.settings.keys.write(&Key::ActiveMissions(beacon.node.clone()));
         let (bus, to) = (self.settings.bus.clone(), myself.clone());
-        self.looks += 1;
-        let look = self.looks;
+        self.queries_sent += 1;
+        let query_number = self.queries_sent;
         self.tasks.spawn(async move {
-            match live(bus, &key).await {
-                // An attendant that has stopped needs no answer.
-                Some(live) => drop(to.cast(HumanTaskProxyMessage::ActiveMissions(look, live))),
-                None => debug!(key, "not told in full what is under way; the next beat asks again"),
+            match query_active_missions(bus, &key).await {
+                // A stopped proxy needs no reply.
+                Some(active) => drop(to.cast(HumanTaskProxyMessage::ActiveMissions(query_number, active))),
+                None => debug!(key, "active missions not received completely; the next timer repeats the query"),
             }
         });
     }
 
-    /// Somebody calls off the mission for which a robot came to them: whichever it is in which the robot and they have a part.
-    fn call_off(&mut self, by: &str, role: &RoleId, robot: &RobotId, said_ms: u64) {
-        let theirs = |((_, plays), job): &(&RoleKey, &ProxyRole)| {
-            plays == role && job.sequencer.holders().values().any(|holding| holding.robot == *robot)
+    /// Cancels the mission for which a robot came to a person: the mission in which both the robot
+    /// and the person's role take part.
+    fn cancel_mission(&mut self, by: &str, role: &RoleId, robot: &RobotId, at_ms: u64) {
+        let takes_part = |((_, role_id), proxied): &(&RoleKey, &ProxyRole)| {
+            role_id == role && proxied.sequencer.holders().values().any(|holding| holding.robot == *robot)
         };
-        let Some(mission) = self.roles.iter().find(theirs).map(|((mission, _), _)| mission.clone()) else { return };
-        if self.words.is_new(by, robot, said_ms) {
-            self.called_off.insert(mission.clone(), by.to_owned());
-            self.withdraw(mission, by.to_owned());
+        let Some(mission) = self.roles.iter().find(takes_part).map(|((mission, _), _)| mission.clone()) else { return };
+        if self.recent_orders.is_new(by, robot, at_ms) {
+            self.canceled_missions.insert(mission.clone(), by.to_owned());
+            self.send_cancel(mission, by.to_owned());
         }
     }
 
-    /// Asks the coordinator to cancel a mission, as any client would. Each beat repeats it while the mission is under way.
-    fn withdraw(&mut self, mission: MissionId, by: String) {
+    /// Sends a cancel request to the coordinator, as any client does. The timer repeats it while
+    /// the mission is active.
+    fn send_cancel(&mut self, mission: MissionId, by: String) {
         let request = serde_json::json!({ "mission": mission, "by": by }).to_string();
         let (bus, key) = (self.settings.bus.clone(), self.settings.keys.write(&Key::Api(ApiCall::Cancel)));
         self.tasks.spawn(async move {
-            let Ok(mut replies) = bus.query(&key, Bytes::from(request), CANCEL_LIMIT).await else { return };
+            let Ok(mut replies) = bus.query(&key, Bytes::from(request), CANCEL_TIMEOUT).await else { return };
             while let Some(reply) = replies.recv().await {
-                debug!(%mission, answered = reply.payload.is_ok(), "a cancel was answered");
+                debug!(%mission, answered = reply.payload.is_ok(), "cancel request got a reply");
             }
         });
     }
 }
 
-/// `None` if the answer did not come in full.
-async fn live(bus: SharedBus, key: &str) -> Option<ActiveMissions> {
+/// Returns `None` if the reply was incomplete.
+async fn query_active_missions(bus: SharedBus, key: &str) -> Option<ActiveMissions> {
     let mut replies = bus.query(key, Bytes::new(), Duration::from_millis(500)).await.ok()?;
     let mut parts: Vec<ActiveMissions> = vec![];
     while let Some(reply) = replies.recv().await {

@@ -1,11 +1,13 @@
-//! The attendant: speaks for those who play unmanaged roles, since they take no orders from the fleet.
+//! The human task proxy: executes unmanaged roles on behalf of people, who take no orders from the
+//! fleet.
 //!
-//! It follows the missions under way, runs each unmanaged role's local plan as far as the others' signals allow, asks the
-//! host of people to do the tasks in it, and tells the others when they have been done. One attendant in a fleet is
-//! enough, two do no harm: asks and signals have names of their own and repeating them changes nothing.
+//! The proxy follows the active missions. It executes the local plan of each unmanaged role as far
+//! as the signals of other roles permit, sends its tasks to people through the driver server, and
+//! signals their end to the other roles. A fleet needs a single proxy; several do no harm, because
+//! requests and signals have ids and their repetition has no effect.
 //!
-//! It remembers nothing beyond its life. What it had asked is asked again by the next one, under the same id, if it is still
-//! wanted; else nobody repeats it, and the host of people withdraws it.
+//! The proxy stores nothing. After a restart it repeats each request under the same id if the
+//! request is still needed. The driver server cancels requests that are no longer repeated.
 
 mod actor;
 mod requests;

@@ -1,4 +1,4 @@
-//! What people are asked to do, and which asks are to be called off, as values.
+//! Requests to people and their cancellation, as values.
 
 use crate::robot::StepRef;
 use consort_protocol::codec;
@@ -10,64 +10,65 @@ use consort_skills::actions::{GoalId, PersonRequest};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 
-/// Dismissals that are repeated at a time; the oldest are given up beyond. Raised: more questions at each beat to a host of
-/// people that does not answer. A guess: each is of a mission that ended, or lost a robot, while somebody was asked.
-const DISMISSALS_MAX: usize = 64;
+/// Maximum number of cancellations that are repeated; older ones are dropped. Raised: more queries
+/// per timer to an unreachable driver server. A guess: each belongs to a mission that ended, or
+/// lost a robot, during a person request.
+const CANCELLATIONS_MAX: usize = 64;
 
-/// What an ask is about.
+/// Subject of a person request.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct RequestSubject {
-    /// A ledger founded anew may have another mission of the same name.
+    /// A newly founded ledger may reuse a mission id.
     pub(super) cluster: Option<ClusterId>,
     pub(super) mission: MissionId,
     pub(super) branch: Branch,
     pub(super) role: RoleId,
     pub(super) task: TaskId,
     pub(super) spec: TaskSpec,
-    /// A robot that gets its role back has another award, and is met anew.
+    /// A robot that gets its role back has a new award, and the person meets it anew.
     pub(super) holders: BTreeMap<RoleId, RoleHolder>,
 }
 
-/// Something that a person was asked.
+/// Request to a person.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct OpenRequest {
     pub(super) step: StepRef,
-    matter: RequestSubject,
-    /// How often it was asked before, and called off by somebody who did not know better.
+    subject: RequestSubject,
+    /// Number of earlier requests with the same subject that were canceled while still needed.
     turn: u32,
 }
 
 impl OpenRequest {
-    pub(super) fn first(spot: StepRef, matter: RequestSubject) -> OpenRequest {
-        OpenRequest { step: spot, matter, turn: 0 }
+    pub(super) fn new(step: StepRef, subject: RequestSubject) -> OpenRequest {
+        OpenRequest { step, subject, turn: 0 }
     }
 
-    /// Whoever asks about the same for the same time, be it another attendant or a later life of this one, asks under the
-    /// same id: FNV-1a (Fowler, Noll, Vo) over what the ask is about.
+    /// Returns the request id: FNV-1a (Fowler, Noll, Vo) over the subject and the turn. Another
+    /// proxy, or a later incarnation of this proxy, gets the same id for the same subject and turn.
     pub(super) fn id(&self) -> GoalId {
-        let about = codec::encode_record(&(&self.matter, self.turn)).expect("an ask is smaller than a record");
+        let content = codec::encode_record(&(&self.subject, self.turn)).expect("a person request fits a record");
         let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
-        GoalId(about.iter().fold(0xcbf2_9ce4_8422_2325, step))
+        GoalId(content.iter().fold(0xcbf2_9ce4_8422_2325, step))
     }
 
-    /// What the host of people is told.
+    /// Returns the request as sent to the driver server.
     pub(super) fn request(&self) -> PersonRequest {
-        let RequestSubject { role, spec, holders, .. } = &self.matter;
+        let RequestSubject { role, spec, holders, .. } = &self.subject;
         PersonRequest { role: role.clone(), task: spec.clone(), holders: RoleHolder::robots(holders) }
     }
 
-    /// Whether the robots to be met, or their awards, are others by now.
+    /// Checks whether the robots to be met, or their awards, have changed.
     pub(super) fn is_outdated(&self, holders: &BTreeMap<RoleId, RoleHolder>) -> bool {
-        self.matter.holders != *holders
+        self.subject.holders != *holders
     }
 
-    /// The ask was called off, yet is still wanted: an id that was called off is not served again.
+    /// Renews a canceled request that is still needed. A canceled id is not served again.
     pub(super) fn renew(&mut self) {
         self.turn += 1;
     }
 }
 
-/// Asks that were called off and of which the host of people has not said that it heard so, oldest first.
+/// Cancellations that the driver server has not confirmed yet, oldest first.
 #[derive(Debug, Default)]
 pub(super) struct PendingCancellations(VecDeque<GoalId>);
 
@@ -75,41 +76,42 @@ impl PendingCancellations {
     pub(super) fn add(&mut self, id: GoalId) {
         self.confirm(id);
         self.0.push_back(id);
-        if self.0.len() > DISMISSALS_MAX {
+        if self.0.len() > CANCELLATIONS_MAX {
             self.0.pop_front();
         }
     }
 
-    /// The ask has ended, one way or the other.
+    /// Removes a request that has ended, for any reason.
     pub(super) fn confirm(&mut self, id: GoalId) {
         self.0.retain(|known| *known != id);
     }
 
-    /// Those to be repeated.
+    /// Returns the cancellations to be repeated.
     pub(super) fn pending(&self) -> impl Iterator<Item = GoalId> {
         self.0.iter().copied()
     }
 }
 
-/// Words by which missions were called off that are known again. The host of people repeats a word for some beats, 2.5 s
-/// with its defaults, and not later; more than so many others are not said meanwhile by people who each stand at a place.
-/// Raised: more memory, nothing else.
-const WORDS_MAX: usize = 256;
+/// Number of recent cancel orders that are recognised as repetitions. The driver server repeats an
+/// order for some publish intervals, 2.5 s with the defaults, and not later. People who each stand
+/// at a place do not send more than this number meanwhile. Raised: more memory, no other effect.
+const ORDERS_MAX: usize = 256;
 
-/// The latest words by which people called missions off, oldest first, so that a repeated one does not call off the next
-/// mission too.
+/// Recent orders of people to cancel a mission, oldest first. A repeated order must not cancel the
+/// next mission.
 #[derive(Debug, Default)]
 pub(super) struct RecentCancelOrders(VecDeque<(String, RobotId, u64)>);
 
 impl RecentCancelOrders {
-    /// Whether a word was not heard before: who said it, to which robot, and when on the world's clock.
-    pub(super) fn is_new(&mut self, by: &str, robot: &RobotId, said_ms: u64) -> bool {
-        let known = |(other, to, at): &(String, RobotId, u64)| other == by && to == robot && *at == said_ms;
+    /// Checks whether an order is new. It is identified by the person, the robot, and the time on
+    /// the world's clock.
+    pub(super) fn is_new(&mut self, by: &str, robot: &RobotId, at_ms: u64) -> bool {
+        let known = |(other, to, at): &(String, RobotId, u64)| other == by && to == robot && *at == at_ms;
         if self.0.iter().any(known) {
             return false;
         }
-        self.0.push_back((by.to_owned(), robot.clone(), said_ms));
-        if self.0.len() > WORDS_MAX {
+        self.0.push_back((by.to_owned(), robot.clone(), at_ms));
+        if self.0.len() > ORDERS_MAX {
             self.0.pop_front();
         }
         true
@@ -122,7 +124,7 @@ mod tests {
     use consort_protocol::ids::TaskType;
     use consort_protocol::lease::Epoch;
 
-    fn matter(holders: &[(&str, &str, u64)]) -> RequestSubject {
+    fn subject(holders: &[(&str, &str, u64)]) -> RequestSubject {
         let role = |name: &str| RoleId::new(name).unwrap();
         let holding = |(of, robot, index): &(&str, &str, u64)| {
             (role(of), RoleHolder { robot: RobotId::new(*robot).unwrap(), epoch: Epoch { term: 1, index: *index } })
@@ -138,67 +140,67 @@ mod tests {
         }
     }
 
-    fn id(matter: RequestSubject) -> GoalId {
-        OpenRequest::first(StepRef::Step(0), matter).id()
+    fn id(subject: RequestSubject) -> GoalId {
+        OpenRequest::new(StepRef::Step(0), subject).id()
     }
 
     #[test]
-    fn a_robot_that_gets_its_role_back_is_asked_for_anew() {
-        let both = matter(&[("lab_arm", "arm", 2), ("r1", "amber", 2)]);
-        let alone = matter(&[("r1", "amber", 2)]);
-        let again = matter(&[("lab_arm", "arm", 9), ("r1", "amber", 2)]);
+    fn a_new_award_of_the_same_robot_gets_a_new_request() {
+        let both = subject(&[("lab_arm", "arm", 2), ("r1", "amber", 2)]);
+        let alone = subject(&[("r1", "amber", 2)]);
+        let again = subject(&[("lab_arm", "arm", 9), ("r1", "amber", 2)]);
         let ids = std::collections::BTreeSet::from([id(both.clone()), id(alone), id(again.clone())]);
         assert_eq!(ids.len(), 3);
-        let asked = OpenRequest::first(StepRef::Step(0), both.clone());
-        assert!(asked.is_outdated(&again.holders) && !asked.is_outdated(&both.holders));
-        assert_eq!(id(both.clone()), id(both), "and the same ask has the same id, whoever asks");
+        let request = OpenRequest::new(StepRef::Step(0), both.clone());
+        assert!(request.is_outdated(&again.holders) && !request.is_outdated(&both.holders));
+        assert_eq!(id(both.clone()), id(both), "the same request has the same id");
     }
 
     #[test]
-    fn missions_of_one_name_in_two_clusters_and_branches_are_asked_for_apart() {
-        let here = matter(&[("r1", "amber", 2)]);
-        let founded_anew = RequestSubject { cluster: Some(ClusterId(8)), ..here.clone() };
-        let recovered = RequestSubject { branch: Branch::Recovery, ..here.clone() };
-        let ids = std::collections::BTreeSet::from([id(here), id(founded_anew), id(recovered)]);
+    fn requests_of_different_clusters_and_branches_have_different_ids() {
+        let here = subject(&[("r1", "amber", 2)]);
+        let other_cluster = RequestSubject { cluster: Some(ClusterId(8)), ..here.clone() };
+        let recovery = RequestSubject { branch: Branch::Recovery, ..here.clone() };
+        let ids = std::collections::BTreeSet::from([id(here), id(other_cluster), id(recovery)]);
         assert_eq!(ids.len(), 3);
     }
 
     #[test]
-    fn what_was_called_off_and_is_still_wanted_is_asked_under_another_id() {
-        let mut asked = OpenRequest::first(StepRef::Step(0), matter(&[]));
-        let first = asked.id();
-        asked.renew();
-        assert_ne!(asked.id(), first);
-        let mut other_life = OpenRequest::first(StepRef::Step(0), matter(&[]));
-        other_life.renew();
-        assert_eq!(other_life.id(), asked.id(), "which every attendant comes to");
+    fn a_renewed_request_has_another_id() {
+        let mut request = OpenRequest::new(StepRef::Step(0), subject(&[]));
+        let first_id = request.id();
+        request.renew();
+        assert_ne!(request.id(), first_id);
+        let mut other_proxy = OpenRequest::new(StepRef::Step(0), subject(&[]));
+        other_proxy.renew();
+        assert_eq!(other_proxy.id(), request.id(), "every proxy computes the same id");
     }
 
     #[test]
-    fn a_word_is_known_again_for_as_long_as_it_is_repeated_and_not_for_ever() {
-        let mut words = RecentCancelOrders::default();
+    fn a_repeated_cancel_order_is_recognised_and_memory_is_bounded() {
+        let mut orders = RecentCancelOrders::default();
         let amber = RobotId::new("amber").unwrap();
-        assert!(words.is_new("Nia", &amber, 1000));
-        assert!(!words.is_new("Nia", &amber, 1000), "repeated");
-        for said_ms in [0, 2000] {
-            assert!(words.is_new("Nia", &amber, said_ms), "another word, be it of a world that began anew");
+        assert!(orders.is_new("Nia", &amber, 1000));
+        assert!(!orders.is_new("Nia", &amber, 1000), "repeated");
+        for at_ms in [0, 2000] {
+            assert!(orders.is_new("Nia", &amber, at_ms), "another order, possibly of a restarted world");
         }
-        assert!(words.is_new("Ria", &amber, 1000) && words.is_new("Nia", &RobotId::new("birch").unwrap(), 1000));
-        assert!(!words.is_new("Nia", &amber, 1000));
-        (10_000..20_000).for_each(|said_ms| assert!(words.is_new("Nia", &amber, said_ms)));
-        assert_eq!(words.0.len(), WORDS_MAX, "and there is an end to it");
-        assert!(!words.is_new("Nia", &amber, 19_999) && words.is_new("Nia", &amber, 1000));
+        assert!(orders.is_new("Ria", &amber, 1000) && orders.is_new("Nia", &RobotId::new("birch").unwrap(), 1000));
+        assert!(!orders.is_new("Nia", &amber, 1000));
+        (10_000..20_000).for_each(|at_ms| assert!(orders.is_new("Nia", &amber, at_ms)));
+        assert_eq!(orders.0.len(), ORDERS_MAX, "the number is bounded");
+        assert!(!orders.is_new("Nia", &amber, 19_999) && orders.is_new("Nia", &amber, 1000));
     }
 
     #[test]
-    fn a_dismissal_is_repeated_until_it_is_answered() {
-        let mut dismissals = PendingCancellations::default();
-        [1, 2, 1].into_iter().for_each(|id| dismissals.add(GoalId(id)));
-        assert_eq!(dismissals.pending().collect::<Vec<_>>(), [GoalId(2), GoalId(1)]);
-        assert_eq!(dismissals.pending().count(), 2, "looking at them does not end them");
-        dismissals.confirm(GoalId(2));
-        assert_eq!(dismissals.pending().collect::<Vec<_>>(), [GoalId(1)]);
-        (10..200).for_each(|id| dismissals.add(GoalId(id)));
-        assert_eq!(dismissals.pending().count(), DISMISSALS_MAX, "and there is an end to it");
+    fn a_cancellation_is_repeated_until_it_is_confirmed() {
+        let mut cancellations = PendingCancellations::default();
+        [1, 2, 1].into_iter().for_each(|id| cancellations.add(GoalId(id)));
+        assert_eq!(cancellations.pending().collect::<Vec<_>>(), [GoalId(2), GoalId(1)]);
+        assert_eq!(cancellations.pending().count(), 2, "reading them does not remove them");
+        cancellations.confirm(GoalId(2));
+        assert_eq!(cancellations.pending().collect::<Vec<_>>(), [GoalId(1)]);
+        (10..200).for_each(|id| cancellations.add(GoalId(id)));
+        assert_eq!(cancellations.pending().count(), CANCELLATIONS_MAX, "the number is bounded");
     }
 }

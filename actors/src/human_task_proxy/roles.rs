@@ -1,4 +1,5 @@
-//! The unmanaged roles of missions under way, as far as the others' signals and people allow.
+//! Unmanaged roles of the active missions, executed as far as the signals of other roles and the
+//! people permit.
 
 use super::actor::{HumanTaskProxyMessage, HumanTaskProxySettings, HumanTaskProxyState};
 use super::requests::{OpenRequest, RequestSubject};
@@ -22,35 +23,36 @@ use ractor::ActorRef;
 use std::time::Duration;
 use tracing::{debug, warn};
 
-/// Which role of which mission.
+/// Key of a role: mission and role.
 pub(super) type RoleKey = (MissionId, RoleId);
 
-/// One unmanaged role of a mission under way.
+/// Unmanaged role of an active mission.
 pub(super) struct ProxyRole {
     pub(super) cluster: Option<ClusterId>,
     pub(super) branch: Branch,
     pub(super) plan: LocalPlan,
     pub(super) sequencer: Sequencer,
-    /// What the person is at.
+    /// Request that the person is working on.
     pub(super) request: Option<OpenRequest>,
     pub(super) failure: Option<TaskFailure>,
-    /// What was said under awards no longer in force, so that each is told of once.
+    /// Signals received under awards no longer in force; each is reported once.
     pub(super) stale_signals: StaleSignals,
 }
 
 impl HumanTaskProxyState {
-    /// Puts down what is no longer under way, takes up what is new, and goes on with the rest as the coordinator knows it.
+    /// Ends roles that are no longer active, starts new roles, and updates the others from the
+    /// coordinator's reply.
     pub(super) async fn update_missions(
         &mut self,
         myself: &ActorRef<HumanTaskProxyMessage>,
         ActiveMissions { cluster, plans, .. }: ActiveMissions,
     ) -> Result<(), BusError> {
-        let live: Vec<_> = plans.iter().map(key_of).collect();
-        for key in self.roles.keys().filter(|key| !live.contains(key)).cloned().collect::<Vec<_>>() {
-            self.put_down(myself, &key);
+        let active: Vec<_> = plans.iter().map(role_key).collect();
+        for key in self.roles.keys().filter(|key| !active.contains(key)).cloned().collect::<Vec<_>>() {
+            self.end_role_and_cancel(myself, &key);
         }
-        for live in plans {
-            self.follow_role(myself, cluster, live).await?;
+        for active in plans {
+            self.follow_role(myself, cluster, active).await?;
         }
         Ok(())
     }
@@ -59,119 +61,122 @@ impl HumanTaskProxyState {
         &mut self,
         myself: &ActorRef<HumanTaskProxyMessage>,
         cluster: Option<ClusterId>,
-        live: ActivePlan,
+        active: ActivePlan,
     ) -> Result<(), BusError> {
-        let key = key_of(&live);
+        let key = role_key(&active);
         match self.roles.get(&key) {
-            // Said by a coordinator that has yet to learn of the recovery branch.
-            Some(job) if job.cluster == cluster && live.branch < job.branch => return Ok(()),
-            Some(job) if (job.cluster, job.branch) != (cluster, live.branch) || job.plan != live.plan => {
-                self.put_down(myself, &key);
+            // The coordinator has not applied the change to the recovery branch yet.
+            Some(proxied) if proxied.cluster == cluster && active.branch < proxied.branch => return Ok(()),
+            Some(proxied)
+                if (proxied.cluster, proxied.branch) != (cluster, active.branch) || proxied.plan != active.plan =>
+            {
+                self.end_role_and_cancel(myself, &key);
             }
             Some(_) | None => {}
         }
         if self.roles.contains_key(&key) {
-            self.keep_up(myself, &key, &live);
+            self.update_role(myself, &key, &active);
         } else {
-            self.take_up(myself, &key, cluster, &live).await?;
+            self.start_role(myself, &key, cluster, &active).await?;
         }
-        if let Some(job) = self.roles.get_mut(&key) {
-            job.sequencer.set_vacant_roles(&live.vacant);
-            job.sequencer.receive_recorded(&live.signals);
+        if let Some(proxied) = self.roles.get_mut(&key) {
+            proxied.sequencer.set_vacant_roles(&active.vacant);
+            proxied.sequencer.receive_recorded(&active.signals);
             self.advance(myself, &key).await;
         }
         Ok(())
     }
 
-    /// Goes on with a role of which others' parts may have changed hands.
-    fn keep_up(&mut self, myself: &ActorRef<HumanTaskProxyMessage>, key: &RoleKey, live: &ActivePlan) {
-        let Some(job) = self.roles.get_mut(key) else { return };
-        job.sequencer.set_recorded(&live.ended);
-        if *job.sequencer.holders() == live.holders {
+    /// Updates a role: the mission may have new holders.
+    fn update_role(&mut self, myself: &ActorRef<HumanTaskProxyMessage>, key: &RoleKey, active: &ActivePlan) {
+        let Some(proxied) = self.roles.get_mut(key) else { return };
+        proxied.sequencer.set_recorded(&active.ended);
+        if *proxied.sequencer.holders() == active.holders {
             return;
         }
-        if job.sequencer.set_holders(live.holders.clone()) {
-            query_signals(&self.signals, &mut self.tasks, myself, &key.0, &job.sequencer);
+        if proxied.sequencer.set_holders(active.holders.clone()) {
+            query_signals(&self.signals, &mut self.tasks, myself, &key.0, &proxied.sequencer);
         }
-        // Whoever was to be met is somebody else now: ask anew.
-        if let Some(asked) = job.request.take_if(|asked| asked.is_outdated(job.sequencer.holders())) {
-            job.sequencer.abort_task();
-            self.dismiss(myself, asked.id());
+        // The person would meet another robot now, so the request is replaced.
+        if let Some(request) = proxied.request.take_if(|request| request.is_outdated(proxied.sequencer.holders())) {
+            proxied.sequencer.abort_task();
+            self.cancel_request(myself, request.id());
         }
     }
 
-    /// Begins with a role; one whose plan makes no sense is left alone.
-    async fn take_up(
+    /// Starts a role. A role with an invalid plan is ignored.
+    async fn start_role(
         &mut self,
         myself: &ActorRef<HumanTaskProxyMessage>,
         key: &RoleKey,
         cluster: Option<ClusterId>,
-        live: &ActivePlan,
+        active: &ActivePlan,
     ) -> Result<(), BusError> {
         let (mission, role) = key;
-        let sequencer = match Sequencer::new(live.plan.clone(), &live.ended, live.holders.clone()) {
+        let sequencer = match Sequencer::new(active.plan.clone(), &active.ended, active.holders.clone()) {
             Ok(sequencer) => sequencer,
             Err(problem) => {
-                warn!(%mission, %role, %problem, "a plan that cannot be taken up");
+                warn!(%mission, %role, %problem, "plan cannot be started");
                 return Ok(());
             }
         };
         self.signals.start_role(mission, role, Epoch::default(), sequencer.sent_signals().clone()).await?;
         query_signals(&self.signals, &mut self.tasks, myself, mission, &sequencer);
-        let job = ProxyRole {
+        let proxied = ProxyRole {
             cluster,
-            branch: live.branch,
-            plan: live.plan.clone(),
+            branch: active.branch,
+            plan: active.plan.clone(),
             sequencer,
             request: None,
             failure: None,
             stale_signals: StaleSignals::new(),
         };
-        self.roles.insert(key.clone(), job);
+        self.roles.insert(key.clone(), proxied);
         Ok(())
     }
 
-    /// Another role said something.
-    pub(super) async fn receive_signals(&mut self, myself: &ActorRef<HumanTaskProxyMessage>, said: &SignalHistory) {
-        for signal in &said.signals {
-            let key = (said.mission.clone(), signal.to.clone());
-            let Some(job) = self.roles.get_mut(&key) else { continue };
-            match job.sequencer.receive_signal(signal, said.epoch) {
+    /// Receives the signals of another role.
+    pub(super) async fn receive_signals(&mut self, myself: &ActorRef<HumanTaskProxyMessage>, history: &SignalHistory) {
+        for signal in &history.signals {
+            let key = (history.mission.clone(), signal.to.clone());
+            let Some(proxied) = self.roles.get_mut(&key) else { continue };
+            match proxied.sequencer.receive_signal(signal, history.epoch) {
                 Ok(true) => self.advance(myself, &key).await,
                 Ok(false) => {}
                 Err(StaleSignal { current: known }) => {
-                    let told = self.signals.record_stale(&mut job.stale_signals, said, signal, known);
-                    told.into_iter().for_each(|what| self.settings.events.publish(what));
+                    let event = self.signals.record_stale(&mut proxied.stale_signals, history, signal, known);
+                    event.into_iter().for_each(|event| self.settings.events.publish(event));
                 }
             }
         }
     }
 
-    /// A person has done what was asked, or cannot.
+    /// Handles the end of a request: the person has completed the task, or cannot.
     pub(super) async fn handle_request_ended(
         &mut self,
         myself: &ActorRef<HumanTaskProxyMessage>,
         id: GoalId,
         result: Result<(), ActionError>,
     ) {
-        let asked = self.roles.iter().find(|(_, job)| job.request.as_ref().is_some_and(|asked| asked.id() == id));
-        let Some(key) = asked.map(|(key, _)| key.clone()) else { return };
-        let Some(job) = self.roles.get_mut(&key) else { return };
-        let (Some(OpenRequest { step: spot, .. }), Some(task)) =
-            (job.request.take(), job.sequencer.current_task().cloned())
+        let request =
+            self.roles.iter().find(|(_, proxied)| proxied.request.as_ref().is_some_and(|request| request.id() == id));
+        let Some(key) = request.map(|(key, _)| key.clone()) else { return };
+        let Some(proxied) = self.roles.get_mut(&key) else { return };
+        let (Some(OpenRequest { step, .. }), Some(task)) =
+            (proxied.request.take(), proxied.sequencer.current_task().cloned())
         else {
             return;
         };
         let (mission, role) = key.clone();
         match result {
             Ok(()) => {
-                job.sequencer.end_task(spot);
+                proxied.sequencer.end_task(step);
                 self.settings.events.publish(EventKind::TaskEnded { mission, role, task });
             }
             Err(problem) => {
                 let cause = problem.to_string();
                 let (failed, kind) = (Some(task.clone()), FailureKind::Task);
-                job.failure = Some(TaskFailure { task: failed, cause: cause.clone(), kind });
+                proxied.failure = Some(TaskFailure { task: failed, cause: cause.clone(), kind });
                 self.settings.events.publish(EventKind::TaskFailed { mission, role, task, cause });
             }
         }
@@ -179,74 +184,74 @@ impl HumanTaskProxyState {
         self.advance(myself, &key).await;
     }
 
-    /// Somebody has called off what is still wanted: this attendant itself, before it knew better, or another.
+    /// Renews a request that was canceled although it is still needed, by an earlier decision of
+    /// this proxy or by another proxy.
     pub(super) fn renew_request(&mut self, myself: &ActorRef<HumanTaskProxyMessage>, id: GoalId) {
-        let mut asks = self.roles.values_mut().filter_map(|job| job.request.as_mut());
-        let Some(asked) = asks.find(|asked| asked.id() == id) else { return };
-        asked.renew();
-        send_person_request(&self.settings, &mut self.tasks, myself, asked.id(), Some(asked.request()));
+        let mut requests = self.roles.values_mut().filter_map(|proxied| proxied.request.as_mut());
+        let Some(request) = requests.find(|request| request.id() == id) else { return };
+        request.renew();
+        send_person_request(&self.settings, &mut self.tasks, myself, request.id(), Some(request.request()));
     }
 
-    /// The ledger knows how far a role has come in this branch, or that there is no more to do.
+    /// Handles the reply to a report: the recorded progress of the role in this branch, or its end.
     pub(super) async fn handle_report_reply(
         &mut self,
         myself: &ActorRef<HumanTaskProxyMessage>,
         key: &RoleKey,
         branch: Branch,
-        answer: ReportReply,
+        reply: ReportReply,
     ) {
-        let Some(job) = self.roles.get_mut(key).filter(|job| job.branch == branch) else { return };
-        match answer {
-            ReportReply::Ended { .. } => self.put_down(myself, key),
-            ReportReply::Renewed { ended, signals: told, .. } => {
-                job.sequencer.set_recorded(&ended);
-                job.sequencer.receive_recorded(&told);
+        let Some(proxied) = self.roles.get_mut(key).filter(|proxied| proxied.branch == branch) else { return };
+        match reply {
+            ReportReply::Ended { .. } => self.end_role_and_cancel(myself, key),
+            ReportReply::Renewed { ended, signals, .. } => {
+                proxied.sequencer.set_recorded(&ended);
+                proxied.sequencer.receive_recorded(&signals);
                 self.advance(myself, key).await;
             }
             ReportReply::NotCoordinator { .. } => {}
         }
     }
 
-    /// Does whatever the plan has next, until it has to wait.
+    /// Performs the next steps of the plan until it has to wait.
     async fn advance(&mut self, myself: &ActorRef<HumanTaskProxyMessage>, key: &RoleKey) {
         let (mission, role) = key;
-        let mut moved = false;
-        while let Some(job) = self.roles.get_mut(key).filter(|job| job.failure.is_none()) {
-            let Some(next) = job.sequencer.next_action() else { break };
-            moved = true;
+        let mut progressed = false;
+        while let Some(proxied) = self.roles.get_mut(key).filter(|proxied| proxied.failure.is_none()) {
+            let Some(next) = proxied.sequencer.next_action() else { break };
+            progressed = true;
             match next {
-                SequencerAction::StartTask { step: spot, task, spec } => {
-                    let (cluster, branch, holders) = (job.cluster, job.branch, job.sequencer.holders().clone());
+                SequencerAction::StartTask { step, task, spec } => {
+                    let (cluster, branch, holders) =
+                        (proxied.cluster, proxied.branch, proxied.sequencer.holders().clone());
                     let (mission, role) = (mission.clone(), role.clone());
-                    let began =
+                    let event =
                         EventKind::TaskBegan { mission: mission.clone(), role: role.clone(), task: task.clone() };
-                    let asked = OpenRequest::first(
-                        spot,
-                        RequestSubject { cluster, mission, branch, role, task, spec, holders },
-                    );
-                    self.settings.events.publish(began);
-                    send_person_request(&self.settings, &mut self.tasks, myself, asked.id(), Some(asked.request()));
-                    job.request = Some(asked);
+                    let request =
+                        OpenRequest::new(step, RequestSubject { cluster, mission, branch, role, task, spec, holders });
+                    self.settings.events.publish(event);
+                    send_person_request(&self.settings, &mut self.tasks, myself, request.id(), Some(request.request()));
+                    proxied.request = Some(request);
                 }
                 SequencerAction::SendSignal(signal) => {
                     self.signals.send(mission, &signal).await;
                     self.settings.events.publish(EventKind::Sent { mission: mission.clone(), signal });
                 }
                 SequencerAction::SignalReceived(signal) => {
-                    self.settings.events.publish(EventKind::Heard { mission: mission.clone(), signal });
+                    self.settings.events.publish(EventKind::Received { mission: mission.clone(), signal });
                 }
             }
         }
-        if moved {
+        if progressed {
             self.report(myself, key);
         }
     }
 
-    /// Lets the ledger know how far the role has come.
+    /// Reports the progress of a role to the ledger.
     pub(super) fn report(&mut self, myself: &ActorRef<HumanTaskProxyMessage>, key: &RoleKey) {
-        let (Some(job), Some(beacon)) = (self.roles.get(key), &self.coordinator) else { return };
-        if job.sequencer.ended().is_empty() && job.failure.is_none() {
-            return; // nothing that the ledger does not know
+        let (Some(proxied), Some(beacon)) = (self.roles.get(key), &self.coordinator) else { return };
+        if proxied.sequencer.ended().is_empty() && proxied.failure.is_none() {
+            return; // nothing new for the ledger
         }
         let (mission, role) = key.clone();
         let report = Report {
@@ -255,79 +260,80 @@ impl HumanTaskProxyState {
             mission: mission.clone(),
             role: role.clone(),
             epoch: Epoch::default(),
-            branch: job.branch,
-            ended: job.sequencer.ended().clone(),
-            current_task: job.sequencer.current_task().cloned(),
+            branch: proxied.branch,
+            ended: proxied.sequencer.ended().clone(),
+            current_task: proxied.sequencer.current_task().cloned(),
             place: None,
             from_checkpoint: false,
-            failure: job.failure.clone(),
+            failure: proxied.failure.clone(),
         };
         let to_node = self.settings.keys.write(&Key::Report(beacon.node.clone()));
         let (bus, limit, to, branch) =
-            (self.settings.bus.clone(), self.settings.tick_interval, myself.clone(), job.branch);
+            (self.settings.bus.clone(), self.settings.tick_interval, myself.clone(), proxied.branch);
         self.tasks.spawn(async move {
             match send_report(bus, &to_node, &report, limit).await {
-                // An attendant that has stopped needs no answer.
-                Some(answer) => drop(to.cast(HumanTaskProxyMessage::ReportReplied(mission, role, branch, answer))),
-                None => debug!(%mission, %role, "a report was not answered; the next beat repeats it"),
+                // A stopped proxy needs no reply.
+                Some(reply) => drop(to.cast(HumanTaskProxyMessage::ReportReplied(mission, role, branch, reply))),
+                None => debug!(%mission, %role, "report got no reply; the next timer repeats it"),
             }
         });
     }
 
-    fn put_down(&mut self, myself: &ActorRef<HumanTaskProxyMessage>, key: &RoleKey) {
-        let Some(job) = self.roles.remove(key) else { return };
+    fn end_role_and_cancel(&mut self, myself: &ActorRef<HumanTaskProxyMessage>, key: &RoleKey) {
+        let Some(proxied) = self.roles.remove(key) else { return };
         self.signals.end_role(&key.0, &key.1);
-        if let Some(asked) = job.request {
-            self.dismiss(myself, asked.id());
+        if let Some(request) = proxied.request {
+            self.cancel_request(myself, request.id());
         }
     }
 
-    /// Calls an ask off. Each beat repeats it until it is answered, lest somebody serve it in the next mission.
-    fn dismiss(&mut self, myself: &ActorRef<HumanTaskProxyMessage>, id: GoalId) {
+    /// Cancels a request. The timer repeats this until it is confirmed, so that no person serves
+    /// the request during the next mission.
+    fn cancel_request(&mut self, myself: &ActorRef<HumanTaskProxyMessage>, id: GoalId) {
         self.cancellations.add(id);
         send_person_request(&self.settings, &mut self.tasks, myself, id, None);
     }
 }
 
-fn key_of(live: &ActivePlan) -> RoleKey {
-    (live.mission.clone(), live.plan.role.clone())
+fn role_key(active: &ActivePlan) -> RoleKey {
+    (active.mission.clone(), active.plan.role.clone())
 }
 
-/// Asks those from whom something is awaited what they have said.
+/// Queries the signal histories of the roles with awaited signals.
 pub(super) fn query_signals(
-    talk: &SignalExchange,
+    signals: &SignalExchange,
     tasks: &mut Tasks,
     myself: &ActorRef<HumanTaskProxyMessage>,
     mission: &MissionId,
     sequencer: &Sequencer,
 ) {
     let to = myself.clone();
-    talk.query_history(mission, &sequencer.awaited_signals(), tasks, move |said| {
-        // An attendant that has stopped needs no answer.
-        let _ = to.cast(HumanTaskProxyMessage::SignalHistory(said));
+    signals.query_history(mission, &sequencer.awaited_signals(), tasks, move |history| {
+        // A stopped proxy needs no reply.
+        let _ = to.cast(HumanTaskProxyMessage::SignalHistory(history));
     });
 }
 
-/// Asks for a thing, or calls it off.
+/// Sends a person request, or cancels it if `request` is `None`.
 pub(super) fn send_person_request(
     settings: &HumanTaskProxySettings,
     tasks: &mut Tasks,
     myself: &ActorRef<HumanTaskProxyMessage>,
     id: GoalId,
-    ask: Option<PersonRequest>,
+    request: Option<PersonRequest>,
 ) {
-    let bytes = match codec::encode(&PersonCommand { id, request: ask }) {
+    let bytes = match codec::encode(&PersonCommand { id, request }) {
         Ok(bytes) => Bytes::from(bytes),
-        Err(problem) => return warn!(%problem, "an ask does not fit a message"),
+        Err(problem) => return warn!(%problem, "person request does not fit a message"),
     };
     let (bus, key, to) = (settings.bus.clone(), settings.keys.write(&Key::People(PeopleCall::Ask)), myself.clone());
     tasks.spawn(async move {
         let Ok(mut replies) = bus.query(&key, bytes, Duration::from_millis(500)).await else { return };
         while let Some(reply) = replies.recv().await {
             match reply.payload.map(|bytes| codec::decode::<PersonRequestState>(&bytes)) {
-                // An attendant that has stopped needs no answer.
+                // A stopped proxy needs no reply.
                 Ok(Ok(state)) => drop(to.cast(HumanTaskProxyMessage::RequestReplied(id, state))),
-                other => debug!(?other, "an ask was not answered"),
+                other => debug!(?other, "person request got no reply"),
             }
         }
     });

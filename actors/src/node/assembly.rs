@@ -1,4 +1,4 @@
-//! A node put together: its parts are started in an order in which each finds those that it needs.
+//! Start of a node: its parts start in the order of their dependencies.
 
 use super::handle::NodeError;
 use super::root::NodeMessage;
@@ -35,7 +35,7 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tracing::warn;
 
-/// What a handle needs of a node that was put together.
+/// Parts that a node handle needs.
 pub(super) struct StartedParts {
     pub(super) decommission_handle: Decommission,
     pub(super) decommissioned: watch::Receiver<Option<DecommissionReport>>,
@@ -43,18 +43,19 @@ pub(super) struct StartedParts {
     pub(super) tasks: Tasks,
 }
 
-/// Starts all parts of a node, as children of `root`. If one does not start, whoever asked ends the others with the root.
+/// Starts all parts of a node as children of `root`. On an error the caller stops the started parts
+/// together with the root.
 pub(super) async fn start_parts(
     settings: NodeSettings,
     bus: SharedBus,
     root: &ActorRef<NodeMessage>,
 ) -> Result<StartedParts, NodeError> {
-    let NodeSettings { fleet, node, incarnation, seed, store, clock, record_signer: notary, observer, .. } = settings;
+    let NodeSettings { fleet, node, incarnation, seed, store, clock, record_signer, observer, .. } = settings;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let keys = Keys::new(&fleet.fleet);
     let events = EventPublisher::open(node.clone(), &keys, bus.clone(), clock, observer.clone());
     let replica = match settings.may_vote {
-        true => Some(keep_ledger(&fleet, &node, bus.clone(), store.log_store, rng.next_u64(), observer).await?),
+        true => Some(start_replica(&fleet, &node, bus.clone(), store.log_store, rng.next_u64(), observer).await?),
         false => None,
     };
     let knowledge = Knowledge {
@@ -67,7 +68,7 @@ pub(super) async fn start_parts(
         supported_versions: VersionRange::OWN,
         robot: settings.robot.as_ref().map(|robot| robot.worker.clone()),
     };
-    let wire = WireVersion::default();
+    let wire_version = WireVersion::default();
     let start = gossip::GossipStart {
         settings: gossip::Settings::new(fleet.fleet.clone(), node.clone(), incarnation).with_timing(fleet.timing),
         knowledge,
@@ -75,13 +76,13 @@ pub(super) async fn start_parts(
         bus: bus.clone(),
         clock,
         rng: ChaCha8Rng::from_rng(&mut rng),
-        wire_version: wire.clone(),
-        signer: notary,
+        wire_version: wire_version.clone(),
+        signer: record_signer,
     };
     let (gossip, _) = Gossip::start(start, Some(root.get_cell())).await.map_err(|problem| NodeError::from(*problem))?;
-    let allegiance = ClusterMembership::default();
-    // Consensus and gossip cross the borders of clusters, to find out about them; nothing else does.
-    let bus = Arc::new(ClusterBus::new(bus, keys.clone(), allegiance.clone()));
+    let membership = ClusterMembership::default();
+    // Only consensus and gossip cross the border of a cluster, because they detect other clusters.
+    let bus = Arc::new(ClusterBus::new(bus, keys.clone(), membership.clone()));
     let mut assembly = Assembly {
         root: root.clone(),
         times: fleet.timing.parameters(),
@@ -93,41 +94,41 @@ pub(super) async fn start_parts(
         events,
         replica,
         gossip,
-        allegiance,
-        wire,
+        membership,
+        wire_version,
         tasks: Tasks::default(),
     };
-    assembly.tell_cluster();
-    assembly.follow_wire().await?;
+    assembly.publish_cluster();
+    assembly.follow_wire_version().await?;
     let coordinator = match assembly.replica.clone() {
         Some(replica) => {
-            assembly.keep_to_cluster_of(&replica);
+            assembly.follow_ledger_cluster(&replica);
             let coordinator = assembly.start_coordinator(&replica, rng.next_u64()).await?;
-            assembly.end_with(&replica);
+            assembly.end_with_ledger(&replica);
             let (mobile, on_battery) = (!settings.stationary, !settings.mains_powered);
-            let me = BootstrapRequest { mobile, on_battery, node: assembly.node.clone() };
-            assembly.found_ledger(replica, me).await?;
+            let founder = BootstrapRequest { mobile, on_battery, node: assembly.node.clone() };
+            assembly.found_ledger(replica, founder).await?;
             Some(coordinator)
         }
         None => None,
     };
-    assembly.open_views(coordinator).await?;
-    if let Some(host) = settings.driver_server {
-        assembly.start_host(host).await?;
+    assembly.serve_views(coordinator).await?;
+    if let Some(server) = settings.driver_server {
+        assembly.start_driver_server(server).await?;
     }
     let robot = match settings.robot {
         Some(part) => Some(assembly.start_robot(part, incarnation, store.checkpoints).await?),
         None => None,
     };
-    assembly.finish(robot).await
+    assembly.serve_decommission_requests(robot).await
 }
 
-/// Takes part in keeping the ledger, with what `journal` holds.
-async fn keep_ledger(
+/// Starts the local copy of the ledger from `log_store`.
+async fn start_replica(
     fleet: &FleetSettings,
     node: &NodeId,
     bus: SharedBus,
-    journal: Arc<dyn LogStore>,
+    log_store: Arc<dyn LogStore>,
     seed: u64,
     observer: Option<SharedObserver>,
 ) -> Result<Replica<Ledger>, NodeError> {
@@ -136,60 +137,61 @@ async fn keep_ledger(
         let node = node.clone();
         Arc::new(move |at, commands: &[Command]| observer.on_applied(&node, at, commands)) as ApplyObserver<Ledger>
     });
-    Ok(Replica::start_observed(settings, bus, journal, seed, applied).await?)
+    Ok(Replica::start_observed(settings, bus, log_store, seed, applied).await?)
 }
 
-/// A node of which the foundations stand: what all other parts are wired to.
+/// Foundation of a node: everything the other parts depend on.
 struct Assembly {
     root: ActorRef<NodeMessage>,
     fleet: FleetSettings,
     times: TimingParameters,
     node: NodeId,
     keys: Keys,
-    /// On which what concerns missions stays within the node's cluster.
+    /// Bus that keeps mission traffic within the node's cluster.
     bus: SharedBus,
     clock: Clock,
     events: EventPublisher,
     replica: Option<Replica<Ledger>>,
     gossip: GossipHandle,
-    allegiance: ClusterMembership,
-    wire: WireVersion,
+    membership: ClusterMembership,
+    wire_version: WireVersion,
     tasks: Tasks,
 }
 
 impl Assembly {
-    /// What the node has heard.
+    /// Returns the records received from other nodes.
     fn knowledge(&self) -> SharedKnowledge {
         self.gossip.shared().clone()
     }
 
-    /// Lets others know to which cluster the node belongs.
-    fn tell_cluster(&mut self) {
+    /// Publishes the node's cluster through gossip.
+    fn publish_cluster(&mut self) {
         let gossip = self.gossip.clone();
-        let tell = move |own: Option<ClusterId>| gossip.update_with(move |knowledge| knowledge.cluster = own).is_ok();
-        self.tasks.spawn(self.allegiance.clone().report_changes(tell));
+        let publish =
+            move |own: Option<ClusterId>| gossip.update_with(move |knowledge| knowledge.cluster = own).is_ok();
+        self.tasks.spawn(self.membership.clone().report_changes(publish));
     }
 
-    /// The node writes the version of the wire that its fleet writes, and ends if it cannot read that.
-    async fn follow_wire(&mut self) -> Result<(), NodeError> {
-        self.wire.clone().follow_beacons(&self.bus, &self.keys, &mut self.tasks).await?;
-        let (wire, root) = (self.wire.clone(), self.root.clone());
+    /// Follows the wire version of the fleet. The node ends if it cannot read that version.
+    async fn follow_wire_version(&mut self) -> Result<(), NodeError> {
+        self.wire_version.clone().follow_beacons(&self.bus, &self.keys, &mut self.tasks).await?;
+        let (wire_version, root) = (self.wire_version.clone(), self.root.clone());
         self.tasks.spawn(async move {
-            let advice = wire.wait_unsupported().await;
-            // A root that has gone needs not be told.
+            let advice = wire_version.wait_unsupported().await;
+            // The root may have ended already.
             let _ = root.send_message(NodeMessage::UnsupportedWireVersion(advice));
         });
         Ok(())
     }
 
-    /// The node belongs to the cluster of its own ledger.
-    fn keep_to_cluster_of(&mut self, replica: &Replica<Ledger>) {
-        let (mut own, allegiance) = (replica.cluster(), self.allegiance.clone());
+    /// Sets the node's cluster to the cluster of its own ledger.
+    fn follow_ledger_cluster(&mut self, replica: &Replica<Ledger>) {
+        let (mut own, membership) = (replica.cluster(), self.membership.clone());
         self.tasks.spawn(async move {
             loop {
                 let cluster = *own.borrow_and_update();
                 if let Some(cluster) = cluster {
-                    allegiance.set_from_ledger(cluster);
+                    membership.set_from_ledger(cluster);
                 }
                 if own.changed().await.is_err() {
                     return;
@@ -210,7 +212,7 @@ impl Assembly {
             clock: self.clock,
             replica: replica.clone(),
             knowledge: self.knowledge(),
-            wire_version: self.wire.clone(),
+            wire_version: self.wire_version.clone(),
             events: self.events.clone(),
             ensemble: Arc::clone(&self.fleet.ensemble),
             domain: Arc::clone(&self.fleet.domain),
@@ -230,35 +232,35 @@ impl Assembly {
         Ok(coordinator)
     }
 
-    /// The node ends when its copy of the ledger can no longer be kept.
-    fn end_with(&mut self, replica: &Replica<Ledger>) {
-        let (watched, root) = (replica.clone(), self.root.clone());
+    /// Ends the node when its copy of the ledger fails.
+    fn end_with_ledger(&mut self, replica: &Replica<Ledger>) {
+        let (replica, root) = (replica.clone(), self.root.clone());
         self.tasks.spawn(async move {
-            let problem = watched.wait_failed().await;
-            // A root that has gone needs not be told.
+            let problem = replica.wait_failed().await;
+            // The root may have ended already.
             let _ = root.send_message(NodeMessage::LedgerFailed(problem));
         });
     }
 
-    /// Founds the fleet's ledger when it is this node's turn, if there is none.
-    async fn found_ledger(&mut self, replica: Replica<Ledger>, me: BootstrapRequest) -> Result<(), NodeError> {
-        let asked = self.bus.serve(&self.keys.write(&Key::Bootstrap(self.node.clone()))).await?;
+    /// Founds the fleet's ledger if there is none and it is this node's turn.
+    async fn found_ledger(&mut self, replica: Replica<Ledger>, founder: BootstrapRequest) -> Result<(), NodeError> {
+        let requests = self.bus.serve(&self.keys.write(&Key::Bootstrap(self.node.clone()))).await?;
         let bootstrap = Bootstrap {
-            me,
+            me: founder,
             keys: self.keys.clone(),
             bus: self.bus.clone(),
             replica,
             knowledge: self.knowledge(),
-            membership: self.allegiance.clone(),
+            membership: self.membership.clone(),
             expected_nodes: self.fleet.bootstrap_expect,
             target_voters: self.fleet.voters,
             reply_timeout: self.times.auction_window,
         };
-        self.tasks.spawn(bootstrap.run(asked));
+        self.tasks.spawn(bootstrap.run(requests));
         Ok(())
     }
 
-    async fn open_views(&mut self, coordinator: Option<ActorRef<CoordinatorMessage>>) -> Result<(), NodeError> {
+    async fn serve_views(&mut self, coordinator: Option<ActorRef<CoordinatorMessage>>) -> Result<(), NodeError> {
         let views = Views {
             node: self.node.clone(),
             keys: self.keys.clone(),
@@ -267,7 +269,7 @@ impl Assembly {
             replica: self.replica.clone(),
             coordinator,
             knowledge: self.knowledge(),
-            membership: self.allegiance.clone(),
+            membership: self.membership.clone(),
             ensemble: Arc::clone(&self.fleet.ensemble),
             map: self.fleet.map.clone(),
             beacon_interval: self.times.beacon_interval,
@@ -275,9 +277,9 @@ impl Assembly {
         Ok(views.serve(&mut self.tasks).await?)
     }
 
-    /// Hosts bodies, and speaks for the people beside them.
-    async fn start_host(&self, part: DriverServerPart) -> Result<(), NodeError> {
-        let host = DriverServerSettings {
+    /// Starts the driver server and the human task proxy.
+    async fn start_driver_server(&self, part: DriverServerPart) -> Result<(), NodeError> {
+        let server = DriverServerSettings {
             keys: self.keys.clone(),
             bus: self.bus.clone(),
             clock: self.clock,
@@ -285,35 +287,35 @@ impl Assembly {
             publish_interval: Duration::from_millis(500),
             client_timeout: CLIENT_TIMEOUT,
         };
-        Actor::spawn_linked(None, DriverServer, (host, part.world), self.root.get_cell()).await?;
-        let attendant = HumanTaskProxySettings {
+        Actor::spawn_linked(None, DriverServer, (server, part.world), self.root.get_cell()).await?;
+        let proxy = HumanTaskProxySettings {
             node: self.node.clone(),
             keys: self.keys.clone(),
             bus: self.bus.clone(),
             events: self.events.clone(),
             tick_interval: Duration::from_secs(1),
         };
-        Actor::spawn_linked(None, HumanTaskProxy, attendant, self.root.get_cell()).await?;
+        Actor::spawn_linked(None, HumanTaskProxy, proxy, self.root.get_cell()).await?;
         Ok(())
     }
 
-    /// Drives a body, and bids.
+    /// Starts the driver client and the robot.
     async fn start_robot(
         &mut self,
         part: RobotPart,
         incarnation: u64,
-        notebook: Arc<dyn CheckpointStore>,
+        checkpoint_store: Arc<dyn CheckpointStore>,
     ) -> Result<ActorRef<RobotMessage>, NodeError> {
         let robot = RobotId::from(self.node.clone());
-        let link = DriverClientSettings {
+        let client = DriverClientSettings {
             robot: robot.clone(),
             keys: self.keys.clone(),
             bus: self.bus.clone(),
-            // Twenty bits of goals in each life; a life begins at least a millisecond after the former.
+            // 20 bits of goal ids per incarnation; incarnations start at least 1 ms apart.
             first_goal: incarnation << 20,
             heartbeat_interval: Duration::from_millis(300),
         };
-        let body = RobotDriver::connect(link, &self.root.get_cell()).await?;
+        let driver = RobotDriver::connect(client, &self.root.get_cell()).await?;
         let token = self.bus.announce(&self.keys.write(&Key::AliveRobot(robot.clone()))).await?;
         self.tasks.spawn(async move {
             std::future::pending::<()>().await;
@@ -334,8 +336,8 @@ impl Assembly {
             lease_terms: self.fleet.lease_terms,
             estimator: part.estimator,
             library: part.library,
-            driver: body,
-            checkpoint_store: notebook,
+            driver,
+            checkpoint_store,
             task_timeout: TaskTimeout::default(),
             retry_delay: Duration::from_millis(500),
             update_interval: Duration::from_millis(250),
@@ -345,9 +347,12 @@ impl Assembly {
         Ok(robot)
     }
 
-    /// The node is ready to be told to leave.
-    async fn finish(mut self, robot: Option<ActorRef<RobotMessage>>) -> Result<StartedParts, NodeError> {
-        let leaver = Decommission {
+    /// Starts to accept decommission requests.
+    async fn serve_decommission_requests(
+        mut self,
+        robot: Option<ActorRef<RobotMessage>>,
+    ) -> Result<StartedParts, NodeError> {
+        let decommission = Decommission {
             node: self.node.clone(),
             keys: self.keys.clone(),
             bus: self.bus.clone(),
@@ -356,36 +361,36 @@ impl Assembly {
             knowledge: self.knowledge(),
             robot,
             terms: self.fleet.lease_terms,
-            times: self.times,
+            timing: self.times,
         };
-        let (leave, left) = watch::channel(None);
-        let asked = self.bus.serve(&self.keys.write(&Key::Leave(self.node))).await?;
-        self.tasks.spawn(leave_when_asked(leaver.clone(), asked, leave));
+        let (decommissioned_sender, decommissioned) = watch::channel(None);
+        let requests = self.bus.serve(&self.keys.write(&Key::Leave(self.node))).await?;
+        self.tasks.spawn(serve_decommission(decommission.clone(), requests, decommissioned_sender));
         Ok(StartedParts {
-            decommission_handle: leaver,
-            decommissioned: left,
-            membership: self.allegiance,
+            decommission_handle: decommission,
+            decommissioned,
+            membership: self.membership,
             tasks: self.tasks,
         })
     }
 }
 
-/// Leaves for good when somebody asks for it, and answers once it has, or why it has not.
-async fn leave_when_asked(
-    leaver: Decommission,
-    mut asked: Stream<Query>,
-    left: watch::Sender<Option<DecommissionReport>>,
+/// Decommissions the node on request, and replies with the result or the error.
+async fn serve_decommission(
+    decommission: Decommission,
+    mut requests: Stream<Query>,
+    decommissioned: watch::Sender<Option<DecommissionReport>>,
 ) {
-    while let Some(query) = asked.recv().await {
-        match leaver.run().await {
-            Ok(farewell) => {
-                reply::json(&query, &query.key, &farewell).await;
-                left.send_replace(Some(farewell));
-                // Whoever runs the node ends it now.
+    while let Some(query) = requests.recv().await {
+        match decommission.run().await {
+            Ok(report) => {
+                reply::json(&query, &query.key, &report).await;
+                decommissioned.send_replace(Some(report));
+                // The program that runs the node ends it now.
                 return;
             }
             Err(problem) => {
-                warn!(node = %leaver.node, %problem, "stays");
+                warn!(node = %decommission.node, %problem, "decommission failed: the node keeps running");
                 reply::json(&query, &query.key, &serde_json::json!({ "error": problem.to_string() })).await;
             }
         }

@@ -1,4 +1,4 @@
-//! A node that runs, and the ways in which it ends.
+//! Handle of a running node, and the ways to end it.
 
 use super::assembly::{StartedParts, start_parts};
 use super::root::{NodeMessage, Root};
@@ -16,13 +16,13 @@ use std::sync::{Arc, OnceLock};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
-/// Why a node did not start. Nothing of it runs.
+/// The node did not start. None of its parts runs.
 #[derive(Debug, thiserror::Error)]
 pub enum NodeError {
-    /// The bus is closed, or a key was refused.
+    /// The bus is closed, or refused a key.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// The copy of the ledger could not be taken up.
+    /// The local copy of the ledger could not be opened.
     #[error(transparent)]
     Ledger(#[from] StartError),
     /// An actor could not start.
@@ -36,31 +36,31 @@ impl From<SpawnErr> for NodeError {
     }
 }
 
-/// A node that runs. Dropping it leaves it running; see [`kill`](NodeHandle::kill), [`stop`](NodeHandle::stop) and
-/// [`leave`](NodeHandle::leave).
+/// Handle of a running node. Dropping it leaves the node running; see [`kill`](NodeHandle::kill),
+/// [`stop`](NodeHandle::stop) and [`decommission`](NodeHandle::decommission).
 pub struct NodeHandle {
-    /// Its name.
+    /// Id of the node.
     pub node: NodeId,
     root: ActorRef<NodeMessage>,
     ended: JoinHandle<()>,
     cause: Arc<OnceLock<String>>,
-    /// Its copy of the ledger, if it keeps one.
+    /// Its copy of the ledger, if it keeps a copy.
     pub replica: Option<Replica<Ledger>>,
-    /// What it has heard.
+    /// Records received from other nodes.
     pub knowledge: SharedKnowledge,
-    /// Which cluster it belongs to.
+    /// Cluster membership of the node.
     pub membership: ClusterMembership,
-    /// How it leaves.
+    /// Decommission procedure of the node.
     pub decommission_handle: Decommission,
     decommissioned: watch::Receiver<Option<DecommissionReport>>,
     tasks: Tasks,
 }
 
 impl NodeHandle {
-    /// Starts everything that the settings name.
+    /// Starts everything that the settings contain.
     ///
     /// # Errors
-    /// [`NodeError`]; nothing of the node runs then.
+    /// [`NodeError`]; no part of the node runs then.
     pub async fn start(settings: NodeSettings, bus: SharedBus) -> Result<NodeHandle, NodeError> {
         let cause = Arc::<OnceLock<String>>::default();
         let (root, ended) = Actor::spawn(None, Root { cause: Arc::clone(&cause) }, settings.node.clone()).await?;
@@ -84,7 +84,7 @@ impl NodeHandle {
         }
     }
 
-    /// Ends the node as a crash would: nothing is said to anybody.
+    /// Ends the node as a crash would: no message is sent.
     pub async fn kill(mut self) {
         self.tasks = Tasks::default();
         self.decommission_handle.replica = None;
@@ -92,45 +92,46 @@ impl NodeHandle {
             child.kill();
         }
         self.root.kill();
-        // It ends in one way or the other; how is of no interest.
+        // The result is irrelevant: the actor has ended.
         let _ = self.ended.await;
     }
 
-    /// Ends the node for a while: if it coordinates it hands over first, and others are told that it leaves. Its vote, and
-    /// its robot's role, wait in its store.
+    /// Ends the node for a while: a leader first transfers its leadership, and gossip announces the
+    /// departure. The node's vote and the robot's role stay in the store.
     pub async fn stop(self) {
         self.decommission_handle.step_down().await;
         self.shut_down().await;
     }
 
-    /// Ends the node for good: its robot gives its role back, and its vote is taken over by another or removed.
+    /// Ends the node for good: its robot releases its role, and its vote is transferred or removed.
     ///
     /// # Errors
-    /// [`LeaveError`], and the node, which runs on.
+    /// The [`LeaveError`], and the handle of the node, which keeps running.
     pub async fn decommission(self) -> Result<DecommissionReport, (DecommissionError, Box<NodeHandle>)> {
         match self.decommission_handle.run().await {
-            Ok(farewell) => {
+            Ok(report) => {
                 self.shut_down().await;
-                Ok(farewell)
+                Ok(report)
             }
             Err(problem) => Err((problem, Box::new(self))),
         }
     }
 
-    /// Waits until the node has left for good because somebody asked it to on `api/leave/{node}`, and is to be
-    /// [ended](Self::end); or until it has ended by itself, and says why as [`ended`](Self::ended) does.
+    /// Waits until the node was decommissioned by a request on `api/leave/{node}`; the caller then
+    /// ends it with [`shut_down`](Self::shut_down). Also returns when the node has ended by itself,
+    /// like [`ended`](Self::ended).
     ///
     /// # Errors
-    /// Why it ended by itself.
+    /// The cause, if the node has ended by itself.
     pub async fn ended_or_decommissioned(&mut self) -> Result<DecommissionReport, String> {
-        let mut left = self.decommissioned.clone();
+        let mut decommissioned = self.decommissioned.clone();
         tokio::select! {
             cause = self.ended() => Err(cause),
-            Ok(farewell) = left.wait_for(Option::is_some) => Ok(farewell.clone().expect("it was waited for")),
+            Ok(report) = decommissioned.wait_for(Option::is_some) => Ok(report.clone().expect("the report is present")),
         }
     }
 
-    /// Ends the node without handing anything over; others are told that it leaves.
+    /// Ends the node without a transfer of leadership. Gossip announces the departure.
     pub async fn shut_down(mut self) {
         self.tasks = Tasks::default();
         self.decommission_handle.replica = None;
@@ -145,15 +146,16 @@ impl NodeHandle {
         let _ = self.ended.await;
     }
 
-    /// Whether the node has ended by itself: an actor of it failed.
+    /// Checks whether the node has ended by itself, because an actor failed.
     pub fn has_ended(&self) -> bool {
         self.ended.is_finished()
     }
 
-    /// Waits until the node has ended by itself, and says why: an actor of it failed, or its copy of the ledger did.
+    /// Waits until the node has ended by itself and returns the cause: an actor failed, or the copy
+    /// of the ledger did.
     pub async fn ended(&mut self) -> String {
         // See above.
         let _ = (&mut self.ended).await;
-        self.cause.get().cloned().unwrap_or_else(|| "nobody said why".to_owned())
+        self.cause.get().cloned().unwrap_or_else(|| "unknown cause".to_owned())
     }
 }

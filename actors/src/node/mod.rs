@@ -1,9 +1,10 @@
-//! A node: everything that runs in one process of a fleet (or in one place of a virtual one), started in order and
-//! watched over together.
+//! A node: everything that runs in a single process of a fleet (or at a single place of a virtual
+//! fleet), started in order and supervised together.
 //!
-//! Each node gossips; each that may vote keeps a copy of the ledger and is ready to coordinate; a robot's node drives a
-//! body and bids; one node hosts bodies and attends to people. If any of these actors fails, the node stops: what it
-//! promised is in the ledger, and its supervisor (a service manager, a test) starts it anew.
+//! Each node gossips. A node that may vote keeps a copy of the ledger and is ready to coordinate.
+//! The node of a robot drives it and bids. A single node runs the driver server and the human task
+//! proxy. If any of these actors fails, the node stops. Its promises are in the ledger, and its
+//! supervisor (a service manager, a test) restarts it.
 
 mod assembly;
 mod handle;

@@ -1,20 +1,20 @@
-//! Watches over a node's actors: if one of them fails, the node ends.
+//! The root actor: supervises the actors of a node, and ends the node if any of them fails.
 
 use consort_protocol::ids::NodeId;
 use ractor::{Actor, ActorProcessingErr, ActorRef, SupervisionEvent};
 use std::sync::{Arc, OnceLock};
 use tracing::error;
 
-/// The supervisor of a node's actors.
+/// Supervisor of a node's actors.
 pub(super) struct Root {
-    /// Why the node ended by itself, once it has.
+    /// Cause of the node's end, once the node has ended by itself.
     pub(super) cause: Arc<OnceLock<String>>,
 }
 
 pub(super) enum NodeMessage {
-    /// The copy of the ledger can no longer be kept, and why.
+    /// The local copy of the ledger has failed, with the error.
     LedgerFailed(String),
-    /// The fleet writes what this program does not read, and what to do.
+    /// The fleet writes a wire version that this program cannot read, with advice.
     UnsupportedWireVersion(String),
 }
 
@@ -24,7 +24,7 @@ impl Root {
             child.kill();
         }
         myself.stop(Some(cause.clone()));
-        // The first cause is the one that counts.
+        // The first cause counts.
         let _ = self.cause.set(cause);
     }
 }
@@ -47,11 +47,11 @@ impl Actor for Root {
     ) -> Result<(), ActorProcessingErr> {
         match message {
             NodeMessage::LedgerFailed(problem) => {
-                error!(%node, %problem, "the copy of the ledger can no longer be kept: the node stops");
-                self.end(&myself, format!("its copy of the ledger can no longer be kept: {problem}"));
+                error!(%node, %problem, "the local copy of the ledger failed: the node stops");
+                self.end(&myself, format!("its copy of the ledger failed: {problem}"));
             }
             NodeMessage::UnsupportedWireVersion(advice) => {
-                error!(%node, %advice, "the fleet has gone on without this program: the node stops");
+                error!(%node, %advice, "the fleet writes an unsupported wire version: the node stops");
                 self.end(&myself, advice);
             }
         }
@@ -64,9 +64,9 @@ impl Actor for Root {
         event: SupervisionEvent,
         node: &mut NodeId,
     ) -> Result<(), ActorProcessingErr> {
-        if let SupervisionEvent::ActorFailed(who, problem) = event {
-            error!(%node, actor = %who.get_id(), %problem, "an actor failed: the node stops");
-            self.end(&myself, format!("an actor of it failed, as the log says: {problem}"));
+        if let SupervisionEvent::ActorFailed(actor, problem) = event {
+            error!(%node, actor = %actor.get_id(), %problem, "an actor failed: the node stops");
+            self.end(&myself, format!("an actor failed, see the log: {problem}"));
         }
         Ok(())
     }

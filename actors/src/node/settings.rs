@@ -1,4 +1,4 @@
-//! What a node is told before it starts.
+//! Settings of a node.
 
 use crate::clock::Clock;
 use crate::coordinator::RequestLimits;
@@ -19,85 +19,87 @@ use serde_json::Value;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// What all nodes of a fleet agree on.
+/// Settings shared by all nodes of a fleet.
 #[derive(Clone)]
 pub struct FleetSettings {
-    /// Its name.
+    /// Id of the fleet.
     pub fleet: FleetId,
-    /// Whose members are asked for bids.
+    /// The ensemble: its members receive calls for bids.
     pub ensemble: Arc<Ensemble>,
     /// The task types that missions may use.
     pub domain: Arc<Domain>,
-    /// What bids must keep to.
+    /// Limits that bids must meet.
     pub limits: BidLimits,
-    /// What is taken on of all that is asked for.
+    /// Limits of accepted requests and missions.
     pub request_limits: RequestLimits,
-    /// The rule by which roles are given to robots: [`Exact`](consort_protocol::auction::Exact), but for evaluations.
+    /// Allocation rule: [`OptimalAssignment`](consort_protocol::auction::OptimalAssignment), except
+    /// in evaluations.
     pub allocator: Arc<dyn Allocator>,
-    /// How long awards last.
+    /// Durations of leases.
     pub lease_terms: LeaseTerms,
-    /// How long an auction waits for a member that does not answer.
+    /// Time for which an auction waits for missing bids.
     pub bid_window: Duration,
-    /// After how long a held role none of whose steps ends, although it waits for nobody, is taken from its holder; zero for
-    /// never.
+    /// Maximum time for a held role without an ended step, while it could make progress. Then the
+    /// role is taken from its holder. Zero means never.
     pub stall_timeout: Duration,
-    /// Nodes that may vote and must have met, and agree on one of them, before it founds the fleet's ledger. If it is not more
-    /// than half of all, parts of the fleet that do not hear each other may found one each.
+    /// Number of voting nodes that must be in contact and agree on a founder before it founds the
+    /// fleet's ledger. If this is not more than half of all, partitions of the fleet may each found
+    /// a ledger.
     pub bootstrap_expect: usize,
-    /// How fast it notices and reacts.
+    /// Timing profile: speed of detection and reaction.
     pub timing: Timing,
-    /// Voters that the autopilot aims at: odd, up to [`crate::autopilot::VOTERS_MAX`].
+    /// Number of voters that the autopilot aims at: odd, up to [`crate::autopilot::VOTERS_MAX`].
     pub voters: usize,
-    /// How long a voter must be gone until the autopilot replaces it.
+    /// Time without contact after which the autopilot replaces a voter.
     pub dead_after: Duration,
-    /// Its map, as it is shown on `view/map`; nothing is decided by it.
+    /// The fleet's map, served as `view/map`. No decision depends on it.
     pub map: Option<Arc<Value>>,
 }
 
-/// What one node is.
+/// Settings of a single node.
 pub struct NodeSettings {
-    /// The fleet's settings.
+    /// Settings of the fleet.
     pub fleet: FleetSettings,
-    /// Its name.
+    /// Id of the node.
     pub node: NodeId,
-    /// Which life of the node this is: larger than in any former one.
+    /// Incarnation of the node: larger than any previous incarnation.
     pub incarnation: u64,
-    /// Where all its chance comes from.
+    /// Seed of all random decisions.
     pub seed: u64,
-    /// What it remembers of former lives.
+    /// Persistent store.
     pub store: NodeStore,
-    /// Its clock.
+    /// Clock of the node.
     pub clock: Clock,
-    /// Whether it keeps a copy of the ledger and may coordinate.
+    /// The node keeps a copy of the ledger and may coordinate.
     pub may_vote: bool,
-    /// Whether it stays where it is.
+    /// The node does not move.
     pub stationary: bool,
-    /// Whether it lives on mains power.
+    /// The node has mains power.
     pub mains_powered: bool,
-    /// Who signs what it says of itself and judges what others hand on of third ones, where the fleet has certificates.
+    /// Signs the node's own records and verifies forwarded records, in a fleet with certificates.
     pub record_signer: Option<SharedRecordSigner>,
-    /// Its robot, if it has one.
+    /// The robot of the node, if any.
     pub robot: Option<RobotPart>,
-    /// The bodies and people it hosts, if it does.
+    /// The driver server of the node, if any.
     pub driver_server: Option<DriverServerPart>,
-    /// Is told what happens on it, in place; none as a rule.
+    /// Observer of the node's events, called synchronously; usually none.
     pub observer: Option<SharedObserver>,
 }
 
-/// A robot's part of a node.
+/// The robot of a node.
 pub struct RobotPart {
-    /// What it says of itself before its body has reported.
+    /// Published worker until the driver has reported.
     pub worker: RobotKnowledge,
-    /// Prices its work.
+    /// Estimator of time and energy.
     pub estimator: Arc<Estimator>,
-    /// Carries its work out.
+    /// Skills of the robot.
     pub library: Arc<SkillLibrary>,
 }
 
-/// A host's part of a node.
+/// The driver server of a node.
 pub struct DriverServerPart {
-    /// The bodies.
+    /// The simulated world or robot adapter.
     pub world: Box<dyn RobotBackend>,
-    /// World seconds that pass in one second of node time.
+    /// World seconds per second of node time.
     pub speed: f64,
 }

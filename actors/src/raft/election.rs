@@ -1,26 +1,33 @@
-//! When to stand for election, when to beat, and when a leader must fall silent: what openraft 0.9 leaves out.
+//! Elections, heartbeats and check-quorum: the parts of Raft that openraft 0.9 lacks.
 //!
-//! openraft's own elections are switched off. A follower of it waits `election_max` *and* its timeout, which it draws
-//! once in its life; on the virtual bus that made takeovers of 504 ms (median, heartbeat 50 ms, election 150 to 300 ms)
-//! where this file takes 176. Also measured with openraft alone: a voter that was out of reach for five seconds
-//! unseats the leader each time it returns, for by then it has raised its term in vain some ten times; and a leader
-//! that is heard by all and hears nobody stays leader for ever, of a fleet that commits nothing. None of what is here
-//! touches Raft's safety, which rests on openraft's handling of terms, votes and logs alone.
+//! openraft's own elections are switched off. Its followers wait `election_max` *and* a timeout of
+//! their own, which each draws once at its start. On the virtual bus that made failovers of 504 ms
+//! (median, heartbeat 50 ms, election 150 to 300 ms) where this file takes 176 ms. Two more
+//! measurements with openraft alone: a voter that was unreachable for five seconds deposes the
+//! leader each time it returns, because by then it has raised its term in vain about ten times. And
+//! a leader that can send but not receive stays leader without a limit, in a fleet that commits
+//! nothing. Nothing in this file affects the safety of Raft, which rests only on openraft's
+//! handling of terms, votes and logs.
 //!
-//! - *Canvass* (pre-vote; Ongaro's dissertation, 9.6): a node that has not heard a leader for a time drawn anew from
-//!   `election_min..election_max` asks the other voters whether they hear one, and whether its log is as long as
-//!   theirs. It stands for election only if a majority would have it.
-//! - *Patience with slow disks*: a voter that is about to bring its vote to disk, or has just done so, neither stands nor
-//!   would have anybody else, for [`SYNCS_TO_LEAD`] times as long as that took it. Else a candidate that waits for votes
-//!   would be overtaken by the next one, in the next term, for ever.
-//! - *Refusal*: a voter grants no vote within `election_min` of its leader's last word (openraft's leader lease, set
-//!   to that), unless that leader has resigned ([`super::succession`]). So a leader that a majority acknowledged more
-//!   recently is the only one.
-//! - *Muting* (etcd's check quorum): a leader that no majority acknowledges sends no appends, so that those who hear
-//!   it become free to elect another. It tries again now and then, in case they only were away.
-//! - *Beat*: openraft looks at its own heartbeat every 1.5 intervals only, so it is driven from here. A voter that has
-//!   not answered the last one is asked beside openraft, whose core may be waiting for a disk, here or there. Its answer
-//!   counts as an acknowledgement, so it binds as openraft's does: see [`Ear::heeds`].
+//! - *Pre-vote* (Ongaro's dissertation, 9.6): a node without leader contact for a time drawn anew
+//!   from `election_min..election_max` asks the other voters whether they have leader contact, and
+//!   whether its log is as long as theirs. It campaigns only if a majority grants the pre-vote.
+//! - *Slow disks*: a voter that is writing its vote to disk, or has just done so, neither campaigns
+//!   nor grants a pre-vote, for [`SYNCS_TO_LEAD`] times the duration of that write. Otherwise a
+//!   candidate that waits for votes would be overtaken by the next candidate, in the next term,
+//!   again and again.
+//! - *Vote rejection*: a voter grants no vote within `election_min` of the last contact from its
+//!   leader (openraft's leader lease, set to that time), unless that leader has resigned
+//!   ([`super::leadership_transfer`]). So a leader that a majority acknowledged more recently is
+//!   the only leader.
+//! - *Check-quorum* (as in etcd): a leader that no majority acknowledges suspends its appends, so
+//!   that the followers that still receive them become free to elect another leader. It resumes
+//!   them now and then, in case the majority was only temporarily unreachable.
+//! - *Heartbeat*: openraft checks its own heartbeat only every 1.5 intervals, so heartbeats are
+//!   driven from here. A voter that has not replied to the last heartbeat receives a heartbeat
+//!   request outside openraft, whose core may be waiting for a disk, here or there. The reply
+//!   counts as an acknowledgement, so it binds the voter as openraft's does: see
+//!   [`LeaderContact::answer_heartbeat`].
 
 use super::network::{HeartbeatReply, RaftClient};
 use super::settings::{APPEND_TIMEOUT, RaftSettings};
@@ -36,260 +43,280 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, sleep_until};
 
-/// How many syncs one after another it takes from a vote that is given until its leader is heard, and one to spare: the
-/// winner brings its reign to disk and then the reign's first entry, while it is asked for by others.
+/// Number of sequential disk syncs from a granted vote until the voters have contact with the new
+/// leader, plus 1 in reserve. The winner syncs its own vote and then the first entry of its term,
+/// while it serves requests of others.
 const SYNCS_TO_LEAD: u32 = 4;
 
-/// A question before standing: may I?
+/// Pre-vote request: would the target vote for this node?
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct PreVoteRequest {
-    /// The last entry of the asker's log.
+    /// Last entry of the requesting node's log.
     pub(super) last_log_id: Option<LogId>,
 }
 
-/// Whom this node has heard, and when.
+/// Record of contact with leaders and candidates at this node.
 #[derive(Debug)]
-pub(super) struct LeaderContact(Mutex<Heard>);
+pub(super) struct LeaderContact(Mutex<ContactState>);
 
 #[derive(Debug, Clone, Copy)]
-struct Heard {
-    leader: Instant,
-    voted: Option<Instant>,
-    /// When this node last heard a leader to which it is still bound: it votes for nobody else for a while.
-    bound: Option<Instant>,
-    /// Votes that openraft may be about to give, this node's own candidacy included, and when the first of them began.
-    deciding: u32,
-    began: Instant,
-    /// Until when those that were given are waited for.
-    patient_until: Instant,
-    /// The latest vote known to be given.
-    ballot: Vote,
-    /// Appends that openraft has in hand, and when the last one began or ended.
-    appends: u32,
-    moved: Instant,
-    resigned: Option<Instant>,
+struct ContactState {
+    last_contact: Instant,
+    vote_granted_at: Option<Instant>,
+    /// Time of the last contact from a leader to which this node is still bound: it grants no other
+    /// vote for a while.
+    bound_at: Option<Instant>,
+    /// Number of votes that openraft may be about to grant, including this node's own candidacy;
+    /// and the start of the first of them.
+    pending_votes: u32,
+    votes_began: Instant,
+    /// Time until which this node waits for the candidates it voted for.
+    candidate_wait_until: Instant,
+    /// Latest vote known to be granted.
+    latest_vote: Vote,
+    /// Number of appends pending in openraft, and the time at which the last of them began or
+    /// ended.
+    pending_appends: u32,
+    append_progress: Instant,
+    resigned_at: Option<Instant>,
 }
 
 impl LeaderContact {
-    /// As if a leader had been heard just now: a node that starts gives it time to speak.
+    /// Starts as if a leader had made contact just now: this gives an existing leader time to send
+    /// a heartbeat.
     pub(super) fn new() -> Self {
         let now = Instant::now();
-        LeaderContact(Mutex::new(Heard {
-            leader: now,
-            voted: None,
-            // Whom its former life was bound to, nobody knows.
-            bound: Some(now),
-            deciding: 0,
-            began: now,
-            patient_until: now,
-            ballot: Vote::default(),
-            appends: 0,
-            moved: now,
-            resigned: None,
+        LeaderContact(Mutex::new(ContactState {
+            last_contact: now,
+            vote_granted_at: None,
+            // The leader that this node was bound to before the restart is unknown.
+            bound_at: Some(now),
+            pending_votes: 0,
+            votes_began: now,
+            candidate_wait_until: now,
+            latest_vote: Vote::default(),
+            pending_appends: 0,
+            append_progress: now,
+            resigned_at: None,
         }))
     }
 
-    fn lock(&self) -> MutexGuard<'_, Heard> {
+    fn lock(&self) -> MutexGuard<'_, ContactState> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A leader speaks, by whose vote `known` is prevailed over or met: whether its reign is not over.
+    /// Records contact from the leader elected by `vote`. Returns `false` if `known` or a granted
+    /// vote supersedes that leader.
     pub(super) fn record_leader(&self, vote: &Vote, known: &Vote) -> bool {
-        self.lock().note_leader(vote, known)
+        self.lock().record_leader(vote, known)
     }
 
-    /// A leader asks whether this node is there. If so, it is bound by its answer as by an append: so it must not be about
-    /// to vote, and not be stuck.
+    /// Answers a heartbeat request of a leader. An acknowledgement binds this node as an append
+    /// does. So it is given only if this node is not about to vote, and is not stuck.
     pub(super) fn answer_heartbeat(&self, vote: &Vote, known: &Vote) -> HeartbeatReply {
-        let mut heard = self.lock();
-        let busy = heard.appends > 0;
-        let stuck = busy && heard.moved.elapsed() >= APPEND_TIMEOUT;
-        let follows = heard.deciding == 0 && !stuck && heard.note_leader(vote, known);
+        let mut state = self.lock();
+        let busy = state.pending_appends > 0;
+        let stuck = busy && state.append_progress.elapsed() >= APPEND_TIMEOUT;
+        let follows = state.pending_votes == 0 && !stuck && state.record_leader(vote, known);
         HeartbeatReply { follows, busy }
     }
 
-    /// openraft is given an append; it has it in hand until the answer is dropped.
+    /// Marks an append as pending in openraft, until the returned guard is dropped.
     pub(super) fn begin_append(&self) -> PendingAppend<'_> {
-        let mut heard = self.lock();
-        if heard.appends == 0 {
-            heard.moved = Instant::now();
+        let mut state = self.lock();
+        if state.pending_appends == 0 {
+            state.append_progress = Instant::now();
         }
-        heard.appends += 1;
+        state.pending_appends += 1;
         PendingAppend(self)
     }
 
-    /// Whether openraft may be asked for a vote: this node is bound to no leader. Until [`Ear::decided`], it binds itself to
-    /// none.
+    /// Checks whether openraft may grant a vote: this node is bound to no leader. If so, it binds
+    /// itself to none until [`LeaderContact::end_vote`].
     pub(super) fn try_begin_vote(&self, election_min: Duration) -> bool {
-        let mut heard = self.lock();
-        let free = heard.bound.is_none_or(|at| at.elapsed() >= election_min);
-        if free && heard.deciding == 0 {
-            heard.began = Instant::now();
+        let mut state = self.lock();
+        let free = state.bound_at.is_none_or(|at| at.elapsed() >= election_min);
+        if free && state.pending_votes == 0 {
+            state.votes_began = Instant::now();
         }
-        heard.deciding += u32::from(free);
+        state.pending_votes += u32::from(free);
         free
     }
 
-    /// What came of it.
-    pub(super) fn end_vote(&self, given: Option<Vote>) {
-        let mut heard = self.lock();
-        heard.deciding -= 1;
-        heard.patient_until =
-            heard.patient_until.max(Instant::now() + heard.began.elapsed().min(APPEND_TIMEOUT) * SYNCS_TO_LEAD);
-        heard.ballot = given.map_or(heard.ballot, |given| if given > heard.ballot { given } else { heard.ballot });
+    /// Records the result of the vote request begun by [`LeaderContact::try_begin_vote`].
+    pub(super) fn end_vote(&self, granted: Option<Vote>) {
+        let mut state = self.lock();
+        state.pending_votes -= 1;
+        state.candidate_wait_until = state
+            .candidate_wait_until
+            .max(Instant::now() + state.votes_began.elapsed().min(APPEND_TIMEOUT) * SYNCS_TO_LEAD);
+        state.latest_vote = granted
+            .map_or(state.latest_vote, |granted| if granted > state.latest_vote { granted } else { state.latest_vote });
     }
 
-    /// A leader that goes has freed this node, and given its vote to another.
-    pub(super) fn record_release(&self, given: Vote) {
-        let mut heard = self.lock();
-        heard.bound = None;
-        if given > heard.ballot {
-            heard.ballot = given;
+    /// Records that a resigning leader has released this node, and that its vote is granted to the
+    /// transfer target.
+    pub(super) fn record_release(&self, granted: Vote) {
+        let mut state = self.lock();
+        state.bound_at = None;
+        if granted > state.latest_vote {
+            state.latest_vote = granted;
         }
     }
 
-    /// The leader has resigned: nobody needs to wait for its word any more.
+    /// Records that the leader has resigned: this node stops waiting for its contact.
     pub(super) fn record_leader_resigned(&self) {
-        let mut heard = self.lock();
-        heard.bound = None;
-        heard.leader = heard.leader.checked_sub(Duration::from_secs(60)).unwrap_or(heard.leader);
+        let mut state = self.lock();
+        state.bound_at = None;
+        state.last_contact = state.last_contact.checked_sub(Duration::from_secs(60)).unwrap_or(state.last_contact);
     }
 
-    /// A candidate was given this node's vote: it needs a few round trips to make itself heard.
+    /// Records that a candidate received this node's vote: the candidate needs a few round trips to
+    /// become leader.
     pub(super) fn record_vote_granted(&self) {
-        self.lock().voted = Some(Instant::now());
+        self.lock().vote_granted_at = Some(Instant::now());
     }
 
-    /// This node gives up the lead, and its vote to its successor. Another is to be elected, be it the successor or not.
+    /// Records that this node resigns as leader and grants its vote to the transfer target. Another
+    /// node is to be elected, either the target or a different one.
     pub(super) fn record_own_resignation(&self) {
         let now = Some(Instant::now());
-        let mut heard = self.lock();
-        (heard.voted, heard.resigned) = (now, now);
+        let mut state = self.lock();
+        (state.vote_granted_at, state.resigned_at) = (now, now);
     }
 
-    /// Whether others have had as long as `patience` to be elected, if this node gave up the lead.
-    fn gave_way(&self, patience: Duration) -> bool {
-        self.lock().resigned.is_none_or(|at| at.elapsed() >= patience)
+    /// Checks whether the others have had `timeout` to elect a leader since this node resigned.
+    fn resignation_is_past(&self, timeout: Duration) -> bool {
+        self.lock().resigned_at.is_none_or(|at| at.elapsed() >= timeout)
     }
 
-    fn leader(&self) -> Instant {
-        self.lock().leader
+    fn last_contact(&self) -> Instant {
+        self.lock().last_contact
     }
 
-    /// Whether no leader has been heard for `patience`, and no candidate is waited for.
-    pub(super) fn no_leader_for(&self, patience: Duration, heartbeat: Duration) -> bool {
-        let heard = self.lock();
-        let waits = heard.deciding > 0 || heard.patient_until > Instant::now();
-        heard.leader.elapsed() >= patience && !waits && heard.voted.is_none_or(|at| at.elapsed() >= heartbeat)
+    /// Checks whether there was no leader contact for `timeout`, and no candidate that this node
+    /// waits for.
+    pub(super) fn no_leader_for(&self, timeout: Duration, heartbeat: Duration) -> bool {
+        let state = self.lock();
+        let waits = state.pending_votes > 0 || state.candidate_wait_until > Instant::now();
+        state.last_contact.elapsed() >= timeout
+            && !waits
+            && state.vote_granted_at.is_none_or(|at| at.elapsed() >= heartbeat)
     }
 }
 
-impl Heard {
-    fn note_leader(&mut self, vote: &Vote, known: &Vote) -> bool {
-        // A leader's vote is committed: it prevails over candidates of its own term, and over all earlier ones.
+impl ContactState {
+    fn record_leader(&mut self, vote: &Vote, known: &Vote) -> bool {
+        // A leader's vote is committed: it prevails over candidates of its own term, and over all
+        // votes of earlier terms.
         let rank = |vote: &Vote| (vote.leader_id().term, vote.is_committed());
-        let reigns = rank(vote) >= rank(known).max(rank(&self.ballot));
-        if reigns {
-            self.leader = Instant::now();
-            self.bound = Some(self.leader);
+        let is_current = rank(vote) >= rank(known).max(rank(&self.latest_vote));
+        if is_current {
+            self.last_contact = Instant::now();
+            self.bound_at = Some(self.last_contact);
         }
-        reigns
+        is_current
     }
 }
 
-/// An append that openraft has in hand.
+/// An append that is pending in openraft.
 pub(super) struct PendingAppend<'a>(&'a LeaderContact);
 
 impl Drop for PendingAppend<'_> {
     fn drop(&mut self) {
-        let mut heard = self.0.lock();
-        heard.appends -= 1;
-        heard.moved = Instant::now();
+        let mut state = self.0.lock();
+        state.pending_appends -= 1;
+        state.append_progress = Instant::now();
     }
 }
 
-/// Stands for election when no leader is heard and a majority would have this node.
+/// Runs campaigns: when there is no leader contact and a majority grants the pre-vote, this node
+/// campaigns.
 pub(super) async fn run_elections<S: StateMachine>(
     raft: Raft<S>,
-    board: RaftClient,
-    ear: Arc<LeaderContact>,
+    client: RaftClient,
+    contact: Arc<LeaderContact>,
     settings: RaftSettings,
     seed: u64,
 ) {
-    let mut chance = ChaCha8Rng::seed_from_u64(seed);
-    let beat = settings.heartbeat;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let heartbeat = settings.heartbeat;
     let mut metrics = raft.server_metrics();
     loop {
-        if !may_stand(&metrics.borrow(), board.me) {
-            // Who leads hears no leader, and who has no vote is told of none: they would ask for ever. Whoever has just got
-            // a vote leaves the founder of the ledger a moment to lead.
-            if metrics.wait_for(|now| may_stand(now, board.me)).await.is_err() {
+        if !can_campaign(&metrics.borrow(), client.me) {
+            // A leader has no leader contact, and a non-voter receives no replication: both would
+            // ask without end. A node that has just become a voter leaves the bootstrapping node a
+            // moment to become leader.
+            if metrics.wait_for(|now| can_campaign(now, client.me)).await.is_err() {
                 return;
             }
-            sleep(chance.random_range(beat / 8..beat / 4)).await;
+            sleep(rng.random_range(heartbeat / 8..heartbeat / 4)).await;
         }
-        let patience = chance.random_range(settings.election_min..settings.election_max);
-        sleep_until(ear.leader() + patience).await;
-        let since = Instant::now();
-        while ear.leader().elapsed() >= patience && may_stand(&metrics.borrow(), board.me) {
-            // The question takes time: a leader may have spoken, or a candidate got our vote, while it was answered.
-            let stands = ear.gave_way(settings.election_max)
-                && ear.no_leader_for(patience, beat)
-                && would_be_elected(&raft, &board, beat).await
-                && ear.no_leader_for(patience, beat);
-            let stands = stands && ear.try_begin_vote(settings.election_min);
-            if stands {
+        let timeout = rng.random_range(settings.election_min..settings.election_max);
+        sleep_until(contact.last_contact() + timeout).await;
+        let started = Instant::now();
+        while contact.last_contact().elapsed() >= timeout && can_campaign(&metrics.borrow(), client.me) {
+            // The pre-vote takes time: in the meantime a leader may have made contact, or a
+            // candidate may have received our vote.
+            let campaigns = contact.resignation_is_past(settings.election_max)
+                && contact.no_leader_for(timeout, heartbeat)
+                && wins_pre_vote(&raft, &client, heartbeat).await
+                && contact.no_leader_for(timeout, heartbeat);
+            let campaigns = campaigns && contact.try_begin_vote(settings.election_min);
+            if campaigns {
                 if raft.trigger().elect().await.is_err() {
                     return;
                 }
-                // openraft takes what it is asked in order: after this it has voted for itself.
+                // openraft handles requests in order: when this returns, it has voted for itself.
                 let vote = raft.with_raft_state(|state| *state.vote_ref()).await;
-                ear.end_vote(vote.ok());
+                contact.end_vote(vote.ok());
             }
-            // An election takes a few round trips; those whose elections failed together part by chance. Whoever has asked
-            // for longer than an election may take waits for links or nodes, and asks less often.
-            let long = since.elapsed() >= settings.election_max;
-            let pause = match (stands, long) {
-                (true, _) => beat..beat * 2,
-                (false, false) => beat / 8..beat / 4,
-                (false, true) => beat / 2..beat,
+            // An election takes a few round trips; candidates of a split vote separate by the
+            // random pause. A node that has asked for longer than an election may take is waiting
+            // for links or nodes, and asks less often.
+            let overdue = started.elapsed() >= settings.election_max;
+            let pause = match (campaigns, overdue) {
+                (true, _) => heartbeat..heartbeat * 2,
+                (false, false) => heartbeat / 8..heartbeat / 4,
+                (false, true) => heartbeat / 2..heartbeat,
             };
-            sleep(chance.random_range(pause)).await;
+            sleep(rng.random_range(pause)).await;
         }
     }
 }
 
-/// Whether a node votes and does not lead.
-fn may_stand(metrics: &RaftServerMetrics<RaftId, Peer>, me: RaftId) -> bool {
+/// Checks whether this node is a voter and not the leader.
+fn can_campaign(metrics: &RaftServerMetrics<RaftId, Peer>, me: RaftId) -> bool {
     let votes = metrics.membership_config.membership().get_joint_config().iter().any(|half| half.contains(&me));
     votes && metrics.state != ServerState::Leader
 }
 
-async fn would_be_elected<S: StateMachine>(raft: &Raft<S>, board: &RaftClient, limit: Duration) -> bool {
+async fn wins_pre_vote<S: StateMachine>(raft: &Raft<S>, client: &RaftClient, limit: Duration) -> bool {
     let voters = raft.server_metrics().borrow().membership_config.membership().get_joint_config().clone();
-    let question = PreVoteRequest { last_log_id: raft.data_metrics().borrow().last_log };
-    let mut willing = BTreeSet::from([board.me]);
-    let others: BTreeSet<RaftId> = voters.iter().flatten().copied().filter(|voter| *voter != board.me).collect();
-    let question = &question;
-    board
+    let request = PreVoteRequest { last_log_id: raft.data_metrics().borrow().last_log };
+    let mut granted_by = BTreeSet::from([client.me]);
+    let others: BTreeSet<RaftId> = voters.iter().flatten().copied().filter(|voter| *voter != client.me).collect();
+    let request = &request;
+    client
         .query_until_majority(
             &voters,
-            &mut willing,
+            &mut granted_by,
             &others,
-            |line| async move { line.pre_vote(question, limit).await },
+            |peer| async move { peer.pre_vote(request, limit).await },
         )
         .await
 }
 
-/// Has openraft send a heartbeat at the rate that the settings say, and asks those beside it that have not answered.
-/// A leader whose own core hangs for longer than an append may take says nothing more: another does better.
-pub(super) async fn send_heartbeats<S: StateMachine>(raft: Raft<S>, board: RaftClient, heartbeat: Duration) {
+/// Triggers openraft's heartbeats at the interval of the settings, and sends heartbeat requests
+/// outside openraft to late voters. A leader whose own core hangs for longer than an append may
+/// take sends nothing more: another leader does better.
+pub(super) async fn send_heartbeats<S: StateMachine>(raft: Raft<S>, client: RaftClient, heartbeat: Duration) {
     let metrics = raft.server_metrics();
-    let mut beats = interval(heartbeat);
-    beats.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut pulse = None;
+    let mut ticks = interval(heartbeat);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut core_probe = None;
     loop {
-        beats.tick().await;
+        ticks.tick().await;
         let (vote, voters) = {
             let now = metrics.borrow();
             if now.state != ServerState::Leader {
@@ -300,21 +327,21 @@ pub(super) async fn send_heartbeats<S: StateMachine>(raft: Raft<S>, board: RaftC
         if raft.trigger().heartbeat().await.is_err() {
             return;
         }
-        let (asked_at, answer) = pulse.get_or_insert_with(|| {
+        let (sent_at, reply) = core_probe.get_or_insert_with(|| {
             let raft = raft.clone();
             (Instant::now(), async move { raft.with_raft_state(|_| ()).await.is_ok() }.boxed())
         });
-        let hangs = asked_at.elapsed() >= APPEND_TIMEOUT;
-        if answer.now_or_never().is_some() {
-            pulse = None;
-        } else if hangs {
+        let core_hangs = sent_at.elapsed() >= APPEND_TIMEOUT;
+        if reply.now_or_never().is_some() {
+            core_probe = None;
+        } else if core_hangs {
             continue;
         }
         let late =
-            |voter: &RaftId| board.last_contacts.of(*voter).is_none_or(|at| at.elapsed() >= heartbeat.mul_f64(1.5));
-        for voter in voters.into_iter().filter(|voter| *voter != board.me).filter(late) {
-            let line = board.peer(voter);
-            tokio::spawn(async move { line.heartbeat(vote).await });
+            |voter: &RaftId| client.last_contacts.of(*voter).is_none_or(|at| at.elapsed() >= heartbeat.mul_f64(1.5));
+        for voter in voters.into_iter().filter(|voter| *voter != client.me).filter(late) {
+            let peer = client.peer(voter);
+            tokio::spawn(async move { peer.heartbeat(vote).await });
         }
     }
 }

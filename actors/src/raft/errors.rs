@@ -1,4 +1,4 @@
-//! Why a replica did not do what it was asked to do.
+//! Errors of a replica.
 
 use super::settings::RaftSettingsError;
 use super::types::{Peer, RaftId};
@@ -7,35 +7,35 @@ use consort_protocol::ids::NodeId;
 use openraft::error::{ChangeMembershipError, ClientWriteError, Fatal, ForwardToLeader, RaftError};
 use std::time::Duration;
 
-/// Why a node could not take part. Nothing runs.
+/// The replica was not started. Nothing runs.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
-    /// Our own mistake, or that of the configuration.
+    /// A bug, or a mistake in the configuration.
     #[error(transparent)]
     Settings(#[from] RaftSettingsError),
-    /// The journal cannot be read, is not whole, or is of another release.
-    #[error("the journal in {location} cannot be taken up: {problem}")]
+    /// The log store cannot be read, is damaged, or was written by another release.
+    #[error("the log store in {location} cannot be opened: {problem}")]
     LogStore {
-        /// Where it is.
+        /// Location of the log store.
         location: String,
-        /// What is wrong.
+        /// Cause.
         problem: std::io::Error,
     },
     /// The bus is closed.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// What openraft says of the stored state.
-    #[error("the stored state cannot be taken up: {0}")]
+    /// openraft rejected the stored state.
+    #[error("the stored state cannot be loaded: {0}")]
     Raft(#[from] Fatal<RaftId>),
 }
 
-/// Why the fleet's first voters were not written down. Nothing was changed.
+/// The cluster was not bootstrapped. Nothing was changed.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BootstrapError {
-    /// Ordinary: this was done before, or a leader has been here already.
-    #[error("this node already belongs to a fleet")]
+    /// Expected: the cluster was bootstrapped before, or a leader has contacted this node already.
+    #[error("this node is already a member of a cluster")]
     AlreadyBootstrapped,
-    /// Our own mistake.
+    /// A bug in the caller.
     #[error("{0} is not among the first voters")]
     NotMember(RaftId),
     /// The replica has stopped.
@@ -43,85 +43,89 @@ pub enum BootstrapError {
     Closed,
 }
 
-/// Why a command was not acknowledged. Only after [`ProposeError::TimedOut`] is it open what became of it.
+/// The command was not acknowledged. Only after [`ProposeError::TimedOut`] its outcome is unknown.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProposeError {
-    /// Ordinary. It was not proposed here, or was replaced by another leader's entry: it will not happen by this
-    /// call.
+    /// Expected. The command was not proposed here, or its entry was replaced by the entry of
+    /// another leader: this call will not take effect.
     #[error("the leader is {}", leader.as_ref().map_or("unknown", NodeId::as_str))]
     NotLeader {
-        /// Whom to ask instead, as far as this node knows.
+        /// The leader, as far as this node knows.
         leader: Option<NodeId>,
     },
-    /// This node was elected but hears no majority. It was not proposed.
+    /// This node is the elected leader, but no majority replies. The command was not proposed.
     #[error("no quorum: {reachable} of {voters} voters reachable")]
     NoQuorum {
-        /// Voters that answered something sent within the last two heartbeats, this one included.
+        /// Voters that replied to a message sent within the last two heartbeat intervals, including
+        /// this node.
         reachable: usize,
-        /// All voters.
+        /// Total number of voters.
         voters: usize,
     },
-    /// It was proposed and is not committed yet. **Its outcome is unknown**: it may yet be committed, now or by the
-    /// next leader. Look for its effect in the ledger, or propose something that may happen twice.
-    #[error("not committed within {limit:?}: whether it will be is unknown")]
+    /// The command was proposed and is not committed yet. **Its outcome is unknown**: it may still
+    /// be committed, by this leader or the next. Look for its effect in the ledger, or propose a
+    /// command that may be applied twice.
+    #[error("not committed within {limit:?}: the outcome is unknown")]
     TimedOut {
-        /// The time it was given.
+        /// Time limit of the call.
         limit: Duration,
     },
-    /// Our own mistake, or a mission of absurd size. It was not proposed.
-    #[error("a command of {size} bytes exceeds the {max} that one message may carry")]
+    /// A bug in the caller, or an absurdly large mission. The command was not proposed.
+    #[error("a command of {size} bytes exceeds the limit of {max} bytes per message")]
     TooLarge {
-        /// Its encoded size.
+        /// Encoded size of the command, in bytes.
         size: usize,
-        /// The limit.
+        /// Limit, in bytes.
         max: usize,
     },
-    /// It cannot be written down; our own mistake. It was not proposed.
+    /// The command cannot be encoded; a bug. It was not proposed.
     #[error("the command cannot be encoded: {0}")]
     Unencodable(String),
-    /// The replica has stopped, on request or because its journal failed. After a failure the outcome is unknown.
+    /// The replica has stopped, on request or because its log store failed. After a failure the
+    /// outcome is unknown.
     #[error("the replica has stopped")]
     Closed,
 }
 
-/// Why the membership was not changed.
+/// The membership was not changed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MemberError {
-    /// As for any other entry of the log; after [`ProposeError::TimedOut`] the change may yet happen.
+    /// The same errors as for any other entry of the log. After [`ProposeError::TimedOut`] the
+    /// change may still happen.
     #[error(transparent)]
     Propose(#[from] ProposeError),
     /// An earlier change is not committed yet. Nothing was changed; try again later.
-    #[error("another change of membership is under way")]
+    #[error("another membership change is in progress")]
     InProgress,
-    /// Our own mistake: a voter must be an observer first. Nothing was changed.
-    #[error("{0} is no observer")]
+    /// A bug in the caller: a voter must be a learner first. Nothing was changed.
+    #[error("{0} is not a learner")]
     NotLearner(RaftId),
-    /// Our own mistake: somebody must vote. Nothing was changed.
+    /// A bug in the caller: there must be a voter. Nothing was changed.
     #[error("no voters would be left")]
     NoVotersLeft,
 }
 
-/// Why a leader goes without a successor.
+/// The leadership was not transferred.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum TransferError {
-    /// Ordinary: there is nothing to hand over.
-    #[error("this node does not lead")]
+    /// Expected: there is nothing to transfer.
+    #[error("this node is not the leader")]
     NotLeader,
-    /// When this node goes, so does the ledger, until it comes back.
-    #[error("this node is the only voter: nobody can take over")]
+    /// The ledger is unavailable while this node is stopped.
+    #[error("this node is the only voter: there is no other voter to become leader")]
     OnlyVoter,
-    /// This node leads on. Ordinary where the others are dead already, or too far behind.
+    /// This node stays the leader. Expected when the other voters are dead, or too far behind.
     #[error("none of the other {others} voters had the whole ledger within {limit:?}")]
     NoTargetReady {
-        /// How many there are.
+        /// Number of other voters.
         others: usize,
-        /// How long was waited for one.
+        /// Time that was waited.
         limit: Duration,
     },
-    /// This node no longer leads; the others elect one of them when their patience ends.
-    #[error("{target} was to take over and does not answer")]
+    /// This node no longer leads; the other voters elect a leader after their election timeouts.
+    #[error("leadership was transferred to {target}, which does not reply")]
     TargetSilent {
-        /// Who should have.
+        /// Voter that was to take over.
         target: NodeId,
     },
     /// The replica has stopped.
@@ -146,12 +150,12 @@ pub(super) fn member_error(error: RaftError<RaftId, ClientWriteError<RaftId, Pee
 }
 
 impl ProposeError {
-    /// Why an entry of commands was not committed.
+    /// Converts the error of an entry of commands.
     pub(super) fn from_write(error: ClientWriteError<RaftId, Peer>) -> ProposeError {
         match member_error(RaftError::APIError(error)) {
             MemberError::Propose(error) => error,
             MemberError::InProgress | MemberError::NotLearner(_) | MemberError::NoVotersLeft => {
-                unreachable!("openraft answers so to a change of membership only")
+                unreachable!("openraft returns these errors for membership changes only")
             }
         }
     }

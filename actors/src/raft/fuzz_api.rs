@@ -1,4 +1,4 @@
-//! What voters say to one another, read as they read it, for those who try that with bytes of their own.
+//! Decoding of Raft messages and records for fuzz tests, exactly as a voter decodes them.
 
 use super::election::PreVoteRequest;
 use super::leadership_transfer::TransferRequest;
@@ -17,46 +17,47 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::io;
 
-/// Reads a question as the voter does that is asked, and writes it again.
+/// Decodes a request as the receiving voter does, and encodes it again.
 pub(crate) fn request<S: StateMachine>(call: RaftCall, bytes: &[u8]) -> Result<Vec<u8>, CodecError> {
-    fn again<T: Serialize + DeserializeOwned>(bytes: &[u8]) -> Result<Vec<u8>, CodecError> {
-        decode_request::<T>(bytes).and_then(|question| codec::encode(&question))
+    fn reencode<T: Serialize + DeserializeOwned>(bytes: &[u8]) -> Result<Vec<u8>, CodecError> {
+        decode_request::<T>(bytes).and_then(|request| codec::encode(&request))
     }
     match call {
-        RaftCall::Vote => again::<VoteRequest<RaftId>>(bytes),
-        RaftCall::Append => again::<AppendEntriesRequest<TypeConfig<S>>>(bytes),
-        RaftCall::Snapshot => again::<InstallSnapshotRequest<TypeConfig<S>>>(bytes),
-        RaftCall::PreVote => again::<PreVoteRequest>(bytes),
+        RaftCall::Vote => reencode::<VoteRequest<RaftId>>(bytes),
+        RaftCall::Append => reencode::<AppendEntriesRequest<TypeConfig<S>>>(bytes),
+        RaftCall::Snapshot => reencode::<InstallSnapshotRequest<TypeConfig<S>>>(bytes),
+        RaftCall::PreVote => reencode::<PreVoteRequest>(bytes),
         RaftCall::TransferLeadership => {
-            let (asker, word) = decode_request::<TransferRequest>(bytes)?;
-            // What it would have the voter do is reckoned from it at once.
-            let _ = word.target_vote();
-            codec::encode(&(asker, word))
+            let (cluster, request) = decode_request::<TransferRequest>(bytes)?;
+            // The receiver computes the vote from the request at once.
+            let _ = request.target_vote();
+            codec::encode(&(cluster, request))
         }
-        RaftCall::Heartbeat => again::<HeartbeatRequest>(bytes),
+        RaftCall::Heartbeat => reencode::<HeartbeatRequest>(bytes),
     }
 }
 
-/// Reads an answer as the voter does that has asked, and writes it again.
+/// Decodes a reply as the requesting voter does, and encodes it again.
 pub(crate) fn reply(call: RaftCall, bytes: &[u8]) -> Result<Vec<u8>, CodecError> {
-    fn again<A: Serialize + DeserializeOwned>(bytes: &[u8]) -> Result<Vec<u8>, CodecError> {
-        decode_reply::<A>(bytes).and_then(|answer: RaftReply<A>| codec::encode(&answer))
+    fn reencode<A: Serialize + DeserializeOwned>(bytes: &[u8]) -> Result<Vec<u8>, CodecError> {
+        decode_reply::<A>(bytes).and_then(|reply: RaftReply<A>| codec::encode(&reply))
     }
     match call {
-        RaftCall::Vote => again::<VoteResponse<RaftId>>(bytes),
-        RaftCall::Append => again::<AppendEntriesResponse<RaftId>>(bytes),
-        RaftCall::Snapshot => again::<InstallSnapshotResponse<RaftId>>(bytes),
-        RaftCall::PreVote | RaftCall::TransferLeadership => again::<bool>(bytes),
-        RaftCall::Heartbeat => again::<HeartbeatReply>(bytes),
+        RaftCall::Vote => reencode::<VoteResponse<RaftId>>(bytes),
+        RaftCall::Append => reencode::<AppendEntriesResponse<RaftId>>(bytes),
+        RaftCall::Snapshot => reencode::<InstallSnapshotResponse<RaftId>>(bytes),
+        RaftCall::PreVote | RaftCall::TransferLeadership => reencode::<bool>(bytes),
+        RaftCall::Heartbeat => reencode::<HeartbeatReply>(bytes),
     }
 }
 
-/// Reads an entry of the log as it is on the disk, and writes it again.
+/// Decodes a log entry as stored on disk, and encodes it again.
 pub(crate) fn entry<S: StateMachine>(bytes: &[u8]) -> io::Result<Vec<u8>> {
     encode_record(&decode_record::<Entry<TypeConfig<S>>>(bytes)?)
 }
 
-/// Reads a snapshot as it is on the disk, or as its pieces came from a leader, with the state in it, and writes it again.
+/// Decodes a snapshot, and the state in it, as stored on disk or received in chunks from a leader,
+/// and encodes it again.
 pub(crate) fn snapshot<S: StateMachine>(bytes: &[u8]) -> io::Result<Vec<u8>> {
     let kept: StoredSnapshot = decode_record(bytes)?;
     let state: S = decode_record(&kept.state)?;

@@ -1,25 +1,30 @@
-//! How a leader hands its office over before it goes, within a few round trips instead of an election's patience.
+//! Leadership transfer: a leader passes its leadership to another voter within a few round trips,
+//! without the wait for an election timeout.
 //!
 //! ```text
-//!  leaver                              successor                      other voters
-//!    │ no longer leads; refuses proposals  │                               │
+//!  leader                               target                         other voters
+//!    │ stops leading; rejects proposals    │                               │
 //!    │ waits until a live voter has all    │                               │
-//!    │ releases its own openraft           │                               │
-//!    ├── succeed ──────────────────────────┼──────────────────────────────►│ release: no longer bound to the leaver
+//!    │ releases the vote of its openraft   │                               │
+//!    ├── transfer ─────────────────────────┼──────────────────────────────►│ release the vote: not bound to the leader
 //!    ◄─────────────────────────────────────┼────────────── a majority ─────┤
-//!    ├── succeed ─────────────────────────►│ stands at once                │
+//!    ├── transfer ────────────────────────►│ campaigns at once             │
 //!    │◄──────────────── vote ──────────────┼─────────────── vote ─────────►│
 //! ```
 //!
-//! openraft 0.9 knows no such thing, and its voters refuse every candidate for `election_min` after their leader's last
-//! word. What frees them is an uncommitted vote for the successor in the next term: their leader's word then no longer is
-//! their latest vote. It reaches openraft as an append whose vote is that one and whose entry to follow nobody has, so that
-//! it changes nothing but the vote. To Raft it is a vote for the successor given before it was asked for; the successor still needs
-//! the answers of a majority, and each compares logs again before it gives one. So a succession that is lost half-way, late
-//! or repeated costs time only: it names the reign that it ends, and voters that have moved on ignore it.
+//! openraft 0.9 has no leadership transfer, and its voters reject every candidate for
+//! `election_min` after the last contact from their leader. An uncommitted vote for the target in
+//! the next term releases them: the vote for the leader is then no longer their latest vote. This
+//! vote reaches openraft as an append with that vote, and with a previous entry that no log
+//! contains, so that it changes only the vote. In terms of Raft it is a vote for the target,
+//! granted before the request. The target still needs the replies of a majority, and each voter
+//! compares logs again before it replies. So a transfer that is lost half-way, late or repeated
+//! only costs time: it contains the vote of the old leader, and voters that have moved on ignore
+//! it.
 //!
-//! Why there are never two: the leaver stops counting itself leader before the first message goes out, and takes the vote
-//! itself, so that its own openraft follows.
+//! There are never two leaders: the old leader stops counting itself leader before the first
+//! message is sent, and records the vote for the target itself, so that its own openraft steps
+//! down.
 
 use super::errors::TransferError;
 use super::leadership_view::Metrics;
@@ -36,83 +41,82 @@ use std::time::Duration;
 use tokio::time::{Instant, timeout};
 use tracing::info;
 
-/// A leader's last word to a voter.
+/// Request of a resigning leader to a voter.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct TransferRequest {
-    /// The reign that ends.
+    /// Vote that made the resigning leader.
     pub(super) leader_vote: Vote,
-    /// Who is to stand.
+    /// Voter that is to campaign.
     pub(super) target: RaftId,
 }
 
 impl TransferRequest {
-    /// The vote that it gives to the successor.
+    /// Returns the vote that the request grants to the target.
     pub(super) fn target_vote(&self) -> Vote {
         Vote::new(self.leader_vote.leader_id().term.saturating_add(1), self.target)
     }
 }
 
-/// The term in which this node led and gave it up; 0 for none.
+/// Term in which this node resigned as leader; 0 for none.
 #[derive(Debug, Default)]
 pub(super) struct ResignedTerm(AtomicU64);
 
 impl ResignedTerm {
-    /// This node no longer leads in `term`, whatever openraft says.
+    /// Records that this node no longer leads in `term`, regardless of openraft's state.
     pub(super) fn resign(&self, term: u64) {
         self.0.store(term, Ordering::SeqCst);
     }
 
-    /// Nobody could be found to take over: it goes on.
+    /// Withdraws the resignation: no target was found, and this node stays the leader.
     pub(super) fn withdraw(&self) {
         self.0.store(0, Ordering::SeqCst);
     }
 
-    /// Whether this node has given up the reign of `term`.
+    /// Checks whether this node has resigned in `term`.
     pub(super) fn covers(&self, term: u64) -> bool {
         let resigned = self.0.load(Ordering::SeqCst);
         resigned != 0 && resigned == term
     }
 }
 
-/// Makes this node's openraft vote for the successor in the next term, if the reign that ends is still its latest vote.
-/// Says whether it is free to vote for the successor now.
-pub(super) async fn release_vote<S: StateMachine>(raft: &Raft<S>, word: &TransferRequest) -> bool {
+/// Makes this node's openraft vote for the target in the next term, if the vote of the resigning
+/// leader is still its latest vote. Returns whether it is now free to vote for the target.
+pub(super) async fn release_vote<S: StateMachine>(raft: &Raft<S>, request: &TransferRequest) -> bool {
     let vote = raft.server_metrics().borrow().vote;
-    if vote != word.leader_vote {
-        // It is free already if it has moved on to a later term, and was never bound if it has not heard of this one.
-        return vote.leader_id().term > word.leader_vote.leader_id().term;
+    if vote != request.leader_vote {
+        // It is free already if it has moved on to a later term. It was never bound if it has no
+        // vote of this term.
+        return vote.leader_id().term > request.leader_vote.leader_id().term;
     }
-    let nowhere =
-        LogId::new(CommittedLeaderId::new(word.leader_vote.leader_id().term, RaftId::default()), u64::MAX / 2);
-    let request = AppendEntriesRequest {
-        vote: word.target_vote(),
-        prev_log_id: Some(nowhere),
+    let unknown_entry =
+        LogId::new(CommittedLeaderId::new(request.leader_vote.leader_id().term, RaftId::default()), u64::MAX / 2);
+    let append = AppendEntriesRequest {
+        vote: request.target_vote(),
+        prev_log_id: Some(unknown_entry),
         entries: vec![],
         leader_commit: None,
     };
-    raft.append_entries(request).await.is_ok()
+    raft.append_entries(append).await.is_ok()
 }
 
-/// Tells all voters who succeeds, the successor last: then it can be elected at once.
-pub(super) async fn proclaim(
-    board: &RaftClient,
+/// Sends the transfer to all voters, to the target last: then it can be elected at once.
+pub(super) async fn send_transfer(
+    client: &RaftClient,
     halves: &[BTreeSet<RaftId>],
-    word: &TransferRequest,
+    request: &TransferRequest,
     limit: Duration,
 ) -> bool {
-    let mut free = BTreeSet::from([board.me, word.target]);
-    let others: BTreeSet<RaftId> = halves.iter().flatten().copied().filter(|voter| !free.contains(voter)).collect();
-    board
-        .query_until_majority(
-            halves,
-            &mut free,
-            &others,
-            |line| async move { line.transfer_leadership(word, limit).await },
-        )
+    let mut released = BTreeSet::from([client.me, request.target]);
+    let others: BTreeSet<RaftId> = halves.iter().flatten().copied().filter(|voter| !released.contains(voter)).collect();
+    client
+        .query_until_majority(halves, &mut released, &others, |peer| async move {
+            peer.transfer_leadership(request, limit).await
+        })
         .await;
-    // Whether or not a majority is free: those that are not will be when their patience ends.
+    // Continues even without a released majority: the other voters are released by their election
+    // timeouts.
     for _ in 0..3 {
-        if board.peer(word.target).transfer_leadership(word, limit).await {
+        if client.peer(request.target).transfer_leadership(request, limit).await {
             return true;
         }
     }
@@ -120,52 +124,54 @@ pub(super) async fn proclaim(
 }
 
 impl<S: StateMachine> Replica<S> {
-    /// Gives the lead to another voter, which has all that this one has and is elected within a few round trips; to none of
-    /// `shunned` unless there is nobody else. From the call on this node refuses proposals and no longer counts itself
-    /// leader; it goes on voting and following. Waits `limit` at most for a voter that has everything.
+    /// Transfers leadership to another voter that has the whole log of this node and is elected
+    /// within a few round trips. A voter in `avoid` is chosen only if there is no other. From the
+    /// call on this node rejects proposals and no longer counts itself leader; it keeps voting and
+    /// following. Waits at most `limit` for a voter with the whole log.
     ///
     /// # Errors
-    /// [`HandOverError`] says whether this node still leads.
+    /// [`TransferError`] states whether this node is still the leader.
     pub async fn transfer_leadership(
         &self,
-        shunned: &BTreeSet<NodeId>,
+        avoid: &BTreeSet<NodeId>,
         limit: Duration,
     ) -> Result<NodeId, TransferError> {
-        let asked_at = Instant::now();
-        let pick = |latest: &Metrics| {
-            let shunned = if asked_at.elapsed() < limit / 2 { shunned } else { &BTreeSet::new() };
-            let near = self.near();
-            let all_shunned = near.values().all(|name| shunned.contains(name));
-            self.best_successor(latest, near, |name| all_shunned || !shunned.contains(name))
+        let started = Instant::now();
+        let choose = |latest: &Metrics| {
+            let avoid = if started.elapsed() < limit / 2 { avoid } else { &BTreeSet::new() };
+            let candidates = self.recent_contacts();
+            let all_avoided = candidates.values().all(|name| avoid.contains(name));
+            self.choose_target(latest, candidates, |name| all_avoided || !avoid.contains(name))
         };
-        self.hand_over_by(pick, limit).await
+        self.transfer_by(choose, limit).await
     }
 
-    /// Gives up the lead to one of these voters, or else keeps it.
+    /// Transfers leadership to a voter in `targets`, or keeps it.
     ///
     /// # Errors
-    /// As for [`hand_over`](Self::hand_over).
+    /// As for [`transfer_leadership`](Self::transfer_leadership).
     pub async fn transfer_leadership_to(
         &self,
-        to: &BTreeSet<NodeId>,
+        targets: &BTreeSet<NodeId>,
         limit: Duration,
     ) -> Result<NodeId, TransferError> {
-        let pick = |latest: &Metrics| self.best_successor(latest, self.near(), |name| to.contains(name));
-        self.hand_over_by(pick, limit).await
+        let choose =
+            |latest: &Metrics| self.choose_target(latest, self.recent_contacts(), |name| targets.contains(name));
+        self.transfer_by(choose, limit).await
     }
 
-    async fn hand_over_by(
+    async fn transfer_by(
         &self,
-        pick: impl Fn(&Metrics) -> Option<RaftId>,
+        choose: impl Fn(&Metrics) -> Option<RaftId>,
         limit: Duration,
     ) -> Result<NodeId, TransferError> {
         let inner = &*self.inner;
         let mut metrics = inner.raft.metrics();
-        let (vote, leads) = {
+        let (vote, is_leader) = {
             let now = metrics.borrow_and_update();
             (now.vote, now.state == ServerState::Leader)
         };
-        if !leads {
+        if !is_leader {
             return Err(TransferError::NotLeader);
         }
         let term = vote.leader_id().term;
@@ -179,59 +185,59 @@ impl<S: StateMachine> Replica<S> {
                 *now = now.clone().without_leader();
             }
         });
-        let found = async {
+        let chosen = async {
             loop {
                 let latest = metrics.borrow_and_update().clone();
                 if latest.vote != vote {
                     return Err(TransferError::NotLeader);
                 }
-                if let Some(successor) = pick(&latest) {
-                    return Ok((successor, latest));
+                if let Some(target) = choose(&latest) {
+                    return Ok((target, latest));
                 }
                 metrics.changed().await.map_err(|_| TransferError::Closed)?;
             }
         };
-        let nobody = Err(TransferError::NoTargetReady { others, limit });
-        let (successor, latest) = match timeout(limit, found).await.unwrap_or(nobody) {
-            Ok(found) => found,
-            Err(problem) => {
+        let no_target = Err(TransferError::NoTargetReady { others, limit });
+        let (target, latest) = match timeout(limit, chosen).await.unwrap_or(no_target) {
+            Ok(chosen) => chosen,
+            Err(error) => {
                 inner.resigned_term.withdraw();
-                return Err(problem);
+                return Err(error);
             }
         };
         let membership = latest.membership_config.membership();
-        let name = membership.get_node(&successor).map(|peer| peer.name.clone());
+        let name = membership.get_node(&target).map(|peer| peer.name.clone());
         let name = name.ok_or(TransferError::Closed)?;
-        let word = TransferRequest { leader_vote: vote, target: successor };
+        let request = TransferRequest { leader_vote: vote, target };
         inner.leader_contact.record_own_resignation();
-        if !release_vote(&inner.raft, &word).await {
+        if !release_vote(&inner.raft, &request).await {
             return Err(TransferError::Closed);
         }
-        info!(node = %inner.settings.node, term, successor = %name, "hands over");
-        match proclaim(&inner.client, membership.get_joint_config(), &word, inner.settings.heartbeat).await {
+        info!(node = %inner.settings.node, term, successor = %name, "transferring leadership");
+        match send_transfer(&inner.client, membership.get_joint_config(), &request, inner.settings.heartbeat).await {
             true => Ok(name),
             false => Err(TransferError::TargetSilent { target: name }),
         }
     }
 
-    /// The other voters that have answered of late.
-    fn near(&self) -> BTreeMap<RaftId, NodeId> {
+    /// Returns the other voters with recent contact.
+    fn recent_contacts(&self) -> BTreeMap<RaftId, NodeId> {
         let mut voters = self.inner.leadership.borrow().voters.clone();
         voters.retain(|id, _| *id != self.inner.id && self.has_recent_contact(*id));
         voters
     }
 
-    /// Of these voters one that may be it and has the whole log: that of the lowest number.
-    fn best_successor(
+    /// Returns the voter with the lowest id that is allowed and has the whole log.
+    fn choose_target(
         &self,
         latest: &Metrics,
-        among: BTreeMap<RaftId, NodeId>,
-        may: impl Fn(&NodeId) -> bool,
+        candidates: BTreeMap<RaftId, NodeId>,
+        is_allowed: impl Fn(&NodeId) -> bool,
     ) -> Option<RaftId> {
         let replication = latest.replication.as_ref()?;
-        let mut ready = among.into_iter().filter(|(id, name)| {
+        let mut ready = candidates.into_iter().filter(|(id, name)| {
             let matched = replication.get(id).copied().flatten().map(|at| at.index);
-            may(name) && matched >= latest.last_log_index
+            is_allowed(name) && matched >= latest.last_log_index
         });
         ready.next().map(|(id, _)| id)
     }

@@ -1,4 +1,4 @@
-//! What a node believes of who leads, and how it comes to believe it.
+//! View of the leadership at a node, derived from openraft's metrics and from acknowledgements.
 
 use super::leadership_transfer::ResignedTerm;
 use super::network::LeaderAcks;
@@ -16,50 +16,54 @@ use tokio::time::Instant;
 
 pub(super) type Metrics = openraft::RaftMetrics<RaftId, Peer>;
 
-/// What openraft tells of itself: everything at every event, and apart from it, only when it changes, who votes and leads.
+/// Metrics of openraft: all metrics, sent at every event, and the server metrics (voters and
+/// leader), sent only on a change.
 pub(super) struct MetricsFeed {
     pub(super) metrics: watch::Receiver<Metrics>,
     pub(super) server_metrics: watch::Receiver<RaftServerMetrics<RaftId, Peer>>,
 }
 
 impl MetricsFeed {
-    /// Waits for what may change the belief that followed from `latest`. What a follower has in its log changes none, and
-    /// comes with every message.
+    /// Waits for a change that may affect the view derived from `latest`. The log of a follower
+    /// does not affect it, and changes with every message.
     async fn changed(&mut self, latest: &Metrics) -> Result<(), watch::error::RecvError> {
-        let agrees = |all: &Metrics, now: &RaftServerMetrics<RaftId, Peer>| {
-            (all.vote, all.state, &all.membership_config) == (now.vote, now.state, &now.membership_config)
+        let agrees = |metrics: &Metrics, now: &RaftServerMetrics<RaftId, Peer>| {
+            (metrics.vote, metrics.state, &metrics.membership_config) == (now.vote, now.state, &now.membership_config)
         };
         if latest.state == ServerState::Leader {
             return self.metrics.changed().await;
         }
         self.server_metrics.wait_for(|now| !agrees(latest, now)).await?;
-        // What tells everything is sent last.
-        let standing = &mut self.server_metrics;
-        self.metrics.wait_for(|all| agrees(all, &standing.borrow_and_update())).await.map(drop)
+        // The full metrics are sent last.
+        let server_metrics = &mut self.server_metrics;
+        self.metrics.wait_for(|metrics| agrees(metrics, &server_metrics.borrow_and_update())).await.map(drop)
     }
 }
 
-/// Who leads, as this node believes. A watch shows the latest belief; a reign that came and went in between is seen
-/// by the next one's being greater.
+/// This node's view of the leadership. A watch shows the latest view. A leadership that began and
+/// ended in between is detected by the greater leader id of the next.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct LeadershipView {
-    /// This node's term. It also grows by candidacies that fail.
+    /// Term of this node. It also grows by failed campaigns.
     pub term: u64,
-    /// The reign this node accepts at present, its own included; `None` while it knows of none, or has lost its
-    /// majority. A node that is cut off as an observer goes on believing in the last it heard of.
+    /// Leader that this node currently accepts, possibly itself; `None` while the leader is
+    /// unknown, or while this leader has lost its quorum. A learner that is cut off keeps the last
+    /// known leader.
     pub leader_id: Option<LeaderId>,
-    /// The name of the reign's leader, if this node knows its membership yet.
+    /// Name of the leader, if this node has its membership entry yet.
     pub leader: Option<NodeId>,
-    /// Whether this node leads, holds all that was committed before its reign, and has been acknowledged by a majority
-    /// not longer ago than `quorum_silence_max` of the settings.
+    /// This node is the leader, has applied all entries committed before its term, and was
+    /// acknowledged by a majority within `check_quorum_timeout` of the settings.
     pub is_leader: bool,
-    /// Whether this node was elected but hears no majority: it must not act, and a proposal is refused at once.
+    /// This node was elected, but no majority replies: it must not act, and a proposal is rejected
+    /// at once.
     pub lost_quorum: bool,
-    /// Who votes.
+    /// Voters.
     pub voters: BTreeMap<RaftId, NodeId>,
-    /// While voters are being changed: those that vote in the end. Until then, a majority of the former ones counts too.
+    /// While the voters are being changed: the voters after the change. Until then, a majority of
+    /// the former voters is needed as well.
     pub pending_voters: Option<BTreeSet<RaftId>>,
-    /// Who is replicated to without a vote.
+    /// Learners: members without a vote.
     pub learners: BTreeMap<RaftId, NodeId>,
 }
 
@@ -69,7 +73,8 @@ impl LeadershipView {
     }
 }
 
-/// Turns openraft's metrics into [`Leadership`], doubts it when the majority falls silent, and then mutes the node.
+/// Derives the [`LeadershipView`] from openraft's metrics. When a majority stops replying, it
+/// withdraws the leadership in the view, and then suspends the appends of the node (check-quorum).
 pub(super) struct LeadershipMonitor {
     pub(super) check_quorum_timeout: Duration,
     pub(super) election_max: Duration,
@@ -77,16 +82,17 @@ pub(super) struct LeadershipMonitor {
     pub(super) resigned_term: Arc<ResignedTerm>,
     pub(super) quorum_ack: watch::Sender<Option<Instant>>,
     pub(super) appends_suspended: Arc<AtomicBool>,
-    /// The last entry that this node found in its log when it was started.
+    /// Last entry in the log of this node when it was started.
     pub(super) last_at_start: Option<LogId>,
-    /// The reign in which this node was elected, if it leads, and since when it knows.
+    /// Term in which this node was elected and the time at which this was noticed, while it is the
+    /// leader.
     pub(super) election: Option<(LeaderId, Instant)>,
-    /// Whether the metrics are new: the ages in them count from when they came.
+    /// The metrics are new: the ages in them count from their arrival.
     pub(super) metrics_are_new: bool,
     pub(super) quorum_ack_by_metrics: Option<Instant>,
     pub(super) me: RaftId,
     pub(super) acks: watch::Receiver<LeaderAcks>,
-    /// On what grounds the present belief was told.
+    /// Inputs of the view published last.
     pub(super) published_inputs: Option<ViewInputs>,
 }
 
@@ -96,19 +102,19 @@ impl LeadershipMonitor {
             self.metrics_are_new |= feed.metrics.has_changed().unwrap_or(false);
             let latest = feed.metrics.borrow_and_update().clone();
             if std::mem::take(&mut self.metrics_are_new) {
-                // Metrics are sent at the instant they are taken, and openraft takes them at every event. Its whole
-                // milliseconds round the age down, so one is added.
+                // Metrics are sent at the moment they are taken, and openraft takes them at every
+                // event. Its whole milliseconds round the age down, so a millisecond is added.
                 let age = latest.millis_since_quorum_ack.map(|ms| Duration::from_millis(ms + 1));
                 self.quorum_ack_by_metrics = age.and_then(|age| Instant::now().checked_sub(age));
             }
-            let mut acked = self.quorum_ack_by_metrics;
+            let mut ack_at = self.quorum_ack_by_metrics;
             if latest.state == ServerState::Leader {
                 let halves = latest.membership_config.membership().get_joint_config();
-                acked = acked.max(self.acks.borrow_and_update().quorum_ack(&latest.vote, self.me, halves));
+                ack_at = ack_at.max(self.acks.borrow_and_update().quorum_ack(&latest.vote, self.me, halves));
             }
-            self.quorum_ack.send_if_modified(|known| std::mem::replace(known, acked) != acked);
-            let elected_at = self.note_election(&latest);
-            if self.believe_until_changed(&latest, acked, elected_at, &mut feed).await.is_err() {
+            self.quorum_ack.send_if_modified(|known| std::mem::replace(known, ack_at) != ack_at);
+            let elected_at = self.record_election(&latest);
+            if self.publish_until_changed(&latest, ack_at, elected_at, &mut feed).await.is_err() {
                 break;
             }
         }
@@ -118,78 +124,82 @@ impl LeadershipMonitor {
         });
     }
 
-    /// Since when this node leads, if it does.
-    fn note_election(&mut self, latest: &Metrics) -> Option<Instant> {
-        let reign = leader_id_of(&latest.vote).filter(|_| latest.state == ServerState::Leader);
-        if self.election.map(|(reign, _)| reign) != reign {
-            self.election = reign.map(|reign| (reign, Instant::now()));
+    /// Returns the time at which this node became leader, if it is the leader.
+    fn record_election(&mut self, latest: &Metrics) -> Option<Instant> {
+        let leader_id = leader_id_of(&latest.vote).filter(|_| latest.state == ServerState::Leader);
+        if self.election.map(|(leader_id, _)| leader_id) != leader_id {
+            self.election = leader_id.map(|leader_id| (leader_id, Instant::now()));
         }
         self.election.map(|(_, at)| at)
     }
 
-    /// Tells what follows from `latest`, and what no longer does once the majority has been silent for too long.
-    async fn believe_until_changed(
+    /// Publishes the view that follows from `latest`, and the reduced view once no majority has
+    /// replied for too long.
+    async fn publish_until_changed(
         &mut self,
         latest: &Metrics,
-        acked: Option<Instant>,
+        ack_at: Option<Instant>,
         elected_at: Option<Instant>,
         feed: &mut MetricsFeed,
     ) -> Result<(), watch::error::RecvError> {
-        // A fresh leader has not been acknowledged yet; that is no silence to complain of, for a while.
-        let Some(doubt_at) = acked.or(elected_at).map(|at| at + self.check_quorum_timeout) else {
+        // A new leader has not been acknowledged yet. For the duration of the timeout this does not
+        // count as a lost quorum.
+        let Some(timeout_at) = ack_at.or(elected_at).map(|at| at + self.check_quorum_timeout) else {
             self.appends_suspended.store(false, Ordering::Relaxed);
-            self.tell(latest, Quorum::Unknown);
-            return self.news(latest, feed).await;
+            self.publish(latest, Quorum::Unknown);
+            return self.next_change(latest, feed).await;
         };
-        if doubt_at > Instant::now() {
+        if timeout_at > Instant::now() {
             self.appends_suspended.store(false, Ordering::Relaxed);
-            self.tell(latest, if acked.is_some() { Quorum::Hears } else { Quorum::Unknown });
+            self.publish(latest, if ack_at.is_some() { Quorum::Confirmed } else { Quorum::Unknown });
             tokio::select! {
                 biased;
-                changed = self.news(latest, feed) => return changed,
-                () = tokio::time::sleep_until(doubt_at) => {}
+                changed = self.next_change(latest, feed) => return changed,
+                () = tokio::time::sleep_until(timeout_at) => {}
             }
         }
         if mutants::is_active(Mutant::NoCheckQuorum) {
-            self.tell(latest, Quorum::Hears);
-            return self.news(latest, feed).await;
+            self.publish(latest, Quorum::Confirmed);
+            return self.next_change(latest, feed).await;
         }
-        // Metrics come with each beat, so this is looked at often enough.
-        self.appends_suspended.store(self.falls_silent(doubt_at.elapsed()), Ordering::Relaxed);
-        self.tell(latest, Quorum::Silent);
-        self.news(latest, feed).await
+        // Metrics are sent with each heartbeat, so this is evaluated often enough.
+        self.appends_suspended.store(self.suspends_appends(timeout_at.elapsed()), Ordering::Relaxed);
+        self.publish(latest, Quorum::Lost);
+        self.next_change(latest, feed).await
     }
 
-    /// Waits for openraft's metrics, or for an answer beside it.
-    async fn news(&mut self, latest: &Metrics, feed: &mut MetricsFeed) -> Result<(), watch::error::RecvError> {
+    /// Waits for new metrics of openraft, or for an acknowledgement outside openraft.
+    async fn next_change(&mut self, latest: &Metrics, feed: &mut MetricsFeed) -> Result<(), watch::error::RecvError> {
         tokio::select! {
             biased;
             changed = feed.changed(latest) => {
                 self.metrics_are_new = true;
                 changed
             }
-            answered = self.acks.changed() => answered,
+            acked = self.acks.changed() => acked,
         }
     }
 
-    /// Whether a leader says nothing at `doubted` after it began to doubt its majority: four times the longest
-    /// election timeout, in which any other majority finds a leader, then once that time aloud, and so on.
-    fn falls_silent(&self, doubted: Duration) -> bool {
+    /// Checks whether a leader suspends its appends at `elapsed` after it lost its quorum. It
+    /// suspends them for four times the longest election timeout, in which any other majority
+    /// elects a leader. Then it sends for that time once, and so on.
+    fn suspends_appends(&self, elapsed: Duration) -> bool {
         let round = self.election_max * 5;
-        doubted.as_nanos() % round.as_nanos().max(1) < (self.election_max * 4).as_nanos()
+        elapsed.as_nanos() % round.as_nanos().max(1) < (self.election_max * 4).as_nanos()
     }
 
-    fn tell(&mut self, metrics: &Metrics, quorum: Quorum) {
+    fn publish(&mut self, metrics: &Metrics, quorum: Quorum) {
         let resigned = self.resigned_term.covers(metrics.current_term);
-        let grounds = ViewInputs::of(metrics, quorum, self.last_at_start, resigned);
-        // Metrics come with every message, and seldom change what is believed.
-        if self.published_inputs.as_ref() == Some(&grounds) {
+        let inputs = ViewInputs::of(metrics, quorum, self.last_at_start, resigned);
+        // Metrics are sent with every message, and rarely change the view.
+        if self.published_inputs.as_ref() == Some(&inputs) {
             return;
         }
-        let mut next = grounds.belief();
-        self.published_inputs = Some(grounds);
+        let mut next = inputs.view();
+        self.published_inputs = Some(inputs);
         self.leadership.send_if_modified(|now| {
-            // Asked here, under the watch's lock: whoever resigns does so first and then takes that lock.
+            // Checked here, under the lock of the watch: a resignation is recorded first, and then
+            // takes that lock.
             if self.resigned_term.covers(next.term) {
                 next = std::mem::take(&mut next).without_leader();
             }
@@ -202,20 +212,20 @@ impl LeadershipMonitor {
     }
 }
 
-/// What an elected leader knows of its majority.
+/// Contact of an elected leader with its majority.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Quorum {
     /// Not acknowledged yet, or not elected.
     Unknown,
-    Hears,
-    Silent,
+    Confirmed,
+    Lost,
 }
 
-/// All that a belief depends on.
+/// Everything that the view depends on.
 #[derive(Debug, PartialEq)]
 pub(super) struct ViewInputs {
     term: u64,
-    reign: Option<LeaderId>,
+    leader_id: Option<LeaderId>,
     elected: bool,
     caught_up: bool,
     quorum: Quorum,
@@ -224,40 +234,43 @@ pub(super) struct ViewInputs {
 }
 
 impl ViewInputs {
-    /// What openraft's metrics say, and what is known of the majority. A node that has resigned only counts as changed: who
-    /// tells of a belief asks for that again.
-    fn of(metrics: &Metrics, quorum: Quorum, found: Option<LogId>, resigned: bool) -> ViewInputs {
+    /// Collects the inputs from openraft's metrics and from the state of the quorum. A resignation
+    /// is only included so that it counts as a change: the publisher of the view checks it again.
+    fn of(metrics: &Metrics, quorum: Quorum, last_at_start: Option<LogId>, resigned: bool) -> ViewInputs {
         let running = metrics.running_state.is_ok() && metrics.state != ServerState::Shutdown;
-        let reign = leader_id_of(&metrics.vote).filter(|_| running && metrics.vote.is_committed());
-        // The first entry of a reign is openraft's blank one: once it is applied, so is all that was committed before.
-        let begun = reign.is_some() && metrics.last_applied.map(|at| at.leader_id.term) == reign.map(|now| now.term);
-        // A leader that was started anew leads on in its old reign, where that entry says nothing: what it had in its log
-        // may have been committed and acknowledged before, and is applied anew only after a majority has confirmed it.
-        let resumed = found.filter(|last| reign.is_some_and(|now| now.term == last.leader_id.term));
+        let leader_id = leader_id_of(&metrics.vote).filter(|_| running && metrics.vote.is_committed());
+        // The first entry of a term is openraft's blank entry: once it is applied, all entries
+        // committed before are applied.
+        let term_has_begun =
+            leader_id.is_some() && metrics.last_applied.map(|at| at.leader_id.term) == leader_id.map(|now| now.term);
+        // A restarted leader continues in its old term, where that entry proves nothing: the
+        // entries in its log may have been committed and acknowledged before, and are applied again
+        // only after a majority has confirmed them.
+        let resumed = last_at_start.filter(|last| leader_id.is_some_and(|now| now.term == last.leader_id.term));
         ViewInputs {
             term: metrics.current_term,
-            reign,
+            leader_id,
             elected: running && metrics.state == ServerState::Leader,
-            caught_up: begun && resumed.is_none_or(|last| metrics.last_applied >= Some(last)),
+            caught_up: term_has_begun && resumed.is_none_or(|last| metrics.last_applied >= Some(last)),
             quorum,
             resigned,
             membership: Arc::clone(&metrics.membership_config),
         }
     }
 
-    /// What a node believes on these grounds.
-    fn belief(&self) -> LeadershipView {
-        let cut_off = self.elected && self.quorum == Quorum::Silent;
-        let reign = self.reign.filter(|_| !cut_off);
+    /// Returns the view that follows from these inputs.
+    fn view(&self) -> LeadershipView {
+        let lost_quorum = self.elected && self.quorum == Quorum::Lost;
+        let leader_id = self.leader_id.filter(|_| !lost_quorum);
         let membership = self.membership.membership();
         let name = |id: RaftId| membership.get_node(&id).map(|peer| peer.name.clone());
         let named = |ids: Vec<RaftId>| ids.into_iter().filter_map(|id| Some((id, name(id)?))).collect();
         LeadershipView {
             term: self.term,
-            leader_id: reign,
-            leader: reign.and_then(|reign| name(reign.leader)),
-            is_leader: self.elected && self.caught_up && self.quorum == Quorum::Hears,
-            lost_quorum: cut_off,
+            leader_id,
+            leader: leader_id.and_then(|leader_id| name(leader_id.leader)),
+            is_leader: self.elected && self.caught_up && self.quorum == Quorum::Confirmed,
+            lost_quorum,
             voters: named(membership.voter_ids().collect()),
             pending_voters: membership.get_joint_config().get(1).cloned(),
             learners: named(membership.learner_ids().collect()),

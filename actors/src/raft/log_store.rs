@@ -1,4 +1,5 @@
-//! Where a replica's log, vote and snapshot rest. Bytes only, so that a journal knows nothing of the ledger.
+//! Durable storage of a replica's log, vote and snapshot. It stores bytes only, so it does not
+//! depend on the ledger.
 
 use async_trait::async_trait;
 use rand::{Rng as _, SeedableRng as _};
@@ -7,100 +8,103 @@ use std::collections::BTreeMap;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The name of one store, given at its creation and lost with it.
+/// Identity of a store, assigned at its creation and lost with the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct StoreIdentity(pub u128);
 
 impl StoreIdentity {
-    /// An identity for a new store. Equal seeds give equal identities: a fresh store needs a fresh seed.
+    /// Creates an identity for a new store. Equal seeds give equal identities: a fresh store needs
+    /// a fresh seed.
     pub fn from_seed(seed: u64) -> Self {
-        let mut chance = ChaCha8Rng::seed_from_u64(seed);
-        StoreIdentity(u128::from(chance.next_u64()) << 64 | u128::from(chance.next_u64()))
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        StoreIdentity(u128::from(rng.next_u64()) << 64 | u128::from(rng.next_u64()))
     }
 }
 
-/// Everything a journal holds, as read when a node starts.
+/// Everything in a log store, as read when a node starts.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PersistentState {
-    /// The last vote.
+    /// Last vote.
     pub vote: Option<Vec<u8>>,
-    /// How far the log was known to be committed; may lag.
+    /// Committed position of the log; may lag.
     pub committed: Option<Vec<u8>>,
-    /// The last entry that was purged.
+    /// Last purged entry.
     pub purged: Option<Vec<u8>>,
-    /// The log, by index, without gaps.
+    /// Log entries by index, without gaps.
     pub entries: BTreeMap<u64, Vec<u8>>,
-    /// The newest snapshot.
+    /// Newest snapshot.
     pub snapshot: Option<Vec<u8>>,
 }
 
-/// Durable storage of one replica, written by one task at a time and read once, at the start.
+/// Durable storage of a replica. A single task writes to it. It is read once, at the start.
 ///
-/// When a method returns `Ok`, what it was given survives a crash; [`Journal::record_committed`] alone may be lazy.
-/// An error stops the replica for good: it must not go on without knowing what it has promised.
+/// When a method returns `Ok`, its data survives a crash; only [`LogStore::save_committed`] may be
+/// lazy. An error stops the replica for good: it must not continue when it cannot tell which
+/// promises are stored.
 #[async_trait]
 pub trait LogStore: Send + Sync + 'static {
-    /// This store's name. The raft id follows from it.
+    /// Returns the identity of this store. The raft id is derived from it.
     fn identity(&self) -> StoreIdentity;
 
-    /// Where it is, for people to read.
+    /// Returns the location of the store, for error messages.
     fn location(&self) -> String {
         "this process's memory".to_owned()
     }
 
-    /// What a person may do when what it holds is not whole, if anything.
+    /// Returns advice for the operator when the stored data is damaged, if there is any.
     fn repair_advice(&self) -> Option<&'static str> {
         None
     }
 
-    /// All that was recorded.
+    /// Reads everything stored.
     async fn load(&self) -> io::Result<PersistentState>;
 
     /// Replaces the vote.
     async fn save_vote(&self, vote: Vec<u8>) -> io::Result<()>;
 
-    /// Replaces the committed position. Losing the last ones costs only time at the next start.
+    /// Replaces the committed position. Losing the last updates only costs time at the next start.
     async fn save_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()>;
 
-    /// Adds entries, which follow the last one without a gap.
+    /// Appends entries, which follow the last stored entry without a gap.
     async fn append(&self, entries: Vec<(u64, Vec<u8>)>) -> io::Result<()>;
 
-    /// Removes all entries from `index` on.
+    /// Removes all entries from `index` to the end.
     async fn truncate(&self, index: u64) -> io::Result<()>;
 
-    /// Removes all entries up to and including `index`, and remembers the last of them.
+    /// Removes all entries up to and including `index`, and stores the id of the last of them.
     async fn purge(&self, index: u64, last: Vec<u8>) -> io::Result<()>;
 
     /// Replaces the snapshot.
     async fn save_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()>;
 }
 
-/// The problem, and what may be done about it if it says that the journal is not whole.
-pub(crate) fn with_repair_advice(problem: io::Error, advice: Option<&str>) -> io::Error {
+/// Adds `advice` to an error that reports damaged data.
+pub(crate) fn with_repair_advice(error: io::Error, advice: Option<&str>) -> io::Error {
     match advice {
-        Some(advice) if problem.kind() == io::ErrorKind::InvalidData => {
-            io::Error::new(io::ErrorKind::InvalidData, format!("{problem}; {advice}"))
+        Some(advice) if error.kind() == io::ErrorKind::InvalidData => {
+            io::Error::new(io::ErrorKind::InvalidData, format!("{error}; {advice}"))
         }
-        _ => problem,
+        _ => error,
     }
 }
 
-/// A journal in memory: gone with its last clone. A clone given to a restarted node plays a disk that survived.
+/// Log store in memory, lost with its last clone. A clone given to a restarted node simulates a
+/// disk that survived.
 #[derive(Debug, Clone)]
 pub struct MemoryLogStore {
     identity: StoreIdentity,
-    recorded: Arc<Mutex<PersistentState>>,
+    state: Arc<Mutex<PersistentState>>,
 }
 
 impl MemoryLogStore {
-    /// An empty journal with an identity of its own; see [`StoreIdentity::from_seed`].
+    /// Creates an empty log store with an identity of its own; see [`StoreIdentity::from_seed`].
     pub fn new(identity_seed: u64) -> Self {
-        MemoryLogStore { identity: StoreIdentity::from_seed(identity_seed), recorded: Arc::default() }
+        MemoryLogStore { identity: StoreIdentity::from_seed(identity_seed), state: Arc::default() }
     }
 
     fn write(&self, change: impl FnOnce(&mut PersistentState)) -> io::Result<()> {
-        // No change below can panic half-way, so a poisoned lock still guards a sound value.
-        change(&mut self.recorded.lock().unwrap_or_else(PoisonError::into_inner));
+        // No change below can panic half-way, so a poisoned lock still guards a consistent value.
+        change(&mut self.state.lock().unwrap_or_else(PoisonError::into_inner));
         Ok(())
     }
 }
@@ -112,35 +116,35 @@ impl LogStore for MemoryLogStore {
     }
 
     async fn load(&self) -> io::Result<PersistentState> {
-        Ok(self.recorded.lock().unwrap_or_else(PoisonError::into_inner).clone())
+        Ok(self.state.lock().unwrap_or_else(PoisonError::into_inner).clone())
     }
 
     async fn save_vote(&self, vote: Vec<u8>) -> io::Result<()> {
-        self.write(|recorded| recorded.vote = Some(vote))
+        self.write(|state| state.vote = Some(vote))
     }
 
     async fn save_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
-        self.write(|recorded| recorded.committed = committed)
+        self.write(|state| state.committed = committed)
     }
 
     async fn append(&self, entries: Vec<(u64, Vec<u8>)>) -> io::Result<()> {
-        self.write(|recorded| recorded.entries.extend(entries))
+        self.write(|state| state.entries.extend(entries))
     }
 
     async fn truncate(&self, index: u64) -> io::Result<()> {
-        self.write(|recorded| {
-            recorded.entries.split_off(&index);
+        self.write(|state| {
+            state.entries.split_off(&index);
         })
     }
 
     async fn purge(&self, index: u64, last: Vec<u8>) -> io::Result<()> {
-        self.write(|recorded| {
-            recorded.entries = recorded.entries.split_off(&(index + 1));
-            recorded.purged = Some(last);
+        self.write(|state| {
+            state.entries = state.entries.split_off(&(index + 1));
+            state.purged = Some(last);
         })
     }
 
     async fn save_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
-        self.write(|recorded| recorded.snapshot = Some(snapshot))
+        self.write(|state| state.snapshot = Some(snapshot))
     }
 }

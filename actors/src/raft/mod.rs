@@ -1,28 +1,32 @@
-//! The ledger that survives its nodes: a state machine replicated by Raft (`openraft`), over our own bus.
+//! Replicated ledger: a state machine replicated by Raft (`openraft`) over the project's own bus.
 //!
 //! ```text
-//!             propose, read, leadership                          the other voters
+//!             propose, read, leadership                          other voters
 //!   actors ──────────────────────────────► Replica                      ▲
 //!                                             │                         │ bus queries, one key per raft id
 //!                                             ▼                         ▼
-//!                  store ◄────────────── openraft core ──────────► network, serve
-//!          (log, vote, snapshot;              │
-//!           durable in a Journal)             └── told by `canvass` when to beat and when to stand
+//!                storage ◄────────────── openraft core ──────────► network, server
+//!          (log, vote, snapshot;              ▲
+//!           durable in a LogStore)            └── `election` triggers heartbeats and campaigns
 //! ```
 //!
-//! What is promised:
-//! - What [`Replica::propose`] returned `Ok` for is in the ledger of every node that ever applies so far, at one and
-//!   the same place, while a majority of the voters' journals survive.
-//! - [`Leadership::is_me`] is true only on a node whose ledger holds everything committed before its reign, and which
-//!   a majority acknowledged not longer ago than [`ReplicaSettings::quorum_silence_max`]. It is a belief about the
-//!   recent past all the same: whatever acts outside the ledger carries the [`Reign`] or an [`Epoch`].
-//! - Each term has one leader at most (openraft's `single-term-leader`), so the term of a [`Reign`] orders whoever acts
-//!   outside the ledger, and the [`Epoch`] of an applied entry whatever was promised in it.
-//! - A leader that leaves by [`Replica::hand_over`] has a successor within a few round trips.
+//! Guarantees:
+//! - A command for which [`Replica::propose`] returned `Ok` has the same position in the ledger of
+//!   every node that applies up to that position, while a majority of the voters' log stores
+//!   survive.
+//! - [`LeadershipView::is_leader`] is true only on a node that has applied all entries committed
+//!   before its term, and that a majority acknowledged within
+//!   [`RaftSettings::check_quorum_timeout`]. It is still only a view of the recent past: an action
+//!   outside the ledger carries the [`LeaderId`] or an [`Epoch`] as its fencing token.
+//! - Each term has a single leader at most (openraft's `single-term-leader`). So the term of a
+//!   [`LeaderId`] orders actions outside the ledger, and the [`Epoch`] of an applied entry orders
+//!   the grants made by that entry.
+//! - A leader that leaves by [`Replica::transfer_leadership`] has a successor within a few round
+//!   trips.
 //!
-//! Why not a lock, a lease or gossip: see Ongaro and Ousterhout, *In search of an understandable consensus algorithm*,
-//! 2014. When to stand for election is decided by `canvass`, not by openraft, which has neither pre-vote nor check
-//! quorum.
+//! The reasons for Raft instead of a lock, a lease or gossip are in Ongaro and Ousterhout, *In
+//! search of an understandable consensus algorithm*, 2014. The time of a campaign is decided by
+//! `election`, not by openraft, which has neither pre-vote nor check-quorum.
 
 mod election;
 mod errors;
@@ -33,7 +37,6 @@ mod leadership_view;
 mod log_store;
 mod network;
 mod offline_recovery;
-#[expect(clippy::module_inception, reason = "a module's main type has a file of its own, as elsewhere")]
 mod replica;
 mod runtime;
 mod server;

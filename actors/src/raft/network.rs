@@ -1,9 +1,11 @@
-//! Raft's questions to other voters, as queries on the bus.
+//! Raft requests to other voters, as queries on the bus.
 //!
-//! A voter whose disk is slow answers an append late, and all else that openraft is asked meanwhile: its core is one task.
-//! So a leader that has waited for a heartbeat asks beside openraft whether the voter is still there and has the append in
-//! hand ([`Line::beat`]). If so, it waits on, and counts the answer as an acknowledgement of its reign; if not, the append
-//! or its answer was lost, and is sent again.
+//! A voter with a slow disk replies late to an append, and to every other request to its openraft:
+//! the core is a single task. So a leader that has waited for a heartbeat interval asks outside
+//! openraft whether the voter is still alive and has the append pending
+//! ([`PeerClient::heartbeat`]). If so, the leader keeps waiting, and counts the reply as an
+//! acknowledgement of its leadership. If not, the append or its reply was lost, and the append is
+//! sent again.
 
 use super::election::PreVoteRequest;
 use super::leadership_transfer::TransferRequest;
@@ -34,30 +36,32 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::{Instant, timeout};
 
-/// Bytes of a snapshot that go in one message; with its frame around it, a message stays within [`codec::LIMIT`].
+/// Size of a snapshot chunk, in bytes; with its frame, the message stays within [`codec::LIMIT`].
 pub(super) const SNAPSHOT_CHUNK: usize = 48 * 1024;
 
-/// Bytes of an append of several entries. A follower brings them to disk by one sync, and a slow link carries them within
-/// a second; larger ones save little. One entry alone may fill a message.
+/// Size limit of an append of several entries, in bytes. A follower writes it with a single sync,
+/// and a slow link carries it within a second; larger appends save little. A single entry may fill
+/// a message.
 pub(super) const APPEND_BYTES: usize = 32 * 1024;
 
-/// A leader's question beside openraft: are you there?
+/// Heartbeat request of a leader, handled outside openraft.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct HeartbeatRequest {
-    /// Its reign.
+    /// Vote that made it leader.
     pub(super) vote: Vote,
 }
 
-/// What a voter answers to it.
+/// Reply of a voter to a heartbeat request.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(super) struct HeartbeatReply {
-    /// It follows that leader, and votes for nobody else within `election_min` of the question.
+    /// The voter follows that leader, and grants no other vote within `election_min` of the
+    /// request.
     pub(super) follows: bool,
-    /// It has an append in hand.
+    /// The voter has an append pending.
     pub(super) busy: bool,
 }
 
-/// When the last questions were sent by which voters acknowledged a reign.
+/// Acknowledgements of a leader: send time of the last acknowledged request, by voter.
 #[derive(Debug, Clone, Default)]
 pub(super) struct LeaderAcks {
     vote: Option<Vote>,
@@ -65,16 +69,16 @@ pub(super) struct LeaderAcks {
 }
 
 impl LeaderAcks {
-    fn note(&mut self, vote: Vote, voter: RaftId, asked_at: Instant) {
+    fn record(&mut self, vote: Vote, voter: RaftId, sent_at: Instant) {
         if self.vote != Some(vote) {
             *self = LeaderAcks { vote: Some(vote), sent: BTreeMap::new() };
         }
-        let last = self.sent.entry(voter).or_insert(asked_at);
-        *last = asked_at.max(*last);
+        let last = self.sent.entry(voter).or_insert(sent_at);
+        *last = sent_at.max(*last);
     }
 
-    /// When the newest question was sent that a majority of each of `halves` has acknowledged in the reign of `vote`, `me`
-    /// among them.
+    /// Returns the send time of the newest request that a majority of each of `halves` has
+    /// acknowledged for the leader `vote`. `me` counts as part of the majority.
     pub(super) fn quorum_ack(&self, vote: &Vote, me: RaftId, halves: &[BTreeSet<RaftId>]) -> Option<Instant> {
         if self.vote.as_ref() != Some(vote) {
             return None;
@@ -83,85 +87,88 @@ impl LeaderAcks {
         let of_half = |half: &BTreeSet<RaftId>| {
             let sent = |voter: &RaftId| if *voter == me { Some(now) } else { self.sent.get(voter).copied() };
             let mut sent: Vec<Instant> = half.iter().filter_map(sent).collect();
-            sent.sort_unstable_by(|one, other| other.cmp(one));
+            sent.sort_unstable_by(|a, b| b.cmp(a));
             sent.get(half.len() / 2).copied()
         };
         halves.iter().map(of_half).min().flatten()
     }
 }
 
-/// What a voter answers to a question it could read.
+/// Reply of a voter to a request that it could decode.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum RaftReply<A> {
     Done(A),
-    /// To a chunk of a snapshot only: it is not the one expected.
+    /// Reply to a snapshot chunk only: it is not the expected chunk.
     Mismatch(SnapshotMismatch),
 }
 
-/// Reads what a voter answered.
+/// Decodes the reply of a voter.
 pub(super) fn decode_reply<A: DeserializeOwned>(bytes: &[u8]) -> Result<RaftReply<A>, CodecError> {
     codec::decode(bytes)
 }
 
-/// When we sent what each voter answered last: the same measure as the age of the majority's acknowledgement.
+/// Last contact with each voter, as the send time of the last request that it replied to. The age
+/// of the quorum's acknowledgement is measured in the same way.
 #[derive(Debug, Default)]
 pub(super) struct LastContacts(Mutex<BTreeMap<RaftId, Instant>>);
 
 impl LastContacts {
-    fn note(&self, voter: RaftId, asked_at: Instant) {
-        let mut heard = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let last = heard.entry(voter).or_insert(asked_at);
-        *last = asked_at.max(*last);
+    fn record(&self, voter: RaftId, sent_at: Instant) {
+        let mut contacts = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let last = contacts.entry(voter).or_insert(sent_at);
+        *last = sent_at.max(*last);
     }
 
-    /// When the last question was sent that `voter` has answered.
+    /// Returns the send time of the last request that `voter` has replied to.
     pub(super) fn of(&self, voter: RaftId) -> Option<Instant> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&voter).copied()
     }
 }
 
-/// Makes a [`Line`] to each voter.
+/// Client of the other voters; creates a [`PeerClient`] for each.
 #[derive(Clone)]
 pub(super) struct RaftClient {
     pub(super) bus: SharedBus,
     pub(super) keys: Keys,
     pub(super) me: RaftId,
-    /// Which founding this node's ledger belongs to: part of every question.
+    /// Cluster of this node's ledger; part of every request.
     pub(super) cluster: watch::Receiver<Option<ClusterId>>,
     pub(super) last_contacts: Arc<LastContacts>,
-    /// Who acknowledges this node's reign.
+    /// Acknowledgements of this node as leader.
     pub(super) acks: Arc<watch::Sender<LeaderAcks>>,
-    /// A heartbeat: the pause before asking again a voter that cannot be reached.
+    /// Heartbeat interval: the pause before an unreachable voter is contacted again.
     pub(super) retry_interval: Duration,
-    /// Whether this node keeps its leader's messages to itself; see [`super::canvass`].
+    /// This node does not send its appends and heartbeats (check-quorum); see [`super::election`].
     pub(super) appends_suspended: Arc<AtomicBool>,
 }
 
 impl RaftClient {
-    /// The way to one voter.
+    /// Returns the client for `target`.
     pub(super) fn peer(&self, target: RaftId) -> PeerClient {
-        PeerClient { board: self.clone(), target }
+        PeerClient { client: self.clone(), target }
     }
 
-    /// Asks `others` all at once, adds those that say yes to `willing`, and ends as soon as these are a majority of each
-    /// of `halves`: while voters are being changed, of the old and of the new ones. Says whether they are.
+    /// Sends a request to all `targets` concurrently, adds those with a positive reply to
+    /// `granted_by`, and ends as soon as `granted_by` has a majority of each of `halves` (during a
+    /// membership change, of the old and of the new voters). Returns whether it has.
     pub(super) async fn query_until_majority<F: Future<Output = bool>>(
         &self,
         halves: &[BTreeSet<RaftId>],
-        willing: &mut BTreeSet<RaftId>,
-        others: &BTreeSet<RaftId>,
-        ask: impl Fn(PeerClient) -> F,
+        granted_by: &mut BTreeSet<RaftId>,
+        targets: &BTreeSet<RaftId>,
+        send: impl Fn(PeerClient) -> F,
     ) -> bool {
-        let majority =
-            |willing: &BTreeSet<RaftId>| halves.iter().all(|half| half.intersection(willing).count() * 2 > half.len());
-        let asked = others.iter().map(|voter| {
-            let answer = ask(self.peer(*voter));
-            async move { answer.await.then_some(*voter) }
+        let majority = |granted_by: &BTreeSet<RaftId>| {
+            halves.iter().all(|half| half.intersection(granted_by).count() * 2 > half.len())
+        };
+        let requests = targets.iter().map(|voter| {
+            let reply = send(self.peer(*voter));
+            async move { reply.await.then_some(*voter) }
         });
-        let mut asked: FuturesUnordered<_> = asked.collect();
-        while !majority(willing) {
-            match asked.next().await {
-                Some(answer) => willing.extend(answer),
+        let mut requests: FuturesUnordered<_> = requests.collect();
+        while !majority(granted_by) {
+            match requests.next().await {
+                Some(reply) => granted_by.extend(reply),
                 None => return false,
             }
         }
@@ -177,126 +184,133 @@ impl<S: StateMachine> RaftNetworkFactory<TypeConfig<S>> for RaftClient {
     }
 }
 
-/// The way to one voter.
+/// Client of a single voter.
 pub(super) struct PeerClient {
-    board: RaftClient,
+    client: RaftClient,
     target: RaftId,
 }
 
-/// Why there is no answer.
+/// There is no usable reply.
 #[derive(Debug, thiserror::Error)]
-enum Trouble {
-    #[error("no service answers for {0}")]
-    Unserved(RaftId),
-    #[error("no answer within {0:?}")]
-    Silent(Duration),
-    #[error("it refused: {0}")]
-    Refused(String),
-    #[error("its answer cannot be read: {0}")]
-    Garbled(CodecError),
+enum RequestError {
+    #[error("no node serves the requests for {0}")]
+    NoService(RaftId),
+    #[error("no reply within {0:?}")]
+    TimedOut(Duration),
+    #[error("the voter rejected the request: {0}")]
+    Rejected(String),
+    #[error("its reply cannot be decoded: {0}")]
+    Undecodable(CodecError),
     #[error(transparent)]
     Bus(#[from] crate::bus::BusError),
-    #[error("no majority has answered for too long: this leader falls silent")]
-    Muted,
+    #[error("appends are suspended: no majority has replied within the check-quorum timeout")]
+    Suspended,
 }
 
 impl PeerClient {
-    fn encode<T: Serialize>(&self, question: &T) -> Result<Vec<u8>, CodecError> {
-        codec::encode(&(*self.board.cluster.borrow(), question))
+    fn encode<T: Serialize>(&self, request: &T) -> Result<Vec<u8>, CodecError> {
+        codec::encode(&(*self.client.cluster.borrow(), request))
     }
 
-    /// Whether `target` would have this node stand for election; no answer is a no.
-    pub(super) async fn pre_vote(&self, question: &PreVoteRequest, limit: Duration) -> bool {
-        let Ok(question) = self.encode(question) else { return false };
-        matches!(self.ask(RaftCall::PreVote, question, limit).await, Ok(RaftReply::Done(true)))
+    /// Sends a pre-vote request and returns whether it was granted; a missing reply counts as a
+    /// rejection.
+    pub(super) async fn pre_vote(&self, request: &PreVoteRequest, limit: Duration) -> bool {
+        let Ok(request) = self.encode(request) else { return false };
+        matches!(self.send(RaftCall::PreVote, request, limit).await, Ok(RaftReply::Done(true)))
     }
 
-    /// Tells `target` who succeeds this node, and whether it obeyed; no answer is a no.
-    pub(super) async fn transfer_leadership(&self, word: &TransferRequest, limit: Duration) -> bool {
-        let Ok(question) = self.encode(word) else { return false };
-        matches!(self.ask(RaftCall::TransferLeadership, question, limit).await, Ok(RaftReply::Done(true)))
+    /// Sends a leadership transfer and returns whether `target` accepted it; a missing reply counts
+    /// as a rejection.
+    pub(super) async fn transfer_leadership(&self, request: &TransferRequest, limit: Duration) -> bool {
+        let Ok(request) = self.encode(request) else { return false };
+        matches!(self.send(RaftCall::TransferLeadership, request, limit).await, Ok(RaftReply::Done(true)))
     }
 
-    /// Whether `target` is there and follows this node's reign.
+    /// Sends a heartbeat request. An acknowledgement is recorded. `None` without a reply.
     pub(super) async fn heartbeat(&self, vote: Vote) -> Option<HeartbeatReply> {
-        let question = self.encode(&HeartbeatRequest { vote }).ok()?;
-        let asked_at = Instant::now();
-        let Ok(RaftReply::Done(presence)) =
-            self.ask::<HeartbeatReply>(RaftCall::Heartbeat, question, self.board.retry_interval).await
+        let request = self.encode(&HeartbeatRequest { vote }).ok()?;
+        let sent_at = Instant::now();
+        let Ok(RaftReply::Done(heartbeat)) =
+            self.send::<HeartbeatReply>(RaftCall::Heartbeat, request, self.client.retry_interval).await
         else {
             return None;
         };
-        if presence.follows {
-            self.note_ack(vote, asked_at);
+        if heartbeat.follows {
+            self.record_ack(vote, sent_at);
         }
-        Some(presence)
+        Some(heartbeat)
     }
 
-    fn note_ack(&self, vote: Vote, asked_at: Instant) {
-        self.board.acks.send_modify(|acks| acks.note(vote, self.target, asked_at));
+    fn record_ack(&self, vote: Vote, sent_at: Instant) {
+        self.client.acks.send_modify(|acks| acks.record(vote, self.target, sent_at));
     }
 
-    /// Waits for the answer to an append for as long as the voter says that it has it in hand.
+    /// Sends an append, and waits for the reply as long as the voter reports that the append is
+    /// pending.
     async fn append(
         &self,
         vote: Vote,
         bytes: Vec<u8>,
         limit: Duration,
-    ) -> Result<RaftReply<AppendEntriesResponse<RaftId>>, Trouble> {
-        let pause = self.board.retry_interval;
-        let asking = self.ask(RaftCall::Append, bytes, limit);
-        tokio::pin!(asking);
+    ) -> Result<RaftReply<AppendEntriesResponse<RaftId>>, RequestError> {
+        let retry_interval = self.client.retry_interval;
+        let pending = self.send(RaftCall::Append, bytes, limit);
+        tokio::pin!(pending);
         loop {
-            if let Ok(answer) = timeout(pause, &mut asking).await {
-                return answer;
+            if let Ok(reply) = timeout(retry_interval, &mut pending).await {
+                return reply;
             }
-            let presence = tokio::select! {
+            let heartbeat = tokio::select! {
                 biased;
-                answer = &mut asking => return answer,
-                presence = self.heartbeat(vote) => presence,
+                reply = &mut pending => return reply,
+                heartbeat = self.heartbeat(vote) => heartbeat,
             };
-            if !presence.is_some_and(|presence| presence.busy) {
-                // It may have been answered just before.
-                return timeout(pause / 4, &mut asking).await.unwrap_or(Err(Trouble::Silent(pause)));
+            if !heartbeat.is_some_and(|heartbeat| heartbeat.busy) {
+                // The reply may have been sent just before.
+                return timeout(retry_interval / 4, &mut pending)
+                    .await
+                    .unwrap_or(Err(RequestError::TimedOut(retry_interval)));
             }
         }
     }
 
-    async fn ask<A: DeserializeOwned>(
+    async fn send<A: DeserializeOwned>(
         &self,
         call: RaftCall,
-        question: Vec<u8>,
+        request: Vec<u8>,
         limit: Duration,
-    ) -> Result<RaftReply<A>, Trouble> {
+    ) -> Result<RaftReply<A>, RequestError> {
         if matches!(call, RaftCall::Append | RaftCall::Heartbeat)
-            && self.board.appends_suspended.load(Ordering::Relaxed)
+            && self.client.appends_suspended.load(Ordering::Relaxed)
         {
-            return Err(Trouble::Muted);
+            return Err(RequestError::Suspended);
         }
-        let asked_at = Instant::now();
-        let key = self.board.keys.write(&Key::Raft(self.target.0, call));
-        let mut replies = self.board.bus.query(&key, question.into(), limit).await?;
+        let sent_at = Instant::now();
+        let key = self.client.keys.write(&Key::Raft(self.target.0, call));
+        let mut replies = self.client.bus.query(&key, request.into(), limit).await?;
         let Some(reply) = replies.recv().await else {
-            let silent = asked_at.elapsed() >= limit;
-            return Err(if silent { Trouble::Silent(limit) } else { Trouble::Unserved(self.target) });
+            let timed_out = sent_at.elapsed() >= limit;
+            return Err(if timed_out { RequestError::TimedOut(limit) } else { RequestError::NoService(self.target) });
         };
-        let answer = reply.payload.map_err(Trouble::Refused)?;
-        let answer = decode_reply(&answer).map_err(Trouble::Garbled)?;
-        self.board.last_contacts.note(self.target, asked_at);
-        Ok(answer)
+        let reply = reply.payload.map_err(RequestError::Rejected)?;
+        let reply = decode_reply(&reply).map_err(RequestError::Undecodable)?;
+        self.client.last_contacts.record(self.target, sent_at);
+        Ok(reply)
     }
 
-    fn explain<E: std::error::Error>(
+    fn to_rpc_error<E: std::error::Error>(
         &self,
-        what: RPCTypes,
-        trouble: &Trouble,
+        action: RPCTypes,
+        error: &RequestError,
     ) -> RPCError<RaftId, Peer, RaftError<RaftId, E>> {
-        match trouble {
-            Trouble::Silent(timeout) => {
-                Timeout { action: what, id: self.board.me, target: self.target, timeout: *timeout }.into()
+        match error {
+            RequestError::TimedOut(timeout) => {
+                Timeout { action, id: self.client.me, target: self.target, timeout: *timeout }.into()
             }
-            Trouble::Unserved(_) | Trouble::Bus(_) | Trouble::Muted => Unreachable::new(trouble).into(),
-            Trouble::Refused(_) | Trouble::Garbled(_) => NetworkError::new(trouble).into(),
+            RequestError::NoService(_) | RequestError::Bus(_) | RequestError::Suspended => {
+                Unreachable::new(error).into()
+            }
+            RequestError::Rejected(_) | RequestError::Undecodable(_) => NetworkError::new(error).into(),
         }
     }
 }
@@ -305,71 +319,76 @@ fn unencodable<E: std::error::Error>(error: &CodecError) -> RPCError<RaftId, Pee
     NetworkError::new(error).into()
 }
 
-fn out_of_place<E: std::error::Error>() -> RPCError<RaftId, Peer, RaftError<RaftId, E>> {
-    NetworkError::new(&AnyError::error("it answered as to a snapshot")).into()
+fn unexpected_mismatch<E: std::error::Error>() -> RPCError<RaftId, Peer, RaftError<RaftId, E>> {
+    NetworkError::new(&AnyError::error("the reply belongs to a snapshot request")).into()
 }
 
 impl<S: StateMachine> RaftNetwork<TypeConfig<S>> for PeerClient {
     async fn append_entries(
         &mut self,
-        question: AppendEntriesRequest<TypeConfig<S>>,
+        request: AppendEntriesRequest<TypeConfig<S>>,
         option: RPCOption,
     ) -> Result<AppendEntriesResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
-        // openraft took as many entries as fit: the log's store gives no more at once.
-        let bytes = self.encode(&question).map_err(|error| unencodable(&error))?;
-        let asked_at = Instant::now();
-        let trouble = match self.append(question.vote, bytes, option.hard_ttl()).await {
-            Ok(RaftReply::Done(answer)) => {
-                if !matches!(answer, AppendEntriesResponse::HigherVote(_)) {
-                    self.note_ack(question.vote, asked_at);
+        // openraft read as many entries as fit: the log storage returns no more at once.
+        let bytes = self.encode(&request).map_err(|error| unencodable(&error))?;
+        let sent_at = Instant::now();
+        let error = match self.append(request.vote, bytes, option.hard_ttl()).await {
+            Ok(RaftReply::Done(reply)) => {
+                if !matches!(reply, AppendEntriesResponse::HigherVote(_)) {
+                    self.record_ack(request.vote, sent_at);
                 }
-                return Ok(answer);
+                return Ok(reply);
             }
-            Ok(RaftReply::Mismatch(_)) => return Err(out_of_place()),
-            Err(trouble) => trouble,
+            Ok(RaftReply::Mismatch(_)) => return Err(unexpected_mismatch()),
+            Err(error) => error,
         };
-        match trouble {
-            Trouble::Silent(_) => Err(self.explain(RPCTypes::AppendEntries, &trouble)),
-            Trouble::Unserved(_) | Trouble::Refused(_) | Trouble::Garbled(_) | Trouble::Bus(_) | Trouble::Muted => {
-                // openraft would ask again at once; for what it is told is unreachable it waits, but in a `select!`
-                // that draws its order by chance, so that runs would no longer repeat. So the wait is here.
-                tokio::time::sleep(self.board.retry_interval.min(option.soft_ttl())).await;
-                Err(NetworkError::new(&trouble).into())
+        match error {
+            RequestError::TimedOut(_) => Err(self.to_rpc_error(RPCTypes::AppendEntries, &error)),
+            RequestError::NoService(_)
+            | RequestError::Rejected(_)
+            | RequestError::Undecodable(_)
+            | RequestError::Bus(_)
+            | RequestError::Suspended => {
+                // openraft would retry at once. It does pause for an unreachable peer, but in a
+                // `select!` with random order, so that runs would not be reproducible. So the pause
+                // is here.
+                tokio::time::sleep(self.client.retry_interval.min(option.soft_ttl())).await;
+                Err(NetworkError::new(&error).into())
             }
         }
     }
 
     async fn install_snapshot(
         &mut self,
-        question: InstallSnapshotRequest<TypeConfig<S>>,
+        request: InstallSnapshotRequest<TypeConfig<S>>,
         option: RPCOption,
     ) -> Result<InstallSnapshotResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId, InstallSnapshotError>>> {
-        let bytes = self.encode(&question).map_err(|error| unencodable(&error))?;
-        match self.ask(RaftCall::Snapshot, bytes, option.hard_ttl()).await {
-            Ok(RaftReply::Done(answer)) => Ok(answer),
+        let bytes = self.encode(&request).map_err(|error| unencodable(&error))?;
+        match self.send(RaftCall::Snapshot, bytes, option.hard_ttl()).await {
+            Ok(RaftReply::Done(reply)) => Ok(reply),
             Ok(RaftReply::Mismatch(mismatch)) => {
                 let error = RaftError::APIError(InstallSnapshotError::SnapshotMismatch(mismatch));
                 Err(RemoteError::new(self.target, error).into())
             }
-            Err(trouble) => Err(self.explain(RPCTypes::InstallSnapshot, &trouble)),
+            Err(error) => Err(self.to_rpc_error(RPCTypes::InstallSnapshot, &error)),
         }
     }
 
     async fn vote(
         &mut self,
-        question: VoteRequest<RaftId>,
+        request: VoteRequest<RaftId>,
         _: RPCOption,
     ) -> Result<VoteResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
-        let bytes = self.encode(&question).map_err(|error| unencodable(&error))?;
-        // openraft would have it before a slow disk has the vote: see `runtime`.
-        match self.ask(RaftCall::Vote, bytes, APPEND_TIMEOUT).await {
-            Ok(RaftReply::Done(answer)) => Ok(answer),
-            Ok(RaftReply::Mismatch(_)) => Err(out_of_place()),
-            Err(trouble) => Err(self.explain(RPCTypes::Vote, &trouble)),
+        let bytes = self.encode(&request).map_err(|error| unencodable(&error))?;
+        // openraft's own limit is too short for a slow disk that writes the vote: see `runtime`.
+        match self.send(RaftCall::Vote, bytes, APPEND_TIMEOUT).await {
+            Ok(RaftReply::Done(reply)) => Ok(reply),
+            Ok(RaftReply::Mismatch(_)) => Err(unexpected_mismatch()),
+            Err(error) => Err(self.to_rpc_error(RPCTypes::Vote, &error)),
         }
     }
 
     fn backoff(&self) -> Backoff {
-        Backoff::new(std::iter::repeat(self.board.retry_interval))
+        Backoff::new(std::iter::repeat(self.client.retry_interval))
     }
 }

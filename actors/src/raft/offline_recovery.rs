@@ -1,9 +1,10 @@
-//! A journal looked at from outside, and made that of a fleet's only voter: what is left to do when a majority of the
-//! voters is gone for good.
+//! Offline recovery: inspects the log store of a stopped node, and turns it into the log store of a
+//! cluster's only voter. This is the last resort when a majority of the voters is lost for good.
 //!
-//! Raft itself can do nothing then, and must not: nobody knows what the others had acknowledged. Whoever does this takes
-//! what this one journal holds for the whole truth. That may be too little (entries that only the others held) and too
-//! much (entries that were never committed), so people decide it, not nodes.
+//! Raft itself must not continue then, because the entries acknowledged by the lost voters are
+//! unknown. This operation treats the content of a single log store as complete. It may lack
+//! entries (stored only by the other voters), and it may contain entries that were never committed.
+//! So an operator decides on it, not a node.
 
 use super::log_store::{PersistentState, StoreIdentity};
 use super::storage::{self, AppliedState, CachedEntry, StoredSnapshot, encode_record};
@@ -13,46 +14,47 @@ use openraft::{CommittedLeaderId, Membership};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
-/// What a journal holds.
+/// Contents of a log store.
 #[derive(Debug, Clone)]
 pub struct LogStoreContents<S> {
-    /// The newest term that the node voted in or heard of.
+    /// Newest term in which the node voted, or of which it received a message.
     pub term: u64,
-    /// The last entry.
+    /// Last entry.
     pub last: Option<Epoch>,
-    /// The last entry that is known to be committed; later ones may be as well.
+    /// Last entry known to be committed; later entries may be committed as well.
     pub committed: Option<Epoch>,
-    /// Who votes, by the last entry.
+    /// Voters, according to the last membership entry.
     pub voters: BTreeMap<RaftId, NodeId>,
-    /// The state, all entries carried out.
+    /// State after all entries are applied.
     pub state: S,
 }
 
-/// A journal as it was read, every entry carried out.
-struct Unfolded<S> {
+/// A loaded log store with every entry applied.
+struct ReplayedLog<S> {
     vote: Option<Vote>,
     committed: Option<LogId>,
     machine: AppliedState<S>,
 }
 
-fn unfold<S: StateMachine>(recorded: PersistentState) -> io::Result<Unfolded<S>> {
-    let (log, mut machine) = storage::load_state::<S>(recorded)?;
-    // What the snapshot holds is committed, whatever was noted since.
+fn replay<S: StateMachine>(stored: PersistentState) -> io::Result<ReplayedLog<S>> {
+    let (log, mut machine) = storage::load_state::<S>(stored)?;
+    // The entries covered by the snapshot are committed, even if the stored committed position
+    // lags.
     let committed = log.committed.max(machine.applied);
     for (_, CachedEntry { entry, .. }) in log.entries {
         if machine.applied < Some(entry.log_id) {
             machine.apply_entry(entry);
         }
     }
-    Ok(Unfolded { vote: log.vote, committed, machine })
+    Ok(ReplayedLog { vote: log.vote, committed, machine })
 }
 
-/// What a journal holds, looked at and left as it is.
+/// Returns the contents of a log store, without changing it.
 ///
 /// # Errors
-/// The journal is not whole, or of another release.
-pub fn inspect_log_store<S: StateMachine>(recorded: PersistentState) -> io::Result<LogStoreContents<S>> {
-    let Unfolded { vote, committed, machine } = unfold::<S>(recorded)?;
+/// The log store is damaged, or was written by another release.
+pub fn inspect_log_store<S: StateMachine>(stored: PersistentState) -> io::Result<LogStoreContents<S>> {
+    let ReplayedLog { vote, committed, machine } = replay::<S>(stored)?;
     let membership = machine.membership.membership();
     let name = |id: RaftId| membership.get_node(&id).map(|peer| (id, peer.name.clone()));
     Ok(LogStoreContents {
@@ -64,32 +66,33 @@ pub fn inspect_log_store<S: StateMachine>(recorded: PersistentState) -> io::Resu
     })
 }
 
-/// The journal of `node`, whose store is called `store`, as that of the only voter: all that it holds counts as committed,
-/// as one snapshot, which `renew` may change. Its vote stays: its term never falls.
+/// Converts the log store of `node` with the store identity `store` into that of the only voter.
+/// All its entries count as committed and become a single snapshot, which `change` may change. The
+/// vote is kept, so the term never falls.
 ///
 /// # Errors
-/// The journal is not whole, of another release, or holds nothing at all.
+/// The log store is damaged, was written by another release, or is empty.
 pub fn recover_as_only_voter<S: StateMachine>(
-    recorded: PersistentState,
+    stored: PersistentState,
     node: &NodeId,
     store: StoreIdentity,
-    renew: impl FnOnce(&mut S),
+    change: impl FnOnce(&mut S),
 ) -> io::Result<PersistentState> {
-    let vote = recorded.vote.clone();
-    let Unfolded { mut machine, .. } = unfold::<S>(recorded)?;
+    let vote = stored.vote.clone();
+    let ReplayedLog { mut machine, .. } = replay::<S>(stored)?;
     let Some(last) = machine.applied else {
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it holds no entry: there is nothing to recover"));
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "the log store is empty: there is nothing to recover"));
     };
-    renew(&mut machine.state);
+    change(&mut machine.state);
     let snapshot = format!("recovered-{}@{:032x}", epoch_of(&last), store.0);
     as_snapshot(&machine.state, last, vote, RaftId::of(node, store), node, snapshot)
 }
 
-/// The journal of `node`, whose store is called `store`, which holds `state` up to the entry `last` and nothing else, as that of
-/// the only voter.
+/// Creates the log store of `node`, with the store identity `store`, as that of the only voter. It
+/// contains `state`, up to the entry `last`, and nothing else.
 ///
 /// # Errors
-/// The state cannot be written.
+/// The state cannot be encoded.
 pub fn restore_as_only_voter<S: StateMachine>(
     state: &S,
     last: Epoch,
@@ -99,7 +102,7 @@ pub fn restore_as_only_voter<S: StateMachine>(
     let id = RaftId::of(node, store);
     let snapshot = format!("restored-{last}@{:032x}", store.0);
     let last = LogId::new(CommittedLeaderId::new(last.term, id), last.index);
-    // Its term does not fall behind that of what it holds.
+    // Its term is not below the term of the restored state.
     let vote = encode_record(&Vote::new(last.leader_id.term, id))?;
     as_snapshot(state, last, Some(vote), id, node, snapshot)
 }
@@ -119,13 +122,13 @@ fn as_snapshot<S: StateMachine>(
         last_membership: StoredMembership::new(Some(last), membership),
         snapshot_id,
     };
-    let kept = StoredSnapshot { meta, state: encode_record(state)? };
+    let stored_snapshot = StoredSnapshot { meta, state: encode_record(state)? };
     let last = encode_record(&last)?;
     Ok(PersistentState {
         vote,
         committed: Some(last.clone()),
         purged: Some(last),
         entries: BTreeMap::new(),
-        snapshot: Some(encode_record(&kept)?),
+        snapshot: Some(encode_record(&stored_snapshot)?),
     })
 }

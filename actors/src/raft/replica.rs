@@ -1,4 +1,4 @@
-//! A node's share in the replicated ledger.
+//! Replica of the ledger on a node.
 
 use super::election::{self, LeaderContact};
 use super::errors::{BootstrapError, MemberError, ProposeError, StartError, member_error, not_leader};
@@ -28,18 +28,19 @@ use tokio::task::JoinHandle;
 use tokio::time::{Instant, timeout};
 use tracing::info;
 
-/// Bytes of a message that are left for its frame when it carries one entry of commands.
+/// Bytes of a message reserved for its frame when it carries a single entry of commands.
 const FRAME_OVERHEAD: usize = 1024;
 
-/// Bytes that a command may have.
+/// Size limit of a command, in bytes.
 const COMMAND_MAX: usize = codec::MESSAGE_BYTES_MAX - FRAME_OVERHEAD;
 
-/// Bytes up to which commands share an entry: a slow link carries it within half a second, and a follower is soon through
-/// with it. With 64 clients who ask for missions, half a dozen share one.
-const SHARED_MAX: usize = 16 * 1024;
+/// Size limit, in bytes, up to which commands share an entry. A slow link carries such an entry
+/// within half a second, and a follower writes it quickly. With 64 clients that request missions,
+/// about six commands share an entry.
+const SHARED_ENTRY_MAX: usize = 16 * 1024;
 
-/// A node's share in the replicated ledger. Clones are the same share; when the last is dropped, the node falls
-/// silent, as in a crash.
+/// Replica of the ledger on this node. Clones share the same replica. When the last clone is
+/// dropped, the node stops replying, as in a crash.
 pub struct Replica<S: StateMachine> {
     pub(super) inner: Arc<Inner<S>>,
 }
@@ -56,20 +57,20 @@ pub(super) struct Inner<S: StateMachine> {
     pub(super) raft: Raft<S>,
     machine: StateMachineStore<S>,
     pub(super) leadership: watch::Sender<LeadershipView>,
-    acked_at: watch::Receiver<Option<Instant>>,
+    quorum_ack: watch::Receiver<Option<Instant>>,
     pub(super) resigned_term: Arc<ResignedTerm>,
     pub(super) leader_contact: Arc<LeaderContact>,
     pub(super) client: RaftClient,
-    refused: Arc<AtomicU64>,
+    rejected: Arc<AtomicU64>,
     proposals: mpsc::UnboundedSender<Proposal<S>>,
-    _gathering: Task,
-    _serving: Task,
-    _watching: Task,
-    _canvassing: Task,
-    _beating: Task,
+    _group_commit: Task,
+    _server: Task,
+    _monitor: Task,
+    _elections: Task,
+    _heartbeats: Task,
 }
 
-/// A task that ends with its owner.
+/// Task that is aborted when its owner is dropped.
 struct Task(JoinHandle<()>);
 
 impl Task {
@@ -85,69 +86,71 @@ impl Drop for Task {
 }
 
 impl<S: StateMachine> Replica<S> {
-    /// Takes part with what `journal` holds. `seed` decides how long it waits for a leader: nodes need different ones.
+    /// Starts a replica from the state in `log_store`. `seed` determines the randomized election
+    /// timeouts; every node needs a different seed.
     ///
     /// # Errors
     /// [`StartError`]: nothing runs.
     pub async fn start(
         settings: RaftSettings,
         bus: SharedBus,
-        journal: Arc<dyn LogStore>,
+        log_store: Arc<dyn LogStore>,
         seed: u64,
     ) -> Result<Self, StartError> {
-        Replica::start_observed(settings, bus, journal, seed, None).await
+        Replica::start_observed(settings, bus, log_store, seed, None).await
     }
 
-    /// The same, and tells `applied` of every entry that this copy takes in.
+    /// Starts a replica like [`Replica::start`], and calls `applied` for every entry that this
+    /// replica applies.
     ///
     /// # Errors
     /// As [`Replica::start`].
     pub async fn start_observed(
         settings: RaftSettings,
         bus: SharedBus,
-        journal: Arc<dyn LogStore>,
+        log_store: Arc<dyn LogStore>,
         seed: u64,
         applied: Option<ApplyObserver<S>>,
     ) -> Result<Self, StartError> {
         let config = settings.to_config()?;
-        let id = RaftId::of(&settings.node, journal.identity());
-        let (place, advice) = (journal.location(), journal.repair_advice());
-        let opened = storage::open::<S>(journal, applied).await;
-        let not_whole =
-            |problem| StartError::LogStore { location: place, problem: with_repair_advice(problem, advice) };
-        let (log, machine) = opened.map_err(not_whole)?;
-        let (appended, found) = (log.appended(), log.last());
+        let id = RaftId::of(&settings.node, log_store.identity());
+        let (location, advice) = (log_store.location(), log_store.repair_advice());
+        let opened = storage::open::<S>(log_store, applied).await;
+        let start_error = |problem| StartError::LogStore { location, problem: with_repair_advice(problem, advice) };
+        let (log, machine) = opened.map_err(start_error)?;
+        let (appended, last_at_start) = (log.appended(), log.last());
         let keys = Keys::new(&settings.fleet);
         let queries = bus.serve(&keys.any_raft(id.0)).await?;
-        let heard = Arc::<LastContacts>::default();
+        let last_contacts = Arc::<LastContacts>::default();
         let acks = Arc::new(watch::Sender::new(LeaderAcks::default()));
-        let muted = Arc::<AtomicBool>::default();
-        let board = RaftClient {
+        let appends_suspended = Arc::<AtomicBool>::default();
+        let client = RaftClient {
             bus,
             keys: keys.clone(),
             me: id,
             cluster: machine.cluster(),
-            last_contacts: heard,
+            last_contacts,
             acks: Arc::clone(&acks),
             retry_interval: settings.heartbeat,
-            appends_suspended: Arc::clone(&muted),
+            appends_suspended: Arc::clone(&appends_suspended),
         };
 
-        // Nothing is awaited between these two: openraft draws its timeout before `new` first waits.
+        // No await between these two lines: openraft draws its timeout before the first await of
+        // `new`.
         seed_elections(seed);
-        let raft = Raft::<S>::new(id, config, board.clone(), log, machine.clone()).await?;
+        let raft = Raft::<S>::new(id, config, client.clone(), log, machine.clone()).await?;
 
         let leadership = watch::Sender::new(LeadershipView::default());
-        let resigned = Arc::<ResignedTerm>::default();
-        let (tell_acked, acked_at) = watch::channel(None);
-        let watcher = LeadershipMonitor {
+        let resigned_term = Arc::<ResignedTerm>::default();
+        let (quorum_ack_sender, quorum_ack) = watch::channel(None);
+        let monitor = LeadershipMonitor {
             check_quorum_timeout: settings.check_quorum_timeout,
             election_max: settings.election_max,
             leadership: leadership.clone(),
-            resigned_term: Arc::clone(&resigned),
-            quorum_ack: tell_acked,
-            appends_suspended: muted,
-            last_at_start: found,
+            resigned_term: Arc::clone(&resigned_term),
+            quorum_ack: quorum_ack_sender,
+            appends_suspended,
+            last_at_start,
             election: None,
             metrics_are_new: true,
             quorum_ack_by_metrics: None,
@@ -155,58 +158,61 @@ impl<S: StateMachine> Replica<S> {
             acks: acks.subscribe(),
             published_inputs: None,
         };
-        let watching =
-            Task::spawn(watcher.run(MetricsFeed { metrics: raft.metrics(), server_metrics: raft.server_metrics() }));
-        let ear = Arc::new(LeaderContact::new());
-        let canvass = election::run_elections(raft.clone(), board.clone(), Arc::clone(&ear), settings.clone(), seed);
-        let canvassing = Task::spawn(canvass);
-        let beating = Task::spawn(election::send_heartbeats(raft.clone(), board.clone(), settings.heartbeat));
-        let refused = Arc::<AtomicU64>::default();
-        let service = RaftServer {
+        let monitor_task =
+            Task::spawn(monitor.run(MetricsFeed { metrics: raft.metrics(), server_metrics: raft.server_metrics() }));
+        let leader_contact = Arc::new(LeaderContact::new());
+        let elections =
+            election::run_elections(raft.clone(), client.clone(), Arc::clone(&leader_contact), settings.clone(), seed);
+        let election_task = Task::spawn(elections);
+        let heartbeat_task = Task::spawn(election::send_heartbeats(raft.clone(), client.clone(), settings.heartbeat));
+        let rejected = Arc::<AtomicU64>::default();
+        let server = RaftServer {
             me: id,
             raft: raft.clone(),
-            leader_contact: Arc::clone(&ear),
+            leader_contact: Arc::clone(&leader_contact),
             leadership: leadership.subscribe(),
             election_min: settings.election_min,
             heartbeat: settings.heartbeat,
-            refused: Arc::clone(&refused),
+            rejected: Arc::clone(&rejected),
             keys,
             cluster: machine.cluster(),
             followed: OnceLock::new(),
         };
-        let serving = Task::spawn(service.run(queries));
-        let (proposals, proposed) = mpsc::unbounded_channel();
-        let gatherer = GroupCommitter { raft: raft.clone(), proposals: proposed, appended, size_max: SHARED_MAX };
-        let gathering = Task::spawn(gatherer.run());
-        info!(node = %settings.node, raft = %id, "takes part in the ledger");
+        let server_task = Task::spawn(server.run(queries));
+        let (proposals, proposal_queue) = mpsc::unbounded_channel();
+        let committer =
+            GroupCommitter { raft: raft.clone(), proposals: proposal_queue, appended, size_max: SHARED_ENTRY_MAX };
+        let group_commit = Task::spawn(committer.run());
+        info!(node = %settings.node, raft = %id, "replica started");
         let inner = Inner {
             id,
             settings,
             raft,
             machine,
             leadership,
-            acked_at,
-            resigned_term: resigned,
-            leader_contact: ear,
-            client: board,
-            refused,
+            quorum_ack,
+            resigned_term,
+            leader_contact,
+            client,
+            rejected,
             proposals,
-            _gathering: gathering,
-            _serving: serving,
-            _watching: watching,
-            _canvassing: canvassing,
-            _beating: beating,
+            _group_commit: group_commit,
+            _server: server_task,
+            _monitor: monitor_task,
+            _elections: election_task,
+            _heartbeats: heartbeat_task,
         };
         Ok(Replica { inner: Arc::new(inner) })
     }
 
-    /// This node and its store, as Raft counts them.
+    /// Returns the Raft id of this node and its store.
     pub fn id(&self) -> RaftId {
         self.inner.id
     }
 
-    /// Writes down the fleet's first voters, and stands for election. More than one of them may do it, with the very
-    /// same voters; other voters would found a second fleet.
+    /// Bootstraps the cluster with its first voters, and campaigns. Several of these voters may
+    /// call it with exactly the same voters; a call with other voters would create a second
+    /// cluster.
     ///
     /// # Errors
     /// [`BootstrapError`]: nothing was changed.
@@ -219,37 +225,40 @@ impl<S: StateMachine> Replica<S> {
         })
     }
 
-    /// Has `command` committed and applied, and gives what the state machine answered. The whole takes `limit` at
-    /// most: openraft itself would wait for a quorum for ever.
+    /// Proposes `command`, waits until it is committed and applied, and returns the result of the
+    /// state machine. `limit` bounds the whole call: openraft itself would wait for a quorum
+    /// without a limit.
     ///
     /// # Errors
     /// [`ProposeError`]: after [`ProposeError::TimedOut`] **the outcome is unknown**.
     pub async fn propose(&self, command: S::Command, limit: Duration) -> Result<S::Outcome, ProposeError> {
         let size = check_size(&command)?;
-        self.refuse_when_cut_off()?;
-        self.refuse_when_resigned()?;
-        let (answer, heard) = oneshot::channel();
-        let proposed = self.inner.proposals.send(Proposal { command, size, reply: answer });
-        proposed.map_err(|_| ProposeError::Closed)?;
-        match timeout(limit, heard).await {
+        self.check_quorum()?;
+        self.check_not_resigned()?;
+        let (reply, outcome) = oneshot::channel();
+        let sent = self.inner.proposals.send(Proposal { command, size, reply });
+        sent.map_err(|_| ProposeError::Closed)?;
+        match timeout(limit, outcome).await {
             Err(_) => Err(ProposeError::TimedOut { limit }),
             Ok(Err(_)) => Err(ProposeError::Closed),
             Ok(Ok(outcome)) => outcome,
         }
     }
 
-    /// Who leads, now and whenever that changes.
+    /// Returns a watch of this node's view of the leadership.
     pub fn leadership(&self) -> watch::Receiver<LeadershipView> {
         self.inner.leadership.subscribe()
     }
 
-    /// Which founding of the fleet's ledger this node's copy belongs to, once it says so.
+    /// Returns a watch of the cluster that this replica's ledger belongs to; `None` until the
+    /// ledger records it.
     pub fn cluster(&self) -> watch::Receiver<Option<ClusterId>> {
         self.inner.machine.cluster()
     }
 
-    /// How far behind the end of the log each voter and observer is, in entries; `None` for those that have not answered
-    /// in this reign. Empty on a node that does not lead.
+    /// Returns the replication lag of each voter and learner behind the end of the log, in entries;
+    /// `None` for a member that has not replied in this term. Empty on a node that is not the
+    /// leader.
     pub fn replication_lags(&self) -> BTreeMap<RaftId, Option<u64>> {
         let metrics = self.inner.raft.metrics();
         let now = metrics.borrow();
@@ -259,17 +268,19 @@ impl<S: StateMachine> Replica<S> {
         replication.map(|(id, matched)| (*id, matched.as_ref().map(lag))).collect()
     }
 
-    /// The place of the last entry applied on this node, now and whenever it grows.
+    /// Returns a watch of the position of the last entry applied on this node.
     pub fn applied(&self) -> watch::Receiver<Epoch> {
         self.inner.machine.applied()
     }
 
-    /// What `look` sees in this node's state, which may lag behind the leader's. Applying waits meanwhile.
-    pub fn read<R>(&self, look: impl FnOnce(&S) -> R) -> R {
-        self.inner.machine.read(look)
+    /// Calls `inspect` with this node's state, which may lag behind the leader's. Applying waits
+    /// meanwhile.
+    pub fn read<R>(&self, inspect: impl FnOnce(&S) -> R) -> R {
+        self.inner.machine.read(inspect)
     }
 
-    /// A copy of this node's state, with the place of the last entry that is in it, if there is one.
+    /// Returns a copy of this node's state and the position of the last entry applied to it, if
+    /// any.
     pub fn copy(&self) -> (Option<Epoch>, S)
     where
         S: Clone,
@@ -277,8 +288,9 @@ impl<S: StateMachine> Replica<S> {
         self.inner.machine.copy()
     }
 
-    /// Asks a majority whether this node still leads, and waits until it has applied all that was committed when
-    /// they were asked. A [`Replica::read`] after that is linearizable.
+    /// Confirms with a majority that this node is still the leader, and waits until it has applied
+    /// all entries that were committed at the time of the request. A [`Replica::read`] after that
+    /// is linearizable.
     ///
     /// # Errors
     /// [`ProposeError`]; nothing was changed in any case.
@@ -296,35 +308,38 @@ impl<S: StateMachine> Replica<S> {
         timeout(limit, confirmed).await.unwrap_or(Err(ProposeError::TimedOut { limit }))
     }
 
-    /// How long ago the newest message was *sent* that a majority has acknowledged in this reign; `None` for a node
-    /// that is not elected, or not acknowledged yet.
+    /// Returns the age of the newest message that a majority has acknowledged in this term, counted
+    /// from the time it was *sent*; `None` for a node that is not elected, or not acknowledged yet.
     ///
-    /// openraft takes the time at which each `AppendEntries` was sent, keeps the latest acknowledged one per voter
-    /// and its own clock for itself, and gives the latest that a majority reaches. No other leader can have been
-    /// elected before this age exceeds `election_min`, since each of that majority refuses candidates for so long
-    /// after *receiving* the message. It is read from the metrics, rounded so as to seem older (by 1 ms at most). Beats
-    /// beside openraft count alike, and keep it small while disks are slow.
-    /// Idle, it swings between one round trip and a heartbeat plus one round trip.
+    /// openraft takes the time at which each `AppendEntries` was sent, keeps the latest
+    /// acknowledged time per voter and its own clock for itself, and reports the latest time that a
+    /// majority reaches. No other leader can have been elected before this age exceeds
+    /// `election_min`, since each voter of that majority rejects candidates for that long after
+    /// *receiving* the message. The value is read from the metrics and rounded up (by 1 ms at
+    /// most). Heartbeats outside openraft count in the same way, and keep the age small while disks
+    /// are slow. While idle, the age is between one round trip and a heartbeat interval plus one
+    /// round trip.
     pub fn quorum_ack_age(&self) -> Option<Duration> {
-        let resigned = self.inner.resigned_term.covers(self.inner.leadership.borrow().term);
-        self.inner.acked_at.borrow().filter(|_| !resigned).map(|at| at.elapsed())
+        let has_resigned = self.inner.resigned_term.covers(self.inner.leadership.borrow().term);
+        self.inner.quorum_ack.borrow().filter(|_| !has_resigned).map(|at| at.elapsed())
     }
 
-    /// How long ago the last message was sent that each other voter and observer has answered. Only a leader asks
-    /// them regularly.
+    /// Returns the age of the last message that each other voter and learner has replied to,
+    /// counted from the time it was sent. Only a leader contacts them regularly.
     pub fn last_contacts(&self) -> BTreeMap<RaftId, Option<Duration>> {
         let leadership = self.inner.leadership.borrow();
         let others = leadership.voters.keys().chain(leadership.learners.keys()).filter(|id| **id != self.inner.id);
         others.map(|id| (*id, self.inner.client.last_contacts.of(*id).map(|at| at.elapsed()))).collect()
     }
 
-    /// Questions of other nodes that could not be read or answered, counted since the start.
+    /// Returns the number of requests of other nodes that could not be decoded or served since the
+    /// start.
     pub fn rejected_requests(&self) -> u64 {
-        self.inner.refused.load(Ordering::Relaxed)
+        self.inner.rejected.load(Ordering::Relaxed)
     }
 
-    /// Stands for election at once. Voters that heard their leader within `election_min` refuse all the same; a
-    /// leader does nothing.
+    /// Campaigns at once. Voters with leader contact within `election_min` still reject; a leader
+    /// does nothing.
     ///
     /// # Errors
     /// [`ProposeError::Closed`].
@@ -332,7 +347,7 @@ impl<S: StateMachine> Replica<S> {
         self.inner.raft.trigger().elect().await.map_err(|_| ProposeError::Closed)
     }
 
-    /// Takes a snapshot soon, whether or not it is due.
+    /// Requests a snapshot soon, even if it is not due.
     ///
     /// # Errors
     /// [`ProposeError::Closed`].
@@ -340,7 +355,8 @@ impl<S: StateMachine> Replica<S> {
         self.inner.raft.trigger().snapshot().await.map_err(|_| ProposeError::Closed)
     }
 
-    /// Has the ledger replicated to another node, without a vote. Does nothing if that is so already.
+    /// Adds a node as a learner: the ledger is replicated to it, and it does not vote. Does nothing
+    /// if it is a member already.
     ///
     /// # Errors
     /// [`MemberError`].
@@ -349,9 +365,10 @@ impl<S: StateMachine> Replica<S> {
         self.change(ChangeMembers::AddNodes(node), true, limit).await
     }
 
-    /// Makes `voters` the voters, by joint consensus. Each must be an observer or voter already; those left out are
-    /// forgotten. Needs a majority of the old and of the new voters: a dead voter is never removed without a quorum. A leader
-    /// that is left out hands over to one of them.
+    /// Replaces the voters by `voters`, by joint consensus. Each must be a learner or voter
+    /// already; voters left out are removed from the membership. Needs a majority of the old and of
+    /// the new voters: a dead voter is never removed without a quorum. A leader that is left out
+    /// transfers leadership to one of the new voters.
     ///
     /// # Errors
     /// [`MemberError`].
@@ -359,13 +376,14 @@ impl<S: StateMachine> Replica<S> {
         let stays = voters.contains(&self.inner.id);
         self.change(ChangeMembers::ReplaceAllVoters(voters), false, limit).await?;
         if !stays {
-            // openraft has it step down at its next tick, within three seconds. If nobody takes over, that is soon enough.
+            // openraft makes it step down at its next tick, within three seconds. If no voter takes
+            // over, that is soon enough.
             let _ = self.transfer_leadership(&BTreeSet::new(), self.inner.settings.election_max).await;
         }
         Ok(())
     }
 
-    /// Forgets an observer.
+    /// Removes a learner.
     ///
     /// # Errors
     /// [`MemberError`].
@@ -373,28 +391,28 @@ impl<S: StateMachine> Replica<S> {
         self.change(ChangeMembers::RemoveNodes(BTreeSet::from([id])), true, limit).await
     }
 
-    /// Waits until this replica has given up for good, and says why: its journal could not be read or written. After an
-    /// ordinary [`shutdown`](Replica::shutdown), it waits for ever.
+    /// Waits until this replica has failed for good, and returns the reason: its log store could
+    /// not be read or written. After an ordinary [`shutdown`](Replica::shutdown), it never returns.
     pub async fn wait_failed(&self) -> String {
-        // It says so in the last metrics before it ends, and with it this watch.
-        let mut standing = self.inner.raft.server_metrics();
-        while standing.changed().await.is_ok() {}
+        // The reason is in the last metrics before the core ends. The watch ends with the core.
+        let mut server_metrics = self.inner.raft.server_metrics();
+        while server_metrics.changed().await.is_ok() {}
         match &self.inner.raft.metrics().borrow().running_state {
-            Ok(()) => return "its task has died".to_owned(),
+            Ok(()) => return "the task of openraft has ended unexpectedly".to_owned(),
             Err(Fatal::Stopped) => {}
             Err(problem) => return problem.to_string(),
         }
         std::future::pending().await
     }
 
-    /// Stops taking part. The journal is at rest when it returns.
+    /// Stops the replica. No write to the log store is in progress when it returns.
     pub async fn shutdown(&self) {
-        // Whoever asked openraft for anything after its end would have it complain.
-        let Inner { _gathering, _serving, _canvassing, _beating, .. } = &*self.inner;
-        for task in [_gathering, _serving, _canvassing, _beating] {
+        // A request to openraft after its end would log an error.
+        let Inner { _group_commit, _server, _elections, _heartbeats, .. } = &*self.inner;
+        for task in [_group_commit, _server, _elections, _heartbeats] {
             task.0.abort();
         }
-        // The only error openraft could give is that its task is gone already.
+        // The only possible error: the task of openraft has ended already.
         let _ = self.inner.raft.shutdown().await;
     }
 
@@ -404,8 +422,8 @@ impl<S: StateMachine> Replica<S> {
         retain: bool,
         limit: Duration,
     ) -> Result<(), MemberError> {
-        self.refuse_when_cut_off()?;
-        self.refuse_when_resigned()?;
+        self.check_quorum()?;
+        self.check_not_resigned()?;
         match timeout(limit, self.inner.raft.change_membership(change, retain)).await {
             Err(_) => Err(ProposeError::TimedOut { limit }.into()),
             Ok(Err(error)) => Err(member_error(error)),
@@ -413,12 +431,12 @@ impl<S: StateMachine> Replica<S> {
         }
     }
 
-    fn refuse_when_cut_off(&self) -> Result<(), ProposeError> {
-        let cut_off = self.inner.leadership.borrow().lost_quorum;
-        if cut_off { Err(self.no_quorum()) } else { Ok(()) }
+    fn check_quorum(&self) -> Result<(), ProposeError> {
+        let lost_quorum = self.inner.leadership.borrow().lost_quorum;
+        if lost_quorum { Err(self.no_quorum()) } else { Ok(()) }
     }
 
-    fn refuse_when_resigned(&self) -> Result<(), ProposeError> {
+    fn check_not_resigned(&self) -> Result<(), ProposeError> {
         let leadership = self.inner.leadership.borrow();
         if self.inner.resigned_term.covers(leadership.term) {
             return Err(ProposeError::NotLeader { leader: leadership.leader.clone() });
@@ -426,21 +444,22 @@ impl<S: StateMachine> Replica<S> {
         Ok(())
     }
 
-    /// Whether another node has answered something that was sent within the last two heartbeats.
+    /// Checks whether another node has replied to a message sent within the last two heartbeat
+    /// intervals.
     pub(super) fn has_recent_contact(&self, id: RaftId) -> bool {
-        let heard = self.inner.client.last_contacts.of(id);
-        heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 2)
+        let last_contact = self.inner.client.last_contacts.of(id);
+        last_contact.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 2)
     }
 
     fn no_quorum(&self) -> ProposeError {
         let leadership = self.inner.leadership.borrow();
-        let near = |id: RaftId| id == self.inner.id || self.has_recent_contact(id);
-        let reachable = leadership.voters.keys().filter(|id| near(**id)).count();
+        let in_contact = |id: RaftId| id == self.inner.id || self.has_recent_contact(id);
+        let reachable = leadership.voters.keys().filter(|id| in_contact(**id)).count();
         ProposeError::NoQuorum { reachable, voters: leadership.voters.len() }
     }
 }
 
-/// The command's encoded size in bytes.
+/// Returns the encoded size of the command, in bytes.
 fn check_size<C: serde::Serialize>(command: &C) -> Result<usize, ProposeError> {
     match codec::encode(command) {
         Ok(bytes) if bytes.len() <= COMMAND_MAX => Ok(bytes.len()),

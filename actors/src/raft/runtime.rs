@@ -1,12 +1,14 @@
-//! Tokio for openraft, with chance that repeats and limits that bear slow disks.
+//! Tokio runtime for openraft, with a seeded random generator and with timeouts that tolerate slow
+//! disks.
 //!
-//! openraft draws exactly one random number: the election timeout, once, when a node is built, on the thread that
-//! builds it and before anything is awaited. [`seed_elections`] is called just before that, so that nothing in a node
-//! is left to chance. (The timeout itself goes unused: see `canvass`.)
+//! openraft draws a single random number: the election timeout, once, when a node is built, on the
+//! thread that builds it and before the first await. [`seed_elections`] is called just before that,
+//! so that a node is deterministic. (The timeout itself is unused: see `election`.)
 //!
-//! openraft limits its questions, too. It derives the limit of a request for a vote from the time for which voters refuse
-//! candidates, and before it answers the voter has brought its vote to disk: a fleet whose disks take longer than that could
-//! elect nobody. So no question's limit is below [`APPEND_MAX`]; `network` sets stricter ones where they serve.
+//! openraft also limits the time of its requests. It derives the limit of a vote request from the
+//! time for which voters reject candidates. A voter writes its vote to disk before it replies: a
+//! fleet with disks slower than that limit could not elect a leader. So the limit of every request
+//! is at least [`APPEND_TIMEOUT`]; `network` sets stricter limits where they help.
 
 use super::settings::APPEND_TIMEOUT;
 use openraft::{AsyncRuntime, TokioRuntime};
@@ -18,31 +20,32 @@ use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::time::Duration;
 
 thread_local! {
-    static CHANCE: RefCell<ChaCha8Rng> =
-        // A thread nobody seeded: the standard library's hasher keys come from the operating system.
+    static RNG: RefCell<ChaCha8Rng> =
+        // Default for a thread that was not seeded: the hasher keys of the standard library come
+        // from the operating system.
         RefCell::new(ChaCha8Rng::seed_from_u64(RandomState::new().build_hasher().finish()));
 }
 
-/// Makes the election timeouts of the Raft nodes that this thread builds from now on follow from `seed`.
+/// Seeds the election timeouts of the Raft nodes that this thread builds from now on.
 pub fn seed_elections(seed: u64) {
-    CHANCE.with_borrow_mut(|chance| *chance = ChaCha8Rng::seed_from_u64(seed));
+    RNG.with_borrow_mut(|rng| *rng = ChaCha8Rng::seed_from_u64(seed));
 }
 
-/// openraft's view of this thread's seeded generator.
+/// Random generator of openraft: this thread's seeded generator.
 #[derive(Debug)]
-pub struct ElectionChance(());
+pub struct ElectionRng(());
 
-impl rand08::RngCore for ElectionChance {
+impl rand08::RngCore for ElectionRng {
     fn next_u32(&mut self) -> u32 {
-        CHANCE.with_borrow_mut(|chance| chance.next_u32())
+        RNG.with_borrow_mut(|rng| rng.next_u32())
     }
 
     fn next_u64(&mut self) -> u64 {
-        CHANCE.with_borrow_mut(|chance| chance.next_u64())
+        RNG.with_borrow_mut(|rng| rng.next_u64())
     }
 
     fn fill_bytes(&mut self, bytes: &mut [u8]) {
-        CHANCE.with_borrow_mut(|chance| chance.fill_bytes(bytes));
+        RNG.with_borrow_mut(|rng| rng.fill_bytes(bytes));
     }
 
     fn try_fill_bytes(&mut self, bytes: &mut [u8]) -> Result<(), rand08::Error> {
@@ -51,8 +54,8 @@ impl rand08::RngCore for ElectionChance {
     }
 }
 
-/// [`TokioRuntime`] with a seeded generator, and with limits of `APPEND_MAX` at least. Time and tasks are tokio's, so
-/// paused time works.
+/// [`TokioRuntime`] with a seeded generator, and with timeouts of at least `APPEND_TIMEOUT`. Time
+/// and tasks are those of tokio, so paused time works.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct SeededRuntime;
 
@@ -63,7 +66,7 @@ impl AsyncRuntime for SeededRuntime {
     type Instant = <TokioRuntime as AsyncRuntime>::Instant;
     type TimeoutError = <TokioRuntime as AsyncRuntime>::TimeoutError;
     type Timeout<R, T: Future<Output = R> + Send> = <TokioRuntime as AsyncRuntime>::Timeout<R, T>;
-    type ThreadLocalRng = ElectionChance;
+    type ThreadLocalRng = ElectionRng;
     type OneshotSender<T: Send> = <TokioRuntime as AsyncRuntime>::OneshotSender<T>;
     type OneshotReceiverError = <TokioRuntime as AsyncRuntime>::OneshotReceiverError;
     type OneshotReceiver<T: Send> = <TokioRuntime as AsyncRuntime>::OneshotReceiver<T>;
@@ -97,7 +100,7 @@ impl AsyncRuntime for SeededRuntime {
     }
 
     fn thread_rng() -> Self::ThreadLocalRng {
-        ElectionChance(())
+        ElectionRng(())
     }
 
     fn oneshot<T: Send>() -> (Self::OneshotSender<T>, Self::OneshotReceiver<T>) {

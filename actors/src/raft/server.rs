@@ -1,4 +1,5 @@
-//! Raft's answers to other voters' questions. One task holds them all; a slow one delays no other.
+//! Server for the Raft requests of other voters. A single task serves them concurrently; a slow
+//! request delays no other.
 
 use super::election::{LeaderContact, PreVoteRequest};
 use super::leadership_transfer::{self, TransferRequest};
@@ -22,10 +23,11 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tracing::{debug, warn};
 
-/// Questions in hand at once; a voter has one open per peer, so more is a fault or an attack. A guess.
-const IN_HAND_MAX: usize = 256;
+/// Limit of concurrent requests. A voter has a single open request per peer, so more indicates a
+/// fault or an attack. A guess.
+const REQUESTS_MAX: usize = 256;
 
-/// What is needed to answer.
+/// State needed to serve requests.
 pub(super) struct RaftServer<S: StateMachine> {
     pub(super) me: RaftId,
     pub(super) raft: Raft<S>,
@@ -33,183 +35,188 @@ pub(super) struct RaftServer<S: StateMachine> {
     pub(super) leadership: watch::Receiver<LeadershipView>,
     pub(super) election_min: Duration,
     pub(super) heartbeat: Duration,
-    /// Questions refused so far.
-    pub(super) refused: Arc<AtomicU64>,
+    /// Number of requests rejected so far.
+    pub(super) rejected: Arc<AtomicU64>,
     pub(super) keys: Keys,
-    /// Which founding this node's ledger belongs to.
+    /// Cluster of this node's ledger.
     pub(super) cluster: watch::Receiver<Option<ClusterId>>,
-    /// That of the first leader this node has followed: until its own ledger says so, it follows no other.
+    /// Cluster of the first leader that this node followed. Until its own ledger records a cluster,
+    /// it follows no other.
     pub(super) followed: OnceLock<ClusterId>,
 }
 
 impl<S: StateMachine> RaftServer<S> {
-    /// Answers until the bus closes.
+    /// Serves requests until the bus closes.
     pub(super) async fn run(self, mut queries: Stream<Query>) {
-        let mut in_hand = FuturesUnordered::new();
+        let mut requests = FuturesUnordered::new();
         loop {
             tokio::select! {
                 biased;
-                Some(()) = in_hand.next() => {}
-                query = queries.recv(), if in_hand.len() < IN_HAND_MAX => match query {
-                    Some(query) => in_hand.push(self.answer(query)),
+                Some(()) = requests.next() => {}
+                query = queries.recv(), if requests.len() < REQUESTS_MAX => match query {
+                    Some(query) => requests.push(self.handle(query)),
                     None => return,
                 },
             }
         }
     }
 
-    async fn answer(&self, query: Query) {
+    async fn handle(&self, query: Query) {
         let outcome = match self.keys.read(&query.key) {
             Some(Key::Raft(_, RaftCall::Vote)) => self.vote(&query).await,
             Some(Key::Raft(_, RaftCall::Append)) => self.append(&query).await,
             Some(Key::Raft(_, RaftCall::Snapshot)) => self.snapshot(&query).await,
-            Some(Key::Raft(_, RaftCall::PreVote)) => self.canvass(&query),
-            Some(Key::Raft(_, RaftCall::TransferLeadership)) => self.succeed(&query).await,
-            Some(Key::Raft(_, RaftCall::Heartbeat)) => self.beat(&query),
-            _ => Err("no such question".to_owned()),
+            Some(Key::Raft(_, RaftCall::PreVote)) => self.pre_vote(&query),
+            Some(Key::Raft(_, RaftCall::TransferLeadership)) => self.transfer_leadership(&query).await,
+            Some(Key::Raft(_, RaftCall::Heartbeat)) => self.heartbeat(&query),
+            _ => Err("unknown request".to_owned()),
         };
         let sent = match outcome {
             Ok(bytes) => query.replier.reply(&query.key, bytes.into(), Encoding::Wire).await,
-            Err(reason) => refuse(&query, &reason, &self.refused).await,
+            Err(reason) => reject(&query, &reason, &self.rejected).await,
         };
         if let Err(error) = sent {
-            debug!(key = query.key, %error, "a raft answer was not sent");
+            debug!(key = query.key, %error, "raft reply not sent");
         }
     }
 
     async fn vote(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let question: VoteRequest<RaftId> = self.read(query)?;
+        let request: VoteRequest<RaftId> = self.decode(query)?;
         if !self.leader_contact.try_begin_vote(self.election_min) {
             let vote = self.raft.server_metrics().borrow().vote;
             let last = self.raft.data_metrics().borrow().last_log;
-            return written(&RaftReply::Done(VoteResponse { vote, vote_granted: false, last_log_id: last }));
+            return encode_reply(&RaftReply::Done(VoteResponse { vote, vote_granted: false, last_log_id: last }));
         }
-        let answer = self.raft.vote(question).await;
-        self.leader_contact.end_vote(answer.as_ref().ok().map(|answer| answer.vote));
-        let answer = answer.map_err(in_words)?;
-        if answer.vote_granted {
+        let reply = self.raft.vote(request).await;
+        self.leader_contact.end_vote(reply.as_ref().ok().map(|reply| reply.vote));
+        let reply = reply.map_err(to_text)?;
+        if reply.vote_granted {
             self.leader_contact.record_vote_granted();
         }
-        written(&RaftReply::Done(answer))
+        encode_reply(&RaftReply::Done(reply))
     }
 
     async fn append(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let question: AppendEntriesRequest<TypeConfig<S>> = self.read_and_follow(query)?;
-        self.note_leader(&question.vote);
-        let _in_hand = self.leader_contact.begin_append();
-        let answer = self.raft.append_entries(question).await.map_err(in_words)?;
-        written(&RaftReply::Done(answer))
+        let request: AppendEntriesRequest<TypeConfig<S>> = self.decode_and_follow(query)?;
+        self.record_leader(&request.vote);
+        let _pending = self.leader_contact.begin_append();
+        let reply = self.raft.append_entries(request).await.map_err(to_text)?;
+        encode_reply(&RaftReply::Done(reply))
     }
 
     async fn snapshot(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let question: InstallSnapshotRequest<TypeConfig<S>> = self.read_and_follow(query)?;
-        fits(question.offset, question.data.len())?;
-        self.note_leader(&question.vote);
-        match self.raft.install_snapshot(question).await {
-            Ok(answer) => written(&RaftReply::Done(answer)),
+        let request: InstallSnapshotRequest<TypeConfig<S>> = self.decode_and_follow(query)?;
+        check_chunk_size(request.offset, request.data.len())?;
+        self.record_leader(&request.vote);
+        match self.raft.install_snapshot(request).await {
+            Ok(reply) => encode_reply(&RaftReply::Done(reply)),
             Err(RaftError::APIError(InstallSnapshotError::SnapshotMismatch(mismatch))) => {
-                written(&RaftReply::<()>::Mismatch(mismatch))
+                encode_reply(&RaftReply::<()>::Mismatch(mismatch))
             }
-            Err(RaftError::Fatal(fatal)) => Err(in_words(fatal)),
+            Err(RaftError::Fatal(fatal)) => Err(to_text(fatal)),
         }
     }
 
-    /// Notes that the leader speaks, unless its reign is over. This comes before openraft is told, so that whoever has
-    /// just looked and is about to stand is told of first, and the leader gets no acknowledgement that would mislead it.
-    fn note_leader(&self, vote: &Vote) {
+    /// Records contact from the leader, unless its term is over. This happens before openraft
+    /// receives the request. So a campaign that is about to start sees the contact first, and the
+    /// leader gets no misleading acknowledgement.
+    fn record_leader(&self, vote: &Vote) {
         let known = self.raft.server_metrics().borrow().vote;
         self.leader_contact.record_leader(vote, &known);
     }
 
-    /// Answers beside openraft, whose core may be waiting for the disk.
-    fn beat(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let question: HeartbeatRequest = self.read_and_follow(query)?;
+    /// Replies outside openraft: its core may be waiting for the disk.
+    fn heartbeat(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let request: HeartbeatRequest = self.decode_and_follow(query)?;
         let known = self.raft.server_metrics().borrow().vote;
-        written(&RaftReply::Done(self.leader_contact.answer_heartbeat(&question.vote, &known)))
+        encode_reply(&RaftReply::Done(self.leader_contact.answer_heartbeat(&request.vote, &known)))
     }
 
-    async fn succeed(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let word: TransferRequest = self.read(query)?;
-        let current = self.raft.server_metrics().borrow().vote == word.leader_vote;
-        let obeyed = if word.target != self.me {
+    async fn transfer_leadership(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let request: TransferRequest = self.decode(query)?;
+        let is_current = self.raft.server_metrics().borrow().vote == request.leader_vote;
+        let accepted = if request.target != self.me {
             self.leader_contact.record_vote_granted();
-            let free = leadership_transfer::release_vote(&self.raft, &word).await;
-            if free && current {
-                self.leader_contact.record_release(word.target_vote());
+            let released = leadership_transfer::release_vote(&self.raft, &request).await;
+            if released && is_current {
+                self.leader_contact.record_release(request.target_vote());
             }
-            free
-        } else if current {
+            released
+        } else if is_current {
             self.leader_contact.record_leader_resigned();
-            // Its own: it would have nobody else while it stands.
+            // Its own vote: it waits for no other candidate during its campaign.
             self.leader_contact.record_vote_granted();
-            self.raft.trigger().elect().await.map_err(in_words)?;
+            self.raft.trigger().elect().await.map_err(to_text)?;
             true
         } else {
-            // Said twice, or too late: the election is under way or over.
+            // A duplicate, or too late: the election is in progress or over.
             true
         };
-        written(&RaftReply::Done(obeyed))
+        encode_reply(&RaftReply::Done(accepted))
     }
 
-    /// Reads a question, unless it comes from another cluster.
-    fn read<T: DeserializeOwned>(&self, query: &Query) -> Result<T, String> {
-        self.read_from(query).map(|(_, question)| question)
+    /// Decodes a request, unless it comes from another cluster.
+    fn decode<T: DeserializeOwned>(&self, query: &Query) -> Result<T, String> {
+        self.decode_with_cluster(query).map(|(_, request)| request)
     }
 
-    /// The same for a leader's question: a node that belongs nowhere yet stays with the first leader it follows.
-    fn read_and_follow<T: DeserializeOwned>(&self, query: &Query) -> Result<T, String> {
-        let (asker, question) = self.read_from(query)?;
-        if let Some(asker) = asker {
-            self.followed.get_or_init(|| asker);
+    /// Decodes a request of a leader. A node without a cluster stays with the cluster of the first
+    /// leader it follows.
+    fn decode_and_follow<T: DeserializeOwned>(&self, query: &Query) -> Result<T, String> {
+        let (sender, request) = self.decode_with_cluster(query)?;
+        if let Some(sender) = sender {
+            self.followed.get_or_init(|| sender);
         }
-        Ok(question)
+        Ok(request)
     }
 
-    fn read_from<T: DeserializeOwned>(&self, query: &Query) -> Result<(Option<ClusterId>, T), String> {
-        let (asker, question) = decode_request(&query.payload).map_err(in_words)?;
-        let own = self.cluster.borrow().or_else(|| self.followed.get().copied());
-        match (asker, own) {
-            (Some(asker), Some(own)) if asker != own => {
-                Err(format!("a question of cluster {asker}, where this node belongs to {own}: they do not merge"))
-            }
-            _ => Ok((asker, question)),
+    fn decode_with_cluster<T: DeserializeOwned>(&self, query: &Query) -> Result<(Option<ClusterId>, T), String> {
+        let (sender, request) = decode_request(&query.payload).map_err(to_text)?;
+        let own_cluster = self.cluster.borrow().or_else(|| self.followed.get().copied());
+        match (sender, own_cluster) {
+            (Some(sender), Some(own_cluster)) if sender != own_cluster => Err(format!(
+                "the request comes from cluster {sender}, but this node belongs to cluster {own_cluster}: clusters do not merge"
+            )),
+            _ => Ok((sender, request)),
         }
     }
 
-    fn canvass(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let asker: PreVoteRequest = self.read(query)?;
-        let hears_none =
+    fn pre_vote(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let request: PreVoteRequest = self.decode(query)?;
+        let no_leader =
             self.leader_contact.no_leader_for(self.election_min, self.heartbeat) && !self.leadership.borrow().is_leader;
-        let knows_enough = asker.last_log_id >= self.raft.data_metrics().borrow().last_log;
-        written(&RaftReply::Done(hears_none && knows_enough))
+        let log_is_current = request.last_log_id >= self.raft.data_metrics().borrow().last_log;
+        encode_reply(&RaftReply::Done(no_leader && log_is_current))
     }
 }
 
-/// Whether a piece of a snapshot may be taken in: openraft makes room for all that would stand before it.
-fn fits(offset: u64, length: usize) -> Result<(), String> {
+/// Checks the size of a snapshot chunk: openraft allocates memory for everything before its offset.
+fn check_chunk_size(offset: u64, length: usize) -> Result<(), String> {
     let end = offset.saturating_add(length as u64);
     match end > codec::RECORD_BYTES_MAX as u64 {
-        true => Err(format!("a snapshot of {end} bytes or more, where {} are allowed", codec::RECORD_BYTES_MAX)),
+        true => {
+            Err(format!("a snapshot of at least {end} bytes exceeds the limit of {} bytes", codec::RECORD_BYTES_MAX))
+        }
         false => Ok(()),
     }
 }
 
-/// Reads what a voter asks, and to which founding of the ledger it belongs.
+/// Decodes a request of a voter, and the cluster of the voter.
 pub(super) fn decode_request<T: DeserializeOwned>(bytes: &[u8]) -> Result<(Option<ClusterId>, T), CodecError> {
     codec::decode(bytes)
 }
 
-async fn refuse(query: &Query, reason: &str, refused: &AtomicU64) -> Result<(), BusError> {
-    let count = refused.fetch_add(1, Ordering::Relaxed) + 1;
-    warn!(key = query.key, bytes = query.payload.len(), count, reason, "refused a raft question");
+async fn reject(query: &Query, reason: &str, rejected: &AtomicU64) -> Result<(), BusError> {
+    let count = rejected.fetch_add(1, Ordering::Relaxed) + 1;
+    warn!(key = query.key, bytes = query.payload.len(), count, reason, "raft request rejected");
     query.replier.refuse(reason).await
 }
 
-fn written<T: Serialize>(answer: &T) -> Result<Vec<u8>, String> {
-    codec::encode(answer).map_err(in_words)
+fn encode_reply<T: Serialize>(reply: &T) -> Result<Vec<u8>, String> {
+    codec::encode(reply).map_err(to_text)
 }
 
-fn in_words(error: impl Display) -> String {
+fn to_text(error: impl Display) -> String {
     error.to_string()
 }
 
@@ -218,11 +225,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_piece_of_a_snapshot_stands_within_what_a_snapshot_may_be() {
+    fn a_snapshot_chunk_stays_within_the_limit_of_a_snapshot() {
         let limit = codec::RECORD_BYTES_MAX as u64;
-        assert_eq!(fits(limit - 3, 3), Ok(()));
-        let refused = "a snapshot of 268435457 bytes or more, where 268435456 are allowed";
-        assert_eq!(fits(limit - 3, 4), Err(refused.to_owned()));
-        assert!(fits(u64::MAX, 1).is_err());
+        assert_eq!(check_chunk_size(limit - 3, 3), Ok(()));
+        let rejected = "a snapshot of at least 268435457 bytes exceeds the limit of 268435456 bytes";
+        assert_eq!(check_chunk_size(limit - 3, 4), Err(rejected.to_owned()));
+        assert!(check_chunk_size(u64::MAX, 1).is_err());
     }
 }

@@ -1,4 +1,5 @@
-//! openraft's storage over a [`Journal`]: the log cached in memory, and the state machine with its snapshots.
+//! Storage of openraft over a [`LogStore`]: the log, cached in memory, and the state machine with
+//! its snapshots.
 
 use super::log_store::{LogStore, PersistentState};
 use super::network::APPEND_BYTES;
@@ -19,36 +20,37 @@ use std::ops::RangeBounds;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
-/// Takes a lock that no code of ours holds while it can panic.
+/// Locks a mutex. No code in this file panics while it holds a lock.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Is told of each entry that a copy of the state machine takes in, with its commands; none for those that are Raft's own.
-/// It must not ask the replica for its state, which is locked meanwhile.
+/// Callback for each entry that a replica applies, with its commands; without commands for Raft's
+/// own entries. It must not read the state of the replica, which is locked meanwhile.
 pub type ApplyObserver<S> = Arc<dyn Fn(Epoch, &[<S as StateMachine>::Command]) + Send + Sync>;
 
-/// Opens what `journal` holds: the log, and the state machine as of the last snapshot. openraft applies the rest.
+/// Opens the state in `log_store`: the log, and the state machine as of the last snapshot. openraft
+/// applies the rest.
 pub(super) async fn open<S: StateMachine>(
-    journal: Arc<dyn LogStore>,
+    log_store: Arc<dyn LogStore>,
     observer: Option<ApplyObserver<S>>,
 ) -> Result<(LogCache<S>, StateMachineStore<S>), std::io::Error> {
-    let (log, machine) = load_state::<S>(journal.load().await?)?;
+    let (log, machine) = load_state::<S>(log_store.load().await?)?;
     let applied = Arc::new(watch::Sender::new(machine.applied.as_ref().map(epoch_of).unwrap_or_default()));
     let cluster = Arc::new(watch::Sender::new(machine.state.cluster()));
-    let (tell_covered, covered) = watch::channel(Ok(machine.applied));
+    let (covered_sender, covered) = watch::channel(Ok(machine.applied));
     let (log, appended) = (Arc::new(Mutex::new(log)), Arc::default());
-    let log = LogCache { journal: Arc::clone(&journal), log, appended, covered };
+    let log = LogCache { log_store: Arc::clone(&log_store), log, appended, covered };
     let machine = Arc::new(Mutex::new(machine));
-    let (covered, snapshots) = (Arc::new(tell_covered), Arc::default());
-    Ok((log, StateMachineStore { journal, machine, applied, cluster, covered, observer, snapshots }))
+    let (covered, snapshots) = (Arc::new(covered_sender), Arc::default());
+    Ok((log, StateMachineStore { log_store, machine, applied, cluster, covered, observer, snapshots }))
 }
 
-/// Reads what a journal recorded: the log, and the state machine as of the last snapshot.
+/// Decodes the contents of a log store: the log, and the state machine as of the last snapshot.
 pub(super) fn load_state<S: StateMachine>(
-    recorded: PersistentState,
+    stored: PersistentState,
 ) -> Result<(Log<S>, AppliedState<S>), std::io::Error> {
-    let PersistentState { vote, committed, purged, entries, snapshot } = recorded;
+    let PersistentState { vote, committed, purged, entries, snapshot } = stored;
     let read = |bytes: Option<Vec<u8>>| bytes.as_deref().map(decode_record).transpose();
     let log = Log {
         vote: vote.as_deref().map(decode_record).transpose()?,
@@ -63,12 +65,12 @@ pub(super) fn load_state<S: StateMachine>(
     let mut machine =
         AppliedState { state: S::default(), applied: None, membership: StoredMembership::default(), snapshot: None };
     if let Some(bytes) = snapshot {
-        let kept: StoredSnapshot = decode_record(&bytes)?;
-        machine.restore(decode_record(&kept.state)?, kept);
+        let stored: StoredSnapshot = decode_record(&bytes)?;
+        machine.restore(decode_record(&stored.state)?, stored);
     }
     if log.purged > machine.applied {
-        let (purged, held) = (shown(log.purged.as_ref()), shown(machine.applied.as_ref()));
-        return Err(unsound(format!("its log begins after {purged}, and its snapshot ends with {held}")));
+        let (purged, snapshot_end) = (position_text(log.purged.as_ref()), position_text(machine.applied.as_ref()));
+        return Err(invalid_data(format!("the log begins after {purged}, but the snapshot ends with {snapshot_end}")));
     }
     Ok((log, machine))
 }
@@ -81,30 +83,31 @@ pub(super) fn encode_record<T: Serialize>(value: &T) -> std::io::Result<Vec<u8>>
     codec::encode_record(value).map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
 }
 
-fn unsound(what: String) -> std::io::Error {
-    std::io::Error::new(std::io::ErrorKind::InvalidData, what)
+fn invalid_data(message: String) -> std::io::Error {
+    std::io::Error::new(std::io::ErrorKind::InvalidData, message)
 }
 
-fn shown(log_id: Option<&LogId>) -> String {
+fn position_text(log_id: Option<&LogId>) -> String {
     log_id.map_or_else(|| "nothing".to_owned(), |log_id| epoch_of(log_id).to_string())
 }
 
-/// Whether each entry stands where it says it does, right after the one before; the first, right after what was purged.
+/// Checks that each entry is stored under its own index, directly after the previous entry; the
+/// first, directly after the purged part.
 fn check_continuity<S: StateMachine>(log: &Log<S>) -> std::io::Result<()> {
     let mut last = log.purged;
     for (index, CachedEntry { entry, .. }) in &log.entries {
-        // None after the last index of all.
+        // `None` after the greatest possible index.
         let expected = last.map_or(Some(0), |last| last.index.checked_add(1));
         if Some(*index) != expected || entry.log_id.index != *index || last >= Some(entry.log_id) {
-            let (found, last) = (epoch_of(&entry.log_id), shown(last.as_ref()));
-            return Err(unsound(format!("its log has entry {found} at place {index}, right after {last}")));
+            let (found, last) = (epoch_of(&entry.log_id), position_text(last.as_ref()));
+            return Err(invalid_data(format!("the log has entry {found} at index {index}, directly after {last}")));
         }
         last = Some(entry.log_id);
     }
     Ok(())
 }
 
-/// The log as openraft reads it; the journal holds the same, durably.
+/// The log as openraft reads it; the log store holds the same data durably.
 pub(super) struct Log<S: StateMachine> {
     pub(super) vote: Option<Vote>,
     pub(super) committed: Option<LogId>,
@@ -112,21 +115,21 @@ pub(super) struct Log<S: StateMachine> {
     pub(super) entries: BTreeMap<u64, CachedEntry<S>>,
 }
 
-/// An entry of the log.
+/// Log entry.
 pub(super) struct CachedEntry<S: StateMachine> {
     pub(super) entry: Entry<TypeConfig<S>>,
-    /// Its encoded size.
+    /// Encoded size in bytes.
     bytes: usize,
 }
 
-/// The last entry that the journal's snapshot covers; or why a snapshot that was to be installed is not in the journal.
+/// Last entry covered by the stored snapshot, or the reason why a received snapshot was not stored.
 type Covered = Result<Option<LogId>, String>;
 
-/// The log and the vote.
+/// Log and vote, cached in memory.
 pub(super) struct LogCache<S: StateMachine> {
-    journal: Arc<dyn LogStore>,
+    log_store: Arc<dyn LogStore>,
     log: Arc<Mutex<Log<S>>>,
-    /// How often entries have been written.
+    /// Number of appends so far.
     appended: Arc<watch::Sender<u64>>,
     covered: watch::Receiver<Covered>,
 }
@@ -134,7 +137,7 @@ pub(super) struct LogCache<S: StateMachine> {
 impl<S: StateMachine> Clone for LogCache<S> {
     fn clone(&self) -> Self {
         LogCache {
-            journal: Arc::clone(&self.journal),
+            log_store: Arc::clone(&self.log_store),
             log: Arc::clone(&self.log),
             appended: Arc::clone(&self.appended),
             covered: self.covered.clone(),
@@ -143,23 +146,23 @@ impl<S: StateMachine> Clone for LogCache<S> {
 }
 
 impl<S: StateMachine> LogCache<S> {
-    /// The last entry of the log, if it ever had one.
+    /// Returns the last entry of the log, if it ever had an entry.
     pub(super) fn last(&self) -> Option<LogId> {
         let log = lock(&self.log);
-        log.entries.last_key_value().map(|(_, held)| held.entry.log_id).or(log.purged)
+        log.entries.last_key_value().map(|(_, cached)| cached.entry.log_id).or(log.purged)
     }
 
-    /// How often entries have been written, now and whenever it grows.
+    /// Returns a watch of the number of appends.
     pub(super) fn appended(&self) -> watch::Receiver<u64> {
         self.appended.subscribe()
     }
 
-    /// Waits until the journal's snapshot covers all entries up to this one.
-    async fn until_covered(&self, through: LogId) -> std::io::Result<()> {
+    /// Waits until the stored snapshot covers all entries up to this entry.
+    async fn wait_covered(&self, through: LogId) -> std::io::Result<()> {
         let reached = |covered: &Covered| covered.as_ref().map_or(true, |last| *last >= Some(through));
         let mut covered = self.covered.clone();
-        let covered = covered.wait_for(reached).await.map_err(|_| std::io::Error::other("the replica has ended"))?;
-        let missing = |problem| std::io::Error::other(format!("no snapshot covers what is to be purged: {problem}"));
+        let covered = covered.wait_for(reached).await.map_err(|_| std::io::Error::other("the replica has stopped"))?;
+        let missing = |error| std::io::Error::other(format!("no snapshot covers the entries to purge: {error}"));
         covered.as_ref().map(drop).map_err(missing)
     }
 }
@@ -177,10 +180,11 @@ impl<S: StateMachine> RaftLogReader<TypeConfig<S>> for LogCache<S> {
         &mut self,
         range: R,
     ) -> Result<Vec<Entry<TypeConfig<S>>>, StorageError> {
-        Ok(lock(&self.log).entries.range(range).map(|(_, held)| held.entry.clone()).collect())
+        Ok(lock(&self.log).entries.range(range).map(|(_, cached)| cached.entry.clone()).collect())
     }
 
-    /// The entries from `start` on, and before `end`, that go in one message: one at least, and more while they fit.
+    /// Returns the entries from `start` and before `end` that fit in a single message: at least the
+    /// first, and more while they fit.
     async fn limited_get_log_entries(
         &mut self,
         start: u64,
@@ -188,17 +192,17 @@ impl<S: StateMachine> RaftLogReader<TypeConfig<S>> for LogCache<S> {
     ) -> Result<Vec<Entry<TypeConfig<S>>>, StorageError> {
         let log = lock(&self.log);
         let mut bytes = 0;
-        let fits = |held: &&CachedEntry<S>| {
+        let fits = |cached: &&CachedEntry<S>| {
             let first = bytes == 0;
-            bytes += held.bytes;
+            bytes += cached.bytes;
             first || bytes <= APPEND_BYTES
         };
         Ok(log
             .entries
             .range(start..end)
-            .map(|(_, held)| held)
+            .map(|(_, cached)| cached)
             .take_while(fits)
-            .map(|held| held.entry.clone())
+            .map(|cached| cached.entry.clone())
             .collect())
     }
 }
@@ -218,10 +222,10 @@ impl<S: StateMachine> RaftLogStorage<TypeConfig<S>> for LogCache<S> {
     async fn save_vote(&mut self, vote: &Vote) -> Result<(), StorageError> {
         let bytes = encode_record(vote).map_err(writing_vote)?;
         if mutants::is_active(Mutant::SkipFsync) {
-            let journal = Arc::clone(&self.journal);
-            tokio::spawn(async move { journal.save_vote(bytes).await });
+            let log_store = Arc::clone(&self.log_store);
+            tokio::spawn(async move { log_store.save_vote(bytes).await });
         } else if !mutants::is_active(Mutant::DoubleVote) {
-            self.journal.save_vote(bytes).await.map_err(writing_vote)?;
+            self.log_store.save_vote(bytes).await.map_err(writing_vote)?;
         }
         lock(&self.log).vote = Some(*vote);
         Ok(())
@@ -233,7 +237,7 @@ impl<S: StateMachine> RaftLogStorage<TypeConfig<S>> for LogCache<S> {
 
     async fn save_committed(&mut self, committed: Option<LogId>) -> Result<(), StorageError> {
         let bytes = committed.as_ref().map(encode_record).transpose().map_err(writing_logs)?;
-        self.journal.save_committed(bytes).await.map_err(writing_logs)?;
+        self.log_store.save_committed(bytes).await.map_err(writing_logs)?;
         lock(&self.log).committed = committed;
         Ok(())
     }
@@ -253,31 +257,32 @@ impl<S: StateMachine> RaftLogStorage<TypeConfig<S>> for LogCache<S> {
         let records = records.map_err(writing_logs)?;
         let sizes: Vec<usize> = records.iter().map(|(_, record)| record.len()).collect();
         if mutants::is_active(Mutant::SkipFsync) {
-            let journal = Arc::clone(&self.journal);
-            tokio::spawn(async move { journal.append(records).await });
+            let log_store = Arc::clone(&self.log_store);
+            tokio::spawn(async move { log_store.append(records).await });
         } else {
-            self.journal.append(records).await.map_err(writing_logs)?;
+            self.log_store.append(records).await.map_err(writing_logs)?;
         }
-        let held =
+        let cached =
             entries.into_iter().zip(sizes).map(|(entry, bytes)| (entry.log_id.index, CachedEntry { entry, bytes }));
-        lock(&self.log).entries.extend(held);
+        lock(&self.log).entries.extend(cached);
         self.appended.send_modify(|count| *count += 1);
         callback.log_io_completed(Ok(()));
         Ok(())
     }
 
     async fn truncate(&mut self, from: LogId) -> Result<(), StorageError> {
-        self.journal.truncate(from.index).await.map_err(writing_logs)?;
+        self.log_store.truncate(from.index).await.map_err(writing_logs)?;
         lock(&self.log).entries.split_off(&from.index);
         Ok(())
     }
 
-    /// openraft asks for this right after it has handed a snapshot from the leader to a task of its own, which installs it.
-    /// Should the power fail between the two writes, the one that removes entries must not have been the first.
+    /// openraft calls this directly after it has passed a snapshot of the leader to a separate
+    /// task, which installs it. If the power fails between the two writes, the removal of entries
+    /// must not have been the first write.
     async fn purge(&mut self, through: LogId) -> Result<(), StorageError> {
-        self.until_covered(through).await.map_err(writing_logs)?;
+        self.wait_covered(through).await.map_err(writing_logs)?;
         let last = encode_record(&through).map_err(writing_logs)?;
-        self.journal.purge(through.index, last).await.map_err(writing_logs)?;
+        self.log_store.purge(through.index, last).await.map_err(writing_logs)?;
         let mut log = lock(&self.log);
         log.entries = log.entries.split_off(&(through.index + 1));
         log.purged = Some(through);
@@ -285,7 +290,7 @@ impl<S: StateMachine> RaftLogStorage<TypeConfig<S>> for LogCache<S> {
     }
 }
 
-/// A snapshot as the journal keeps it.
+/// Snapshot as stored in the log store.
 #[derive(Clone, Serialize, Deserialize)]
 pub(super) struct StoredSnapshot {
     pub(super) meta: SnapshotMeta,
@@ -300,14 +305,14 @@ pub(super) struct AppliedState<S> {
 }
 
 impl<S: StateMachine> AppliedState<S> {
-    fn restore(&mut self, state: S, kept: StoredSnapshot) {
+    fn restore(&mut self, state: S, stored: StoredSnapshot) {
         self.state = state;
-        self.applied = kept.meta.last_log_id;
-        self.membership = kept.meta.last_membership.clone();
-        self.snapshot = Some(kept);
+        self.applied = stored.meta.last_log_id;
+        self.membership = stored.meta.last_membership.clone();
+        self.snapshot = Some(stored);
     }
 
-    /// Carries out the next entry of the log.
+    /// Applies the next entry of the log.
     pub(super) fn apply_entry(&mut self, Entry { log_id, payload }: Entry<TypeConfig<S>>) -> Option<Vec<S::Outcome>> {
         self.applied = Some(log_id);
         match payload {
@@ -324,22 +329,23 @@ impl<S: StateMachine> AppliedState<S> {
     }
 }
 
-/// The state machine, shared by openraft, which applies, and whoever reads.
+/// The state machine, shared by openraft, which applies entries, and the readers.
 pub(super) struct StateMachineStore<S: StateMachine> {
-    journal: Arc<dyn LogStore>,
+    log_store: Arc<dyn LogStore>,
     machine: Arc<Mutex<AppliedState<S>>>,
     applied: Arc<watch::Sender<Epoch>>,
     cluster: Arc<watch::Sender<Option<ClusterId>>>,
     covered: Arc<watch::Sender<Covered>>,
     observer: Option<ApplyObserver<S>>,
-    /// Held while a snapshot goes to the journal: openraft builds one while it installs another.
+    /// Held while a snapshot is written to the log store: openraft builds a snapshot while it
+    /// installs another.
     snapshots: Arc<tokio::sync::Mutex<()>>,
 }
 
 impl<S: StateMachine> Clone for StateMachineStore<S> {
     fn clone(&self) -> Self {
         StateMachineStore {
-            journal: Arc::clone(&self.journal),
+            log_store: Arc::clone(&self.log_store),
             machine: Arc::clone(&self.machine),
             applied: Arc::clone(&self.applied),
             cluster: Arc::clone(&self.cluster),
@@ -351,12 +357,12 @@ impl<S: StateMachine> Clone for StateMachineStore<S> {
 }
 
 impl<S: StateMachine> StateMachineStore<S> {
-    /// What `look` sees in the state as applied so far on this node.
-    pub(super) fn read<R>(&self, look: impl FnOnce(&S) -> R) -> R {
-        look(&lock(&self.machine).state)
+    /// Calls `inspect` with the state as applied so far on this node.
+    pub(super) fn read<R>(&self, inspect: impl FnOnce(&S) -> R) -> R {
+        inspect(&lock(&self.machine).state)
     }
 
-    /// The state as applied so far on this node, and the place of the last entry that is in it.
+    /// Returns the state as applied so far on this node, and the position of its last entry.
     pub(super) fn copy(&self) -> (Option<Epoch>, S)
     where
         S: Clone,
@@ -365,29 +371,29 @@ impl<S: StateMachine> StateMachineStore<S> {
         (machine.applied.as_ref().map(epoch_of), machine.state.clone())
     }
 
-    /// Which founding the state belongs to, once it says so.
+    /// Returns a watch of the cluster of the state; `None` until the state records it.
     pub(super) fn cluster(&self) -> watch::Receiver<Option<ClusterId>> {
         self.cluster.subscribe()
     }
 
-    fn tell_cluster(&self, cluster: Option<ClusterId>) {
+    fn publish_cluster(&self, cluster: Option<ClusterId>) {
         self.cluster.send_if_modified(|known| std::mem::replace(known, cluster) != cluster);
     }
 
-    /// The place of the last applied entry, told anew after each batch.
+    /// Returns a watch of the position of the last applied entry, updated after each batch.
     pub(super) fn applied(&self) -> watch::Receiver<Epoch> {
         self.applied.subscribe()
     }
 
-    async fn install(&self, kept: StoredSnapshot) -> Result<(), StorageError> {
-        let state: S = decode_record(&kept.state).map_err(reading_snapshot)?;
-        let (cluster, last) = (state.cluster(), kept.meta.last_log_id);
-        let record = encode_record(&kept).map_err(writing_snapshot)?;
-        let _alone = self.snapshots.lock().await;
-        self.journal.save_snapshot(record).await.map_err(writing_snapshot)?;
-        lock(&self.machine).restore(state, kept);
+    async fn install(&self, stored: StoredSnapshot) -> Result<(), StorageError> {
+        let state: S = decode_record(&stored.state).map_err(reading_snapshot)?;
+        let (cluster, last) = (state.cluster(), stored.meta.last_log_id);
+        let record = encode_record(&stored).map_err(writing_snapshot)?;
+        let _exclusive = self.snapshots.lock().await;
+        self.log_store.save_snapshot(record).await.map_err(writing_snapshot)?;
+        lock(&self.machine).restore(state, stored);
         self.covered.send_modify(|covered| *covered = Ok(last));
-        self.tell_cluster(cluster);
+        self.publish_cluster(cluster);
         self.applied.send_replace(last.as_ref().map(epoch_of).unwrap_or_default());
         Ok(())
     }
@@ -427,7 +433,7 @@ impl<S: StateMachine> RaftStateMachine<TypeConfig<S>> for StateMachineStore<S> {
         let applied = machine.applied.as_ref().map(epoch_of).unwrap_or_default();
         let cluster = machine.state.cluster();
         drop(machine);
-        self.tell_cluster(cluster);
+        self.publish_cluster(cluster);
         self.applied.send_replace(applied);
         Ok(outcomes)
     }
@@ -441,8 +447,8 @@ impl<S: StateMachine> RaftStateMachine<TypeConfig<S>> for StateMachineStore<S> {
             meta: SnapshotMeta {
                 last_log_id: machine.applied,
                 last_membership: machine.membership.clone(),
-                // Which store made it matters: two nodes' bytes of one state may differ.
-                snapshot_id: format!("{last}@{:032x}", self.journal.identity().0),
+                // The id includes the store: two nodes may encode the same state differently.
+                snapshot_id: format!("{last}@{:032x}", self.log_store.identity().0),
             },
         }
     }
@@ -457,9 +463,9 @@ impl<S: StateMachine> RaftStateMachine<TypeConfig<S>> for StateMachineStore<S> {
         snapshot: Box<Cursor<Vec<u8>>>,
     ) -> Result<(), StorageError> {
         let installed = self.install(StoredSnapshot { meta: meta.clone(), state: snapshot.into_inner() }).await;
-        if let Err(problem) = &installed {
-            // Whoever waits for it, to purge what it covers, would wait for ever.
-            self.covered.send_modify(|covered| *covered = Err(problem.to_string()));
+        if let Err(error) = &installed {
+            // A purge of the covered entries would otherwise wait without end.
+            self.covered.send_modify(|covered| *covered = Err(error.to_string()));
         }
         installed
     }
@@ -469,11 +475,11 @@ impl<S: StateMachine> RaftStateMachine<TypeConfig<S>> for StateMachineStore<S> {
     }
 }
 
-fn to_snapshot<S: StateMachine>(kept: StoredSnapshot) -> Snapshot<TypeConfig<S>> {
-    Snapshot { meta: kept.meta, snapshot: Box::new(Cursor::new(kept.state)) }
+fn to_snapshot<S: StateMachine>(stored: StoredSnapshot) -> Snapshot<TypeConfig<S>> {
+    Snapshot { meta: stored.meta, snapshot: Box::new(Cursor::new(stored.state)) }
 }
 
-/// Makes a snapshot of the state as it was when the builder was asked for.
+/// Builds a snapshot of the state as of the creation of the builder.
 pub(super) struct SnapshotBuilder<S: StateMachine> {
     store: StateMachineStore<S>,
     state: S,
@@ -482,20 +488,21 @@ pub(super) struct SnapshotBuilder<S: StateMachine> {
 
 impl<S: StateMachine> RaftSnapshotBuilder<TypeConfig<S>> for SnapshotBuilder<S> {
     async fn build_snapshot(&mut self) -> Result<Snapshot<TypeConfig<S>>, StorageError> {
-        let kept =
+        let stored =
             StoredSnapshot { meta: self.meta.clone(), state: encode_record(&self.state).map_err(writing_snapshot)? };
-        let record = encode_record(&kept).map_err(writing_snapshot)?;
-        let _alone = self.store.snapshots.lock().await;
-        let newest = lock(&self.store.machine).snapshot.as_ref().and_then(|kept| kept.meta.last_log_id);
-        // A newer one may have been installed from the leader in the meantime, and the log purged up to it.
-        if newest <= kept.meta.last_log_id {
-            self.store.journal.save_snapshot(record).await.map_err(writing_snapshot)?;
-            lock(&self.store.machine).snapshot = Some(kept.clone());
-            // An installation that has failed meanwhile stays failed.
+        let record = encode_record(&stored).map_err(writing_snapshot)?;
+        let _exclusive = self.store.snapshots.lock().await;
+        let newest = lock(&self.store.machine).snapshot.as_ref().and_then(|stored| stored.meta.last_log_id);
+        // A newer snapshot of the leader may have been installed in the meantime, and the log
+        // purged up to it.
+        if newest <= stored.meta.last_log_id {
+            self.store.log_store.save_snapshot(record).await.map_err(writing_snapshot)?;
+            lock(&self.store.machine).snapshot = Some(stored.clone());
+            // A failed installation stays failed.
             self.store
                 .covered
-                .send_if_modified(|covered| covered.as_mut().map(|last| *last = kept.meta.last_log_id).is_ok());
+                .send_if_modified(|covered| covered.as_mut().map(|last| *last = stored.meta.last_log_id).is_ok());
         }
-        Ok(to_snapshot(kept))
+        Ok(to_snapshot(stored))
     }
 }

@@ -1,4 +1,4 @@
-//! What is replicated, and the names that replication needs.
+//! The trait of the replicated state machine, and the identifiers used by replication.
 
 use super::log_store::StoreIdentity;
 use super::runtime::SeededRuntime;
@@ -12,43 +12,46 @@ use std::fmt::{self, Debug};
 use std::io::Cursor;
 use std::marker::PhantomData;
 
-/// A pure state machine: the same commands in the same order give the same state and outcomes on every node.
+/// Deterministic state machine: the same commands in the same order give the same state and
+/// outcomes on every node.
 pub trait StateMachine: Clone + Send + Sync + Default + Serialize + DeserializeOwned + 'static {
-    /// What may be asked of it.
+    /// Command to the state machine.
     type Command: Serialize + DeserializeOwned + Clone + Debug + Send + Sync + 'static;
-    /// What it answers, a refusal included.
+    /// Result of a command, including a rejection.
     type Outcome: Serialize + DeserializeOwned + Clone + Debug + Send + Sync + 'static;
 
-    /// Carries out `command`, which stands in the log at `at`. Neither clock nor chance may be asked.
+    /// Applies `command`, which has the log position `at`. The result must not depend on a clock or
+    /// on randomness.
     ///
-    /// Several commands may stand at one place, in order, of which one [grants an epoch](StateMachine::grants_epoch) at
-    /// most.
+    /// Several commands may share a position, in order. At most one of them
+    /// [grants an epoch](StateMachine::grants_epoch).
     fn apply(&mut self, at: Epoch, command: Self::Command) -> Self::Outcome;
 
-    /// Whether what `command` does is told apart from all else by its place in the log. Without an answer, every command's
-    /// is, and each gets an entry of its own: slower with many clients, and always right.
+    /// Checks whether the effect of `command` is identified by its log position alone. The default
+    /// is `true` for every command, so each command gets an entry of its own: slower with many
+    /// clients, and always correct.
     fn grants_epoch(_command: &Self::Command) -> bool {
         true
     }
 
-    /// Which founding of the fleet's ledger this state belongs to, once it says so. Replicas of different ones refuse one
-    /// another's questions.
+    /// Returns the cluster (the bootstrap of the fleet's ledger) that this state belongs to, once
+    /// it is recorded. Replicas of different clusters reject each other's requests.
     fn cluster(&self) -> Option<ClusterId> {
         None
     }
 }
 
-/// What one entry of the log asks for, in order.
+/// Commands of a single log entry, in order.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Batch<C>(pub(super) Vec<C>);
 
-/// Who leads, and since which term. Each term has one leader at most, so that the term alone tells reigns apart and orders
-/// them: the later one is the greater.
+/// Leader of a term. Each term has at most one leader, so the term alone identifies the leadership
+/// and orders it: the later term is the greater value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 pub struct LeaderId {
     /// The term.
     pub term: u64,
-    /// Its leader.
+    /// Leader of the term.
     pub leader: RaftId,
 }
 
@@ -58,18 +61,19 @@ impl fmt::Display for LeaderId {
     }
 }
 
-/// A voter or observer as Raft counts it: a node *together with* its store.
+/// Id of a voter or learner in Raft: a node *together with* its store.
 ///
-/// A node that comes back with an empty store has forgotten its vote. Under its old id it could vote twice in one
-/// term, so it comes back under another.
+/// A node that comes back with an empty store has lost its vote. Under its old id it could vote
+/// twice in the same term, so it comes back under another id.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 pub struct RaftId(pub u64);
 
 impl RaftId {
-    /// The id of `node` when it writes to the store called `store`.
+    /// Returns the id of `node` with the store `store`.
     ///
-    /// FNV-1a over name, a zero byte and the identity's bytes (big-endian), then the finaliser of splitmix64. It is
-    /// part of the stored format: changing it makes every node a stranger to its fleet.
+    /// FNV-1a over the name, a zero byte and the bytes of the identity (big-endian), then the
+    /// finalizer of splitmix64. This is part of the stored format: a change of it would make every
+    /// node a stranger to its fleet.
     pub fn of(node: &NodeId, store: StoreIdentity) -> RaftId {
         let bytes = node.as_str().bytes().chain([0]).chain(store.0.to_be_bytes());
         let folded = bytes
@@ -92,26 +96,26 @@ impl Debug for RaftId {
     }
 }
 
-/// What the membership says of a raft id besides its number.
+/// Data of a member in the Raft membership, in addition to its id.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Peer {
-    /// The node's name, so that people see names.
+    /// Name of the node, for display.
     pub name: NodeId,
 }
 
 impl Default for Peer {
-    /// openraft asks for one; it is never stored.
+    /// Required by openraft; never stored.
     fn default() -> Self {
-        Peer { name: NodeId::new("nobody").expect("a plain word is a valid name") }
+        Peer { name: NodeId::new("unknown").expect("\"unknown\" is a valid name") }
     }
 }
 
-/// openraft's choice of types, for a state machine `S`.
+/// Type configuration of openraft for a state machine `S`.
 pub(super) struct TypeConfig<S>(PhantomData<fn() -> S>);
 
 impl<S: StateMachine> RaftTypeConfig for TypeConfig<S> {
     type D = Batch<S::Command>;
-    /// `None` for the entries that are Raft's own.
+    /// Outcomes of an entry; `None` for entries of Raft itself (blank, membership).
     type R = Option<Vec<S::Outcome>>;
     type NodeId = RaftId;
     type Node = Peer;
@@ -121,10 +125,11 @@ impl<S: StateMachine> RaftTypeConfig for TypeConfig<S> {
     type Responder = openraft::impls::OneshotResponder<Self>;
 }
 
-// By hand, since a derive would ask the same of `S`; openraft asks it of a type that has no values to speak of.
+// Implemented by hand: a derive would require the same traits of `S`. openraft requires them of
+// this type, which has no values.
 impl<S> Debug for TypeConfig<S> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Types")
+        f.write_str("TypeConfig")
     }
 }
 impl<S> Clone for TypeConfig<S> {
@@ -163,12 +168,12 @@ pub(super) type StoredMembership = openraft::StoredMembership<RaftId, Peer>;
 pub(super) type SnapshotMeta = openraft::SnapshotMeta<RaftId, Peer>;
 pub(super) type Raft<S> = openraft::Raft<TypeConfig<S>>;
 
-/// The place of an entry as the state machine sees it.
+/// Returns the position of an entry in the form used by the state machine.
 pub(super) fn epoch_of(log_id: &LogId) -> Epoch {
     Epoch { term: log_id.leader_id.term, index: log_id.index }
 }
 
-/// The reign that a vote is for.
+/// Returns the leader that a vote is for.
 pub(super) fn leader_id_of(vote: &Vote) -> Option<LeaderId> {
     let leader = vote.leader_id();
     Some(LeaderId { term: leader.term, leader: leader.voted_for? })
@@ -179,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_raft_id_is_that_of_the_node_and_its_store_and_stays_the_same_over_releases() {
+    fn a_raft_id_depends_on_node_and_store_only() {
         let ada = NodeId::new("ada").unwrap();
         let bob = NodeId::new("bob").unwrap();
         assert_eq!(RaftId::of(&ada, StoreIdentity(7)).to_string(), "ea8433db0a5b1aaf");
@@ -188,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn epochs_and_reigns_are_ordered_by_term_first() {
+    fn epochs_and_leader_ids_are_ordered_by_term_first() {
         assert!(Epoch { term: 1, index: 9 } < Epoch { term: 2, index: 1 });
         assert!(LeaderId { term: 2, leader: RaftId(2) } < LeaderId { term: 3, leader: RaftId(1) });
     }

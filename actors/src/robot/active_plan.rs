@@ -1,4 +1,4 @@
-//! The plan under way, as the robot holds it in its hands.
+//! The active plan of a robot.
 
 use super::checkpoint::Checkpoint;
 use super::checkpoint_writer::CheckpointWriter;
@@ -15,32 +15,33 @@ use consort_protocol::units::NodeTime;
 use consort_skills::actions::GoalId;
 use ractor::ActorRef;
 
-/// The plan under way.
+/// The active plan of a robot.
 pub(super) struct ActivePlan {
     pub(super) award: Award,
     pub(super) sequencer: Sequencer,
     pub(super) recovery_policy: RecoveryPolicy,
     pub(super) checkpoint_writer: CheckpointWriter,
-    /// The task that is being done.
+    /// The attempt in progress.
     pub(super) attempt: Option<TaskAttempt>,
-    /// Nothing is begun before: the robot stands still between two attempts.
+    /// Earliest start of the next task: the robot pauses between two attempts.
     pub(super) retry_at: NodeTime,
-    /// Whether the notebook has a page of this award: without one nothing is begun.
+    /// A checkpoint of this award is stored. No task starts without it.
     pub(super) has_checkpoint: bool,
-    /// Why the role cannot be carried to its end; from then on the robot only waits to put it down.
+    /// Reason for the release of the role. From then on the robot only waits for the end of the
+    /// award.
     pub(super) pending_release: Option<PendingRelease>,
-    /// The first goal of the body that belongs to the task under way, or to the next.
+    /// First goal of the driver that belongs to the current task, or to the next task.
     pub(super) first_goal: GoalId,
-    /// Whether it was told that the battery falls short.
+    /// The event about insufficient charge was published.
     pub(super) energy_warning_sent: bool,
-    /// What was said under awards no longer in force, so that each is told of once.
+    /// Signals received under awards no longer in force; each is reported once.
     pub(super) stale_signals: StaleSignals,
     pub(super) _subscriptions: Tasks,
 }
 
-/// A skill at work.
+/// A running skill.
 pub(super) struct TaskAttempt {
-    /// Which start of a skill it is.
+    /// Number of the skill run.
     pub(super) run: u64,
     pub(super) step: StepRef,
     pub(super) runner: ActorRef<RunnerMessage>,
@@ -53,14 +54,14 @@ impl ActivePlan {
     }
 
     pub(super) fn checkpoint(&self) -> Checkpoint {
-        let (ended, detours) = (self.sequencer.ended().clone(), self.sequencer.alternative_progress().clone());
-        Checkpoint { award: self.award.clone(), ended, alternatives: detours, first_goal: self.first_goal }
+        let (ended, alternatives) = (self.sequencer.ended().clone(), self.sequencer.alternative_progress().clone());
+        Checkpoint { award: self.award.clone(), ended, alternatives, first_goal: self.first_goal }
     }
 
-    /// Stops the body safely, if it is at work.
+    /// Stops the attempt safely, if there is any.
     pub(super) fn stop(&mut self) {
         if let Some(attempt) = self.attempt.take() {
-            // One that has just ended by itself needs no halting.
+            // A skill that has just ended ignores this.
             let _ = attempt.runner.cast(RunnerMessage::Halt);
         }
     }

@@ -1,4 +1,4 @@
-//! The robot actor: mailbox, timers and bus around the values that decide.
+//! The robot actor: mailbox, timers and bus around the values that make the decisions.
 
 use super::active_plan::ActivePlan;
 use super::bidder::{BidContext, Bidder};
@@ -27,50 +27,51 @@ use std::sync::Arc;
 use std::time::Duration;
 use tracing::{debug, info, warn};
 
-/// To a robot.
+/// Message for the robot actor.
 pub enum RobotMessage {
-    /// Time to look after everything.
+    /// Periodic timer: update the knowledge record, the lease and the task.
     Tick,
-    /// The coordinator says that it is there.
+    /// Beacon of the coordinator.
     Beacon(Sample),
-    /// The coordinator asks for bids.
+    /// Call for bids of the coordinator.
     CallForBids(Query),
-    /// The coordinator tells of an award, or of its end.
+    /// Award of a role, or its end, from the coordinator.
     AwardNotice(Query),
-    /// A report was answered, or not.
+    /// The query of a report has ended, with or without a reply.
     ReportReplied {
-        /// When it had been sent.
+        /// Time at which the report was sent.
         sent: NodeTime,
-        /// What was answered.
+        /// Reply of the coordinator; `None` without a reply.
         reply: Option<ReportReply>,
     },
-    /// A skill ended.
+    /// A skill has ended.
     SkillEnded {
-        /// Which start of a skill it was.
+        /// Number of the skill run.
         run: u64,
-        /// How.
+        /// Its outcome.
         outcome: SkillOutcome,
     },
-    /// Another role of the mission said something.
+    /// Signal of another role of the mission.
     Signal(Sample),
-    /// Another role answered what it has said.
+    /// Signal history of another role, in reply to a query.
     SignalHistory(SignalHistory),
-    /// The notebook's page was written, or not.
+    /// Result of writing the checkpoint.
     CheckpointWritten(io::Result<()>),
-    /// The robot is to leave the fleet for good: it takes nothing new, and gives up what it holds. Answered once it holds
-    /// nothing (true), or when the time allowed has passed (false); whoever asked then ends the node. A node that is only
-    /// stopped for a while is not told to leave: its robot goes on with its role when it is back in time.
+    /// Decommission: the robot takes no new role and releases the role it holds. The reply is true
+    /// once it holds no role, and false when the timeout has passed. The caller then ends the node.
+    /// A node that only stops for a while does not send this: its robot continues its role if it is
+    /// back in time.
     Decommission {
-        /// How long the coordinator may take to say that the role is put down: lease and grace will do.
+        /// Time for the coordinator to confirm the release. Lease plus grace time is enough.
         timeout: Duration,
-        /// Whether the robot holds nothing now.
+        /// Reply port: true if the robot holds no role.
         done: RpcReplyPort<bool>,
     },
-    /// The time allowed for leaving has passed.
+    /// The time for the decommission has passed.
     DecommissionTimeout,
 }
 
-/// The actor.
+/// The robot actor.
 pub struct Robot;
 
 /// State of [`Robot`].
@@ -78,15 +79,15 @@ pub struct RobotState {
     pub(super) settings: RobotSettings,
     bidder: Bidder,
     pub(super) worker: RobotKnowledge,
-    /// The worker as this life of the actor last told others of it.
-    told: Option<RobotKnowledge>,
+    /// The worker as last sent to gossip since the start of this actor.
+    published: Option<RobotKnowledge>,
     sensed_at: NodeTime,
     pub(super) role_lease: RoleLease,
-    /// What a former life had written down, until the coordinator has spoken.
+    /// Checkpoint of the previous incarnation, until the coordinator has replied.
     pub(super) restored: Option<Checkpoint>,
-    /// The award that this life took up from a former one.
+    /// The award that was restored from the checkpoint.
     pub(super) resumed_epoch: Option<Epoch>,
-    /// Who holds the mission's roles, by the latest answer about this award.
+    /// Holders of the mission's roles, from the latest report reply for this award.
     pub(super) latest_holders: Option<(Epoch, BTreeMap<RoleId, RoleHolder>)>,
     pub(super) active_plan: Option<ActivePlan>,
     pub(super) signals: SignalExchange,
@@ -97,15 +98,15 @@ pub struct RobotState {
     pub(super) signals_queried_at: NodeTime,
     pub(super) priced_at: NodeTime,
     pub(super) skill_runs: u64,
-    /// Whether the notebook is being written.
+    /// A write of the checkpoint is in progress.
     pub(super) checkpoint_in_flight: bool,
-    /// Whether there is, or may be, a page in the notebook.
+    /// The store contains a checkpoint, or may contain it.
     pub(super) checkpoint_exists: bool,
-    /// Why the notebook could not be written the last time, if it could not.
+    /// Error of the last checkpoint write, if it failed.
     pub(super) checkpoint_error: Option<String>,
-    /// When it was tried.
+    /// Time of the last checkpoint write.
     pub(super) checkpoint_tried_at: NodeTime,
-    /// Those who wait for the robot to have left; `Some` from when it was told to.
+    /// Reply ports of pending decommission requests; `Some` once the first request has arrived.
     pub(super) decommission_waiters: Option<Vec<RpcReplyPort<bool>>>,
     pub(super) tasks: Tasks,
 }
@@ -122,34 +123,34 @@ impl Actor for Robot {
         settings: RobotSettings,
     ) -> Result<Self::State, ActorProcessingErr> {
         let RobotSettings { robot, keys, bus, .. } = &settings;
-        let recalled = recall(&settings).await;
+        let restored = read_checkpoint(&settings).await;
         let mut tasks = Tasks::default();
         tasks.forward(bus.subscribe(&keys.write(&Key::Beacon)).await?, &myself, RobotMessage::Beacon);
         tasks.forward(bus.serve(&keys.write(&Key::Bid(robot.clone()))).await?, &myself, RobotMessage::CallForBids);
         tasks.forward(bus.serve(&keys.write(&Key::Award(robot.clone()))).await?, &myself, RobotMessage::AwardNotice);
         let (mut changes, to) = (settings.driver.changes(), myself.clone());
-        let beat = settings.update_interval;
+        let interval = settings.update_interval;
         tasks.spawn(async move {
-            // The first report of the body is worth telling at once; later ones can wait for the beat. A robot whose body
-            // says nothing has to look after its role all the same.
+            // The first report of the driver is published at once; later reports wait for the
+            // timer. The role needs attention even if the driver reports nothing.
             let _ = tokio::time::timeout(Duration::from_secs(1), changes.changed()).await;
             while to.cast(RobotMessage::Tick).is_ok() {
-                tokio::time::sleep(beat).await;
+                tokio::time::sleep(interval).await;
             }
         });
         let now = settings.clock.now();
-        let tenure = match &recalled {
-            Some(page) => RoleLease::restore(robot.clone(), settings.lease_terms, page.award.clone()),
+        let role_lease = match &restored {
+            Some(checkpoint) => RoleLease::restore(robot.clone(), settings.lease_terms, checkpoint.award.clone()),
             None => RoleLease::new(robot.clone(), settings.lease_terms),
         };
         let mut state = RobotState {
             bidder: Bidder::new(robot.clone(), Arc::clone(&settings.estimator)),
             worker: settings.worker.clone(),
-            told: None,
+            published: None,
             sensed_at: now,
-            role_lease: tenure,
-            resumed_epoch: recalled.as_ref().map(|page| page.award.epoch),
-            restored: recalled,
+            role_lease,
+            resumed_epoch: restored.as_ref().map(|checkpoint| checkpoint.award.epoch),
+            restored,
             latest_holders: None,
             active_plan: None,
             signals: SignalExchange::new(bus.clone(), keys.clone()),
@@ -161,7 +162,7 @@ impl Actor for Robot {
             priced_at: now,
             skill_runs: 0,
             checkpoint_in_flight: false,
-            // Whatever stands there and is not taken up is torn out.
+            // A stored checkpoint that is not restored is deleted.
             checkpoint_exists: true,
             checkpoint_error: None,
             checkpoint_tried_at: now,
@@ -184,22 +185,20 @@ impl Actor for Robot {
         state: &mut Self::State,
     ) -> Result<(), ActorProcessingErr> {
         match message {
-            RobotMessage::Tick => state.beat(&myself).await?,
+            RobotMessage::Tick => state.tick(&myself).await?,
             RobotMessage::Beacon(sample) => state.follow_coordinator(&myself, &sample),
             RobotMessage::CallForBids(query) => state.bid(&query).await,
             RobotMessage::AwardNotice(query) => state.handle_award_notice(&myself, &query).await?,
-            RobotMessage::ReportReplied { sent, reply: answer } => {
-                state.handle_report_reply(&myself, sent, answer).await?
-            }
+            RobotMessage::ReportReplied { sent, reply } => state.handle_report_reply(&myself, sent, reply).await?,
             RobotMessage::SkillEnded { run, outcome } => state.skill_ended(&myself, run, outcome).await?,
             RobotMessage::Signal(sample) => match codec::decode::<SignalHistory>(&sample.payload) {
-                Ok(said) => state.receive_signals(&myself, &said).await?,
-                Err(problem) => warn!(key = sample.key, %problem, "a signal that cannot be read"),
+                Ok(history) => state.receive_signals(&myself, &history).await?,
+                Err(problem) => warn!(key = sample.key, %problem, "signal cannot be decoded"),
             },
-            RobotMessage::SignalHistory(said) => state.receive_signals(&myself, &said).await?,
+            RobotMessage::SignalHistory(history) => state.receive_signals(&myself, &history).await?,
             RobotMessage::CheckpointWritten(result) => state.handle_checkpoint_written(&myself, result).await?,
-            RobotMessage::Decommission { timeout: within, done } => state.decommission(&myself, within, done).await?,
-            RobotMessage::DecommissionTimeout => state.answer_decommission(false),
+            RobotMessage::Decommission { timeout, done } => state.decommission(&myself, timeout, done).await?,
+            RobotMessage::DecommissionTimeout => state.reply_to_decommission(false),
         }
         Ok(())
     }
@@ -210,13 +209,12 @@ impl Actor for Robot {
         event: SupervisionEvent,
         state: &mut Self::State,
     ) -> Result<(), ActorProcessingErr> {
-        if let SupervisionEvent::ActorFailed(who, problem) = event {
-            let of_job = state
-                .active_plan
-                .as_mut()
-                .filter(|job| job.attempt.as_ref().is_some_and(|attempt| attempt.runner.get_id() == who.get_id()));
-            if let Some(job) = of_job {
-                job.attempt = None;
+        if let SupervisionEvent::ActorFailed(actor, problem) = event {
+            let active = state.active_plan.as_mut().filter(|active| {
+                active.attempt.as_ref().is_some_and(|attempt| attempt.runner.get_id() == actor.get_id())
+            });
+            if let Some(active) = active {
+                active.attempt = None;
                 state.settings.driver.stop();
                 let cause = format!("the skill crashed: {problem}");
                 state
@@ -228,50 +226,58 @@ impl Actor for Robot {
     }
 }
 
-/// What a former life wrote down, if it can be read.
-async fn recall(settings: &RobotSettings) -> Option<Checkpoint> {
+/// Reads the checkpoint of the previous incarnation. Returns `None` if there is none or it cannot
+/// be decoded.
+async fn read_checkpoint(settings: &RobotSettings) -> Option<Checkpoint> {
     let robot = &settings.robot;
     let bytes = match settings.checkpoint_store.read().await {
         Ok(bytes) => bytes?,
         Err(problem) => {
-            warn!(%robot, %problem, "its notebook cannot be read: it has forgotten whatever it held");
+            warn!(%robot, %problem, "checkpoint store cannot be read: the robot has lost its role");
             return None;
         }
     };
     match Checkpoint::decode(&bytes, robot) {
-        Ok(page) => {
-            info!(%robot, mission = %page.award.mission, role = %page.award.role, epoch = %page.award.epoch, "recalls");
-            Some(page)
+        Ok(checkpoint) => {
+            let award = &checkpoint.award;
+            info!(%robot, mission = %award.mission, role = %award.role, epoch = %award.epoch, "checkpoint restored");
+            Some(checkpoint)
         }
         Err(problem) => {
-            warn!(%robot, %problem, "a page of its notebook was torn out: it has forgotten whatever it held");
+            warn!(%robot, %problem, "checkpoint discarded: the robot has lost its role");
             None
         }
     }
 }
 
-/// Others hear of charge in steps of this size: a guess. Bids and the robot itself count with the exact one.
-const CHARGE_TOLD: f64 = 0.02;
+/// Change of charge that is published through gossip: a guess. Bids and the robot itself use the
+/// exact charge.
+const CHARGE_STEP: f64 = 0.02;
 
-/// Whether others need to hear what a robot has become: an idle one loses a little charge every second, which changes
-/// nobody's mind.
-fn is_news(told: &RobotKnowledge, now: &RobotKnowledge) -> bool {
-    let lost = (told.battery.get() - now.battery.get()).abs() >= CHARGE_TOLD;
+/// Checks whether a change of the worker is worth publishing. An idle robot loses a little charge
+/// every second, which affects no decision.
+fn is_worth_publishing(published: &RobotKnowledge, now: &RobotKnowledge) -> bool {
+    let lost = (published.battery.get() - now.battery.get()).abs() >= CHARGE_STEP;
     let useful = |worker: &RobotKnowledge| worker.battery >= worker.useful_charge;
-    lost || useful(told) != useful(now) || RobotKnowledge { battery: told.battery, ..now.clone() } != *told
+    lost || useful(published) != useful(now)
+        || RobotKnowledge { battery: published.battery, ..now.clone() } != *published
 }
 
 impl RobotState {
-    async fn beat(&mut self, myself: &ActorRef<RobotMessage>) -> Result<(), ActorProcessingErr> {
+    async fn tick(&mut self, myself: &ActorRef<RobotMessage>) -> Result<(), ActorProcessingErr> {
         let now = self.settings.clock.now();
         self.update_worker(now);
         let actions = self.role_lease.handle(Event::Tick, now);
         self.perform_actions(myself, actions).await?;
-        let held_up =
-            self.active_plan.as_ref().is_some_and(|job| job.pending_release.is_none() && job.sequencer.awaits_ledger());
-        let owes = self.active_plan.as_ref().and_then(|job| job.pending_release.as_ref());
-        let owes = owes.is_some_and(|surrender| surrender.must_report(self.settings.driver.is_idle(), now));
-        if held_up || owes || now.since(self.reported_at) >= self.settings.lease_terms.lease / 4 {
+        let waits_for_ledger = self
+            .active_plan
+            .as_ref()
+            .is_some_and(|active| active.pending_release.is_none() && active.sequencer.awaits_ledger());
+        let must_report_release = self.active_plan.as_ref().and_then(|active| active.pending_release.as_ref());
+        let must_report_release =
+            must_report_release.is_some_and(|release| release.must_report(self.settings.driver.is_idle(), now));
+        if waits_for_ledger || must_report_release || now.since(self.reported_at) >= self.settings.lease_terms.lease / 4
+        {
             self.report(myself);
         }
         self.query_signals_if_due(myself, now);
@@ -279,12 +285,13 @@ impl RobotState {
         self.advance(myself).await
     }
 
-    /// The ways that the body has found closed.
+    /// Lanes that the driver has found closed.
     pub(super) fn closed_lanes(&self) -> &[(PlaceId, PlaceId)] {
         self.settings.driver.telemetry().map_or(&[], |report| &report.closed)
     }
 
-    /// Properties sensing (thesis, Listing 3.1): takes in what the body reports and lets others know.
+    /// Properties sensing (thesis, Listing 3.1): reads the latest driver report and publishes the
+    /// worker through gossip.
     pub(super) fn update_worker(&mut self, now: NodeTime) {
         self.settings.driver.refresh();
         let holding = self.role_lease.award().map(|award| Availability::Holding {
@@ -293,7 +300,7 @@ impl RobotState {
             suspended: self.role_lease.is_suspended(),
         });
         let mut worker = self.worker.clone();
-        let silent = || Some("its body does not answer".to_owned());
+        let silent = || Some("its driver does not reply".to_owned());
         let mut problem = silent();
         if let Some(report) = self.settings.driver.telemetry() {
             worker.place = report.place.clone();
@@ -306,8 +313,8 @@ impl RobotState {
             };
         }
         if let Some(why) = &self.checkpoint_error {
-            // What it would hold it could not write down, and would have forgotten after a crash.
-            problem = Some(format!("its notebook cannot be written: {why}"));
+            // An award could not be checkpointed and would be lost in a crash.
+            problem = Some(format!("its checkpoint cannot be written: {why}"));
         }
         if self.decommission_waiters.is_some() {
             problem = Some("it leaves the fleet".to_owned());
@@ -318,13 +325,19 @@ impl RobotState {
             (None, None) => Availability::Free,
         };
         self.worker = worker;
-        let now_is = &self.worker;
-        let urgent = |told: &RobotKnowledge| told.availability != now_is.availability || told.place != now_is.place;
+        let current = &self.worker;
+        let urgent = |published: &RobotKnowledge| {
+            published.availability != current.availability || published.place != current.place
+        };
         let due = now.since(self.sensed_at) >= Duration::from_secs(1);
-        if self.told.as_ref().is_none_or(|told| urgent(told) || due && is_news(told, now_is)) {
+        if self
+            .published
+            .as_ref()
+            .is_none_or(|published| urgent(published) || due && is_worth_publishing(published, current))
+        {
             self.sensed_at = now;
             let worker = self.worker.clone();
-            self.told = Some(worker.clone());
+            self.published = Some(worker.clone());
             if self.settings.gossip.update_with(move |knowledge| knowledge.robot = Some(worker)).is_err() {
                 debug!(robot = %self.settings.robot, "gossip has stopped");
             }
@@ -335,11 +348,11 @@ impl RobotState {
         match codec::decode::<Beacon>(&sample.payload) {
             Ok(beacon) => {
                 if !beacon.supersedes(self.coordinator.as_ref()) {
-                    return; // one that does not know that it no longer coordinates
+                    return; // stale beacon of a node that no longer coordinates
                 }
-                let abroad = self.coordinator.as_ref().is_some_and(|known| beacon.is_other_cluster(known));
+                let other_cluster = self.coordinator.as_ref().is_some_and(|known| beacon.is_other_cluster(known));
                 let new = beacon.is_other_leader_session(self.coordinator.as_ref());
-                if abroad {
+                if other_cluster {
                     info!(robot = %self.settings.robot, node = %beacon.node, "follows the coordinator of another cluster");
                     self.role_lease.clear_latest_epochs();
                 }
@@ -348,7 +361,7 @@ impl RobotState {
                     self.report(myself);
                 }
             }
-            Err(problem) => warn!(%problem, "a beacon that cannot be read"),
+            Err(problem) => warn!(%problem, "beacon cannot be decoded"),
         }
     }
 
@@ -361,14 +374,14 @@ impl RobotState {
         let membership =
             self.settings.knowledge.read(|base| self.settings.ensemble.membership_of(&me, &coordinator, base, now));
         let age_ms = self.settings.driver.telemetry_age_ms();
-        let circumstance = BidContext { worker: &self.worker, closed_lanes: self.closed_lanes(), age_ms, membership };
-        let tender = self.bidder.respond(&call, &circumstance);
+        let context = BidContext { worker: &self.worker, closed_lanes: self.closed_lanes(), age_ms, membership };
+        let response = self.bidder.respond(&call, &context);
         let key = self.settings.keys.write(&Key::Bid(self.settings.robot.clone()));
-        reply::wire(query, &key, &tender).await;
+        reply::wire(query, &key, &response).await;
     }
 
-    /// Something has happened to the plan under way.
-    pub(super) fn emit_event(&self, what: EventKind) {
-        self.settings.events.publish(what);
+    /// Publishes an event about the active plan.
+    pub(super) fn emit_event(&self, event: EventKind) {
+        self.settings.events.publish(event);
     }
 }

@@ -1,4 +1,4 @@
-//! A robot prices its own work.
+//! Bids: a robot prices its own work.
 
 use super::energy_check::pricing_context;
 use consort_protocol::auction::{Bid, BidRefusal, BidResponse, CallForBids, RefusalReason, RoleReply};
@@ -11,42 +11,42 @@ use consort_skills::descriptor::{Estimator, PlanBudget};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// Prices plans for one robot.
+/// Prices plans for a single robot.
 #[derive(Clone)]
 pub struct Bidder {
     robot: RobotId,
     estimator: Arc<Estimator>,
 }
 
-/// What the robot knows of itself when it is asked.
+/// State of the robot at the time of a call for bids.
 #[derive(Debug, Clone)]
 pub struct BidContext<'a> {
-    /// Its own account.
+    /// The robot's own record.
     pub worker: &'a RobotKnowledge,
-    /// The ways that its body has found closed, each by its two ends.
+    /// Lanes that the driver has found closed, each by its 2 ends.
     pub closed_lanes: &'a [(PlaceId, PlaceId)],
-    /// How old that is, in milliseconds.
+    /// Age of that information in milliseconds.
     pub age_ms: u64,
-    /// Whether it counts itself a member of the ensemble that was called.
+    /// Membership of the robot in the called ensemble, by its own evaluation.
     pub membership: Membership,
 }
 
 impl Bidder {
-    /// A bidder that prices with this estimator.
+    /// Creates a bidder that prices with this estimator.
     pub fn new(robot: RobotId, estimator: Arc<Estimator>) -> Bidder {
         Bidder { robot, estimator }
     }
 
-    /// Answers every role of a call.
-    pub fn respond(&self, call: &CallForBids, circumstance: &BidContext<'_>) -> BidResponse {
-        let answer = |(role, plan)| match self.bid(call, role, plan, circumstance) {
+    /// Returns a bid or a refusal for every role of a call.
+    pub fn respond(&self, call: &CallForBids, context: &BidContext<'_>) -> BidResponse {
+        let reply = |(role, plan)| match self.bid(call, role, plan, context) {
             Ok(bid) => RoleReply::Bid(bid),
             Err(reason) => RoleReply::Refusal(BidRefusal { robot: self.robot.clone(), role: role.clone(), reason }),
         };
         BidResponse {
             robot: self.robot.clone(),
             auction: call.auction.clone(),
-            replies: call.roles.iter().map(answer).collect(),
+            replies: call.roles.iter().map(reply).collect(),
         }
     }
 
@@ -55,9 +55,9 @@ impl Bidder {
         call: &CallForBids,
         role: &RoleId,
         plan: &LocalPlan,
-        circumstance: &BidContext<'_>,
+        context: &BidContext<'_>,
     ) -> Result<Bid, RefusalReason> {
-        let BidContext { worker, closed_lanes: closed, age_ms, membership } = circumstance;
+        let BidContext { worker, closed_lanes: closed, age_ms, membership } = context;
         match &worker.availability {
             Availability::Free => {}
             Availability::Holding { mission, role, .. } => {

@@ -1,4 +1,4 @@
-//! What a robot writes into its notebook about the role it holds.
+//! The checkpoint of a robot: its award and its progress.
 
 use super::sequencer::AlternativeProgress;
 use consort_protocol::codec::{self, CodecError};
@@ -9,77 +9,80 @@ use consort_skills::actions::GoalId;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
-/// First byte of a page. Raised when a page is laid out anew: a robot that was brought to another release has then
-/// forgotten its role, and says so.
+/// First byte of an encoded checkpoint. Raised with each change of the layout: after an upgrade the
+/// robot cannot restore its role, and reports that it has lost it.
 const VERSION: u8 = 2;
 
-/// How far a robot has come with an award. What it has said to others is in `ended`: messages are steps.
+/// Progress of a robot with an award. Signals sent are contained in `ended`, because sending a
+/// signal is a step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Checkpoint {
-    /// What it holds.
+    /// The held award.
     pub award: Award,
     /// Steps that have ended.
     pub ended: BTreeSet<StepIndex>,
-    /// Alternatives that were tried or are under way.
+    /// Alternatives that were tried or are in use.
     pub alternatives: AlternativeProgress,
-    /// This and later goals of the body belong to what has not ended.
+    /// This goal of the driver and all later goals belong to steps that have not ended.
     pub first_goal: GoalId,
 }
 
-/// Why a page cannot be taken up. The robot has forgotten what it held.
+/// The checkpoint cannot be restored. The robot has lost its role.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
-    /// Another release wrote it, or nobody of ours.
-    #[error("laid out as version {found}, where this release reads {VERSION}")]
+    /// The first byte names another version: another release wrote the checkpoint, or another
+    /// program.
+    #[error("layout version {found}; this release reads {VERSION}")]
     Version {
-        /// The first byte found.
+        /// First byte found.
         found: u8,
     },
-    /// An empty page was never written by a robot.
-    #[error("an empty page")]
+    /// A robot never writes an empty checkpoint.
+    #[error("an empty checkpoint")]
     Empty,
-    /// Not what a robot writes.
+    /// The bytes are not an encoded checkpoint.
     #[error(transparent)]
     Malformed(#[from] CodecError),
-    /// The notebook of another robot.
+    /// The checkpoint belongs to another robot.
     #[error("written by {robot}")]
     OtherRobot {
-        /// Who wrote it.
+        /// Robot named in the checkpoint.
         robot: RobotId,
     },
 }
 
 impl Checkpoint {
-    /// Whether one of these steps is a task that the page does not have as ended: then the body's latest goals may be of that
-    /// one. (That a signal was heard is written down only with what follows.)
-    pub fn misses_ended_task(&self, known: &BTreeSet<StepIndex>) -> bool {
+    /// Checks whether `recorded` contains a task that has not ended in this checkpoint: the
+    /// driver's latest goals may then belong to that task. (A received signal is stored only
+    /// together with the step that follows it.)
+    pub fn misses_ended_task(&self, recorded: &BTreeSet<StepIndex>) -> bool {
         let is_task = |step: &&StepIndex| {
             let step = self.award.plan.steps.get(**step as usize);
             step.is_some_and(|step| matches!(step.action, StepAction::Task { .. }))
         };
-        known.difference(&self.ended).any(|step| is_task(&step))
+        recorded.difference(&self.ended).any(|step| is_task(&step))
     }
 
-    /// The page as bytes.
+    /// Returns the encoded checkpoint.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = vec![VERSION];
-        bytes.extend(codec::encode_record(self).expect("what came in messages fits a record"));
+        bytes.extend(codec::encode_record(self).expect("the content of messages fits a record"));
         bytes
     }
 
-    /// What the bytes say.
+    /// Decodes a checkpoint of `robot`.
     ///
     /// # Errors
-    /// [`PageError`] when they are not a page of this robot.
+    /// [`CheckpointError`] if the bytes are not a checkpoint of this robot.
     pub fn decode(bytes: &[u8], robot: &RobotId) -> Result<Checkpoint, CheckpointError> {
         match bytes {
             [] => Err(CheckpointError::Empty),
             [VERSION, rest @ ..] => {
-                let page: Checkpoint = codec::decode_record(rest)?;
-                if page.award.robot != *robot {
-                    return Err(CheckpointError::OtherRobot { robot: page.award.robot });
+                let checkpoint: Checkpoint = codec::decode_record(rest)?;
+                if checkpoint.award.robot != *robot {
+                    return Err(CheckpointError::OtherRobot { robot: checkpoint.award.robot });
                 }
-                Ok(page)
+                Ok(checkpoint)
             }
             [found, ..] => Err(CheckpointError::Version { found: *found }),
         }
@@ -92,7 +95,7 @@ mod tests {
     use consort_protocol::lease::Epoch;
     use consort_protocol::plan::LocalPlan;
 
-    fn page() -> Checkpoint {
+    fn checkpoint() -> Checkpoint {
         let role: consort_protocol::ids::RoleId = "r1".parse().unwrap();
         let plan: LocalPlan = serde_json::from_value(serde_json::json!({ "role": role, "steps": [] })).unwrap();
         let award = Award {
@@ -112,31 +115,32 @@ mod tests {
     }
 
     #[test]
-    fn a_page_is_read_as_it_was_written() {
+    fn a_checkpoint_survives_encoding() {
         let ada = "ada".parse().unwrap();
-        assert_eq!(Checkpoint::decode(&page().encode(), &ada).unwrap(), page());
+        assert_eq!(Checkpoint::decode(&checkpoint().encode(), &ada).unwrap(), checkpoint());
     }
 
     #[test]
-    fn a_page_that_lacks_a_task_is_told_from_one_that_lacks_a_signal_that_was_heard() {
+    fn a_missing_task_is_distinguished_from_a_missing_signal() {
         let role = "r1";
         let signal = serde_json::json!({ "kind": "done", "task": "lift", "from": "arm", "to": role });
         let task = |id: &str| serde_json::json!({ "Task": { "id": id, "spec": { "type": id, "roles": [role] } } });
         let step = |action: serde_json::Value| serde_json::json!({ "action": action, "after": [] });
         let steps = [step(task("go")), step(serde_json::json!({ "Wait": signal })), step(task("take"))];
         let plan = serde_json::from_value(serde_json::json!({ "role": role, "steps": steps })).unwrap();
-        let page = Checkpoint { award: Award { plan, ..page().award }, ended: BTreeSet::from([0]), ..page() };
-        let lacks = |known: &[StepIndex]| page.misses_ended_task(&known.iter().copied().collect());
-        assert_eq!([lacks(&[]), lacks(&[0]), lacks(&[0, 1]), lacks(&[0, 1, 2])], [false, false, false, true]);
+        let checkpoint =
+            Checkpoint { award: Award { plan, ..checkpoint().award }, ended: BTreeSet::from([0]), ..checkpoint() };
+        let misses = |recorded: &[StepIndex]| checkpoint.misses_ended_task(&recorded.iter().copied().collect());
+        assert_eq!([misses(&[]), misses(&[0]), misses(&[0, 1]), misses(&[0, 1, 2])], [false, false, false, true]);
     }
 
     #[test]
-    fn what_is_no_page_of_this_robot_is_not_taken_up() {
+    fn an_invalid_or_foreign_checkpoint_is_rejected() {
         let read =
             |bytes: &[u8], robot: &str| Checkpoint::decode(bytes, &robot.parse().unwrap()).unwrap_err().to_string();
-        let bytes = page().encode();
-        assert_eq!(read(&[], "ada"), "an empty page");
-        assert_eq!(read(&[9, 1, 2], "ada"), "laid out as version 9, where this release reads 2");
+        let bytes = checkpoint().encode();
+        assert_eq!(read(&[], "ada"), "an empty checkpoint");
+        assert_eq!(read(&[9, 1, 2], "ada"), "layout version 9; this release reads 2");
         assert_eq!(read(&bytes, "bob"), "written by ada");
         for length in 1..bytes.len() {
             assert!(Checkpoint::decode(&bytes[..length], &"ada".parse().unwrap()).is_err(), "the first {length} bytes");

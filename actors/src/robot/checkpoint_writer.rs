@@ -1,22 +1,24 @@
-//! What is written down before it is told: nothing that a robot has told others may be news to its next life.
+//! Output that waits for a checkpoint: everything that a robot has sent is contained in the
+//! checkpoint that its next incarnation restores.
 //!
 //! ```text
-//!  a step ended ──▶ note ──▶ [page due] ── begin ──▶ notebook ── done ──▶ what to tell now
+//!  a step ended ──▶ queue ──▶ [write due] ── start_write ──▶ store ── finish_write ──▶ outputs to send now
 //! ```
 
 use consort_protocol::event::EventKind;
 use consort_protocol::plan::Signal;
 
-/// Something to be told once the page that holds it is written.
+/// Output to be sent once a checkpoint contains its step.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PendingOutput {
-    /// To another role.
+    /// A signal to another role.
     Signal(Signal),
-    /// To whoever follows events.
+    /// An event for subscribers.
     Event(EventKind),
 }
 
-/// One page at a time; what is noted meanwhile goes on the next.
+/// Order of checkpoint writes. At most 1 write is in progress; output queued meanwhile waits for
+/// the next write.
 #[derive(Debug, Default)]
 pub struct CheckpointWriter {
     due: bool,
@@ -26,23 +28,25 @@ pub struct CheckpointWriter {
 }
 
 impl CheckpointWriter {
-    /// The page is out of date.
+    /// Marks the stored checkpoint as outdated.
     pub fn mark_outdated(&mut self) {
         self.due = true;
     }
 
-    /// The page is out of date, and this may be told once it no longer is.
-    pub fn queue(&mut self, telling: PendingOutput) {
+    /// Marks the stored checkpoint as outdated and queues an output until the next write has
+    /// finished.
+    pub fn queue(&mut self, output: PendingOutput) {
         self.due = true;
-        self.waiting.push(telling);
+        self.waiting.push(output);
     }
 
-    /// Whether all is written down and told: something new may be begun.
+    /// Checks whether all output is stored and sent, so that a new task may start.
     pub fn is_idle(&self) -> bool {
         !self.due && self.writing.is_none() && self.written.is_empty()
     }
 
-    /// Whether the page is to be written now. The caller writes it, and says when that is [`done`](Pen::done).
+    /// Starts a write if it is due. If this returns true, the caller writes the checkpoint and then
+    /// calls [`finish_write`](CheckpointWriter::finish_write).
     pub fn start_write(&mut self) -> bool {
         if !self.due || self.writing.is_some() {
             return false;
@@ -52,22 +56,22 @@ impl CheckpointWriter {
         true
     }
 
-    /// Whether a page is being written.
+    /// Checks whether a write is in progress.
     pub fn is_writing(&self) -> bool {
         self.writing.is_some()
     }
 
-    /// The page has been written.
+    /// Marks the write in progress as finished.
     pub fn finish_write(&mut self) {
         self.written.extend(self.writing.take().into_iter().flatten());
     }
 
-    /// What may be told now, in order. The caller tells it.
+    /// Takes the outputs that may be sent now, in order. The caller sends them.
     pub fn take_ready(&mut self) -> Vec<PendingOutput> {
         std::mem::take(&mut self.written)
     }
 
-    /// Lays the pen down for good: what was not told, in order.
+    /// Returns all unsent outputs in order.
     pub fn into_pending(mut self) -> Vec<PendingOutput> {
         self.finish_write();
         self.written.extend(self.waiting);
@@ -79,38 +83,38 @@ impl CheckpointWriter {
 mod tests {
     use super::*;
 
-    fn telling(task: &str) -> PendingOutput {
+    fn output(task: &str) -> PendingOutput {
         let signal = serde_json::json!({ "kind": "done", "task": task, "from": "r1", "to": "arm" });
         PendingOutput::Signal(serde_json::from_value(signal).unwrap())
     }
 
     #[test]
-    fn nothing_is_told_before_it_is_written_and_nothing_is_told_twice() {
-        let mut pen = CheckpointWriter::default();
-        assert!(pen.is_idle() && !pen.start_write());
-        pen.queue(telling("one"));
-        assert!(!pen.is_idle());
-        assert!(pen.start_write());
-        pen.queue(telling("two"));
-        assert!(!pen.start_write(), "one page at a time");
-        assert_eq!(pen.take_ready(), []);
-        pen.finish_write();
-        assert_eq!(pen.take_ready(), [telling("one")]);
-        assert!(!pen.is_idle());
-        assert!(pen.start_write());
-        pen.finish_write();
-        assert!(!pen.is_idle(), "it is still to be told");
-        assert_eq!(pen.take_ready(), [telling("two")]);
-        assert!(pen.is_idle());
-        assert_eq!(pen.take_ready(), []);
+    fn each_output_is_released_once_and_only_after_its_write() {
+        let mut writer = CheckpointWriter::default();
+        assert!(writer.is_idle() && !writer.start_write());
+        writer.queue(output("one"));
+        assert!(!writer.is_idle());
+        assert!(writer.start_write());
+        writer.queue(output("two"));
+        assert!(!writer.start_write(), "one write at a time");
+        assert_eq!(writer.take_ready(), []);
+        writer.finish_write();
+        assert_eq!(writer.take_ready(), [output("one")]);
+        assert!(!writer.is_idle());
+        assert!(writer.start_write());
+        writer.finish_write();
+        assert!(!writer.is_idle(), "it is still to be sent");
+        assert_eq!(writer.take_ready(), [output("two")]);
+        assert!(writer.is_idle());
+        assert_eq!(writer.take_ready(), []);
     }
 
     #[test]
-    fn what_was_not_told_is_there_in_order_when_the_pen_is_laid_down() {
-        let mut pen = CheckpointWriter::default();
-        pen.queue(telling("one"));
-        pen.start_write();
-        pen.queue(telling("two"));
-        assert_eq!(pen.into_pending(), [telling("one"), telling("two")]);
+    fn unsent_outputs_are_returned_in_order() {
+        let mut writer = CheckpointWriter::default();
+        writer.queue(output("one"));
+        writer.start_write();
+        writer.queue(output("two"));
+        assert_eq!(writer.into_pending(), [output("one"), output("two")]);
     }
 }

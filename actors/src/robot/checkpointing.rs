@@ -1,4 +1,4 @@
-//! Keeping the notebook: when a page is written, and what follows from that it was, or could not be.
+//! Checkpointing: when a checkpoint is written, and the reaction to success and failure.
 
 use super::actor::{RobotMessage, RobotState};
 use super::recovery_policy::AttemptFailure;
@@ -8,32 +8,33 @@ use std::io;
 use std::time::Duration;
 use tracing::{debug, warn};
 
-/// How often a robot without a role looks whether a notebook that could not be written can be again.
-const NOTEBOOK_TRIED_EVERY: Duration = Duration::from_secs(1);
+/// Retry interval for a failed checkpoint write while the robot holds no role.
+const WRITE_RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 impl RobotState {
-    /// Brings the notebook up to date, one page at a time; without a role its page is torn out. The mailbox does not wait for
-    /// the disk: a lease may run out meanwhile.
+    /// Writes the checkpoint if it is outdated, with at most 1 write in progress. Without a role,
+    /// the checkpoint is deleted. The mailbox does not wait for the disk: a lease may expire
+    /// meanwhile.
     pub(super) fn write_checkpoint(&mut self, myself: &ActorRef<RobotMessage>) {
         if self.checkpoint_in_flight {
             return;
         }
-        let may_try = self.may_try_notebook();
-        let page = match &mut self.active_plan {
-            Some(job) => match job.checkpoint_writer.start_write() {
-                true => Some(job.checkpoint().encode()),
+        let may_write = self.may_write();
+        let checkpoint = match &mut self.active_plan {
+            Some(active) => match active.checkpoint_writer.start_write() {
+                true => Some(active.checkpoint().encode()),
                 false => return,
             },
-            None if self.checkpoint_exists && self.restored.is_none() && may_try => None,
+            None if self.checkpoint_exists && self.restored.is_none() && may_write => None,
             None => return,
         };
         self.checkpoint_tried_at = self.settings.clock.now();
         self.checkpoint_in_flight = true;
-        self.checkpoint_exists = page.is_some();
-        let (notebook, to) = (self.settings.checkpoint_store.clone(), myself.clone());
+        self.checkpoint_exists = checkpoint.is_some();
+        let (store, to) = (self.settings.checkpoint_store.clone(), myself.clone());
         self.tasks.spawn(async move {
-            let result = notebook.write(page).await;
-            // A robot that has stopped has nothing more to tell.
+            let result = store.write(checkpoint).await;
+            // A stopped robot needs no result.
             let _ = to.cast(RobotMessage::CheckpointWritten(result));
         });
     }
@@ -44,31 +45,34 @@ impl RobotState {
         result: io::Result<()>,
     ) -> Result<(), ActorProcessingErr> {
         self.checkpoint_in_flight = false;
-        let ours = self.active_plan.as_ref().is_some_and(|job| job.checkpoint_writer.is_writing());
+        let is_for_plan = self.active_plan.as_ref().is_some_and(|active| active.checkpoint_writer.is_writing());
         match result {
             Ok(()) => {
-                debug!(robot = %self.settings.robot, "its notebook is up to date");
+                debug!(robot = %self.settings.robot, "checkpoint written");
                 self.checkpoint_error = None;
-                if let Some(job) = self.active_plan.as_mut().filter(|_| ours) {
-                    job.has_checkpoint = true;
+                if let Some(active) = self.active_plan.as_mut().filter(|_| is_for_plan) {
+                    active.has_checkpoint = true;
                 }
             }
             Err(problem) => {
-                warn!(robot = %self.settings.robot, %problem, "its notebook was not written");
+                warn!(robot = %self.settings.robot, %problem, "checkpoint was not written");
                 self.checkpoint_error = Some(problem.to_string());
-                // The former page is still there.
+                // The previous checkpoint is still stored.
                 self.checkpoint_exists = true;
             }
         }
-        if let Some(job) = &mut self.active_plan {
-            job.checkpoint_writer.finish_write();
+        if let Some(active) = &mut self.active_plan {
+            active.checkpoint_writer.finish_write();
         }
-        let unwritten =
-            self.active_plan.as_ref().is_some_and(|job| ours && !job.has_checkpoint && job.pending_release.is_none());
-        if let Some(why) = self.checkpoint_error.as_ref().filter(|_| unwritten) {
-            // Nothing was begun: another robot can keep what this one could only promise. A role that was on record is
-            // carried out all the same: what the next life lacks, the ledger has, or else nobody acted on it.
-            let (kind, cause) = (FailureKind::Notebook, format!("its notebook cannot be written: {why}"));
+        let lacks_checkpoint = self
+            .active_plan
+            .as_ref()
+            .is_some_and(|active| is_for_plan && !active.has_checkpoint && active.pending_release.is_none());
+        if let Some(why) = self.checkpoint_error.as_ref().filter(|_| lacks_checkpoint) {
+            // No step has started, so another robot can take the role with a checkpoint. A role
+            // that already has a checkpoint continues: the ledger contains the steps that the next
+            // incarnation lacks, or no other node has acted on them.
+            let (kind, cause) = (FailureKind::Checkpoint, format!("its checkpoint cannot be written: {why}"));
             self.recover(myself, AttemptFailure { kind, cause, permanent: true });
             self.report(myself);
         }
@@ -77,9 +81,9 @@ impl RobotState {
         self.advance(myself).await
     }
 
-    /// Whether the notebook is in order, or it is time to see whether it is again.
-    fn may_try_notebook(&self) -> bool {
+    /// Checks whether the store works, or the next attempt to write is due.
+    fn may_write(&self) -> bool {
         let since = self.settings.clock.now().since(self.checkpoint_tried_at);
-        self.checkpoint_error.is_none() || since >= NOTEBOOK_TRIED_EVERY
+        self.checkpoint_error.is_none() || since >= WRITE_RETRY_INTERVAL
     }
 }

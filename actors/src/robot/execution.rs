@@ -1,4 +1,4 @@
-//! Carrying a plan out: the next step, skills, setbacks and signals.
+//! Execution of a plan: next step, skills, failures and signals.
 
 use super::active_plan::TaskAttempt;
 use super::actor::{RobotMessage, RobotState};
@@ -22,12 +22,12 @@ use ractor::{Actor, ActorProcessingErr, ActorRef};
 use std::time::Duration;
 use tracing::warn;
 
-/// How often the rest of the plan is priced while a task is under way.
+/// Interval at which the remaining plan is priced while a task is running.
 const PRICED_EVERY: Duration = Duration::from_secs(1);
 
 impl RobotState {
-    /// The sequencing process: as many steps as can be taken now. What has ended is written down before anything new is
-    /// begun or told.
+    /// The sequencing process: performs all steps that are possible now. Ended steps are
+    /// checkpointed before the next task starts or a signal is sent.
     pub(super) async fn advance(&mut self, myself: &ActorRef<RobotMessage>) -> Result<(), ActorProcessingErr> {
         let mut moved = false;
         loop {
@@ -35,27 +35,27 @@ impl RobotState {
             if !self.role_lease.may_act(now) {
                 break;
             }
-            let Some(job) = self.active_plan.as_mut() else { break };
-            let written = job.checkpoint_writer.take_ready();
-            if !written.is_empty() {
+            let Some(active) = self.active_plan.as_mut() else { break };
+            let outputs = active.checkpoint_writer.take_ready();
+            if !outputs.is_empty() {
                 moved = true;
-                self.emit_outputs(written).await;
+                self.emit_outputs(outputs).await;
                 continue;
             }
-            if job.pending_release.is_some() || !job.checkpoint_writer.is_idle() || now < job.retry_at {
+            if active.pending_release.is_some() || !active.checkpoint_writer.is_idle() || now < active.retry_at {
                 break;
             }
-            let Some(next) = job.sequencer.next_action() else { break };
+            let Some(next) = active.sequencer.next_action() else { break };
             match next {
-                SequencerAction::StartTask { step: spot, task, spec } => {
+                SequencerAction::StartTask { step, task, spec } => {
                     moved = true;
-                    self.begin_task(myself, spot, &task, &spec).await?;
+                    self.start_task(myself, step, &task, &spec).await?;
                 }
-                SequencerAction::SendSignal(signal) => job.checkpoint_writer.queue(PendingOutput::Signal(signal)),
+                SequencerAction::SendSignal(signal) => active.checkpoint_writer.queue(PendingOutput::Signal(signal)),
                 SequencerAction::SignalReceived(signal) => {
                     moved = true;
-                    let mission = job.award.mission.clone();
-                    self.emit_event(EventKind::Heard { mission, signal });
+                    let mission = active.award.mission.clone();
+                    self.emit_event(EventKind::Received { mission, signal });
                 }
             }
         }
@@ -66,12 +66,12 @@ impl RobotState {
         Ok(())
     }
 
-    /// Tells what has been written down.
-    pub(super) async fn emit_outputs(&mut self, written: Vec<PendingOutput>) {
-        let Some(mission) = self.active_plan.as_ref().map(|job| job.award.mission.clone()) else { return };
-        for telling in written {
-            match telling {
-                PendingOutput::Event(what) => self.emit_event(what),
+    /// Sends outputs after their steps were stored in the checkpoint.
+    pub(super) async fn emit_outputs(&mut self, outputs: Vec<PendingOutput>) {
+        let Some(mission) = self.active_plan.as_ref().map(|active| active.award.mission.clone()) else { return };
+        for output in outputs {
+            match output {
+                PendingOutput::Event(event) => self.emit_event(event),
                 PendingOutput::Signal(signal) => {
                     self.signals.send(&mission, &signal).await;
                     self.emit_event(EventKind::Sent { mission: mission.clone(), signal });
@@ -80,36 +80,39 @@ impl RobotState {
         }
     }
 
-    async fn begin_task(
+    async fn start_task(
         &mut self,
         myself: &ActorRef<RobotMessage>,
-        spot: StepRef,
+        step: StepRef,
         task: &TaskId,
         spec: &TaskSpec,
     ) -> Result<(), ActorProcessingErr> {
-        self.look_after_charge(myself);
-        let here =
+        self.check_energy(myself);
+        let estimate_context =
             EstimateContext { pose: Some(self.worker.pose), ..pricing_context(&self.worker, self.closed_lanes()) };
-        let Some(job) = self.active_plan.as_mut().filter(|job| job.pending_release.is_none()) else { return Ok(()) };
-        let (mission, role) = job.mission_and_role();
+        let Some(active) = self.active_plan.as_mut().filter(|active| active.pending_release.is_none()) else {
+            return Ok(());
+        };
+        let (mission, role) = active.mission_and_role();
         self.settings.events.publish(EventKind::TaskBegan { mission, role, task: task.clone() });
         self.skill_runs += 1;
         let run = self.skill_runs;
-        let skill_context = SkillContext { holders: job.sequencer.holder_robots() };
+        let skill_context = SkillContext { holders: active.sequencer.holder_robots() };
         let to = myself.clone();
         let ended = move |outcome| {
-            // A robot that has stopped needs no outcome.
+            // A stopped robot needs no outcome.
             let _ = to.cast(RobotMessage::SkillEnded { run, outcome });
         };
         match self.settings.library.load(spec, &skill_context) {
             Ok(skill) => {
-                self.settings.driver.begin_attempt(job.first_goal);
-                let (body, period) = (self.settings.driver.clone(), self.settings.skill_tick_interval);
-                let run_it = SkillRun { skill, driver: body, period, on_end: Box::new(ended) };
-                let (runner, _) = Actor::spawn_linked(None, SkillRunner, run_it, myself.get_cell()).await?;
-                let estimate = self.settings.estimator.estimate(spec, &here).ok().map(|estimate| estimate.time);
-                let watch = TaskTimer::new(&self.settings.task_timeout, spec, estimate);
-                job.attempt = Some(TaskAttempt { run, step: spot, runner, timer: watch });
+                self.settings.driver.begin_attempt(active.first_goal);
+                let (driver, period) = (self.settings.driver.clone(), self.settings.skill_tick_interval);
+                let skill_run = SkillRun { skill, driver, period, on_end: Box::new(ended) };
+                let (runner, _) = Actor::spawn_linked(None, SkillRunner, skill_run, myself.get_cell()).await?;
+                let estimate =
+                    self.settings.estimator.estimate(spec, &estimate_context).ok().map(|estimate| estimate.time);
+                let timer = TaskTimer::new(&self.settings.task_timeout, spec, estimate);
+                active.attempt = Some(TaskAttempt { run, step, runner, timer });
             }
             Err(problem) => {
                 let (kind, cause) = (FailureKind::Task, problem.to_string());
@@ -125,17 +128,17 @@ impl RobotState {
         run: u64,
         outcome: SkillOutcome,
     ) -> Result<(), ActorProcessingErr> {
-        let Some(job) = self.active_plan.as_mut() else { return Ok(()) };
-        let Some(attempt) = job.attempt.take_if(|attempt| attempt.run == run) else {
-            return Ok(()); // one that was halted meanwhile
+        let Some(active) = self.active_plan.as_mut() else { return Ok(()) };
+        let Some(attempt) = active.attempt.take_if(|attempt| attempt.run == run) else {
+            return Ok(()); // the skill was halted meanwhile
         };
         match outcome {
             SkillOutcome::Succeeded => {
-                let Some(task) = job.sequencer.current_task().cloned() else { return Ok(()) };
-                let (mission, role) = job.mission_and_role();
-                job.sequencer.end_task(attempt.step);
-                job.first_goal = self.settings.driver.next_goal();
-                job.checkpoint_writer.queue(PendingOutput::Event(EventKind::TaskEnded { mission, role, task }));
+                let Some(task) = active.sequencer.current_task().cloned() else { return Ok(()) };
+                let (mission, role) = active.mission_and_role();
+                active.sequencer.end_task(attempt.step);
+                active.first_goal = self.settings.driver.next_goal();
+                active.checkpoint_writer.queue(PendingOutput::Event(EventKind::TaskEnded { mission, role, task }));
                 self.advance(myself).await
             }
             SkillOutcome::Failed(cause) => {
@@ -147,47 +150,49 @@ impl RobotState {
         }
     }
 
-    /// The task under way, or the whole plan, has met with a setback: the ladder says what follows.
+    /// Handles a failure of the current task or of the whole plan: the recovery policy selects the
+    /// next action.
     pub(super) async fn handle_failure(
         &mut self,
         myself: &ActorRef<RobotMessage>,
-        setback: AttemptFailure,
+        failure: AttemptFailure,
     ) -> Result<(), ActorProcessingErr> {
-        self.recover(myself, setback);
+        self.recover(myself, failure);
         self.report(myself);
         self.advance(myself).await
     }
 
-    pub(super) fn recover(&mut self, myself: &ActorRef<RobotMessage>, setback: AttemptFailure) {
+    pub(super) fn recover(&mut self, myself: &ActorRef<RobotMessage>, failure: AttemptFailure) {
         let now = self.settings.clock.now();
-        let Some(job) = self.active_plan.as_mut().filter(|job| job.pending_release.is_none()) else { return };
-        job.stop();
-        let ((mission, role), task) = (job.mission_and_role(), job.sequencer.current_task().cloned());
-        let cause = setback.cause.clone();
-        warn!(robot = %self.settings.robot, %mission, ?task, ?setback, "met with a setback");
-        match (job.recovery_policy.next_action(setback, &mut job.sequencer), task) {
+        let Some(active) = self.active_plan.as_mut().filter(|active| active.pending_release.is_none()) else { return };
+        active.stop();
+        let ((mission, role), task) = (active.mission_and_role(), active.sequencer.current_task().cloned());
+        let cause = failure.cause.clone();
+        warn!(robot = %self.settings.robot, %mission, ?task, ?failure, "attempt failed");
+        match (active.recovery_policy.next_action(failure, &mut active.sequencer), task) {
             (RecoveryAction::ReleaseRole(failure), _) => self.release_role(failure),
             (RecoveryAction::Retry { attempt }, Some(task)) => {
-                job.retry_at = now + self.settings.retry_delay;
+                active.retry_at = now + self.settings.retry_delay;
                 self.tasks.send_after(self.settings.retry_delay, myself, RobotMessage::Tick);
                 self.emit_event(EventKind::TaskRetried { mission, role, task, attempt, cause });
             }
             (RecoveryAction::UseAlternative { alternative }, Some(task)) => {
-                let tasks = job.sequencer.alternative_tasks(alternative);
-                let what = EventKind::Alternative { mission, role, task, alternative, tasks, cause };
-                job.checkpoint_writer.queue(PendingOutput::Event(what));
+                let tasks = active.sequencer.alternative_tasks(alternative);
+                let event = EventKind::Alternative { mission, role, task, alternative, tasks, cause };
+                active.checkpoint_writer.queue(PendingOutput::Event(event));
             }
-            // Only a task under way is tried again or done otherwise.
+            // Retry and alternative require a current task.
             (RecoveryAction::Retry { .. } | RecoveryAction::UseAlternative { .. }, None) => {}
         }
     }
 
-    /// From now on the robot only waits for the coordinator to take the role from it.
+    /// Stops the plan. From now on the robot only waits until the coordinator has released the
+    /// role.
     pub(super) fn release_role(&mut self, failure: TaskFailure) {
         let now = self.settings.clock.now();
-        let Some(job) = self.active_plan.as_mut() else { return };
-        let ((mission, role), TaskFailure { task, cause, kind }) = (job.mission_and_role(), failure.clone());
-        job.pending_release = Some(PendingRelease::new(failure, now));
+        let Some(active) = self.active_plan.as_mut() else { return };
+        let ((mission, role), TaskFailure { task, cause, kind }) = (active.mission_and_role(), failure.clone());
+        active.pending_release = Some(PendingRelease::new(failure, now));
         match (kind, task) {
             (FailureKind::Task | FailureKind::Crash | FailureKind::NoProgress, Some(task)) => {
                 self.emit_event(EventKind::TaskFailed { mission, role, task, cause });
@@ -196,7 +201,7 @@ impl RobotState {
         }
     }
 
-    /// Looks whether the task under way takes too long, and whether the battery lasts.
+    /// Checks the current task against its timeout, and the battery against the remaining plan.
     pub(super) async fn check_progress(
         &mut self,
         myself: &ActorRef<RobotMessage>,
@@ -204,35 +209,36 @@ impl RobotState {
     ) -> Result<(), ActorProcessingErr> {
         let silent_for = self.settings.driver.silent_for();
         let world = self.settings.driver.telemetry().map(|report| report.time);
-        let Some(attempt) = self.active_plan.as_mut().and_then(|job| job.attempt.as_mut()) else { return Ok(()) };
+        let Some(attempt) = self.active_plan.as_mut().and_then(|active| active.attempt.as_mut()) else { return Ok(()) };
         if let Some(cause) = attempt.timer.check(world, silent_for) {
             let kind = FailureKind::NoProgress;
             return self.handle_failure(myself, AttemptFailure { kind, cause, permanent: false }).await;
         }
         if now.since(self.priced_at) >= PRICED_EVERY {
-            self.look_after_charge(myself);
+            self.check_energy(myself);
         }
         Ok(())
     }
 
-    /// Prices the rest of the plan with the charge there is. A robot that would be stranded gives the role up while another
-    /// can still take it over, unless it may have something in its hands: then giving up helps nobody.
-    fn look_after_charge(&mut self, myself: &ActorRef<RobotMessage>) {
+    /// Prices the remaining plan with the current charge. A robot that would strand releases the
+    /// role while another robot can still take over. Exception: if it may carry an item, it
+    /// continues, because a release would not help.
+    fn check_energy(&mut self, myself: &ActorRef<RobotMessage>) {
         let now = self.settings.clock.now();
         self.priced_at = now;
         self.update_worker(now);
-        let Some(job) = self.active_plan.as_mut().filter(|job| job.pending_release.is_none()) else { return };
+        let Some(active) = self.active_plan.as_mut().filter(|active| active.pending_release.is_none()) else { return };
         if self.settings.driver.telemetry().is_none() {
             return;
         }
         let RobotSettings { estimator, limits, .. } = &self.settings;
         let closed = self.settings.driver.telemetry().map_or(&[][..], |report| &report.closed);
-        let forecast = EnergyForecast::new(estimator, &job.sequencer.remaining_plan(), &self.worker, closed, limits);
+        let forecast = EnergyForecast::new(estimator, &active.sequencer.remaining_plan(), &self.worker, closed, limits);
         let Some(cause) = forecast.ok().and_then(|forecast| forecast.shortfall()) else { return };
-        if job.sequencer.may_have_custody() {
-            if !std::mem::replace(&mut job.energy_warning_sent, true) {
-                let (mission, role) = job.mission_and_role();
-                self.emit_event(EventKind::ChargeShort { mission, role, cause });
+        if active.sequencer.may_have_custody() {
+            if !std::mem::replace(&mut active.energy_warning_sent, true) {
+                let (mission, role) = active.mission_and_role();
+                self.emit_event(EventKind::LowCharge { mission, role, cause });
             }
             return;
         }
@@ -243,25 +249,26 @@ impl RobotState {
     pub(super) async fn receive_signals(
         &mut self,
         myself: &ActorRef<RobotMessage>,
-        said: &SignalHistory,
+        history: &SignalHistory,
     ) -> Result<(), ActorProcessingErr> {
-        let Some(job) = self.active_plan.as_mut().filter(|job| job.award.mission == said.mission) else {
+        let Some(active) = self.active_plan.as_mut().filter(|active| active.award.mission == history.mission) else {
             return Ok(());
         };
-        let mut news = false;
-        for signal in said.signals.iter().filter(|signal| signal.to == job.award.role) {
-            match job.sequencer.receive_signal(signal, said.epoch) {
-                Ok(new) => news |= new,
+        let mut has_new = false;
+        for signal in history.signals.iter().filter(|signal| signal.to == active.award.role) {
+            match active.sequencer.receive_signal(signal, history.epoch) {
+                Ok(new) => has_new |= new,
                 Err(StaleSignal { current: known }) => {
-                    let told = self.signals.record_stale(&mut job.stale_signals, said, signal, known);
-                    told.into_iter().for_each(|what| self.settings.events.publish(what));
+                    let event = self.signals.record_stale(&mut active.stale_signals, history, signal, known);
+                    event.into_iter().for_each(|event| self.settings.events.publish(event));
                 }
             }
         }
-        if news { self.advance(myself).await } else { Ok(()) }
+        if has_new { self.advance(myself).await } else { Ok(()) }
     }
 
-    /// Every now and then, asks those from whom a signal is awaited: it may have been lost.
+    /// Queries awaited signals at most once per second, because a published signal may have been
+    /// lost.
     pub(super) fn query_signals_if_due(&mut self, myself: &ActorRef<RobotMessage>, now: NodeTime) {
         if now.since(self.signals_queried_at) >= Duration::from_secs(1) {
             self.signals_queried_at = now;
@@ -270,15 +277,15 @@ impl RobotState {
     }
 
     pub(super) fn query_signals(&mut self, myself: &ActorRef<RobotMessage>) {
-        let Some(job) = &self.active_plan else { return };
+        let Some(active) = &self.active_plan else { return };
         let to = myself.clone();
         self.signals.query_history(
-            &job.award.mission,
-            &job.sequencer.awaited_signals(),
+            &active.award.mission,
+            &active.sequencer.awaited_signals(),
             &mut self.tasks,
-            move |said| {
-                // A robot that has stopped needs no answer.
-                let _ = to.cast(RobotMessage::SignalHistory(said));
+            move |history| {
+                // A stopped robot needs no reply.
+                let _ = to.cast(RobotMessage::SignalHistory(history));
             },
         );
     }

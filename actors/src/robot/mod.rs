@@ -1,24 +1,26 @@
-//! A robot: it prices work, holds at most one role, and carries its plan out step by step.
+//! The robot: prices work, holds at most 1 role, and executes its plan step by step.
 //!
 //! ```text
-//!  call for bids ─▶ Bidder (estimator)             ─▶ tender
-//!  award notice  ─▶ Tenure (epoch, lease)          ─▶ report ─▶ coordinator
+//!  call for bids ─▶ Bidder (estimator)                ─▶ bid response
+//!  award notice  ─▶ RoleLease (epoch, lease)          ─▶ report ─▶ coordinator
 //!                      │ start, suspend, resume, halt
 //!                      ▼
-//!                   Sequencer (Algorithm 2) ─▶ next step ─▶ SkillRunner (behavior tree) ─▶ Body
-//!                      │  ▲                                    │ failed, crashed, no progress
-//!                      │  └──────────── Ladder ◀───────────────┘
-//!                      ▼        (again, another way, give up)
-//!                   Pen ─▶ notebook ─▶ signals to other roles, robot to robot
+//!                   Sequencer (Algorithm 2) ─▶ step ─▶ SkillRunner (behavior tree) ─▶ RobotDriver
+//!                      │  ▲                               │ failed, crashed, no progress
+//!                      │  └──────── RecoveryPolicy ◀──────┘
+//!                      ▼     (retry, alternative, release the role)
+//!               CheckpointWriter ─▶ CheckpointStore ─▶ signals to other roles, robot to robot
 //! ```
 //!
-//! The [`Robot`] actor owns mailbox, timers and bus; the values beside it decide. What the actor does stands in four
-//! files: `actor` (messages, knowledge of itself, bids), `holding` (awards, reports, leaving), `work` (the plan) and `record`
-//! (the notebook). A skill runs in an actor of its own, so that one that panics fails its attempt and not the node.
+//! The [`Robot`] actor owns the mailbox, the timers and the bus. The values in the other files make
+//! the decisions. The actor itself is split over 4 files: `actor` (messages, own knowledge record,
+//! bids), `role_lease` (awards, reports, decommission), `execution` (the plan) and `checkpointing`
+//! (the checkpoint). Each skill runs in an actor of its own: a panic in a skill fails the attempt
+//! and not the node.
 //!
-//! What a robot holds and how far it has come is on the [`Page`] of its notebook before others are told, so that its next
-//! life can ask whether the role is still its own, and go on at the right task. A robot that was restarted is not free
-//! before it was told.
+//! The robot stores its award and its progress in a [`Checkpoint`] before it notifies other nodes.
+//! After a restart it asks the coordinator whether the award is still valid, and continues at the
+//! right task. A restarted robot with a checkpoint is not free until the coordinator has replied.
 
 mod active_plan;
 mod actor;

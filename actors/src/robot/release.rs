@@ -1,41 +1,44 @@
-//! A role that its robot cannot carry to its end, and when it may be given to another.
+//! Release of a role that the robot cannot complete.
 
 use crate::robot_driver::CLIENT_TIMEOUT;
 use consort_protocol::message::TaskFailure;
 use consort_protocol::units::NodeTime;
 use std::time::Duration;
 
-/// How much later than [`SILENCE`] a host may notice it: it looks every half a second, and clocks drift apart.
-const HOST_IS_LATE: Duration = Duration::from_secs(1);
+/// Extra time until a driver server applies [`CLIENT_TIMEOUT`]: it checks every 0.5 s, and clocks
+/// drift.
+const CLIENT_TIMEOUT_MARGIN: Duration = Duration::from_secs(1);
 
-/// Why a robot gave up a role, and whether the coordinator knows: until then it only waits to put the role down.
+/// Reason for the release, and whether it was reported. Until the coordinator ends the award, the
+/// robot only waits.
 pub(super) struct PendingRelease {
-    why: TaskFailure,
+    failure: TaskFailure,
     since: NodeTime,
-    told: bool,
+    reported: bool,
 }
 
 impl PendingRelease {
-    pub(super) fn new(why: TaskFailure, since: NodeTime) -> PendingRelease {
-        PendingRelease { why, since, told: false }
+    pub(super) fn new(failure: TaskFailure, since: NodeTime) -> PendingRelease {
+        PendingRelease { failure, since, reported: false }
     }
 
-    /// The reason, once nobody who takes the role over can meet this robot at work in it: its body is at rest, or has
-    /// not been told to be for so long that its host has stopped it.
-    pub(super) fn due(&self, at_rest: bool, now: NodeTime) -> Option<&TaskFailure> {
-        (at_rest || now.since(self.since) >= CLIENT_TIMEOUT + HOST_IS_LATE).then_some(&self.why)
+    /// Returns the reason once the robot no longer acts in the role, so that its successor cannot
+    /// meet it at work: the driver is idle, or it has been unreachable for so long that its server
+    /// has stopped it.
+    pub(super) fn due(&self, is_idle: bool, now: NodeTime) -> Option<&TaskFailure> {
+        (is_idle || now.since(self.since) >= CLIENT_TIMEOUT + CLIENT_TIMEOUT_MARGIN).then_some(&self.failure)
     }
 
-    /// Whether the coordinator could be told and was not.
-    pub(super) fn must_report(&self, at_rest: bool, now: NodeTime) -> bool {
-        !self.told && self.due(at_rest, now).is_some()
+    /// Checks whether the reason can be reported and has not been reported yet.
+    pub(super) fn must_report(&self, is_idle: bool, now: NodeTime) -> bool {
+        !self.reported && self.due(is_idle, now).is_some()
     }
 
-    /// The coordinator is being told what is [`due`](Self::due).
-    pub(super) fn take_report(&mut self, at_rest: bool, now: NodeTime) -> Option<TaskFailure> {
-        let why = self.due(at_rest, now).cloned();
-        self.told = why.is_some();
-        why
+    /// Marks the reason as reported and returns it, if it is [`due`](Self::due).
+    pub(super) fn take_report(&mut self, is_idle: bool, now: NodeTime) -> Option<TaskFailure> {
+        let failure = self.due(is_idle, now).cloned();
+        self.reported = failure.is_some();
+        failure
     }
 }
 
@@ -48,32 +51,32 @@ mod tests {
         NodeTime::default() + Duration::from_millis(ms)
     }
 
-    fn given_up() -> PendingRelease {
-        let why = TaskFailure { task: None, cause: "no way".to_owned(), kind: FailureKind::Task };
-        PendingRelease::new(why, at(1_000))
+    fn pending() -> PendingRelease {
+        let failure = TaskFailure { task: None, cause: "no way".to_owned(), kind: FailureKind::Task };
+        PendingRelease::new(failure, at(1_000))
     }
 
     #[test]
-    fn a_role_is_given_back_as_soon_as_the_body_is_at_rest() {
-        let mut surrender = given_up();
-        assert_eq!(surrender.due(false, at(1_100)), None);
-        assert!(surrender.must_report(true, at(1_100)));
-        assert!(surrender.take_report(true, at(1_100)).is_some());
-        assert!(!surrender.must_report(true, at(1_200)));
+    fn a_release_is_reported_as_soon_as_the_driver_is_idle() {
+        let mut release = pending();
+        assert_eq!(release.due(false, at(1_100)), None);
+        assert!(release.must_report(true, at(1_100)));
+        assert!(release.take_report(true, at(1_100)).is_some());
+        assert!(!release.must_report(true, at(1_200)));
     }
 
     #[test]
-    fn a_body_that_answers_nobody_has_been_stopped_by_its_host_in_the_end() {
-        let surrender = given_up();
-        assert!(!surrender.must_report(false, at(4_999)));
-        assert!(surrender.must_report(false, at(5_000)));
+    fn an_unreachable_driver_counts_as_stopped_after_the_client_timeout() {
+        let release = pending();
+        assert!(!release.must_report(false, at(4_999)));
+        assert!(release.must_report(false, at(5_000)));
     }
 
     #[test]
-    fn a_body_that_moves_again_makes_the_reason_owed_again() {
-        let mut surrender = given_up();
-        surrender.take_report(true, at(1_100));
-        assert_eq!(surrender.take_report(false, at(1_200)), None);
-        assert!(surrender.must_report(true, at(1_300)));
+    fn a_driver_that_moves_again_makes_the_report_due_again() {
+        let mut release = pending();
+        release.take_report(true, at(1_100));
+        assert_eq!(release.take_report(false, at(1_200)), None);
+        assert!(release.must_report(true, at(1_300)));
     }
 }

@@ -1,4 +1,4 @@
-//! Holding a role: awards, reports and their answers, putting down, leaving.
+//! The held role: awards, reports and replies, release, decommission.
 
 use super::active_plan::ActivePlan;
 use super::actor::{RobotMessage, RobotState};
@@ -32,7 +32,7 @@ impl RobotState {
     ) -> Result<(), ActorProcessingErr> {
         let Some(notice) = reply::decode_or_refuse::<AwardNotice>(query).await else { return Ok(()) };
         let now = self.settings.clock.now();
-        let (said, event) = match notice {
+        let (reply, event) = match notice {
             AwardNotice::Awarded(_) if self.decommission_waiters.is_some() => {
                 (AwardReply::Declined(DeclineReason::Leaving), None)
             }
@@ -45,7 +45,7 @@ impl RobotState {
             }
         };
         let key = self.settings.keys.write(&Key::Award(self.settings.robot.clone()));
-        reply::wire(query, &key, &said).await;
+        reply::wire(query, &key, &reply).await;
         if let Some(event) = event {
             let actions = self.role_lease.handle(event, now);
             self.perform_actions(myself, actions).await?;
@@ -57,16 +57,16 @@ impl RobotState {
         &mut self,
         myself: &ActorRef<RobotMessage>,
         sent: NodeTime,
-        answer: Option<ReportReply>,
+        reply: Option<ReportReply>,
     ) -> Result<(), ActorProcessingErr> {
         self.report_in_flight = false;
         let now = self.settings.clock.now();
-        let actions = match answer {
+        let actions = match reply {
             Some(ReportReply::Renewed { epoch, ended, holders, signals }) => {
-                if let Some(job) = self.active_plan.as_mut().filter(|job| job.award.epoch == epoch) {
-                    job.sequencer.set_recorded(&ended);
-                    let changed = job.sequencer.set_holders(holders.clone());
-                    job.sequencer.receive_recorded(&signals);
+                if let Some(active) = self.active_plan.as_mut().filter(|active| active.award.epoch == epoch) {
+                    active.sequencer.set_recorded(&ended);
+                    let changed = active.sequencer.set_holders(holders.clone());
+                    active.sequencer.receive_recorded(&signals);
                     if changed {
                         self.query_signals(myself);
                     }
@@ -75,18 +75,19 @@ impl RobotState {
                 self.role_lease.handle(Event::Renewed { epoch, sent, ended }, now)
             }
             Some(ReportReply::Ended { epoch, reason: EndReason::Over, .. }) => {
-                // Nobody takes over: what the ledger counts as said is said now, whether or not the disk has it.
-                let job = self.active_plan.as_mut().filter(|job| job.award.epoch == epoch);
-                let untold = job.map(|job| std::mem::take(&mut job.checkpoint_writer).into_pending());
-                self.emit_outputs(untold.unwrap_or_default()).await;
-                self.put_down(epoch, EndReason::Over);
+                // The role has no successor. Every step in the ledger counts as sent, so pending
+                // outputs are sent now, with or without a checkpoint.
+                let active = self.active_plan.as_mut().filter(|active| active.award.epoch == epoch);
+                let unsent = active.map(|active| std::mem::take(&mut active.checkpoint_writer).into_pending());
+                self.emit_outputs(unsent.unwrap_or_default()).await;
+                self.end_plan(epoch, EndReason::Over);
                 self.role_lease.handle(Event::Settled { epoch }, now)
             }
             Some(ReportReply::Ended { epoch, reason, .. }) => {
                 self.role_lease.handle(Event::Revoked { epoch, reason }, now)
             }
             Some(ReportReply::NotCoordinator { coordinator }) => {
-                debug!(robot = %self.settings.robot, ?coordinator, "reported to one who does not coordinate");
+                debug!(robot = %self.settings.robot, ?coordinator, "reported to a node that is not the coordinator");
                 vec![]
             }
             None => vec![],
@@ -110,16 +111,16 @@ impl RobotState {
                 Action::Suspend => self.suspend(),
                 Action::Resume => self.resume(),
                 Action::Halt(reason) => {
-                    let held = self.active_plan.as_ref().map(|job| job.award.epoch);
-                    let recalled = self.restored.as_ref().map(|page| page.award.epoch);
-                    if let Some(epoch) = held.or(recalled) {
-                        self.put_down(epoch, reason);
+                    let held = self.active_plan.as_ref().map(|active| active.award.epoch);
+                    let restored = self.restored.as_ref().map(|checkpoint| checkpoint.award.epoch);
+                    if let Some(epoch) = held.or(restored) {
+                        self.end_plan(epoch, reason);
                     }
                 }
             }
         }
         if self.role_lease.award().is_none() {
-            self.answer_decommission(true);
+            self.reply_to_decommission(true);
         }
         let now = self.settings.clock.now();
         self.update_worker(now);
@@ -135,60 +136,62 @@ impl RobotState {
         let Award { mission, role, epoch, plan, .. } = award.clone();
         let holders = self.latest_holders.take().filter(|(of, _)| *of == epoch);
         let holders = holders.map_or_else(|| award.holders.clone(), |(_, holders)| holders);
-        let recalled = self.restored.take().filter(|page| page.award.epoch == epoch);
-        info!(robot = %self.settings.robot, %mission, %role, %epoch, resumes = recalled.is_some(), "begins");
-        let begins = match recalled.is_some() {
+        let restored = self.restored.take().filter(|checkpoint| checkpoint.award.epoch == epoch);
+        info!(robot = %self.settings.robot, %mission, %role, %epoch, resumes = restored.is_some(), "starts its role");
+        let event = match restored.is_some() {
             true => EventKind::Resumed { mission: mission.clone(), role: role.clone() },
             false => EventKind::Started { mission: mission.clone(), role: role.clone(), epoch },
         };
-        let up_to_date = recalled.as_ref().filter(|page| !page.misses_ended_task(ended));
-        let first_goal = up_to_date.map_or_else(|| self.settings.driver.next_goal(), |page| page.first_goal);
-        let on_record = recalled.is_some();
-        let (own, detours) = recalled.map(|page| (page.ended, page.alternatives)).unwrap_or_default();
-        let taken_up = Sequencer::resume(plan.clone(), ended, &own, detours, holders.clone());
-        let failure = taken_up.as_ref().err().map(|problem| TaskFailure {
+        let up_to_date = restored.as_ref().filter(|checkpoint| !checkpoint.misses_ended_task(ended));
+        let first_goal =
+            up_to_date.map_or_else(|| self.settings.driver.next_goal(), |checkpoint| checkpoint.first_goal);
+        let has_checkpoint = restored.is_some();
+        let (own, alternatives) =
+            restored.map(|checkpoint| (checkpoint.ended, checkpoint.alternatives)).unwrap_or_default();
+        let resumed = Sequencer::resume(plan.clone(), ended, &own, alternatives, holders.clone());
+        let failure = resumed.as_ref().err().map(|problem| TaskFailure {
             task: None,
             cause: problem.to_string(),
             kind: FailureKind::Plan,
         });
-        let Ok(sequencer) = taken_up.or_else(|_| Sequencer::new(plan, &BTreeSet::new(), holders)) else {
+        let Ok(sequencer) = resumed.or_else(|_| Sequencer::new(plan, &BTreeSet::new(), holders)) else {
             return Ok(());
         };
-        let mut hearing = Tasks::default();
+        let mut subscriptions = Tasks::default();
         let signals = self.settings.keys.write(&Key::Signal(mission.clone(), role.clone()));
-        hearing.forward(self.settings.bus.subscribe(&signals).await?, myself, RobotMessage::Signal);
+        subscriptions.forward(self.settings.bus.subscribe(&signals).await?, myself, RobotMessage::Signal);
         self.signals.start_role(&mission, &role, epoch, sequencer.sent_signals().clone()).await?;
-        self.emit_event(begins);
-        let mut pen = CheckpointWriter::default();
-        pen.mark_outdated();
+        self.emit_event(event);
+        let mut checkpoint_writer = CheckpointWriter::default();
+        checkpoint_writer.mark_outdated();
         self.active_plan = Some(ActivePlan {
             award,
             sequencer,
             recovery_policy: RecoveryPolicy::default(),
-            checkpoint_writer: pen,
+            checkpoint_writer,
             attempt: None,
             retry_at: NodeTime::ZERO,
-            has_checkpoint: on_record,
+            has_checkpoint,
             pending_release: None,
             first_goal,
             energy_warning_sent: false,
             stale_signals: StaleSignals::new(),
-            _subscriptions: hearing,
+            _subscriptions: subscriptions,
         });
         if let Some(failure) = failure {
             self.release_role(failure);
         }
-        // Whoever spoke before this robot listened is asked.
+        // Signals that were sent before the subscription are queried.
         self.query_signals(myself);
         Ok(())
     }
 
     fn suspend(&mut self) {
-        let Some(job) = self.active_plan.as_mut() else { return };
-        job.stop();
-        job.sequencer.abort_task();
-        warn!(robot = %self.settings.robot, mission = %job.award.mission, "lease ran out: suspended");
-        let (mission, role) = job.mission_and_role();
+        let Some(active) = self.active_plan.as_mut() else { return };
+        active.stop();
+        active.sequencer.abort_task();
+        warn!(robot = %self.settings.robot, mission = %active.award.mission, "lease expired: suspended");
+        let (mission, role) = active.mission_and_role();
         self.emit_event(EventKind::Suspended { mission, role });
     }
 
@@ -198,49 +201,52 @@ impl RobotState {
         }
     }
 
-    /// Stops and forgets the plan held under `epoch`, or recalled from a former life. What was said in it can still be
-    /// asked for.
-    fn put_down(&mut self, epoch: Epoch, reason: EndReason) {
-        if let Some(mut job) = self.active_plan.take_if(|job| job.award.epoch == epoch) {
-            job.stop();
-            self.signals.end_role(&job.award.mission, &job.award.role);
-            // What has happened has happened; what was not said yet is said by whoever takes over.
-            let untold = job.checkpoint_writer.into_pending();
-            let happened = untold.into_iter().filter_map(|telling| match telling {
-                PendingOutput::Event(what) => Some(what),
+    /// Ends the plan of the award `epoch`, whether active or restored from a checkpoint. Its sent
+    /// signals can still be queried.
+    fn end_plan(&mut self, epoch: Epoch, reason: EndReason) {
+        if let Some(mut active) = self.active_plan.take_if(|active| active.award.epoch == epoch) {
+            active.stop();
+            self.signals.end_role(&active.award.mission, &active.award.role);
+            // The events have happened and are published. Signals that were not sent are left to
+            // the next holder.
+            let unsent = active.checkpoint_writer.into_pending();
+            let events = unsent.into_iter().filter_map(|output| match output {
+                PendingOutput::Event(event) => Some(event),
                 PendingOutput::Signal(_) => None,
             });
-            happened.for_each(|what| self.emit_event(what));
-            self.halted(&job.award, reason);
+            events.for_each(|event| self.emit_event(event));
+            self.emit_halted(&active.award, reason);
         }
-        if let Some(page) = self.restored.take_if(|page| page.award.epoch == epoch) {
-            self.halted(&page.award, reason);
+        if let Some(checkpoint) = self.restored.take_if(|checkpoint| checkpoint.award.epoch == epoch) {
+            self.emit_halted(&checkpoint.award, reason);
         }
     }
 
-    fn halted(&self, award: &Award, reason: EndReason) {
-        info!(robot = %self.settings.robot, mission = %award.mission, ?reason, "puts its role down");
+    fn emit_halted(&self, award: &Award, reason: EndReason) {
+        info!(robot = %self.settings.robot, mission = %award.mission, ?reason, "ends its role");
         let (mission, role) = (award.mission.clone(), award.role.clone());
         self.emit_event(EventKind::Halted { mission, role, reason });
     }
 
-    /// Reports to the coordinator; one report at a time, and another at once if there was news meanwhile.
+    /// Sends a report to the coordinator. At most 1 report is in flight; another follows at once if
+    /// this is called meanwhile.
     pub(super) fn report(&mut self, myself: &ActorRef<RobotMessage>) {
         let (Some(award), Some(beacon)) = (self.role_lease.award(), &self.coordinator) else { return };
         if self.report_in_flight {
             self.report_queued = true;
             return;
         }
-        let leaving = || TaskFailure { task: None, cause: LEAVES.to_owned(), kind: FailureKind::Leaving };
-        let (at_rest, sent) = (self.settings.driver.is_idle(), self.settings.clock.now());
-        let job = self.active_plan.as_mut().filter(|job| job.award.epoch == award.epoch);
-        let failure = match job.and_then(|job| job.pending_release.as_mut()) {
-            Some(surrender) => surrender.take_report(at_rest, sent),
+        let leaving = || TaskFailure { task: None, cause: DECOMMISSION_CAUSE.to_owned(), kind: FailureKind::Leaving };
+        let (is_idle, sent) = (self.settings.driver.is_idle(), self.settings.clock.now());
+        let active = self.active_plan.as_mut().filter(|active| active.award.epoch == award.epoch);
+        let failure = match active.and_then(|active| active.pending_release.as_mut()) {
+            Some(release) => release.take_report(is_idle, sent),
             None => self.decommission_waiters.is_some().then(leaving),
         };
-        let job = self.active_plan.as_ref().filter(|job| job.award.epoch == award.epoch);
-        let recalled = self.restored.as_ref().filter(|page| page.award.epoch == award.epoch);
-        let ended = job.map(|job| job.sequencer.ended()).or_else(|| recalled.map(|page| &page.ended));
+        let active = self.active_plan.as_ref().filter(|active| active.award.epoch == award.epoch);
+        let restored = self.restored.as_ref().filter(|checkpoint| checkpoint.award.epoch == award.epoch);
+        let ended =
+            active.map(|active| active.sequencer.ended()).or_else(|| restored.map(|checkpoint| &checkpoint.ended));
         let report = Report {
             robot: self.settings.robot.clone(),
             incarnation: self.settings.incarnation,
@@ -249,7 +255,7 @@ impl RobotState {
             epoch: award.epoch,
             branch: Branch::default(),
             ended: ended.cloned().unwrap_or_default(),
-            current_task: job.and_then(|job| job.sequencer.current_task().cloned()),
+            current_task: active.and_then(|active| active.sequencer.current_task().cloned()),
             place: self.settings.driver.telemetry().map(|report| report.place.clone()),
             from_checkpoint: self.resumed_epoch == Some(award.epoch),
             failure,
@@ -259,48 +265,48 @@ impl RobotState {
         self.reported_at = sent;
         let (bus, limit, to) = (self.settings.bus.clone(), self.settings.lease_terms.lease / 4, myself.clone());
         self.tasks.spawn(async move {
-            let answer = send_report(bus, &key, &report, limit).await;
-            // A robot that has stopped needs no answer.
-            let _ = to.cast(RobotMessage::ReportReplied { sent, reply: answer });
+            let reply = send_report(bus, &key, &report, limit).await;
+            // A stopped robot needs no reply.
+            let _ = to.cast(RobotMessage::ReportReplied { sent, reply });
         });
     }
 
-    /// Takes nothing new, and gives up what is held.
+    /// Refuses new roles and releases the held role.
     pub(super) async fn decommission(
         &mut self,
         myself: &ActorRef<RobotMessage>,
-        within: Duration,
+        timeout: Duration,
         done: RpcReplyPort<bool>,
     ) -> Result<(), ActorProcessingErr> {
         self.decommission_waiters.get_or_insert_default().push(done);
-        self.tasks.send_after(within, myself, RobotMessage::DecommissionTimeout);
-        if self.active_plan.as_ref().is_some_and(|job| job.pending_release.is_none()) {
-            let (kind, cause) = (FailureKind::Leaving, LEAVES.to_owned());
+        self.tasks.send_after(timeout, myself, RobotMessage::DecommissionTimeout);
+        if self.active_plan.as_ref().is_some_and(|active| active.pending_release.is_none()) {
+            let (kind, cause) = (FailureKind::Leaving, DECOMMISSION_CAUSE.to_owned());
             self.handle_failure(myself, AttemptFailure { kind, cause, permanent: true }).await?;
         }
         self.report(myself);
         self.perform_actions(myself, vec![]).await
     }
 
-    /// Answers those who wait for the robot to have left.
-    pub(super) fn answer_decommission(&mut self, free: bool) {
+    /// Replies to all pending decommission requests.
+    pub(super) fn reply_to_decommission(&mut self, free: bool) {
         for done in self.decommission_waiters.iter_mut().flat_map(std::mem::take) {
-            // Whoever no longer waits needs no answer.
+            // The caller may have stopped waiting.
             let _ = done.send(free);
         }
     }
 }
 
-const LEAVES: &str = "it leaves the fleet";
+const DECOMMISSION_CAUSE: &str = "it leaves the fleet";
 
-/// Reports to one coordinator, and gives its answer.
+/// Sends a report to a coordinator and returns the reply.
 pub(crate) async fn send_report(bus: SharedBus, key: &str, report: &Report, limit: Duration) -> Option<ReportReply> {
     let bytes = Bytes::from(codec::encode(report).expect("a report fits a message"));
     let mut replies = bus.query(key, bytes, limit).await.ok()?;
     match codec::decode(&replies.recv().await?.payload.ok()?) {
-        Ok(answer) => Some(answer),
+        Ok(reply) => Some(reply),
         Err(problem) => {
-            warn!(%problem, "an answer to a report that cannot be read");
+            warn!(%problem, "reply to a report cannot be decoded");
             None
         }
     }

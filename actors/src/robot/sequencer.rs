@@ -1,4 +1,4 @@
-//! Which step of its local plan a role takes next (Algorithm 2 of the thesis), as a value.
+//! Selection of the next step of a local plan (Algorithm 2 of the thesis), as a value.
 
 use consort_protocol::ids::{RobotId, RoleId, TaskId};
 use consort_protocol::lease::{Epoch, RoleHolder};
@@ -10,77 +10,77 @@ use serde::{Deserialize, Serialize};
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A plan on its way: what has ended, what is under way, what comes next.
+/// A plan in execution: ended steps, current task, next step.
 #[derive(Debug, Clone)]
 pub struct Sequencer {
     progress: PlanProgress,
-    /// The task under way.
+    /// The current task.
     running: Option<StepRef>,
-    detours: AlternativeProgress,
-    /// Steps that the ledger is known to hold.
-    known: BTreeSet<StepIndex>,
-    /// Who holds the mission's managed roles.
+    alternatives: AlternativeProgress,
+    /// Steps that the ledger is known to contain as ended.
+    recorded: BTreeSet<StepIndex>,
+    /// Holders of the mission's managed roles.
     holders: BTreeMap<RoleId, RoleHolder>,
-    /// Roles that somebody has held or is to hold, and the latest award of each, the default before the first: one that
-    /// nobody holds now is being given to somebody.
-    cast: BTreeMap<RoleId, Epoch>,
-    /// What this role has told others.
-    said: BTreeSet<Signal>,
+    /// Latest known award of each role that has been held or is to be held. The default epoch means
+    /// not yet awarded. A role in this map without a holder is about to be awarded.
+    latest_awards: BTreeMap<RoleId, Epoch>,
+    /// Signals that this role has sent.
+    sent: BTreeSet<Signal>,
 }
 
-/// Where a task stands in a plan.
+/// Reference to a task within a plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum StepRef {
-    /// A step of it.
+    /// A step of the plan.
     Step(StepIndex),
-    /// A task of one of its alternatives.
+    /// A task of an alternative.
     Alternative {
-        /// Which alternative.
+        /// Index of the alternative.
         alternative: usize,
-        /// Which of its tasks.
+        /// Index of the task within the alternative.
         task: usize,
     },
 }
 
-/// The alternatives that a role has resorted to.
+/// Alternatives that a role has started.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AlternativeProgress {
-    /// Those begun so far: none is begun twice.
-    begun: BTreeSet<usize>,
-    /// The one under way, and how many of its tasks have ended.
-    under_way: Option<(usize, usize)>,
+    /// Alternatives started so far. An alternative starts at most once.
+    started: BTreeSet<usize>,
+    /// Current alternative, and the number of its tasks that have ended.
+    current: Option<(usize, usize)>,
 }
 
-/// What to do next.
+/// Next action for the caller.
 #[derive(Debug, Clone, PartialEq)]
 pub enum SequencerAction {
-    /// Begin a task.
+    /// Start a task.
     StartTask {
-        /// Where it stands.
+        /// Position of the task in the plan.
         step: StepRef,
-        /// Its name.
+        /// Its id.
         task: TaskId,
-        /// What is to be achieved.
+        /// Its specification.
         spec: TaskSpec,
     },
-    /// Tell another role.
+    /// Send a signal to another role.
     SendSignal(Signal),
-    /// What was waited for has been heard.
+    /// An awaited signal has arrived.
     SignalReceived(Signal),
 }
 
-/// Something said under an award that is no longer in force. Nobody goes by it.
+/// The signal was sent under an award that is no longer in force. It is ignored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StaleSignal {
-    /// The latest award of that role which is known.
+    /// Latest known award of the sending role.
     pub current: Epoch,
 }
 
 impl Sequencer {
-    /// Takes up a plan of which some steps have ended already, as the ledger says.
+    /// Starts a plan with the steps that the ledger contains as ended.
     ///
     /// # Errors
-    /// [`ProgressError`] when those steps cannot have ended so.
+    /// [`ProgressError`] if these steps cannot have ended in this order.
     pub fn new(
         plan: LocalPlan,
         ended: &BTreeSet<StepIndex>,
@@ -89,140 +89,155 @@ impl Sequencer {
         Sequencer::resume(plan, ended, &BTreeSet::new(), AlternativeProgress::default(), holders)
     }
 
-    /// Takes up a plan where a former life left it: it may have come further than the ledger knows, or less far than it
-    /// had written down.
+    /// Resumes a plan after a restart. The checkpoint (`own`) may be ahead of the ledger
+    /// (`recorded`), or behind it.
     ///
     /// # Errors
-    /// As for [`new`](Sequencer::new).
+    /// Same as [`new`](Sequencer::new).
     pub fn resume(
         plan: LocalPlan,
-        known: &BTreeSet<StepIndex>,
+        recorded: &BTreeSet<StepIndex>,
         own: &BTreeSet<StepIndex>,
-        mut detours: AlternativeProgress,
+        mut alternatives: AlternativeProgress,
         holders: BTreeMap<RoleId, RoleHolder>,
     ) -> Result<Sequencer, ProgressError> {
-        let ended: BTreeSet<StepIndex> = known.union(own).copied().collect();
-        let said = ended.iter().filter_map(|step| match &plan.steps.get(*step as usize)?.action {
+        let ended: BTreeSet<StepIndex> = recorded.union(own).copied().collect();
+        let sent = ended.iter().filter_map(|step| match &plan.steps.get(*step as usize)?.action {
             StepAction::Send(signal) => Some(signal.clone()),
             StepAction::Wait(_) | StepAction::Task { .. } => None,
         });
-        let said = said.collect();
+        let sent = sent.collect();
         let progress = PlanProgress::restore(plan, ended, BTreeSet::new())?;
-        detours.under_way = detours.under_way.filter(|(alternative, _)| {
-            let detour = progress.plan().alternatives.get(*alternative);
-            detour.is_some_and(|detour| !detour.replaces.is_subset(progress.ended()))
+        alternatives.current = alternatives.current.filter(|(alternative, _)| {
+            let replacement = progress.plan().alternatives.get(*alternative);
+            replacement.is_some_and(|replacement| !replacement.replaces.is_subset(progress.ended()))
         });
-        let cast = holders.iter().map(|(role, holding)| (role.clone(), holding.epoch)).collect();
-        Ok(Sequencer { progress, running: None, detours, known: known.clone(), holders, cast, said })
+        let latest_awards = holders.iter().map(|(role, holding)| (role.clone(), holding.epoch)).collect();
+        Ok(Sequencer {
+            progress,
+            running: None,
+            alternatives,
+            recorded: recorded.clone(),
+            holders,
+            latest_awards,
+            sent,
+        })
     }
 
-    /// The next thing to do, which the caller does at once; `None` while a task is under way or all is waiting, be it for
-    /// a signal, for the ledger or, in a task that names another role, for somebody to hold that role. Telling
-    /// and hearing end with being returned; a task ends with [`end`](Sequencer::end).
+    /// Returns the next action, which the caller performs at once. Returns `None` while a task is
+    /// running, and while every open step waits: for a signal, for the ledger, or for a holder of
+    /// another role that the task names. Sending and receiving a signal end with the return; a task
+    /// ends with [`end_task`](Sequencer::end_task).
     pub fn next_action(&mut self) -> Option<SequencerAction> {
         if self.running.is_some() {
             return None;
         }
-        let next = self.progress.next_guarded(&self.known).map(|(index, step)| (index, step.action.clone()));
+        let next = self.progress.next_guarded(&self.recorded).map(|(index, step)| (index, step.action.clone()));
         match next {
-            Some((step, StepAction::Send(signal))) if signal.kind == SignalKind::Done => Some(self.tell(step, signal)),
+            Some((step, StepAction::Send(signal))) if signal.kind == SignalKind::Done => {
+                Some(self.send_signal(step, signal))
+            }
             Some((step, StepAction::Wait(signal))) => {
                 self.finish(step);
                 Some(SequencerAction::SignalReceived(signal))
             }
-            // A detour takes the place of all tasks until it has ended.
-            _ if self.detours.under_way.is_some() => self.next_aside(),
-            Some((step, StepAction::Send(signal))) => Some(self.tell(step, signal)),
-            Some((step, StepAction::Task { id, spec })) => self.perform(StepRef::Step(step), id, spec),
+            // The current alternative takes precedence over all other tasks until it has ended.
+            _ if self.alternatives.current.is_some() => self.next_alternative_task(),
+            Some((step, StepAction::Send(signal))) => Some(self.send_signal(step, signal)),
+            Some((step, StepAction::Task { id, spec })) => self.start_task(StepRef::Step(step), id, spec),
             None => None,
         }
     }
 
-    fn tell(&mut self, step: StepIndex, signal: Signal) -> SequencerAction {
+    fn send_signal(&mut self, step: StepIndex, signal: Signal) -> SequencerAction {
         self.finish(step);
-        self.said.insert(signal.clone());
+        self.sent.insert(signal.clone());
         SequencerAction::SendSignal(signal)
     }
 
-    fn next_aside(&mut self) -> Option<SequencerAction> {
-        let (alternative, task) = self.detours.under_way?;
+    fn next_alternative_task(&mut self) -> Option<SequencerAction> {
+        let (alternative, task) = self.alternatives.current?;
         let (id, spec) = self.alternative(alternative)?.tasks.get(task)?.clone();
-        self.perform(StepRef::Alternative { alternative, task }, id, spec)
+        self.start_task(StepRef::Alternative { alternative, task }, id, spec)
     }
 
-    fn perform(&mut self, spot: StepRef, task: TaskId, spec: TaskSpec) -> Option<SequencerAction> {
-        if self.names_a_vacancy(&spec) {
+    fn start_task(&mut self, step: StepRef, task: TaskId, spec: TaskSpec) -> Option<SequencerAction> {
+        if self.names_vacant_role(&spec) {
             return None;
         }
-        self.running = Some(spot);
-        Some(SequencerAction::StartTask { step: spot, task, spec })
+        self.running = Some(step);
+        Some(SequencerAction::StartTask { step, task, spec })
     }
 
-    fn names_a_vacancy(&self, spec: &TaskSpec) -> bool {
-        let mut vacant = self.cast.keys().filter(|role| !self.holders.contains_key(*role));
+    fn names_vacant_role(&self, spec: &TaskSpec) -> bool {
+        let mut vacant = self.latest_awards.keys().filter(|role| !self.holders.contains_key(*role));
         vacant.any(|role| spec.roles.contains(role) || spec.parameters.values().any(|value| value == role.as_str()))
     }
 
     fn finish(&mut self, step: StepIndex) {
-        self.progress.end(step).expect("a step that was given out may end");
+        self.progress.end(step).expect("a returned step may end");
     }
 
     fn alternative(&self, number: usize) -> Option<&Alternative> {
         self.progress.plan().alternatives.get(number)
     }
 
-    /// The task under way has ended well.
-    pub fn end_task(&mut self, spot: StepRef) {
-        if self.running.take_if(|running| *running == spot).is_none() {
+    /// Marks the current task as succeeded.
+    pub fn end_task(&mut self, step: StepRef) {
+        if self.running.take_if(|running| *running == step).is_none() {
             return;
         }
-        match spot {
+        match step {
             StepRef::Step(step) => self.finish(step),
             StepRef::Alternative { alternative, task } => {
-                let tasks = self.alternative(alternative).map_or(0, |detour| detour.tasks.len());
-                self.detours.under_way = Some((alternative, task + 1));
+                let tasks = self.alternative(alternative).map_or(0, |replacement| replacement.tasks.len());
+                self.alternatives.current = Some((alternative, task + 1));
                 if task + 1 >= tasks {
-                    self.detours.under_way = None;
-                    self.progress.apply_alternative(alternative).expect("tasks of one of which was under way may end");
+                    self.alternatives.current = None;
+                    self.progress.apply_alternative(alternative).expect("the tasks of a started alternative may end");
                 }
             }
         }
     }
 
-    /// The task under way was broken off; it is begun anew when the plan goes on.
+    /// Aborts the current task. It starts again when the plan continues.
     pub fn abort_task(&mut self) {
         self.running = None;
     }
 
-    /// The task under way failed for good: the first alternative to it that was not begun before, in the order of the plan,
-    /// takes its place. Its number; `None` when there is none, and the task is merely broken off.
+    /// Replaces the failed current task by the first alternative, in the order of the plan, that
+    /// has not been started yet. Returns the index of the alternative. Returns `None` if there is
+    /// none; the task is then only aborted.
     pub fn switch_to_alternative(&mut self) -> Option<usize> {
         let failed = self.running.take()?;
-        let in_place_of = match failed {
+        let replaced_steps = match failed {
             StepRef::Step(step) => BTreeSet::from([step]),
             StepRef::Alternative { alternative, .. } => self.alternative(alternative)?.replaces.clone(),
         };
-        let mut others = self.progress.alternatives_for(*in_place_of.first()?);
-        let (number, _) = others
-            .find(|(number, other)| !self.detours.begun.contains(number) && in_place_of.is_subset(&other.replaces))?;
-        self.detours.begun.insert(number);
-        self.detours.under_way = Some((number, 0));
+        let mut candidates = self.progress.alternatives_for(*replaced_steps.first()?);
+        let (number, _) = candidates.find(|(number, candidate)| {
+            !self.alternatives.started.contains(number) && replaced_steps.is_subset(&candidate.replaces)
+        })?;
+        self.alternatives.started.insert(number);
+        self.alternatives.current = Some((number, 0));
         Some(number)
     }
 
-    /// Another role has said this under the award of `epoch`. True if it was awaited and is news.
+    /// Receives a signal that another role sent under the award of `epoch`. Returns true if it was
+    /// awaited and is new.
     ///
     /// # Errors
-    /// [`Outdated`] when a later award of that role is known: it is somebody else's by now. Nothing is changed.
+    /// [`StaleSignal`] if a later award of the sending role is known: the role has another holder.
+    /// The state is unchanged.
     pub fn receive_signal(&mut self, signal: &Signal, epoch: Epoch) -> Result<bool, StaleSignal> {
-        // Unmanaged roles are nobody's award.
-        if let Some(known) = self.cast.get_mut(&signal.from) {
-            match epoch.cmp(known) {
-                Ordering::Less => return Err(StaleSignal { current: *known }),
+        // Unmanaged roles have no award.
+        if let Some(latest) = self.latest_awards.get_mut(&signal.from) {
+            match epoch.cmp(latest) {
+                Ordering::Less => return Err(StaleSignal { current: *latest }),
                 Ordering::Equal => {}
-                // The word of a successor before word of it.
+                // The signal of the new holder has arrived before the notice of its award.
                 Ordering::Greater => {
-                    *known = epoch;
+                    *latest = epoch;
                     self.progress.discard_signals_from(&signal.from);
                 }
             }
@@ -230,17 +245,17 @@ impl Sequencer {
         Ok(self.progress.receive(signal))
     }
 
-    /// The ledger says that this role was told so: whoever said it may be gone.
-    pub fn receive_recorded(&mut self, told: &BTreeSet<Signal>) {
-        for signal in told {
+    /// Receives signals that the ledger contains as sent to this role. Their sender may be gone.
+    pub fn receive_recorded(&mut self, signals: &BTreeSet<Signal>) {
+        for signal in signals {
             self.progress.receive(signal);
         }
     }
 
-    /// The task under way, and what is to be achieved.
+    /// Returns the current task and its specification.
     pub fn current_step(&self) -> Option<(StepRef, &TaskId, &TaskSpec)> {
-        let spot = self.running?;
-        let (id, spec) = match spot {
+        let step = self.running?;
+        let (id, spec) = match step {
             StepRef::Step(step) => match &self.progress.step(step)?.action {
                 StepAction::Task { id, spec } => (id, spec),
                 StepAction::Send(_) | StepAction::Wait(_) => return None,
@@ -250,24 +265,24 @@ impl Sequencer {
                 (id, spec)
             }
         };
-        Some((spot, id, spec))
+        Some((step, id, spec))
     }
 
-    /// The name of the task under way.
+    /// Returns the id of the current task.
     pub fn current_task(&self) -> Option<&TaskId> {
         self.current_step().map(|(_, id, _)| id)
     }
 
-    /// What is still to be done, the task under way included, as a plan of its own to be priced.
+    /// Returns the remaining work, including the current task, as a plan that can be priced.
     pub fn remaining_plan(&self) -> LocalPlan {
         let plan = self.progress.plan();
-        let (aside, replaced) = match self.detours.under_way {
-            Some((number, done)) => self.alternative(number).map_or((&[][..], None), |detour| {
-                (detour.tasks.get(done..).unwrap_or_default(), Some(&detour.replaces))
+        let (tasks, replaced) = match self.alternatives.current {
+            Some((number, done)) => self.alternative(number).map_or((&[][..], None), |replacement| {
+                (replacement.tasks.get(done..).unwrap_or_default(), Some(&replacement.replaces))
             }),
             None => (&[][..], None),
         };
-        let first = aside.iter().map(|(id, spec)| StepAction::Task { id: id.clone(), spec: spec.clone() });
+        let first = tasks.iter().map(|(id, spec)| StepAction::Task { id: id.clone(), spec: spec.clone() });
         let open = plan.steps.iter().zip(0..).filter(|(_, step)| {
             !self.progress.ended().contains(step) && replaced.is_none_or(|replaced| !replaced.contains(step))
         });
@@ -276,82 +291,85 @@ impl Sequencer {
         LocalPlan::of(plan.role.clone(), steps)
     }
 
-    /// Whether an item may have come into the hands of this role: a guarded step has ended. Said of the past: what was
-    /// handed on since still counts, since the plan does not tell who received it.
+    /// Checks whether this role may have received an item: a guarded step has ended. An item that
+    /// was handed on still counts, because the plan does not contain the recipient.
     pub fn may_have_custody(&self) -> bool {
         !self.progress.plan().guarded.is_disjoint(self.progress.ended())
     }
 
-    /// The tasks of an alternative, by its number.
+    /// Returns the tasks of an alternative.
     pub fn alternative_tasks(&self, alternative: usize) -> Vec<TaskId> {
-        let tasks = self.alternative(alternative).map_or(&[][..], |detour| &detour.tasks);
+        let tasks = self.alternative(alternative).map_or(&[][..], |replacement| &replacement.tasks);
         tasks.iter().map(|(id, _)| id.clone()).collect()
     }
 
-    /// Signals that this role will yet need and has not heard.
+    /// Returns the signals that this role still needs and has not received.
     pub fn awaited_signals(&self) -> BTreeSet<Signal> {
         self.progress.awaited_signals().into_iter().cloned().collect()
     }
 
-    /// Whether something could be done if only the ledger were known to hold what has ended.
+    /// Checks whether the next step is blocked only because the ledger is not yet known to contain
+    /// the ended steps.
     pub fn awaits_ledger(&self) -> bool {
         self.running.is_none()
-            && self.progress.permitted().iter().any(|step| !self.progress.is_guard_met(*step, &self.known))
+            && self.progress.permitted().iter().any(|step| !self.progress.is_guard_met(*step, &self.recorded))
     }
 
-    /// The ledger holds these steps of the plan as ended.
+    /// Marks steps as ended in the ledger.
     pub fn set_recorded(&mut self, ended: &BTreeSet<StepIndex>) {
-        self.known.extend(ended);
+        self.recorded.extend(ended);
     }
 
-    /// Steps that have ended.
+    /// Returns the steps that have ended.
     pub fn ended(&self) -> &BTreeSet<StepIndex> {
         self.progress.ended()
     }
 
-    /// The alternatives that were begun.
+    /// Returns the alternatives that were started.
     pub fn alternative_progress(&self) -> &AlternativeProgress {
-        &self.detours
+        &self.alternatives
     }
 
-    /// What this role has told others.
+    /// Returns the signals that this role has sent.
     pub fn sent_signals(&self) -> &BTreeSet<Signal> {
-        &self.said
+        &self.sent
     }
 
-    /// Whether every step has ended.
+    /// Checks whether every step has ended.
     pub fn is_complete(&self) -> bool {
         self.progress.is_complete()
     }
 
-    /// Who holds the managed roles.
+    /// Returns the holders of the managed roles.
     pub fn holders(&self) -> &BTreeMap<RoleId, RoleHolder> {
         &self.holders
     }
 
-    /// Takes in who holds the managed roles now. What a former holder had said and was not yet acted on no longer holds: its
-    /// successor says what still does. True if there was such a thing, so that the successor is worth asking.
+    /// Updates the holders of the managed roles. Signals of a former holder that were not yet acted
+    /// on are discarded, because its successor sends the valid ones again. Returns true if a signal
+    /// was discarded: the successor should then be queried.
     pub fn set_holders(&mut self, holders: BTreeMap<RoleId, RoleHolder>) -> bool {
-        let mut forgotten = false;
+        let mut discarded = false;
         for (role, holding) in &holders {
-            let former = self.cast.entry(role.clone()).or_insert(holding.epoch);
-            if *former < holding.epoch {
-                *former = holding.epoch;
-                forgotten |= self.progress.discard_signals_from(role);
+            let latest = self.latest_awards.entry(role.clone()).or_insert(holding.epoch);
+            if *latest < holding.epoch {
+                *latest = holding.epoch;
+                discarded |= self.progress.discard_signals_from(role);
             }
         }
         self.holders = holders;
-        forgotten
+        discarded
     }
 
-    /// Takes in which managed roles nobody holds: some may never have been held. Who holds a role is told before.
+    /// Updates the managed roles without a holder; some may never have been held. Call
+    /// [`set_holders`](Sequencer::set_holders) first.
     pub fn set_vacant_roles(&mut self, vacant: &BTreeSet<RoleId>) {
         for role in vacant {
-            self.cast.entry(role.clone()).or_default();
+            self.latest_awards.entry(role.clone()).or_default();
         }
     }
 
-    /// The robots alone.
+    /// Returns the robots that hold the managed roles.
     pub fn holder_robots(&self) -> BTreeMap<RoleId, RobotId> {
         RoleHolder::robots(&self.holders)
     }
@@ -378,7 +396,7 @@ mod tests {
         json!({ "action": { "Wait": { "kind": "done", "task": task, "from": "arm", "to": "r1" } }, "after": after })
     }
 
-    fn aside(replaces: &[u32], tasks: &[&str]) -> serde_json::Value {
+    fn alternative_json(replaces: &[u32], tasks: &[&str]) -> serde_json::Value {
         let tasks: Vec<_> = tasks.iter().map(|id| json!([id, { "type": id, "roles": ["r1"] }])).collect();
         json!({ "replaces": replaces, "tasks": tasks })
     }
@@ -397,25 +415,25 @@ mod tests {
         Sequencer::new(plan, &BTreeSet::new(), held(&[("r1", 5), ("arm", 5)])).unwrap()
     }
 
-    /// Performs until `fails` is at hand; the names of what was done.
+    /// Executes until a task of `fails` is next. Returns the names of the actions performed.
     fn run(sequencer: &mut Sequencer, fails: &[&str]) -> Vec<String> {
         let mut done = vec![];
         while let Some(next) = sequencer.next_action() {
             match next {
                 SequencerAction::StartTask { task, .. } if fails.contains(&task.as_str()) => break,
-                SequencerAction::StartTask { step: spot, task, .. } => {
-                    sequencer.end_task(spot);
+                SequencerAction::StartTask { step, task, .. } => {
+                    sequencer.end_task(step);
                     done.push(task.to_string());
                 }
-                SequencerAction::SendSignal(signal) => done.push(format!("tell {}", signal.task)),
-                SequencerAction::SignalReceived(signal) => done.push(format!("heard {}", signal.task)),
+                SequencerAction::SendSignal(signal) => done.push(format!("sent {}", signal.task)),
+                SequencerAction::SignalReceived(signal) => done.push(format!("received {}", signal.task)),
             }
         }
         done
     }
 
     #[test]
-    fn a_task_that_names_a_role_begins_once_somebody_holds_that_role_again() {
+    fn a_task_waits_until_the_role_it_names_has_a_holder_again() {
         let step = json!({ "action": { "Task": { "id": "meet", "spec": {
             "type": "approach_robot", "roles": ["r1"], "parameters": { "robot_role": "arm" } } } }, "after": [] });
         let mut sequencer = sequencer(plan(json!({ "role": "r1", "steps": [step] })));
@@ -426,53 +444,57 @@ mod tests {
     }
 
     #[test]
-    fn a_task_that_names_a_role_which_nobody_has_held_yet_begins_once_somebody_does() {
+    fn a_task_waits_for_the_first_holder_of_the_role_it_names() {
         let step = |named: &str| {
             let spec = json!({ "type": "deposit", "roles": ["nurse"], "parameters": { "into_role": named } });
             json!({ "action": { "Task": { "id": "deposit", "spec": spec } }, "after": [] })
         };
-        let taken_up = |named| {
+        let sequencer_with = |named| {
             let plan = plan(json!({ "role": "nurse", "steps": [step(named)] }));
             let mut sequencer = Sequencer::new(plan, &BTreeSet::new(), held(&[("arm", 5)])).unwrap();
             sequencer.set_vacant_roles(&BTreeSet::from(["r1".parse().unwrap()]));
             sequencer
         };
-        let mut waits = taken_up("r1");
+        let mut waits = sequencer_with("r1");
         assert_eq!(waits.next_action(), None);
-        assert!(!waits.set_holders(held(&[("arm", 5), ("r1", 6)])), "nobody has said anything before");
+        assert!(!waits.set_holders(held(&[("arm", 5), ("r1", 6)])), "no signal was received before");
         waits.set_vacant_roles(&BTreeSet::new());
         assert!(matches!(waits.next_action(), Some(SequencerAction::StartTask { step: StepRef::Step(0), .. })));
-        let begins = |named| matches!(taken_up(named).next_action(), Some(SequencerAction::StartTask { .. }));
-        assert!(begins("arm") && begins("r3"), "that role is held, and this one is none that anybody could hold");
+        let starts = |named| matches!(sequencer_with(named).next_action(), Some(SequencerAction::StartTask { .. }));
+        assert!(starts("arm") && starts("r3"), "arm has a holder, and r3 is not a role of the mission");
     }
 
     #[test]
-    fn alternatives_are_tried_in_their_order_and_the_steps_they_replace_have_then_ended() {
+    fn alternatives_are_tried_in_order_and_end_the_steps_they_replace() {
         let steps = [task("drive", &[]), task("knock", &[0]), task("enter", &[1]), send("enter", &[2])];
-        let alternatives = [aside(&[1], &["ring"]), aside(&[1], &["call"]), aside(&[0, 1, 2], &["lift", "descend"])];
+        let alternatives = [
+            alternative_json(&[1], &["ring"]),
+            alternative_json(&[1], &["call"]),
+            alternative_json(&[0, 1, 2], &["lift", "descend"]),
+        ];
         let plan = plan(json!({ "role": "r1", "steps": steps, "alternatives": alternatives }));
         let mut sequencer = sequencer(plan.clone());
         assert_eq!(run(&mut sequencer, &["knock"]), ["drive"]);
         assert_eq!(sequencer.switch_to_alternative(), Some(0));
         assert_eq!(run(&mut sequencer, &["ring"]), [""; 0]);
         assert_eq!(sequencer.switch_to_alternative(), Some(1));
-        let halfway = sequencer.clone();
+        let second_alternative = sequencer.clone();
         assert_eq!(run(&mut sequencer, &["enter"]), ["call"]);
         assert_eq!(*sequencer.ended(), BTreeSet::from([0, 1]));
-        assert_eq!(sequencer.switch_to_alternative(), Some(2), "a way around all of it");
-        assert_eq!(run(&mut sequencer, &[]), ["lift", "descend", "tell enter"]);
+        assert_eq!(sequencer.switch_to_alternative(), Some(2), "the alternative to all steps");
+        assert_eq!(run(&mut sequencer, &[]), ["lift", "descend", "sent enter"]);
         assert!(sequencer.is_complete());
 
-        let mut stuck = halfway;
+        let mut stuck = second_alternative;
         run(&mut stuck, &["call"]);
-        assert_eq!(stuck.switch_to_alternative(), Some(2), "what replaces one step is replaced with it");
+        assert_eq!(stuck.switch_to_alternative(), Some(2), "the alternative of a replaced step is replaced, too");
         assert_eq!(run(&mut stuck, &["lift"]), [""; 0]);
-        assert_eq!(stuck.switch_to_alternative(), None, "none is begun twice");
+        assert_eq!(stuck.switch_to_alternative(), None, "an alternative starts at most once");
     }
 
     #[test]
-    fn a_former_lifes_detour_is_taken_up_where_it_was_unless_its_steps_have_ended() {
-        let alternatives = [aside(&[0], &["lift", "descend"])];
+    fn a_restored_alternative_continues_unless_its_steps_have_ended() {
+        let alternatives = [alternative_json(&[0], &["lift", "descend"])];
         let steps = [task("drive", &[]), task("knock", &[0])];
         let plan = plan(json!({ "role": "r1", "steps": steps, "alternatives": alternatives }));
         let mut former = sequencer(plan.clone());
@@ -480,10 +502,10 @@ mod tests {
         former.switch_to_alternative();
         run(&mut former, &["descend"]);
         let none = BTreeSet::new();
-        let resume = |known: &BTreeSet<u32>| {
+        let resume = |recorded: &BTreeSet<u32>| {
             Sequencer::resume(
                 plan.clone(),
-                known,
+                recorded,
                 former.ended(),
                 former.alternative_progress().clone(),
                 held(&[("r1", 5)]),
@@ -495,9 +517,10 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_is_priced_with_the_detour_and_without_what_it_replaces() {
+    fn the_remaining_plan_has_the_alternative_and_no_replaced_steps() {
         let steps = [task("drive", &[]), task("knock", &[0]), task("enter", &[1])];
-        let plan = plan(json!({ "role": "r1", "steps": steps, "alternatives": [aside(&[1], &["ring", "call"])] }));
+        let plan =
+            plan(json!({ "role": "r1", "steps": steps, "alternatives": [alternative_json(&[1], &["ring", "call"])] }));
         let mut sequencer = sequencer(plan);
         let rest = |sequencer: &Sequencer| {
             sequencer.remaining_plan().tasks().map(|(id, _)| id.to_string()).collect::<Vec<_>>()
@@ -510,7 +533,7 @@ mod tests {
     }
 
     #[test]
-    fn a_guarded_step_waits_until_the_ledger_holds_what_came_before_it() {
+    fn a_guarded_step_waits_until_the_ledger_contains_its_predecessors() {
         let steps = [task("open", &[]), send("open", &[0]), task("close", &[1])];
         let plan = plan(json!({ "role": "r1", "steps": steps, "guarded": [1] }));
         let mut sequencer = sequencer(plan);
@@ -518,28 +541,28 @@ mod tests {
         assert!(sequencer.awaits_ledger() && !sequencer.may_have_custody());
         sequencer.set_recorded(&BTreeSet::from([0]));
         assert!(!sequencer.awaits_ledger());
-        assert_eq!(run(&mut sequencer, &[]), ["tell open", "close"]);
+        assert_eq!(run(&mut sequencer, &[]), ["sent open", "close"]);
         assert!(sequencer.may_have_custody());
     }
 
     #[test]
-    fn what_is_said_under_an_older_award_is_not_heard_and_what_was_not_acted_on_is_forgotten() {
+    fn a_stale_signal_is_rejected_and_an_unused_signal_is_discarded() {
         let signal: Signal =
             serde_json::from_value(json!({ "kind": "done", "task": "lift", "from": "arm", "to": "r1" })).unwrap();
         let steps = [task("drive", &[]), wait("lift", &[0])];
         let mut sequencer = sequencer(plan(json!({ "role": "r1", "steps": steps })));
         assert_eq!(sequencer.receive_signal(&signal, at(4)), Err(StaleSignal { current: at(5) }));
         assert_eq!(sequencer.receive_signal(&signal, at(5)), Ok(true));
-        assert!(!sequencer.set_holders(held(&[("r1", 5)])), "nobody has taken its place yet");
+        assert!(!sequencer.set_holders(held(&[("r1", 5)])), "the role has no new holder yet");
         assert!(sequencer.set_holders(held(&[("r1", 5), ("arm", 9)])));
         assert_eq!(run(&mut sequencer, &[]), ["drive"]);
         assert_eq!(sequencer.receive_signal(&signal, at(5)), Err(StaleSignal { current: at(9) }));
         assert_eq!(sequencer.receive_signal(&signal, at(9)), Ok(true));
-        assert_eq!(run(&mut sequencer, &[]), ["heard lift"]);
+        assert_eq!(run(&mut sequencer, &[]), ["received lift"]);
     }
 
     #[test]
-    fn an_unmanaged_role_is_nobodys_award() {
+    fn an_unmanaged_role_has_no_award() {
         let signal: Signal =
             serde_json::from_value(json!({ "kind": "done", "task": "lift", "from": "arm", "to": "r1" })).unwrap();
         let plan = plan(json!({ "role": "r1", "steps": [wait("lift", &[])] }));

@@ -1,4 +1,4 @@
-//! How a robot works.
+//! Settings of a robot.
 
 use super::task_timeout::TaskTimeout;
 use crate::bus::SharedBus;
@@ -18,13 +18,13 @@ use consort_skills::library::SkillLibrary;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How a robot works.
+/// Settings of a robot.
 pub struct RobotSettings {
-    /// Its name.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// Which life of its node this is.
+    /// Incarnation of its node.
     pub incarnation: u64,
-    /// What it says of itself before its body has reported.
+    /// Published worker until the driver has reported.
     pub worker: RobotKnowledge,
     /// The fleet's keys.
     pub keys: Keys,
@@ -32,34 +32,34 @@ pub struct RobotSettings {
     pub bus: SharedBus,
     /// The node's clock.
     pub clock: Clock,
-    /// Where it tells what happens.
+    /// Event publisher.
     pub events: EventPublisher,
-    /// Where its knowledge of itself goes.
+    /// Gossip of the node: publishes the worker.
     pub gossip: GossipHandle,
-    /// What the node has heard.
+    /// Records received from other nodes.
     pub knowledge: SharedKnowledge,
-    /// The ensemble it may be a member of.
+    /// The ensemble of the fleet.
     pub ensemble: Arc<Ensemble>,
-    /// What bids must keep to; the robot holds the rest of its plan to the same.
+    /// Limits of bids. The remaining plan is checked against the same limits.
     pub limits: BidLimits,
-    /// How long awards last.
+    /// Durations of leases.
     pub lease_terms: LeaseTerms,
-    /// Prices its work.
+    /// Estimator of time and energy.
     pub estimator: Arc<Estimator>,
-    /// Carries its work out.
+    /// Skills of the robot.
     pub library: Arc<SkillLibrary>,
-    /// Its body.
+    /// Driver of the robot.
     pub driver: RobotDriver,
-    /// Where it writes down what its next life should know.
+    /// Store of the checkpoint.
     pub checkpoint_store: Arc<dyn CheckpointStore>,
-    /// How long tasks may take.
+    /// Time limits of tasks.
     pub task_timeout: TaskTimeout,
-    /// How long a robot stands still between two attempts at a task, in node time. Raised: what was in the way has more
-    /// time to pass. Default 500 ms (a guess).
+    /// Pause between two attempts at a task, in node time. Raised: an obstacle has more time to
+    /// move away. Default 500 ms (a guess).
     pub retry_delay: Duration,
-    /// How often properties are sensed and leases looked after. Default 250 ms; knowledge is told once a second at most while
-    /// only pose and charge change.
+    /// Interval for properties sensing and for lease checks. Default 250 ms. Gossip is updated at
+    /// most once per second while only pose and charge change.
     pub update_interval: Duration,
-    /// How often a running skill is ticked while nothing is heard from the body. Default 100 ms.
+    /// Tick interval of a running skill while the driver sends no state. Default 100 ms.
     pub skill_tick_interval: Duration,
 }

@@ -1,7 +1,8 @@
-//! What roles of one mission say to one another, robot to robot (no coordinator on the way).
+//! Signals between the roles of a mission, from robot to robot without the coordinator.
 //!
-//! A signal is published once when it is said. Whoever misses it asks: the teller answers with all it has said for as
-//! long as it remembers the mission. Both are idempotent.
+//! A signal is published once, when it is sent. A node that has missed it sends a query: the sender
+//! replies with the role's complete signal history while it still stores the mission. Both
+//! operations are idempotent.
 
 use crate::bus::{BusError, Delivery, Encoding, SharedBus};
 use crate::reply;
@@ -19,120 +20,121 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tracing::{debug, warn};
 
-/// Roles that were put down of which a node still answers what it said.
-const REMEMBERED: usize = 16;
+/// Number of ended roles for which a node still replies with the signal history.
+const ENDED_ROLES_KEPT: usize = 16;
 
-/// One node's part in the talk of its missions.
+/// Signal exchange of a single node for all its missions.
 pub(crate) struct SignalExchange {
     bus: SharedBus,
     keys: Keys,
-    /// Those of roles that were put down in the order in which they were.
-    tellers: VecDeque<Teller>,
-    /// Signals under awards no longer in force, counted since the start.
-    outdated: u64,
+    /// Roles that send signals. Ended roles are in the order in which they ended.
+    senders: VecDeque<RoleSender>,
+    /// Number of stale signals received since the start.
+    stale_count: u64,
 }
 
-/// What a role was told under awards no longer in force.
+/// Signals received under awards that are no longer in force.
 pub(crate) type StaleSignals = BTreeSet<(Signal, Epoch)>;
 
-struct Teller {
+struct RoleSender {
     mission: MissionId,
     role: RoleId,
-    said: watch::Sender<SignalHistory>,
-    /// The role was put down: it says no more, and is forgotten in its turn.
-    put_down: bool,
+    history: watch::Sender<SignalHistory>,
+    /// The role has ended: it sends no more signals and will be removed.
+    ended: bool,
     _serving: Tasks,
 }
 
 impl SignalExchange {
     pub(crate) fn new(bus: SharedBus, keys: Keys) -> SignalExchange {
-        SignalExchange { bus, keys, tellers: VecDeque::new(), outdated: 0 }
+        SignalExchange { bus, keys, senders: VecDeque::new(), stale_count: 0 }
     }
 
-    /// Begins to answer for a role, with what it has said already.
+    /// Starts to serve the signal history of a role, beginning with the signals already sent.
     pub(crate) async fn start_role(
         &mut self,
         mission: &MissionId,
         role: &RoleId,
         epoch: Epoch,
-        said: BTreeSet<Signal>,
+        history: BTreeSet<Signal>,
     ) -> Result<(), BusError> {
-        self.tellers.retain(|teller| teller.mission != *mission || teller.role != *role);
+        self.senders.retain(|sender| sender.mission != *mission || sender.role != *role);
         let mut queries = self.bus.serve(&self.keys.write(&Key::SignalHistory(mission.clone(), role.clone()))).await?;
-        let (said, latest) = watch::channel(SignalHistory { mission: mission.clone(), epoch, signals: said });
+        let (history, latest) = watch::channel(SignalHistory { mission: mission.clone(), epoch, signals: history });
         let mut serving = Tasks::default();
         serving.spawn(async move {
             while let Some(query) = queries.recv().await {
-                let said = latest.borrow().clone();
-                reply::wire(&query, &query.key, &said).await;
+                let history = latest.borrow().clone();
+                reply::wire(&query, &query.key, &history).await;
             }
         });
         let (mission, role) = (mission.clone(), role.clone());
-        self.tellers.push_back(Teller { mission, role, said, put_down: false, _serving: serving });
+        self.senders.push_back(RoleSender { mission, role, history, ended: false, _serving: serving });
         Ok(())
     }
 
-    /// A role says no more. What it has said is still answered, until later ones have taken its place.
+    /// Ends a role. Its signal history is still served until later roles replace it.
     pub(crate) fn end_role(&mut self, mission: &MissionId, role: &RoleId) {
-        let Some(at) = self.tellers.iter().position(|t| t.mission == *mission && t.role == *role) else { return };
-        if let Some(teller) = self.tellers.remove(at) {
-            self.tellers.push_back(Teller { put_down: true, ..teller });
+        let Some(at) = self.senders.iter().position(|t| t.mission == *mission && t.role == *role) else { return };
+        if let Some(sender) = self.senders.remove(at) {
+            self.senders.push_back(RoleSender { ended: true, ..sender });
         }
-        if self.tellers.iter().filter(|teller| teller.put_down).count() > REMEMBERED
-            && let Some(oldest) = self.tellers.iter().position(|teller| teller.put_down)
+        if self.senders.iter().filter(|sender| sender.ended).count() > ENDED_ROLES_KEPT
+            && let Some(oldest) = self.senders.iter().position(|sender| sender.ended)
         {
-            self.tellers.remove(oldest);
+            self.senders.remove(oldest);
         }
     }
 
-    /// Says something in a role that was begun.
+    /// Sends a signal of a started role.
     pub(crate) async fn send(&self, mission: &MissionId, signal: &Signal) {
-        let Some(teller) = self.tellers.iter().find(|t| t.mission == *mission && t.role == signal.from) else { return };
-        teller.said.send_modify(|said| {
-            said.signals.insert(signal.clone());
+        let Some(sender) = self.senders.iter().find(|t| t.mission == *mission && t.role == signal.from) else { return };
+        sender.history.send_modify(|history| {
+            history.signals.insert(signal.clone());
         });
-        let said = SignalHistory { signals: BTreeSet::from([signal.clone()]), ..teller.said.borrow().clone() };
-        let bytes = Bytes::from(codec::encode(&said).expect("one signal fits a message"));
+        let history = SignalHistory { signals: BTreeSet::from([signal.clone()]), ..sender.history.borrow().clone() };
+        let bytes = Bytes::from(codec::encode(&history).expect("a signal fits a message"));
         let key = self.keys.write(&Key::Signal(mission.clone(), signal.to.clone()));
         if let Err(problem) = self.bus.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await {
-            debug!(%problem, "a signal was not published; who waits for it will ask");
+            debug!(%problem, "signal was not published; its receiver will query it");
         }
     }
 
-    /// A signal was heard that its teller said under an award no longer in force: counted, and what there is to tell of it when
-    /// its hearer hears it for the first time.
+    /// Counts a signal that was sent under an award no longer in force. Returns an event when the
+    /// receiver gets it for the first time.
     pub(crate) fn record_stale(
         &mut self,
-        heard: &mut StaleSignals,
-        said: &SignalHistory,
+        received: &mut StaleSignals,
+        history: &SignalHistory,
         signal: &Signal,
         known: Epoch,
     ) -> Option<EventKind> {
-        self.outdated += 1;
-        let (mission, epoch, count) = (said.mission.clone(), said.epoch, self.outdated);
-        let first = heard.insert((signal.clone(), epoch));
-        first.then(|| EventKind::Outdated { mission, signal: signal.clone(), epoch, known, count })
+        self.stale_count += 1;
+        let (mission, epoch, count) = (history.mission.clone(), history.epoch, self.stale_count);
+        let first = received.insert((signal.clone(), epoch));
+        first.then(|| EventKind::StaleSignal { mission, signal: signal.clone(), epoch, known, count })
     }
 
-    /// Asks those from whom something is awaited what they have said; each answer is handed to `tell`.
+    /// Queries the signal histories of all roles with an awaited signal. Each history is passed to
+    /// `deliver`.
     pub(crate) fn query_history(
         &self,
         mission: &MissionId,
         awaited: &BTreeSet<Signal>,
         tasks: &mut Tasks,
-        tell: impl Fn(SignalHistory) + Send + Clone + 'static,
+        deliver: impl Fn(SignalHistory) + Send + Clone + 'static,
     ) {
-        let tellers: BTreeSet<&RoleId> = awaited.iter().map(|signal| &signal.from).collect();
-        for role in tellers {
+        let senders: BTreeSet<&RoleId> = awaited.iter().map(|signal| &signal.from).collect();
+        for role in senders {
             let key = self.keys.write(&Key::SignalHistory(mission.clone(), role.clone()));
-            let (bus, tell) = (self.bus.clone(), tell.clone());
+            let (bus, deliver) = (self.bus.clone(), deliver.clone());
             tasks.spawn(async move {
                 let Ok(mut replies) = bus.query(&key, Bytes::new(), Duration::from_millis(500)).await else { return };
                 while let Some(reply) = replies.recv().await {
                     match reply.payload.map(|bytes| codec::decode::<SignalHistory>(&bytes)) {
-                        Ok(Ok(said)) => tell(said),
-                        Ok(Err(problem)) => warn!(key, %problem, "an answer that cannot be read"),
-                        Err(problem) => debug!(key, problem, "no answer"),
+                        Ok(Ok(history)) => deliver(history),
+                        Ok(Err(problem)) => warn!(key, %problem, "reply cannot be decoded"),
+                        Err(problem) => debug!(key, problem, "no reply"),
                     }
                 }
             });
@@ -148,8 +150,8 @@ mod tests {
     use consort_protocol::plan::SignalKind;
     use std::sync::Arc;
 
-    /// What the nurse of a mission answers to have said; `None` if nobody answers for her.
-    async fn said(bus: &dyn Bus, keys: &Keys, mission: &MissionId) -> Option<usize> {
+    /// Returns the size of the nurse's signal history in a mission; `None` without a reply.
+    async fn history_size(bus: &dyn Bus, keys: &Keys, mission: &MissionId) -> Option<usize> {
         let key = keys.write(&Key::SignalHistory(mission.clone(), RoleId::new("nurse").unwrap()));
         let mut replies = bus.query(&key, Bytes::new(), Duration::from_millis(500)).await.unwrap();
         let bytes = replies.recv().await?.payload.unwrap();
@@ -157,33 +159,34 @@ mod tests {
     }
 
     #[tokio::test(flavor = "current_thread", start_paused = true)]
-    async fn only_roles_that_were_put_down_are_forgotten() {
+    async fn only_the_histories_of_ended_roles_are_removed() {
         let network = VirtualNetwork::new(1, LinkModel::steady(Duration::from_millis(1)));
         let bus = network.bus(NodeId::new("ward").unwrap());
         let other = network.bus(NodeId::new("amber").unwrap());
         let keys = Keys::new(&FleetId::new("fleet").unwrap());
-        let mut talk = SignalExchange::new(Arc::new(bus), keys.clone());
+        let mut exchange = SignalExchange::new(Arc::new(bus), keys.clone());
         let nurse = RoleId::new("nurse").unwrap();
-        let missions: Vec<_> =
-            (0..2 * REMEMBERED + 3).map(|number| MissionId::new(format!("mission-{number:02}")).unwrap()).collect();
+        let missions: Vec<_> = (0..2 * ENDED_ROLES_KEPT + 3)
+            .map(|number| MissionId::new(format!("mission-{number:02}")).unwrap())
+            .collect();
         for mission in &missions {
-            talk.start_role(mission, &nurse, Epoch::default(), BTreeSet::new()).await.unwrap();
+            exchange.start_role(mission, &nurse, Epoch::default(), BTreeSet::new()).await.unwrap();
         }
         for mission in &missions {
             let (task, to) = (TaskId::new("deposit").unwrap(), RoleId::new("r1").unwrap());
-            talk.send(mission, &Signal { kind: SignalKind::Done, task, from: nurse.clone(), to }).await;
-            assert_eq!(said(&other, &keys, mission).await, Some(1), "{mission} is under way");
+            exchange.send(mission, &Signal { kind: SignalKind::Done, task, from: nurse.clone(), to }).await;
+            assert_eq!(history_size(&other, &keys, mission).await, Some(1), "{mission} is active");
         }
-        let (over, under_way) = missions.split_at(REMEMBERED + 2);
-        // Not in the order in which they began.
-        for mission in over.iter().rev() {
-            talk.end_role(mission, &nurse);
+        let (ended_missions, active) = missions.split_at(ENDED_ROLES_KEPT + 2);
+        // The order differs from the order in which the roles started.
+        for mission in ended_missions.iter().rev() {
+            exchange.end_role(mission, &nurse);
         }
-        for mission in under_way.iter().chain(&over[..REMEMBERED]) {
-            assert_eq!(said(&other, &keys, mission).await, Some(1), "{mission} is under way, or was lately");
+        for mission in active.iter().chain(&ended_missions[..ENDED_ROLES_KEPT]) {
+            assert_eq!(history_size(&other, &keys, mission).await, Some(1), "{mission} is active or ended lately");
         }
-        for mission in &over[REMEMBERED..] {
-            assert_eq!(said(&other, &keys, mission).await, None, "{mission} was put down first");
+        for mission in &ended_missions[ENDED_ROLES_KEPT..] {
+            assert_eq!(history_size(&other, &keys, mission).await, None, "{mission} ended first");
         }
     }
 }

@@ -1,4 +1,5 @@
-//! Runs one skill: an actor that ticks its tree until it ends, so that a panic in a skill ends this actor alone.
+//! Execution of a single skill: an actor ticks the behavior tree until it ends. A panic in the
+//! skill ends only this actor.
 
 use crate::robot_driver::RobotDriver;
 use crate::tasks::Tasks;
@@ -6,41 +7,41 @@ use consort_skills::library::{ActiveSkill, SkillStatus};
 use ractor::{Actor, ActorProcessingErr, ActorRef};
 use std::time::Duration;
 
-/// How a skill ended.
+/// Outcome of a skill.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum SkillOutcome {
-    /// As asked.
+    /// The skill has reached its goal.
     Succeeded,
-    /// For good, and why.
+    /// The skill has failed, with the cause.
     Failed(String),
 }
 
-/// To a runner.
+/// Message for a skill runner.
 pub(super) enum RunnerMessage {
-    /// Pass control to the tree.
+    /// Tick the tree.
     Tick,
-    /// Stop the body safely, and end.
+    /// Stop the robot safely, and end.
     Halt,
 }
 
-/// What a runner runs.
+/// Arguments of a skill runner.
 pub(super) struct SkillRun {
     pub(super) skill: ActiveSkill,
     pub(super) driver: RobotDriver,
-    /// How often the tree is ticked while nothing is heard from the body (thesis: 100 ms).
+    /// Tick interval while the driver sends no state (thesis: 100 ms).
     pub(super) period: Duration,
-    /// Told once, when the skill has ended by itself.
+    /// Called once, when the skill has ended by itself.
     pub(super) on_end: Box<dyn FnOnce(SkillOutcome) + Send + Sync>,
 }
 
-/// The actor.
+/// The skill runner actor.
 pub(super) struct SkillRunner;
 
 /// State of [`SkillRunner`].
 pub(super) struct RunnerState {
-    begun: bool,
+    started: bool,
     skill: ActiveSkill,
-    body: RobotDriver,
+    driver: RobotDriver,
     done: Option<Box<dyn FnOnce(SkillOutcome) + Send + Sync>>,
     _tasks: Tasks,
 }
@@ -56,7 +57,7 @@ impl Actor for SkillRunner {
         tasks.on_change(run.driver.changes(), &myself, || RunnerMessage::Tick);
         tasks.send_every(run.period, &myself, || RunnerMessage::Tick);
         myself.cast(RunnerMessage::Tick)?;
-        Ok(RunnerState { begun: false, skill: run.skill, body: run.driver, done: Some(run.on_end), _tasks: tasks })
+        Ok(RunnerState { started: false, skill: run.skill, driver: run.driver, done: Some(run.on_end), _tasks: tasks })
     }
 
     async fn handle(
@@ -65,19 +66,19 @@ impl Actor for SkillRunner {
         message: Self::Msg,
         state: &mut Self::State,
     ) -> Result<(), ActorProcessingErr> {
-        state.body.refresh();
-        state.begun |= state.body.is_idle();
+        state.driver.refresh();
+        state.started |= state.driver.is_idle();
         let outcome = match message {
-            // What was under way before, perhaps in another life of this node, has to come to rest first: the body does one
-            // thing at a time.
-            RunnerMessage::Tick if !state.begun => return Ok(()),
-            RunnerMessage::Tick => match state.skill.tick(&mut state.body) {
+            // A goal of an earlier attempt, perhaps of a previous incarnation, must end first: the
+            // driver executes a single goal at a time.
+            RunnerMessage::Tick if !state.started => return Ok(()),
+            RunnerMessage::Tick => match state.skill.tick(&mut state.driver) {
                 SkillStatus::Running => return Ok(()),
                 SkillStatus::Succeeded => Some(SkillOutcome::Succeeded),
                 SkillStatus::Failed { cause } => Some(SkillOutcome::Failed(cause)),
             },
             RunnerMessage::Halt => {
-                state.skill.halt(&mut state.body);
+                state.skill.halt(&mut state.driver);
                 None
             }
         };

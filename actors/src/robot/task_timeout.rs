@@ -1,25 +1,28 @@
-//! How long a task may take before the robot gives it up for lost, as values.
+//! Time limits of tasks, as values.
 
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{Seconds, WorldTime};
 use std::time::Duration;
 
-/// How long a robot waits for a task to end.
+/// Time limit for a task.
 ///
-/// Tasks take place in the world, so they are timed by the body's own clock, never by the node's. A body that reports
-/// nothing has no clock to go by: it is given `silence` on the node's clock.
+/// Tasks take place in the world, so they are timed by the driver's clock, never by the node's
+/// clock. A driver without reports provides no clock: it gets `report_timeout` on the node's clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TaskTimeout {
-    /// How many times as long as estimated a task may take. Raised: slower floors are put up with, a robot that is stuck
-    /// is noticed later. Default 3 (a guess: people and other robots in the way double a drive).
+    /// Factor on the estimated duration. Raised: slow floors are tolerated, a stuck robot is
+    /// noticed later. Default 3 (a guess: people and other robots in the way double a drive).
     pub factor: f64,
-    /// World time beyond that, so that short tasks may be tried again by their own skill. Default 60 s (a guess).
+    /// Additional world time, so that the skill of a short task can retry by itself. Default 60 s
+    /// (a guess).
     pub margin: Seconds,
-    /// World time for a task that takes somebody else to be done: a joint one, or one whose parameters name another role
-    /// (`person_role`, `robot_role`, `from_role`, …). No estimate tells how long people take. Default 600 s (a guess: a
-    /// nurse is called away, and returns).
+    /// World time for a task that needs another participant: a joint task, or a task whose
+    /// parameters name another role (`person_role`, `robot_role`, `from_role`, …). No estimate
+    /// predicts the duration for people. Default 600 s (a guess: a nurse is called away, and
+    /// returns).
     pub cooperative: Seconds,
-    /// Node time without any report of the body. Default 60 s: longer than its host takes to be started anew.
+    /// Node time without a report of the driver. Default 60 s: longer than a restart of its server
+    /// takes.
     pub report_timeout: Duration,
 }
 
@@ -36,11 +39,11 @@ impl Default for TaskTimeout {
 }
 
 impl TaskTimeout {
-    /// How long a task may take in the world, given the robot's own estimate of it; without one, as long as one that takes
-    /// company.
+    /// Returns the time limit of a task in world time, from the robot's own estimate. Without an
+    /// estimate, the limit is that of a cooperative task.
     pub fn limit(&self, spec: &TaskSpec, estimate: Option<Seconds>) -> Seconds {
         match estimate {
-            Some(time) if !takes_company(spec) => {
+            Some(time) if !is_cooperative(spec) => {
                 Seconds::new(time.get() * self.factor).unwrap_or(self.cooperative) + self.margin
             }
             _ => self.cooperative,
@@ -48,40 +51,41 @@ impl TaskTimeout {
     }
 }
 
-/// Whether a task cannot be done alone. Parameters that name a role end in `role` throughout the library of skills.
-fn takes_company(spec: &TaskSpec) -> bool {
+/// Checks whether a task needs another participant. In the skill library, every parameter that
+/// names a role ends in `role`.
+fn is_cooperative(spec: &TaskSpec) -> bool {
     spec.is_joint() || spec.parameters.keys().any(|key| key == "role" || key.ends_with("_role"))
 }
 
-/// One attempt at a task, timed.
+/// Timer of a single attempt at a task.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TaskTimer {
-    bound: Seconds,
+    limit: Seconds,
     silence: Duration,
-    began: Option<WorldTime>,
+    started: Option<WorldTime>,
 }
 
 impl TaskTimer {
-    /// For an attempt that begins now.
-    pub fn new(patience: &TaskTimeout, spec: &TaskSpec, estimate: Option<Seconds>) -> TaskTimer {
-        TaskTimer { bound: patience.limit(spec, estimate), silence: patience.report_timeout, began: None }
+    /// Creates the timer of an attempt that starts now.
+    pub fn new(timeout: &TaskTimeout, spec: &TaskSpec, estimate: Option<Seconds>) -> TaskTimer {
+        TaskTimer { limit: timeout.limit(spec, estimate), silence: timeout.report_timeout, started: None }
     }
 
-    /// Why the attempt is to be broken off, if it is; to be asked every now and then with the body's clock and how long ago
-    /// it was read.
+    /// Returns the reason to abort the attempt, if any. Call it periodically with the driver's
+    /// clock and the age of that reading.
     pub fn check(&mut self, world: Option<WorldTime>, silent_for: Duration) -> Option<String> {
         if silent_for >= self.silence {
-            return Some(format!("the body has reported nothing for {} s", silent_for.as_secs()));
+            return Some(format!("the driver has reported nothing for {} s", silent_for.as_secs()));
         }
         let now = world?;
-        // A clock that went back is another world's: its host has started anew.
-        let began = *self.began.get_or_insert(now);
-        if now < began {
-            self.began = Some(now);
+        // A clock that runs backwards belongs to another world: its server has restarted.
+        let started = *self.started.get_or_insert(now);
+        if now < started {
+            self.started = Some(now);
             return None;
         }
-        let taken = now.as_secs() - began.as_secs();
-        (taken > self.bound.get()).then(|| format!("no end after {taken:.0} s; allowed were {:.0}", self.bound))
+        let taken = now.as_secs() - started.as_secs();
+        (taken > self.limit.get()).then(|| format!("not completed after {taken:.0} s; the limit is {:.0}", self.limit))
     }
 }
 
@@ -105,38 +109,38 @@ mod tests {
     }
 
     #[test]
-    fn a_task_may_take_thrice_its_estimate_and_a_minute() {
-        let patience = TaskTimeout::default();
-        assert_eq!(patience.limit(&task(&[("to", "Dock")]), Some(seconds(40.0))), seconds(180.0));
-        assert_eq!(patience.limit(&task(&[]), None), seconds(600.0));
+    fn the_limit_is_three_times_the_estimate_plus_a_minute() {
+        let timeout = TaskTimeout::default();
+        assert_eq!(timeout.limit(&task(&[("to", "Dock")]), Some(seconds(40.0))), seconds(180.0));
+        assert_eq!(timeout.limit(&task(&[]), None), seconds(600.0));
     }
 
     #[test]
-    fn a_task_that_takes_somebody_else_may_take_much_longer() {
-        let patience = TaskTimeout::default();
-        assert_eq!(patience.limit(&task(&[("person_role", "nurse")]), Some(seconds(2.0))), seconds(600.0));
+    fn a_cooperative_task_has_a_longer_limit() {
+        let timeout = TaskTimeout::default();
+        assert_eq!(timeout.limit(&task(&[("person_role", "nurse")]), Some(seconds(2.0))), seconds(600.0));
         let mut joint = task(&[]);
         joint.roles.push("arm".parse().unwrap());
-        assert_eq!(patience.limit(&joint, Some(seconds(2.0))), seconds(600.0));
+        assert_eq!(timeout.limit(&joint, Some(seconds(2.0))), seconds(600.0));
     }
 
     #[test]
-    fn time_is_the_bodys() {
-        let mut watch = TaskTimer::new(&TaskTimeout::default(), &task(&[]), Some(seconds(0.0)));
+    fn the_timer_uses_the_drivers_clock() {
+        let mut timer = TaskTimer::new(&TaskTimeout::default(), &task(&[]), Some(seconds(0.0)));
         let fresh = Duration::ZERO;
-        assert_eq!(watch.check(None, fresh), None);
-        assert_eq!(watch.check(at(1000.0), fresh), None, "begins with the first reading");
-        assert_eq!(watch.check(at(1060.0), fresh), None);
-        assert_eq!(watch.check(at(1061.0), fresh).unwrap(), "no end after 61 s; allowed were 60 s");
-        assert_eq!(watch.check(at(3.0), fresh), None, "another world");
-        assert_eq!(watch.check(at(62.0), fresh), None);
-        assert_eq!(watch.check(at(64.0), fresh).unwrap(), "no end after 61 s; allowed were 60 s");
+        assert_eq!(timer.check(None, fresh), None);
+        assert_eq!(timer.check(at(1000.0), fresh), None, "starts with the first reading");
+        assert_eq!(timer.check(at(1060.0), fresh), None);
+        assert_eq!(timer.check(at(1061.0), fresh).unwrap(), "not completed after 61 s; the limit is 60 s");
+        assert_eq!(timer.check(at(3.0), fresh), None, "another world");
+        assert_eq!(timer.check(at(62.0), fresh), None);
+        assert_eq!(timer.check(at(64.0), fresh).unwrap(), "not completed after 61 s; the limit is 60 s");
     }
 
     #[test]
-    fn a_body_that_says_nothing_makes_no_progress() {
-        let mut watch = TaskTimer::new(&TaskTimeout::default(), &task(&[]), None);
-        assert_eq!(watch.check(None, Duration::from_secs(59)), None);
-        assert_eq!(watch.check(None, Duration::from_secs(60)).unwrap(), "the body has reported nothing for 60 s");
+    fn a_driver_without_reports_times_out() {
+        let mut timer = TaskTimer::new(&TaskTimeout::default(), &task(&[]), None);
+        assert_eq!(timer.check(None, Duration::from_secs(59)), None);
+        assert_eq!(timer.check(None, Duration::from_secs(60)).unwrap(), "the driver has reported nothing for 60 s");
     }
 }

@@ -1,4 +1,5 @@
-//! A robot's node drives its body: a mirror that skills use without waiting, and the actor that keeps it true.
+//! The driver client: a goal tracker that skills use without waiting, and the actor that keeps it
+//! up to date.
 
 use super::goal_tracker::GoalTracker;
 use super::messages::{DriverCommand, DriverState, GoalRequest};
@@ -16,131 +17,136 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 use tracing::{debug, warn};
 
-/// How long an answer will do for a body at rest. A guess: well below the three seconds after which a host takes a driver for
-/// silent, which matters only to a body with something under way.
-const REST: Duration = Duration::from_millis(800);
+/// Interval of commands while the driver is idle. A guess: well below the 3 s after which a server
+/// declares a client timeout, which matters only while a goal is in progress.
+const IDLE_INTERVAL: Duration = Duration::from_millis(800);
 
-/// How a body is driven.
+/// Settings of a driver client.
 #[derive(Clone)]
 pub struct DriverClientSettings {
-    /// Whose body.
+    /// The robot.
     pub robot: RobotId,
     /// The fleet's keys.
     pub keys: Keys,
     /// The bus.
     pub bus: SharedBus,
-    /// Ids of goals begin here: different for each life of the node, so that no id is used twice.
+    /// First goal id: different for each incarnation of the node, so that no id is used twice.
     pub first_goal: u64,
-    /// How often the host is told that the driver is there, while the body has something to do or the host does not answer;
-    /// a body at rest is asked only when its last answer is 0.8 s old. Raised: a lost command is repeated later. Default 300 ms.
+    /// Interval of commands to the server while a goal is in progress or the server does not reply.
+    /// An idle driver gets a command only when the last reply is 0.8 s old. Raised: a lost command
+    /// is repeated later. Default 300 ms.
     pub heartbeat_interval: Duration,
 }
 
-/// The mirror of a body. Clones drive the same body; each shows the report that it last took in.
+/// Driver of a robot. Clones share the same goal tracker; each clone has its own copy of the
+/// telemetry.
 #[derive(Clone)]
 pub struct RobotDriver {
-    mirror: Arc<Mutex<GoalTracker>>,
-    orders: ActorRef<DriverClientMessage>,
-    /// The report as of this clone's last [`refresh`](Body::refresh).
-    seen: Option<Telemetry>,
+    tracker: Arc<Mutex<GoalTracker>>,
+    requests: ActorRef<DriverClientMessage>,
+    /// Telemetry as of this clone's last [`refresh`](RobotDriver::refresh).
+    telemetry: Option<Telemetry>,
 }
 
-/// To the actor that keeps a mirror true.
+/// Message for the driver client.
 pub enum DriverClientMessage {
-    /// There are orders to send.
+    /// Requests wait to be sent.
     SendRequests,
-    /// Time to say that the driver is there, and to repeat what was not answered.
+    /// Periodic timer: send a heartbeat and repeat requests without a reply.
     Heartbeat,
-    /// The host published a state.
+    /// The server has published a state.
     State(Sample),
-    /// The host answered a command that carried this order.
+    /// The server has replied to a command with this request.
     CommandReplied(Option<GoalRequest>, Reply),
 }
 
-/// Keeps a mirror true.
+/// The driver client actor.
 pub struct DriverClient;
 
-/// State of [`BodyLink`].
+/// State of [`DriverClient`].
 pub struct DriverClientState {
     settings: DriverClientSettings,
-    body: RobotDriver,
-    /// When a command was last answered.
-    answered_at: Option<Instant>,
+    driver: RobotDriver,
+    /// Time of the latest reply to a command.
+    last_reply_at: Option<Instant>,
     tasks: Tasks,
 }
 
 impl RobotDriver {
-    /// Starts driving a body, under a supervisor.
+    /// Starts a driver client under a supervisor.
     ///
     /// # Errors
-    /// When the actor cannot start: the bus is closed.
+    /// The actor cannot start because the bus is closed.
     pub async fn connect(
         settings: DriverClientSettings,
         supervisor: &ActorCell,
     ) -> Result<RobotDriver, ractor::SpawnErr> {
-        let (hand_out, mut handed_out) = tokio::sync::mpsc::unbounded_channel();
-        Actor::spawn_linked(None, DriverClient, (settings, hand_out), supervisor.clone()).await?;
-        Ok(handed_out.recv().await.expect("the actor hands out its body before it has started"))
+        let (driver_sender, mut driver_receiver) = tokio::sync::mpsc::unbounded_channel();
+        Actor::spawn_linked(None, DriverClient, (settings, driver_sender), supervisor.clone()).await?;
+        Ok(driver_receiver.recv().await.expect("the actor hands out its driver before it has started"))
     }
 
-    /// Counts the states heard from the host; wakes whoever waits for the next.
+    /// Returns a counter of received states, which notifies its receivers of each new state.
     pub fn changes(&self) -> watch::Receiver<u64> {
         self.lock().changes()
     }
 
-    /// Takes in the latest report of the body, for [`RobotActions::telemetry`] to show.
+    /// Copies the latest telemetry, which [`RobotActions::telemetry`] then returns.
     pub fn refresh(&mut self) {
         let latest = self.lock().telemetry().cloned();
-        self.seen = latest;
+        self.telemetry = latest;
     }
 
-    /// How long ago the latest report of the body was heard, in milliseconds; 0 before the first.
+    /// Returns the age of the latest telemetry in milliseconds; 0 before the first.
     pub fn telemetry_age_ms(&self) -> u64 {
-        let heard = self.lock().last_report_at();
-        heard.map_or(0, |at| u64::try_from(at.elapsed().as_millis()).unwrap_or(u64::MAX))
+        let reported_at = self.lock().last_report_at();
+        reported_at.map_or(0, |at| u64::try_from(at.elapsed().as_millis()).unwrap_or(u64::MAX))
     }
 
-    /// How long the body has reported nothing.
+    /// Returns the time since the latest state of the driver.
     pub fn silent_for(&self) -> Duration {
         self.lock().silent_for()
     }
 
-    /// Whether the body has been heard of and has nothing under way, neither of this life of its driver nor of a former one.
+    /// Checks whether a state has arrived and no goal is in progress, including goals of previous
+    /// incarnations of the client.
     pub fn is_idle(&self) -> bool {
         self.lock().is_idle()
     }
 
-    /// Cancels every goal under way: the body stops safely.
+    /// Cancels every goal in progress: the robot stops safely.
     pub fn stop(&self) {
         self.lock().cancel_all();
-        self.send_orders();
+        self.notify_client();
     }
 
-    /// The goal that will be sent next.
+    /// Returns the id of the next goal.
     pub fn next_goal(&self) -> GoalId {
         self.lock().next_goal()
     }
 
-    /// An attempt begins at a task whose first goal was this one, perhaps in a former life of this node.
+    /// Begins an attempt at a task. `first` is the first goal of the task, perhaps of a previous
+    /// incarnation of this node.
     pub fn begin_attempt(&self, first: GoalId) {
         self.lock().begin_attempt(first);
     }
 
     fn lock(&self) -> MutexGuard<'_, GoalTracker> {
-        // A skill that panicked while it looked at the mirror has not left it half written: writes are single steps.
-        self.mirror.lock().unwrap_or_else(PoisonError::into_inner)
+        // A panic of a skill under the lock leaves no partial write, because each write is a single
+        // step.
+        self.tracker.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn send_orders(&self) {
-        // Without its actor the mirror is a picture of the past; the robot's supervisor knows.
-        let _ = self.orders.cast(DriverClientMessage::SendRequests);
+    fn notify_client(&self) {
+        // Without its actor the tracker is outdated. The robot's supervisor handles the failure.
+        let _ = self.requests.cast(DriverClientMessage::SendRequests);
     }
 }
 
 impl RobotActions for RobotDriver {
     fn send_goal(&mut self, goal: Goal) -> GoalId {
         let id = self.lock().start_goal(goal);
-        self.send_orders();
+        self.notify_client();
         id
     }
 
@@ -150,12 +156,12 @@ impl RobotActions for RobotDriver {
 
     fn cancel(&mut self, goal: GoalId) {
         if self.lock().cancel(goal) {
-            self.send_orders();
+            self.notify_client();
         }
     }
 
     fn telemetry(&self) -> Option<&Telemetry> {
-        self.seen.as_ref()
+        self.telemetry.as_ref()
     }
 
     fn take_completed(&mut self, goal: &Goal) -> bool {
@@ -163,16 +169,17 @@ impl RobotActions for RobotDriver {
     }
 }
 
-/// The first answer that is no refusal, else the last refusal: a command is heard by hosts of other bodies, too.
-async fn answer(mut replies: Stream<Reply>) -> Option<Reply> {
-    let mut refusal = None;
+/// Returns the first reply without an error, else the last error: servers of other robots receive
+/// the command, too.
+async fn first_reply(mut replies: Stream<Reply>) -> Option<Reply> {
+    let mut error_reply = None;
     while let Some(reply) = replies.recv().await {
         if reply.payload.is_ok() {
             return Some(reply);
         }
-        refusal = Some(reply);
+        error_reply = Some(reply);
     }
-    refusal
+    error_reply
 }
 
 #[ractor::async_trait]
@@ -184,20 +191,20 @@ impl Actor for DriverClient {
     async fn pre_start(
         &self,
         myself: ActorRef<Self::Msg>,
-        (settings, hand_out): Self::Arguments,
+        (settings, driver_sender): Self::Arguments,
     ) -> Result<Self::State, ActorProcessingErr> {
-        let body = RobotDriver {
-            mirror: Arc::new(Mutex::new(GoalTracker::new(settings.first_goal))),
-            orders: myself.clone(),
-            seen: None,
+        let driver = RobotDriver {
+            tracker: Arc::new(Mutex::new(GoalTracker::new(settings.first_goal))),
+            requests: myself.clone(),
+            telemetry: None,
         };
         let mut tasks = Tasks::default();
         let state_key = settings.keys.write(&Key::Body(settings.robot.clone(), BodyCall::State));
         tasks.forward(settings.bus.subscribe(&state_key).await?, &myself, DriverClientMessage::State);
         tasks.send_every(settings.heartbeat_interval, &myself, || DriverClientMessage::Heartbeat);
         myself.cast(DriverClientMessage::Heartbeat)?;
-        hand_out.send(body.clone())?;
-        Ok(DriverClientState { settings, body, answered_at: None, tasks })
+        driver_sender.send(driver.clone())?;
+        Ok(DriverClientState { settings, driver, last_reply_at: None, tasks })
     }
 
     async fn handle(
@@ -209,60 +216,61 @@ impl Actor for DriverClient {
         match message {
             DriverClientMessage::SendRequests => state.send(&myself, false),
             DriverClientMessage::Heartbeat => state.send(&myself, true),
-            DriverClientMessage::State(sample) => state.hear(&sample.payload),
-            DriverClientMessage::CommandReplied(order, reply) => state.answered(order, reply),
+            DriverClientMessage::State(sample) => state.receive_state(&sample.payload),
+            DriverClientMessage::CommandReplied(request, reply) => state.handle_reply(request, reply),
         }
         Ok(())
     }
 }
 
 impl DriverClientState {
-    /// Sends the orders that were not answered; on a beat also without any.
-    fn send(&mut self, myself: &ActorRef<DriverClientMessage>, beat: bool) {
-        let orders = self.body.lock().pending_requests().to_vec();
-        let answered_lately = self.answered_at.is_some_and(|at| at.elapsed() < REST);
-        if orders.is_empty() && (!beat || answered_lately && self.body.is_idle()) {
+    /// Sends the requests without a reply. On a timer, sends a heartbeat if there is none.
+    fn send(&mut self, myself: &ActorRef<DriverClientMessage>, on_timer: bool) {
+        let requests = self.driver.lock().pending_requests().to_vec();
+        let replied_recently = self.last_reply_at.is_some_and(|at| at.elapsed() < IDLE_INTERVAL);
+        if requests.is_empty() && (!on_timer || replied_recently && self.driver.is_idle()) {
             return;
         }
         let commands: Vec<Option<GoalRequest>> =
-            if orders.is_empty() { vec![None] } else { orders.into_iter().map(Some).collect() };
+            if requests.is_empty() { vec![None] } else { requests.into_iter().map(Some).collect() };
         let key = self.settings.keys.write(&Key::Body(self.settings.robot.clone(), BodyCall::Command));
         let (bus, limit, to) = (self.settings.bus.clone(), self.settings.heartbeat_interval, myself.clone());
         self.tasks.spawn(async move {
-            for order in commands {
-                let bytes = codec::encode(&DriverCommand { request: order.clone() }).expect("a goal fits a message");
+            for request in commands {
+                let bytes = codec::encode(&DriverCommand { request: request.clone() }).expect("a goal fits a message");
                 let Ok(replies) = bus.query(&key, Bytes::from(bytes), limit).await else { return };
-                // What follows waits for this to be answered: a goal must not be canceled before it has begun.
-                let Some(reply) = answer(replies).await else { return };
-                if to.cast(DriverClientMessage::CommandReplied(order, reply)).is_err() {
+                // The next request waits for this reply: a goal must not be canceled before its
+                // start.
+                let Some(reply) = first_reply(replies).await else { return };
+                if to.cast(DriverClientMessage::CommandReplied(request, reply)).is_err() {
                     return;
                 }
             }
         });
     }
 
-    fn answered(&mut self, order: Option<GoalRequest>, reply: Reply) {
+    fn handle_reply(&mut self, request: Option<GoalRequest>, reply: Reply) {
         match reply.payload {
             Ok(payload) => {
-                self.answered_at = Some(Instant::now());
-                if let Some(order) = order {
-                    self.body.lock().confirm(&order);
+                self.last_reply_at = Some(Instant::now());
+                if let Some(request) = request {
+                    self.driver.lock().confirm(&request);
                 }
-                self.hear(&payload);
+                self.receive_state(&payload);
             }
-            Err(problem) => debug!(robot = %self.settings.robot, problem, "the host of the body refused a command"),
+            Err(problem) => debug!(robot = %self.settings.robot, problem, "driver server refused a command"),
         }
     }
 
-    fn hear(&mut self, payload: &[u8]) {
+    fn receive_state(&mut self, payload: &[u8]) {
         match codec::decode::<DriverState>(payload) {
             Ok(state) if state.robot == self.settings.robot => {
-                if self.body.lock().apply_state(state) {
-                    self.body.send_orders();
+                if self.driver.lock().apply_state(state) {
+                    self.driver.notify_client();
                 }
             }
-            Ok(state) => warn!(robot = %self.settings.robot, other = %state.robot, "a state of another body"),
-            Err(problem) => warn!(robot = %self.settings.robot, %problem, "a state that cannot be read"),
+            Ok(state) => warn!(robot = %self.settings.robot, other = %state.robot, "state of another robot"),
+            Err(problem) => warn!(robot = %self.settings.robot, %problem, "state cannot be decoded"),
         }
     }
 }

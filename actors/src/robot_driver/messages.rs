@@ -1,35 +1,36 @@
-//! What drivers and hosts say to one another.
+//! Messages between driver clients and driver servers.
 
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_skills::actions::{ActionError, Goal, GoalId, GoalStatus, PersonRequest, Telemetry};
 use serde::{Deserialize, Serialize};
 
-/// From the node that drives a body to its host. Without an order it only says that the driver is there.
+/// Command from the driver client of a robot to its driver server. A command without a request is a
+/// heartbeat.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DriverCommand {
-    /// What to do, if anything.
+    /// Goal to start or cancel, if any.
     pub request: Option<GoalRequest>,
 }
 
-/// Something for a body to do.
+/// Request about a goal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum GoalRequest {
-    /// Begin a goal.
+    /// Start a goal.
     Start {
-        /// Its id: a repeated one starts nothing.
+        /// Id of the goal. A repeated id starts nothing.
         id: GoalId,
         /// The goal.
         goal: Goal,
     },
-    /// End a goal early.
+    /// Cancel a goal.
     Cancel {
-        /// Which.
+        /// Id of the goal.
         id: GoalId,
     },
 }
 
 impl GoalRequest {
-    /// The goal that it is about.
+    /// Returns the id of the goal.
     pub fn goal(&self) -> GoalId {
         match self {
             GoalRequest::Start { id, .. } | GoalRequest::Cancel { id } => *id,
@@ -37,60 +38,60 @@ impl GoalRequest {
     }
 }
 
-/// How a body is and what has become of its latest goals. Answer to each command; also published.
+/// State of a robot and of its latest goals. Reply to each command; also published.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DriverState {
-    /// Whose.
+    /// The robot.
     pub robot: RobotId,
-    /// Grows with each state of the same host, so that an overtaken one is not believed.
+    /// Increases with each state of a server. A client ignores states that arrive late.
     pub sequence: u64,
-    /// The body's report.
+    /// Telemetry of the robot.
     pub telemetry: Telemetry,
-    /// The latest goals, in the order of their ids.
+    /// Latest goals, in the order of their ids.
     pub goals: Vec<(GoalId, GoalStatus)>,
-    /// Those of them that were done and must not be done again, and what they asked for.
+    /// Completed goals among them that must not be repeated.
     pub completed: Vec<(GoalId, Goal)>,
 }
 
-/// Someone who acts for an unmanaged role is asked, told again, or dismissed.
+/// Command about a person request: send, repeat or cancel it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PersonCommand {
-    /// The ask's id: a repeated one asks nothing new.
+    /// Id of the request. A repeated id starts nothing.
     pub id: GoalId,
-    /// What is asked; `None` dismisses.
+    /// The request; `None` cancels it.
     pub request: Option<PersonRequest>,
 }
 
-/// Answer to an ask.
+/// State of a person request, in reply to a command.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum PersonRequestState {
-    /// They have been asked.
+    /// The person has received the request.
     Requested,
-    /// They have ended.
+    /// The request has ended.
     Ended(Result<(), ActionError>),
-    /// They were told that it is no longer wanted: under this id it is not asked again.
+    /// The request was canceled. Its id is not served again.
     Canceled,
 }
 
-/// Published when a person has something to say.
+/// Published event of a person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum PersonEvent {
-    /// They have ended what they were asked to do.
+    /// A request has ended.
     RequestEnded {
-        /// The ask.
+        /// Id of the request.
         id: GoalId,
-        /// What came of it.
+        /// Result of the request.
         result: Result<(), ActionError>,
     },
-    /// They call off the mission for which a robot came to them. Repeated for some beats.
+    /// The person cancels the mission for which a robot came. Repeated for some intervals.
     CancelMission {
-        /// Who says so.
+        /// Name of the person.
         by: String,
-        /// The role they play.
+        /// Role of the person.
         role: RoleId,
         /// The robot that came.
         robot: RobotId,
-        /// Tells one such word from the next: milliseconds of world time.
+        /// World time of the order in milliseconds. Distinguishes an order from the next.
         at_ms: u64,
     },
 }

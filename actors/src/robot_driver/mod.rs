@@ -1,17 +1,17 @@
-//! Bodies over the bus: a robot's node drives its body with goals; a host (a simulated world, or an adapter to a real
-//! robot) carries them out.
+//! Robot drivers over the bus: the node of a robot sends goals; a driver server (a simulated world,
+//! or an adapter to a real robot) executes them.
 //!
 //! ```text
-//!  robot's node                                               host of bodies
-//!  skill ─▶ Body (mirror) ── wire/body/{robot}/command ──▶ Host ─▶ BodyHost (world)
-//!                         ◀── wire/body/{robot}/state ────
-//!  attendant of unmanaged ── wire/people/ask ─────────────▶
-//!  roles                  ◀── wire/people/done ────────────
+//!  robot's node                                         driver server
+//!  skill ─▶ RobotDriver ── wire/body/{robot}/command ──▶ DriverServer ─▶ RobotBackend (world)
+//!                       ◀── wire/body/{robot}/state ────
+//!  human task proxy     ── wire/people/ask ────────────▶
+//!                       ◀── wire/people/done ───────────
 //! ```
 //!
-//! Commands are queries that are repeated until answered; goals have ids, so that a repeated one starts nothing. States
-//! are published when something ends and at a beat, and may be lost: the next one tells the same. A body whose driver
-//! falls silent stops where it is.
+//! Commands are queries that are repeated until a reply arrives. Goals have ids, so a repeated goal
+//! starts nothing. States are published when a goal ends and at an interval. A state may be lost,
+//! because the next state replaces it. A robot stops when its driver client times out.
 
 mod client;
 mod goal_tracker;
@@ -20,8 +20,8 @@ mod server;
 
 use std::time::Duration;
 
-/// How long a driver may be silent until its body stops: a promise of every host, on which awards rest. Whoever gives a role
-/// back while its body cannot be reached counts on it.
+/// Time without a command after which a driver server stops a robot. Awards rely on this guarantee
+/// of every server: the release of a role whose driver is unreachable waits for this time.
 pub const CLIENT_TIMEOUT: Duration = Duration::from_secs(3);
 
 pub use client::{DriverClient, DriverClientMessage, DriverClientSettings, RobotDriver};

@@ -1,4 +1,4 @@
-//! The host's side: an actor that lets a [`BodyHost`]'s time pass and carries commands to it.
+//! The driver server: an actor that advances a [`RobotBackend`] in time and passes commands to it.
 
 use super::messages::{DriverCommand, DriverState, GoalRequest, PersonCommand, PersonEvent, PersonRequestState};
 use crate::bus::{Delivery, Encoding, Query, SharedBus};
@@ -17,16 +17,17 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 use tracing::{info, warn};
 
-/// Latest goals of each body that its states tell of.
-const GOALS_TOLD: usize = 8;
+/// Number of latest goals per robot in a published state.
+const GOALS_PUBLISHED: usize = 8;
 
-/// How often a word is repeated that nobody answers, once a beat: it may be lost on the way.
-const WORDS_REPEATED: u32 = 5;
+/// Number of repetitions of an event without a reply, 1 per publish interval: the event may be
+/// lost.
+const EVENT_REPETITIONS: u32 = 5;
 
-/// Longest time that a host rests while something is due; then it looks again.
-const REST_MAX: Duration = Duration::from_secs(3600);
+/// Maximum sleep while an event is due; then the actor checks again.
+const SLEEP_MAX: Duration = Duration::from_secs(3600);
 
-/// How bodies are hosted.
+/// Settings of a driver server.
 pub struct DriverServerSettings {
     /// The fleet's keys.
     pub keys: Keys,
@@ -34,70 +35,72 @@ pub struct DriverServerSettings {
     pub bus: SharedBus,
     /// The node's clock.
     pub clock: Clock,
-    /// World seconds that pass in one second of node time.
+    /// World seconds per second of node time.
     pub speed: f64,
-    /// How often states are published while nothing changes. Default 500 ms.
+    /// Interval of published states without changes. Default 500 ms.
     pub publish_interval: Duration,
-    /// A body whose driver has been silent for this long stops where it is, and an ask that nobody has repeated for as long
-    /// is withdrawn: longer than some beats of an attendant. Default 3 s.
+    /// Client timeout: a robot stops when its driver client has sent nothing for this long, and a
+    /// person request that was not repeated for this long is canceled. Longer than several
+    /// intervals of a human task proxy. Default 3 s.
     pub client_timeout: Duration,
 }
 
-/// To a host.
+/// Message for the driver server.
 pub enum DriverServerMessage {
-    /// A driver's command.
+    /// Command of a driver client.
     Command(Query),
-    /// An attendant's ask.
+    /// Command of a human task proxy.
     PersonRequest(Query),
-    /// Somebody looks at the world.
+    /// Query for the state of the world.
     WorldView(Query),
-    /// Something is due in the world.
+    /// A world event is due.
     WorldEventDue,
-    /// Time to publish states.
+    /// Periodic timer: publish all states.
     Tick,
 }
 
-/// Hosts bodies.
+/// The driver server actor.
 pub struct DriverServer;
 
-/// State of [`Host`].
+/// State of [`DriverServer`].
 pub struct DriverServerState {
     settings: DriverServerSettings,
     world: Box<dyn RobotBackend>,
     started: NodeTime,
-    /// World time when the host started.
+    /// World time at the start of the server.
     origin: WorldTime,
-    bodies: BTreeMap<RobotId, BodyEntry>,
-    /// The asks that have not ended, and when they were last made.
-    asks: BTreeMap<GoalId, NodeTime>,
-    /// What people said that nobody answers, and how often it is still to be repeated.
-    words: Vec<(PersonEvent, u32)>,
-    number: u64,
-    /// What the earliest wake-up under way is for.
-    armed: Option<WorldTime>,
+    drivers: BTreeMap<RobotId, DriverEntry>,
+    /// Person requests in progress, with the time of the latest repetition.
+    person_requests: BTreeMap<GoalId, NodeTime>,
+    /// Events of people without a reply, with the number of repetitions left.
+    repeated_events: Vec<(PersonEvent, u32)>,
+    sequence: u64,
+    /// World time of the earliest scheduled wake-up.
+    next_wake: Option<WorldTime>,
     tasks: Tasks,
 }
 
-/// How long to rest until something is due in so many seconds of node time: a little longer rather than shorter, since an
-/// early wake-up would find nothing due and ask again, and never longer than [`REST_MAX`], however far off it is.
-fn rest(seconds: f64) -> Duration {
+/// Returns the sleep until an event that is due in `seconds` of node time. It is slightly too long
+/// rather than too short, because an early wake-up would find nothing due and sleep again. It never
+/// exceeds [`SLEEP_MAX`].
+fn sleep_for(seconds: f64) -> Duration {
     match Duration::try_from_secs_f64(seconds.max(0.0)) {
-        Ok(ahead) if ahead < REST_MAX => ahead + Duration::from_micros(1),
-        Ok(_) | Err(_) => REST_MAX,
+        Ok(ahead) if ahead < SLEEP_MAX => ahead + Duration::from_micros(1),
+        Ok(_) | Err(_) => SLEEP_MAX,
     }
 }
 
 #[derive(Default)]
-struct BodyEntry {
+struct DriverEntry {
     goals: VecDeque<GoalId>,
-    /// When its driver was last heard; `None` before the first time, and once it was found silent.
-    driver: Option<NodeTime>,
+    /// Last command of the driver client; `None` before the first, and after a client timeout.
+    last_command_at: Option<NodeTime>,
 }
 
-impl BodyEntry {
-    fn remember(&mut self, goal: GoalId) {
+impl DriverEntry {
+    fn track(&mut self, goal: GoalId) {
         self.goals.push_back(goal);
-        while self.goals.len() > GOALS_TOLD {
+        while self.goals.len() > GOALS_PUBLISHED {
             self.goals.pop_front();
         }
     }
@@ -121,33 +124,34 @@ impl Actor for DriverServer {
             DriverServerMessage::Command,
         );
         if world.serves_people() {
-            let ask = settings.keys.write(&Key::People(PeopleCall::Ask));
-            tasks.forward(settings.bus.serve(&ask).await?, &myself, DriverServerMessage::PersonRequest);
+            let person_key = settings.keys.write(&Key::People(PeopleCall::Ask));
+            tasks.forward(settings.bus.serve(&person_key).await?, &myself, DriverServerMessage::PersonRequest);
             let view = settings.keys.write(&Key::World);
             tasks.forward(settings.bus.serve(&view).await?, &myself, DriverServerMessage::WorldView);
         }
         tasks.send_every(settings.publish_interval, &myself, || DriverServerMessage::Tick);
-        let (now, mut bodies) = (settings.clock.now(), BTreeMap::new());
+        let (now, mut drivers) = (settings.clock.now(), BTreeMap::new());
         for robot in world.robots() {
-            // Bodies may be at work for those who drove them through a former host.
-            let mut entry = BodyEntry::default();
-            world.goals(&robot).into_iter().for_each(|goal| entry.remember(goal));
-            entry.driver = (!entry.goals.is_empty()).then_some(now);
-            bodies.insert(robot, entry);
+            // Robots may still execute goals that clients sent to a previous server.
+            let mut entry = DriverEntry::default();
+            world.goals(&robot).into_iter().for_each(|goal| entry.track(goal));
+            entry.last_command_at = (!entry.goals.is_empty()).then_some(now);
+            drivers.insert(robot, entry);
         }
-        // People may be asked for attendants who speak to a former host, or who are gone.
-        let asks = world.open_person_requests().into_iter().map(|ask| (ask, now)).collect();
-        let (started, origin, number) = (settings.clock.now(), world.now(), settings.clock.wall_ms() << 16);
+        // People may still work on requests from proxies that used a previous server, or that are
+        // gone.
+        let person_requests = world.open_person_requests().into_iter().map(|ask| (ask, now)).collect();
+        let (started, origin, sequence) = (settings.clock.now(), world.now(), settings.clock.wall_ms() << 16);
         Ok(DriverServerState {
             settings,
             world,
             started,
             origin,
-            bodies,
-            asks,
-            words: vec![],
-            number,
-            armed: None,
+            drivers,
+            person_requests,
+            repeated_events: vec![],
+            sequence,
+            next_wake: None,
             tasks,
         })
     }
@@ -160,22 +164,22 @@ impl Actor for DriverServer {
     ) -> Result<(), ActorProcessingErr> {
         let changed = state.advance();
         match message {
-            DriverServerMessage::Command(query) => state.command(query).await,
-            DriverServerMessage::PersonRequest(query) => state.ask(query).await,
+            DriverServerMessage::Command(query) => state.handle_command(query).await,
+            DriverServerMessage::PersonRequest(query) => state.handle_person_command(query).await,
             DriverServerMessage::WorldView(query) => {
                 let report = state.world.report();
                 reply::json(&query, &state.settings.keys.write(&Key::World), &report).await;
             }
-            DriverServerMessage::WorldEventDue => state.armed = None,
+            DriverServerMessage::WorldEventDue => state.next_wake = None,
             DriverServerMessage::Tick => {
-                state.stop_the_undriven();
-                state.withdraw_the_unrepeated();
+                state.stop_timed_out_robots();
+                state.cancel_unrepeated_requests();
                 state.publish_all().await;
             }
         }
-        state.tell(changed).await;
+        state.publish_events(changed).await;
         let after = state.advance();
-        state.tell(after).await;
+        state.publish_events(after).await;
         state.wake_when_due(&myself);
         Ok(())
     }
@@ -194,131 +198,137 @@ impl DriverServerState {
 
     fn wake_when_due(&mut self, myself: &ActorRef<DriverServerMessage>) {
         let Some(due) = self.world.next_due() else { return };
-        if self.armed.is_some_and(|armed| armed <= due) {
+        if self.next_wake.is_some_and(|next_wake| next_wake <= due) {
             return;
         }
         let ahead = (due.as_secs() - self.world_now().as_secs()) / self.settings.speed;
-        self.tasks.send_after(rest(ahead), myself, DriverServerMessage::WorldEventDue);
-        self.armed = Some(due);
+        self.tasks.send_after(sleep_for(ahead), myself, DriverServerMessage::WorldEventDue);
+        self.next_wake = Some(due);
     }
 
-    async fn command(&mut self, query: Query) {
+    async fn handle_command(&mut self, query: Query) {
         let Some(Key::Body(robot, BodyCall::Command)) = self.settings.keys.read(&query.key) else {
-            return reply::refuse(&query, "not a command to a body").await;
+            return reply::refuse(&query, "not a command to a driver").await;
         };
         let Some(command) = reply::decode_or_refuse::<DriverCommand>(&query).await else { return };
         let now = self.settings.clock.now();
-        let Some(entry) = self.bodies.get_mut(&robot) else {
-            let here: Vec<_> = self.bodies.keys().map(RobotId::as_str).collect();
-            return reply::refuse(&query, &format!("no body of {robot} here; here are {}", here.join(", "))).await;
+        let Some(entry) = self.drivers.get_mut(&robot) else {
+            let available: Vec<_> = self.drivers.keys().map(RobotId::as_str).collect();
+            return reply::refuse(&query, &format!("no driver of {robot} here; available: {}", available.join(", ")))
+                .await;
         };
-        entry.driver = Some(now);
+        entry.last_command_at = Some(now);
         match command.request {
             Some(GoalRequest::Start { id, goal }) if !entry.goals.contains(&id) => {
-                entry.remember(id);
+                entry.track(id);
                 self.world.start(&robot, id, goal);
             }
-            // Called off before it was heard of: it must not begin when the order to begin it arrives late.
-            Some(GoalRequest::Cancel { id }) if !entry.goals.contains(&id) => entry.remember(id),
+            // Canceled before its start arrived: the late start must have no effect.
+            Some(GoalRequest::Cancel { id }) if !entry.goals.contains(&id) => entry.track(id),
             Some(GoalRequest::Cancel { id }) => self.world.cancel(&robot, id),
             Some(GoalRequest::Start { .. }) | None => {}
         }
-        // Refusals and cancellations show at once.
+        // Rejections and cancellations take effect at once.
         let events = self.advance();
         if let Some(state) = self.state_of(&robot) {
             reply::wire(&query, &query.key, &state).await;
         }
-        self.tell(events).await;
+        self.publish_events(events).await;
     }
 
-    async fn ask(&mut self, query: Query) {
-        let Some(ask) = reply::decode_or_refuse::<PersonCommand>(&query).await else { return };
-        match ask.request {
-            Some(what) => {
-                self.world.request_person(ask.id, what);
-                self.asks.insert(ask.id, self.settings.clock.now());
+    async fn handle_person_command(&mut self, query: Query) {
+        let Some(command) = reply::decode_or_refuse::<PersonCommand>(&query).await else { return };
+        match command.request {
+            Some(request) => {
+                self.world.request_person(command.id, request);
+                self.person_requests.insert(command.id, self.settings.clock.now());
             }
-            None => self.world.cancel_person_request(ask.id),
+            None => self.world.cancel_person_request(command.id),
         }
         let events = self.advance();
-        self.tell(events).await;
-        // The world knows what a former host was answered, too.
-        let said = match self.world.person_result(ask.id) {
+        self.publish_events(events).await;
+        // The world also contains the results that a previous server returned.
+        let reply = match self.world.person_result(command.id) {
             Some(result) => PersonRequestState::Ended(result),
-            None if self.world.was_person_request_canceled(ask.id) => PersonRequestState::Canceled,
+            None if self.world.was_person_request_canceled(command.id) => PersonRequestState::Canceled,
             None => PersonRequestState::Requested,
         };
-        reply::wire(&query, &query.key, &said).await;
+        reply::wire(&query, &query.key, &reply).await;
     }
 
-    /// A robot without its driver stands still: nobody would notice if it went wrong.
-    fn stop_the_undriven(&mut self) {
+    /// Stops each robot after the timeout of its client: a fault would go unnoticed.
+    fn stop_timed_out_robots(&mut self) {
         let now = self.settings.clock.now();
-        for (robot, entry) in &mut self.bodies {
-            if entry.driver.is_some_and(|heard| now.since(heard) > self.settings.client_timeout) {
-                entry.driver = None;
+        for (robot, entry) in &mut self.drivers {
+            if entry.last_command_at.is_some_and(|last| now.since(last) > self.settings.client_timeout) {
+                entry.last_command_at = None;
                 let running =
                     entry.goals.iter().filter(|id| self.world.status(robot, **id).is_some_and(|s| !s.is_final()));
                 for id in running.copied().collect::<Vec<_>>() {
-                    info!(%robot, "driver silent: stopped");
+                    info!(%robot, "driver client timed out: robot stopped");
                     self.world.cancel(robot, id);
                 }
             }
         }
     }
 
-    /// What nobody repeats is wanted by nobody: the attendant who asked is gone, and the mission may be over. An attendant
-    /// who comes to want it again is told that it was withdrawn, and asks anew.
-    fn withdraw_the_unrepeated(&mut self) {
+    /// Cancels each person request that is no longer repeated: its proxy is gone, and the mission
+    /// may be over. A proxy that still needs the request gets the state `Canceled` and sends a new
+    /// request.
+    fn cancel_unrepeated_requests(&mut self) {
         let (now, open) = (self.settings.clock.now(), self.world.open_person_requests());
-        self.asks.retain(|ask, _| open.contains(ask));
-        for (ask, _) in self.asks.iter().filter(|(_, made)| now.since(**made) > self.settings.client_timeout) {
-            info!(ask = ask.0, "nobody repeats it: withdrawn");
+        self.person_requests.retain(|ask, _| open.contains(ask));
+        for (ask, _) in self
+            .person_requests
+            .iter()
+            .filter(|(_, repeated_at)| now.since(**repeated_at) > self.settings.client_timeout)
+        {
+            info!(ask = ask.0, "person request no longer repeated: canceled");
             self.world.cancel_person_request(*ask);
         }
     }
 
-    async fn tell(&mut self, events: Vec<BackendEvent>) {
-        let mut moved: Vec<RobotId> = vec![];
+    async fn publish_events(&mut self, events: Vec<BackendEvent>) {
+        let mut changed_robots: Vec<RobotId> = vec![];
         for event in events {
             match event {
-                BackendEvent::GoalEnded { robot, .. } => moved.push(robot),
+                BackendEvent::GoalEnded { robot, .. } => changed_robots.push(robot),
                 BackendEvent::Stranded { robot } => {
-                    warn!(%robot, "battery empty: stands where it is");
-                    moved.push(robot);
+                    warn!(%robot, "battery empty: robot stopped");
+                    changed_robots.push(robot);
                 }
                 BackendEvent::MissionCanceled { by, role, robot } => {
-                    info!(by, %robot, "calls the mission off");
-                    let said_ms = (self.world.now().as_secs() * 1000.0) as u64;
-                    let word = PersonEvent::CancelMission { by, role, robot, at_ms: said_ms };
-                    self.speak(&word).await;
-                    self.words.push((word, WORDS_REPEATED));
+                    info!(by, %robot, "a person cancels the mission");
+                    let at_ms = (self.world.now().as_secs() * 1000.0) as u64;
+                    let event = PersonEvent::CancelMission { by, role, robot, at_ms };
+                    self.publish_person_event(&event).await;
+                    self.repeated_events.push((event, EVENT_REPETITIONS));
                 }
-                BackendEvent::PersonRequestEnded { ask, result } => {
-                    self.speak(&PersonEvent::RequestEnded { id: ask, result }).await;
+                BackendEvent::PersonRequestEnded { request: ask, result } => {
+                    self.publish_person_event(&PersonEvent::RequestEnded { id: ask, result }).await;
                 }
             }
         }
-        moved.dedup();
-        for robot in moved {
+        changed_robots.dedup();
+        for robot in changed_robots {
             self.publish_state(&robot).await;
         }
     }
 
-    /// Says for people what they have to say.
-    async fn speak(&self, word: &PersonEvent) {
+    /// Publishes the event of a person.
+    async fn publish_person_event(&self, event: &PersonEvent) {
         let key = self.settings.keys.write(&Key::People(PeopleCall::Done));
-        self.publish(&key, word).await;
+        self.publish(&key, event).await;
     }
 
     async fn publish_all(&mut self) {
-        for (word, left) in std::mem::take(&mut self.words) {
-            self.speak(&word).await;
+        for (event, left) in std::mem::take(&mut self.repeated_events) {
+            self.publish_person_event(&event).await;
             if left > 1 {
-                self.words.push((word, left - 1));
+                self.repeated_events.push((event, left - 1));
             }
         }
-        for robot in self.bodies.keys().cloned().collect::<Vec<_>>() {
+        for robot in self.drivers.keys().cloned().collect::<Vec<_>>() {
             self.publish_state(&robot).await;
         }
     }
@@ -339,17 +349,18 @@ impl DriverServerState {
 
     fn state_of(&mut self, robot: &RobotId) -> Option<DriverState> {
         let telemetry = self.world.telemetry(robot)?;
-        let entry = self.bodies.get(robot)?;
+        let entry = self.drivers.get(robot)?;
         let status = |id: &GoalId| {
-            let lost = || ActionError { code: ErrorCode::Unknown, message: format!("goal {} is not known here", id.0) };
-            (*id, self.world.status(robot, *id).unwrap_or_else(|| GoalStatus::Aborted(lost())))
+            let unknown_goal =
+                || ActionError { code: ErrorCode::Unknown, message: format!("goal {} is unknown here", id.0) };
+            (*id, self.world.status(robot, *id).unwrap_or_else(|| GoalStatus::Aborted(unknown_goal())))
         };
         let goals: Vec<(GoalId, GoalStatus)> = entry.goals.iter().map(status).collect();
         let succeeded = goals.iter().filter(|(_, status)| *status == GoalStatus::Succeeded);
         let done = succeeded.filter_map(|(id, _)| Some((*id, self.world.goal(robot, *id)?)));
         let done = done.filter(|(_, goal)| !goal.is_repeatable()).collect();
-        self.number += 1;
-        Some(DriverState { robot: robot.clone(), sequence: self.number, telemetry, goals, completed: done })
+        self.sequence += 1;
+        Some(DriverState { robot: robot.clone(), sequence: self.sequence, telemetry, goals, completed: done })
     }
 }
 
@@ -358,12 +369,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn however_far_off_something_is_the_host_only_rests() {
-        assert_eq!(rest(2.5), Duration::from_micros(2_500_001));
-        assert_eq!(rest(-1.0), Duration::from_micros(1), "what is overdue");
+    fn the_sleep_is_bounded_for_any_due_time() {
+        assert_eq!(sleep_for(2.5), Duration::from_micros(2_500_001));
+        assert_eq!(sleep_for(-1.0), Duration::from_micros(1), "an overdue event");
         for far in [3600.0, 1e19, 1e20, f64::MAX, f64::INFINITY, f64::NAN] {
-            assert!(rest(far) <= REST_MAX, "{far} s");
+            assert!(sleep_for(far) <= SLEEP_MAX, "{far} s");
         }
-        assert_eq!(rest(1e300), REST_MAX);
+        assert_eq!(sleep_for(1e300), SLEEP_MAX);
     }
 }

@@ -1,4 +1,5 @@
-//! A copy of the mission ledger that a fleet gives out while it works, and that a new fleet can be founded on.
+//! Backup of the mission ledger: taken from a running fleet, restored as the start of a new
+//! cluster.
 
 use super::DurableStore;
 use crate::raft::{Epoch, LogStore as _, restore_as_only_voter};
@@ -14,39 +15,40 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::io::{self, Read as _, Write as _};
 
-/// A copy of a ledger: what can be read of it, and the whole.
+/// Backup of a ledger: readable key figures, and the whole ledger.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Backup {
-    /// Of which fleet.
+    /// Fleet.
     #[schemars(with = "String")]
     pub fleet: FleetId,
-    /// The node that gave it.
+    /// Node that made the backup.
     #[schemars(with = "String")]
     pub by: NodeId,
-    /// When, in milliseconds since 1970, by that node's clock.
+    /// Time of the backup, in milliseconds since 1970, by that node's clock.
     pub at_ms: u64,
-    /// Which version of the program it was.
+    /// Version of the program.
     pub version: String,
-    /// The term of the last entry that is in it.
+    /// Term of the last entry in the backup.
     pub term: u64,
-    /// The index of that entry.
+    /// Index of that entry.
     pub index: u64,
-    /// How many missions are in it.
+    /// Number of missions in the ledger.
     pub missions: usize,
-    /// How many of them had not ended.
+    /// Number of missions that had not ended.
     pub under_way: usize,
-    /// The ledger: a version byte, then bincode; packed by gzip, which has a checksum, and written in base64.
+    /// Ledger: a version byte, then bincode; compressed by gzip, which has a checksum, and encoded
+    /// in base64.
     pub ledger: String,
 }
 
 impl Backup {
-    /// A copy of this ledger, whose last entry is `last`.
+    /// Creates a backup of this ledger up to the entry `last`.
     ///
     /// # Errors
-    /// In words, if it cannot be written down.
+    /// The ledger cannot be encoded; a text for the user.
     pub fn new(ledger: &Ledger, last: Epoch, fleet: FleetId, by: NodeId, at_ms: u64) -> Result<Backup, String> {
-        let bytes = codec::encode_record(ledger).map_err(|problem| problem.to_string())?;
+        let bytes = codec::encode_record(ledger).map_err(|error| error.to_string())?;
         Ok(Backup {
             fleet,
             by,
@@ -56,45 +58,46 @@ impl Backup {
             index: last.index,
             missions: ledger.missions().count(),
             under_way: ledger.active_missions().len(),
-            ledger: STANDARD.encode(packed(&bytes).map_err(|problem| problem.to_string())?),
+            ledger: STANDARD.encode(compress(&bytes).map_err(|error| error.to_string())?),
         })
     }
 
-    /// The ledger, and the place of its last entry.
+    /// Returns the ledger and the position of its last entry.
     ///
     /// # Errors
-    /// In words, if it is damaged or of another release.
+    /// The backup is damaged, or was made by another release; a text for the user.
     pub fn decode(&self) -> Result<(Ledger, Epoch), String> {
-        let bytes = STANDARD.decode(&self.ledger).map_err(|problem| format!("ledger: it is damaged: {problem}"))?;
-        let bytes = unpacked(&bytes).map_err(|problem| format!("ledger: it is damaged: {problem}"))?;
-        let ledger = codec::decode_record(&bytes).map_err(|problem| format!("ledger: {problem}"))?;
+        let bytes = STANDARD.decode(&self.ledger).map_err(|error| format!("ledger: it is damaged: {error}"))?;
+        let bytes = decompress(&bytes).map_err(|error| format!("ledger: it is damaged: {error}"))?;
+        let ledger = codec::decode_record(&bytes).map_err(|error| format!("ledger: {error}"))?;
         Ok((ledger, Epoch { term: self.term, index: self.index }))
     }
 }
 
-fn packed(bytes: &[u8]) -> io::Result<Vec<u8>> {
-    let mut packed = GzEncoder::new(Vec::new(), Compression::default());
-    packed.write_all(bytes)?;
-    packed.finish()
+fn compress(bytes: &[u8]) -> io::Result<Vec<u8>> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
+    encoder.write_all(bytes)?;
+    encoder.finish()
 }
 
-/// What was packed, if it is not more than a record may be.
-fn unpacked(bytes: &[u8]) -> io::Result<Vec<u8>> {
-    let most = u64::try_from(codec::RECORD_BYTES_MAX).unwrap_or(u64::MAX);
-    let mut unpacked = Vec::new();
-    GzDecoder::new(bytes).take(most + 1).read_to_end(&mut unpacked)?;
-    Ok(unpacked)
+/// Decompresses `bytes`, up to just above the size limit of a record.
+fn decompress(bytes: &[u8]) -> io::Result<Vec<u8>> {
+    let size_max = u64::try_from(codec::RECORD_BYTES_MAX).unwrap_or(u64::MAX);
+    let mut output = Vec::new();
+    GzDecoder::new(bytes).take(size_max + 1).read_to_end(&mut output)?;
+    Ok(output)
 }
 
-/// Makes an empty store that of its fleet's only voter, with this ledger, as that of `cluster`, an id that no other founding has;
-/// blocks until it is on disk. Whoever still holds the former ledger is a stranger to it.
+/// Turns an empty store into that of its fleet's only voter with this ledger, as the ledger of
+/// `cluster`, an id that no other bootstrap has used. Blocks until it is on disk. Nodes with the
+/// former ledger belong to a different cluster.
 ///
 /// # Errors
-/// The store holds something already, or cannot be written.
+/// The store is not empty, or cannot be written.
 pub fn restore(store: &DurableStore, mut ledger: Ledger, last: Epoch, cluster: ClusterId) -> io::Result<()> {
-    let there = store.persistent_state()?;
-    if there.snapshot.is_some() || !there.entries.is_empty() || there.vote.is_some() {
-        return Err(io::Error::new(io::ErrorKind::AlreadyExists, "it holds a ledger already"));
+    let existing = store.persistent_state()?;
+    if existing.snapshot.is_some() || !existing.entries.is_empty() || existing.vote.is_some() {
+        return Err(io::Error::new(io::ErrorKind::AlreadyExists, "the store contains a ledger already"));
     }
     ledger.replace_cluster(cluster);
     store.replace(restore_as_only_voter(&ledger, last, &store.owner().node, store.identity())?)
@@ -105,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_copy_reads_back_and_damage_is_noticed() {
+    fn a_backup_reads_back_and_damage_is_detected() {
         let last = Epoch { term: 3, index: 9 };
         let (fleet, by) = (FleetId::new("ward").unwrap(), NodeId::new("ada").unwrap());
         let backup = Backup::new(&Ledger::default(), last, fleet, by, 7).unwrap();
@@ -113,7 +116,7 @@ mod tests {
         let read: Backup = serde_json::from_str(&text).unwrap();
         assert_eq!(read.decode(), Ok((Ledger::default(), last)));
         let mut bytes = STANDARD.decode(&read.ledger).unwrap();
-        // The head of gzip says what nobody needs: when it was packed, and where.
+        // The header of gzip is not checked: it contains the time and system of the compression.
         for at in 10..bytes.len() {
             bytes[at] ^= 1;
             let damaged = Backup { ledger: STANDARD.encode(&bytes), ..read.clone() };

@@ -1,39 +1,41 @@
-//! What a robot writes down about the role it holds, so that its next life can go on where this one ended.
+//! Store of a robot's checkpoint: the state of its current role, from which it continues after a
+//! restart.
 
 use async_trait::async_trait;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// One page of bytes that outlives the process. A notebook knows nothing of what is written in it.
+/// Store of a single checkpoint, which survives the process. The content is opaque bytes.
 #[async_trait]
 pub trait CheckpointStore: Send + Sync + 'static {
-    /// The page, if one was written and not torn out.
+    /// Reads the checkpoint, if there is any.
     ///
     /// # Errors
     /// The store cannot be read.
     async fn read(&self) -> io::Result<Option<Vec<u8>>>;
 
-    /// Replaces the page; `None` tears it out. When it returns `Ok`, this survives a crash.
+    /// Replaces the checkpoint; `None` deletes it. When this returns `Ok`, the change survives a
+    /// crash.
     ///
     /// # Errors
-    /// The store cannot be written; the former page is still there.
-    async fn write(&self, page: Option<Vec<u8>>) -> io::Result<()>;
+    /// The store cannot be written; the previous checkpoint is still there.
+    async fn write(&self, checkpoint: Option<Vec<u8>>) -> io::Result<()>;
 }
 
-/// A notebook in memory. Clones are the same notebook.
+/// Checkpoint store in memory. Clones share the same store.
 #[derive(Debug, Clone, Default)]
 pub struct MemoryCheckpointStore {
-    page: Arc<Mutex<Option<Vec<u8>>>>,
+    checkpoint: Arc<Mutex<Option<Vec<u8>>>>,
 }
 
 #[async_trait]
 impl CheckpointStore for MemoryCheckpointStore {
     async fn read(&self) -> io::Result<Option<Vec<u8>>> {
-        Ok(self.page.lock().unwrap_or_else(PoisonError::into_inner).clone())
+        Ok(self.checkpoint.lock().unwrap_or_else(PoisonError::into_inner).clone())
     }
 
-    async fn write(&self, page: Option<Vec<u8>>) -> io::Result<()> {
-        *self.page.lock().unwrap_or_else(PoisonError::into_inner) = page;
+    async fn write(&self, checkpoint: Option<Vec<u8>>) -> io::Result<()> {
+        *self.checkpoint.lock().unwrap_or_else(PoisonError::into_inner) = checkpoint;
         Ok(())
     }
 }

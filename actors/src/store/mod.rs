@@ -1,4 +1,4 @@
-//! What a node remembers from one life to the next.
+//! Storage of a node across restarts.
 
 mod backup;
 mod checkpoint_store;
@@ -14,17 +14,18 @@ pub use durable::{
 pub use recover::{inspect_ledger, recover};
 use std::sync::Arc;
 
-/// A node's memory. Clones are the same memory.
+/// Storage of a node. Clones share the same storage.
 #[derive(Clone)]
 pub struct NodeStore {
-    /// Its copy of the ledger.
+    /// Log, vote and snapshot of its replica of the ledger.
     pub log_store: Arc<dyn LogStore>,
-    /// What its robot is at.
+    /// Checkpoint of its robot.
     pub checkpoints: Arc<dyn CheckpointStore>,
 }
 
 impl NodeStore {
-    /// A memory that is gone with its last clone. A clone given to a restarted node plays a disk that survived.
+    /// Creates storage in memory, lost with its last clone. A clone given to a restarted node
+    /// simulates a disk that survived.
     pub fn in_memory(identity_seed: u64) -> NodeStore {
         NodeStore {
             log_store: Arc::new(MemoryLogStore::new(identity_seed)),

@@ -1,4 +1,4 @@
-//! A bus on which whatever nodes say bears its author's seal.
+//! A bus on which every message of a node carries its author's signature.
 
 use super::certificates::{CertificateExchange, unix_time};
 use super::keyring::{Keyring, VerifiedCertificate};
@@ -20,41 +20,43 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// A bus that seals what the fleet's nodes say, and hands out only what its author sealed, may say, and says for the first time.
+/// Bus that signs outgoing messages, and delivers only messages that are signed, authorized and
+/// new.
 ///
-/// What is below `wire/` is sealed all around. What anybody's clients read (views, answers to requests, events) stays as it is, with the
-/// seal beside it. Everything else passes: certificates prove themselves, and presence has no content.
+/// Messages below `wire/` are wrapped in a signed envelope. Messages that clients read (views,
+/// replies to requests, events) stay plain, with the signature as attachment. Other messages pass
+/// unchanged: certificates prove themselves, and presence has no content.
 pub struct SigningBus {
     bus: SharedBus,
     keys: Keys,
-    trust: Arc<Trust>,
+    verifier: Arc<Verifier>,
 }
 
-/// Where the seal of a message is.
+/// Location of a message's signature.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Place {
-    /// Around it.
-    Around,
-    /// Beside it.
-    Beside,
-    /// Nowhere.
-    Nowhere,
+enum SignaturePlace {
+    /// Signed envelope around the message.
+    Envelope,
+    /// Detached signature in the attachment.
+    Attachment,
+    /// No signature.
+    Absent,
 }
 
-/// What is needed to believe.
-struct Trust {
+/// State for verifying messages.
+struct Verifier {
     keyring: Arc<Keyring>,
-    cards: Arc<CertificateExchange>,
-    refusals: Arc<RejectionLog>,
+    certificates: Arc<CertificateExchange>,
+    rejections: Arc<RejectionLog>,
     clock: Clock,
 }
 
 impl SigningBus {
-    /// Seals what is said on `bus` with `keyring`; `revoked` is the file that has the list of what is revoked, and is read again and
-    /// again.
+    /// Signs the messages on `bus` with `keyring`. `revoked` is the file with the list of revoked
+    /// certificates; it is read again periodically.
     ///
     /// # Errors
-    /// [`BusError`] if the own certificate cannot be shown.
+    /// [`BusError`] if the node's own certificate cannot be served.
     pub async fn open(
         bus: SharedBus,
         keys: Keys,
@@ -62,59 +64,62 @@ impl SigningBus {
         revoked: Option<PathBuf>,
         clock: Clock,
     ) -> Result<SigningBus, BusError> {
-        let refusals = Arc::new(RejectionLog::default());
-        let (on, ring, told) = (Arc::clone(&bus), Arc::clone(&keyring), Arc::clone(&refusals));
-        let cards = Arc::new(CertificateExchange::open(on, keys.clone(), ring, revoked, clock, told).await?);
-        Ok(SigningBus { bus, keys, trust: Arc::new(Trust { keyring, cards, refusals, clock }) })
+        let rejections = Arc::new(RejectionLog::default());
+        let (inner, ring, log) = (Arc::clone(&bus), Arc::clone(&keyring), Arc::clone(&rejections));
+        let certificates = Arc::new(CertificateExchange::open(inner, keys.clone(), ring, revoked, clock, log).await?);
+        Ok(SigningBus { bus, keys, verifier: Arc::new(Verifier { keyring, certificates, rejections, clock }) })
     }
 
-    /// Who signs what the bearer says of itself, and judges what others hand on of third ones.
+    /// Returns the signer of this node's records, which also verifies records of other nodes.
     pub fn record_signer(&self) -> SharedRecordSigner {
-        let Trust { keyring, cards, .. } = &*self.trust;
-        Arc::new(KeyringSigner { keyring: Arc::clone(keyring), cards: Arc::clone(cards) })
+        let Verifier { keyring, certificates, .. } = &*self.verifier;
+        Arc::new(KeyringSigner { keyring: Arc::clone(keyring), certificates: Arc::clone(certificates) })
     }
 
-    /// What was not believed lately, in words: who claims what.
+    /// Returns the reasons of recent rejections, as text.
     pub fn rejections(&self) -> Vec<String> {
-        self.trust.refusals.recent()
+        self.verifier.rejections.recent()
     }
 
-    /// Where the seal is of what is said on a key, or key expression.
-    fn place(&self, key: &str) -> Place {
-        match self.keys.strip_fleet(key).and_then(|below| below.split_once('/')) {
-            Some(("wire", rest)) if rest.starts_with("card/") => Place::Nowhere,
-            Some(("wire", _)) => Place::Around,
-            Some(("view" | "seen" | "api" | "events", _)) => Place::Beside,
-            _ => Place::Nowhere,
+    /// Returns the location of the signature for a key or key expression.
+    fn signature_place(&self, key: &str) -> SignaturePlace {
+        match self.keys.strip_fleet(key).and_then(|suffix| suffix.split_once('/')) {
+            Some(("wire", rest)) if rest.starts_with("certificate/") => SignaturePlace::Absent,
+            Some(("wire", _)) => SignaturePlace::Envelope,
+            Some(("view" | "seen" | "api" | "events", _)) => SignaturePlace::Attachment,
+            _ => SignaturePlace::Absent,
         }
     }
 
-    fn samples(&self, samples: Stream<Sample>, place: Place) -> Stream<Sample> {
-        let (trust, keys, mut windows) = (Arc::clone(&self.trust), self.keys.clone(), Windows::default());
+    fn samples(&self, samples: Stream<Sample>, place: SignaturePlace) -> Stream<Sample> {
+        let (verifier, keys, mut windows) = (Arc::clone(&self.verifier), self.keys.clone(), Windows::default());
         samples.filter_map(move |sample| {
-            let heard = Heard {
+            let message = ReceivedMessage {
                 kind: MessageKind::Publication,
                 key: &sample.key,
                 bytes: &sample.payload,
-                beside: (place == Place::Beside).then_some(Beside { seal: &sample.attachment, asked: &[] }),
+                detached: (place == SignaturePlace::Attachment)
+                    .then_some(DetachedSignature { signature: &sample.attachment, query: &[] }),
             };
-            let believed = trust.believe(&keys, Operation::Publish, heard, Some(&mut windows)).ok()?;
-            let payload = believed.payload(&sample.payload);
+            let verified = verifier.verify(&keys, Operation::Publish, message, Some(&mut windows)).ok()?;
+            let payload = verified.payload(&sample.payload);
             Some(Sample { payload, attachment: Bytes::new(), ..sample })
         })
     }
 
-    /// What nodes ask one another.
-    fn sealed_questions(&self, questions: Stream<Query>) -> Stream<Query> {
-        let (trust, keys, mut windows) = (Arc::clone(&self.trust), self.keys.clone(), Windows::default());
-        questions.filter_map(move |query| {
-            let heard = Heard { kind: MessageKind::Query, key: &query.key, bytes: &query.payload, beside: None };
-            match trust.believe(&keys, Operation::Query, heard, Some(&mut windows)) {
-                Ok(believed) => {
-                    let payload = believed.payload(&query.payload);
-                    let asked = MessageKind::Reply(believed.by, believed.number);
-                    let keyring = Arc::clone(&trust.keyring);
-                    let replier = Box::new(SealedReplier { replier: query.replier, keyring, asked, beside: None });
+    /// Verifies queries between nodes, and signs the replies to them.
+    fn sign_replies_to_nodes(&self, queries: Stream<Query>) -> Stream<Query> {
+        let (verifier, keys, mut windows) = (Arc::clone(&self.verifier), self.keys.clone(), Windows::default());
+        queries.filter_map(move |query| {
+            let message =
+                ReceivedMessage { kind: MessageKind::Query, key: &query.key, bytes: &query.payload, detached: None };
+            match verifier.verify(&keys, Operation::Query, message, Some(&mut windows)) {
+                Ok(verified) => {
+                    let payload = verified.payload(&query.payload);
+                    let kind = MessageKind::Reply(verified.signer, verified.number);
+                    let keyring = Arc::clone(&verifier.keyring);
+                    let replier =
+                        Box::new(SigningReplier { replier: query.replier, keyring, kind, query_payload: None });
                     Some(Query { payload, replier, ..query })
                 }
                 Err(reason) => {
@@ -125,177 +130,183 @@ impl SigningBus {
         })
     }
 
-    /// What anybody asks: the links have seen to it that they may. Answers are sealed if somebody will look at the seal.
-    fn anybodys_questions(&self, questions: Stream<Query>) -> Stream<Query> {
-        let keyring = Arc::clone(&self.trust.keyring);
-        questions.map(move |query| match decode_requester(&query.attachment) {
-            Some(asked) => {
-                let (keyring, beside) = (Arc::clone(&keyring), Some(query.payload.clone()));
-                let replier = Box::new(SealedReplier { replier: query.replier, keyring, asked, beside });
+    /// Passes client queries: the links have authorized them. Replies are signed if the requester
+    /// will verify them.
+    fn sign_replies_to_clients(&self, queries: Stream<Query>) -> Stream<Query> {
+        let keyring = Arc::clone(&self.verifier.keyring);
+        queries.map(move |query| match decode_requester(&query.attachment) {
+            Some(kind) => {
+                let (keyring, query_payload) = (Arc::clone(&keyring), Some(query.payload.clone()));
+                let replier = Box::new(SigningReplier { replier: query.replier, keyring, kind, query_payload });
                 Query { replier, attachment: Bytes::new(), ..query }
             }
             None => query,
         })
     }
 
-    /// Those answers to a question that are believed; of an answer beside which there is a seal, `asked` is the question.
-    fn replies(&self, replies: Stream<Reply>, number: u64, asked: Option<Bytes>) -> Stream<Reply> {
-        let (trust, keys) = (Arc::clone(&self.trust), self.keys.clone());
-        let kind = MessageKind::Reply(self.trust.keyring.fingerprint(), number);
+    /// Returns the replies that pass verification. For detached signatures, `query` is the payload
+    /// of the query.
+    fn replies(&self, replies: Stream<Reply>, number: u64, query: Option<Bytes>) -> Stream<Reply> {
+        let (verifier, keys) = (Arc::clone(&self.verifier), self.keys.clone());
+        let kind = MessageKind::Reply(self.verifier.keyring.fingerprint(), number);
         replies.filter_map(move |reply| {
-            let beside = asked.as_ref().map(|asked| Beside { seal: &reply.attachment, asked });
+            let detached = query.as_ref().map(|query| DetachedSignature { signature: &reply.attachment, query });
             let bytes = match &reply.payload {
                 Ok(bytes) => bytes,
-                // The fleet's own refuse in words of JSON, which bear a seal.
-                Err(_) if beside.is_some() => return trust.unsealed(&keys, &reply.key),
+                // Nodes of this fleet refuse with signed JSON.
+                Err(_) if detached.is_some() => return verifier.reject_unsigned(&keys, &reply.key),
                 Err(_) => return Some(reply),
             };
-            let heard = Heard { kind, key: &reply.key, bytes, beside };
-            let believed = trust.believe(&keys, Operation::Reply, heard, None).ok()?;
-            let payload = Ok(believed.payload(bytes));
+            let message = ReceivedMessage { kind, key: &reply.key, bytes, detached };
+            let verified = verifier.verify(&keys, Operation::Reply, message, None).ok()?;
+            let payload = Ok(verified.payload(bytes));
             Some(Reply { payload, attachment: Bytes::new(), ..reply })
         })
     }
 }
 
-/// Something that was heard.
-struct Heard<'a> {
+/// A received message.
+struct ReceivedMessage<'a> {
     kind: MessageKind,
     key: &'a str,
     bytes: &'a Bytes,
-    /// What stands beside it, if that is where its seal is.
-    beside: Option<Beside<'a>>,
+    /// Detached signature, if the key uses attachments.
+    detached: Option<DetachedSignature<'a>>,
 }
 
-/// What stands beside something that was heard.
-struct Beside<'a> {
-    seal: &'a [u8],
-    /// The question that it answers.
-    asked: &'a [u8],
+/// A detached signature.
+struct DetachedSignature<'a> {
+    signature: &'a [u8],
+    /// Payload of the query that the message replies to.
+    query: &'a [u8],
 }
 
-/// Something that is believed.
-struct Believed {
-    by: Fingerprint,
+/// A verified message.
+struct VerifiedMessage {
+    signer: Fingerprint,
     number: u64,
     length: usize,
 }
 
-impl Believed {
-    /// The message itself: it stands at the end.
+impl VerifiedMessage {
+    /// Returns the message itself, which is at the end of the received bytes.
     fn payload(&self, bytes: &Bytes) -> Bytes {
         bytes.slice(bytes.len() - self.length..)
     }
 }
 
-/// What was heard of each author, at one place.
+/// Replay windows per author, for a single subscription or service.
 type Windows = BTreeMap<Fingerprint, ReplayWindow>;
 
-impl Trust {
-    /// Whether something heard is from who it says, who may say it; and, of what is not an answer, for the first time.
-    fn believe(
+impl Verifier {
+    /// Verifies the signature and the authorization of a received message and, unless it is a
+    /// reply, that it is new.
+    fn verify(
         &self,
         keys: &Keys,
-        act: Operation,
-        heard: Heard<'_>,
+        operation: Operation,
+        message: ReceivedMessage<'_>,
         windows: Option<&mut Windows>,
-    ) -> Result<Believed, String> {
-        let Heard { kind, key, bytes, beside } = heard;
-        let below = keys.strip_fleet(key).unwrap_or(key);
-        let sealed = match decode_envelope(kind, beside.as_ref().map_or(bytes, |beside| beside.seal)) {
-            Ok(sealed) => sealed,
-            Err(problem) => return self.refuse(format!("somebody on {below}: {problem}")),
+    ) -> Result<VerifiedMessage, String> {
+        let ReceivedMessage { kind, key, bytes, detached } = message;
+        let suffix = keys.strip_fleet(key).unwrap_or(key);
+        let envelope = match decode_envelope(kind, detached.as_ref().map_or(bytes, |detached| detached.signature)) {
+            Ok(envelope) => envelope,
+            Err(problem) => return self.refuse(format!("message on {suffix} rejected: {problem}")),
         };
-        let (payload, signed, shown) = match &beside {
-            None => (sealed.payload, signed_part(kind, sealed.signer, sealed.number, key, sealed.payload), None),
-            Some(beside) => {
-                let signed = signed_attachment(kind, sealed.signer, sealed.number, key, beside.asked, bytes);
-                (&bytes[..], signed, Some(sealed.payload))
+        let (payload, signed, attached) = match &detached {
+            None => {
+                (envelope.payload, signed_part(kind, envelope.signer, envelope.number, key, envelope.payload), None)
+            }
+            Some(detached) => {
+                let signed = signed_attachment(kind, envelope.signer, envelope.number, key, detached.query, bytes);
+                (&bytes[..], signed, Some(envelope.payload))
             }
         };
-        let card = match (self.keyring.certificate(sealed.signer), shown) {
-            (Some(card), _) => card,
+        let certificate = match (self.keyring.certificate(envelope.signer), attached) {
+            (Some(certificate), _) => certificate,
             (None, Some(certificate)) => match self.keyring.add_certificate(certificate, unix_time(self.clock)) {
-                Ok(card) if card.fingerprint() == sealed.signer => card,
-                Ok(card) => {
-                    let bearer = &card.identity.principal;
-                    return self.refuse(format!("somebody on {below} shows the certificate of {bearer} for another"));
+                Ok(certificate) if certificate.fingerprint() == envelope.signer => certificate,
+                Ok(certificate) => {
+                    let principal = &certificate.identity.principal;
+                    return self.refuse(format!("message on {suffix} rejected: the attached certificate belongs to {principal}, not to the signer"));
                 }
                 Err(problem) => {
-                    return self.refuse(format!("somebody on {below} whose certificate is not believed: {problem}"));
+                    return self.refuse(format!("message on {suffix} rejected: invalid certificate: {problem}"));
                 }
             },
             (None, None) => {
-                self.cards.request(sealed.signer);
-                return Err(format!("certificate {} is not known here yet: ask again", sealed.signer));
+                self.certificates.request(envelope.signer);
+                return Err(format!("certificate {} is not yet known to this node; retry", envelope.signer));
             }
         };
-        if !card.verify(&signed, sealed.signature) {
+        if !certificate.verify(&signed, envelope.signature) {
             return self.refuse(format!(
-                "somebody on {below} says to be {}, whose signature it is not",
-                card.identity.principal
+                "message on {suffix} rejected: the signature is not by {}",
+                certificate.identity.principal
             ));
         }
-        if let Err(denied) = authorize(&card.identity, act, below, payload) {
+        if let Err(denied) = authorize(&certificate.identity, operation, suffix, payload) {
             return self.refuse(denied.to_string());
         }
         if let Some(windows) = windows {
-            match windows.entry(sealed.signer).or_default().accept(sealed.number) {
+            match windows.entry(envelope.signer).or_default().accept(envelope.number) {
                 Freshness::New => {}
-                Freshness::Repeated => return Err("it was heard before".to_owned()),
-                Freshness::Old => return self.refuse(late(&card, below)),
+                Freshness::Repeated => return Err("the message was received before".to_owned()),
+                Freshness::Old => return self.refuse(outdated(&certificate, suffix)),
             }
         }
-        Ok(Believed { by: sealed.signer, number: sealed.number, length: payload.len() })
+        Ok(VerifiedMessage { signer: envelope.signer, number: envelope.number, length: payload.len() })
     }
 
-    /// Something is not believed, and that is told.
+    /// Records a rejection.
     fn refuse<T>(&self, reason: String) -> Result<T, String> {
-        self.refusals.record(reason.clone());
+        self.rejections.record(reason.clone());
         Err(reason)
     }
 
-    /// The same of something that bears no seal.
-    fn unsealed<T>(&self, keys: &Keys, key: &str) -> Option<T> {
-        let below = keys.strip_fleet(key).unwrap_or(key);
-        self.refuse(format!("somebody on {below}: {}", EnvelopeError::Unsigned)).ok()
+    /// Records the rejection of an unsigned message.
+    fn reject_unsigned<T>(&self, keys: &Keys, key: &str) -> Option<T> {
+        let suffix = keys.strip_fleet(key).unwrap_or(key);
+        self.refuse(format!("message on {suffix} rejected: {}", EnvelopeError::Unsigned)).ok()
     }
 }
 
-fn late(card: &VerifiedCertificate, below: &str) -> String {
-    let bearer = &card.identity.principal;
+fn outdated(certificate: &VerifiedCertificate, suffix: &str) -> String {
+    let principal = &certificate.identity.principal;
     format!(
-        "what {bearer} says on {below} is older than what it said before: somebody repeats it, or its clock was put back"
+        "message on {suffix} rejected: it is older than earlier messages of {principal}; it was replayed, or the clock of {principal} was set back"
     )
 }
 
 impl Layer for SigningBus {
-    /// The number of a question that was sealed, and the question itself if the seals of its answers stand beside them.
+    /// Number of a signed query, and its payload if the replies carry detached signatures.
     type QueryState = Option<(u64, Option<Bytes>)>;
 
     fn inner(&self) -> &SharedBus {
         &self.bus
     }
 
-    fn outgoing_publication(&self, key: &str, said: MessageContent) -> Result<MessageContent, BusError> {
-        let keyring = &self.trust.keyring;
-        Ok(match self.place(key) {
-            Place::Around => {
-                let payload =
-                    keyring.sign_envelope(MessageKind::Publication, keyring.next_number(), key, &said.payload).into();
-                MessageContent { payload, ..said }
+    fn outgoing_publication(&self, key: &str, content: MessageContent) -> Result<MessageContent, BusError> {
+        let keyring = &self.verifier.keyring;
+        Ok(match self.signature_place(key) {
+            SignaturePlace::Envelope => {
+                let payload = keyring
+                    .sign_envelope(MessageKind::Publication, keyring.next_number(), key, &content.payload)
+                    .into();
+                MessageContent { payload, ..content }
             }
-            Place::Beside => {
-                let beside = keyring.sign_detached(MessageKind::Publication, key, &[], &said.payload).into();
-                MessageContent { attachment: beside, ..said }
+            SignaturePlace::Attachment => {
+                let attachment = keyring.sign_detached(MessageKind::Publication, key, &[], &content.payload).into();
+                MessageContent { attachment, ..content }
             }
-            Place::Nowhere => said,
+            SignaturePlace::Absent => content,
         })
     }
 
     fn incoming_publications(&self, key_expr: &str, samples: Stream<Sample>) -> Stream<Sample> {
-        match self.place(key_expr) {
-            Place::Nowhere => samples,
+        match self.signature_place(key_expr) {
+            SignaturePlace::Absent => samples,
             place => self.samples(samples, place),
         }
     }
@@ -303,68 +314,71 @@ impl Layer for SigningBus {
     fn outgoing_query(
         &self,
         key_expr: &str,
-        said: MessageContent,
+        content: MessageContent,
     ) -> Result<(MessageContent, Self::QueryState), BusError> {
-        let keyring = &self.trust.keyring;
-        // What is asked reaches whoever answers without its parameters.
+        let keyring = &self.verifier.keyring;
+        // The service receives the query's key without its parameters.
         let key = key_expr.split('?').next().unwrap_or_default();
-        Ok(match self.place(key) {
-            Place::Nowhere => (said, None),
-            Place::Around => {
+        Ok(match self.signature_place(key) {
+            SignaturePlace::Absent => (content, None),
+            SignaturePlace::Envelope => {
                 let number = keyring.next_number();
-                let payload = keyring.sign_envelope(MessageKind::Query, number, key, &said.payload).into();
-                (MessageContent { payload, ..said }, Some((number, None)))
+                let payload = keyring.sign_envelope(MessageKind::Query, number, key, &content.payload).into();
+                (MessageContent { payload, ..content }, Some((number, None)))
             }
-            Place::Beside => {
+            SignaturePlace::Attachment => {
                 let number = keyring.next_number();
-                let (beside, asked) = (encode_requester(keyring.fingerprint(), number).into(), said.payload.clone());
-                (MessageContent { attachment: beside, ..said }, Some((number, Some(asked))))
+                let (attachment, query) =
+                    (encode_requester(keyring.fingerprint(), number).into(), content.payload.clone());
+                (MessageContent { attachment, ..content }, Some((number, Some(query))))
             }
         })
     }
 
-    fn incoming_replies(&self, asked: Self::QueryState, replies: Stream<Reply>) -> Stream<Reply> {
-        match asked {
-            Some((number, asked)) => self.replies(replies, number, asked),
+    fn incoming_replies(&self, state: Self::QueryState, replies: Stream<Reply>) -> Stream<Reply> {
+        match state {
+            Some((number, query)) => self.replies(replies, number, query),
             None => replies,
         }
     }
 
-    fn incoming_queries(&self, key_expr: &str, incoming_queries: Stream<Query>) -> Stream<Query> {
-        match self.place(key_expr) {
-            Place::Around => self.sealed_questions(incoming_queries),
-            Place::Beside => self.anybodys_questions(incoming_queries),
-            Place::Nowhere => incoming_queries,
+    fn incoming_queries(&self, key_expr: &str, queries: Stream<Query>) -> Stream<Query> {
+        match self.signature_place(key_expr) {
+            SignaturePlace::Envelope => self.sign_replies_to_nodes(queries),
+            SignaturePlace::Attachment => self.sign_replies_to_clients(queries),
+            SignaturePlace::Absent => queries,
         }
     }
 }
 
-/// Answers one question, sealed as the answer to it.
-struct SealedReplier {
+/// Sends the signed replies to a query.
+struct SigningReplier {
     replier: Box<dyn Replier>,
     keyring: Arc<Keyring>,
-    asked: MessageKind,
-    /// The question, if the seal is to stand beside the answer.
-    beside: Option<Bytes>,
+    kind: MessageKind,
+    /// Payload of the query, if the reply carries a detached signature.
+    query_payload: Option<Bytes>,
 }
 
 #[async_trait]
-impl Replier for SealedReplier {
+impl Replier for SigningReplier {
     async fn reply_with_attachment(
         &self,
         key: &str,
         payload: Bytes,
-        beside: Bytes,
+        attachment: Bytes,
         encoding: Encoding,
     ) -> Result<(), BusError> {
-        let (payload, beside) = match &self.beside {
-            None => (self.keyring.sign_envelope(self.asked, self.keyring.next_number(), key, &payload).into(), beside),
-            Some(asked) => {
-                let seal = self.keyring.sign_detached(self.asked, key, asked, &payload);
-                (payload, seal.into())
+        let (payload, attachment) = match &self.query_payload {
+            None => {
+                (self.keyring.sign_envelope(self.kind, self.keyring.next_number(), key, &payload).into(), attachment)
+            }
+            Some(query) => {
+                let signature = self.keyring.sign_detached(self.kind, key, query, &payload);
+                (payload, signature.into())
             }
         };
-        self.replier.reply_with_attachment(key, payload, beside, encoding).await
+        self.replier.reply_with_attachment(key, payload, attachment, encoding).await
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {

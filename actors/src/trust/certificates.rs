@@ -1,4 +1,5 @@
-//! How nodes learn each other's certificates: whoever hears a fingerprint that it does not know asks its bearer.
+//! Exchange of certificates: a node that receives an unknown fingerprint queries the certificate's
+//! owner.
 
 use super::files::read_revoked;
 use super::keyring::Keyring;
@@ -18,140 +19,151 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 use tracing::{debug, warn};
 
-/// How long a bearer has to show its certificate.
-const SHOWN_WITHIN: Duration = Duration::from_secs(2);
+/// Timeout of a certificate query.
+const QUERY_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How long a bearer who showed none, or none that is believed, is not asked again.
-const NOT_AGAIN_FOR: Duration = Duration::from_secs(1);
+/// Pause before another query, after a query without a valid certificate.
+const RETRY_PAUSE: Duration = Duration::from_secs(1);
 
-/// How many are asked at once. Who makes up fingerprints is a member of the fleet, and holds up others no longer than this.
-const AT_ONCE: usize = 32;
+/// Maximum number of concurrent queries. Only a member of the fleet can invent fingerprints, and it
+/// delays other queries by no more than this.
+const QUERIES_MAX: usize = 32;
 
-/// How often the list of revoked certificates is read.
-const READ_EVERY: Duration = Duration::from_secs(2);
+/// Interval at which the list of revoked certificates is read.
+const READ_INTERVAL: Duration = Duration::from_secs(2);
 
-/// How often everybody is judged anew, though the list is as it was: certificates end.
-const REVIEWED_EVERY: Duration = Duration::from_secs(10);
+/// Interval at which all certificates are verified again, even if the list is unchanged:
+/// certificates expire.
+const RECHECK_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Asks for certificates, shows the own, and reviews all, for as long as it lives.
+/// Queries certificates, serves the node's own, and verifies all again periodically, until it is
+/// dropped.
 pub(super) struct CertificateExchange {
-    wanted: UnboundedSender<Fingerprint>,
+    requested: UnboundedSender<Fingerprint>,
     _tasks: JoinSet<()>,
 }
 
-/// What the tasks work with.
+/// State shared by the tasks.
 #[derive(Clone)]
-struct Parts {
+struct Context {
     bus: SharedBus,
     keys: Keys,
     keyring: Arc<Keyring>,
     clock: Clock,
-    refusals: Arc<RejectionLog>,
+    rejections: Arc<RejectionLog>,
 }
 
 impl CertificateExchange {
-    /// Begins to show the own certificate, and to ask for others'.
+    /// Starts to serve the node's own certificate and to query others.
     pub(super) async fn open(
         bus: SharedBus,
         keys: Keys,
         keyring: Arc<Keyring>,
         revoked: Option<PathBuf>,
         clock: Clock,
-        refusals: Arc<RejectionLog>,
+        rejections: Arc<RejectionLog>,
     ) -> Result<CertificateExchange, BusError> {
-        let parts = Parts { bus, keys, keyring, clock, refusals };
-        let (wanted, wishes) = unbounded_channel();
+        let context = Context { bus, keys, keyring, clock, rejections };
+        let (requested, requests) = unbounded_channel();
         let mut tasks = JoinSet::new();
-        // People say nothing, so nobody asks for theirs; and their links let no service in.
-        if let Principal::Node { .. } = parts.keyring.identity().principal {
-            let own = parts.keys.write(&Key::Certificate(parts.keyring.fingerprint()));
-            let asked = parts.bus.serve(&own).await?;
-            tasks.spawn(show(asked, own, Bytes::from(parts.keyring.own_certificate())));
+        // Persons publish no messages, so no node queries their certificates; and their links
+        // reject services.
+        if let Principal::Node { .. } = context.keyring.identity().principal {
+            let own = context.keys.write(&Key::Certificate(context.keyring.fingerprint()));
+            let queried = context.bus.serve(&own).await?;
+            tasks.spawn(serve_own(queried, own, Bytes::from(context.keyring.own_certificate())));
         }
-        tasks.spawn(review(revoked, parts.clone()));
-        tasks.spawn(learn(parts, wishes));
-        Ok(CertificateExchange { wanted, _tasks: tasks })
+        tasks.spawn(recheck_all(revoked, context.clone()));
+        tasks.spawn(query_requested(context, requests));
+        Ok(CertificateExchange { requested, _tasks: tasks })
     }
 
-    /// Somebody was heard whose certificate is not known.
-    pub(super) fn request(&self, of: Fingerprint) {
-        let _ = self.wanted.send(of);
+    /// Requests the certificate of a fingerprint.
+    pub(super) fn request(&self, fingerprint: Fingerprint) {
+        let _ = self.requested.send(fingerprint);
     }
 }
 
-/// Shows the own certificate to whoever asks.
-async fn show(mut asked: Stream<crate::bus::Query>, key: String, certificate: Bytes) {
-    while let Some(query) = asked.recv().await {
+/// Serves the node's own certificate.
+async fn serve_own(mut queried: Stream<crate::bus::Query>, key: String, certificate: Bytes) {
+    while let Some(query) = queried.recv().await {
         if let Err(problem) = query.replier.reply(&key, certificate.clone(), Encoding::Wire).await {
-            debug!(%problem, "the certificate was not shown");
+            debug!(%problem, "failed to send the own certificate");
         }
     }
 }
 
-/// Asks for what is wanted, each once at a time.
-async fn learn(parts: Parts, mut wishes: UnboundedReceiver<Fingerprint>) {
-    let mut asked: BTreeMap<Fingerprint, Instant> = BTreeMap::new();
-    let mut asking = JoinSet::new();
-    while let Some(wanted) = wishes.recv().await {
-        while asking.try_join_next().is_some() {}
+/// Queries the requested certificates, each at most once at a time.
+async fn query_requested(context: Context, mut requests: UnboundedReceiver<Fingerprint>) {
+    let mut queried: BTreeMap<Fingerprint, Instant> = BTreeMap::new();
+    let mut queries = JoinSet::new();
+    while let Some(requested) = requests.recv().await {
+        while queries.try_join_next().is_some() {}
         let now = Instant::now();
-        asked.retain(|_, at| now < *at + NOT_AGAIN_FOR);
-        if asked.contains_key(&wanted) || asking.len() >= AT_ONCE || parts.keyring.certificate(wanted).is_some() {
+        queried.retain(|_, at| now < *at + RETRY_PAUSE);
+        if queried.contains_key(&requested)
+            || queries.len() >= QUERIES_MAX
+            || context.keyring.certificate(requested).is_some()
+        {
             continue;
         }
-        asked.insert(wanted, now);
-        asking.spawn(ask(parts.clone(), wanted));
+        queried.insert(requested, now);
+        queries.spawn(query_certificate(context.clone(), requested));
     }
 }
 
-async fn ask(parts: Parts, wanted: Fingerprint) {
-    let key = parts.keys.write(&Key::Certificate(wanted));
-    let mut shown = match parts.bus.query(&key, Bytes::new(), SHOWN_WITHIN).await {
-        Ok(shown) => shown,
-        Err(problem) => return debug!(%problem, "a certificate was not asked for"),
+async fn query_certificate(context: Context, requested: Fingerprint) {
+    let key = context.keys.write(&Key::Certificate(requested));
+    let mut replies = match context.bus.query(&key, Bytes::new(), QUERY_TIMEOUT).await {
+        Ok(replies) => replies,
+        Err(problem) => return debug!(%problem, "failed to query a certificate"),
     };
-    while let Ok(Some(reply)) = timeout(SHOWN_WITHIN, shown.recv()).await {
+    while let Ok(Some(reply)) = timeout(QUERY_TIMEOUT, replies.recv()).await {
         let Ok(certificate) = reply.payload else { continue };
-        match parts.keyring.add_certificate(&certificate, unix_time(parts.clock)) {
-            Ok(card) if card.fingerprint() == wanted => return debug!(identity = %card.identity, "known"),
+        match context.keyring.add_certificate(&certificate, unix_time(context.clock)) {
+            Ok(verified) if verified.fingerprint() == requested => {
+                return debug!(identity = %verified.identity, "received a certificate");
+            }
             Ok(_) => {}
-            Err(problem) => parts.refusals.record(format!("the bearer of certificate {wanted}: {problem}")),
+            Err(problem) => {
+                context.rejections.record(format!("reply to the query for certificate {requested} rejected: {problem}"))
+            }
         }
     }
 }
 
-/// Judges everybody anew, now and then.
-async fn review(file: Option<PathBuf>, parts: Parts) {
-    let Parts { keyring, clock, refusals, .. } = parts;
-    let links = register_link_check(&keyring, clock, refusals);
-    let mut due = interval(READ_EVERY);
+/// Verifies all certificates again, periodically.
+async fn recheck_all(file: Option<PathBuf>, context: Context) {
+    let Context { keyring, clock, rejections, .. } = context;
+    let links = register_link_check(&keyring, clock, rejections);
+    let mut due = interval(READ_INTERVAL);
     due.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let (mut unread, mut known, mut again) = (false, None, Instant::now());
+    let (mut read_failed, mut last_list, mut next_recheck) = (false, None, Instant::now());
     loop {
         due.tick().await;
         let revoked = match file.as_deref().map(read_revoked).transpose() {
             Ok(revoked) => {
-                unread = false;
+                read_failed = false;
                 revoked
             }
             Err(problem) => {
-                if !unread {
-                    warn!(%problem, "the list of revoked certificates stays as it was");
+                if !read_failed {
+                    warn!(%problem, "failed to read the list of revoked certificates; keeping the previous list");
                 }
-                unread = true;
+                read_failed = true;
                 None
             }
         };
-        let is_new = revoked.is_some() && revoked != known;
-        if !is_new && Instant::now() < again {
+        let is_new = revoked.is_some() && revoked != last_list;
+        if !is_new && Instant::now() < next_recheck {
             continue;
         }
-        again = Instant::now() + REVIEWED_EVERY;
+        next_recheck = Instant::now() + RECHECK_INTERVAL;
         if is_new {
-            known.clone_from(&revoked);
+            last_list.clone_from(&revoked);
         }
         for (identity, problem) in keyring.recheck(revoked, unix_time(clock)) {
-            warn!(bearer = %identity.principal, %problem, "no longer believed");
+            warn!(principal = %identity.principal, %problem, "certificate is no longer valid");
         }
         if is_new {
             links.again();
@@ -159,7 +171,7 @@ async fn review(file: Option<PathBuf>, parts: Parts) {
     }
 }
 
-/// The time since 1970.
+/// Returns the time since 1970.
 pub(super) fn unix_time(clock: Clock) -> Duration {
     Duration::from_millis(clock.wall_ms())
 }

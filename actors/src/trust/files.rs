@@ -1,4 +1,4 @@
-//! The files that trust is kept in: PEM, as `consort cert` writes it and as everybody's tools read it.
+//! Files of certificates and keys: PEM, as written by `consort cert` and readable by common tools.
 
 use super::issue::IssuedCertificate;
 use super::keyring::{Authority, Keyring, VerifiedCertificate};
@@ -11,26 +11,27 @@ use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Where a node's, or a person's, certificate and key are, and whom it trusts.
+/// Paths of the certificates and the key of a node or a person.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TrustFiles {
-    /// The certificate of the fleet's authority.
+    /// Certificate of the fleet's authority.
     pub authority: PathBuf,
-    /// The bearer's certificate.
+    /// Certificate of the principal.
     pub certificate: PathBuf,
-    /// Its key, in PKCS #8. Whoever can read this file is the bearer.
+    /// Private key of the certificate, in PKCS #8. Every reader of this file can act as the
+    /// principal.
     pub key: PathBuf,
-    /// The list of revoked certificates, if there is one. It is read again while the node runs.
+    /// List of revoked certificates, if any. It is read again while the node runs.
     pub revoked: Option<PathBuf>,
 }
 
-/// Why the files are of no use.
+/// A file cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{}: {problem}", file.display())]
 pub struct TrustError {
-    /// Which file.
+    /// The file.
     pub file: PathBuf,
-    /// What is wrong with it.
+    /// Reason.
     pub problem: String,
 }
 
@@ -41,12 +42,13 @@ impl TrustError {
 }
 
 impl TrustFiles {
-    /// Reads them all, and sees to it that they belong together: the authority signed the certificate, for this fleet and for now
-    /// (`now` in time since 1970), and the key is the certificate's. `life`: see [`Keyring`].
+    /// Reads all files and checks their consistency: the authority signed the certificate, for this
+    /// fleet and valid now (`now` in time since 1970), and the key belongs to the certificate. For
+    /// `incarnation` see [`Keyring`].
     ///
     /// # Errors
-    /// [`TrustError`] names the file and what is wrong with it.
-    pub fn open(&self, fleet: &FleetId, now: Duration, life: u64) -> Result<Keyring, TrustError> {
+    /// [`TrustError`] names the file and the reason.
+    pub fn open(&self, fleet: &FleetId, now: Duration, incarnation: u64) -> Result<Keyring, TrustError> {
         let authority = read_pem::<CertificateDer<'static>>(&self.authority, "certificate")?;
         let authority = Authority::new(fleet.clone(), &authority).map_err(TrustError::of(&self.authority))?;
         let revoked = self.read_revoked()?;
@@ -55,10 +57,10 @@ impl TrustFiles {
         let key = read_pem::<PrivatePkcs8KeyDer<'static>>(&self.key, "private key in PKCS #8")?;
         let of = self.certificate.display().to_string();
         let key = key_of(&own, &key, &of).map_err(TrustError::of(&self.key))?;
-        Ok(Keyring::new(authority, own, key, revoked, life))
+        Ok(Keyring::new(authority, own, key, revoked, incarnation))
     }
 
-    /// Whose certificate it is, if the files are right.
+    /// Returns the identity in the certificate, if the files are consistent.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -71,46 +73,47 @@ impl TrustFiles {
     }
 }
 
-/// The list of what is revoked, in DER.
+/// Reads the list of revoked certificates, in DER.
 pub(super) fn read_revoked(file: &Path) -> Result<Vec<u8>, TrustError> {
     let list = read_pem::<CertificateRevocationListDer<'static>>(file, "list of revoked certificates")?;
     Ok(list.to_vec())
 }
 
 impl Keyring {
-    /// What was just issued, for a bearer that has it in no file; `life` as in [`TrustFiles::open`].
+    /// Creates a keyring from an issued certificate and key that are stored in no file. For
+    /// `incarnation` see [`TrustFiles::open`].
     ///
     /// # Errors
-    /// What is wrong with it, in words.
+    /// The reason, as text.
     pub fn from_issued(
         fleet: FleetId,
         authority: &str,
         issued: &IssuedCertificate,
         now: Duration,
-        life: u64,
+        incarnation: u64,
     ) -> Result<Keyring, String> {
-        let unread = |problem: pki_types::pem::Error| problem.to_string();
-        let authority = CertificateDer::from_pem_slice(authority.as_bytes()).map_err(unread)?;
-        let authority = Authority::new(fleet, &authority).map_err(|distrust| distrust.to_string())?;
-        let own = CertificateDer::from_pem_slice(issued.certificate.as_bytes()).map_err(unread)?;
-        let own = authority.verify(own, None, now).map_err(|distrust| distrust.to_string())?;
-        let key = PrivatePkcs8KeyDer::from_pem_slice(issued.key.as_bytes()).map_err(unread)?;
+        let unreadable = |problem: pki_types::pem::Error| problem.to_string();
+        let authority = CertificateDer::from_pem_slice(authority.as_bytes()).map_err(unreadable)?;
+        let authority = Authority::new(fleet, &authority).map_err(|problem| problem.to_string())?;
+        let own = CertificateDer::from_pem_slice(issued.certificate.as_bytes()).map_err(unreadable)?;
+        let own = authority.verify(own, None, now).map_err(|problem| problem.to_string())?;
+        let key = PrivatePkcs8KeyDer::from_pem_slice(issued.key.as_bytes()).map_err(unreadable)?;
         let key = key_of(&own, &key, "the certificate")?;
-        Ok(Keyring::new(authority, own, key, None, life))
+        Ok(Keyring::new(authority, own, key, None, incarnation))
     }
 }
 
-/// The key of a certificate, if it is that.
+/// Parses a key, and checks that it belongs to the certificate.
 fn key_of(own: &VerifiedCertificate, key: &PrivatePkcs8KeyDer<'_>, of: &str) -> Result<Ed25519KeyPair, String> {
     let key = Ed25519KeyPair::from_pkcs8_maybe_unchecked(key.secret_pkcs8_der());
-    let key = key.map_err(|problem| format!("it is no key for Ed25519: {problem}"))?;
-    match own.verify(b"whose key is it", key.sign(b"whose key is it").as_ref()) {
+    let key = key.map_err(|problem| format!("not an Ed25519 key: {problem}"))?;
+    match own.verify(b"proof of possession", key.sign(b"proof of possession").as_ref()) {
         true => Ok(key),
-        false => Err(format!("it is not the key of {of}")),
+        false => Err(format!("the key does not belong to {of}")),
     }
 }
 
 pub(super) fn read_pem<T: PemObject>(file: &Path, what: &str) -> Result<T, TrustError> {
     let text = std::fs::read(file).map_err(TrustError::of(file))?;
-    T::from_pem_slice(&text).map_err(|problem| TrustError::of(file)(format!("there is no {what} in it: {problem}")))
+    T::from_pem_slice(&text).map_err(|problem| TrustError::of(file)(format!("no {what} found: {problem}")))
 }

@@ -1,6 +1,7 @@
-//! Certificates made: the fleet's authority, and what it signs. Values in, PEM out; where it is kept is the caller's.
+//! Issuing of certificates: the fleet's authority and the certificates that it signs. Input and
+//! output are values (PEM); the caller stores them.
 //!
-//! All keys are Ed25519: what seals are made with, and TLS 1.3 takes them too.
+//! All keys are Ed25519: message signatures need it, and TLS 1.3 accepts it.
 
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::access::common_name;
@@ -15,34 +16,34 @@ use std::net::IpAddr;
 use std::time::Duration;
 use time::OffsetDateTime;
 
-/// A certificate and its key, both in PEM.
+/// A certificate and its private key, both in PEM.
 pub struct IssuedCertificate {
-    /// For everybody to see.
+    /// Certificate, public.
     pub certificate: String,
-    /// For the bearer alone.
+    /// Private key, for the principal only.
     pub key: String,
 }
 
-/// What a certificate and its key are drawn from where chance is given from outside: in virtual fleets, in which everything follows
-/// from a seed. Whoever knows it has the key.
+/// Key and serial number supplied by the caller instead of drawn at random, for virtual fleets, in
+/// which everything follows from a seed. The seed reveals the key.
 #[derive(Clone, Copy)]
 pub struct KeyMaterial {
-    /// The secret half of an Ed25519 key (RFC 8032).
+    /// Private half of an Ed25519 key (RFC 8032).
     pub key: [u8; 32],
-    /// The certificate's number.
+    /// Serial number of the certificate.
     pub serial: [u8; 16],
 }
 
 impl KeyMaterial {
     fn key_pair(&self) -> Result<KeyPair, IssueError> {
-        // RFC 8410: a version, Ed25519's number, and the key within two octet strings.
+        // RFC 8410: version, the algorithm id of Ed25519, and the key within two octet strings.
         const HEAD: [u8; 16] = [0x30, 0x2e, 2, 1, 0, 0x30, 5, 6, 3, 0x2b, 0x65, 0x70, 4, 0x22, 4, 0x20];
         let der = PrivatePkcs8KeyDer::from([&HEAD[..], &self.key].concat());
         Ok(KeyPair::from_pkcs8_der_and_sign_algo(&der, &PKCS_ED25519)?)
     }
 }
 
-/// Why nothing was issued.
+/// A certificate or list could not be issued.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct IssueError(String);
@@ -53,64 +54,65 @@ impl From<rcgen::Error> for IssueError {
     }
 }
 
-/// From when until when something is valid, in time since 1970.
+/// Validity period, in time since 1970.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Validity {
-    /// From when. Some minutes before it is issued, or the first node whose clock is slow refuses it.
+    /// Start. It should lie some minutes before the issuing; otherwise nodes with slow clocks
+    /// reject the certificate.
     pub from: Duration,
-    /// Until when.
+    /// End.
     pub until: Duration,
 }
 
-/// A certificate that has been revoked.
+/// A revoked certificate.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RevokedCertificate {
-    /// Its serial number.
+    /// Serial number.
     pub serial: Vec<u8>,
-    /// Since when, in time since 1970.
+    /// Time of the revocation, since 1970.
     pub since: Duration,
 }
 
-/// A fleet's authority, which signs.
+/// Certificate authority of a fleet.
 pub struct CertificateAuthority {
     issuer: rcgen::Issuer<'static, KeyPair>,
 }
 
-const AUTHORITY_OF: &str = "Consort fleet ";
+const AUTHORITY_NAME_PREFIX: &str = "Consort fleet ";
 
-/// The fleet's name in the common name of its authority.
+/// Returns the fleet's name in the common name of an authority.
 pub fn fleet_of_authority(common_name: &str) -> Option<&str> {
-    common_name.strip_prefix(AUTHORITY_OF)
+    common_name.strip_prefix(AUTHORITY_NAME_PREFIX)
 }
 
-/// A new authority for a fleet.
+/// Creates the authority of a fleet.
 ///
 /// # Errors
-/// [`IssueError`] if the system gives no random numbers, or the dates are none.
+/// [`IssueError`] if the system provides no random numbers, or a date is out of range.
 pub fn create_authority(fleet: &FleetId, validity: Validity) -> Result<IssuedCertificate, IssueError> {
-    found_with(fleet, validity, KeyPair::generate_for(&PKCS_ED25519)?, by_chance()?)
+    create_authority_with(fleet, validity, KeyPair::generate_for(&PKCS_ED25519)?, random_serial()?)
 }
 
-/// The same of a given draw.
+/// Creates the authority of a fleet from the given key material.
 ///
 /// # Errors
-/// As [`found`].
+/// As [`create_authority`].
 pub fn create_authority_from(
     fleet: &FleetId,
     validity: Validity,
-    draw: KeyMaterial,
+    material: KeyMaterial,
 ) -> Result<IssuedCertificate, IssueError> {
-    found_with(fleet, validity, draw.key_pair()?, draw.serial)
+    create_authority_with(fleet, validity, material.key_pair()?, material.serial)
 }
 
-fn found_with(
+fn create_authority_with(
     fleet: &FleetId,
     validity: Validity,
     key: KeyPair,
     serial: [u8; 16],
 ) -> Result<IssuedCertificate, IssueError> {
     let mut authority = params(validity, serial)?;
-    authority.distinguished_name.push(DnType::CommonName, format!("{AUTHORITY_OF}{fleet}"));
+    authority.distinguished_name.push(DnType::CommonName, format!("{AUTHORITY_NAME_PREFIX}{fleet}"));
     authority.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
     authority.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
     let certificate = authority.self_signed(&key)?;
@@ -118,29 +120,30 @@ fn found_with(
 }
 
 impl CertificateAuthority {
-    /// The authority of this certificate and key, both in PEM.
+    /// Parses the authority's certificate and key, both in PEM.
     ///
     /// # Errors
-    /// [`IssueError`] if they are none.
+    /// [`IssueError`] if either is invalid.
     pub fn from_pem(certificate: &str, key: &str) -> Result<CertificateAuthority, IssueError> {
         let key = KeyPair::from_pem(key)?;
         Ok(CertificateAuthority { issuer: rcgen::Issuer::from_ca_cert_pem(certificate, key)? })
     }
 
-    /// A certificate for a bearer; `addresses` are names and addresses under which a node is reached, for clients that compare.
+    /// Issues a certificate for a principal. `addresses` are names and addresses of a node, for
+    /// clients that verify them.
     ///
     /// # Errors
-    /// [`IssueError`] if an address cannot stand in a certificate, or the dates are none.
+    /// [`IssueError`] if an address is not allowed in a certificate, or a date is out of range.
     pub fn issue(
         &self,
         to: &Identity,
         addresses: &[String],
         validity: Validity,
     ) -> Result<IssuedCertificate, IssueError> {
-        self.issue_with(to, addresses, validity, KeyPair::generate_for(&PKCS_ED25519)?, by_chance()?)
+        self.issue_with(to, addresses, validity, KeyPair::generate_for(&PKCS_ED25519)?, random_serial()?)
     }
 
-    /// The same of a given draw, without addresses.
+    /// Issues a certificate from the given key material, without addresses.
     ///
     /// # Errors
     /// As [`issue`](Self::issue).
@@ -148,9 +151,9 @@ impl CertificateAuthority {
         &self,
         to: &Identity,
         validity: Validity,
-        draw: KeyMaterial,
+        material: KeyMaterial,
     ) -> Result<IssuedCertificate, IssueError> {
-        self.issue_with(to, &[], validity, draw.key_pair()?, draw.serial)
+        self.issue_with(to, &[], validity, material.key_pair()?, material.serial)
     }
 
     fn issue_with(
@@ -174,17 +177,18 @@ impl CertificateAuthority {
         subject.use_authority_key_identifier_extension = true;
         subject.extended_key_usages = match to.principal {
             Principal::Node { .. } => vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth],
-            // A person's certificate opens connections, and is not believed by who opens one to it.
+            // A person's certificate is valid for clients only.
             Principal::Person { .. } => vec![ExtendedKeyUsagePurpose::ClientAuth],
         };
         let certificate = subject.signed_by(&key, &self.issuer)?;
         Ok(IssuedCertificate { certificate: certificate.pem(), key: key.serialize_pem() })
     }
 
-    /// The list of all that is revoked, in PEM; `number` is larger than that of any former list.
+    /// Signs the list of all revoked certificates, in PEM. `number` must be larger than in all
+    /// earlier lists.
     ///
     /// # Errors
-    /// [`IssueError`] if the dates are none.
+    /// [`IssueError`] if a date is out of range.
     pub fn revocation_list(
         &self,
         revoked: &[RevokedCertificate],
@@ -211,10 +215,10 @@ impl CertificateAuthority {
     }
 }
 
-fn by_chance() -> Result<[u8; 16], IssueError> {
+fn random_serial() -> Result<[u8; 16], IssueError> {
     let mut serial = [0; 16];
     let random = SystemRandom::new().fill(&mut serial);
-    random.map_err(|_| IssueError("the system gives no random numbers".to_owned()))?;
+    random.map_err(|_| IssueError("the system provides no random numbers".to_owned()))?;
     Ok(serial)
 }
 
@@ -222,7 +226,7 @@ fn params(validity: Validity, mut serial: [u8; 16]) -> Result<CertificateParams,
     let mut params = CertificateParams::default();
     params.distinguished_name = rcgen::DistinguishedName::new();
     (params.not_before, params.not_after) = (date(validity.from)?, date(validity.until)?);
-    serial[0] &= 0x7f; // a positive number, in as many bytes
+    serial[0] &= 0x7f; // positive, with the same number of bytes
     params.serial_number = Some(SerialNumber::from_slice(&serial));
     Ok(params)
 }
@@ -230,5 +234,5 @@ fn params(validity: Validity, mut serial: [u8; 16]) -> Result<CertificateParams,
 fn date(since_1970: Duration) -> Result<OffsetDateTime, IssueError> {
     let seconds = i64::try_from(since_1970.as_secs()).ok();
     let date = seconds.and_then(|seconds| OffsetDateTime::from_unix_timestamp(seconds).ok());
-    date.ok_or_else(|| IssueError(format!("{} s after 1970 is no date", since_1970.as_secs())))
+    date.ok_or_else(|| IssueError(format!("{} s since 1970 is not a valid date", since_1970.as_secs())))
 }

@@ -1,4 +1,5 @@
-//! Keys and certificates: the fleet's authority, a node's own, and those that were shown to it.
+//! Keys and certificates: the fleet's authority, a node's own certificate and key, and received
+//! certificates.
 
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::{
@@ -17,61 +18,62 @@ use webpki::{
     UnknownStatusPolicy, anchor_from_trusted_cert,
 };
 
-/// How many others' certificates are remembered: a fleet of thousands. Beyond that they are asked for again.
-const REMEMBERED: usize = 4096;
+/// Maximum number of stored certificates, for a fleet of thousands. Beyond that all are dropped and
+/// queried again.
+const CERTIFICATES_MAX: usize = 4096;
 
-/// Somebody's certificate, which the fleet's authority has signed.
+/// A certificate that the fleet's authority has signed.
 #[derive(Debug)]
 pub struct VerifiedCertificate {
-    /// Whose it is.
+    /// Identity in the certificate.
     pub identity: Identity,
     fingerprint: Fingerprint,
     certificate: CertificateDer<'static>,
 }
 
-/// Why a certificate is not believed.
+/// A certificate is rejected.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CertificateError {
-    /// It is none, or none of this fleet's authority, or not valid now.
+    /// Malformed, not signed by this fleet's authority, or not valid now.
     #[error("{0}")]
     Invalid(String),
-    /// The authority has withdrawn it.
+    /// Revoked by the authority.
     #[error("it has been revoked")]
     Revoked,
-    /// It does not say whose it is.
-    #[error("it does not say whose it is: {0}")]
+    /// Contains no identity.
+    #[error("it contains no identity: {0}")]
     NoIdentity(String),
-    /// The authority signs for several fleets, and this is another's.
-    #[error("it is for fleet {other}, where this is {own}")]
+    /// Issued for another fleet by an authority that several fleets share.
+    #[error("it is for fleet {other}, but this fleet is {own}")]
     OtherFleet {
-        /// Its fleet.
+        /// Fleet of the certificate.
         other: FleetId,
-        /// This fleet.
+        /// Fleet of this node.
         own: FleetId,
     },
 }
 
 impl VerifiedCertificate {
-    /// The fingerprint of its certificate.
+    /// Returns the fingerprint of the certificate.
     pub fn fingerprint(&self) -> Fingerprint {
         self.fingerprint
     }
 
-    /// Whether its bearer signed this.
+    /// Checks a signature with the key of the certificate.
     pub fn verify(&self, message: &[u8], signature: &[u8]) -> bool {
         let certificate = EndEntityCert::try_from(&self.certificate);
         certificate.is_ok_and(|certificate| certificate.verify_signature(ED25519, message, signature).is_ok())
     }
 }
 
-/// The first half of the SHA-256 of a certificate.
+/// Returns the first half of the SHA-256 of a certificate.
 fn fingerprint(certificate: &CertificateDer<'_>) -> Fingerprint {
     let hash = digest(&SHA256, certificate);
     let half = hash.as_ref().first_chunk().expect("a SHA-256 has 32 bytes");
     Fingerprint(*half)
 }
 
-/// What certificates are judged by.
+/// The authority that certificates are verified against.
 #[derive(Debug)]
 pub(super) struct Authority {
     pub(super) fleet: FleetId,
@@ -79,40 +81,40 @@ pub(super) struct Authority {
 }
 
 impl Authority {
-    /// The authority of a fleet, by its own certificate.
+    /// Creates the authority of a fleet from the authority's own certificate.
     pub(super) fn new(fleet: FleetId, certificate: &CertificateDer<'_>) -> Result<Authority, CertificateError> {
         let anchor =
             anchor_from_trusted_cert(certificate).map_err(|problem| CertificateError::Invalid(problem.to_string()))?;
         Ok(Authority { fleet, anchor: anchor.to_owned() })
     }
 
-    /// Judges the certificate of somebody who speaks, at an instant in time since 1970.
+    /// Verifies the certificate of a message's author or of a client, at a time since 1970.
     pub(super) fn verify(
         &self,
         certificate: CertificateDer<'static>,
         revoked: Option<&[u8]>,
         now: Duration,
     ) -> Result<VerifiedCertificate, CertificateError> {
-        self.judge_as(KeyUsage::client_auth(), certificate, revoked, now)
+        self.verify_for(KeyUsage::client_auth(), certificate, revoked, now)
     }
 
-    /// The same of somebody to whom a link is opened: a node.
+    /// Verifies the certificate of a node that a link is opened to.
     pub(super) fn verify_server(
         &self,
         certificate: CertificateDer<'static>,
         now: Duration,
     ) -> Result<VerifiedCertificate, CertificateError> {
-        self.judge_as(KeyUsage::server_auth(), certificate, None, now)
+        self.verify_for(KeyUsage::server_auth(), certificate, None, now)
     }
 
-    fn judge_as(
+    fn verify_for(
         &self,
         usage: KeyUsage,
         certificate: CertificateDer<'static>,
         revoked: Option<&[u8]>,
         now: Duration,
     ) -> Result<VerifiedCertificate, CertificateError> {
-        let refused = |problem: webpki::Error| match problem {
+        let rejection = |problem: webpki::Error| match problem {
             webpki::Error::CertRevoked => CertificateError::Revoked,
             webpki::Error::UnknownIssuer | webpki::Error::InvalidSignatureForPublicKey => {
                 CertificateError::Invalid("it was not signed by this fleet's authority".to_owned())
@@ -123,15 +125,15 @@ impl Authority {
             }
             webpki::Error::CertNotValidYet { time, not_before } => {
                 let ahead = not_before.as_secs().saturating_sub(time.as_secs());
-                CertificateError::Invalid(format!("it is valid only in {}: is the clock right?", format_span(ahead)))
+                CertificateError::Invalid(format!("it is valid only in {}; check the clock", format_span(ahead)))
             }
-            other => CertificateError::Invalid(format!("it is no certificate for a node: {other}")),
+            other => CertificateError::Invalid(format!("it is not a valid certificate: {other}")),
         };
         let list = match revoked {
             Some(bytes) => {
                 let list = BorrowedCertRevocationList::from_der(bytes).and_then(|list| list.to_owned());
                 Some(CertRevocationList::from(list.map_err(|problem| {
-                    CertificateError::Invalid(format!("the list of revoked certificates cannot be read: {problem}"))
+                    CertificateError::Invalid(format!("the list of revoked certificates is malformed: {problem}"))
                 })?))
             }
             None => None,
@@ -140,11 +142,11 @@ impl Authority {
         let revocation = RevocationOptionsBuilder::new(&lists).ok();
         let revocation = revocation.map(|options| options.with_status_policy(UnknownStatusPolicy::Allow).build());
         let identity = {
-            let read = EndEntityCert::try_from(&certificate).map_err(refused)?;
+            let read = EndEntityCert::try_from(&certificate).map_err(rejection)?;
             let anchors = [self.anchor.clone()];
             let at = UnixTime::since_unix_epoch(now);
-            read.verify_for_usage(&[ED25519], &anchors, &[], at, usage, revocation, None).map_err(refused)?;
-            whose(&read)?
+            read.verify_for_usage(&[ED25519], &anchors, &[], at, usage, revocation, None).map_err(rejection)?;
+            identity_in(&read)?
         };
         if identity.fleet != self.fleet {
             return Err(CertificateError::OtherFleet { other: identity.fleet, own: self.fleet.clone() });
@@ -153,17 +155,17 @@ impl Authority {
     }
 }
 
-/// Whose certificate it is, as it says itself.
-fn whose(certificate: &EndEntityCert<'_>) -> Result<Identity, CertificateError> {
+/// Returns the identity contained in a certificate.
+fn identity_in(certificate: &EndEntityCert<'_>) -> Result<Identity, CertificateError> {
     let mut names = certificate.valid_uri_names();
     let Some(name) = names.find(|name| name.starts_with("consort://")) else {
-        return Err(CertificateError::NoIdentity("there is no name of the form consort://… in it".to_owned()));
+        return Err(CertificateError::NoIdentity("it has no name of the form consort://…".to_owned()));
     };
     name.parse()
         .map_err(|problem: consort_protocol::trust::IdentityError| CertificateError::NoIdentity(problem.to_string()))
 }
 
-/// A span of seconds, roughly.
+/// Formats a span of seconds, rounded.
 pub(super) fn format_span(seconds: u64) -> String {
     match seconds {
         0..120 => format!("{seconds} s"),
@@ -173,141 +175,146 @@ pub(super) fn format_span(seconds: u64) -> String {
     }
 }
 
-/// What a node proves itself with, and whom it believes. Shared by all that the node says and hears.
+/// Key and certificate of a node, and the certificates that it accepts. Shared by everything that
+/// the node sends and receives.
 pub struct Keyring {
     authority: Authority,
     own: Arc<VerifiedCertificate>,
     key: Ed25519KeyPair,
     numbers: AtomicU64,
-    learned: RwLock<Learned>,
+    received: RwLock<ReceivedCertificates>,
 }
 
 #[derive(Default)]
-struct Learned {
+struct ReceivedCertificates {
     /// DER of the list of revoked certificates.
     revoked: Option<Vec<u8>>,
-    cards: BTreeMap<Fingerprint, Arc<VerifiedCertificate>>,
+    certificates: BTreeMap<Fingerprint, Arc<VerifiedCertificate>>,
 }
 
 impl Keyring {
-    /// A keyring; `own` and `key` belong together. `life` is larger than in any former life of the bearer, in milliseconds:
-    /// numbers of messages begin there.
+    /// Creates a keyring from a certificate and its key. `incarnation` is in milliseconds and
+    /// larger than at any earlier start of the principal: message numbers begin there.
     pub(super) fn new(
         authority: Authority,
         own: VerifiedCertificate,
         key: Ed25519KeyPair,
         revoked: Option<Vec<u8>>,
-        life: u64,
+        incarnation: u64,
     ) -> Keyring {
-        let learned = RwLock::new(Learned { revoked, cards: BTreeMap::new() });
-        Keyring { authority, own: Arc::new(own), key, numbers: AtomicU64::new(life << 20), learned }
+        let received = RwLock::new(ReceivedCertificates { revoked, certificates: BTreeMap::new() });
+        Keyring { authority, own: Arc::new(own), key, numbers: AtomicU64::new(incarnation << 20), received }
     }
 
-    /// Whose keyring it is.
+    /// Returns the identity of the keyring's principal.
     pub fn identity(&self) -> &Identity {
         &self.own.identity
     }
 
-    /// The fingerprint of its own certificate.
+    /// Returns the fingerprint of its own certificate.
     pub fn fingerprint(&self) -> Fingerprint {
         self.own.fingerprint()
     }
 
-    /// Its own certificate, to be shown.
+    /// Returns its own certificate, in DER.
     pub(super) fn own_certificate(&self) -> Vec<u8> {
         self.own.certificate.to_vec()
     }
 
-    /// The number of the next message.
+    /// Returns the number of the next message.
     pub fn next_number(&self) -> u64 {
         self.numbers.fetch_add(1, Ordering::Relaxed) + 1
     }
 
-    /// A message sealed by the bearer.
+    /// Signs a message and returns the envelope.
     pub fn sign_envelope(&self, kind: MessageKind, number: u64, key: &str, payload: &[u8]) -> Vec<u8> {
-        let by = self.fingerprint();
-        let signature = self.key.sign(&signed_part(kind, by, number, key, payload));
-        encode_envelope(kind, SignedEnvelope { signer: by, number, signature: signature.as_ref(), payload })
+        let signer = self.fingerprint();
+        let signature = self.key.sign(&signed_part(kind, signer, number, key, payload));
+        encode_envelope(kind, SignedEnvelope { signer, number, signature: signature.as_ref(), payload })
     }
 
-    /// The bearer's seal of a message, to stand beside it, with its certificate; `asked` is the question that it answers.
-    pub(super) fn sign_detached(&self, kind: MessageKind, key: &str, asked: &[u8], payload: &[u8]) -> Vec<u8> {
-        let (by, number) = (self.fingerprint(), self.next_number());
-        let signature = self.key.sign(&signed_attachment(kind, by, number, key, asked, payload));
+    /// Signs a message and returns the detached signature, with the own certificate. `query` is the
+    /// payload of the query that the message replies to.
+    pub(super) fn sign_detached(&self, kind: MessageKind, key: &str, query: &[u8], payload: &[u8]) -> Vec<u8> {
+        let (signer, number) = (self.fingerprint(), self.next_number());
+        let signature = self.key.sign(&signed_attachment(kind, signer, number, key, query, payload));
         encode_envelope(
             kind,
-            SignedEnvelope { signer: by, number, signature: signature.as_ref(), payload: &self.own.certificate },
+            SignedEnvelope { signer, number, signature: signature.as_ref(), payload: &self.own.certificate },
         )
     }
 
-    /// The bearer's signature.
+    /// Returns the principal's signature of a message.
     pub(super) fn sign(&self, message: &[u8]) -> Vec<u8> {
         self.key.sign(message).as_ref().to_vec()
     }
 
-    /// Judges a certificate that is shown once, and does not remember it.
+    /// Verifies a certificate without storing it.
     pub(super) fn verify_certificate(
         &self,
         certificate: &[u8],
         now: Duration,
     ) -> Result<VerifiedCertificate, CertificateError> {
         let certificate = CertificateDer::from(certificate.to_vec());
-        let learned = self.learned.read().unwrap_or_else(PoisonError::into_inner);
-        self.authority.verify(certificate, learned.revoked.as_deref(), now)
+        let received = self.received.read().unwrap_or_else(PoisonError::into_inner);
+        self.authority.verify(certificate, received.revoked.as_deref(), now)
     }
 
-    /// Whose certificate it is, if it has been revoked.
+    /// Returns the identity of a certificate if it is revoked.
     pub(super) fn revoked_identity(&self, certificate: &[u8], now: Duration) -> Option<Identity> {
         match self.verify_certificate(certificate, now) {
             Err(CertificateError::Revoked) => {
-                whose(&EndEntityCert::try_from(&CertificateDer::from(certificate)).ok()?).ok()
+                identity_in(&EndEntityCert::try_from(&CertificateDer::from(certificate)).ok()?).ok()
             }
             _ => None,
         }
     }
 
-    /// The card of a fingerprint, if it has been shown.
-    pub fn certificate(&self, of: Fingerprint) -> Option<Arc<VerifiedCertificate>> {
-        if of == self.fingerprint() {
+    /// Returns the certificate with this fingerprint, if it has been received.
+    pub fn certificate(&self, fingerprint: Fingerprint) -> Option<Arc<VerifiedCertificate>> {
+        if fingerprint == self.fingerprint() {
             return Some(Arc::clone(&self.own));
         }
-        self.learned.read().unwrap_or_else(PoisonError::into_inner).cards.get(&of).cloned()
+        self.received.read().unwrap_or_else(PoisonError::into_inner).certificates.get(&fingerprint).cloned()
     }
 
-    /// Takes in a certificate that was shown.
+    /// Verifies and stores a received certificate.
     ///
     /// # Errors
-    /// [`Distrust`]: it is not believed, and nothing is remembered.
+    /// [`CertificateError`]: the certificate is rejected, and nothing is stored.
     pub fn add_certificate(
         &self,
         certificate: &[u8],
         now: Duration,
     ) -> Result<Arc<VerifiedCertificate>, CertificateError> {
         let certificate = CertificateDer::from(certificate.to_vec());
-        let mut learned = self.learned.write().unwrap_or_else(PoisonError::into_inner);
-        let card = Arc::new(self.authority.verify(certificate, learned.revoked.as_deref(), now)?);
-        if learned.cards.len() >= REMEMBERED {
-            learned.cards.clear();
+        let mut received = self.received.write().unwrap_or_else(PoisonError::into_inner);
+        let certificate = Arc::new(self.authority.verify(certificate, received.revoked.as_deref(), now)?);
+        if received.certificates.len() >= CERTIFICATES_MAX {
+            received.certificates.clear();
         }
-        learned.cards.insert(card.fingerprint(), Arc::clone(&card));
-        Ok(card)
+        received.certificates.insert(certificate.fingerprint(), Arc::clone(&certificate));
+        Ok(certificate)
     }
 
-    /// Judges everybody anew, by what is revoked now and at this time; returns who is no longer believed, and why.
+    /// Verifies all stored certificates again, with the current list of revoked certificates and at
+    /// this time. Removes and returns the certificates that are no longer valid, with the reasons.
     pub fn recheck(&self, revoked: Option<Vec<u8>>, now: Duration) -> Vec<(Identity, CertificateError)> {
-        let mut learned = self.learned.write().unwrap_or_else(PoisonError::into_inner);
+        let mut received = self.received.write().unwrap_or_else(PoisonError::into_inner);
         if revoked.is_some() {
-            learned.revoked = revoked;
+            received.revoked = revoked;
         }
-        let Learned { revoked, cards } = &mut *learned;
-        let mut lost = Vec::new();
-        cards.retain(|_, card| match self.authority.verify(card.certificate.clone(), revoked.as_deref(), now) {
-            Ok(_) => true,
-            Err(problem) => {
-                lost.push((card.identity.clone(), problem));
-                false
+        let ReceivedCertificates { revoked, certificates } = &mut *received;
+        let mut removed = Vec::new();
+        certificates.retain(|_, certificate| {
+            match self.authority.verify(certificate.certificate.clone(), revoked.as_deref(), now) {
+                Ok(_) => true,
+                Err(problem) => {
+                    removed.push((certificate.identity.clone(), problem));
+                    false
+                }
             }
         });
-        lost
+        removed
     }
 }

@@ -1,7 +1,9 @@
-//! Links to bearers of revoked certificates: none is opened, and those that are open end.
+//! Revocation of links: links to principals with revoked certificates are not opened, and open
+//! links are closed.
 //!
-//! Zenoh's TLS sees to it that the fleet's authority signed a certificate and that it has not ended, and no more; so each link of this
-//! process is shown to a judge (`zenoh-link-tls`, in the edition beside this crate), who knows the list of what is revoked.
+//! Zenoh's TLS checks only that the fleet's authority signed a certificate and that it has not
+//! expired. Therefore the patched `zenoh-link-tls` passes the certificate of each link of this
+//! process to a registered check, which reads the list of revoked certificates.
 
 use super::certificates::unix_time;
 use super::keyring::Keyring;
@@ -10,13 +12,14 @@ use crate::clock::Clock;
 use std::sync::Arc;
 use zenoh_link_tls::{Judging, judge_by};
 
-/// Judges links by a keyring, for as long as what is returned lives.
-pub(super) fn register_link_check(keyring: &Arc<Keyring>, clock: Clock, refusals: Arc<RejectionLog>) -> Judging {
+/// Registers a check of all links against a keyring. The check is active until the returned guard
+/// is dropped.
+pub(super) fn register_link_check(keyring: &Arc<Keyring>, clock: Clock, rejections: Arc<RejectionLog>) -> Judging {
     let keyring = Arc::downgrade(keyring);
     judge_by(Arc::new(move |certificate| {
         let revoked = keyring.upgrade().and_then(|keyring| keyring.revoked_identity(certificate, unix_time(clock)));
         if let Some(identity) = &revoked {
-            refusals.record(format!("a link to {}: its certificate has been revoked", identity.principal));
+            rejections.record(format!("link to {} rejected: its certificate has been revoked", identity.principal));
         }
         revoked.is_some()
     }))

@@ -1,18 +1,23 @@
-//! Who said it: certificates, signatures, and a bus on which every message between nodes bears its author's seal.
+//! Authentication of messages: certificates, signatures, and a bus on which every message between
+//! nodes carries its author's signature.
 //!
 //! ```text
-//!  actors ──▶ SealedBus ── signs what goes out ──▶ bus ──▶ relays ──▶ bus
-//!                 ▲ reads only what its author signed, may say (protocol::trust), and says for the first time
-//!                 └── Keyring: the fleet's authority, own certificate and key, what was learned of others'
+//!  actors ──▶ SigningBus ── signs outgoing messages ──▶ bus ──▶ relays ──▶ bus
+//!                 ▲ delivers only messages that are signed, authorized (protocol::trust) and new
+//!                 └── Keyring: the fleet's authority, own certificate and key, received certificates
 //! ```
 //!
-//! A seal names a certificate by its fingerprint. Whoever does not know it asks `wire/card/{fingerprint}`, and lets go of what
-//! is heard until it is shown: as if it had been lost, which everything on the bus can stand. Of what anybody's clients read the
-//! seal stands beside the message, and brings the certificate along.
+//! An envelope identifies its signer's certificate by fingerprint. A node without that certificate
+//! queries `wire/certificate/{fingerprint}`, and drops the signer's messages until the certificate
+//! arrives. Every protocol on the bus tolerates such a loss. On keys that clients read, the
+//! signature is an attachment of the plain message and includes the certificate.
 //!
-//! What a seal does not do: hide (links do, by TLS), tell when something was said (a node that starts anew may be shown old
-//! messages once; terms, epochs, versions and stamps sort them out), or vouch for what its author says of third ones: what is handed on
-//! of them bears their own signature (`notary`).
+//! Limits of the signatures:
+//! - They do not hide content; links do, by TLS.
+//! - They do not prove the time of sending. A restarted node may receive old messages once; terms,
+//!   epochs, versions and stamps make them harmless.
+//! - They do not confirm statements about other nodes. A forwarded record carries its owner's own
+//!   signature (`record_signer`).
 
 mod bus;
 mod certificates;

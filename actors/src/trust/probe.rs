@@ -1,4 +1,4 @@
-//! A link opened and closed again, to tell why it does not come about. Zenoh only says that it does not.
+//! A test link that reports the reason of a failure. Zenoh itself only reports that a link failed.
 
 use super::files::{TrustError, TrustFiles, read_pem};
 use super::keyring::{Authority, CertificateError};
@@ -13,35 +13,37 @@ use std::net::{SocketAddr, TcpStream};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// Why a link does not come about.
+/// A link cannot be opened.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProbeError {
-    /// The own files are of no use.
+    /// The node's own files cannot be used.
     #[error("{0}")]
     OwnFiles(#[from] TrustError),
-    /// Nothing listens there, or nothing gets through.
+    /// No program listens at the address, or the network drops the packets.
     #[error("no connection: {0}")]
     Unreachable(String),
-    /// Whoever listens there is not believed here.
-    #[error("whoever listens there is not believed: {0}")]
+    /// The certificate of the listening program is invalid for this node.
+    #[error("the certificate of the other side is invalid: {0}")]
     UntrustedPeer(CertificateError),
-    /// Whoever listens there does not believe the bearer of these files.
-    #[error("whoever listens there does not believe us ({0}): is it of this fleet, is its clock right?")]
+    /// The listening program rejected this node's certificate.
+    #[error(
+        "the other side rejected our certificate ({0}): check that it belongs to this fleet and that its clock is right"
+    )]
     RejectedByPeer(String),
-    /// Whoever listens there does not speak TLS.
-    #[error("whoever listens there does not speak TLS: it may be a node without certificates ({0})")]
+    /// The listening program does not use TLS.
+    #[error("the other side does not use TLS: it may be a node without certificates ({0})")]
     NoTls(String),
 }
 
-/// What is heard of the other end while the link is opened.
+/// Verifier that records the certificate of the other side.
 #[derive(Debug)]
-struct Judge {
+struct RecordingVerifier {
     authority: Authority,
     provider: Arc<CryptoProvider>,
-    judged: Mutex<Option<Result<Identity, CertificateError>>>,
+    result: Mutex<Option<Result<Identity, CertificateError>>>,
 }
 
-impl ServerCertVerifier for Judge {
+impl ServerCertVerifier for RecordingVerifier {
     fn verify_server_cert(
         &self,
         end_entity: &CertificateDer<'_>,
@@ -51,10 +53,11 @@ impl ServerCertVerifier for Judge {
         now: UnixTime,
     ) -> Result<ServerCertVerified, rustls::Error> {
         let now = Duration::from_secs(now.as_secs());
-        let judged = self.authority.verify_server(end_entity.clone().into_owned(), now).map(|card| card.identity);
-        let believed = judged.is_ok();
-        *self.judged.lock().unwrap_or_else(PoisonError::into_inner) = Some(judged);
-        match believed {
+        let result =
+            self.authority.verify_server(end_entity.clone().into_owned(), now).map(|certificate| certificate.identity);
+        let accepted = result.is_ok();
+        *self.result.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
+        match accepted {
             true => Ok(ServerCertVerified::assertion()),
             false => Err(rustls::CertificateError::ApplicationVerificationFailure.into()),
         }
@@ -84,66 +87,68 @@ impl ServerCertVerifier for Judge {
 }
 
 impl TrustFiles {
-    /// Opens a link to an address as a node would, and closes it again: says who is there. It blocks, each step for `limit` at
-    /// most.
+    /// Opens a link to an address as a node would, and closes it again. Returns the identity of the
+    /// other side. Blocks, for at most `limit` per step.
     ///
     /// # Errors
-    /// [`ProbeError`] says which side does not believe which, and why.
+    /// [`ProbeError`] states which side rejects the other, and the reason.
     pub fn probe(&self, address: SocketAddr, fleet: &FleetId, limit: Duration) -> Result<Identity, ProbeError> {
         let authority = read_pem::<CertificateDer<'static>>(&self.authority, "certificate")?;
         let authority = Authority::new(fleet.clone(), &authority).map_err(TrustError::of(&self.authority))?;
         let provider = Arc::new(ring::default_provider());
-        let judge = Arc::new(Judge { authority, provider: Arc::clone(&provider), judged: Mutex::default() });
+        let verifier =
+            Arc::new(RecordingVerifier { authority, provider: Arc::clone(&provider), result: Mutex::default() });
         let certificate = read_pem::<CertificateDer<'static>>(&self.certificate, "certificate")?;
         let key = read_pem::<PrivatePkcs8KeyDer<'static>>(&self.key, "private key in PKCS #8")?;
         let config = ClientConfig::builder_with_provider(provider).with_protocol_versions(&[&rustls::version::TLS13]);
         let config = config.map_err(|problem| ProbeError::NoTls(problem.to_string()))?.dangerous();
-        let config = config.with_custom_certificate_verifier(Arc::<Judge>::clone(&judge));
+        let config = config.with_custom_certificate_verifier(Arc::<RecordingVerifier>::clone(&verifier));
         let config = config.with_client_auth_cert(vec![certificate], PrivateKeyDer::Pkcs8(key));
         let config = config.map_err(TrustError::of(&self.key))?;
 
-        let unreached = |problem: std::io::Error| ProbeError::Unreachable(problem.to_string());
-        let mut stream = TcpStream::connect_timeout(&address, limit).map_err(unreached)?;
-        stream.set_read_timeout(Some(limit)).map_err(unreached)?;
-        stream.set_write_timeout(Some(limit)).map_err(unreached)?;
+        let unreachable = |problem: std::io::Error| ProbeError::Unreachable(problem.to_string());
+        let mut stream = TcpStream::connect_timeout(&address, limit).map_err(unreachable)?;
+        stream.set_read_timeout(Some(limit)).map_err(unreachable)?;
+        stream.set_write_timeout(Some(limit)).map_err(unreachable)?;
         let mut tls = ClientConnection::new(Arc::new(config), ServerName::IpAddress(address.ip().into()))
             .map_err(|problem| ProbeError::NoTls(problem.to_string()))?;
         let opened = shake_hands(&mut tls, &mut stream);
-        let judged = judge.judged.lock().unwrap_or_else(PoisonError::into_inner).take();
-        match (judged, opened) {
+        let result = verifier.result.lock().unwrap_or_else(PoisonError::into_inner).take();
+        match (result, opened) {
             (Some(Err(distrust)), _) => Err(ProbeError::UntrustedPeer(distrust)),
             (Some(Ok(identity)), Ok(())) => Ok(identity),
             (Some(Ok(_)), Err(problem)) => Err(ProbeError::RejectedByPeer(problem)),
             (None, Err(problem)) => Err(ProbeError::NoTls(problem)),
-            (None, Ok(())) => Err(ProbeError::NoTls("it showed no certificate".to_owned())),
+            (None, Ok(())) => Err(ProbeError::NoTls("it sent no certificate".to_owned())),
         }
     }
 }
 
-/// Opens the link. In TLS 1.3 whoever opens it is done before the other side has judged its certificate: that it was refused is
-/// only read afterwards, where else nothing comes until the limit.
+/// Performs the handshake. In TLS 1.3 the client finishes before the server has verified the
+/// client's certificate, so a rejection arrives only in a later read. Otherwise that read returns
+/// nothing until the timeout.
 fn shake_hands(tls: &mut ClientConnection, stream: &mut TcpStream) -> Result<(), String> {
     while tls.is_handshaking() {
         tls.complete_io(stream).map_err(|problem| problem.to_string())?;
     }
-    let said = rustls::Stream::new(tls, stream).read(&mut [0; 1]);
-    match said {
+    let received = rustls::Stream::new(tls, stream).read(&mut [0; 1]);
+    match received {
         Ok(0) => Err("it closed the connection".to_owned()),
         Ok(_) => Ok(()),
-        Err(quiet) if [ErrorKind::WouldBlock, ErrorKind::TimedOut].contains(&quiet.kind()) => Ok(()),
+        Err(error) if [ErrorKind::WouldBlock, ErrorKind::TimedOut].contains(&error.kind()) => Ok(()),
         Err(problem) => Err(alert(&problem).unwrap_or_else(|| problem.to_string())),
     }
 }
 
-/// What the other side said before it closed, in words.
+/// Returns the reason that the other side sent before closing, as text.
 fn alert(problem: &std::io::Error) -> Option<String> {
     let inner = problem.get_ref()?.downcast_ref::<rustls::Error>()?;
     let rustls::Error::AlertReceived(alert) = inner else { return None };
     Some(match alert {
-        AlertDescription::UnknownCA => "it does not know who signed our certificate".to_owned(),
-        AlertDescription::CertificateRequired => "it asks for a certificate".to_owned(),
+        AlertDescription::UnknownCA => "it does not accept the authority of our certificate".to_owned(),
+        AlertDescription::CertificateRequired => "it requires a certificate".to_owned(),
         AlertDescription::CertificateExpired => "our certificate has expired".to_owned(),
         AlertDescription::DecryptError => "our certificate was not signed by its authority".to_owned(),
-        other => format!("it says {other:?}"),
+        other => format!("it sent the alert {other:?}"),
     })
 }

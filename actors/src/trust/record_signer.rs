@@ -1,4 +1,4 @@
-//! The owner's signature of a record of knowledge: whoever hands it on cannot change it, nor make one up.
+//! Signatures of knowledge records: a forwarding node can neither change nor forge a record.
 
 use super::certificates::CertificateExchange;
 use super::keyring::Keyring;
@@ -7,10 +7,10 @@ use consort_protocol::knowledge::{Proof, Record};
 use consort_protocol::trust::Principal;
 use std::sync::Arc;
 
-/// Signs with the bearer's key, and judges by the certificates that bearers show.
+/// Signs with the node's own key, and verifies with the certificates of other nodes.
 pub(super) struct KeyringSigner {
     pub(super) keyring: Arc<Keyring>,
-    pub(super) cards: Arc<CertificateExchange>,
+    pub(super) certificates: Arc<CertificateExchange>,
 }
 
 impl RecordSigner for KeyringSigner {
@@ -22,18 +22,18 @@ impl RecordSigner for KeyringSigner {
 
     fn verify(&self, record: &Record) -> ProofStatus {
         let Some(proof) = &record.proof else { return ProofStatus::Unproven };
-        let Some(card) = self.keyring.certificate(proof.by()) else {
-            self.cards.request(proof.by());
+        let Some(certificate) = self.keyring.certificate(proof.by()) else {
+            self.certificates.request(proof.by());
             return ProofStatus::Unproven;
         };
         let owner = &record.owner;
-        match &card.identity.principal {
+        match &certificate.identity.principal {
             Principal::Node { name, .. } if name == owner => {}
-            bearer => return ProofStatus::Forged(format!("a record of {owner} is signed by {bearer}")),
+            principal => return ProofStatus::Forged(format!("record of {owner} is signed by {principal}")),
         }
-        match card.verify(&record.signed_part(&card.identity.fleet), &proof.signature()) {
+        match certificate.verify(&record.signed_part(&certificate.identity.fleet), &proof.signature()) {
             true => ProofStatus::Valid,
-            false => ProofStatus::Forged(format!("a record of {owner} is not as {owner} signed it")),
+            false => ProofStatus::Forged(format!("signature of the record of {owner} is invalid")),
         }
     }
 }

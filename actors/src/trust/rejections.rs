@@ -1,4 +1,5 @@
-//! What was not listened to, told in the log: often enough to be noticed, not so often that whoever is refused fills the disk.
+//! Log of rejected messages, rate-limited: frequent enough to be noticed, and rare enough that a
+//! sender of rejected messages cannot fill the disk.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -6,46 +7,46 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tracing::warn;
 
-/// How often the same is told.
-const AGAIN: Duration = Duration::from_secs(10);
+/// Minimum interval between log lines with the same reason.
+const LOG_INTERVAL: Duration = Duration::from_secs(10);
 
-/// How many different ones are told apart.
-const KINDS: usize = 64;
+/// Maximum number of distinct reasons.
+const REASONS_MAX: usize = 64;
 
-/// What was refused, by its reason in words.
+/// Rejected messages by reason.
 #[derive(Default)]
-pub(super) struct RejectionLog(Mutex<BTreeMap<String, Told>>);
+pub(super) struct RejectionLog(Mutex<BTreeMap<String, LogEntry>>);
 
-struct Told {
+struct LogEntry {
     at: Instant,
-    since: u64,
+    suppressed: u64,
 }
 
 impl RejectionLog {
-    /// What was not listened to lately, in words.
+    /// Returns the recent reasons, as text.
     pub(super) fn recent(&self) -> Vec<String> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).keys().cloned().collect()
     }
 
-    /// Something was not listened to.
+    /// Records a rejection.
     pub(super) fn record(&self, reason: String) {
-        let mut told = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut entries = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let now = Instant::now();
-        if told.len() >= KINDS && !told.contains_key(&reason) {
-            told.retain(|_, told| now < told.at + AGAIN);
-            if told.len() >= KINDS {
+        if entries.len() >= REASONS_MAX && !entries.contains_key(&reason) {
+            entries.retain(|_, entry| now < entry.at + LOG_INTERVAL);
+            if entries.len() >= REASONS_MAX {
                 return;
             }
         }
-        match told.get_mut(&reason) {
-            Some(before) if now < before.at + AGAIN => before.since += 1,
-            Some(before) => {
-                warn!(reason, more = before.since, "not listened to");
-                *before = Told { at: now, since: 0 };
+        match entries.get_mut(&reason) {
+            Some(entry) if now < entry.at + LOG_INTERVAL => entry.suppressed += 1,
+            Some(entry) => {
+                warn!(reason, more = entry.suppressed, "rejected a message");
+                *entry = LogEntry { at: now, suppressed: 0 };
             }
             None => {
-                warn!(reason, "not listened to");
-                told.insert(reason, Told { at: now, since: 0 });
+                warn!(reason, "rejected a message");
+                entries.insert(reason, LogEntry { at: now, suppressed: 0 });
             }
         }
     }

@@ -1,47 +1,48 @@
-//! Who coordinates and who keeps the ledger, as one node believes.
+//! Cluster status: coordinator and voters as seen by a single node.
 
 use crate::api_types::Provenance;
 use consort_protocol::ids::NodeId;
 use serde_json::Value;
 
-/// What a coordinator knows of its own reign.
+/// Status of an active coordinator.
 #[derive(Debug, Clone)]
 pub struct CoordinatorStatus {
     /// Its term.
     pub term: u64,
-    /// How long it has coordinated, in milliseconds.
+    /// Duration of its session in milliseconds.
     pub since_ms: u64,
-    /// What its autopilot is about.
+    /// Status of its autopilot.
     pub autopilot: Value,
 }
 
-/// What a node believes, at one moment.
+/// View of the cluster at a single moment.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ClusterStatus {
-    /// Who coordinates, if anybody does.
+    /// The coordinator, if there is any.
     pub(super) coordinator: Option<NodeId>,
-    /// In which term; if nobody does, the latest that was heard of.
+    /// Its term. Without a coordinator, the latest known term.
     pub(super) term: u64,
-    /// For how long, in milliseconds.
+    /// Duration of its session in milliseconds.
     pub(super) since_ms: Option<u64>,
-    /// How long ago there was word from a coordinator, in milliseconds; `None` for never.
+    /// Age of the last beacon in milliseconds; `None` if there never was any.
     pub(super) age_ms: Option<u64>,
-    /// Who keeps the ledger.
+    /// Voters of the ledger.
     pub(super) voters: Vec<NodeId>,
-    /// Those of them that are not there any more, or came back with an empty store.
+    /// Voters that are gone, or that came back with an empty store.
     pub(super) voters_lost: Vec<NodeId>,
-    /// Who follows the ledger without a vote; known to its keepers alone.
+    /// Learners of the ledger, which have no vote; known only to its voters.
     pub(super) observers: Vec<NodeId>,
-    /// Whether this node has the ledger.
+    /// This node has an up-to-date copy of the ledger.
     pub(super) has_ledger: bool,
-    /// How long ago a majority last acknowledged this node, in milliseconds, if it coordinates.
+    /// Time since a majority last acknowledged this node, in milliseconds, if it is the
+    /// coordinator.
     pub(super) quorum_age_ms: Option<u64>,
-    /// What its autopilot is about, if it coordinates.
+    /// Status of its autopilot, if this node is the coordinator.
     pub(super) autopilot: Option<Value>,
 }
 
 impl ClusterStatus {
-    /// What an answer is marked with, at a time since 1970.
+    /// Returns the provenance of a reply at `at_ms` (milliseconds since 1970).
     pub(super) fn provenance(&self, node: &NodeId, at_ms: u64) -> Provenance {
         Provenance {
             seen_by: node.to_string(),

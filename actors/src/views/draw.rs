@@ -1,4 +1,4 @@
-//! The fleet as one node sees it, in JSON.
+//! Views of a fleet as seen by a single node, in JSON.
 
 use super::Views;
 use super::cluster_status::ClusterStatus;
@@ -14,7 +14,7 @@ use consort_protocol::units::NodeTime;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 
-/// What views are drawn from, at one moment.
+/// Inputs of all views at a single moment.
 pub(super) struct ViewContext<'a> {
     pub(super) views: &'a Views,
     pub(super) status: ClusterStatus,
@@ -22,7 +22,7 @@ pub(super) struct ViewContext<'a> {
 }
 
 impl ViewContext<'_> {
-    /// Every view that this node can draw by itself, of those that are `wanted`.
+    /// Returns all `wanted` views that this node can compute by itself.
     pub(super) fn draw(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
         let mut views = vec![];
         for key in [Key::ViewFleet, Key::ViewEnsembles, Key::ViewCoordinator, Key::ViewMap, Key::ViewHealth] {
@@ -39,17 +39,17 @@ impl ViewContext<'_> {
         }
         let statuses = self.views.knowledge.statuses();
         views.extend(self.views.knowledge.read(|base| {
-            let robots = base.iter().filter(|(_, heard)| heard.record.knowledge.robot.is_some());
-            let keys = robots.map(|(node, heard)| (Key::ViewRobot(RobotId::from(node.clone())), node, heard));
+            let robots = base.iter().filter(|(_, stored)| stored.record.knowledge.robot.is_some());
+            let keys = robots.map(|(node, stored)| (Key::ViewRobot(RobotId::from(node.clone())), node, stored));
             let wanted = keys.filter(|(key, ..)| wanted(key));
-            wanted.map(|(key, node, heard)| (key, self.node(node, heard, &statuses))).collect::<Vec<_>>()
+            wanted.map(|(key, node, stored)| (key, self.node(node, stored, &statuses))).collect::<Vec<_>>()
         }));
-        views.extend(self.of_ledger(wanted));
+        views.extend(self.ledger_views(wanted));
         views.into_iter().map(|(key, value)| (key, self.with_provenance(value))).collect()
     }
 
-    /// The views of the ledger, if this node keeps it.
-    fn of_ledger(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
+    /// Returns the views of the ledger, if this node has a copy.
+    fn ledger_views(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
         let drawn = self.ledger(|ledger| {
             let mut views = vec![];
             if wanted(&Key::ViewMissions) {
@@ -65,13 +65,13 @@ impl ViewContext<'_> {
         drawn.unwrap_or_default()
     }
 
-    /// Looks into the ledger, if this node keeps it.
+    /// Reads the ledger, if this node has a copy.
     fn ledger<T>(&self, look: impl FnOnce(&Ledger) -> T) -> Option<T> {
         let replica = self.views.replica.as_ref().filter(|_| self.status.has_ledger)?;
         Some(replica.read(look))
     }
 
-    /// A view with who has it, and how old what it knows may be. What a view says of itself under these names stays.
+    /// Adds the provenance to a view. Fields of the same name in the view are kept.
     pub(super) fn with_provenance(&self, value: Value) -> Value {
         let Value::Object(own) = value else { return value };
         let mark = serde_json::to_value(self.status.provenance(&self.views.node, self.views.clock.wall_ms()))
@@ -109,22 +109,22 @@ impl ViewContext<'_> {
         let nodes: Vec<Value> = self
             .views
             .knowledge
-            .read(|base| base.iter().map(|(node, heard)| self.node(node, heard, &statuses)).collect());
+            .read(|base| base.iter().map(|(node, stored)| self.node(node, stored, &statuses)).collect());
         json!({ "cluster": self.views.membership.cluster(), "nodes": nodes, "ensembles": [self.ensemble()] })
     }
 
-    /// The ensemble: what it asks for, and of whom it holds.
+    /// Returns the ensemble: its requirements and its members.
     fn ensemble(&self) -> Value {
         let statuses = self.views.knowledge.statuses();
         let spec = self.views.ensemble.spec();
-        // As its coordinator would judge, from what this node has heard.
-        let head = self.status.coordinator.as_ref().unwrap_or(&self.views.node);
+        // Evaluated like the coordinator does, from the records received here.
+        let coordinator = self.status.coordinator.as_ref().unwrap_or(&self.views.node);
         let mut not_members = Map::new();
         let mut members = vec![];
         let nodes: Vec<Value> = self.views.knowledge.read(|base| {
             let judge = |(node, _): (&NodeId, &KnownRecord)| {
-                let verdict = self.views.ensemble.membership_of(node, head, base, self.now);
-                // Whoever is judged down is asked for no bids, however fresh the last that was heard of it.
+                let verdict = self.views.ensemble.membership_of(node, coordinator, base, self.now);
+                // A node that is down gets no call for bids, however recent its last record is.
                 let down = verdict.member && !statuses.get(node).is_some_and(MemberStatus::is_alive);
                 let reason = if down { "judged down" } else { &verdict.reason };
                 let member = verdict.member && !down;
@@ -148,9 +148,10 @@ impl ViewContext<'_> {
         })
     }
 
-    /// One node. The statuses come from outside: knowledge is locked while its records are looked at.
-    fn node(&self, node: &NodeId, heard: &KnownRecord, statuses: &BTreeMap<NodeId, MemberStatus>) -> Value {
-        let record = &heard.record;
+    /// Returns a single node. The caller passes the statuses, because the knowledge is locked while
+    /// its records are read.
+    fn node(&self, node: &NodeId, stored: &KnownRecord, statuses: &BTreeMap<NodeId, MemberStatus>) -> Value {
+        let record = &stored.record;
         let alive = statuses.get(node).is_some_and(MemberStatus::is_alive);
         let by_ledger = self.ledger(|ledger| {
             let held = ledger.held_by(&RobotId::from(node.clone()));
@@ -158,9 +159,10 @@ impl ViewContext<'_> {
         });
         let mut worker = record.knowledge.robot.clone();
         if let (false, Some(worker)) = (alive, &mut worker) {
-            worker.availability = since_down(&worker.availability, by_ledger.as_ref().and_then(Option::as_ref));
+            worker.availability =
+                availability_when_down(&worker.availability, by_ledger.as_ref().and_then(Option::as_ref));
         }
-        // Without the ledger, what the robot says of itself.
+        // Without the ledger, use the robot's own record.
         let held = by_ledger.unwrap_or_else(|| match worker.as_ref().map(|worker| &worker.availability) {
             Some(Availability::Holding { mission, role, .. }) => Some((mission.clone(), role.clone(), None)),
             Some(Availability::Free | Availability::OutOfService { .. }) | None => None,
@@ -172,7 +174,7 @@ impl ViewContext<'_> {
             "node": node,
             "alive": alive,
             "status": statuses.get(node).unwrap_or(&MemberStatus::Unknown).as_str(),
-            "age_ms": heard.age(self.now).as_millis(),
+            "age_ms": stored.age(self.now).as_millis(),
             "seen_by": self.views.node,
             "incarnation": record.stamp.incarnation,
             "version": record.stamp.version,
@@ -186,23 +188,23 @@ impl ViewContext<'_> {
         })
     }
 
-    /// The fleet's map, if this node was given it.
+    /// Returns the fleet's map, if this node has a map.
     fn map(&self) -> Value {
         match self.views.map.as_deref() {
             Some(map) => map.clone(),
-            None => json!({ "error": format!("{} was given no map", self.views.node) }),
+            None => json!({ "error": format!("{} has no map", self.views.node) }),
         }
     }
 
     fn health(&self) -> Value {
-        let findings = findings(&self.signs());
+        let findings = findings(&self.health_inputs());
         json!({ "level": findings.first().map(|worst| worst.level), "findings": findings })
     }
 
-    fn signs(&self) -> HealthInputs {
+    fn health_inputs(&self) -> HealthInputs {
         let statuses = self.views.knowledge.statuses();
         let alive = |node: &NodeId| *node == self.views.node || statuses.get(node).is_some_and(MemberStatus::is_alive);
-        let mut signs = HealthInputs {
+        let mut inputs = HealthInputs {
             coordinator: self.status.coordinator.clone().map(|node| (node, self.status.term)),
             coordinator_age_ms: self.status.age_ms,
             foreign: self.foreign(),
@@ -211,22 +213,22 @@ impl ViewContext<'_> {
             ..HealthInputs::default()
         };
         let lost = |node: &NodeId| self.status.voters_lost.contains(node);
-        signs.voters = self.status.voters.iter().map(|node| (node.clone(), alive(node) && !lost(node))).collect();
+        inputs.voters = self.status.voters.iter().map(|node| (node.clone(), alive(node) && !lost(node))).collect();
         self.views.knowledge.read(|base| {
-            for (node, heard) in base.iter() {
+            for (node, stored) in base.iter() {
                 let status = statuses.get(node).copied().unwrap_or(MemberStatus::Unknown);
-                let age_ms = u64::try_from(heard.age(self.now).as_millis()).unwrap_or(u64::MAX);
+                let age_ms = u64::try_from(stored.age(self.now).as_millis()).unwrap_or(u64::MAX);
                 if matches!(status, MemberStatus::Down { .. } | MemberStatus::Suspect { .. })
-                    && !heard.record.knowledge.leaving
+                    && !stored.record.knowledge.leaving
                 {
-                    signs.unreachable.push((node.clone(), status.as_str(), age_ms));
+                    inputs.unreachable.push((node.clone(), status.as_str(), age_ms));
                 }
-                match heard.record.knowledge.robot.as_ref().map(|worker| &worker.availability) {
+                match stored.record.knowledge.robot.as_ref().map(|worker| &worker.availability) {
                     Some(Availability::OutOfService { problem }) => {
-                        signs.out_of_service.push((node.clone(), problem.clone()));
+                        inputs.out_of_service.push((node.clone(), problem.clone()));
                     }
                     Some(Availability::Holding { mission, role, suspended: true }) if alive(node) => {
-                        signs.suspended.push((node.clone(), format!("{role} of {mission}")));
+                        inputs.suspended.push((node.clone(), format!("{role} of {mission}")));
                     }
                     Some(Availability::Holding { .. } | Availability::Free) | None => {}
                 }
@@ -235,31 +237,31 @@ impl ViewContext<'_> {
         self.ledger(|ledger| {
             for entry in ledger.missions() {
                 match (&entry.state, &entry.auction) {
-                    (MissionState::NeedsRescue { cause, .. }, _) => {
-                        signs.needs_intervention.push((entry.id.to_string(), cause.clone()));
+                    (MissionState::NeedsIntervention { cause, .. }, _) => {
+                        inputs.needs_intervention.push((entry.id.to_string(), cause.clone()));
                     }
                     (MissionState::Pending, Some(auction)) => {
-                        let why = auction.failure.clone().map(|why| (entry.id.to_string(), why));
-                        signs.pending.extend(why);
+                        let reason = auction.failure.clone().map(|reason| (entry.id.to_string(), reason));
+                        inputs.pending.extend(reason);
                     }
                     _ => {}
                 }
             }
         });
-        signs
+        inputs
     }
 }
 
-/// A role that a robot holds, as the ledger says.
-type Held = (MissionId, RoleId, Option<Epoch>);
+/// A role held by a robot, according to the ledger.
+type HeldRole = (MissionId, RoleId, Option<Epoch>);
 
-/// Whether a robot that is down could take a role, if it were there. It hears of nothing any more, so that it last said to hold
-/// a role means nothing: it holds what the ledger says, and nothing that is known where there is no ledger.
-fn since_down(said: &Availability, held: Option<&Held>) -> Availability {
-    match (said, held) {
-        (Availability::OutOfService { .. }, _) => said.clone(),
+/// Returns the availability of a robot that is down. Its last record may be outdated: the role it
+/// holds is taken from the ledger, and without a ledger no role is known.
+fn availability_when_down(published: &Availability, held: Option<&HeldRole>) -> Availability {
+    match (published, held) {
+        (Availability::OutOfService { .. }, _) => published.clone(),
         (_, Some((mission, role, _))) => {
-            let suspended = matches!(said, Availability::Holding { suspended: true, .. });
+            let suspended = matches!(published, Availability::Holding { suspended: true, .. });
             Availability::Holding { mission: mission.clone(), role: role.clone(), suspended }
         }
         (_, None) => Availability::Free,

@@ -1,4 +1,4 @@
-//! Missions and their auctions as people see them, from the ledger.
+//! Views of missions and their auctions, from the ledger.
 
 use consort_protocol::auction::{AuctionRecord, Explanation, explain};
 use consort_protocol::ids::{RoleId, TaskId};
@@ -8,10 +8,10 @@ use consort_protocol::plan::{LocalPlan, Step, StepAction, StepIndex};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 
-/// Auctions shown.
+/// Maximum number of auctions in a view.
 const AUCTIONS_SHOWN: usize = 20;
 
-/// All missions, briefly, in the order in which they were submitted.
+/// Returns a summary of all missions in the order of submission.
 pub(super) fn missions(ledger: &Ledger) -> Value {
     let mut entries: Vec<&MissionEntry> = ledger.missions().collect();
     entries.sort_by_key(|entry| entry.number);
@@ -26,7 +26,7 @@ pub(super) fn missions(ledger: &Ledger) -> Value {
             "deadline_at_ms": entry.submission.deadline_ms,
             "branch": entry.branch,
             "items": items(entry),
-            "why_pending": entry.auction.as_ref().and_then(|auction| auction.failure.clone()),
+            "pending_reason": entry.auction.as_ref().and_then(|auction| auction.failure.clone()),
             "parameters": entry.submission.parameters,
             "holders": entry.holders(),
             "done": done,
@@ -37,7 +37,7 @@ pub(super) fn missions(ledger: &Ledger) -> Value {
     json!({ "missions": brief.collect::<Vec<_>>() })
 }
 
-/// One mission, with the plans of its roles and how far they have come.
+/// Returns a single mission with the plans and the progress of its roles.
 pub(super) fn mission(entry: &MissionEntry) -> Value {
     let roles = entry.roles.iter().map(|(id, role)| {
         let plan = entry.plan(id).map(|plan| steps(plan, &role.ended));
@@ -71,33 +71,34 @@ pub(super) fn mission(entry: &MissionEntry) -> Value {
         "done": done,
         "steps": steps,
         "auction": entry.auction,
-        "explanation": entry.auction.as_ref().map(explained),
+        "explanation": entry.auction.as_ref().map(explanation_of),
         "submitted_at_ms": entry.submission.at_ms,
     })
 }
 
-/// The latest auction of each mission, latest first, with why it came out as it did.
+/// Returns the latest auction of each mission, latest first, with its explanation.
 pub(super) fn auctions(ledger: &Ledger) -> Value {
     let mut records: Vec<&AuctionRecord> = ledger.missions().filter_map(|entry| entry.auction.as_ref()).collect();
     records.sort_by_key(|record| std::cmp::Reverse((record.at_ms, record.auction.clone())));
     records.truncate(AUCTIONS_SHOWN);
     let shown = records.into_iter().map(|record| {
         let mut shown = json!(record);
-        shown["explanation"] = json!(explained(record));
+        shown["explanation"] = json!(explanation_of(record));
         shown
     });
     json!({ "auctions": shown.collect::<Vec<_>>() })
 }
 
-/// Why it came out as it did; the bids' parts are in the record, beside which this stands.
-fn explained(record: &AuctionRecord) -> Explanation {
+/// Returns the explanation of an auction without the bids' parts, which the record next to it
+/// contains.
+fn explanation_of(record: &AuctionRecord) -> Explanation {
     explain(record).without_parts()
 }
 
-/// What is in robots' keeping, or waits for a person.
+/// Returns the items that robots carry, or that need intervention by a person.
 fn items(entry: &MissionEntry) -> Vec<HeldItem> {
     match &entry.state {
-        MissionState::NeedsRescue { items, .. } => items.clone(),
+        MissionState::NeedsIntervention { items, .. } => items.clone(),
         MissionState::Pending | MissionState::Running => entry.custody(),
         MissionState::Completed | MissionState::Failed { .. } | MissionState::Canceled { .. } => vec![],
     }
@@ -116,19 +117,19 @@ fn steps(plan: &LocalPlan, ended: &BTreeSet<StepIndex>) -> Vec<Value> {
     plan.steps.iter().enumerate().map(step).collect()
 }
 
-/// How far a task has come.
+/// Progress of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Progress {
-    /// Its turn has not come.
+    /// Its predecessors have not ended.
     Waiting,
-    /// It could be done now, or a part of it is.
+    /// It could be performed now, or a part of it is in progress.
     UnderWay,
     /// It has ended.
     Done,
 }
 
 impl Progress {
-    fn word(self) -> &'static str {
+    fn as_str(self) -> &'static str {
         match self {
             Progress::Waiting => "waiting",
             Progress::UnderWay => "under_way",
@@ -136,7 +137,7 @@ impl Progress {
         }
     }
 
-    /// That of a task which comes down to others.
+    /// Returns the progress of an abstract task from the progress of its parts.
     fn of_all(parts: &[Progress]) -> Progress {
         match parts {
             _ if parts.iter().all(|part| *part == Progress::Done) => Progress::Done,
@@ -146,39 +147,40 @@ impl Progress {
     }
 }
 
-/// A task with all below it. Children stand behind their parents, so this ends.
+/// Returns a task with all its subtasks. Children have larger indices than their parents, so the
+/// recursion ends.
 fn tree(entry: &MissionEntry, mission: &Mission, index: TaskIndex) -> Value {
-    branch(entry, mission, index).1
+    task_tree(entry, mission, index).1
 }
 
-fn branch(entry: &MissionEntry, mission: &Mission, index: TaskIndex) -> (Progress, Value) {
+fn task_tree(entry: &MissionEntry, mission: &Mission, index: TaskIndex) -> (Progress, Value) {
     let Some(node) = mission.tasks.get(index as usize) else { return (Progress::Waiting, Value::Null) };
     match &node.body {
         TaskBody::Abstract(method) => {
-            let below = method.children.iter().map(|child| branch(entry, mission, *child));
-            let (parts, children): (Vec<Progress>, Vec<Value>) = below.unzip();
+            let subtasks = method.children.iter().map(|child| task_tree(entry, mission, *child));
+            let (parts, children): (Vec<Progress>, Vec<Value>) = subtasks.unzip();
             let progress = Progress::of_all(&parts);
-            let told = json!({
+            let view = json!({
                 "task": node.id,
                 "kind": "abstract",
                 "order": method.order,
-                "state": progress.word(),
+                "state": progress.as_str(),
                 "children": children,
             });
-            (progress, told)
+            (progress, view)
         }
         TaskBody::Elementary(spec) => {
             let progress = elementary(entry, &node.id, spec);
             let holders: Vec<Value> = spec.roles.iter().map(|role| holder(entry, role)).collect();
-            let told = json!({
+            let view = json!({
                 "task": node.id,
                 "kind": "elementary",
                 "type": spec.task_type,
                 "parameters": spec.parameters,
-                "state": progress.word(),
+                "state": progress.as_str(),
                 "roles": holders,
             });
-            (progress, told)
+            (progress, view)
         }
     }
 }
@@ -203,7 +205,7 @@ fn elementary(entry: &MissionEntry, task: &TaskId, spec: &TaskSpec) -> Progress 
             Some(step_progress(entry, role, plan, index))
         })
         .collect();
-    // A task that several do together is under way once the first of them is at it.
+    // A joint task is in progress once the first participant performs it.
     Progress::of_all(&parts)
 }
 
@@ -216,11 +218,12 @@ fn step_progress(entry: &MissionEntry, role: &RoleEntry, plan: &LocalPlan, index
         RoleKind::Unmanaged => true,
     };
     let runs = matches!(entry.state, MissionState::Running) && at_work;
-    // What somebody was told has been waited for, though the one who waited may not have said so yet.
-    let told = entry.signals_to(&plan.role);
+    // A signal in the ledger counts as received, although its receiver may not have reported that
+    // yet.
+    let view = entry.signals_to(&plan.role);
     let is_past = |step: &StepIndex| {
         let awaited = plan.steps.get(*step as usize).is_some_and(|step| match &step.action {
-            StepAction::Wait(signal) => told.contains(signal),
+            StepAction::Wait(signal) => view.contains(signal),
             StepAction::Task { .. } | StepAction::Send(_) => false,
         });
         awaited || role.ended.contains(step)

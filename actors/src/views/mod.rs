@@ -1,18 +1,20 @@
-//! What people see of a fleet. Any node answers, from its own copy of the ledger and from what it has heard.
+//! Views of a fleet for people. Any node replies, from its own copy of the ledger and from the
+//! records it has received.
 //!
 //! ```text
 //!  client ── get view/** ──▶ the nearest node ── from its knowledge, its copy of the ledger, its map
 //!                               │
-//!                               ├─ seen/{keeper}/** ──▶ a keeper of the ledger, if it keeps none itself
-//!                               └─ wire/world ────────▶ the host of bodies
+//!                               ├─ seen/{voter}/** ───▶ a voter of the ledger, if it has no copy itself
+//!                               └─ wire/world ────────▶ the driver server
 //! ```
 //!
-//! All nodes declare `view/**` as complete, so that whoever asks as Zenoh does by itself gets one answer, from the nearest;
-//! each says whose it is and how old. A node that Zenoh asks beside itself answers too, and of two nodes' answers those of one are
-//! given: see `bus`. `seen/{node}/**` has the same views as this one node draws them by itself.
+//! All nodes declare `view/**` as complete, so a client with Zenoh's default target gets a single
+//! reply, from the nearest node. Each reply contains its source and its age. A node that Zenoh
+//! queries in addition replies too; the client then gets the replies of only 1 of these nodes: see
+//! `bus`. `seen/{node}/**` serves the same views, computed by that node alone.
 //!
-//! Views are drawn when somebody asks, and cost nothing otherwise. The requests that change nothing (`get`, `list`, `explain`
-//! and `help`) are answered here too.
+//! Views are computed on request and cost nothing otherwise. The read-only requests (`get`, `list`,
+//! `explain` and `help`) are also served here.
 
 mod api;
 mod cluster_status;
@@ -49,155 +51,160 @@ use tokio::sync::oneshot;
 use tokio::task::JoinSet;
 use zenoh_keyexpr::keyexpr;
 
-/// How long a keeper of the ledger may take to answer for a node that keeps none. One that is gone is noticed earlier.
-const KEEPER_LIMIT: Duration = Duration::from_millis(400);
+/// Timeout for a voter to reply on behalf of a node without a ledger. A failed voter is detected
+/// earlier.
+const VOTER_TIMEOUT: Duration = Duration::from_millis(400);
 
-/// So many keepers are asked, one after the other.
-const KEEPERS_ASKED: usize = 3;
+/// Maximum number of voters that are queried in sequence.
+const VOTERS_QUERIED_MAX: usize = 3;
 
-/// How long the host of bodies may take to say how its world looks.
-const WORLD_LIMIT: Duration = Duration::from_millis(400);
+/// Timeout for the driver server to return the state of its world.
+const WORLD_TIMEOUT: Duration = Duration::from_millis(400);
 
-/// How long this node's own coordinator may take to say how it stands.
-const SHOW_LIMIT: Duration = Duration::from_millis(100);
+/// Timeout for this node's own coordinator to return its status.
+const STATUS_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// A coordinator that has been silent for so many of its beats no longer counts as one.
-const BEATS_MISSED: u32 = 4;
+/// Number of missed beacons after which a coordinator no longer counts as active.
+const MISSED_BEACONS_MAX: u32 = 4;
 
-/// What a node needs to answer those who look.
+/// Inputs of the views of a node.
 #[derive(Clone)]
 pub(crate) struct Views {
     pub(crate) node: NodeId,
     pub(crate) keys: Keys,
     pub(crate) bus: SharedBus,
     pub(crate) clock: Clock,
-    /// Its copy of the ledger, if it has one.
+    /// The node's copy of the ledger, if any.
     pub(crate) replica: Option<Replica<Ledger>>,
-    /// Its own coordinator, if it may be one.
+    /// The node's own coordinator actor, if it may coordinate.
     pub(crate) coordinator: Option<ActorRef<CoordinatorMessage>>,
     pub(crate) knowledge: SharedKnowledge,
     pub(crate) membership: ClusterMembership,
     pub(crate) ensemble: Arc<Ensemble>,
-    /// The fleet's map, to show.
+    /// The fleet's map, to be served.
     pub(crate) map: Option<Arc<Value>>,
-    /// How often a coordinator says that it is there.
+    /// Interval of a coordinator's beacons.
     pub(crate) beacon_interval: Duration,
 }
 
-/// The last word of a coordinator, and when it was heard.
-type Word = Arc<Mutex<Option<(Beacon, NodeTime)>>>;
+/// Latest beacon and its arrival time.
+type LastBeacon = Arc<Mutex<Option<(Beacon, NodeTime)>>>;
 
 impl Views {
-    /// Begins to answer, for as long as `tasks` lives.
+    /// Serves views and read-only requests for as long as `tasks` lives.
     pub(crate) async fn serve(self, tasks: &mut Tasks) -> Result<(), BusError> {
         let (bus, keys) = (self.bus.clone(), self.keys.clone());
-        let word = Word::default();
-        tasks.spawn(follow(bus.subscribe(&keys.write(&Key::Beacon)).await?, Arc::clone(&word), self.clock));
-        let looks = ViewService { views: Arc::new(self), word };
-        tasks.spawn(looks.clone().serve(bus.serve_complete(&keys.any_view()).await?, Service::Views));
-        tasks.spawn(looks.clone().serve(bus.serve_complete(&keys.any_help()).await?, Service::Help));
+        let latest_beacon = LastBeacon::default();
+        tasks.spawn(follow_beacons(
+            bus.subscribe(&keys.write(&Key::Beacon)).await?,
+            Arc::clone(&latest_beacon),
+            self.clock,
+        ));
+        let service = ViewService { views: Arc::new(self), latest_beacon };
+        tasks.spawn(service.clone().serve(bus.serve_complete(&keys.any_view()).await?, Service::Views));
+        tasks.spawn(service.clone().serve(bus.serve_complete(&keys.any_help()).await?, Service::Help));
         for call in ApiCall::ALL.iter().copied().filter(|call| call.is_read_only()) {
-            let questions = bus.serve_complete(&keys.write(&Key::Api(call))).await?;
-            tasks.spawn(looks.clone().serve(questions, Service::Request(call)));
+            let queries = bus.serve_complete(&keys.write(&Key::Api(call))).await?;
+            tasks.spawn(service.clone().serve(queries, Service::Request(call)));
         }
-        let questions = bus.serve(&keys.any_seen(&looks.views.node)).await?;
-        tasks.spawn(looks.serve(questions, Service::Seen));
+        let queries = bus.serve(&keys.any_seen(&service.views.node)).await?;
+        tasks.spawn(service.serve(queries, Service::Seen));
         Ok(())
     }
 }
 
-/// What somebody has asked for: one expression may match several.
+/// Kind of query. A key expression may match several views.
 #[derive(Debug, Clone, Copy)]
 enum Service {
-    /// Views, whoever has them.
+    /// Views from any source.
     Views,
-    /// Views as this node has them.
+    /// Views computed by this node alone.
     Seen,
-    /// A request that changes nothing.
+    /// A read-only request.
     Request(ApiCall),
     /// Help on requests.
     Help,
 }
 
-/// Listens to whoever coordinates.
-async fn follow(mut beacons: Stream<Sample>, word: Word, clock: Clock) {
+/// Stores the latest beacon.
+async fn follow_beacons(mut beacons: Stream<Sample>, latest_beacon: LastBeacon, clock: Clock) {
     while let Some(sample) = beacons.recv().await {
         let Ok(beacon) = codec::decode::<Beacon>(&sample.payload) else { continue };
-        let mut word = word.lock().unwrap_or_else(PoisonError::into_inner);
-        if beacon.supersedes(word.as_ref().map(|(known, _)| known)) {
-            *word = Some((beacon, clock.now()));
+        let mut latest_beacon = latest_beacon.lock().unwrap_or_else(PoisonError::into_inner);
+        if beacon.supersedes(latest_beacon.as_ref().map(|(known, _)| known)) {
+            *latest_beacon = Some((beacon, clock.now()));
         }
     }
 }
 
-/// Answers questions.
+/// Server of queries.
 #[derive(Clone)]
 struct ViewService {
     views: Arc<Views>,
-    word: Word,
+    latest_beacon: LastBeacon,
 }
 
 impl ViewService {
-    async fn serve(self, mut questions: Stream<Query>, service: Service) {
-        let mut answers = JoinSet::new();
-        while let Some(query) = questions.recv().await {
-            while answers.try_join_next().is_some() {}
-            answers.spawn(self.clone().answer(query, service));
+    async fn serve(self, mut queries: Stream<Query>, service: Service) {
+        let mut replies = JoinSet::new();
+        while let Some(query) = queries.recv().await {
+            while replies.try_join_next().is_some() {}
+            replies.spawn(self.clone().reply_to(query, service));
         }
     }
 
-    async fn answer(self, query: Query, service: Service) {
-        let Ok(asked) = keyexpr::new(query.key.as_str()) else { return };
-        let answers = match service {
-            Service::Views => self.requested_views(asked).await,
+    async fn reply_to(self, query: Query, service: Service) {
+        let Ok(requested) = keyexpr::new(query.key.as_str()) else { return };
+        let replies = match service {
+            Service::Views => self.requested_views(requested).await,
             Service::Seen => {
                 let seen = |key: &Key| Key::Seen(self.views.node.clone(), Box::new(key.clone()));
-                let own = self.own(&|key: &Key| self.is_asked(asked, &seen(key))).await;
-                own.into_iter().map(|(key, value)| (seen(&key), value)).collect()
+                let own_views = self.own_views(&|key: &Key| self.is_requested(requested, &seen(key))).await;
+                own_views.into_iter().map(|(key, value)| (seen(&key), value)).collect()
             }
             Service::Request(call) => vec![(Key::Api(call), self.answer_request(call, &query.payload).await)],
             Service::Help => {
                 let keys = ApiCall::ALL.iter().map(|call| (Key::Help(*call), *call));
-                let asked = keys.filter(|(key, _)| self.is_asked(asked, key));
-                asked.map(|(key, call)| (key, call_help(call))).collect()
+                let requested = keys.filter(|(key, _)| self.is_requested(requested, key));
+                requested.map(|(key, call)| (key, call_help(call))).collect()
             }
         };
-        for (key, value) in answers {
+        for (key, value) in replies {
             reply::json(&query, &self.views.keys.write(&key), &value).await;
         }
     }
 
-    fn is_asked(&self, asked: &keyexpr, key: &Key) -> bool {
-        keyexpr::new(self.views.keys.write(key).as_str()).is_ok_and(|key| asked.intersects(key))
+    fn is_requested(&self, requested: &keyexpr, key: &Key) -> bool {
+        keyexpr::new(self.views.keys.write(key).as_str()).is_ok_and(|key| requested.intersects(key))
     }
 
-    /// What this node draws by itself.
-    async fn own(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
+    /// Returns the views that this node computes by itself.
+    async fn own_views(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
         self.context().await.draw(wanted)
     }
 
-    /// What is asked for, with the help of a keeper of the ledger and of the host of bodies where this node is neither.
-    async fn requested_views(&self, asked: &keyexpr) -> Vec<(Key, Value)> {
-        let wanted = |key: &Key| self.is_asked(asked, key);
-        let window = self.context().await;
-        let mut views = window.draw(&wanted);
+    /// Returns the requested views. A voter and the driver server contribute what this node lacks.
+    async fn requested_views(&self, requested: &keyexpr) -> Vec<(Key, Value)> {
+        let wanted = |key: &Key| self.is_requested(requested, key);
+        let context = self.context().await;
+        let mut views = context.draw(&wanted);
         let missions = self.views.keys.write(&Key::ViewMissions).replace("/missions", "/mission/*");
-        let asks_ledger = wanted(&Key::ViewMissions)
+        let needs_ledger = wanted(&Key::ViewMissions)
             || wanted(&Key::ViewAuctions)
             || wanted(&Key::ViewHealth)
-            || keyexpr::new(missions.as_str()).is_ok_and(|missions| missions.intersects(asked));
-        if asks_ledger && !window.status.has_ledger {
-            match self.of_keeper(asked, &window.status).await {
-                Some(theirs) => {
-                    for (key, value) in theirs.into_iter().filter(|(key, _)| is_of_ledger(key) && wanted(key)) {
+            || keyexpr::new(missions.as_str()).is_ok_and(|missions| missions.intersects(requested));
+        if needs_ledger && !context.status.has_ledger {
+            match self.from_voter(requested, &context.status).await {
+                Some(voter_views) => {
+                    for (key, value) in voter_views.into_iter().filter(|(key, _)| is_of_ledger(key) && wanted(key)) {
                         views.retain(|(own, _)| *own != key);
                         views.push((key, value));
                     }
                 }
                 None => {
-                    let why = json!({ "error": "no keeper of the ledger answers", "retry_after_ms": 300 });
+                    let error = json!({ "error": "no voter of the ledger replies", "retry_after_ms": 300 });
                     for key in [Key::ViewMissions, Key::ViewAuctions].into_iter().filter(&wanted) {
-                        views.push((key, window.with_provenance(why.clone())));
+                        views.push((key, context.with_provenance(error.clone())));
                     }
                 }
             }
@@ -205,25 +212,25 @@ impl ViewService {
         if wanted(&Key::ViewWorld)
             && let Some(world) = self.world().await
         {
-            views.push((Key::ViewWorld, window.with_provenance(world)));
+            views.push((Key::ViewWorld, context.with_provenance(world)));
         }
         views
     }
 
-    /// The views of a keeper of the ledger: the coordinator's, else those of any other.
-    async fn of_keeper(&self, asked: &keyexpr, standing: &ClusterStatus) -> Option<Vec<(Key, Value)>> {
+    /// Returns the views of the ledger from the coordinator, else from any other voter.
+    async fn from_voter(&self, requested: &keyexpr, status: &ClusterStatus) -> Option<Vec<(Key, Value)>> {
         let Views { keys, bus, knowledge, node, .. } = &*self.views;
-        let only_health = asked.as_str() == keys.write(&Key::ViewHealth);
-        let coordinator = standing.coordinator.iter();
-        let others = standing.voters.iter().filter(|voter| Some(*voter) != standing.coordinator.as_ref());
-        let keepers = coordinator.chain(others).filter(|keeper| *keeper != node && knowledge.is_alive(keeper));
-        for keeper in keepers.take(KEEPERS_ASKED) {
-            let any = keys.any_seen(keeper);
+        let only_health = requested.as_str() == keys.write(&Key::ViewHealth);
+        let coordinator = status.coordinator.iter();
+        let others = status.voters.iter().filter(|voter| Some(*voter) != status.coordinator.as_ref());
+        let voters = coordinator.chain(others).filter(|voter| *voter != node && knowledge.is_alive(voter));
+        for voter in voters.take(VOTERS_QUERIED_MAX) {
+            let any = keys.any_seen(voter);
             let seen = match (keys.any_view().strip_suffix("**"), any.strip_suffix("**")) {
-                (Some(views), Some(seen)) => asked.as_str().strip_prefix(views).map(|view| format!("{seen}{view}")),
+                (Some(views), Some(seen)) => requested.as_str().strip_prefix(views).map(|view| format!("{seen}{view}")),
                 _ => None,
             };
-            let Ok(mut replies) = bus.query(&seen.unwrap_or(any), Bytes::new(), KEEPER_LIMIT).await else { continue };
+            let Ok(mut replies) = bus.query(&seen.unwrap_or(any), Bytes::new(), VOTER_TIMEOUT).await else { continue };
             let mut views = vec![];
             while let Some(reply) = replies.recv().await {
                 let value = reply.payload.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
@@ -231,9 +238,9 @@ impl ViewService {
                     views.push((*view, value));
                 }
             }
-            // One that has lost its place among the keepers has no missions to show.
-            let shows = |key: &Key| is_of_ledger(key) && (only_health || *key != Key::ViewHealth);
-            if views.iter().any(|(key, _)| shows(key)) {
+            // A former voter has no missions to show.
+            let is_shown = |key: &Key| is_of_ledger(key) && (only_health || *key != Key::ViewHealth);
+            if views.iter().any(|(key, _)| is_shown(key)) {
                 return Some(views);
             }
         }
@@ -242,88 +249,92 @@ impl ViewService {
 
     async fn world(&self) -> Option<Value> {
         let key = self.views.keys.write(&Key::World);
-        let mut replies = self.views.bus.query(&key, Bytes::new(), WORLD_LIMIT).await.ok()?;
+        let mut replies = self.views.bus.query(&key, Bytes::new(), WORLD_TIMEOUT).await.ok()?;
         serde_json::from_slice(&replies.recv().await?.payload.ok()?).ok()
     }
 
     async fn context(&self) -> ViewContext<'_> {
-        let shown = match &self.views.coordinator {
+        let coordinator_status = match &self.views.coordinator {
             Some(coordinator) => {
-                let (to, said) = oneshot::channel();
-                // One that does not coordinate drops the question.
+                let (to, status) = oneshot::channel();
+                // An inactive coordinator drops the query.
                 match coordinator.cast(CoordinatorMessage::QueryStatus(to)) {
-                    Ok(()) => tokio::time::timeout(SHOW_LIMIT, said).await.ok().and_then(Result::ok),
+                    Ok(()) => tokio::time::timeout(STATUS_TIMEOUT, status).await.ok().and_then(Result::ok),
                     Err(_) => None,
                 }
             }
             None => None,
         };
         let now = self.views.clock.now();
-        ViewContext { views: &self.views, status: self.standing(shown, now), now }
+        ViewContext { views: &self.views, status: self.status(coordinator_status, now), now }
     }
 
-    fn standing(&self, shown: Option<CoordinatorStatus>, now: NodeTime) -> ClusterStatus {
-        let Views { node, knowledge, replica, beacon_interval: beat, .. } = &*self.views;
-        let word = self.word.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    fn status(&self, coordinator_status: Option<CoordinatorStatus>, now: NodeTime) -> ClusterStatus {
+        let Views { node, knowledge, replica, beacon_interval, .. } = &*self.views;
+        let latest_beacon = self.latest_beacon.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let leadership = replica.as_ref().map(|replica| replica.leadership().borrow().clone()).unwrap_or_default();
-        let heard = word.as_ref().map(|(beacon, at)| (beacon, now.since(*at)));
+        let last_beacon = latest_beacon.as_ref().map(|(beacon, at)| (beacon, now.since(*at)));
         let millis = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
         let own_id = replica.as_ref().map(Replica::id);
         let is_member = |id: &RaftId| leadership.voters.contains_key(id) || leadership.learners.contains_key(id);
-        // One that was replaced while it was away does not know it; the coordinator's word says so.
-        let is_named = heard.is_none_or(|(beacon, _)| {
-            beacon.voters.contains(node) || leadership.learners.values().any(|observer| observer == node)
+        // A voter that was replaced while it was away does not know it; the beacon shows it.
+        let is_listed = last_beacon.is_none_or(|(beacon, _)| {
+            beacon.voters.contains(node) || leadership.learners.values().any(|learner| learner == node)
         });
-        // What a leader has committed in its own term stands behind all that was committed before: a copy that has that
-        // lacks nothing, and one that was started anew may lack anything.
-        let has_all = heard.zip(replica.as_ref()).is_some_and(|((beacon, _), replica)| {
+        // An entry that a leader commits in its own term follows all entries committed before. A
+        // copy with such an entry is complete; a restarted copy may lack any entry.
+        let is_complete = last_beacon.zip(replica.as_ref()).is_some_and(|((beacon, _), replica)| {
             let applied = *replica.applied().borrow();
             applied.term >= beacon.term
         });
-        let is_keeper = own_id.as_ref().is_some_and(is_member) && is_named;
-        let keeps_ledger = shown.is_some() || is_keeper && has_all;
-        let mut standing = ClusterStatus {
-            has_ledger: keeps_ledger,
+        let is_current_member = own_id.as_ref().is_some_and(is_member) && is_listed;
+        let has_ledger = coordinator_status.is_some() || is_current_member && is_complete;
+        let mut status = ClusterStatus {
+            has_ledger,
             observers: leadership.learners.values().cloned().collect(),
             quorum_age_ms: replica.as_ref().and_then(Replica::quorum_ack_age).map(millis),
             ..ClusterStatus::default()
         };
-        match (shown, heard) {
-            (Some(shown), _) => {
-                standing.coordinator = Some(node.clone());
-                (standing.term, standing.since_ms, standing.age_ms) = (shown.term, Some(shown.since_ms), Some(0));
-                standing.autopilot = Some(shown.autopilot);
+        match (coordinator_status, last_beacon) {
+            (Some(coordinator_status), _) => {
+                status.coordinator = Some(node.clone());
+                (status.term, status.since_ms, status.age_ms) =
+                    (coordinator_status.term, Some(coordinator_status.since_ms), Some(0));
+                status.autopilot = Some(coordinator_status.autopilot);
             }
             (None, Some((beacon, age))) => {
-                let there = beacon.node != *node && knowledge.is_alive(&beacon.node) && age < *beat * BEATS_MISSED;
-                standing.term = beacon.term;
-                standing.age_ms = Some(millis(age));
-                if there {
-                    standing.coordinator = Some(beacon.node.clone());
-                    standing.since_ms = Some(beacon.since_ms.saturating_add(millis(age)));
+                let is_active = beacon.node != *node
+                    && knowledge.is_alive(&beacon.node)
+                    && age < *beacon_interval * MISSED_BEACONS_MAX;
+                status.term = beacon.term;
+                status.age_ms = Some(millis(age));
+                if is_active {
+                    status.coordinator = Some(beacon.node.clone());
+                    status.since_ms = Some(beacon.since_ms.saturating_add(millis(age)));
                 }
             }
-            (None, None) => standing.term = leadership.term,
+            (None, None) => status.term = leadership.term,
         }
-        let of_word = || heard.map(|(beacon, _)| beacon.voters.iter().cloned().collect()).unwrap_or_default();
-        standing.voters = if keeps_ledger { leadership.voters.values().cloned().collect() } else { of_word() };
-        // A node that came back with an empty store is another member than the voter of its name.
-        standing.voters_lost = knowledge.read(|base| {
-            let has = |node: &NodeId| base.get(node).map(|heard| heard.record.knowledge.replica);
-            if keeps_ledger {
-                let lost = leadership.voters.iter().filter(|(id, voter)| has(voter) != Some(Some(id.0)));
+        let from_beacon = || last_beacon.map(|(beacon, _)| beacon.voters.iter().cloned().collect()).unwrap_or_default();
+        status.voters = if has_ledger { leadership.voters.values().cloned().collect() } else { from_beacon() };
+        // A node that came back with an empty store is not the same member as the voter of its
+        // name.
+        status.voters_lost = knowledge.read(|base| {
+            let known_replica = |node: &NodeId| base.get(node).map(|stored| stored.record.knowledge.replica);
+            if has_ledger {
+                let lost = leadership.voters.iter().filter(|(id, voter)| known_replica(voter) != Some(Some(id.0)));
                 lost.map(|(_, voter)| voter.clone()).collect::<Vec<_>>()
             } else {
-                standing.voters.iter().filter(|voter| has(voter).is_none()).cloned().collect()
+                status.voters.iter().filter(|voter| known_replica(voter).is_none()).cloned().collect()
             }
         });
-        standing.voters_lost.sort();
-        standing.voters_lost.dedup();
-        standing
+        status.voters_lost.sort();
+        status.voters_lost.dedup();
+        status
     }
 }
 
-/// Whether a view shows the ledger.
+/// Checks whether a view contains data of the ledger.
 fn is_of_ledger(key: &Key) -> bool {
     matches!(key, Key::ViewMissions | Key::ViewMission(_) | Key::ViewAuctions | Key::ViewHealth)
 }

@@ -1,6 +1,7 @@
-//! Power that fails, processes that are killed and disks that are full, at any moment of a write.
+//! Power failures, killed processes and full disks, at any moment of a write.
 //!
-//! The disk is simulated: what was written and not synced may be on it after a power cut, sector by sector, or not.
+//! The disk is simulated: after a power failure, data that was written and not synced is on the
+//! disk or not, independently for each sector.
 
 use super::{bytes, owner};
 use consort_actors::raft::{LogStore, PersistentState, StoreIdentity};
@@ -10,34 +11,35 @@ use rand_chacha::ChaCha8Rng;
 use std::io;
 use std::sync::{Arc, Mutex};
 
-/// What a disk writes as a whole, in bytes.
+/// Unit that a disk writes atomically, in bytes.
 const SECTOR: usize = 512;
 
-/// A machine with two files, which remembers how its disk would look if its power failed now.
+/// A machine with two files. It can compute the content of its disk after a power failure at the
+/// present moment.
 #[derive(Debug, Clone, Default)]
-struct Machine(Arc<Mutex<Inside>>);
+struct Machine(Arc<Mutex<Simulation>>);
 
 #[derive(Debug, Default)]
-struct Inside {
-    files: [Content; 2],
-    /// Calls so far.
+struct Simulation {
+    files: [FileContent; 2],
+    /// Number of calls so far.
     calls: u64,
-    /// At which calls to take an image, the last first.
-    cuts: Vec<u64>,
-    /// How many writes have been acknowledged.
+    /// Call numbers at which to take an image, in descending order.
+    image_calls: Vec<u64>,
+    /// Number of acknowledged writes.
     acknowledged: usize,
     images: Vec<Image>,
     rng: Option<ChaCha8Rng>,
-    /// Bytes that a file may have.
-    room: Option<usize>,
+    /// Size limit of a file, in bytes.
+    size_max: Option<usize>,
 }
 
 #[derive(Debug, Clone, Default)]
-struct Content {
-    /// What the process reads.
+struct FileContent {
+    /// Content as seen by the process.
     now: Vec<u8>,
     synced: Vec<u8>,
-    since: Vec<Unsynced>,
+    unsynced: Vec<Unsynced>,
 }
 
 #[derive(Debug, Clone)]
@@ -46,7 +48,7 @@ enum Unsynced {
     Write(usize, Vec<u8>),
 }
 
-/// What is found after a failure.
+/// Content of the files after a failure.
 #[derive(Debug)]
 struct Image {
     files: [Vec<u8>; 2],
@@ -54,59 +56,59 @@ struct Image {
     kind: &'static str,
 }
 
-impl Content {
+impl FileContent {
     fn after_power_cut(&self, rng: &mut ChaCha8Rng) -> Vec<u8> {
-        let mut left = self.synced.clone();
-        let luck = rng.random_range(0..=4_u8);
-        let mut survives = || rng.random_range(0..4) < luck;
-        for unsynced in &self.since {
-            match unsynced {
+        let mut remaining = self.synced.clone();
+        let survival_chance = rng.random_range(0..=4_u8);
+        let mut survives = || rng.random_range(0..4) < survival_chance;
+        for operation in &self.unsynced {
+            match operation {
                 Unsynced::Length(length) => {
                     if survives() {
-                        left.resize(*length, 0);
+                        remaining.resize(*length, 0);
                     }
                 }
                 Unsynced::Write(offset, data) => {
                     let mut done = 0;
                     while done < data.len() {
-                        let place = offset + done;
-                        let part = (SECTOR - place % SECTOR).min(data.len() - done);
-                        // Beyond the end of a file that did not grow there is nothing.
-                        if survives() && place + part <= left.len() {
-                            left[place..place + part].copy_from_slice(&data[done..done + part]);
+                        let position = offset + done;
+                        let length = (SECTOR - position % SECTOR).min(data.len() - done);
+                        // There is nothing beyond the end of a file that did not grow.
+                        if survives() && position + length <= remaining.len() {
+                            remaining[position..position + length].copy_from_slice(&data[done..done + length]);
                         }
-                        done += part;
+                        done += length;
                     }
                 }
             }
         }
-        left
+        remaining
     }
 }
 
-impl Inside {
+impl Simulation {
     fn count_call(&mut self) {
         self.calls += 1;
-        if self.cuts.last() != Some(&self.calls) {
+        if self.image_calls.last() != Some(&self.calls) {
             return;
         }
-        self.cuts.pop();
+        self.image_calls.pop();
         let rng = self.rng.as_mut().expect("a generator");
-        let cut = [0, 1].map(|file| self.files[file].after_power_cut(rng));
-        let killed = [0, 1].map(|file| self.files[file].now.clone());
-        for (files, kind) in [(cut, "power cut"), (killed, "kill")] {
+        let after_power_cut = [0, 1].map(|file| self.files[file].after_power_cut(rng));
+        let after_kill = [0, 1].map(|file| self.files[file].now.clone());
+        for (files, kind) in [(after_power_cut, "power cut"), (after_kill, "kill")] {
             self.images.push(Image { files, acknowledged: self.acknowledged, kind });
         }
     }
 }
 
 impl Machine {
-    fn holding(files: [Vec<u8>; 2]) -> Machine {
-        let files = files.map(|now| Content { synced: now.clone(), now, since: vec![] });
-        Machine(Arc::new(Mutex::new(Inside { files, ..Inside::default() })))
+    fn with_files(files: [Vec<u8>; 2]) -> Machine {
+        let files = files.map(|now| FileContent { synced: now.clone(), now, unsynced: vec![] });
+        Machine(Arc::new(Mutex::new(Simulation { files, ..Simulation::default() })))
     }
 
-    fn inside(&self) -> std::sync::MutexGuard<'_, Inside> {
+    fn simulation(&self) -> std::sync::MutexGuard<'_, Simulation> {
         self.0.lock().expect("no panic")
     }
 
@@ -116,7 +118,7 @@ impl Machine {
     }
 }
 
-/// One of a machine's files.
+/// File of a machine.
 #[derive(Debug)]
 struct File {
     machine: Machine,
@@ -125,52 +127,53 @@ struct File {
 
 impl StorageBackend for File {
     fn len(&self) -> io::Result<u64> {
-        Ok(self.machine.inside().files[self.index].now.len() as u64)
+        Ok(self.machine.simulation().files[self.index].now.len() as u64)
     }
 
     fn read(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
-        let inside = self.machine.inside();
+        let simulation = self.machine.simulation();
         let offset = usize::try_from(offset).expect("a small file");
-        let found = inside.files[self.index].now.get(offset..offset + out.len());
+        let found = simulation.files[self.index].now.get(offset..offset + out.len());
         out.copy_from_slice(found.ok_or(io::ErrorKind::UnexpectedEof)?);
         Ok(())
     }
 
     fn set_len(&self, len: u64) -> io::Result<()> {
-        let mut inside = self.machine.inside();
+        let mut simulation = self.machine.simulation();
         let len = usize::try_from(len).expect("a small file");
-        if inside.room.is_some_and(|room| len > room) {
+        if simulation.size_max.is_some_and(|size_max| len > size_max) {
             return Err(io::Error::from_raw_os_error(28)); // ENOSPC
         }
-        let file = &mut inside.files[self.index];
+        let file = &mut simulation.files[self.index];
         file.now.resize(len, 0);
-        file.since.push(Unsynced::Length(len));
-        inside.count_call();
+        file.unsynced.push(Unsynced::Length(len));
+        simulation.count_call();
         Ok(())
     }
 
     fn sync_data(&self) -> io::Result<()> {
-        let mut inside = self.machine.inside();
-        inside.count_call();
-        let file = &mut inside.files[self.index];
+        let mut simulation = self.machine.simulation();
+        simulation.count_call();
+        let file = &mut simulation.files[self.index];
         file.synced = file.now.clone();
-        file.since.clear();
+        file.unsynced.clear();
         Ok(())
     }
 
     fn write(&self, offset: u64, data: &[u8]) -> io::Result<()> {
-        let mut inside = self.machine.inside();
+        let mut simulation = self.machine.simulation();
         let offset = usize::try_from(offset).expect("a small file");
-        let file = &mut inside.files[self.index];
-        let there = file.now.get_mut(offset..offset + data.len()).ok_or(io::ErrorKind::UnexpectedEof)?;
-        there.copy_from_slice(data);
-        file.since.push(Unsynced::Write(offset, data.to_vec()));
-        inside.count_call();
+        let file = &mut simulation.files[self.index];
+        let target = file.now.get_mut(offset..offset + data.len()).ok_or(io::ErrorKind::UnexpectedEof)?;
+        target.copy_from_slice(data);
+        file.unsynced.push(Unsynced::Write(offset, data.to_vec()));
+        simulation.count_call();
         Ok(())
     }
 }
 
-/// Writes `count` times, and tells what must be there after each of them, and before the first.
+/// Writes `count` times; returns the expected content before the first write and after each of
+/// them.
 async fn write_all(
     store: &DurableStore,
     machine: &Machine,
@@ -182,7 +185,7 @@ async fn write_all(
     let mut next = 0;
     let mut first = 0;
     for _ in 0..count {
-        let wrote = match rng.random_range(0..20) {
+        let result = match rng.random_range(0..20) {
             0..2 => {
                 let vote = bytes(rng, 40);
                 now.vote = Some(vote.clone());
@@ -207,54 +210,54 @@ async fn write_all(
                 store.purge(through, last).await
             }
             _ => {
-                let some: Vec<_> = (0..rng.random_range(1..5)).map(|more| (next + more, bytes(rng, 2000))).collect();
-                next += some.len() as u64;
-                now.entries.extend(some.iter().cloned());
-                store.append(some).await
+                let entries: Vec<_> = (0..rng.random_range(1..5)).map(|more| (next + more, bytes(rng, 2000))).collect();
+                next += entries.len() as u64;
+                now.entries.extend(entries.iter().cloned());
+                store.append(entries).await
             }
         };
-        wrote.expect("a write");
+        result.expect("a write");
         all.push(now.clone());
-        machine.inside().acknowledged = all.len() - 1;
+        machine.simulation().acknowledged = all.len() - 1;
     }
     all
 }
 
 #[test]
-fn whatever_moment_the_power_fails_at_all_that_was_acknowledged_is_there() {
+fn acknowledged_writes_survive_a_power_cut_at_any_moment() {
     for seed in 0..6 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let machine = Machine::default();
         let store = machine.open().expect("a store");
         {
-            let mut inside = machine.inside();
-            let begun = inside.calls;
-            inside.cuts = (0..60).map(|_| begun + rng.random_range(1..1500)).collect();
-            inside.cuts.sort_unstable_by(|one, other| other.cmp(one));
-            inside.cuts.dedup();
-            inside.rng = Some(ChaCha8Rng::seed_from_u64(seed + 1000));
+            let mut simulation = machine.simulation();
+            let calls_before = simulation.calls;
+            simulation.image_calls = (0..60).map(|_| calls_before + rng.random_range(1..1500)).collect();
+            simulation.image_calls.sort_unstable_by(|a, b| b.cmp(a));
+            simulation.image_calls.dedup();
+            simulation.rng = Some(ChaCha8Rng::seed_from_u64(seed + 1000));
         }
         let all = super::block_on(write_all(&store, &machine, &mut rng, 120));
         drop(store);
-        let images = std::mem::take(&mut machine.inside().images);
+        let images = std::mem::take(&mut machine.simulation().images);
         assert!(images.len() > 60, "{} images, seed {seed}", images.len());
         for (number, Image { files, acknowledged, kind }) in images.into_iter().enumerate() {
-            let what = format!("{kind} {number} after {acknowledged} writes, seed {seed}");
-            let store = Machine::holding(files).open().unwrap_or_else(|problem| panic!("{what}: {problem}"));
-            let found = store.persistent_state().expect("a journal");
-            // The write under way may have been finished or not.
+            let case = format!("{kind} {number} after {acknowledged} writes, seed {seed}");
+            let store = Machine::with_files(files).open().unwrap_or_else(|problem| panic!("{case}: {problem}"));
+            let found = store.persistent_state().expect("a log store");
+            // The write in progress may be complete or not.
             let possible = &all[acknowledged..all.len().min(acknowledged + 2)];
-            assert!(possible.contains(&found), "{what}: something else is there");
+            assert!(possible.contains(&found), "{case}: unexpected content");
         }
     }
 }
 
 #[test]
-fn a_store_whose_disk_is_full_says_so_writes_nothing_more_and_has_lost_nothing() {
+fn a_store_on_a_full_disk_fails_and_loses_nothing() {
     let machine = Machine::default();
     let store = machine.open().expect("a store");
-    let begun = machine.inside().files[0].now.len();
-    machine.inside().room = Some(begun + 200_000);
+    let calls_before = machine.simulation().files[0].now.len();
+    machine.simulation().size_max = Some(calls_before + 200_000);
     let mut acknowledged = 0;
     let problem = super::block_on(async {
         loop {
@@ -267,12 +270,13 @@ fn a_store_whose_disk_is_full_says_so_writes_nothing_more_and_has_lost_nothing()
     assert!(acknowledged > 5, "{acknowledged}");
     assert_eq!(problem.kind(), io::ErrorKind::StorageFull);
     assert_eq!(problem.to_string(), "ledger.redb cannot be written: No space left on device (os error 28)");
-    // Even if there is room again: what is on disk is known again only after the next start.
-    machine.inside().room = None;
+    // This holds even after space becomes available: the content of the disk is only known again
+    // after the next start.
+    machine.simulation().size_max = None;
     let problem = super::block_on(store.save_vote(vec![1])).expect_err("a store that has failed");
     assert!(problem.to_string().contains("an earlier write has failed: No space left on device"), "{problem}");
     drop(store);
-    let found = machine.open().expect("the same store").persistent_state().expect("a journal");
+    let found = machine.open().expect("the same store").persistent_state().expect("a log store");
     assert!(found.entries.len() as u64 >= acknowledged, "{} of {acknowledged}", found.entries.len());
     assert_eq!(found.vote, None);
 }

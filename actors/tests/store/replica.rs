@@ -1,7 +1,8 @@
-//! A replica on a store on disk: it comes back as the same member, with its vote and all that it held.
+//! A replica on a durable store: after a restart it is the same member, with its vote and all its
+//! entries.
 
-use super::hindered::{HookedLogStore, Write, WriteHook};
-use super::{Folder, owner};
+use super::hooked_log_store::{HookedLogStore, Write, WriteHook};
+use super::{TempDir, owner};
 use async_trait::async_trait;
 use consort_actors::bus::virtual_bus::{LinkModel, VirtualNetwork};
 use consort_actors::raft::{
@@ -22,7 +23,7 @@ use tokio::time::Instant;
 
 pub(super) const NAMES: [&str; 3] = ["ada", "bob", "cyd"];
 
-/// A list of numbers.
+/// List of numbers.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct NumberList(pub(super) Vec<u64>);
 
@@ -57,10 +58,10 @@ impl Fleet {
         Fleet { network: VirtualNetwork::new(seed, LinkModel::LAN), replicas: BTreeMap::new(), starts: seed * 100 }
     }
 
-    pub(super) async fn start(&mut self, name: &'static str, journal: Arc<dyn LogStore>) -> RaftId {
+    pub(super) async fn start(&mut self, name: &'static str, log_store: Arc<dyn LogStore>) -> RaftId {
         self.starts += 1;
         let bus = Arc::new(self.network.bus(NodeId::new(name).expect("a slug")));
-        let replica = Replica::start(settings(name), bus, journal, self.starts).await.expect("a start");
+        let replica = Replica::start(settings(name), bus, log_store, self.starts).await.expect("a start");
         let id = replica.id();
         self.replicas.insert(name, replica);
         id
@@ -68,10 +69,10 @@ impl Fleet {
 
     pub(super) async fn bootstrap(&self) {
         let members = self.replicas.iter().map(|(name, replica)| (replica.id(), NodeId::new(*name).expect("a slug")));
-        self.replicas["ada"].bootstrap(members.collect()).await.expect("a first founding");
+        self.replicas["ada"].bootstrap(members.collect()).await.expect("the first bootstrap");
     }
 
-    /// Ends all nodes at once.
+    /// Stops all nodes.
     pub(super) async fn stop(&mut self) {
         for (name, replica) in std::mem::take(&mut self.replicas) {
             self.network.crash(&NodeId::new(name).expect("a slug"));
@@ -79,23 +80,23 @@ impl Fleet {
         }
     }
 
-    pub(super) async fn until<T>(&self, what: &str, mut done: impl FnMut(&Fleet) -> Option<T>) -> T {
-        let began = Instant::now();
+    pub(super) async fn until<T>(&self, condition: &str, mut is_met: impl FnMut(&Fleet) -> Option<T>) -> T {
+        let started_at = Instant::now();
         loop {
-            if let Some(found) = done(self) {
-                return found;
+            if let Some(value) = is_met(self) {
+                return value;
             }
-            assert!(began.elapsed() < Duration::from_secs(30), "waited in vain until {what}");
+            assert!(started_at.elapsed() < Duration::from_secs(30), "timed out waiting until {condition}");
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     }
 
     pub(super) async fn leader(&self) -> &'static str {
-        let leads = |fleet: &Fleet| {
+        let is_leader = |fleet: &Fleet| {
             let mut all = fleet.replicas.iter();
             all.find(|(_, replica)| replica.leadership().borrow().is_leader).map(|(name, _)| *name)
         };
-        self.until("somebody leads", leads).await
+        self.until("there is a leader", is_leader).await
     }
 
     pub(super) async fn write(&self, numbers: impl IntoIterator<Item = u64>) {
@@ -112,30 +113,30 @@ impl Fleet {
 
     pub(super) async fn until_all_hold(&self, count: usize) {
         let hold = |fleet: &Fleet| {
-            fleet.replicas.values().all(|replica| replica.read(|tally| tally.0.len() == count)).then_some(())
+            fleet.replicas.values().all(|replica| replica.read(|list| list.0.len() == count)).then_some(())
         };
-        self.until("all hold everything", hold).await;
+        self.until("all replicas have applied everything", hold).await;
     }
 }
 
-/// Virtual time stands still while a disk is written to.
-pub(super) fn on_virtual_time<T>(story: impl Future<Output = T>) -> T {
+/// Runs a test on virtual time. Virtual time stands still during disk writes.
+pub(super) fn on_virtual_time<T>(test: impl Future<Output = T>) -> T {
     let mut builder = tokio::runtime::Builder::new_current_thread();
-    builder.enable_time().start_paused(true).build().expect("a runtime").block_on(story)
+    builder.enable_time().start_paused(true).build().expect("a runtime").block_on(test)
 }
 
-/// Waits until nothing of the last life keeps a directory any more.
+/// Waits until the previous process lifetime has released the data directory.
 pub(super) async fn until_free(folder: &Path, name: &str) {
-    let began = std::time::Instant::now();
+    let started_at = std::time::Instant::now();
     while let Err(problem) = DurableStore::open_existing(&folder.join(name)) {
-        assert!(began.elapsed() < Duration::from_secs(30), "{problem}");
+        assert!(started_at.elapsed() < Duration::from_secs(30), "{problem}");
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
 }
 
 #[test]
-fn a_fleet_that_was_switched_off_comes_back_as_the_same_members_with_all_that_it_held() {
-    let folder = Folder::new();
+fn a_restarted_fleet_has_the_same_members_and_entries() {
+    let folder = TempDir::new();
     on_virtual_time(async {
         let mut fleet = Fleet::new(1);
         let mut ids = BTreeMap::new();
@@ -149,16 +150,17 @@ fn a_fleet_that_was_switched_off_comes_back_as_the_same_members_with_all_that_it
             let count = usize::try_from(round * 150).expect("a small number");
             fleet.until_all_hold(count).await;
             let term = |fleet: &Fleet| fleet.replicas["ada"].leadership().borrow().term;
-            assert!(term(&fleet) >= terms, "a vote was forgotten");
+            assert!(term(&fleet) >= terms, "a vote was lost");
             terms = term(&fleet);
             fleet.stop().await;
             for name in NAMES {
                 until_free(&folder, name).await;
                 assert_eq!(fleet.start(name, on_disk(&folder, name)).await, ids[name]);
-                // Its vote is what it starts from: it knows the term before it has heard anybody.
+                // It starts from its stored vote: its term is restored before it has contact with
+                // another node.
                 let mut leadership = fleet.replicas[name].leadership();
                 let first = leadership.wait_for(|now| now.term > 0).await.expect("a replica").term;
-                assert!(first >= terms, "{name} knows of term {first} only, and it voted in {terms}");
+                assert!(first >= terms, "{name} is in term {first}, but voted in term {terms}");
             }
             fleet.until_all_hold(count).await;
             assert_eq!(fleet.replicas["cyd"].read(NumberList::clone).0, (0..round * 150).collect::<Vec<_>>());
@@ -167,8 +169,8 @@ fn a_fleet_that_was_switched_off_comes_back_as_the_same_members_with_all_that_it
 }
 
 #[test]
-fn the_disk_a_store_takes_stays_bounded_however_much_is_written() {
-    let folder = Folder::new();
+fn the_disk_usage_of_a_store_stays_bounded() {
+    let folder = TempDir::new();
     on_virtual_time(async {
         let mut fleet = Fleet::new(2);
         fleet.start("ada", on_disk(&folder, "ada")).await;
@@ -176,14 +178,14 @@ fn the_disk_a_store_takes_stays_bounded_however_much_is_written() {
         let size = || std::fs::metadata(folder.join("ada").join(LEDGER_FILE)).expect("a file").len();
         fleet.write(0..150).await;
         let early = size();
-        // Twenty snapshots more; the state itself grows by some kilobytes.
+        // Twenty more snapshots; the state itself grows by some kilobytes.
         fleet.write(150..1150).await;
         let late = size();
         assert!(late <= early.max(2 << 20), "{early} bytes became {late}");
         fleet.stop().await;
         until_free(&folder, "ada").await;
         let reopened = on_disk(&folder, "ada");
-        let PersistentState { entries, snapshot, purged, .. } = reopened.load().await.expect("a journal");
+        let PersistentState { entries, snapshot, purged, .. } = reopened.load().await.expect("a log store");
         assert!(entries.len() <= 2 * 50 + 20, "{} entries are kept", entries.len());
         assert!(snapshot.is_some() && purged.is_some());
         fleet.start("ada", reopened).await;
@@ -191,54 +193,54 @@ fn the_disk_a_store_takes_stays_bounded_however_much_is_written() {
     });
 }
 
-/// A disk that is full from some moment on.
+/// Hook that simulates a full disk once it is switched on.
 #[derive(Default)]
-struct Filling(AtomicBool);
+struct FullDisk(AtomicBool);
 
 #[async_trait]
-impl WriteHook for Filling {
+impl WriteHook for FullDisk {
     async fn before(&self, _: Write) -> io::Result<()> {
         if self.0.load(Ordering::SeqCst) { Err(io::ErrorKind::StorageFull.into()) } else { Ok(()) }
     }
 }
 
 #[test]
-fn a_leader_whose_disk_is_full_gives_up_for_good_and_says_so_and_another_takes_over() {
+fn a_leader_with_a_full_disk_stops_and_is_replaced() {
     on_virtual_time(async {
         let mut fleet = Fleet::new(3);
         let mut disks = BTreeMap::new();
         for (seed, name) in (70..).zip(NAMES) {
-            let disk = Arc::new(HookedLogStore { inner: MemoryLogStore::new(seed), hook: Filling::default() });
+            let disk = Arc::new(HookedLogStore { inner: MemoryLogStore::new(seed), hook: FullDisk::default() });
             fleet.start(name, Arc::clone(&disk) as _).await;
             disks.insert(name, disk);
         }
         fleet.bootstrap().await;
         fleet.write(0..10).await;
-        let old = fleet.leader().await;
-        disks[old].hook.0.store(true, Ordering::SeqCst);
-        let answer = fleet.replicas[old].propose(10, Duration::from_secs(2)).await;
-        assert!(answer.is_err(), "{answer:?}");
-        let failed = fleet.replicas[old].wait_failed();
+        let failed_leader = fleet.leader().await;
+        disks[failed_leader].hook.0.store(true, Ordering::SeqCst);
+        let result = fleet.replicas[failed_leader].propose(10, Duration::from_secs(2)).await;
+        assert!(result.is_err(), "{result:?}");
+        let failed = fleet.replicas[failed_leader].wait_failed();
         let problem = tokio::time::timeout(Duration::from_secs(5), failed).await.expect("an end");
         assert!(problem.contains("no storage space"), "{problem}");
-        assert!(!fleet.replicas[old].leadership().borrow().is_leader);
-        fleet.network.crash(&NodeId::new(old).expect("a slug"));
-        fleet.replicas.remove(old);
+        assert!(!fleet.replicas[failed_leader].leadership().borrow().is_leader);
+        fleet.network.crash(&NodeId::new(failed_leader).expect("a slug"));
+        fleet.replicas.remove(failed_leader);
         fleet.write(11..20).await;
         fleet
-            .until("all hold everything", |fleet| {
-                let whole = |tally: &NumberList| {
-                    tally.0.iter().filter(|number| **number != 10).copied().eq((0..10).chain(11..20))
+            .until("all replicas have applied everything", |fleet| {
+                let stored = |list: &NumberList| {
+                    list.0.iter().filter(|number| **number != 10).copied().eq((0..10).chain(11..20))
                 };
-                fleet.replicas.values().all(|replica| replica.read(whole)).then_some(())
+                fleet.replicas.values().all(|replica| replica.read(stored)).then_some(())
             })
             .await;
     });
 }
 
 #[test]
-fn a_log_with_a_gap_or_without_its_beginning_is_refused() {
-    let folder = Folder::new();
+fn a_log_with_a_gap_or_without_its_beginning_is_rejected() {
+    let folder = TempDir::new();
     on_virtual_time(async {
         let mut fleet = Fleet::new(4);
         fleet.start("ada", on_disk(&folder, "ada")).await;
@@ -246,17 +248,17 @@ fn a_log_with_a_gap_or_without_its_beginning_is_refused() {
         fleet.write(0..40).await;
         fleet.stop().await;
         until_free(&folder, "ada").await;
-        let whole = on_disk(&folder, "ada").load().await.expect("a journal");
+        let stored = on_disk(&folder, "ada").load().await.expect("a log store");
         let with = |change: fn(&mut PersistentState)| {
-            let mut changed = whole.clone();
+            let mut changed = stored.clone();
             change(&mut changed);
             changed
         };
-        for (what, recorded) in [
-            ("has entry 1.12 at place 12, right after 1.10", with(|log| drop(log.entries.remove(&11)))),
-            ("has entry 1.1 at place 1, right after nothing", with(|log| drop(log.entries.remove(&0)))),
+        for (condition, recorded) in [
+            ("has entry 1.12 at index 12, directly after 1.10", with(|log| drop(log.entries.remove(&11)))),
+            ("has entry 1.1 at index 1, directly after nothing", with(|log| drop(log.entries.remove(&0)))),
             (
-                "has entry 1.30 at place 20, right after 1.19",
+                "has entry 1.30 at index 20, directly after 1.19",
                 with(|log| drop(log.entries.insert(20, log.entries[&30].clone()))),
             ),
         ] {
@@ -264,20 +266,20 @@ fn a_log_with_a_gap_or_without_its_beginning_is_refused() {
             let store = DurableStore::open_existing(&folder.join("ada")).expect("a store");
             store.replace(recorded).expect("a write");
             let bus = Arc::new(fleet.network.bus(NodeId::new("ada").expect("a slug")));
-            let refused = Replica::<NumberList>::start(settings("ada"), bus, Arc::new(store), 1).await;
-            let Err(StartError::LogStore { location: place, problem }) = refused else {
-                panic!("{what}: it was taken up")
+            let started = Replica::<NumberList>::start(settings("ada"), bus, Arc::new(store), 1).await;
+            let Err(StartError::LogStore { location: place, problem }) = started else {
+                panic!("{condition}: it was loaded")
             };
             assert!(place.ends_with(LEDGER_FILE), "{place}");
             assert_eq!(problem.kind(), io::ErrorKind::InvalidData);
-            assert!(problem.to_string().contains(what), "{problem}");
+            assert!(problem.to_string().contains(condition), "{problem}");
         }
     });
 }
 
 #[test]
-fn the_last_of_three_is_made_the_only_voter_with_all_that_it_held_and_others_join_it_anew() {
-    let folder = Folder::new();
+fn the_last_of_three_voters_is_recovered_as_the_only_voter() {
+    let folder = TempDir::new();
     on_virtual_time(async {
         let mut fleet = Fleet::new(5);
         for name in NAMES {
@@ -292,18 +294,19 @@ fn the_last_of_three_is_made_the_only_voter_with_all_that_it_held_and_others_joi
 
         let store = DurableStore::open_existing(&folder.join("cyd")).expect("a store");
         let before =
-            inspect_log_store::<NumberList>(store.persistent_state().expect("a journal")).expect("a whole one");
+            inspect_log_store::<NumberList>(store.persistent_state().expect("a log store")).expect("a whole one");
         assert_eq!(before.state.0, (0..70).collect::<Vec<_>>());
         assert_eq!(before.voters.into_values().collect::<BTreeSet<_>>(), NAMES.map(|n| NodeId::new(n).unwrap()).into());
         assert!(before.committed <= before.last && before.term >= term);
         let recovered = recover_as_only_voter::<NumberList>(
-            store.persistent_state().expect("a journal"),
+            store.persistent_state().expect("a log store"),
             &NodeId::new("cyd").expect("a slug"),
             store.identity(),
-            |tally| tally.0.push(1000),
+            |list| list.0.push(1000),
         );
         store.replace(recovered.expect("something to recover")).expect("a write");
-        let after = inspect_log_store::<NumberList>(store.persistent_state().expect("a journal")).expect("a whole one");
+        let after =
+            inspect_log_store::<NumberList>(store.persistent_state().expect("a log store")).expect("a whole one");
         assert_eq!((after.term, after.last, after.committed), (before.term, before.last, before.last));
         assert_eq!(after.voters.len(), 1);
         drop(store);
@@ -314,59 +317,60 @@ fn the_last_of_three_is_made_the_only_voter_with_all_that_it_held_and_others_joi
         assert_eq!(now.voters.keys().copied().collect::<Vec<_>>(), [id]);
         assert!(now.term > term, "{} after {term}", now.term);
         fleet.write([70]).await;
-        let held = || (0..70).chain([1000, 70]).collect::<Vec<_>>();
-        assert_eq!(fleet.replicas["cyd"].read(NumberList::clone).0, held());
+        let expected = || (0..70).chain([1000, 70]).collect::<Vec<_>>();
+        assert_eq!(fleet.replicas["cyd"].read(NumberList::clone).0, expected());
 
-        // The others come with empty stores.
+        // The other nodes join with empty stores.
         std::fs::remove_dir_all(folder.join("ada")).expect("a folder");
         let other = fleet.start("ada", on_disk(&folder, "ada")).await;
         let leader = &fleet.replicas["cyd"];
-        let soon = Duration::from_secs(5);
-        leader.add_learner(other, NodeId::new("ada").expect("a slug"), soon).await.expect("an observer");
+        let timeout = Duration::from_secs(5);
+        leader.add_learner(other, NodeId::new("ada").expect("a slug"), timeout).await.expect("an observer");
         fleet.until_all_hold(72).await;
-        leader.set_voters([id, other].into(), soon).await.expect("two voters");
-        assert_eq!(fleet.replicas["ada"].read(NumberList::clone).0, held());
+        leader.set_voters([id, other].into(), timeout).await.expect("two voters");
+        assert_eq!(fleet.replicas["ada"].read(NumberList::clone).0, expected());
     });
 }
 
 #[test]
-fn a_store_that_holds_nothing_is_not_made_a_ledger() {
+fn an_empty_store_cannot_be_recovered() {
     let name = NodeId::new("ada").expect("a slug");
-    let refused = recover_as_only_voter::<NumberList>(PersistentState::default(), &name, StoreIdentity(1), |_| ());
-    assert_eq!(refused.expect_err("nothing").to_string(), "it holds no entry: there is nothing to recover");
+    let started = recover_as_only_voter::<NumberList>(PersistentState::default(), &name, StoreIdentity(1), |_| ());
+    assert_eq!(started.expect_err("nothing").to_string(), "the log store is empty: there is nothing to recover");
 }
 
 #[test]
-fn a_recovered_ledger_is_a_stranger_to_voters_that_come_back_with_the_former_one() {
-    let folder = Folder::new();
+fn former_voters_do_not_join_a_recovered_ledger() {
+    let folder = TempDir::new();
     on_virtual_time(async {
         let network = VirtualNetwork::new(3, LinkModel::LAN);
         let start = async |name: &str, seed| {
             let bus = Arc::new(network.bus(NodeId::new(name).expect("a slug")));
             Replica::<Ledger>::start(settings(name), bus, on_disk(&folder, name), seed).await.expect("a start")
         };
-        let found = Command::Bootstrap { cluster: ClusterId(1) };
-        let leads = |replica: &&Replica<Ledger>| replica.leadership().borrow().is_leader;
-        let soon = Duration::from_secs(5);
-        let mut former = Vec::new();
+        let command = Command::Bootstrap { cluster: ClusterId(1) };
+        let is_leader = |replica: &&Replica<Ledger>| replica.leadership().borrow().is_leader;
+        let timeout = Duration::from_secs(5);
+        let mut former_replicas = Vec::new();
         for (seed, name) in (1..).zip(NAMES) {
-            former.push(start(name, seed).await);
+            former_replicas.push(start(name, seed).await);
         }
-        let members = former.iter().zip(NAMES).map(|(replica, name)| (replica.id(), NodeId::new(name).unwrap()));
-        former[0].bootstrap(members.collect()).await.expect("a first founding");
-        let began = Instant::now();
+        let members =
+            former_replicas.iter().zip(NAMES).map(|(replica, name)| (replica.id(), NodeId::new(name).unwrap()));
+        former_replicas[0].bootstrap(members.collect()).await.expect("the first bootstrap");
+        let started_at = Instant::now();
         let leader = loop {
-            match former.iter().find(leads) {
+            match former_replicas.iter().find(is_leader) {
                 Some(leader) => break leader,
                 None => tokio::time::sleep(Duration::from_millis(1)).await,
             }
-            assert!(began.elapsed() < Duration::from_secs(30), "nobody leads the first cluster");
+            assert!(started_at.elapsed() < Duration::from_secs(30), "the first cluster has no leader");
         };
-        leader.propose(found, soon).await.expect("a commit");
-        for replica in &former {
+        leader.propose(command, timeout).await.expect("a commit");
+        for replica in &former_replicas {
             replica.cluster().wait_for(|cluster| *cluster == Some(ClusterId(1))).await.expect("a replica");
         }
-        for (replica, name) in former.drain(..).zip(NAMES) {
+        for (replica, name) in former_replicas.drain(..).zip(NAMES) {
             network.crash(&NodeId::new(name).expect("a slug"));
             replica.shutdown().await;
         }
@@ -378,17 +382,18 @@ fn a_recovered_ledger_is_a_stranger_to_voters_that_come_back_with_the_former_one
         drop(store);
         let cyd = start("cyd", 4).await;
         cyd.leadership().wait_for(|now| now.is_leader).await.expect("a replica");
-        let reign = cyd.leadership().borrow().leader_id;
+        let leadership = cyd.leadership().borrow().leader_id;
 
-        // Against all advice the others come back, and they are a majority of their own.
+        // The other nodes come back, against all advice, and they have a majority of the former
+        // voters.
         let others = [start("ada", 5).await, start("bob", 6).await];
-        let began = Instant::now();
-        while !others.iter().any(|other| leads(&other)) || cyd.rejected_requests() < 10 {
-            assert!(began.elapsed() < Duration::from_secs(30), "{} messages refused", cyd.rejected_requests());
+        let started_at = Instant::now();
+        while !others.iter().any(|other| is_leader(&other)) || cyd.rejected_requests() < 10 {
+            assert!(started_at.elapsed() < Duration::from_secs(30), "{} messages refused", cyd.rejected_requests());
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         let now = cyd.leadership().borrow().clone();
-        assert!(now.is_leader && now.leader_id == reign, "{now:?} after {reign:?}");
+        assert!(now.is_leader && now.leader_id == leadership, "{now:?} after {leadership:?}");
         assert_eq!(now.voters.len(), 1);
         assert_eq!(*cyd.cluster().borrow(), Some(ClusterId(2)));
         assert_eq!(*others[0].cluster().borrow(), Some(ClusterId(1)));

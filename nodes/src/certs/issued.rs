@@ -1,4 +1,4 @@
-//! What has been issued, read back from the certificates themselves.
+//! Reads issued certificates and revocation lists back from their files.
 
 use super::{file_error, unix_time};
 use crate::config::Diagnostic;
@@ -14,42 +14,42 @@ use x509_parser::pem::{Pem, parse_x509_pem};
 use x509_parser::prelude::{FromDer, X509Certificate};
 use x509_parser::revocation_list::CertificateRevocationList;
 
-/// Somebody who has a certificate.
+/// An issued certificate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CertificateEntry {
-    /// The name, which is the folder's.
+    /// The name, equal to the name of its folder.
     pub name: String,
-    /// Whose it is.
+    /// Identity of the principal.
     pub identity: Identity,
-    /// Names and addresses under which a node is reached.
+    /// Names and addresses of the node.
     pub addresses: Vec<String>,
     /// The serial number.
     pub serial: Vec<u8>,
-    /// Until when it is valid, in time since 1970.
+    /// Expiry, in time since 1970.
     pub expires: Duration,
-    /// Whether it is good.
+    /// Validity.
     pub state: CertificateState,
 }
 
-/// Whether a certificate is good.
+/// Validity of a certificate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CertificateState {
-    /// It is, for so many days more.
+    /// Valid for some more days.
     Valid {
-        /// How many.
+        /// Number of days.
         days: u64,
     },
-    /// It was.
+    /// Expired.
     Expired,
-    /// It has been revoked.
+    /// Revoked.
     Revoked,
 }
 
 impl CertificateEntry {
-    /// Reads a certificate, with what is revoked.
+    /// Reads a certificate. `revoked` is the current revocation list.
     ///
     /// # Errors
-    /// [`Problem`] if it is none, or does not say whose it is.
+    /// [`Diagnostic`] if the file is not a certificate, or has no identity.
     pub fn read(file: &Path, revoked: &[RevokedCertificate]) -> Result<CertificateEntry, Diagnostic> {
         let pem = pem(file)?;
         let certificate = pem.parse_x509().map_err(|problem| file_error(file, problem))?;
@@ -76,7 +76,7 @@ impl CertificateEntry {
     }
 }
 
-/// Whose a certificate is, and where it is reached.
+/// Returns the identity in a certificate, and the addresses of its node.
 fn names(certificate: &X509Certificate<'_>) -> Result<(Identity, Vec<String>), String> {
     let names = certificate.subject_alternative_name().map_err(|problem| problem.to_string())?;
     let names = names.map(|names| names.value.general_names.as_slice()).unwrap_or_default();
@@ -89,20 +89,20 @@ fn names(certificate: &X509Certificate<'_>) -> Result<(Identity, Vec<String>), S
             _ => {}
         }
     }
-    let identity = identity.ok_or("it does not say whose it is: there is no name of the form consort://… in it")?;
+    let identity = identity.ok_or("it has no identity: there is no name of the form consort://… in it")?;
     Ok((identity, addresses))
 }
 
-/// An address as its 4 or 16 bytes.
+/// Formats an address from its 4 or 16 bytes.
 fn address(bytes: &[u8]) -> Option<String> {
     let short = <[u8; 4]>::try_from(bytes).map(|bytes| IpAddr::from(bytes).to_string());
     short.or_else(|_| <[u8; 16]>::try_from(bytes).map(|bytes| IpAddr::from(bytes).to_string())).ok()
 }
 
-/// The fleet that an authority is for, by its certificate.
+/// Returns the fleet of an authority, from the authority's certificate.
 ///
 /// # Errors
-/// [`Problem`] if it is not the certificate of a fleet's authority.
+/// [`Diagnostic`] if it is not the certificate of a fleet's authority.
 pub fn read_fleet_of_authority(file: &Path) -> Result<FleetId, Diagnostic> {
     let pem = pem(file)?;
     let certificate = pem.parse_x509().map_err(|problem| file_error(file, problem))?;
@@ -113,7 +113,7 @@ pub fn read_fleet_of_authority(file: &Path) -> Result<FleetId, Diagnostic> {
     fleet.parse().map_err(|problem| file_error(file, problem))
 }
 
-/// What a list has revoked.
+/// Reads a revocation list.
 pub(super) fn read_revocation_list(file: &Path) -> Result<Vec<RevokedCertificate>, Diagnostic> {
     let pem = pem(file)?;
     let (_, list) = CertificateRevocationList::from_der(&pem.contents).map_err(|problem| file_error(file, problem))?;

@@ -1,4 +1,5 @@
-//! A fleet's certificates, in a folder: the authority, and one folder for each bearer, ready to be carried to its machine.
+//! A fleet's certificates in a folder: the authority, and a folder for each principal, ready to be
+//! copied to its machine.
 //!
 //! ```text
 //!  certs/
@@ -25,39 +26,40 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 const AUTHORITY: &str = "authority";
 const DAY: Duration = Duration::from_secs(86_400);
 
-/// How much earlier than now certificates are valid from: for nodes whose clocks are slow.
+/// Certificates are valid from this long before now: for nodes with slow clocks.
 const SLOW_CLOCKS: Duration = Duration::from_secs(600);
 
-/// A list of what is revoked says when the next is due; nodes do not hold it to that.
+/// Time until the next revocation list is due, as written in the list. Nodes do not enforce it.
 const LIST_DUE: Duration = Duration::from_secs(3650 * 86_400);
 
 /// The folder of a fleet's certificates.
 pub struct CertificateStore {
     folder: PathBuf,
     ca: String,
-    authorising: CertificateAuthority,
+    authority_key: CertificateAuthority,
 }
 
 fn file_error(path: &Path, problem: impl std::fmt::Display) -> Diagnostic {
     Diagnostic::for_file(path.display(), problem)
 }
 
-/// The time since 1970, by this machine's clock.
+/// Returns the time since 1970 by this machine's clock.
 pub fn unix_time() -> Duration {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
 }
 
 impl CertificateStore {
-    /// Founds the authority of a fleet in a folder that has none, valid for so many days.
+    /// Creates the authority of a fleet in a folder that has none, valid for `days`.
     ///
     /// # Errors
-    /// [`Problem`] if there is one already, which is left as it is, or if it cannot be written.
+    /// [`Diagnostic`] if there is an authority already, which stays unchanged, or if the files
+    /// cannot be written.
     pub fn create_authority(folder: &Path, fleet: &FleetId, days: u32) -> Result<(), Diagnostic> {
         let authority = folder.join(AUTHORITY);
         if authority.join("ca.pem").exists() {
             return Err(file_error(
                 &authority,
-                "there is an authority already; whoever holds its certificates trusts no other",
+                "there is an authority already; the holders of its certificates trust no other",
             ));
         }
         let issued = create_authority(fleet, validity(days)).map_err(|problem| file_error(&authority, problem))?;
@@ -68,27 +70,28 @@ impl CertificateStore {
         certs.write_list(&[])
     }
 
-    /// The certificates of a folder with an authority.
+    /// Opens the certificates of a folder with an authority.
     ///
     /// # Errors
-    /// [`Problem`] of the folder.
+    /// [`Diagnostic`] of the folder.
     pub fn open(folder: &Path) -> Result<CertificateStore, Diagnostic> {
         let authority = folder.join(AUTHORITY);
         if !authority.join("ca.pem").exists() {
-            let what = "there is no authority here; `consort cert init --fleet NAME` founds one";
+            let what = "there is no authority here; `consort cert init --fleet NAME` creates it";
             return Err(file_error(folder, what));
         }
         let (ca, key) = (read(&authority.join("ca.pem"))?, read(&authority.join("ca.key"))?);
-        let authorising = CertificateAuthority::from_pem(&ca, &key)
+        let authority_key = CertificateAuthority::from_pem(&ca, &key)
             .map_err(|problem| file_error(&authority.join("ca.key"), problem))?;
-        Ok(CertificateStore { folder: folder.to_owned(), ca, authorising })
+        Ok(CertificateStore { folder: folder.to_owned(), ca, authority_key })
     }
 
-    /// Gives a bearer a certificate, in a folder of its name, which is returned. Refuses where there is one already, unless it is
-    /// to be `renewed`: then it has a new key, too, and the former certificate remains valid until it expires or is revoked.
+    /// Issues a certificate to a principal, in a folder of its name, which is returned. It is
+    /// refused if the folder exists, unless `renewed` is set: then a new certificate and key are
+    /// made, and the former certificate remains valid until it expires or is revoked.
     ///
     /// # Errors
-    /// [`Problem`]; a folder that is there is left as it is.
+    /// [`Diagnostic`]; an existing folder stays unchanged.
     pub fn issue(&self, to: &Identity, addresses: &[String], days: u32, renewed: bool) -> Result<PathBuf, Diagnostic> {
         let name = match &to.principal {
             Principal::Node { name, .. } => name.as_str(),
@@ -96,16 +99,13 @@ impl CertificateStore {
         };
         let folder = self.folder.join(name);
         if name == AUTHORITY {
-            return Err(file_error(&folder, "that is where the authority is: nobody else can be called so"));
+            return Err(file_error(&folder, "this name is reserved for the authority: choose another name"));
         }
         if folder.exists() && !renewed {
-            return Err(file_error(
-                &folder,
-                "it is there already; `consort cert renew` makes a new certificate and key",
-            ));
+            return Err(file_error(&folder, "it exists already; `consort cert renew` makes a new certificate and key"));
         }
         let issued =
-            self.authorising.issue(to, addresses, validity(days)).map_err(|problem| file_error(&folder, problem))?;
+            self.authority_key.issue(to, addresses, validity(days)).map_err(|problem| file_error(&folder, problem))?;
         let IssuedCertificate { certificate, key } = issued;
         create(&folder)?;
         let files = trust_files(&folder);
@@ -116,10 +116,10 @@ impl CertificateStore {
         Ok(folder)
     }
 
-    /// All bearers, by the folders that are there.
+    /// Returns the certificates of all principals, by the folders that exist.
     ///
     /// # Errors
-    /// [`Problem`] of a folder, or of a certificate in it.
+    /// [`Diagnostic`] of a folder, or of a certificate in it.
     pub fn certificates(&self) -> Result<Vec<CertificateEntry>, Diagnostic> {
         let revoked = self.revoked()?;
         let entries = fs::read_dir(&self.folder).map_err(|problem| file_error(&self.folder, problem))?;
@@ -130,45 +130,46 @@ impl CertificateStore {
         folders.iter().map(read).collect()
     }
 
-    /// The bearer of a name.
+    /// Returns the certificate of a principal.
     ///
     /// # Errors
-    /// [`Problem`] if there is none.
+    /// [`Diagnostic`] if there is none.
     pub fn certificate(&self, name: &str) -> Result<CertificateEntry, Diagnostic> {
         let file = self.folder.join(name).join("cert.pem");
         if !file.exists() {
-            let names: Vec<String> = self.certificates()?.into_iter().map(|holder| holder.name).collect();
-            let known = if names.is_empty() { "nobody yet".to_owned() } else { names.join(", ") };
-            return Err(file_error(&self.folder, format!("nobody here is called {name:?}; there are: {known}")));
+            let names: Vec<String> = self.certificates()?.into_iter().map(|entry| entry.name).collect();
+            let known = if names.is_empty() { "no certificates yet".to_owned() } else { names.join(", ") };
+            return Err(file_error(&self.folder, format!("there is no certificate of {name:?}; there are: {known}")));
         }
         CertificateEntry::read(&file, &self.revoked()?)
     }
 
-    /// Revokes the certificate of a bearer, and puts the new list into all bearers' folders, which are returned.
+    /// Revokes a principal's certificate, and writes the new list into all folders. Returns the
+    /// written files.
     ///
     /// # Errors
-    /// [`Problem`] if there is no such bearer, or a file cannot be written.
+    /// [`Diagnostic`] if there is no such principal, or a file cannot be written.
     pub fn revoke(&self, name: &str) -> Result<Vec<PathBuf>, Diagnostic> {
-        let holder = self.certificate(name)?;
+        let entry = self.certificate(name)?;
         let mut revoked = self.revoked()?;
-        if !revoked.iter().any(|known| known.serial == holder.serial) {
-            revoked.push(RevokedCertificate { serial: holder.serial, since: unix_time() });
+        if !revoked.iter().any(|known| known.serial == entry.serial) {
+            revoked.push(RevokedCertificate { serial: entry.serial, since: unix_time() });
         }
         self.write_list(&revoked)?;
         let list = read(&self.list())?;
         let mut written = Vec::new();
-        for holder in self.certificates()? {
-            let file = self.folder.join(&holder.name).join("revoked.pem");
+        for entry in self.certificates()? {
+            let file = self.folder.join(&entry.name).join("revoked.pem");
             write(&file, &list)?;
             written.push(file);
         }
         Ok(written)
     }
 
-    /// The fleet that the authority is for.
+    /// Returns the fleet of the authority.
     ///
     /// # Errors
-    /// [`Problem`] if its certificate does not say.
+    /// [`Diagnostic`] if the fleet is not in its certificate.
     pub fn fleet(&self) -> Result<FleetId, Diagnostic> {
         read_fleet_of_authority(&self.folder.join(AUTHORITY).join("ca.pem"))
     }
@@ -181,13 +182,13 @@ impl CertificateStore {
         read_revocation_list(&self.list())
     }
 
-    /// Writes the list of what is revoked; its number is one more than the last one's.
+    /// Writes the revocation list. Its number is the last number plus 1.
     fn write_list(&self, revoked: &[RevokedCertificate]) -> Result<(), Diagnostic> {
         let counter = self.folder.join(AUTHORITY).join("number");
         let last = fs::read_to_string(&counter).ok().and_then(|text| text.trim().parse::<u64>().ok()).unwrap_or(0);
         let validity = Validity { from: unix_time(), until: unix_time() + LIST_DUE };
         let list = self
-            .authorising
+            .authority_key
             .revocation_list(revoked, last + 1, validity)
             .map_err(|problem| file_error(&self.list(), problem))?;
         write(&self.list(), &list)?;
@@ -207,12 +208,12 @@ fn read(file: &Path) -> Result<String, Diagnostic> {
     fs::read_to_string(file).map_err(|problem| file_error(file, problem))
 }
 
-/// Writes a file as a whole or not at all: a node may be reading it.
+/// Writes a file atomically: a node may be reading it.
 fn write(file: &Path, text: &str) -> Result<(), Diagnostic> {
     write_atomically(file, text, 0o644)
 }
 
-/// The same of a file that only its owner may read.
+/// Writes a file that only its owner may read, atomically.
 fn write_secret(file: &Path, text: &str) -> Result<(), Diagnostic> {
     write_atomically(file, text, 0o600)
 }

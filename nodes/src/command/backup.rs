@@ -1,4 +1,4 @@
-//! `consort backup`: a copy of the ledger of a fleet that works.
+//! `consort backup`: copies the ledger of a running fleet.
 
 use crate::client::ClientFlags;
 use crate::exit::Failure;
@@ -12,9 +12,10 @@ use std::path::PathBuf;
 
 /// Copy the ledger of a running fleet to a file
 ///
-/// The coordinator gives the copy, once a majority of the voters has said that it still is one: every mission that was acknowledged
-/// before is in it. The fleet works on meanwhile. `consort restore` founds a fleet on it, when all data directories are lost; as long
-/// as one of a voter is left, `consort recover` loses less.
+/// The coordinator sends the copy after a majority of the voters has confirmed its leadership. The
+/// copy contains every mission that was acknowledged before. The fleet keeps working meanwhile.
+/// `consort restore` starts a fleet from the copy when all data directories are lost. While the
+/// data directory of any voter is left, `consort recover` loses less.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -24,15 +25,15 @@ Examples:
   # the same with any Zenoh client, or curl and a router with the REST plug-in
   curl -s http://127.0.0.1:8000/consort/ward/api/backup
 
-What is in it can be read: fleet, when, by whom, how many missions; the ledger itself is packed by gzip and written in base64.")]
+The file shows fleet, time, node and number of missions as plain text. The ledger itself is compressed by gzip and encoded in base64.")]
 pub struct Args {
-    /// The file; one that is there already is not replaced without --force
+    /// The file; an existing file is not replaced without --force
     #[arg(long, env = "CONSORT_OUT", value_name = "FILE.json")]
     out: PathBuf,
-    /// Replace the file if there is one
+    /// Replace an existing file
     #[arg(long)]
     force: bool,
-    /// Print what was copied as JSON
+    /// Print the copy's metadata as JSON
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -42,24 +43,24 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] if the file is there already or cannot be written; [`Failure::Unreached`] if nobody coordinates;
-/// [`Failure::Unsuccessful`] if what was given is not whole.
+/// [`Failure::Usage`] if the file exists or cannot be written; [`Failure::Unreachable`] if there is
+/// no coordinator; [`Failure::Unsuccessful`] if the copy is damaged.
 pub fn run(args: Args) -> Result<(), Failure> {
     let Args { out, force, json, client } = args;
     if !force && out.exists() {
         return Err(already_exists(&out));
     }
     let given = client.with_client(async |client| client.api(ApiCall::Backup, &json!({})).await)?;
-    let unsound = |problem: String| Failure::Unsuccessful(format!("what was given is not whole: {problem}"));
-    let backup: Backup = serde_json::from_value(given.clone()).map_err(|problem| unsound(problem.to_string()))?;
-    // Nobody wants to learn of it when the copy is needed.
-    backup.decode().map_err(unsound)?;
+    let damaged = |problem: String| Failure::Unsuccessful(format!("the copy is damaged: {problem}"));
+    let backup: Backup = serde_json::from_value(given.clone()).map_err(|problem| damaged(problem.to_string()))?;
+    // Damage must be found now and not when the copy is needed.
+    backup.decode().map_err(damaged)?;
     write_atomically(&out, &format!("{given}\n"), 0o600)?;
     let Backup { fleet, by, term, index, missions, under_way, .. } = &backup;
     if json {
-        let mut said = given;
-        said["ledger"] = Value::Null;
-        return output::line(said);
+        let mut metadata = given;
+        metadata["ledger"] = Value::Null;
+        return output::line(metadata);
     }
     output::line(format_args!(
         "{}: the ledger of {fleet} up to entry {term}.{index}, given by {by}: {}, of which {}",

@@ -1,13 +1,13 @@
-//! `consort cancel`: withdraw a mission.
+//! `consort cancel`: cancels a mission.
 
 use super::mission_action::MissionActionFlags;
 use crate::exit::Failure;
 use consort_protocol::keys::ApiCall;
 use serde_json::Value;
 
-/// Withdraw a mission
+/// Cancel a mission
 ///
-/// Its robots stop safely and are free again. A mission that has ended stays as it ended.
+/// Its robots stop safely and become free. A mission that has ended keeps its result.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -21,8 +21,8 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// As [`Client::api`](crate::client::Client::api); a mission that has ended otherwise, or is not there, is
-/// [`Failure::Unsuccessful`].
+/// See [`Client::api`](crate::client::Client::api); a mission that has ended otherwise, or does not
+/// exist, is [`Failure::Unsuccessful`].
 pub fn run(args: Args) -> Result<(), Failure> {
     args.on_word.request(ApiCall::Cancel, |state| {
         let word = state.as_str().or_else(|| state.as_object().and_then(first_key));

@@ -1,4 +1,4 @@
-//! `consort cert`: the certificates of a fleet.
+//! `consort cert`: manages the certificates of a fleet.
 
 use crate::certs::{CertificateEntry, CertificateState, CertificateStore};
 use crate::exit::Failure;
@@ -11,18 +11,19 @@ use std::path::{Path, PathBuf};
 
 /// Make, renew and revoke the certificates of a fleet
 ///
-/// A fleet whose nodes have certificates is closed: links are encrypted (TLS 1.3), both ends prove who they are, and every
-/// message between nodes bears the signature of the node that said it, so that a robot speaks for itself alone whoever relays
-/// it. Each node has one folder with what it needs, and is started with `--certs FOLDER`; so have people, who may read,
-/// submit or operate.
+/// A fleet with certificates is closed. Links are encrypted (TLS 1.3), and both ends prove their
+/// identity. Every message between nodes carries the signature of its sender, so that a relay
+/// cannot forge it. Each node has a folder with its files, and is started with `--certs FOLDER`.
+/// Each person has a folder too, with permission to read, submit or operate.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub struct Args {
-    /// The folder of the fleet's certificates. `authority` in it signs for the fleet: keep that on one machine, and a copy safe
+    /// The folder of the fleet's certificates. Its folder `authority` signs for the fleet: keep it
+    /// on a single machine, and keep a copy safe
     #[arg(long, env = "CONSORT_CERTS_DIR", value_name = "DIR", default_value = "certs", global = true)]
     dir: PathBuf,
     #[command(subcommand)]
-    what: What,
+    what: CertCommand,
 }
 
 const EXAMPLES: &str = "\
@@ -43,55 +44,57 @@ Examples:
   consort cert revoke ada";
 
 #[derive(Debug, clap::Subcommand)]
-enum What {
-    /// Found the authority of a fleet
+enum CertCommand {
+    /// Create the authority of a fleet
     Init {
         /// The fleet's name
         #[arg(long, value_name = "NAME")]
         fleet: FleetId,
-        /// For how many days it is good: all its certificates end with it
+        /// Validity in days: all certificates of the authority end with it
         #[arg(long, value_name = "DAYS", default_value_t = 3650, value_parser = clap::value_parser!(u32).range(1..=36_500))]
         days: u32,
     },
     /// Make a node's certificate
     Node {
-        /// The node's name: a robot's node is called as the robot
+        /// The node's name: a robot's node has the name of the robot
         name: NodeId,
-        /// What it may be: robot, voter (keeps the ledger, may coordinate), host (of a world, of bodies, of people)
+        /// Permitted roles: robot, voter (keeps the ledger, may coordinate), host (of a world, of
+        /// robot drivers, of people)
         #[arg(long, value_name = "ROLES", value_delimiter = ',', required = true)]
         roles: Vec<NodeRole>,
-        /// Name or address under which it is reached, for clients that compare it; may be repeated
+        /// Name or address of the node, for clients that verify it; may be repeated
         #[arg(long, value_name = "HOST")]
         address: Vec<String>,
         #[command(flatten)]
         validity: ValidityFlag,
     },
-    /// Make a person's certificate, or a program's that a person answers for
+    /// Make the certificate of a person, or of a program for which a person is responsible
     Person {
         /// The name
         name: PersonId,
-        /// What the person may do: read; submit (and cancel) missions; operate (rescue, make nodes leave). Each includes those before
+        /// Permission: read; submit (and cancel) missions; operate (resolve missions, decommission
+        /// nodes). Each includes the former
         #[arg(long, value_name = "SCOPE", default_value = "read")]
         scope: AccessScope,
         #[command(flatten)]
         validity: ValidityFlag,
     },
-    /// Make a new certificate and key for somebody who has one
+    /// Make a new certificate and key for an existing name
     Renew {
         /// The name
         name: String,
         #[command(flatten)]
         validity: ValidityFlag,
     },
-    /// Withdraw somebody's certificate
+    /// Revoke a certificate
     ///
-    /// Every node that has the new list (within 10 s of its being put into its folder) listens to nothing that its bearer signs.
-    /// Links are not cut by it: they end when the certificate does.
+    /// A node rejects everything signed with the certificate within 10 s after the new list is in
+    /// its folder. Links are not cut: they end when the certificate expires.
     Revoke {
         /// The name
         name: String,
     },
-    /// Show who has certificates, and for how long
+    /// List the certificates and their validity
     Show {
         /// Print JSON
         #[arg(long)]
@@ -101,7 +104,7 @@ enum What {
 
 #[derive(Debug, clap::Args)]
 struct ValidityFlag {
-    /// For how many days it is good
+    /// Validity in days
     #[arg(long, value_name = "DAYS", default_value_t = 90, value_parser = clap::value_parser!(u32).range(1..=36_500))]
     days: u32,
 }
@@ -109,79 +112,84 @@ struct ValidityFlag {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] for what is wrong with the folder or a name; nothing was changed.
+/// [`Failure::Usage`] for a problem with the folder or a name; nothing was changed.
 pub fn run(args: Args) -> Result<(), Failure> {
     let dir = args.dir;
     match args.what {
-        What::Init { fleet, days } => {
+        CertCommand::Init { fleet, days } => {
             CertificateStore::create_authority(&dir, &fleet, days)?;
             output::line(format_args!(
-                "{} is the authority of fleet {fleet}. Whoever reads {} can make anybody part of it.",
+                "{} is the authority of fleet {fleet}. Keep {} secret: its owner can admit any node to the fleet.",
                 dir.join("authority").display(),
                 dir.join("authority/ca.key").display()
             ))
         }
-        What::Node { name, roles, address, validity } => {
-            let bearer = Principal::Node { name, roles: roles.into_iter().collect() };
-            issue(&dir, bearer, &address, validity.days)
+        CertCommand::Node { name, roles, address, validity } => {
+            let principal = Principal::Node { name, roles: roles.into_iter().collect() };
+            issue(&dir, principal, &address, validity.days)
         }
-        What::Person { name, scope, validity } => issue(&dir, Principal::Person { name, scope }, &[], validity.days),
-        What::Renew { name, validity } => renew(&dir, &name, validity.days),
-        What::Revoke { name } => {
+        CertCommand::Person { name, scope, validity } => {
+            issue(&dir, Principal::Person { name, scope }, &[], validity.days)
+        }
+        CertCommand::Renew { name, validity } => renew(&dir, &name, validity.days),
+        CertCommand::Revoke { name } => {
             let written = CertificateStore::open(&dir)?.revoke(&name)?;
             let files = written.iter().map(|file| format!("  {}", file.display())).collect::<Vec<_>>().join("\n");
-            output::line(format_args!("{name}'s certificate is revoked. Carry the list to every machine:\n{files}"))
+            output::line(format_args!("the certificate of {name} is revoked. Copy the list to every machine:\n{files}"))
         }
-        What::Show { json } => show(&CertificateStore::open(&dir)?.certificates()?, json),
+        CertCommand::Show { json } => show(&CertificateStore::open(&dir)?.certificates()?, json),
     }
 }
 
-fn issue(dir: &Path, bearer: Principal, addresses: &[String], days: u32) -> Result<(), Failure> {
+fn issue(dir: &Path, principal: Principal, addresses: &[String], days: u32) -> Result<(), Failure> {
     let certs = CertificateStore::open(dir)?;
-    let identity = Identity { fleet: certs.fleet()?, principal: bearer };
+    let identity = Identity { fleet: certs.fleet()?, principal };
     let folder = certs.issue(&identity, addresses, days, false)?;
-    tell(&folder, &identity, days)
+    print_issued(&folder, &identity, days)
 }
 
 fn renew(dir: &Path, name: &str, days: u32) -> Result<(), Failure> {
     let certs = CertificateStore::open(dir)?;
-    let holder = certs.certificate(name)?;
-    let folder = certs.issue(&holder.identity, &holder.addresses, days, true)?;
-    tell(&folder, &holder.identity, days)
+    let entry = certs.certificate(name)?;
+    let folder = certs.issue(&entry.identity, &entry.addresses, days, true)?;
+    print_issued(&folder, &entry.identity, days)
 }
 
-fn tell(folder: &Path, identity: &Identity, days: u32) -> Result<(), Failure> {
+fn print_issued(folder: &Path, identity: &Identity, days: u32) -> Result<(), Failure> {
     let folder = folder.display();
-    let good_for = count(days, "day", "days");
-    output::line(format_args!("{folder} is for {} of fleet {}, for {good_for}", identity.principal, identity.fleet))
+    let valid_for = count(days, "day", "days");
+    output::line(format_args!(
+        "{folder}: certificate of {} in fleet {}, valid for {valid_for}",
+        identity.principal, identity.fleet
+    ))
 }
 
-fn show(holders: &[CertificateEntry], json: bool) -> Result<(), Failure> {
+fn show(entries: &[CertificateEntry], json: bool) -> Result<(), Failure> {
     if json {
-        let holders: Vec<_> = holders.iter().map(described).collect();
-        return output::line(json!(holders));
+        let entries: Vec<_> = entries.iter().map(to_json).collect();
+        return output::line(json!(entries));
     }
-    let mut rows = vec![["NAME", "WHO", "GOOD FOR", "SERIAL"].map(str::to_owned).to_vec()];
-    rows.extend(holders.iter().map(|holder| {
-        let state = match holder.state {
+    let mut rows = vec![["NAME", "PRINCIPAL", "VALID FOR", "SERIAL"].map(str::to_owned).to_vec()];
+    rows.extend(entries.iter().map(|entry| {
+        let state = match entry.state {
             CertificateState::Valid { days } => count(days, "day", "days"),
             CertificateState::Expired => "expired".to_owned(),
             CertificateState::Revoked => "revoked".to_owned(),
         };
-        vec![holder.name.clone(), holder.identity.principal.to_string(), state, hex(&holder.serial)]
+        vec![entry.name.clone(), entry.identity.principal.to_string(), state, hex(&entry.serial)]
     }));
     output::line(output::table(&rows))
 }
 
-fn described(holder: &CertificateEntry) -> serde_json::Value {
-    let (state, days) = match holder.state {
+fn to_json(entry: &CertificateEntry) -> serde_json::Value {
+    let (state, days) = match entry.state {
         CertificateState::Valid { days } => ("valid", Some(days)),
         CertificateState::Expired => ("expired", None),
         CertificateState::Revoked => ("revoked", None),
     };
     json!({
-        "name": holder.name, "identity": holder.identity.to_string(), "addresses": holder.addresses,
-        "state": state, "days_left": days, "valid_until_s": holder.expires.as_secs(), "serial": hex(&holder.serial),
+        "name": entry.name, "identity": entry.identity.to_string(), "addresses": entry.addresses,
+        "state": state, "days_left": days, "valid_until_s": entry.expires.as_secs(), "serial": hex(&entry.serial),
     })
 }
 

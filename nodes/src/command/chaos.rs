@@ -1,4 +1,4 @@
-//! `consort chaos`: whole fleets under generated faults, watched at every step.
+//! `consort chaos`: runs whole fleets under generated faults, and checks invariants at every step.
 
 use crate::exit::Failure;
 use crate::output::{self, Progress};
@@ -17,7 +17,7 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// The ways of using it, each with the flags that go with it: shown whenever others were given.
+/// The usages, each with its flags. Shown whenever other flags were given.
 const USAGE: &str = "\
 consort chaos [--seeds FIRST..LAST] [--minutes MINUTES] [--nodes NODES] [--faults KIND,…] [--mutant NAME]
                      [--jobs JOBS] [--json]
@@ -26,21 +26,22 @@ consort chaos [--seeds FIRST..LAST] [--minutes MINUTES] [--nodes NODES] [--fault
        consort chaos --scoreboard [--runs N] [--minutes MINUTES] [--save FILE] [--jobs JOBS] [--json]
        consort chaos --mutants [--jobs JOBS] [--json]";
 
-/// Most runs that are made to cut a schedule down.
+/// Maximum number of runs for shrinking a schedule.
 const SHRINK_TRIES: usize = 300;
 
-/// Runs whole fleets under generated faults, and checks at every step that nothing acknowledged is lost and no role is
-/// held twice.
+/// Runs whole fleets under generated faults. Checks at every step that no acknowledged mission is
+/// lost and no role is held twice.
 ///
-/// Each seed is one run: a fleet in this process, on virtual time, with requests of clients and faults drawn from the
-/// seed. Nodes crash and come back (with all of their disk, without the writes that were not acknowledged, or with an
-/// empty one), stand still, are parted; links lose, repeat, reorder and delay; disks are slow, clocks drift, batteries run
-/// down, skills fail, panic and hang; the coordinator is killed at any moment. After 70 % of the time all faults lift, and
-/// the fleet has to come to rest: one coordinator, every mission at an end, everybody known to everybody.
+/// Each seed is a run: a fleet in this process, on virtual time, with client requests and faults
+/// drawn from the seed. Nodes crash and restart (with their complete disk, without the unsynced
+/// writes, or with an empty disk), pause, and are partitioned. Links lose, duplicate, reorder and
+/// delay messages. Disks are slow, clocks drift, batteries run down, skills fail, panic and hang.
+/// The coordinator is killed at any moment. After 70 % of the time all faults end. The fleet must
+/// then converge: a single coordinator, every mission ended, and complete membership at every node.
 ///
-/// It stops at the first seed for which something does not hold. It then says what, what happened before, and which of the
-/// faults it takes, having left out whatever could be spared; and how to repeat it. With --json all of that is said on the
-/// standard error.
+/// It stops at the first seed that violates an invariant. It then prints the violation, the events
+/// before it, the smallest set of faults that reproduces it, and the command that repeats it. With
+/// --json all of that goes to the standard error.
 #[derive(Debug, ClapArgs)]
 #[command(
     override_usage = USAGE,
@@ -48,60 +49,63 @@ const SHRINK_TRIES: usize = 300;
     after_long_help = "\
 Examples:
   consort chaos --seeds 1..1000                         # the first thousand seeds, on all cores
-  consort chaos --seed 4711 --verbose                   # one of them, with all that is done in it
-  consort chaos --seed 4711 --schedule chaos-4711.json  # a violation again, with what was written beside it
-  consort chaos --faults partition,coordinator-crash    # some kinds of faults alone
-  consort chaos --scoreboard --runs 50 --save score.json  # how the fleet fares under each kind of fault
+  consort chaos --seed 4711 --verbose                   # a single seed, with all its steps
+  consort chaos --seed 4711 --schedule chaos-4711.json  # a violation again, with its written schedule
+  consort chaos --faults partition,coordinator-crash    # only some kinds of faults
+  consort chaos --scoreboard --runs 50 --save score.json  # the results under each kind of fault
 
-  # whether deliberate mistakes are found, and by what
+  # checks that injected bugs are found
   cargo run --release --features mutants -- chaos --mutants
 
 The same seed, nodes, minutes and faults give the same run, to the byte, on any machine.
 
-Exit codes: 0 everything held; 1 something did not; 2 the flags or the schedule are wrong."
+Exit codes: 0 all invariants held; 1 an invariant was violated; 2 the flags or the schedule are wrong."
 )]
 pub struct Args {
-    /// Which seeds, the last included
+    /// The seeds, the last included
     #[arg(long, value_name = "FIRST..LAST", value_parser = seeds, default_value = "1..100")]
     seeds: RangeInclusive<u64>,
-    /// One seed alone
+    /// A single seed
     #[arg(long)]
     seed: Option<u64>,
-    // A flag that another one requires is let pass by clap beside what excludes that one, unless it excludes it itself.
-    /// What is done, from a file (JSON), instead of what follows from the seed
+    // clap accepts a flag required by another flag next to a flag that excludes the latter, unless
+    // it excludes that flag itself.
+    /// A schedule from a file (JSON), instead of the schedule generated from the seed
     #[arg(long, value_name = "FILE", requires = "seed", conflicts_with_all = ["seeds", "mutants", "scoreboard"])]
     schedule: Option<PathBuf>,
     /// Simulated minutes of each run
     #[arg(long, default_value_t = 5.0, value_parser = minutes, conflicts_with = "mutants")]
     minutes: f64,
-    /// Nodes of the fleet: an arm, and carriers and stations in equal parts; the host of the world comes on top
+    /// Nodes of the fleet: an arm, and carriers and stations in equal parts; the host of the world
+    /// is added
     #[arg(long, default_value_t = 7, value_parser = nodes, conflicts_with_all = ["mutants", "scoreboard"])]
     nodes: usize,
-    /// Runs at the same time [default: one on each core]
+    /// Parallel runs [default: the number of cores]
     #[arg(long, conflicts_with = "seed")]
     jobs: Option<usize>,
     /// The kinds of faults [default: all]
     #[arg(long, value_name = "KIND,…", value_delimiter = ',', conflicts_with_all = ["schedule", "mutants", "scoreboard"])]
     faults: Vec<FaultKind>,
-    /// Have the fleet make a deliberate mistake (in programs built with the feature `mutants`)
+    /// Run with an injected bug (in programs built with the feature `mutants`)
     #[arg(long, value_name = "NAME", conflicts_with_all = ["mutants", "scoreboard"])]
     mutant: Option<Mutant>,
-    /// Look for every deliberate mistake, and print how many seeds it took and what found it
+    /// Hunt every injected bug, and print the number of seeds and the invariant that found it
     #[arg(long)]
     mutants: bool,
-    /// Print how the fleet fares under each kind of fault, as a table (Markdown, or JSON with --json)
+    /// Print results for each kind of fault, as a table (Markdown, or JSON with --json)
     #[arg(long)]
     scoreboard: bool,
-    /// Write the scoreboard to a file, too (JSON)
+    /// Write the scoreboard to a file too (JSON)
     #[arg(long, value_name = "FILE", requires = "scoreboard", conflicts_with_all = ["seeds", "seed", "mutants"])]
     save: Option<PathBuf>,
     /// Runs for each line of the scoreboard
     #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..), requires = "scoreboard", conflicts_with_all = ["seeds", "seed", "mutants"])]
     runs: u64,
-    /// Print what is done in the run
+    /// Print the steps of the run
     #[arg(long, requires = "seed", conflicts_with_all = ["seeds", "mutants", "scoreboard"])]
     verbose: bool,
-    /// Print JSON alone on the standard output: a line for each run or each deliberate mistake, one for the scoreboard
+    /// Print only JSON on the standard output: a line for each run or each injected bug, a single
+    /// line for the scoreboard
     #[arg(long)]
     json: bool,
 }
@@ -128,12 +132,12 @@ fn nodes(text: &str) -> Result<usize, String> {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] for a wrong schedule; [`Failure::Unsuccessful`] if something did not hold.
+/// [`Failure::Usage`] for a wrong schedule; [`Failure::Unsuccessful`] if an invariant was violated.
 pub fn run(args: &Args) -> Result<(), Failure> {
-    // Whether this program can make mistakes is found out here, and not on each thread.
+    // Checks here, and not on each thread, that this program was built with injected bugs.
     mutants::activate(args.mutant).map_err(|problem| Failure::Usage(problem.to_string()))?;
     match args.seed {
-        _ if args.mutants => hunts(args),
+        _ if args.mutants => run_hunts(args),
         _ if args.scoreboard => score(args),
         Some(seed) => one(args, seed),
         None => many(args),
@@ -154,14 +158,14 @@ impl Args {
         self.jobs.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into)).max(1)
     }
 
-    /// The flag from which, with the seed, a schedule follows.
+    /// Returns the flag that, with the seed, reproduces the schedule.
     fn faults_flag(&self) -> String {
         let names: Vec<_> = self.faults.iter().map(|kind| kind.name()).collect();
         if names.is_empty() { String::new() } else { format!(" --faults {}", names.join(",")) }
     }
 
-    /// Says something to people: never between the lines of JSON, which programs read.
-    fn tell(&self, text: impl Display) -> Result<(), Failure> {
+    /// Prints text for people: never between the lines of JSON, which programs read.
+    fn print(&self, text: impl Display) -> Result<(), Failure> {
         if self.json {
             output::note(text);
             return Ok(());
@@ -169,12 +173,13 @@ impl Args {
         output::line(text)
     }
 
-    /// Makes the chosen mistake on the current thread.
-    fn make_mistakes(&self) {
+    /// Activates the chosen bug on the current thread.
+    fn activate_mutant(&self) {
         mutants::activate(self.mutant).expect("it was chosen before");
     }
 
-    /// The flags that a run depends on besides its seed and its schedule, where they are not the default.
+    /// Returns the flags of a run besides its seed and its schedule, where they differ from the
+    /// default.
     fn flags(&self) -> String {
         let mut flags = String::new();
         if self.minutes != 5.0 {
@@ -190,8 +195,8 @@ impl Args {
     }
 }
 
-/// Looks for every deliberate mistake.
-fn hunts(args: &Args) -> Result<(), Failure> {
+/// Hunts every injected bug.
+fn run_hunts(args: &Args) -> Result<(), Failure> {
     let bar = ProgressBar::new_spinner();
     let mut rows = vec![["mutant", "must be found within", "found by seed", "by"].map(str::to_owned).to_vec()];
     let mut missed = vec![];
@@ -211,7 +216,7 @@ fn hunts(args: &Args) -> Result<(), Failure> {
         }
         let or = |text: Option<String>| text.unwrap_or_else(|| "not found".to_owned());
         let seeds = or(found.seeds.map(|seeds| seeds.to_string()));
-        rows.push(vec![found.mutant.to_owned(), found.within.to_string(), seeds, or(found.invariant)]);
+        rows.push(vec![found.mutant.to_owned(), found.seeds_max.to_string(), seeds, or(found.invariant)]);
     }
     bar.finish_and_clear();
     if !args.json {
@@ -220,7 +225,7 @@ fn hunts(args: &Args) -> Result<(), Failure> {
     if missed.is_empty() { Ok(()) } else { Err(Failure::Unsuccessful(format!("not found: {}", missed.join(", ")))) }
 }
 
-/// Fills in the scoreboard.
+/// Computes the scoreboard.
 fn score(args: &Args) -> Result<(), Failure> {
     let kinds = scoreboard::kinds();
     let bar = ProgressBar::new(args.runs * kinds.len() as u64);
@@ -245,7 +250,7 @@ fn score(args: &Args) -> Result<(), Failure> {
     if broken.is_empty() {
         Ok(())
     } else {
-        Err(Failure::Unsuccessful(format!("something did not hold: {}", broken.join(", "))))
+        Err(Failure::Unsuccessful(format!("invariants violated under: {}", broken.join(", "))))
     }
 }
 
@@ -255,12 +260,12 @@ fn one(args: &Args, seed: u64) -> Result<(), Failure> {
         None => args.generated(seed),
     };
     if args.verbose {
-        args.tell(format_args!("{schedule}"))?;
+        args.print(format_args!("{schedule}"))?;
     }
     let order = args.order(seed);
     let mut waiting = Progress::on_terminal();
     waiting.show(format_args!("seed {seed}: {} minutes of a fleet's time", args.minutes));
-    let outcome = in_quiet(args, &order, &schedule);
+    let outcome = run_quietly(args, &order, &schedule);
     waiting.clear();
     if args.json {
         json(&outcome)?;
@@ -283,7 +288,7 @@ fn many(args: &Args) -> Result<(), Failure> {
         seeds: args.seeds.clone(),
         jobs: args.jobs(),
         config: &|seed| (args.order(seed), args.generated(seed)),
-        prepare: &|| args.make_mistakes(),
+        prepare: &|| args.activate_mutant(),
     };
     let mut printed = Ok(());
     let found = many.run(|outcome| {
@@ -315,16 +320,16 @@ fn many(args: &Args) -> Result<(), Failure> {
             totals.failed,
             totals.canceled,
             count(totals.takeovers.len(), "takeover", "takeovers"),
-            middle_and_worst(&totals.takeovers, 1.0, "ms"),
-            middle_and_worst(&totals.converged, 1000.0, "s"),
+            median_and_p99(&totals.takeovers, 1.0, "ms"),
+            median_and_p99(&totals.converged, 1000.0, "s"),
             totals.simulated_ms as f64 / 3_600_000.0,
         ))?;
     }
     Ok(())
 }
 
-/// The middle of some times in milliseconds and the one that only one in a hundred exceeds, in words.
-fn middle_and_worst(times_ms: &[u64], unit_ms: f64, unit: &str) -> String {
+/// Formats the median and the 99th percentile of times in milliseconds.
+fn median_and_p99(times_ms: &[u64], unit_ms: f64, unit: &str) -> String {
     let in_units = |ms: u64| ms as f64 / unit_ms;
     percentiles(times_ms).map_or(String::new(), |(p50, p99)| {
         format!(" p50 {:.1} {unit}, p99 {:.1} {unit}", in_units(p50), in_units(p99))
@@ -344,33 +349,33 @@ struct Totals {
 
 impl Totals {
     fn add(&mut self, outcome: &RunOutcome) {
-        let tally = &outcome.tally;
-        self.acknowledged += tally.acknowledged;
-        self.completed += tally.completed;
-        self.failed += tally.failed + tally.rescues;
-        self.canceled += tally.canceled;
-        self.takeovers.extend(&tally.takeovers_ms);
-        self.converged.extend(tally.converged_ms);
-        self.simulated_ms += tally.simulated_ms;
+        let counters = &outcome.counters;
+        self.acknowledged += counters.acknowledged;
+        self.completed += counters.completed;
+        self.failed += counters.failed + counters.needs_intervention;
+        self.canceled += counters.canceled;
+        self.takeovers.extend(&counters.takeovers_ms);
+        self.converged.extend(counters.converged_ms);
+        self.simulated_ms += counters.simulated_ms;
     }
 }
 
 fn summary(outcome: &RunOutcome) -> String {
-    let tally = &outcome.tally;
+    let counters = &outcome.counters;
     format!(
         "seed {} held: {} acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn); {}; \
          digest {}",
         outcome.seed,
-        count(tally.acknowledged, "mission", "missions"),
-        tally.completed,
-        tally.failed,
-        tally.canceled,
-        count(tally.takeovers_ms.len(), "takeover", "takeovers"),
+        count(counters.acknowledged, "mission", "missions"),
+        counters.completed,
+        counters.failed,
+        counters.canceled,
+        count(counters.takeovers_ms.len(), "takeover", "takeovers"),
         outcome.digest,
     )
 }
 
-/// Says what did not hold, cuts the schedule down, and says how to repeat it.
+/// Prints the violation, shrinks the schedule, and prints the command that repeats it.
 fn broken(
     args: &Args,
     order: &RunConfig,
@@ -379,15 +384,16 @@ fn broken(
     cut_down: bool,
 ) -> Result<(), Failure> {
     let at = violation.at_ms as f64 / 1000.0;
-    args.tell(format_args!("seed {}: {} does not hold at {at:.3} s", order.seed, violation.invariant))?;
-    args.tell(format_args!("  {}\n", violation.why))?;
+    args.print(format_args!("seed {}: {} is violated at {at:.3} s", order.seed, violation.invariant))?;
+    args.print(format_args!("  {}\n", violation.reason))?;
     let (smallest, last) = if cut_down {
         let bar = ProgressBar::new_spinner();
         let mut last = violation.clone();
         let smallest = shrink(schedule, SHRINK_TRIES, |tried| {
-            bar.set_message(format!("leaving out what does not matter: {}", count(tried.steps.len(), "step", "steps")));
+            bar.set_message(format!("shrinking the schedule: {}", count(tried.steps.len(), "step", "steps")));
             bar.tick();
-            let again = in_quiet(args, order, tried).violation.filter(|again| again.invariant == violation.invariant);
+            let again =
+                run_quietly(args, order, tried).violation.filter(|again| again.invariant == violation.invariant);
             let fails = again.is_some();
             last = again.unwrap_or_else(|| last.clone());
             fails
@@ -397,30 +403,30 @@ fn broken(
     } else {
         (schedule.clone(), violation.clone())
     };
-    args.tell(format_args!("What happened before:\n{}\n", last.tale.join("\n")))?;
+    args.print(format_args!("Events before:\n{}\n", last.events_before.join("\n")))?;
     let (left, all) = (smallest.steps.len(), schedule.steps.len());
-    args.tell(format_args!("What it takes ({left} of {all} steps; times in seconds):\n{smallest}"))?;
+    args.print(format_args!("Smallest schedule found ({left} of {all} steps; times in seconds):\n{smallest}"))?;
     let repeat = format!("consort chaos --seed {}{}", order.seed, args.flags());
     if cut_down {
         let file = format!("chaos-{}.json", order.seed);
         let text = serde_json::to_string_pretty(&smallest).expect("a schedule is plain data");
         match std::fs::write(&file, text) {
-            Ok(()) => args.tell(format_args!("Again, with these steps alone:\n  {repeat} --schedule {file}"))?,
+            Ok(()) => args.print(format_args!("Repeat with these steps only:\n  {repeat} --schedule {file}"))?,
             Err(problem) => output::note(format_args!("{file} was not written: {problem}")),
         }
-        args.tell(format_args!("Again, with all of them:\n  {repeat}{}", args.faults_flag()))?;
+        args.print(format_args!("Repeat with all steps:\n  {repeat}{}", args.faults_flag()))?;
     }
-    Err(Failure::Unsuccessful(format!("{} does not hold for seed {}", violation.invariant, order.seed)))
+    Err(Failure::Unsuccessful(format!("{} is violated for seed {}", violation.invariant, order.seed)))
 }
 
-/// A run on a thread where its own panics are not printed.
-fn in_quiet(args: &Args, order: &RunConfig, schedule: &Schedule) -> RunOutcome {
+/// Runs a schedule on a thread that does not print panics.
+fn run_quietly(args: &Args, order: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let again = (order.clone(), schedule.clone());
     let many = SeedSweep {
         seeds: order.seed..=order.seed,
         jobs: 1,
         config: &move |_| again.clone(),
-        prepare: &|| args.make_mistakes(),
+        prepare: &|| args.activate_mutant(),
     };
     let mut outcome = None;
     many.run(|told| outcome = Some(told.clone()));

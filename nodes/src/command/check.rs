@@ -1,4 +1,4 @@
-//! `consort check`: is a file right?
+//! `consort check`: checks files.
 
 use crate::check::{FileKind, check_file};
 use crate::exit::Failure;
@@ -8,8 +8,8 @@ use std::path::PathBuf;
 
 /// Check mission, map, fleet, robot, station, world and workers files
 ///
-/// Tells by its content which kind a file is, and prints `ok` or every problem with file and place. Files that a file
-/// names are read too: a robot's place must be on its fleet's map.
+/// Detects the kind of each file by its content, and prints `ok` or every problem with file and
+/// position. Referenced files are read too: a robot's place must be on its fleet's map.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -20,7 +20,7 @@ pub struct Args {
     /// The files
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// What they are, instead of telling by their content
+    /// The kind of the files, instead of detecting it
     #[arg(long, value_enum)]
     kind: Option<FileKind>,
 }

@@ -1,5 +1,5 @@
-//! `consort completions` and `consort man`: what shells and readers want to know of the commands, from the same source as
-//! `--help`.
+//! `consort completions` and `consort man`: shell completions and manual pages, from the same
+//! source as `--help`.
 
 use crate::cli::Cli;
 use crate::exit::Failure;
@@ -8,7 +8,7 @@ use clap::CommandFactory;
 use clap_complete::Shell;
 use std::path::PathBuf;
 
-/// Print what a shell needs to complete commands and flags
+/// Print the completion script of a shell
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -21,13 +21,13 @@ pub struct Args {
     shell: Shell,
 }
 
-/// Write manual pages: one for the program, one for each of its commands
+/// Write manual pages: for the program and for each of its commands
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
   consort man /usr/local/share/man/man1 && man consort-submit")]
 pub struct ManArgs {
-    /// The folder, created if need be
+    /// The folder, created if it does not exist
     #[arg(value_name = "DIR")]
     dir: PathBuf,
 }

@@ -1,4 +1,4 @@
-//! `consort doctor`: what keeps a node, or a client, from its fleet.
+//! `consort doctor`: finds the reason why a node or a client does not reach its fleet.
 
 use crate::client::ClientFlags;
 use crate::doctor::{DiagnosisTarget, Severity, run_checks};
@@ -8,11 +8,11 @@ use consort_protocol::count::count;
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Find what keeps a node from its fleet, and say what to do about it
+/// Find the reason why a node does not reach its fleet, and suggest a remedy
 ///
-/// Looks at clock, disk, ports and certificates, tries every neighbour (Zenoh itself says nothing of links that do not come
-/// about), and asks the fleet and each of its nodes. With `--config` it looks at a node, by the file that it is started with;
-/// without, at a client, by the flags that it would be given.
+/// Checks clock, disk, ports and certificates, tries every neighbour (Zenoh itself reports nothing
+/// about failed links), and queries the fleet and each of its nodes. With `--config` it checks a
+/// node, by its file; without, a client, by its flags.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -20,10 +20,10 @@ Examples:
   consort doctor --certs certs/kim --connect tls/192.0.2.7:7447
   consort doctor --json | jq '.[] | select(.state != \"ok\")'")]
 pub struct Args {
-    /// The node's file: a robot's, a station's or a world's
+    /// The node's file: of a robot, a station or a world
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Print JSON: a list with `state` (ok, warning, error), `about`, `says` and `advice`
+    /// Print JSON: a list with `state` (ok, warning, error), `about`, `text` and `advice`
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -35,17 +35,17 @@ pub struct Args {
 /// # Errors
 /// [`Failure::Unsuccessful`] if there is any error; [`Failure::Usage`] of files and flags.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let patient = match &args.config {
+    let target = match &args.config {
         Some(file) => DiagnosisTarget::node(file, &args.client)?,
         None => DiagnosisTarget::client(args.client)?,
     };
-    let mut told = Ok(());
-    let findings = run_checks(&patient, |finding| {
-        if !args.json && told.is_ok() {
-            told = output::line(finding);
+    let mut printed = Ok(());
+    let findings = run_checks(&target, |finding| {
+        if !args.json && printed.is_ok() {
+            printed = output::line(finding);
         }
     });
-    told?;
+    printed?;
     if args.json {
         output::line(json!(findings))?;
     }

@@ -1,4 +1,4 @@
-//! `consort dry-run`: what the auction of a mission would decide.
+//! `consort dry-run`: computes the result of a mission's auction.
 
 use super::flags::key_value;
 use crate::dry_run::{DryRunOutcome, WorkerBid, simulate_auction};
@@ -14,10 +14,11 @@ use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-/// Show what the auction of a mission would decide, offline
+/// Show the result of a mission's auction, offline
 ///
-/// Divides the mission into the plans of its roles, has each worker price them as its node would, and chooses as the
-/// coordinator would: every bid with its parts, every refusal with its reason, and the choice.
+/// Divides the mission into the plans of its roles, lets each worker estimate them as its node
+/// would, and selects as the coordinator would. Prints every bid with its parts, every refusal with
+/// its reason, and the assignment.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -35,16 +36,17 @@ A workers file, in TOML (in JSON and YAML: a list of the same):
   discharge_share_per_s = 0.0004   # default 0
   useful_charge = 0.08             # the default")]
 pub struct Args {
-    /// The mission: the name of one that is shipped (lab-samples, …) or a file
+    /// The mission: the name of a bundled mission (lab-samples, …) or a file
     mission: String,
-    /// The map: the name of one that is shipped (hospital), or a file in our own form or that of the published
-    /// evaluation
+    /// The map: the name of a bundled map (hospital), or a file in Consort's format or that of the
+    /// published evaluation
     #[arg(long, env = "CONSORT_MAP", default_value = "hospital")]
     map: String,
     /// The workers that bid
     #[arg(long, value_name = "FILE", required_unless_present = "scenarios", conflicts_with = "scenarios")]
     workers: Option<PathBuf>,
-    /// Scenarios of the published evaluation: each has its own workers, and its nurse's place is the parameter `room`
+    /// Scenarios of the published evaluation: each has its own workers, and its nurse's place is
+    /// the parameter `room`
     #[arg(long, value_name = "FILE")]
     scenarios: Option<PathBuf>,
     /// A parameter of the mission
@@ -53,18 +55,18 @@ pub struct Args {
     /// A role to auction; may be repeated. Default: all managed roles; with --scenarios: r1
     #[arg(long = "role", value_name = "ROLE")]
     roles: Vec<RoleId>,
-    /// Longest time a plan may take, in seconds
+    /// Maximum time of a plan, in seconds
     #[arg(long, env = "CONSORT_TIME_LIMIT_S", value_name = "SECONDS")]
     time_limit_s: Option<f64>,
     /// Charge that must be left, as a share
     #[arg(long, env = "CONSORT_CHARGE_MIN", value_name = "SHARE", default_value_t = 0.05)]
     charge_min: f64,
-    /// Print JSON: a line for the mission, or one for each scenario
+    /// Print JSON: a line for the mission, or for each scenario
     #[arg(long)]
     json: bool,
 }
 
-/// What a scenario comes to, as JSON.
+/// Result of a scenario, as JSON.
 #[derive(Serialize)]
 struct ScenarioLine<'a> {
     code: &'a str,
@@ -72,7 +74,7 @@ struct ScenarioLine<'a> {
     selected: Option<&'a RobotId>,
 }
 
-/// What a mission comes to, as JSON.
+/// Result of a mission, as JSON.
 #[derive(Serialize)]
 struct MissionLine<'a> {
     mission: &'a str,
@@ -92,15 +94,15 @@ struct RoleLine<'a> {
 #[derive(Serialize)]
 struct BidLine<'a> {
     #[serde(flatten)]
-    offer: &'a WorkerBid,
+    bid: &'a WorkerBid,
     parts: &'a [BidPart],
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] for wrong files; [`Failure::Unsuccessful`] if a mission is not filled (a scenario that is not is an
-/// answer like others).
+/// [`Failure::Usage`] for wrong files; [`Failure::Unsuccessful`] if a role of the mission is not
+/// assigned (an unassigned scenario is a normal result).
 pub fn run(args: Args) -> Result<(), Failure> {
     let limits = BidLimits {
         time: args.time_limit_s.map(Seconds::new).transpose().map_err(|e| Failure::Usage(e.to_string()))?,
@@ -129,9 +131,9 @@ fn mission(
     let roles: BTreeSet<RoleId> = wanted(&args.roles, &mission, || mission.managed_roles().cloned().collect())?;
     let result = simulate_auction(&division, &roles, &workers, equipment, limits);
     if args.json {
-        let roles = result.bids.iter().map(|(role, offers)| RoleLine {
+        let roles = result.bids.iter().map(|(role, bids)| RoleLine {
             role,
-            bids: offers.iter().map(|offer| BidLine { offer, parts: &offer.parts }).collect(),
+            bids: bids.iter().map(|bid| BidLine { bid, parts: &bid.parts }).collect(),
             selected: result.holders.get(role),
         });
         json(&MissionLine {
@@ -168,8 +170,8 @@ fn scenarios(
         let roles: BTreeSet<RoleId> = wanted(&args.roles, &mission, r1)?;
         let result = simulate_auction(&division, &roles, &scenario.workers, equipment, limits);
         if args.json {
-            for (role, offers) in &result.bids {
-                json(&ScenarioLine { code: &scenario.code, bids: offers, selected: result.holders.get(role) })?;
+            for (role, bids) in &result.bids {
+                json(&ScenarioLine { code: &scenario.code, bids, selected: result.holders.get(role) })?;
             }
         } else {
             output::line(format_args!("{}: {}, room = {}", scenario.code, template.name(), scenario.room))?;
@@ -211,30 +213,30 @@ fn json(value: &impl Serialize) -> Result<(), Failure> {
     output::line(serde_json::to_string(value).expect("it consists of texts and numbers"))
 }
 
-/// Every offer to every role, the fastest first, and who is chosen.
+/// Formats every bid for every role, the fastest first, and the assignment.
 fn readable(result: &DryRunOutcome) -> String {
     let mut text = String::new();
-    for (role, offers) in &result.bids {
+    for (role, bids) in &result.bids {
         let chosen = result.holders.get(role);
         text.push_str(&format!("  {role}\n"));
-        let mut sorted: Vec<&WorkerBid> = offers.iter().collect();
+        let mut sorted: Vec<&WorkerBid> = bids.iter().collect();
         sorted.sort_by(|a, b| {
-            let rank = |offer: &WorkerBid| (!offer.viable, offer.time_s.unwrap_or(f64::INFINITY));
+            let rank = |bid: &WorkerBid| (!bid.viable, bid.time_s.unwrap_or(f64::INFINITY));
             let ((a_out, a_time), (b_out, b_time)) = (rank(a), rank(b));
             a_out.cmp(&b_out).then(a_time.total_cmp(&b_time)).then(a.worker.cmp(&b.worker))
         });
-        let rows: Vec<Vec<String>> = sorted.iter().map(|offer| row(offer, chosen)).collect();
-        for (line, offer) in output::table(&rows).lines().zip(&sorted) {
+        let rows: Vec<Vec<String>> = sorted.iter().map(|bid| row(bid, chosen)).collect();
+        for (line, bid) in output::table(&rows).lines().zip(&sorted) {
             text.push_str(&format!("    {line}\n"));
-            if !offer.parts.is_empty() {
+            if !bid.parts.is_empty() {
                 let part = |part: &BidPart| format!("{} {:.1}", part.label, part.time.get());
-                let parts = offer.parts.iter().map(part).collect::<Vec<_>>().join(", ");
+                let parts = bid.parts.iter().map(part).collect::<Vec<_>>().join(", ");
                 text.push_str(&format!("      in seconds: {parts}\n"));
             }
         }
     }
     match &result.failure {
-        Some(failure) => text.push_str(&format!("  nobody: {failure}")),
+        Some(failure) => text.push_str(&format!("  no assignment: {failure}")),
         None => {
             let holders = result.holders.iter().map(|(role, robot)| format!("{role} = {robot}"));
             let why = if result.holders.len() == 1 {
@@ -242,25 +244,25 @@ fn readable(result: &DryRunOutcome) -> String {
             } else {
                 "the viable bids of different robots that are fastest together"
             };
-            text.push_str(&format!("  choice: {} ({why})", holders.collect::<Vec<_>>().join(", ")));
+            text.push_str(&format!("  assignment: {} ({why})", holders.collect::<Vec<_>>().join(", ")));
         }
     }
     text
 }
 
-fn row(offer: &WorkerBid, chosen: Option<&RobotId>) -> Vec<String> {
-    let reason = offer.reason.as_deref();
-    let (Some(time), Some(energy), Some(remaining)) = (offer.time_s, offer.energy, offer.remaining) else {
+fn row(bid: &WorkerBid, chosen: Option<&RobotId>) -> Vec<String> {
+    let reason = bid.reason.as_deref();
+    let (Some(time), Some(energy), Some(remaining)) = (bid.time_s, bid.energy, bid.remaining) else {
         let [time, energy, remaining] = ["-"; 3].map(str::to_owned);
-        return vec![offer.worker.to_string(), time, energy, remaining, format!("refuses: {}", reason.unwrap_or("?"))];
+        return vec![bid.worker.to_string(), time, energy, remaining, format!("refuses: {}", reason.unwrap_or("?"))];
     };
     let verdict = match reason {
-        _ if chosen == Some(&offer.worker) => "chosen".to_owned(),
+        _ if chosen == Some(&bid.worker) => "chosen".to_owned(),
         None => "viable".to_owned(),
         Some(reason) => format!("not viable: {reason}"),
     };
     let (energy, remaining) = (energy * 100.0, remaining * 100.0);
     let [time, energy, remaining] =
         [format!("{time:.1} s"), format!("uses {energy:.1} %"), format!("leaves {remaining:.1} %")];
-    vec![offer.worker.to_string(), time, energy, remaining, verdict]
+    vec![bid.worker.to_string(), time, energy, remaining, verdict]
 }

@@ -1,11 +1,11 @@
-//! Lengths of time on the command line.
+//! Durations on the command line.
 
 use std::time::Duration;
 
-/// Reads a length of time: a number with `s`, `m`, `h` or `d`; without, it is seconds.
+/// Parses a duration: a number with `s`, `m`, `h` or `d`; without a unit, seconds.
 ///
 /// # Errors
-/// In words, what is expected.
+/// A message with the expected format.
 pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
     let (number, unit_s) = match text.trim().char_indices().last() {
         Some((at, 's')) => (&text[..at], 1.0),
@@ -16,7 +16,7 @@ pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
     };
     let seconds = number.trim().parse::<f64>().ok().filter(|number| *number > 0.0).map(|number| number * unit_s);
     let length = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
-    length.ok_or_else(|| "expected a length of time above 0, as 60s, 5m, 2h or 30d".to_owned())
+    length.ok_or_else(|| "expected a duration above 0, as 60s, 5m, 2h or 30d".to_owned())
 }
 
 #[cfg(test)]
@@ -24,7 +24,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_length_of_time_has_a_unit_or_is_of_seconds() {
+    fn a_duration_has_a_unit_or_is_in_seconds() {
         for (text, seconds) in
             [("60s", 60.0), ("1.5m", 90.0), ("2h", 7200.0), ("30d", 2_592_000.0), ("90", 90.0), ("0.5 s", 0.5)]
         {

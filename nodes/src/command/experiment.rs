@@ -1,4 +1,4 @@
-//! `consort experiment`: the published evaluation, and others, on whole fleets.
+//! `consort experiment`: runs the published evaluation and others on whole fleets.
 
 use crate::config::{self, Diagnostic, Diagnostics};
 use crate::evaluation::{Evaluation, InputOverrides};
@@ -21,29 +21,30 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Runs evaluations: scenarios by factors, policies against one another, on whole fleets
+/// Runs evaluations: scenarios by factors, policies against each other, on whole fleets
 ///
-/// Each trial is a fleet in this process on virtual time: robots bid, the coordinator awards, robots carry their plans out
-/// in a simulated world. The policy decides who gets the award; everything else is the same for all. The same design gives the
-/// same rows, to the byte, on any machine and with any number of jobs.
+/// Each trial is a fleet in this process on virtual time: robots bid, the coordinator awards, and
+/// robots carry out their plans in a simulated world. The policy selects the winner of the award;
+/// everything else is the same for all policies. The same design gives the same rows, to the byte,
+/// on any machine and with any number of jobs.
 #[derive(Debug, ClapArgs)]
 #[command(after_long_help = "\
 Examples:
   consort experiment run published --out results
   consort experiment calibrate published --out calibrated")]
 pub struct Args {
-    /// What to do
+    /// The command
     #[command(subcommand)]
-    what: What,
+    what: ExperimentCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum ExperimentCommand {
     Run(RunArgs),
     Calibrate(CalibrateArgs),
 }
 
-/// Carries a design out and writes rows (CSV), a report (Markdown, SVG) and statistics (JSON)
+/// Runs a design and writes rows (CSV), a report (Markdown, SVG) and statistics (JSON)
 #[derive(Debug, ClapArgs)]
 #[command(after_long_help = "\
 Examples:
@@ -53,32 +54,34 @@ Examples:
   consort experiment run my-design.toml --out results --legs legs.csv
   consort experiment run published --out repeated --scenarios scenarios_81.json --map hospital_map.json --legs nav_legs.csv
 
-Designs that come with the program: published, food, rounds (in sim_bridge/designs/ of the source). A design file is TOML; an
-unknown key is refused with those that are allowed.
+Bundled designs: published, food, rounds (in sim_bridge/designs/ of the source). A design file is TOML; an unknown key is
+rejected with a list of the allowed keys.
 
-What is written: rows.csv, a row for each trial; tasks.csv, what each task was estimated at and what it took; report.md, for
-people, with its figures; statistics.json, the same for programs.
+Output: rows.csv, a row for each trial; tasks.csv, the estimated and actual cost of each task; report.md, for people, with
+its figures; statistics.json, the same for programs.
 
-Exit codes: 0 it was carried out; 1 something could not be written; 2 the flags or the files are wrong.")]
+Exit codes: 0 success; 1 a file could not be written; 2 the flags or the files are wrong.")]
 struct RunArgs {
     #[command(flatten)]
     common: Common,
-    /// The rules that are compared, in place of the design's; the first is compared with each other one
+    /// The compared policies, in place of the design's; the first is compared with each other
+    /// policy
     #[arg(long, value_name = "POLICY,…", value_delimiter = ',', value_parser = policy)]
     policies: Option<Vec<Policy>>,
-    /// What is done to the fleet, in place of the design's: calm, coordinator-killed
+    /// The disturbances of the fleet, in place of the design's: calm, coordinator-killed
     #[arg(long, value_name = "TREATMENT,…", value_delimiter = ',', value_parser = treatment)]
     treatments: Option<Vec<Treatment>>,
-    /// What robots have learned of their estimates, as `calibrate` writes it
+    /// Corrections to estimates, as written by `calibrate`
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
 }
 
-/// Learns how far estimates are off, and shows what knowing it gains
+/// Learns the errors of estimates, and shows the gain of correcting them
 ///
-/// Runs the design's scenarios to compare predicted with actual time and energy, by skill and by leg; writes what was learned to
-/// calibration.toml; then runs the design twice, with the estimates as they were and with what was learned (mean times, and
-/// for the battery an upper quantile), and reports both.
+/// Runs the design's scenarios to compare predicted with actual time and energy, by skill and by
+/// leg. Writes the corrections to calibration.toml. Then runs the design twice, with the original
+/// estimates and with the corrections (mean times, and an upper quantile for the battery), and
+/// reports both.
 #[derive(Debug, ClapArgs)]
 #[command(after_long_help = "\
 Examples:
@@ -94,33 +97,34 @@ struct CalibrateArgs {
 
 #[derive(Debug, ClapArgs)]
 struct Common {
-    /// The design: a file, or one that comes with the program
+    /// The design: a file, or a bundled design
     #[arg(value_name = "DESIGN")]
     design: String,
-    /// Where to write, as a folder; it is made if it is not there
+    /// The output folder; created if it does not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// How often each scenario is tried under each policy, in place of what the design says
+    /// Repetitions of each scenario under each policy, in place of the design's
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     repetitions: Option<u32>,
-    /// Where all chance comes from, in place of the design's
+    /// Seed of all random numbers, in place of the design's
     #[arg(long)]
     seed: Option<u64>,
-    /// Trials at the same time [default: one on each core]
+    /// Parallel trials [default: the number of cores]
     #[arg(long)]
     jobs: Option<usize>,
-    /// Scenarios in the published form (JSON), in place of those that the factors make
+    /// Scenarios in the published format (JSON), in place of the generated scenarios
     #[arg(long, value_name = "FILE")]
     scenarios: Option<PathBuf>,
-    /// A map in our own form or the published one, in place of the design's
+    /// A map in Consort's format or the published format, in place of the design's
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
-    /// Measured drives (CSV with origin, dest, duration_s, estimate_s) from which durations are drawn
+    /// Measured drives (CSV with origin, dest, duration_s, estimate_s) from which durations are
+    /// drawn
     #[arg(long, value_name = "FILE")]
     legs: Option<PathBuf>,
 }
 
-/// One of those that have a name.
+/// Finds the value with a name.
 fn named<T: Copy>(text: &str, all: &[T], name: impl Fn(T) -> &'static str) -> Result<T, String> {
     let known = || all.iter().map(|one| name(*one)).collect::<Vec<_>>().join(", ");
     all.iter().copied().find(|one| name(*one) == text).ok_or_else(|| format!("there are: {}", known()))
@@ -142,11 +146,12 @@ fn share(text: &str) -> Result<f64, String> {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] for wrong flags or files; [`Failure::Unsuccessful`] if something cannot be written.
+/// [`Failure::Usage`] for wrong flags or files; [`Failure::Unsuccessful`] if a file cannot be
+/// written.
 pub fn run(args: &Args) -> Result<(), Failure> {
     match &args.what {
-        What::Run(args) => carry_out(args),
-        What::Calibrate(args) => calibrate(args),
+        ExperimentCommand::Run(args) => run_design(args),
+        ExperimentCommand::Calibrate(args) => calibrate(args),
     }
 }
 
@@ -171,7 +176,7 @@ impl Common {
             _ if path.exists() => Ok(config::load(path)?),
             _ => {
                 let known: Vec<&str> = design::SHIPPED.iter().map(|(name, _)| *name).collect();
-                let what = format!("no such file; it is the path of a file, or one of {}", known.join(", "));
+                let what = format!("no such file; give the path of a file, or a bundled design: {}", known.join(", "));
                 Err(Diagnostics::from(Diagnostic::for_file(&self.design, what)).into())
             }
         }
@@ -182,7 +187,7 @@ impl Common {
     }
 
     fn folder(&self) -> Result<(), Failure> {
-        std::fs::create_dir_all(&self.out).map_err(|problem| unwritten(&self.out, problem))
+        std::fs::create_dir_all(&self.out).map_err(|problem| write_error(&self.out, problem))
     }
 }
 
@@ -196,29 +201,29 @@ fn heading(evaluation: &Evaluation) -> ReportHeader {
     }
 }
 
-/// The report. Its tests of significance rearrange the rows many thousand times.
-fn written(heading: &ReportHeader, rows: &[TrialRow], gain: Option<&CalibrationGain>) -> Vec<ReportFile> {
+/// Computes the report. Its tests of significance permute the rows many thousand times.
+fn build_report(heading: &ReportHeader, rows: &[TrialRow], gain: Option<&CalibrationGain>) -> Vec<ReportFile> {
     let mut waiting = Progress::on_terminal();
-    waiting.show("working out the report");
+    waiting.show("computing the report");
     report(heading, rows, gain)
 }
 
-fn carry_out(args: &RunArgs) -> Result<(), Failure> {
+fn run_design(args: &RunArgs) -> Result<(), Failure> {
     let evaluation = args.common.evaluation()?;
-    let learned = args.calibration.as_ref().map(|file| config::load::<Calibration>(file)).transpose()?;
+    let calibration = args.calibration.as_ref().map(|file| config::load::<Calibration>(file)).transpose()?;
     let mut design = evaluation.design.clone();
     design.policies = args.policies.clone().unwrap_or(design.policies);
     design.treatments = args.treatments.clone().unwrap_or(design.treatments);
-    let stage = evaluation.trial_fixture(design, learned.map(Arc::new))?;
+    let stage = evaluation.trial_fixture(design, calibration.map(Arc::new))?;
     args.common.folder()?;
     let began = Instant::now();
     let outcomes = with_progress(&stage, args.common.jobs(), "");
     let seconds = began.elapsed().as_secs_f64();
-    let (rows, observations) = parted(outcomes);
+    let (rows, observations) = split_outcomes(outcomes);
     let out = &args.common.out;
     write_rows(out, "rows.csv", &rows)?;
     write_observations(out, &observations)?;
-    write_report(out, &written(&heading(&evaluation), &rows, None))?;
+    write_report(out, &build_report(&heading(&evaluation), &rows, None))?;
     output::line(summary(&rows))?;
     let trials = count(rows.len(), "trial", "trials");
     output::line(format_args!("{trials} in {seconds:.1} s; see {}", out.join("report.md").display()))
@@ -233,27 +238,28 @@ fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
         treatments: vec![Treatment::Calm],
         ..design.clone()
     };
-    // Other chance than that of the trials by which the gain is judged; chance sends robots where we would not.
+    // The learning trials use other random numbers than the trials that measure the gain. Random
+    // assignments send robots to places that the coordinator would not choose.
     let seed = derive(evaluation.design.seed, &["calibrate"]);
     let learning = Design { seed, ..one(&evaluation.design, vec![Policy::Consort, Policy::Random]) };
     let stage = evaluation.trial_fixture(learning, None)?;
     let outcomes = with_progress(&stage, jobs, "learning ");
     let trials = outcomes.len();
-    let (_, observations) = parted(outcomes);
-    let learned = Arc::new(Calibration::of(&observations, args.quantile));
+    let (_, observations) = split_outcomes(outcomes);
+    let calibration = Arc::new(Calibration::of(&observations, args.quantile));
     let judged = one(&evaluation.design, vec![Policy::Consort]);
     let stage = evaluation.trial_fixture(judged.clone(), None)?;
-    let (before, observed_before) = parted(with_progress(&stage, jobs, "as they were "));
-    let stage = evaluation.trial_fixture(judged, Some(Arc::clone(&learned)))?;
-    let (after, observed_after) = parted(with_progress(&stage, jobs, "calibrated "));
+    let (before, observed_before) = split_outcomes(with_progress(&stage, jobs, "as they were "));
+    let stage = evaluation.trial_fixture(judged, Some(Arc::clone(&calibration)))?;
+    let (after, observed_after) = split_outcomes(with_progress(&stage, jobs, "calibrated "));
     let out = &args.common.out;
-    write(&out.join("calibration.toml"), &config::to_toml(&*learned))?;
+    write(&out.join("calibration.toml"), &config::to_toml(&*calibration))?;
     write_observations(out, &observations)?;
     write_rows(out, "rows-before.csv", &before)?;
     write_rows(out, "rows-after.csv", &after)?;
-    let learned = (*learned).clone();
-    let gain = CalibrationGain { calibration: learned, trials, before, after, observed_before, observed_after };
-    write_report(out, &written(&heading(&evaluation), &gain.before, Some(&gain)))?;
+    let calibration = (*calibration).clone();
+    let gain = CalibrationGain { calibration, trials, before, after, observed_before, observed_after };
+    write_report(out, &build_report(&heading(&evaluation), &gain.before, Some(&gain)))?;
     output::line(format_args!("as they were:\n{}\ncalibrated:\n{}", summary(&gain.before), summary(&gain.after)))?;
     let trials = count(trials, "trial", "trials");
     output::line(format_args!("learned from {trials}; see {}", out.join("report.md").display()))
@@ -271,7 +277,7 @@ fn with_progress(stage: &ExperimentSetup, jobs: usize, what: &'static str) -> Ve
     let outcomes = run_trials(stage, &all, jobs, |_| {
         bar.inc(1);
         done += 1;
-        // Where no bar can be drawn, a line for each tenth.
+        // Without a terminal, prints a line for each tenth.
         if bar.is_hidden() && done * 10 / total > (done - 1) * 10 / total {
             output::note(format_args!("{what}{done} of {total} trials"));
         }
@@ -280,7 +286,7 @@ fn with_progress(stage: &ExperimentSetup, jobs: usize, what: &'static str) -> Ve
     outcomes
 }
 
-fn parted(outcomes: Vec<TrialOutcome>) -> (Vec<TrialRow>, Vec<Observation>) {
+fn split_outcomes(outcomes: Vec<TrialOutcome>) -> (Vec<TrialRow>, Vec<Observation>) {
     let (mut rows, mut observations) = (vec![], vec![]);
     for outcome in outcomes {
         rows.push(outcome.row);
@@ -289,7 +295,7 @@ fn parted(outcomes: Vec<TrialOutcome>) -> (Vec<TrialRow>, Vec<Observation>) {
     (rows, observations)
 }
 
-/// How trials ended, as a table.
+/// Returns a table of the trials' results.
 fn summary(rows: &[TrialRow]) -> String {
     let head = ["policy", "treatment", "trials"].into_iter().chain(EndState::ALL.map(EndState::as_str));
     let mut table = vec![head.chain(["success", "mean TTC"]).map(str::to_owned).collect::<Vec<_>>()];
@@ -303,26 +309,26 @@ fn summary(rows: &[TrialRow]) -> String {
     output::table(&table)
 }
 
-fn unwritten(file: &Path, problem: impl Display) -> Failure {
+fn write_error(file: &Path, problem: impl Display) -> Failure {
     Failure::Unsuccessful(format!("{} cannot be written: {problem}", file.display()))
 }
 
 fn write(file: &Path, text: &str) -> Result<(), Failure> {
-    std::fs::write(file, text).map_err(|problem| unwritten(file, problem))
+    std::fs::write(file, text).map_err(|problem| write_error(file, problem))
 }
 
 fn write_rows(out: &Path, name: &str, rows: &[TrialRow]) -> Result<(), Failure> {
     let mut text = vec![];
     let file = out.join(name);
-    results::write(rows, &mut text).map_err(|problem| unwritten(&file, problem))?;
-    std::fs::write(&file, text).map_err(|problem| unwritten(&file, problem))
+    results::write(rows, &mut text).map_err(|problem| write_error(&file, problem))?;
+    std::fs::write(&file, text).map_err(|problem| write_error(&file, problem))
 }
 
 fn write_observations(out: &Path, observations: &[Observation]) -> Result<(), Failure> {
     let mut text = vec![];
     let file = out.join("tasks.csv");
-    results::write_observations(observations, &mut text).map_err(|problem| unwritten(&file, problem))?;
-    std::fs::write(&file, text).map_err(|problem| unwritten(&file, problem))
+    results::write_observations(observations, &mut text).map_err(|problem| write_error(&file, problem))?;
+    std::fs::write(&file, text).map_err(|problem| write_error(&file, problem))
 }
 
 fn write_report(out: &Path, files: &[ReportFile]) -> Result<(), Failure> {

@@ -1,14 +1,15 @@
-//! `consort explain`: why each robot did or did not get each role of a mission.
+//! `consort explain`: explains the assignment of each role of a mission.
 
 use crate::client::{Client, QueryFlags};
 use crate::exit::Failure;
 use consort_protocol::keys::ApiCall;
 use serde_json::{Value, json};
 
-/// Say why each robot did or did not get each role of a mission
+/// Explain why each robot did or did not get each role of a mission
 ///
-/// From the mission's latest auction: who won and by how much, who was outbid, whose bid could not be taken, who refused and
-/// why, who is not a member; and from whom a role was taken since. With --json the same as values.
+/// Uses the mission's latest auction: the winner and its margin, the outbid robots, the bids that
+/// could not be accepted, the refusals with their reasons, and the nodes that are not members; also
+/// the roles that were taken from a robot since. With --json the same as values.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -24,13 +25,13 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// As [`Client::api`]; a mission that is not there is [`Failure::Unsuccessful`].
+/// See [`Client::api`]; a mission that does not exist is [`Failure::Unsuccessful`].
 pub fn run(args: Args) -> Result<(), Failure> {
     let Args { mission, ask } = args;
     ask.print(
         async |client: &mut Client| client.api(ApiCall::Explain, &json!({ "mission": mission })).await,
         |answer| {
-            let lines = answer["words"].as_array().into_iter().flatten().filter_map(Value::as_str);
+            let lines = answer["text"].as_array().into_iter().flatten().filter_map(Value::as_str);
             lines.collect::<Vec<_>>().join("\n")
         },
     )

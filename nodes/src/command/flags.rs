@@ -1,4 +1,4 @@
-//! Flags that several commands share.
+//! Flags shared by several commands.
 
 use crate::config::{
     BusConfig, ConfigFile, Diagnostics, FleetConfig, FleetRef, LogFormat, NodeFile, TelemetryConfig, load, to_toml,
@@ -21,7 +21,7 @@ pub(super) fn key_value(text: &str) -> Result<(String, String), String> {
     }
 }
 
-/// Reads a quantity or name of the protocol's.
+/// Parses a battery share.
 pub(super) fn share(text: &str) -> Result<BatteryShare, String> {
     quantity(text, BatteryShare::new)
 }
@@ -46,33 +46,36 @@ fn timing(text: &str) -> Result<Timing, String> {
     }
 }
 
-/// How a node is run.
+/// Flags for running a node.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Running")]
 pub struct RunFlags {
-    /// What to log on the standard error: error, warn, info, debug or trace, also by module (info,consort_actors=debug)
+    /// Log filter for the standard error, warn, info, debug or trace, also by module
+    /// (info,consort_actors=debug)
     #[arg(long, env = "CONSORT_LOG", value_name = "FILTER")]
     pub log: Option<String>,
-    /// How to write the log: for people, or an object a line for programs. Default: for people
+    /// Log format: text for people, or a JSON object per line for programs. Default: text
     #[arg(long, env = "CONSORT_LOG_FORMAT", value_enum, value_name = "FORMAT")]
     pub log_format: Option<LogFormat>,
-    /// Serve metrics for Prometheus at this address, as 127.0.0.1:9464; the page is /metrics. Default: none
+    /// Serve metrics for Prometheus at this address, as 127.0.0.1:9464; the page is /metrics.
+    /// Default: none
     #[arg(long, env = "CONSORT_METRICS", value_name = "ADDRESS")]
     pub metrics: Option<SocketAddr>,
-    /// Send spans of missions to this OpenTelemetry collector, by OTLP over HTTP, as http://127.0.0.1:4318; needs a program
-    /// that was built with the feature `otlp`
+    /// Send spans of missions to this OpenTelemetry collector, by OTLP over HTTP, as
+    /// http://127.0.0.1:4318; needs a program built with the feature `otlp`
     #[arg(long, env = "CONSORT_OTLP", value_name = "URL")]
     pub otlp: Option<String>,
-    /// Print the effective configuration as TOML that can be read back, and do nothing else
+    /// Print the effective configuration as TOML that can be read back, and exit
     #[arg(long)]
     pub print_config: bool,
-    /// End when the standard input is closed: for whoever starts nodes as children and must not leave any behind
+    /// Exit when the standard input is closed: for a parent process that must not leave child nodes
+    /// behind
     #[arg(long, hide = true)]
     pub until_stdin_closes: bool,
 }
 
 impl RunFlags {
-    /// Puts what was given in the place of what the file says.
+    /// Overrides the file's values with the given flags.
     fn apply(&self, telemetry: &mut TelemetryConfig) {
         let TelemetryConfig { log, log_format, metrics, otlp } = telemetry;
         *log = self.log.clone().or_else(node_runtime::rust_log).or(log.take());
@@ -82,28 +85,28 @@ impl RunFlags {
     }
 }
 
-/// What the autopilot is told of a node.
+/// Properties of a node that the autopilot uses.
 #[derive(Debug, clap::Args)]
 pub(super) struct VoterFlags {
-    /// Whether it stays where it is
+    /// The node does not move
     #[arg(long, env = "CONSORT_STATIONARY", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
     pub(super) stationary: Option<bool>,
-    /// Whether it lives on mains power
+    /// The node runs on mains power
     #[arg(long, env = "CONSORT_MAINS_POWERED", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
     pub(super) mains_powered: Option<bool>,
     #[command(flatten)]
     pub(super) vote: MayVoteFlag,
 }
 
-/// Whether a node may be a keeper of the ledger at all.
+/// Flag that permits a node to become a voter.
 #[derive(Debug, clap::Args)]
 pub(super) struct MayVoteFlag {
-    /// Whether it may keep a copy of the ledger, and coordinate
+    /// The node may keep a copy of the ledger, and coordinate
     #[arg(long, env = "CONSORT_MAY_VOTE", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
     pub(super) may_vote: Option<bool>,
 }
 
-/// What the commands of all nodes take.
+/// Flags of all node commands.
 #[derive(Debug, clap::Args)]
 pub(super) struct NodeFlags {
     #[command(flatten)]
@@ -111,7 +114,7 @@ pub(super) struct NodeFlags {
     #[command(flatten)]
     bus: BusFlags,
     #[command(flatten)]
-    page: PageFlags,
+    dashboard_flags: DashboardFlags,
     #[command(flatten)]
     fleet: FleetFlags,
     #[command(flatten)]
@@ -119,8 +122,8 @@ pub(super) struct NodeFlags {
 }
 
 impl NodeFlags {
-    /// Runs the node of a file, with what was given in the place of what the file says; or prints what it would be run with.
-    /// `wire` makes its parts, within the runtime.
+    /// Runs the node of a file, with flags overriding the file's values, or prints the effective
+    /// configuration. `wire` builds its parts, within the runtime.
     ///
     /// # Errors
     /// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails.
@@ -133,67 +136,70 @@ impl NodeFlags {
         self.store.apply(surroundings.data_dir);
         self.bus.apply(surroundings.bus);
         self.run.apply(surroundings.telemetry);
-        *surroundings.dashboard = self.page.dashboard.or(*surroundings.dashboard);
+        *surroundings.dashboard = self.dashboard_flags.dashboard.or(*surroundings.dashboard);
         let fleet = self.fleet.resolve(surroundings.fleet)?;
         *surroundings.fleet = FleetRef::from(fleet.clone());
-        settled(&mut file)?;
+        finish_config(&mut file)?;
         if self.run.print_config {
             return output::line(to_toml(&file).trim_end());
         }
-        let wired = file.clone();
+        let config_for_node = file.clone();
         let surroundings = file.common_mut();
         node_runtime::run_node(self.run.until_stdin_closes, &surroundings, &fleet, || {
             let data_dir = surroundings.data_dir.as_deref();
-            wire(&wired, &fleet, NodeIncarnation::start(&wired.node(), &fleet, data_dir)?)
+            wire(&config_for_node, &fleet, NodeIncarnation::start(&config_for_node.node(), &fleet, data_dir)?)
         })
     }
 }
 
-/// Where a node can be looked into.
+/// Flags of the dashboard.
 #[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Looking in")]
-struct PageFlags {
-    /// Serve the dashboard at this address, as 127.0.0.1:8088; port 0 for any free one. The address is printed. Whoever can
-    /// reach it may submit and cancel missions
+#[command(next_help_heading = "Dashboard")]
+struct DashboardFlags {
+    /// Serve the dashboard at this address, as 127.0.0.1:8088; port 0 selects any free port. The
+    /// address is printed. In an open fleet every client that reaches the address may submit and
+    /// cancel missions
     #[arg(long, env = "CONSORT_DASHBOARD", value_name = "HOST:PORT")]
     dashboard: Option<SocketAddr>,
 }
 
-/// What a node remembers.
+/// Flags of the node's store.
 #[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Memory")]
+#[command(next_help_heading = "Store")]
 struct StoreFlags {
-    /// Directory in which the node keeps its copy of the ledger, its vote, and what its robot is at; created if need be.
-    /// Without one it forgets all when it ends, and comes back as a new member
+    /// Directory for the node's copy of the ledger, its vote, and its robot's checkpoint; created
+    /// if it does not exist. Without it all state is lost when the node ends, and the node returns
+    /// as a new member
     #[arg(long, env = "CONSORT_DATA_DIR", value_name = "DIR")]
     data_dir: Option<PathBuf>,
 }
 
 impl StoreFlags {
-    /// Puts what was given in the place of what the file says.
+    /// Overrides the file's value with the given flag.
     fn apply(self, data_dir: &mut Option<PathBuf>) {
         *data_dir = self.data_dir.or(data_dir.take());
     }
 }
 
-/// Where a node is on the network.
+/// Flags of the network.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Network")]
 struct BusFlags {
-    /// Address to listen on, as tcp/0.0.0.0:7447 (tls/… with --certs); may be repeated. Default: loopback, any free port
+    /// Address to listen on, as tcp/0.0.0.0:7447 (tls/… with --certs); may be repeated. Default:
+    /// loopback, any free port
     #[arg(long, env = "CONSORT_LISTEN", value_delimiter = ',', value_name = "ADDRESS")]
     listen: Vec<String>,
-    /// Neighbour to connect to, as tcp/192.0.2.7:7447; may be repeated. Two to four serve well
+    /// Neighbour to connect to, as tcp/192.0.2.7:7447; may be repeated. Two to four are recommended
     #[arg(long, env = "CONSORT_CONNECT", value_delimiter = ',', value_name = "ADDRESS")]
     connect: Vec<String>,
-    /// Folder with the node's certificate and key, as `consort cert` makes it. Links are then encrypted (tls/…), and whoever
-    /// has no certificate of the fleet gets nowhere
+    /// Folder with the node's certificate and key, as written by `consort cert`. Links are then
+    /// encrypted (tls/…), and nodes without a certificate of the fleet are rejected
     #[arg(long, env = "CONSORT_CERTS", value_name = "DIR")]
     certs: Option<PathBuf>,
 }
 
 impl BusFlags {
-    /// Puts what was given in the place of what the file says.
+    /// Overrides the file's values with the given flags.
     fn apply(self, bus: &mut BusConfig) {
         if !self.listen.is_empty() {
             bus.listen = self.listen;
@@ -205,7 +211,7 @@ impl BusFlags {
     }
 }
 
-/// What all nodes of a fleet agree on.
+/// Flags that must be the same for all nodes of a fleet.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Fleet (the same for all its nodes)")]
 struct FleetFlags {
@@ -215,55 +221,56 @@ struct FleetFlags {
     /// The fleet's name
     #[arg(long, env = "CONSORT_FLEET_NAME", value_name = "NAME")]
     fleet_name: Option<FleetId>,
-    /// The map: the name of one that is shipped (hospital), or a file
+    /// The map: the name of a bundled map (hospital), or a file
     #[arg(long, env = "CONSORT_MAP", value_name = "NAME|FILE")]
     map: Option<String>,
-    /// Nodes that may vote and must have met before the ledger is founded
+    /// Number of nodes with may_vote that must have met before the ledger is created
     #[arg(long, env = "CONSORT_BOOTSTRAP_EXPECT", value_name = "COUNT")]
     bootstrap_expect: Option<usize>,
-    /// How fast the fleet notices and reacts: lan or wifi
+    /// Timing preset of failure detection and elections: lan or wifi
     #[arg(long, env = "CONSORT_TIMING", value_name = "PRESET", value_parser = timing)]
     timing: Option<Timing>,
-    /// Voters that the autopilot aims at: 1, 3, 5, 7 or 9
+    /// Target number of voters: 1, 3, 5, 7 or 9
     #[arg(long, env = "CONSORT_VOTERS", value_name = "COUNT")]
     voters: Option<usize>,
-    /// How long a voter must be gone until another takes its place
+    /// Time that a voter must be unreachable until another replaces it
     #[arg(long, env = "CONSORT_DEAD_AFTER_MS", value_name = "MS")]
     dead_after_ms: Option<u64>,
-    /// How long a neighbour that says nothing counts as linked
+    /// Time that a silent neighbour still counts as linked
     #[arg(long, env = "CONSORT_LINK_LEASE_MS", value_name = "MS")]
     link_lease_ms: Option<u64>,
-    /// After how many seconds a role none of whose steps ends is taken from its robot; 0 for never
+    /// Time without a finished step after which a role is taken from its robot, in seconds; 0 for
+    /// never
     #[arg(long, env = "CONSORT_STALL_AFTER_S", value_name = "SECONDS")]
     stall_after_s: Option<u64>,
-    /// Longest time that a robot's part may take by its own estimate
+    /// Maximum time of a robot's part by its own estimate
     #[arg(long, env = "CONSORT_TIME_LIMIT_S", value_name = "SECONDS", value_parser = seconds)]
     time_limit_s: Option<Seconds>,
     /// Charge that must be left after a mission, as a share
     #[arg(long, env = "CONSORT_CHARGE_MIN", value_name = "SHARE", value_parser = share)]
     charge_min: Option<BatteryShare>,
-    /// Missions that are taken on at once; 0 for no limit
+    /// Maximum number of active missions; 0 for no limit
     #[arg(long, env = "CONSORT_MISSIONS_MAX", value_name = "COUNT")]
     missions_max: Option<usize>,
-    /// Requests that are taken in a second, in the long run; 0 for no limit
+    /// Maximum sustained number of requests per second; 0 for no limit
     #[arg(long, env = "CONSORT_REQUESTS_PER_S", value_name = "COUNT")]
     requests_per_s: Option<u32>,
-    /// A robot suspends its role this long after its last contact with the coordinator
+    /// Time after its last contact with the coordinator at which a robot suspends its role
     #[arg(long, env = "CONSORT_LEASE_MS", value_name = "MS")]
     lease_ms: Option<u64>,
-    /// The coordinator waits this much longer before it gives the role to another
+    /// Additional time that the coordinator waits before it gives the role to another robot
     #[arg(long, env = "CONSORT_GRACE_MS", value_name = "MS")]
     grace_ms: Option<u64>,
-    /// How long an auction waits for a member that does not answer
+    /// Time that an auction waits for a member that does not answer
     #[arg(long, env = "CONSORT_WINDOW_MS", value_name = "MS")]
     window_ms: Option<u64>,
 }
 
 impl FleetFlags {
-    /// The fleet that flags and a node's file name together.
+    /// Combines the fleet of the flags and of a node's file.
     ///
     /// # Errors
-    /// [`Failure::Usage`] for what is wrong with it.
+    /// [`Failure::Usage`] for an invalid fleet.
     fn resolve(self, named: &FleetRef) -> Result<FleetConfig, Failure> {
         let mut fleet = match &self.fleet {
             Some(path) => load(path)?,
@@ -284,23 +291,23 @@ impl FleetFlags {
         set(&mut fleet.lease.lease_ms, self.lease_ms);
         set(&mut fleet.lease.grace_ms, self.grace_ms);
         fleet.auction.window_ms = self.window_ms.or(fleet.auction.window_ms);
-        settled(&mut fleet)?;
+        finish_config(&mut fleet)?;
         Ok(fleet)
     }
 }
 
-/// Puts what was given in the place of what was there.
+/// Replaces a value if another is given.
 pub(super) fn set<T>(place: &mut T, given: Option<T>) {
     if let Some(given) = given {
         *place = given;
     }
 }
 
-/// Makes paths that flags gave relative to where the command runs, and checks the whole once more.
+/// Resolves paths of flags relative to the current directory, and validates the result.
 ///
 /// # Errors
-/// [`Failure::Usage`] for what is wrong.
-fn settled<C: ConfigFile>(config: &mut C) -> Result<(), Failure> {
+/// [`Failure::Usage`] for an invalid configuration.
+fn finish_config<C: ConfigFile>(config: &mut C) -> Result<(), Failure> {
     let here = std::env::current_dir().unwrap_or_else(|_| PathBuf::from("/"));
     config.resolve_paths(Path::new(&here));
     let problems = config.validate();

@@ -1,4 +1,4 @@
-//! `consort fleet`: the nodes of a fleet, and who coordinates.
+//! `consort fleet`: shows the nodes of a fleet and its coordinator.
 
 use crate::client::{Client, QueryFlags};
 use crate::exit::Failure;
@@ -6,9 +6,9 @@ use crate::output;
 use consort_protocol::keys::Key;
 use serde_json::{Value, json};
 
-/// Show the nodes of a fleet, and who coordinates
+/// Show the nodes of a fleet and its coordinator
 ///
-/// As the nearest node has heard of them: each belief has an age.
+/// The data comes from the nearest node; each row has the age of its last contact.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -22,42 +22,39 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// As [`Client::view`].
+/// See [`Client::query_view`].
 pub fn run(args: Args) -> Result<(), Failure> {
     let look = async |client: &mut Client| {
         let fleet = client.query_view(&Key::ViewFleet).await?;
         let coordinator = client.query_view(&Key::ViewCoordinator).await?;
         Ok(json!({ "fleet": fleet, "coordinator": coordinator }))
     };
-    args.ask.print(look, |seen| words(&seen["fleet"], &seen["coordinator"]))
+    args.ask.print(look, |seen| format_fleet(&seen["fleet"], &seen["coordinator"]))
 }
 
-fn words(fleet: &Value, coordinator: &Value) -> String {
-    let heads = ["NODE", "ALIVE", "VOTES", "PLACE", "BATTERY", "SPEED", "HOLDS", "MEMBER", "HEARD", "SKILLS"];
+fn format_fleet(fleet: &Value, coordinator: &Value) -> String {
+    let heads = ["NODE", "ALIVE", "VOTES", "PLACE", "BATTERY", "SPEED", "HOLDS", "MEMBER", "CONTACT", "SKILLS"];
     let nodes = fleet.get("nodes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
     let rows = nodes.iter().map(|node| row(node, fleet, coordinator));
     let rows: Vec<Vec<String>> = std::iter::once(heads.map(str::to_owned).to_vec()).chain(rows).collect();
-    format!("{}\n{}", head(coordinator), output::table(&rows))
+    format!("{}\n{}", format_coordinator(coordinator), output::table(&rows))
 }
 
-fn head(coordinator: &Value) -> String {
+fn format_coordinator(coordinator: &Value) -> String {
     let text = |key: &str| coordinator.get(key).and_then(Value::as_str).unwrap_or("?");
     let number = |key: &str| coordinator.get(key).and_then(Value::as_u64).unwrap_or(0);
     let list = |key: &str| {
         let names = coordinator.get(key).and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str);
         let names: Vec<&str> = names.collect();
-        if names.is_empty() { "nobody".to_owned() } else { names.join(", ") }
+        if names.is_empty() { "none".to_owned() } else { names.join(", ") }
     };
     let (term, voters) = (number("term"), list("voters"));
     if coordinator.get("node").is_none_or(Value::is_null) {
-        return format!(
-            "nobody coordinates, as {} sees it; the last term was {term}; the ledger is kept by {voters}",
-            text("seen_by")
-        );
+        return format!("no coordinator, as seen by {}; the last term was {term}; voters: {voters}", text("seen_by"));
     }
     let since = number("since_ms") as f64 / 1000.0;
     let node = text("node");
-    format!("{node} coordinates since {since:.1} s, term {term}; the ledger is kept by {voters}")
+    format!("{node} is the coordinator for {since:.1} s, term {term}; voters: {voters}")
 }
 
 fn row(node: &Value, fleet: &Value, coordinator: &Value) -> Vec<String> {

@@ -1,4 +1,4 @@
-//! `consort keys`: every key that a fleet uses.
+//! `consort keys`: lists every key that a fleet uses.
 
 use crate::config::DEFAULT_FLEET;
 use crate::exit::Failure;
@@ -8,15 +8,16 @@ use serde_json::json;
 
 /// List every key that a fleet uses on Zenoh
 ///
-/// With who says it, how, in which encoding, and what: those for people first (view, seen, api, events, alive), then those
-/// between nodes (wire). It is the table of the module that writes and reads the keys.
+/// Each row has the owner, the usage, the encoding and a description. Keys for people come first
+/// (view, seen, api, events, alive), then keys between nodes (wire). The table comes from the
+/// module that writes and parses the keys.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
   consort keys
   consort keys --fleet ward --json")]
 pub struct Args {
-    /// The name of the fleet whose keys they are
+    /// The name of the fleet
     #[arg(long, value_name = "NAME", default_value = DEFAULT_FLEET)]
     fleet: consort_protocol::ids::FleetId,
     /// Print JSON
@@ -42,7 +43,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         });
         return output::line(json!({ "keys": keys.collect::<Vec<_>>() }));
     }
-    let heads = ["KEY", "WHO", "", "ENCODING", "WHAT"].map(str::to_owned).to_vec();
+    let heads = ["KEY", "OWNER", "", "ENCODING", "DESCRIPTION"].map(str::to_owned).to_vec();
     let rows = TABLE.iter().map(|about| {
         let encoding = if about.encoding.is_empty() { "-" } else { about.encoding };
         vec![

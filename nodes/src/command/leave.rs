@@ -1,4 +1,4 @@
-//! `consort leave`: a node leaves the fleet for good.
+//! `consort leave`: decommissions a node.
 
 use crate::client::QueryFlags;
 use crate::exit::Failure;
@@ -7,21 +7,24 @@ use consort_protocol::keys::Key;
 use serde_json::Value;
 use std::time::Duration;
 
-/// How long a node may take to leave: its robot waits for a lease and its grace, its vote for the autopilot.
+/// Time limit for a node to leave: its robot waits for a lease and its grace time, its vote for the
+/// autopilot.
 const LEAVES_WITHIN: Duration = Duration::from_secs(60);
 
-/// Have a node leave the fleet for good
+/// Decommission a node
 ///
-/// If it coordinates, it hands over; another takes its vote; its robot puts its role down, so that another can take it. Then
-/// its process ends. A node without which the ledger would be lost stays, says why, and works on. To stop a node for a while, end its process (Ctrl-C or SIGTERM): it keeps its vote, and its robot
-/// goes on with its role if it is back in time.
+/// A coordinator transfers the leadership; another node replaces it as voter; its robot releases
+/// its role, so that another robot can take it. Then the process ends. A node that holds the only
+/// copy of ledger entries stays, reports why, and keeps working. To stop a node for a while, end
+/// its process (Ctrl-C or SIGTERM): it keeps its vote, and its robot resumes its role if the node
+/// is back in time.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
   consort leave ward-3
   consort leave ada --connect tcp/192.0.2.7:7447")]
 pub struct Args {
-    /// The node, as `consort fleet` names it
+    /// The node, as named by `consort fleet`
     node: NodeId,
     #[command(flatten)]
     ask: QueryFlags,
@@ -30,7 +33,8 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// As [`Client::ask_node`](crate::client::Client::ask_node); a node that must stay is [`Failure::Unsuccessful`].
+/// See [`Client::query_node`](crate::client::Client::query_node); a node that must stay is
+/// [`Failure::Unsuccessful`].
 pub fn run(args: Args) -> Result<(), Failure> {
     let leave = Key::Leave(args.node.clone());
     args.ask.print(
@@ -49,13 +53,13 @@ fn words(node: &NodeId, answer: &Value) -> String {
     let successor = answer.get("successor").and_then(Value::as_str);
     let mut words = format!("{node} has left");
     if let Some(successor) = successor {
-        words += &format!("; {successor} coordinates");
+        words += &format!("; {successor} is the coordinator");
     }
-    if is("kept_ledger") {
-        words += if is("released") { "; it keeps the ledger no more" } else { "; its vote is not removed yet" };
+    if is("was_member") {
+        words += if is("vote_released") { "; it is no longer a voter" } else { "; its vote is not removed yet" };
     }
-    if !is("role_given_back") {
-        words += "; its robot's role was not given back in time, and is given to another when its lease has ended";
+    if !is("role_released") {
+        words += "; its robot's role was not released in time; another robot gets it when the lease has expired";
     }
     words
 }

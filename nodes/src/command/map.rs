@@ -1,4 +1,4 @@
-//! `consort map`: look at a map.
+//! `consort map`: draws, checks and converts maps.
 
 use super::drawn_world;
 use crate::config::{Diagnostic, Diagnostics, to_toml};
@@ -10,9 +10,10 @@ use std::path::{Path, PathBuf};
 
 /// Draw, check and convert maps
 ///
-/// Reads maps of our own form (YAML, JSON), drawings of diagrams.net by the conventions of HMR Sim (`.drawio`, `.xml`) and
-/// buildings of Open-RMF (`.building.yaml`), told apart by the file's ending. The same files are taken wherever a map is
-/// named: `map = "…"` in a fleet or world file, and `--map`.
+/// Reads maps in Consort's own format (YAML, JSON), drawings of diagrams.net by the conventions of
+/// HMR Sim (`.drawio`, `.xml`) and buildings of Open-RMF (`.building.yaml`), detected by the file's
+/// extension. The same files are accepted wherever a map is configured: `map = "…"` in a fleet or
+/// world file, and `--map`.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -25,11 +26,11 @@ Examples:
   consort map convert ward.drawio --out ward.yaml --world ward.toml && consort world --config ward.toml
 
 A drawing (.drawio, .xml): shapes of type `POI` are places, named by `tag`, and lines of type `map-path` are lanes; `robot`,
-`pickable` and `person` are who and what is there; floor-plan shapes are walls. Each page is a level. A unit is 0.02 m unless
-the page says (`metres_per_unit` in *Edit Data* with nothing selected) or --scale does.
+`pickable` and `person` are robots, objects and people; floor-plan shapes are walls. Each page is a level. A unit is 0.02 m
+unless the page (`metres_per_unit` in *Edit Data* with nothing selected) or --scale sets it.
 
-A building (.building.yaml): vertices at lanes are places. A pixel is as long as the level's measurements say, unless --scale
-does. Lanes of the lowest graph are read, unless --graph names another.")]
+A building (.building.yaml): vertices at lanes are places. The length of a pixel follows from the level's measurements, unless
+--scale sets it. Lanes of the lowest graph are read, unless --graph selects another.")]
 pub struct Args {
     #[command(subcommand)]
     what: What,
@@ -39,68 +40,71 @@ pub struct Args {
 enum What {
     /// Draw a map, as SVG or PNG
     ///
-    /// Places by their kind, lanes with their directions and limits, doors, lifts and walls, a panel for each level, and
-    /// who and what is drawn on the floor. An SVG tells more of each where the pointer rests.
+    /// Draws places by their kind, lanes with their directions and limits, doors, lifts and walls,
+    /// a panel for each level, and the drawn robots, objects and people. An SVG shows details under
+    /// the pointer.
     Show {
         #[command(flatten)]
         source: Source,
-        /// The picture: PNG where it ends in `.png`, else SVG; `-` is the standard output. Default: the map's file name
-        /// with `.svg`, in the current directory
+        /// The image: PNG if the name ends in `.png`, else SVG; `-` is the standard output.
+        /// Default: the map's file name with `.svg`, in the current directory
         #[arg(long, value_name = "PICTURE")]
         out: Option<PathBuf>,
     },
-    /// Say what is on maps, or all that is wrong with them
+    /// Check maps and list their content
     ///
-    /// Prints `ok` and what there is, with a note for all that was left out or assumed; or each problem with file and
-    /// place, and what is allowed.
+    /// Prints `ok` and the content, with a note for everything that was left out or assumed; or
+    /// each problem with file, position and allowed values.
     Check {
-        /// The map files, or names of maps that are shipped
+        /// The map files, or names of bundled maps
         #[arg(required = true, value_name = "FILE")]
         files: Vec<PathBuf>,
         #[command(flatten)]
         reading: Reading,
     },
-    /// Write a map in another form
+    /// Write a map in another format
     ///
-    /// What our form does not hold (robots, objects, people) is told on the standard error, or put into a world file.
+    /// Parts that Consort's format does not hold (robots, objects, people) are reported on the
+    /// standard error, or written to a world file.
     Convert {
         #[command(flatten)]
         source: Source,
-        /// The form to write
+        /// The format to write
         #[arg(long, value_enum, default_value_t = Form::Ours)]
         to: Form,
-        /// Where to put the map: JSON where it ends in `.json`, else YAML. Default: the standard output
+        /// The output file: JSON if the name ends in `.json`, else YAML. Default: the standard
+        /// output
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
-        /// Write a world file too, with the robots, people and objects that are drawn on the map: for `consort world`
+        /// Write a world file too, with the drawn robots, people and objects: for `consort world`
         #[arg(long, value_name = "FILE.toml", requires = "out")]
         world: Option<PathBuf>,
     },
 }
 
-/// Forms that maps are written in.
+/// Output formats of maps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Form {
-    /// Our own.
+    /// Consort's own format.
     Ours,
 }
 
 #[derive(Debug, clap::Args)]
 struct Source {
-    /// The map file, or the name of a map that is shipped
+    /// The map file, or the name of a bundled map
     #[arg(value_name = "FILE")]
     file: PathBuf,
     #[command(flatten)]
     reading: Reading,
 }
 
-/// How to read what a file leaves open.
+/// Settings for values that a file leaves open.
 #[derive(Debug, clap::Args)]
 struct Reading {
-    /// Metres that a unit of a drawing or a pixel of a building stands for, instead of what the file says
+    /// Metres per unit of a drawing or pixel of a building, instead of the file's value
     #[arg(long, value_name = "METRES", value_parser = scale)]
     scale: Option<f64>,
-    /// The navigation graph of an Open-RMF building. Default: the one of the lowest number
+    /// The navigation graph of an Open-RMF building. Default: the graph with the lowest number
     #[arg(long, value_name = "NUMBER")]
     graph: Option<i64>,
 }
@@ -121,7 +125,8 @@ impl Reading {
         }
         let text = map_loader::read_text(&name)?;
         if map_loader::is_published_format(&text) {
-            let what = "this map is of the published form, which has routes and no floor: there is nothing to draw";
+            let what =
+                "this map has the published format, which has routes but no floor plan: there is nothing to draw";
             return Err(Diagnostic::for_file(&name, what).into());
         }
         let options = ImportOptions { scale_m: self.scale, graph: self.graph };
@@ -134,8 +139,8 @@ impl Reading {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] for a map that cannot be read or is not sound, [`Failure::Unsuccessful`] if a check finds problems or
-/// a file cannot be written.
+/// [`Failure::Usage`] for a map that cannot be read or is not valid, [`Failure::Unsuccessful`] if a
+/// check finds problems or a file cannot be written.
 pub fn run(args: Args) -> Result<(), Failure> {
     match args.what {
         What::Show { source, out } => draw(&source, out),
@@ -161,7 +166,8 @@ fn draw(source: &Source, out: Option<PathBuf>) -> Result<(), Failure> {
     output::line(format_args!("{}: {}", out.display(), contents(&drawing, &map)))
 }
 
-/// `ward.svg` for `maps/ward.drawio`, `office.svg` for `office.building.yaml`.
+/// Returns the default image file: `ward.svg` for `maps/ward.drawio`, `office.svg` for
+/// `office.building.yaml`.
 fn picture_of(file: &Path) -> PathBuf {
     let stem = file.file_stem().unwrap_or(file.as_os_str()).to_string_lossy();
     PathBuf::from(format!("{}.svg", stem.strip_suffix(".building").unwrap_or(&stem)))
@@ -192,13 +198,13 @@ fn check(files: &[PathBuf], reading: &Reading) -> Result<(), Failure> {
 fn convert(source: &Source, out: Option<&Path>, world: Option<&Path>) -> Result<(), Failure> {
     let (drawing, _) = source.reading.read(&source.file)?;
     notes(&source.file, &drawing);
-    for body in drawing.items().filter(|_| world.is_none()) {
-        let near = body.place.as_ref().map_or_else(String::new, |place| format!(", near {place:?}"));
-        let (x, y) = (body.x_m, body.y_m);
+    for item in drawing.items().filter(|_| world.is_none()) {
+        let near = item.place.as_ref().map_or_else(String::new, |place| format!(", near {place:?}"));
+        let (x, y) = (item.x_m, item.y_m);
         let name = source.file.display();
         output::note(format_args!(
             "{name}: note: a map holds no {}: {:?} at ({x}, {y}) m{near} is left out",
-            body.kind, body.name
+            item.kind, item.name
         ));
     }
     let refused = |error: String| Failure::Unsuccessful(format!("this map cannot be written: {error}"));
@@ -218,9 +224,10 @@ fn convert(source: &Source, out: Option<&Path>, world: Option<&Path>) -> Result<
     }
 }
 
-/// Writes a world file of what is drawn beside the map, which was written to `map`.
+/// Writes a world file with the drawn robots, people and objects. The map itself was written to
+/// `map`.
 fn write_world(source: &Path, drawing: &Drawing, map: &Path, world: &Path) -> Result<(), Failure> {
-    // Maps are named as seen from the file's own folder.
+    // A world file names its map relative to its own folder.
     let beside = map.parent() == world.parent();
     let named = if beside { map.file_name().map(PathBuf::from) } else { std::fs::canonicalize(map).ok() };
     let named = named.unwrap_or_else(|| map.to_owned()).display().to_string();
@@ -258,7 +265,7 @@ fn contents(drawing: &Drawing, map: &Map) -> String {
         (drawing.people.len(), "person", "people"),
         (drawing.others.len(), "other thing", "other things"),
     ];
-    let said = counts.iter().filter(|(number, ..)| *number > 0);
-    let said = said.map(|(number, one, many)| count(*number, one, many));
-    format!("{}: {}", map.name(), said.collect::<Vec<_>>().join(", "))
+    let described = counts.iter().filter(|(number, ..)| *number > 0);
+    let described = described.map(|(number, singular, plural)| count(*number, singular, plural));
+    format!("{}: {}", map.name(), described.collect::<Vec<_>>().join(", "))
 }

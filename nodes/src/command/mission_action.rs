@@ -1,4 +1,4 @@
-//! What commands share that do something with a mission on somebody's word.
+//! Shared parts of commands that a person applies to a mission.
 
 use crate::client::QueryFlags;
 use crate::exit::Failure;
@@ -6,12 +6,12 @@ use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use serde_json::{Value, json};
 
-/// Which mission, and on whose word.
+/// Flags for the mission and the person.
 #[derive(Debug, clap::Args)]
 pub(super) struct MissionActionFlags {
-    /// The mission, as `consort missions` names it
+    /// The mission, as named by `consort missions`
     mission: MissionId,
-    /// On whose word, for the record
+    /// Name of the responsible person, for the record
     #[arg(long, env = "CONSORT_BY", default_value = "an operator")]
     by: String,
     #[command(flatten)]
@@ -19,10 +19,10 @@ pub(super) struct MissionActionFlags {
 }
 
 impl MissionActionFlags {
-    /// Makes the request, and prints how the mission stands now; `word` has that in a word.
+    /// Sends the request, and prints the mission's new state; `word` extracts the state's name.
     ///
     /// # Errors
-    /// As [`AskFlags::print`].
+    /// See [`QueryFlags::print`].
     pub(super) fn request(&self, call: ApiCall, word: impl FnOnce(&Value) -> String) -> Result<(), Failure> {
         let request = json!({ "mission": self.mission, "by": self.by });
         self.ask.print(

@@ -1,4 +1,4 @@
-//! `consort missions`: missions and how they fare.
+//! `consort missions`: lists missions and their progress.
 
 use crate::client::{Client, ClientFlags};
 use crate::exit::Failure;
@@ -8,10 +8,11 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// Show missions and how they fare
+/// Show missions and their progress
 ///
-/// In the order in which they were submitted: state, steps done, who holds which role, why a mission is still pending, and,
-/// of one that needs rescue, which robot has what and where. With --watch a line is added for every change, until Ctrl-C.
+/// In the order of submission: state, finished steps, role holders, the reason why a mission is
+/// still pending, and for a mission that needs intervention, the items in each robot's hands and
+/// their places. With --watch a line is added for every change, until Ctrl-C.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -19,7 +20,7 @@ Examples:
   consort missions --watch
   consort missions --json | head -c 2000")]
 pub struct Args {
-    /// Go on, and add a line for every change
+    /// Keep running, and add a line for every change
     #[arg(long)]
     watch: bool,
     /// Print JSON: the whole list; with --watch a line for every change
@@ -29,13 +30,13 @@ pub struct Args {
     client: ClientFlags,
 }
 
-/// How often changes are looked for.
+/// Poll interval for changes.
 const LOOK: Duration = Duration::from_millis(500);
 
 /// Runs the command.
 ///
 /// # Errors
-/// As [`Client::api`].
+/// See [`Client::api`].
 pub fn run(args: Args) -> Result<(), Failure> {
     args.client.with_client(
         async |client| {
@@ -59,7 +60,7 @@ async fn once(client: &mut Client, in_json: bool) -> Result<(), Failure> {
     }
     let missions = entries(&answer);
     if missions.is_empty() {
-        return output::line("no missions yet; `consort submit lab-samples` asks for one");
+        return output::line("no missions yet; `consort submit lab-samples` submits a mission");
     }
     let heads = ["MISSION", "STATE", "STEPS", "PARAMETERS", "ROLES", ""].map(str::to_owned).to_vec();
     let rows: Vec<Vec<String>> = std::iter::once(heads).chain(missions.iter().map(row)).collect();
@@ -92,7 +93,7 @@ fn text(value: &Value, key: &str) -> String {
 
 fn row(mission: &Value) -> Vec<String> {
     let number = |key: &str| mission.get(key).and_then(Value::as_u64).unwrap_or(0);
-    let why = mission.get("why_pending").and_then(Value::as_str).map(str::to_owned);
+    let why = mission.get("pending_reason").and_then(Value::as_str).map(str::to_owned);
     let why = why.filter(|_| text(mission, "state") == "pending");
     vec![
         text(mission, "mission"),
@@ -113,8 +114,8 @@ fn pairs(value: Option<&Value>) -> String {
     if pairs.is_empty() { "-".to_owned() } else { pairs.join(", ") }
 }
 
-/// `sample with amber (r1) at IC Room 6, not certain`.
-fn whereabouts(items: &Value) -> String {
+/// Formats the last known places of items: `sample with amber (r1) at IC Room 6, not certain`.
+fn last_known_places(items: &Value) -> String {
     let line = |kept: &Value| {
         let place = kept.get("place").and_then(Value::as_str).map(|place| format!(" at {place}"));
         let certain = kept.get("certain").and_then(Value::as_bool).unwrap_or(false);
@@ -130,17 +131,17 @@ fn whereabouts(items: &Value) -> String {
     items.as_array().into_iter().flatten().map(line).collect::<Vec<_>>().join("; ")
 }
 
-/// What a mission's state says beside its word, as `: cause`.
+/// Formats the fields of a mission's state, as `: cause`.
 pub(super) fn detail(state: &Value) -> String {
     let Value::Object(map) = state else { return String::new() };
     let fields = map.values().filter_map(Value::as_object).flat_map(|fields| fields.iter());
-    let told: Vec<String> = fields
+    let fields_text: Vec<String> = fields
         .map(|(name, value)| match (name.as_str(), value.as_str()) {
-            ("items", None) => whereabouts(value),
+            ("items", None) => last_known_places(value),
             ("by", Some(who)) => format!("by {who}"),
             (_, Some(text)) => text.to_owned(),
             (name, None) => format!("{name} {value}"),
         })
         .collect();
-    if told.is_empty() { String::new() } else { format!(": {}", told.join(", ")) }
+    if fields_text.is_empty() { String::new() } else { format!(": {}", fields_text.join(", ")) }
 }

@@ -1,4 +1,4 @@
-//! The commands, one a file: each has its flags, and `run`.
+//! The commands, each in its own file with its flags and a function `run`.
 
 pub mod backup;
 pub mod bench;

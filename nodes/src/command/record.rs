@@ -1,4 +1,4 @@
-//! `consort record`: what is heard of a fleet, written to a file.
+//! `consort record`: records a fleet's messages to a file.
 
 use crate::client::{Client, ClientFlags};
 use crate::command::duration::parse_duration;
@@ -19,11 +19,12 @@ use std::time::Duration;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
 
-/// Record what happens in a fleet to an MCAP file
+/// Record the events of a fleet to an MCAP file
 ///
-/// It listens as any client does, and is no part of the fleet: events, robots, people and doors, and all that the dashboard shows.
-/// It ends with Ctrl-C, SIGTERM or after `--for`; the file is complete then. `consort replay` shows it in the dashboard, and
-/// Foxglove opens it.
+/// The recorder subscribes like any client, and is not part of the fleet. It records events,
+/// robots, people and doors, and all data of the dashboard. It ends with Ctrl-C, SIGTERM or after
+/// `--for`; the file is complete then. `consort replay` shows it in the dashboard, and Foxglove
+/// opens it.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -32,37 +33,37 @@ Examples:
   consort record --out run.mcap --force --connect tcp/192.0.2.1:7447 --connect tcp/192.0.2.2:7447
   consort replay run.mcap
 
-With several addresses it goes on when the node that it is linked to dies. Events that were not heard meanwhile are noted in the
-file, by the numbers that nodes give them (topic /gaps). Whoever kills the recorder loses a second or two, and the file's index:
-`consort replay` shows it all the same, and `mcap recover` mends it.")]
+With several addresses the recording continues when the linked node fails. Events missed meanwhile are noted in the file, by
+their sequence numbers (topic /gaps). If the recorder is killed, the last second or two and the file's index are lost:
+`consort replay` still shows the file, and `mcap recover` repairs it.")]
 pub struct Args {
-    /// The file; one that is there already is not replaced without --force
+    /// The file; an existing file is not replaced without --force
     #[arg(long, env = "CONSORT_OUT", value_name = "FILE.mcap")]
     out: PathBuf,
-    /// How long to record, as 60s, 5m, 2h or 30d. Default: until Ctrl-C
+    /// Recording time, as 60s, 5m, 2h or 30d. Default: until Ctrl-C
     #[arg(long = "for", env = "CONSORT_FOR", value_name = "TIME", value_parser = parse_duration)]
     length: Option<Duration>,
-    /// Replace the file if there is one
+    /// Replace an existing file
     #[arg(long)]
     force: bool,
-    /// Print what was recorded as JSON
+    /// Print the recording's statistics as JSON
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     client: ClientFlags,
 }
 
-/// How often it is looked whether something is to be written, and what there is so far.
+/// Interval for flushing the file and updating the progress.
 const LOOK: Duration = Duration::from_millis(250);
 
-/// The node's name in the picture: where it is drawn.
+/// Name of the observing node in the fleet model.
 const NAME: &str = "recorder";
 
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] if the file is there already or cannot be written; [`Failure::Unsuccessful`] if it does not hold all that
-/// was heard; as [`Client::open`].
+/// [`Failure::Usage`] if the file exists or cannot be written; [`Failure::Unsuccessful`] if it does
+/// not hold all received messages; see [`Client::open`].
 pub fn run(args: Args) -> Result<(), Failure> {
     if !args.force && args.out.exists() {
         return Err(already_exists(&args.out));
@@ -72,10 +73,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let recorded = client.with_client(async |client| {
         let clock = Clock::real();
         let (fleet, began_ms) = (client.fleet().clone(), clock.wall_ms());
-        let tape = RecordingWriter::create(&out, existing, &fleet, NAME, began_ms);
-        let tape = tape.map_err(|problem| Failure::Usage(problem.to_string()))?;
-        let picture = FleetModel::new(fleet.to_string(), NAME, FloorPlan::default(), began_ms);
-        let recorder = Arc::new(Recorder::new(picture, tape, clock));
+        let writer = RecordingWriter::create(&out, existing, &fleet, NAME, began_ms);
+        let writer = writer.map_err(|problem| Failure::Usage(problem.to_string()))?;
+        let model = FleetModel::new(fleet.to_string(), NAME, FloorPlan::default(), began_ms);
+        let recorder = Arc::new(Recorder::new(model, writer, clock));
         let until = length.map(|length| Instant::now() + length);
         output::note(format_args!("recording {fleet} to {}; Ctrl-C ends it", out.display()));
         let ended = listen(client, &recorder, until).await;
@@ -84,11 +85,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     })?;
     match json {
         true => output::line(serde_json::json!({ "file": out, "recorded": recorded })),
-        false => output::line(format_args!("{}: {}", out.display(), words(&recorded))),
+        false => output::line(format_args!("{}: {}", out.display(), format_stats(&recorded))),
     }
 }
 
-/// Has the recorder told what is heard, until it is to end.
+/// Passes received messages to the recorder, until the recording ends.
 async fn listen(client: &Client, recorder: &Arc<Recorder>, until: Option<Instant>) -> Result<(), Failure> {
     let mut signals = ShutdownSignals::open()?;
     let ear: Arc<dyn FleetListener> = Arc::<Recorder>::clone(recorder);
@@ -106,26 +107,26 @@ async fn listen(client: &Client, recorder: &Arc<Recorder>, until: Option<Instant
         tokio::select! {
             _ = signals.wait() => return Ok(()),
             () = &mut end => return Ok(()),
-            () = recorder.write_failed() => return Ok(()), // it says itself why
+            () = recorder.write_failed() => return Ok(()), // `finish` returns the reason
             () = tokio::time::sleep(LOOK) => {
                 if let (Some(recorded), coordinator) = recorder.flush_due() {
-                    let who = coordinator.map_or_else(|| "nobody coordinates".to_owned(), |now| format!("{} coordinates", now.node));
-                    progress.show_on_terminal(format_args!("{}; {who}", words(&recorded)));
+                    let who = coordinator.map_or_else(|| "no coordinator".to_owned(), |now| format!("coordinator {}", now.node));
+                    progress.show_on_terminal(format_args!("{}; {who}", format_stats(&recorded)));
                 }
             }
         }
     }
 }
 
-/// What there is, in words.
-fn words(recorded: &RecordingStats) -> String {
+/// Formats the recording's statistics.
+fn format_stats(recorded: &RecordingStats) -> String {
     let RecordingStats { seconds, events, reports, views, gaps, lost, bytes, .. } = recorded;
     let gaps = match gaps {
         0 => String::new(),
-        _ => format!(", {} not heard in {}", count(*lost, "event", "events"), count(*gaps, "gap", "gaps")),
+        _ => format!(", {} missed in {}", count(*lost, "event", "events"), count(*gaps, "gap", "gaps")),
     };
     let events = count(*events, "event", "events");
-    let reports = count(*reports, "report of a body", "reports of bodies");
+    let reports = count(*reports, "telemetry report", "telemetry reports");
     let views = count(*views, "view", "views");
     format!("{seconds:.0} s, {events}{gaps}, {reports}, {views}, {}", HumanBytes(*bytes))
 }

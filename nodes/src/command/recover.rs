@@ -1,4 +1,5 @@
-//! `consort recover`: makes the store of one voter the whole ledger, when a majority is gone for good.
+//! `consort recover`: recovers the ledger from the store of a single voter, when a majority is lost
+//! for good.
 
 use crate::exit::Failure;
 use crate::output::{self, Progress};
@@ -13,25 +14,26 @@ use std::io;
 use std::path::PathBuf;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// Make one node's store the whole ledger, when most voters are gone for good
+/// Recover the ledger from a single node's store, when most voters are lost for good
 ///
-/// A fleet of three voters survives the loss of one, a fleet of five that of two. If more are gone, and their disks with
-/// them, nobody coordinates any more. This command makes a surviving store that of the only voter; the node is then started
-/// as usual, and the others join it with empty stores. The node must not run meanwhile. It shows what the store holds and
-/// what may be lost, and changes nothing before it is told to.
+/// A fleet of three voters survives the loss of a voter, a fleet of five the loss of two. If more
+/// voters and their disks are lost, no coordinator can be elected. This command makes a surviving
+/// node the only voter. The node is then started as usual, and the others join it with empty
+/// stores. The node must not run meanwhile. The command shows the content of the store and the
+/// possible losses, and changes nothing before you confirm.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
   consort recover --from /var/lib/consort
   consort recover --from /var/lib/consort --yes
 
-Of several stores that are left, take the one whose last entry is the latest: term first, then index. What was there
-before is kept beside it.")]
+If several stores are left, take the store with the latest last entry: compare the term first, then the index. The
+former store is kept next to the new store.")]
 pub struct Args {
-    /// The data directory of the node that is to go on
+    /// The data directory of the surviving node
     #[arg(long, value_name = "DATA_DIR")]
     from: PathBuf,
-    /// Do it without asking
+    /// Do not ask for confirmation
     #[arg(long)]
     yes: bool,
 }
@@ -39,8 +41,8 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] if there is no store; [`Failure::Unsuccessful`] if it is in use or not whole, holds nothing, or cannot
-/// be written, and if nobody agreed.
+/// [`Failure::Usage`] if there is no store; [`Failure::Unsuccessful`] if it is in use, damaged or
+/// empty, or cannot be written, and if the recovery is not confirmed.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut waiting = Progress::on_terminal();
     waiting.show(format_args!("reading {}", args.from.display()));
@@ -56,7 +58,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     output::line(format_args!("{file} is the store of {}.\n", store.owner()))?;
     output::line(contents(&holdings, &node))?;
     if holdings.last.is_none() {
-        let what = "it holds no entry: there is nothing to recover; start the node with another data directory";
+        let what = "it has no entries: there is nothing to recover; start the node with another data directory";
         return Err(Failure::Unsuccessful(format!("{file}: {what}")));
     }
     let others: BTreeSet<&str> = holdings.voters.values().filter(|voter| **voter != node).map(NodeId::as_str).collect();
@@ -66,8 +68,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         ));
     }
     output::line(warning(&holdings, &node, others))?;
-    if !args.yes && !agreed(&node) {
-        let what = "nothing was changed; answer y, or give --yes, to have it done";
+    if !args.yes && !confirmed(&node) {
+        let what = "nothing was changed; confirm with y, or use --yes";
         return Err(Failure::Unsuccessful(what.to_owned()));
     }
     let moment = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_millis();
@@ -77,14 +79,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
     waiting.clear();
     let copies: Vec<String> = copies.iter().map(|copy| copy.display().to_string()).collect();
     output::line(format_args!(
-        "\nDone: {node} is the only voter. What was there before is kept in\n  {}\nStart {node} as usual, with --data-dir {}; \
+        "\nDone: {node} is the only voter. The former store is kept in\n  {}\nStart {node} as usual, with --data-dir {}; \
          then the others, with empty data directories.",
         copies.join("\n  "),
         args.from.display(),
     ))
 }
 
-/// What the store holds, in words.
+/// Describes the content of the store.
 fn contents(holdings: &LogStoreContents<Ledger>, node: &NodeId) -> String {
     let place = |epoch: Option<_>| epoch.map_or("none".to_owned(), |epoch| format!("{epoch}"));
     let voters: BTreeSet<&str> = holdings.voters.values().map(NodeId::as_str).collect();
@@ -99,9 +101,9 @@ fn contents(holdings: &LogStoreContents<Ledger>, node: &NodeId) -> String {
         .collect();
     let live = holdings.state.active_missions().len();
     let mut lines = vec![
-        format!("newest term heard of     {}", holdings.term),
+        format!("newest term received     {}", holdings.term),
         format!("last entry (term.index)  {}", place(holdings.last)),
-        format!("known to be committed    {}", place(holdings.committed)),
+        format!("committed up to          {}", place(holdings.committed)),
         format!("voters                   {voters}"),
         format!(
             "missions                 {}, of which {}",
@@ -113,40 +115,39 @@ fn contents(holdings: &LogStoreContents<Ledger>, node: &NodeId) -> String {
         lines.push(output::table(&missions));
     }
     if !holdings.voters.is_empty() && !holdings.voters.values().any(|voter| voter == node) {
-        lines.push(format!("{node} is no voter itself: a voter's store, if one is left, holds more."));
+        lines.push(format!("{node} is not a voter: the store of a voter, if any is left, holds more."));
     }
     lines.join("\n")
 }
 
-/// What may be lost, and what must be done about the others.
+/// Describes the possible losses, and the steps for the other nodes.
 fn warning(holdings: &LogStoreContents<Ledger>, node: &NodeId, others: BTreeSet<&str>) -> String {
     let last = holdings.last.map(|last| last.to_string()).unwrap_or_default();
     let committed = holdings.committed.map_or("the beginning".to_owned(), |committed| committed.to_string());
     let others = others.into_iter().collect::<Vec<_>>().join(", ");
-    let doubtful = match holdings.last > holdings.committed {
+    let uncommitted = match holdings.last > holdings.committed {
         true => format!(
-            "\n- Entries after {committed}, up to {last}, may never have been committed; they are taken as if they had been."
+            "\n- Entries after {committed}, up to {last}, may not have been committed; they count as committed from now on."
         ),
         false => String::new(),
     };
     format!(
-        "\nWhat may be lost:\n\
-         - Missions that were acknowledged to their clients and that only the disks of {others} held: they are not in the \
-         list above.\n\
-         - Every change after entry {last}: missions that have been awarded, carried out or canceled since stand in the \
-         list as they stood then. A robot that was given a role since will be told that it has none.{doubtful}\n\
-         What you must do:\n\
-         - Before {node} is started: end {others}, and see that they do not come back with their old data directories. \
-         Remove these, or move them away. As long as a majority of the old voters can come back, do not recover: start \
-         them instead. Old and new ledger, which do not merge, would give out the same work.\n\
+        "\nPossible losses:\n\
+         - Acknowledged missions that only the disks of {others} hold: they are not in the list above.\n\
+         - Every change after entry {last}: missions that have been awarded, carried out or canceled since are listed \
+         with their former state. A robot that was awarded a role since will lose it.{uncommitted}\n\
+         Required steps:\n\
+         - Before {node} is started: end {others}, and make sure that they do not restart with their old data directories. \
+         Remove these, or move them away. As long as a majority of the old voters can restart, do not recover: start \
+         them instead. The old and the new ledger do not merge, and would award the same work twice.\n\
          - Afterwards: start them with empty data directories. They join {node} as new members."
     )
 }
 
-fn agreed(node: &NodeId) -> bool {
+fn confirmed(node: &NodeId) -> bool {
     output::note(format_args!("\nMake {node} the only voter? [y/N]"));
     let mut answer = String::new();
-    // Nobody to answer, or nothing that can be read, is a no.
+    // No input, or unreadable input, is a no.
     let _ = io::stdin().read_line(&mut answer);
     matches!(answer.trim(), "y" | "Y" | "yes")
 }

@@ -1,17 +1,18 @@
-//! `consort rescue`: say that what a mission left in robots' hands has been taken care of.
+//! `consort resolve`: closes a mission after its items were taken care of by hand.
 
 use super::mission_action::MissionActionFlags;
 use crate::exit::Failure;
 use consort_protocol::keys::ApiCall;
 
-/// Close a mission that needs rescue
+/// Close a mission that needs intervention
 ///
-/// Say so when what it left in robots' hands has been taken care of: the mission is then failed, with the name of whoever
-/// closed it, and its robots are given work again. `consort missions` says what is where.
+/// Use it after the items in robots' hands have been taken care of: the mission is then failed,
+/// with the name of the person, and its robots become available again. `consort missions` shows the
+/// items and their places.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
-  consort rescue lab-samples-1 --by 'ward 3, Nia'")]
+  consort resolve lab-samples-1 --by 'ward 3, Nia'")]
 pub struct Args {
     #[command(flatten)]
     on_word: MissionActionFlags,
@@ -20,8 +21,8 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// As [`Client::api`](crate::client::Client::api); a mission that does not need rescue, or is not there, is
-/// [`Failure::Unsuccessful`].
+/// See [`Client::api`](crate::client::Client::api); a mission that does not need intervention, or
+/// does not exist, is [`Failure::Unsuccessful`].
 pub fn run(args: Args) -> Result<(), Failure> {
     args.on_word.request(ApiCall::Resolve, |_| "closed".to_owned())
 }

@@ -1,4 +1,4 @@
-//! `consort robot`: the node of a robot.
+//! `consort robot`: runs the node of a robot.
 
 use super::flags::{NodeFlags, VoterFlags, quantity, set, share};
 use crate::config::{RobotConfig, load};
@@ -10,8 +10,9 @@ use std::path::PathBuf;
 
 /// Run the node of a robot
 ///
-/// It gossips with the fleet, bids on work, carries out what it is awarded through its body (of a `consort world`, or of a
-/// real robot's adapter on the bus), and may keep the ledger and coordinate. It runs until Ctrl-C or SIGTERM.
+/// The node gossips with the fleet, bids on work, and carries out its awards through its robot
+/// driver (of a `consort world`, or of a real robot's adapter on the bus). It may keep the ledger
+/// and coordinate. It runs until Ctrl-C or SIGTERM.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -21,7 +22,7 @@ Examples:
 
 The keys of the file are those of nodes/examples/robot.toml, each explained there.")]
 pub struct Args {
-    /// The robot file. Without one, name, place and skills are given as flags
+    /// The robot file. Without it, name, place and skills are given as flags
     #[arg(long, env = "CONSORT_CONFIG", value_name = "FILE")]
     config: Option<PathBuf>,
     #[command(flatten)]
@@ -36,22 +37,22 @@ struct RobotFlags {
     /// Its name, unique in the fleet
     #[arg(long, env = "CONSORT_NAME")]
     name: Option<RobotId>,
-    /// Where it is until its body has reported
+    /// Its place until the driver has reported
     #[arg(long, env = "CONSORT_PLACE")]
     place: Option<PlaceId>,
-    /// The task types it has skills for, with commas between
+    /// The task types of its skills, separated by commas
     #[arg(long, env = "CONSORT_SKILLS", value_delimiter = ',')]
     skills: Vec<TaskType>,
     /// Its average speed
     #[arg(long, env = "CONSORT_SPEED_MPS", value_name = "MPS", value_parser = speed)]
     speed_mps: Option<MetresPerSecond>,
-    /// Charge until its body has reported, as a share
+    /// Charge until the driver has reported, as a share
     #[arg(long, env = "CONSORT_BATTERY", value_name = "SHARE", value_parser = share)]
     battery: Option<BatteryShare>,
-    /// Charge that it loses in a second of work, as a share
+    /// Charge used per second of work, as a share
     #[arg(long, env = "CONSORT_DISCHARGE_SHARE_PER_S", value_name = "SHARE", value_parser = rate)]
     discharge_share_per_s: Option<SharePerSecond>,
-    /// Below this charge it takes no work, as a share
+    /// Charge below which it takes no work, as a share
     #[arg(long, env = "CONSORT_USEFUL_CHARGE", value_name = "SHARE", value_parser = share)]
     useful_charge: Option<BatteryShare>,
     #[command(flatten)]

@@ -1,4 +1,4 @@
-//! `consort schema`: the form of a kind of file, as a JSON Schema.
+//! `consort schema`: prints the JSON Schema of a kind of file.
 
 use crate::check::FileKind;
 use crate::config::{FleetConfig, RobotConfig, StationConfig, WorldConfig};
@@ -12,16 +12,16 @@ use schemars::{Schema, schema_for};
 
 /// Print the JSON Schema of a kind of file
 ///
-/// For editors, which then complete keys and mark mistakes, and for programs that write such files. What a schema cannot say
-/// (whether a place is on the map, whether there is a skill of this name) `consort check` says. Those printed are shipped in
-/// nodes/schemas/.
+/// For editors, which then complete keys and mark mistakes, and for programs that write such files.
+/// `consort check` checks what a schema cannot express (for example, that a place is on the map, or
+/// that a skill exists). The schemas are also in nodes/schemas/.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
   consort schema mission > mission.json
   consort schema robot
 
-An editor is told of it in the first line of a file:
+An editor finds it in the first line of a file:
   # yaml-language-server: $schema=mission.json
   #:schema robot.json")]
 pub struct Args {
@@ -29,7 +29,7 @@ pub struct Args {
     kind: FileKind,
 }
 
-/// The form of a kind of file; none of those whose form is somebody else's.
+/// Returns the schema of a kind of file; `None` for formats that are published elsewhere.
 pub fn schema(kind: FileKind) -> Option<Schema> {
     Some(match kind {
         FileKind::Mission => MissionTemplate::schema(),
@@ -48,10 +48,10 @@ pub fn schema(kind: FileKind) -> Option<Schema> {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] for a kind whose form is published elsewhere; [`Failure::OutputClosed`].
+/// [`Failure::Usage`] for a format that is published elsewhere; [`Failure::OutputClosed`].
 pub fn run(args: &Args) -> Result<(), Failure> {
     let Some(schema) = schema(args.kind) else {
-        let what = format!("{} has the form of the published evaluation, which has no schema here", args.kind);
+        let what = format!("{} has the format of the published evaluation, which has no schema here", args.kind);
         return Err(Failure::Usage(what));
     };
     output::line(serde_json::to_string_pretty(&schema).expect("a schema is JSON"))

@@ -1,4 +1,4 @@
-//! `consort station`: a node without a robot.
+//! `consort station`: runs a node without a robot.
 
 use super::flags::{NodeFlags, VoterFlags, set};
 use crate::config::{StationConfig, load};
@@ -9,8 +9,8 @@ use std::path::PathBuf;
 
 /// Run a node without a robot, which keeps the ledger and may coordinate
 ///
-/// Stationary nodes on mains power are preferred as keepers of the ledger: three of them carry a fleet of any size. It
-/// runs until Ctrl-C or SIGTERM.
+/// Stationary nodes on mains power are preferred as voters: three of them carry a fleet of any
+/// size. It runs until Ctrl-C or SIGTERM.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -20,7 +20,7 @@ Examples:
 
 The keys of the file are those of nodes/examples/station.toml, each explained there.")]
 pub struct Args {
-    /// The station file. Without one, the name is given as a flag
+    /// The station file. Without it, the name is given as a flag
     #[arg(long, env = "CONSORT_CONFIG", value_name = "FILE")]
     config: Option<PathBuf>,
     #[command(flatten)]

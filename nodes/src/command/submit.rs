@@ -1,4 +1,4 @@
-//! `consort submit`: ask the fleet for a mission.
+//! `consort submit`: submits a mission.
 
 use super::flags::key_value;
 use crate::client::{Client, ClientFlags};
@@ -14,14 +14,14 @@ use std::collections::BTreeMap;
 use std::env;
 use std::time::Duration;
 
-/// Ask the fleet for a mission
+/// Submit a mission
 ///
-/// The request is answered once the mission is committed to the ledger; from then on it is not lost, whoever dies. The
-/// same --request again gets the same mission again, so that a request may be repeated safely: if no answer comes, the
-/// command says how.
+/// The request is acknowledged after the mission is committed to the ledger; from then on it
+/// survives the failure of any node. The same --request returns the same mission, so a request may
+/// be repeated safely. If there is no reply, the command prints how to repeat it.
 ///
-/// With --json there is a line for the answer, which names the mission and the request; with --wait, once the mission has
-/// ended, a second one, for how it stands then.
+/// With --json there is a line for the reply, with the mission and the request; with --wait a
+/// second line with the final state after the mission has ended.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -30,43 +30,45 @@ Examples:
   consort submit lab-samples --priority 10 --deadline 900
   consort submit my-mission.yaml --connect tcp/192.0.2.7:7447")]
 pub struct Args {
-    /// The mission: the name of one that is shipped (lab-samples, …) or a file
+    /// The mission: the name of a bundled mission (lab-samples, …) or a file
     #[arg(value_name = "FILE|NAME")]
     mission: String,
     /// A parameter of the mission; may be repeated
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = key_value)]
     parameters: Vec<(String, String)>,
-    /// A name for the request, by which it may be repeated safely. Default: one by chance
+    /// A name for the request, for safe repetition. Default: a random name
     #[arg(long, value_name = "ID")]
     request: Option<RequestId>,
-    /// Which of several waiting missions is served first: -100 to 100, higher first
+    /// Priority among waiting missions: -100 to 100, higher first
     #[arg(long, value_name = "NUMBER", default_value = "0", allow_negative_numbers = true, value_parser = priority)]
     priority: Priority,
-    /// Give the mission up if it is not done after so many seconds, by the coordinators' wall clocks. Default: never
+    /// Fail the mission if it is not done after so many seconds, by the coordinators' wall clocks.
+    /// Default: never
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = deadline)]
     deadline: Option<f64>,
     /// Wait until the mission has ended, and fail if it does not complete
     #[arg(long)]
     wait: bool,
-    /// Print JSON, one object a line
+    /// Print JSON, an object per line
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     client: ClientFlags,
 }
 
-/// How often a mission that is waited for is looked at.
+/// Poll interval while waiting for a mission.
 const LOOK: Duration = Duration::from_millis(500);
 
 /// Runs the command.
 ///
 /// # Errors
-/// As [`Client::api`], with what repeats the request if it was not answered; [`Failure::Unsuccessful`] if the mission is
-/// waited for and does not complete.
+/// See [`Client::api`]; without a reply the error contains the command that repeats the request.
+/// [`Failure::Unsuccessful`] if the command waits for the mission and the mission does not
+/// complete.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mission = inputs::mission_request(&args.mission)?;
     let parameters: BTreeMap<&str, &str> = args.parameters.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
-    let name = args.request.as_ref().map_or_else(by_chance, ToString::to_string);
+    let name = args.request.as_ref().map_or_else(random_name, ToString::to_string);
     let mut request = json!({ "mission": mission, "parameters": parameters, "request": name });
     request["priority"] = json!(args.priority.get());
     if let Some(deadline) = args.deadline {
@@ -81,12 +83,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 async fn submit(client: &mut Client, args: &Args, name: &str, request: &Value) -> Result<(), Failure> {
-    let again = || again(env::args_os().map(|word| word.to_string_lossy().into_owned()), args.request.is_none(), name);
+    let repeat_command =
+        || repeat_command(env::args_os().map(|word| word.to_string_lossy().into_owned()), args.request.is_none(), name);
     let mut answer = client.api(ApiCall::Submit, request).await.map_err(|failure| match failure {
         Failure::Unreachable(problem) => Failure::Unreachable(format!(
-            "{problem}\nWhether request {name} was taken is not known. It can be repeated safely, for it gets one mission \
-             however often it is made:\n  {}",
-            again()
+            "{problem}\nIt is unknown if request {name} was accepted. It can be repeated safely: it creates a single mission, \
+             however often it is sent:\n  {}",
+            repeat_command()
         )),
         other => other,
     })?;
@@ -98,25 +101,26 @@ async fn submit(client: &mut Client, args: &Args, name: &str, request: &Value) -
         output::line(&answer)?;
     } else {
         let before = answer.get("again") == Some(&Value::Bool(true));
-        output::line(format_args!("{id}{}", if before { " (asked for before)" } else { "" }))?;
+        output::line(format_args!("{id}{}", if before { " (requested before)" } else { "" }))?;
     }
     if !args.wait {
         return Ok(());
     }
     wait(client, &id, args.json).await.map_err(|failure| match failure {
         Failure::Unreachable(problem) => Failure::Unreachable(format!(
-            "{problem}\n{id} was acknowledged, and is not lost; how it ends was not heard. To wait for it again:\n  {}",
-            again()
+            "{problem}\n{id} was acknowledged, and is not lost; its end was not received. To wait for it again:\n  {}",
+            repeat_command()
         )),
         other => other,
     })
 }
 
-/// The command line that makes the same request again: the given words and, unless they have it, the request's name.
-fn again(words: impl Iterator<Item = String>, nameless: bool, name: &str) -> String {
+/// Returns the command line that repeats the request: the given words and, if they lack it, the
+/// request's name.
+fn repeat_command(words: impl Iterator<Item = String>, add_request: bool, name: &str) -> String {
     let mut words: Vec<String> = words.collect();
-    if nameless {
-        // Right behind the command's own name, where no other flag waits for its value.
+    if add_request {
+        // Directly after the subcommand's name, where no other flag expects a value.
         let behind = words.iter().position(|word| word == "submit").map_or(words.len(), |at| at + 1);
         words.splice(behind..behind, ["--request".to_owned(), name.to_owned()]);
     }
@@ -124,16 +128,16 @@ fn again(words: impl Iterator<Item = String>, nameless: bool, name: &str) -> Str
 }
 
 fn priority(text: &str) -> Result<Priority, String> {
-    let number = text.parse().map_err(|_| format!("{text:?} is no whole number; allowed are -100 to 100"))?;
+    let number = text.parse().map_err(|_| format!("{text:?} is not a whole number; allowed are -100 to 100"))?;
     Priority::new(number).map_err(|problem| problem.to_string())
 }
 
 fn deadline(text: &str) -> Result<f64, String> {
-    let number = text.parse().map_err(|_| format!("{text:?} is no number of seconds from now"))?;
+    let number = text.parse().map_err(|_| format!("{text:?} is not a number of seconds from now"))?;
     time_until_deadline(number).map(|_| number).map_err(|problem| problem.to_string())
 }
 
-fn by_chance() -> String {
+fn random_name() -> String {
     let number = SysRng.try_next_u64().expect("the system has random numbers");
     format!("cli-{number:016x}")
 }
@@ -166,14 +170,14 @@ async fn wait(client: &mut Client, id: &str, in_json: bool) -> Result<(), Failur
 
 #[cfg(test)]
 mod tests {
-    use super::again;
+    use super::repeat_command;
 
-    fn line(words: &[&str], nameless: bool) -> String {
-        again(words.iter().map(|word| (*word).to_owned()), nameless, "cli-7")
+    fn line(words: &[&str], add_request: bool) -> String {
+        repeat_command(words.iter().map(|word| (*word).to_owned()), add_request, "cli-7")
     }
 
     #[test]
-    fn the_line_that_repeats_a_request_names_it_once_and_can_be_given_to_a_shell() {
+    fn the_repeat_command_has_the_request_once_and_is_quoted_for_a_shell() {
         let words = ["consort", "submit", "lab-samples", "--set", "room=IC Room 6", "--connect", "tcp/[::1]:7447"];
         assert_eq!(
             line(&words, true),

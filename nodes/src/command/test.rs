@@ -1,4 +1,4 @@
-//! `consort test`: features in Gherkin, played by whole fleets on virtual time.
+//! `consort test`: runs Gherkin features on whole fleets in virtual time.
 
 use crate::exit::Failure;
 use crate::output;
@@ -8,20 +8,22 @@ use consort_tests::behavior::{self, Features, RunOptions, ScenarioFilter, step_d
 use std::io::{IsTerminal, stdout};
 use std::path::PathBuf;
 
-/// Plays features: says in plain words what a fleet must do, and shows whether it does.
+/// Runs features: plain-text descriptions of required behavior, checked on a simulated fleet.
 ///
-/// A feature file (Gherkin) tells of scenarios: robots, nurses, stations and a map; a mission that is asked for; what goes
-/// wrong, and when; and what must come of it. Each scenario is a whole fleet in this process, on virtual time: nodes that
-/// elect a coordinator, bid, and carry the mission out in a simulated world. The same seed gives the same run.
+/// A feature file (Gherkin) contains scenarios: robots, nurses, stations and a map; a requested
+/// mission; faults and their times; and the required result. Each scenario is a whole fleet in this
+/// process, on virtual time: nodes elect a coordinator, bid, and carry out the mission in a
+/// simulated world. The same seed gives the same run.
 ///
-/// Every step is looked up before anything is played. One that nobody knows is told with its file and line, and with the
-/// steps that are most like it. A step that does not hold is told with what was found instead, and what had happened.
+/// Every step is looked up before any scenario runs. An unknown step is reported with its file and
+/// line, and with the most similar steps. A failed step is reported with the actual value and the
+/// events before it.
 #[derive(Debug, ClapArgs)]
 #[command(after_long_help = "\
 Examples:
-  consort test --steps                            # all that may be said, with an example of each
+  consort test --steps                            # all known steps, with an example of each
   consort test tests/features                     # all features of a folder
-  consort test my.feature --verbose               # one file, with every step
+  consort test my.feature --verbose               # a single file, with every step
   consort test tests/features --tags '@nurse and not @slow'
   consort test tests/features --name 'battery' --seed 7
 
@@ -38,25 +40,25 @@ A feature:
 
 Exit codes: 0 all scenarios passed; 1 some did not; 2 the flags or the features are wrong.")]
 pub struct Args {
-    /// Feature files, or folders with files that end with .feature
+    /// Feature files, or folders with files that end in .feature
     #[arg(value_name = "FEATURES", required_unless_present = "steps")]
     features: Vec<PathBuf>,
-    /// Play scenarios alone whose tags fit, as in '@nurse and not @slow'
+    /// Run only scenarios with matching tags, as in '@nurse and not @slow'
     #[arg(long, value_name = "EXPRESSION")]
     tags: Option<String>,
-    /// Play scenarios alone whose names have this in them
+    /// Run only scenarios with this text in their name
     #[arg(long, value_name = "TEXT")]
     name: Option<String>,
-    /// Where the chance of scenarios comes from that do not name a seed
+    /// Seed for scenarios that do not set a seed
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Scenarios played at the same time [default: one on each core]
+    /// Parallel scenarios [default: the number of cores]
     #[arg(long)]
     jobs: Option<usize>,
     /// Print every step
     #[arg(long, short)]
     verbose: bool,
-    /// Print all that may be said, with an example of each, and play nothing
+    /// Print all known steps, with an example of each, and run nothing
     #[arg(long, conflicts_with_all = ["features", "tags", "name", "jobs", "verbose"])]
     steps: bool,
 }
@@ -64,8 +66,8 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] for files that are no features and steps that nobody knows; [`Failure::Unsuccessful`] if a scenario does
-/// not pass.
+/// [`Failure::Usage`] for invalid feature files and unknown steps; [`Failure::Unsuccessful`] if a
+/// scenario does not pass.
 pub fn run(args: Args) -> Result<(), Failure> {
     if args.steps {
         return steps();

@@ -1,4 +1,4 @@
-//! `consort watch`: the fleet on a terminal.
+//! `consort watch`: shows the fleet on a terminal.
 
 use crate::client::ClientFlags;
 use crate::dashboard::FramePublisher;
@@ -14,12 +14,13 @@ use std::time::Duration;
 use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 use tokio::task::JoinSet;
 
-/// Watch a fleet on the terminal: robots, missions, auctions, and what happens
+/// Watch a fleet on the terminal: robots, missions, auctions and events
 ///
-/// As the nearest node knows it; what is no longer heard is said to be old. Colours are left out where NO_COLOR is set.
+/// The data comes from the nearest node; outdated data is marked as old. Colours are left out if
+/// NO_COLOR is set.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
-Keys: q ends; Tab goes to the next panel; the arrows, PgUp and PgDn move in it. The auction is that of the mission chosen.
+Keys: q quits; Tab selects the next panel; the arrows, PgUp and PgDn move in it. The auction is that of the selected mission.
 
 Examples:
   consort watch
@@ -29,29 +30,29 @@ pub struct Args {
     client: ClientFlags,
 }
 
-/// From one drawing to the next, while nobody presses a key.
+/// Time between two drawings while no key is pressed.
 const FRAME: Duration = Duration::from_millis(200);
 
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] without a terminal; as [`Client::open`](crate::client::Client::open).
+/// [`Failure::Usage`] without a terminal; see [`Client::open`](crate::client::Client::open).
 pub fn run(args: Args) -> Result<(), Failure> {
     if !std::io::stdout().is_terminal() || !std::io::stdin().is_terminal() {
         return Err(Failure::Usage(
-            "consort watch draws on a terminal, and this is none; `consort missions --watch` and `consort fleet --json` \
+            "consort watch needs a terminal; `consort missions --watch` and `consort fleet --json` \
              write lines"
                 .to_owned(),
         ));
     }
     args.client.with_client(async |client| {
         let clock = Clock::real();
-        let picture = FleetModel::new(client.fleet().to_string(), "watch", FloorPlan::default(), clock.wall_ms());
-        let board = Arc::new(FramePublisher::new(picture, clock));
+        let model = FleetModel::new(client.fleet().to_string(), "watch", FloorPlan::default(), clock.wall_ms());
+        let publisher = Arc::new(FramePublisher::new(model, clock));
         let mut tasks = JoinSet::new();
-        subscribe_fleet(&mut tasks, client.bus(), client.keys().clone(), Arc::<FramePublisher>::clone(&board));
-        let mut terminal = ratatui::try_init().map_err(|problem| unusable(&problem))?;
-        let ended = show(&mut terminal, &board, keys()).await;
+        subscribe_fleet(&mut tasks, client.bus(), client.keys().clone(), Arc::<FramePublisher>::clone(&publisher));
+        let mut terminal = ratatui::try_init().map_err(|problem| terminal_error(&problem))?;
+        let ended = show(&mut terminal, &publisher, keys()).await;
         ratatui::restore();
         ended
     })
@@ -59,24 +60,25 @@ pub fn run(args: Args) -> Result<(), Failure> {
 
 async fn show(
     terminal: &mut ratatui::DefaultTerminal,
-    board: &FramePublisher,
+    publisher: &FramePublisher,
     mut keys: UnboundedReceiver<Event>,
 ) -> Result<(), Failure> {
     let plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let mut screen = Tui::new(if plain { ColorMode::Plain } else { ColorMode::Color });
     loop {
         let drawn =
-            board.with_model(|picture, now_ms| terminal.draw(|frame| screen.draw(frame, picture, now_ms)).map(drop));
-        drawn.map_err(|problem| unusable(&problem))?;
+            publisher.with_model(|model, now_ms| terminal.draw(|frame| screen.draw(frame, model, now_ms)).map(drop));
+        drawn.map_err(|problem| terminal_error(&problem))?;
         match tokio::time::timeout(FRAME, keys.recv()).await {
             Ok(Some(Event::Key(key))) if screen.handle_key(key) == KeyOutcome::Quit => return Ok(()),
-            Ok(None) => return Ok(()), // the terminal has gone
+            Ok(None) => return Ok(()), // the terminal is closed
             Ok(Some(_)) | Err(_) => {}
         }
     }
 }
 
-/// What is pressed. The thread waits for a key when the command ends, and ends with the process.
+/// Starts a thread that reads key events. The thread still waits for a key when the command ends,
+/// and ends with the process.
 fn keys() -> UnboundedReceiver<Event> {
     let (to, pressed) = unbounded_channel();
     std::thread::spawn(move || {
@@ -89,6 +91,6 @@ fn keys() -> UnboundedReceiver<Event> {
     pressed
 }
 
-fn unusable(problem: &std::io::Error) -> Failure {
+fn terminal_error(problem: &std::io::Error) -> Failure {
     Failure::Unsuccessful(format!("the terminal cannot be used: {problem}"))
 }

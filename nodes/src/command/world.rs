@@ -1,4 +1,4 @@
-//! `consort world`: a node that hosts a simulated world.
+//! `consort world`: runs a node with a simulated world.
 
 use super::flags::{MayVoteFlag, NodeFlags, set};
 use crate::config::{WorldConfig, load};
@@ -9,10 +9,11 @@ use consort_protocol::ids::NodeId;
 use std::path::PathBuf;
 use tracing::info;
 
-/// Run a node that hosts a simulated world
+/// Run a node with a simulated world
 ///
-/// It moves the bodies of robots and answers for people, over the bus, at a multiple of real time. It runs until Ctrl-C or
-/// SIGTERM; a fleet of real robots has none.
+/// The node serves the robot drivers of the simulated robots and acts for people, over the bus, at
+/// a multiple of real time. It runs until Ctrl-C or SIGTERM; a fleet of real robots has no world
+/// node.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -22,8 +23,8 @@ Examples:
 
 The keys of the file are those of nodes/examples/world.toml, each explained there.
 
-Both files are complete once the world has ended by Ctrl-C or SIGTERM. If it is killed, the SVG is empty, and of the MCAP file
-the last 5 s of world time are missing (or half a second, if that is more of it), and its index: `mcap recover` mends it.")]
+Both files are complete once the world has ended by Ctrl-C or SIGTERM. If it is killed, the SVG is empty, and the MCAP file
+lacks the last 5 s of world time (or half a second, if that is more of it) and its index: `mcap recover` repairs it.")]
 pub struct Args {
     /// The world file
     #[arg(long, env = "CONSORT_CONFIG", value_name = "FILE")]
@@ -42,10 +43,10 @@ struct WorldFlags {
     /// The node's name, unique in the fleet
     #[arg(long, env = "CONSORT_NAME")]
     name: Option<NodeId>,
-    /// What the world's chance comes from
+    /// Seed of the world's random numbers
     #[arg(long, env = "CONSORT_SEED", value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64))]
     seed: Option<u64>,
-    /// World seconds that pass in one second
+    /// World seconds per second
     #[arg(long, env = "CONSORT_SPEED", value_name = "FACTOR")]
     speed: Option<f64>,
     #[command(flatten)]
@@ -55,7 +56,8 @@ struct WorldFlags {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails, or if it cannot be recorded.
+/// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails, or if
+/// it cannot be recorded.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut world: WorldConfig = load(&args.config)?;
     let given = args.world;
@@ -71,7 +73,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         shown = Some(shared);
         Ok(settings)
     });
-    // However it ended: what was recorded is worth having, most of all if it went wrong.
+    // The recording is completed in any case. It is most useful after a failure.
     let rendered = shown.map_or(Ok(()), |world| rendering::finish_recording(&world, |file| info!(file, "recorded")));
     ended.and(rendered)
 }

@@ -1,4 +1,4 @@
-//! Where a node is on the network, and how it proves who it is.
+//! Network settings of a node, and its credentials.
 
 use super::read::resolve_path;
 use consort_actors::trust::TrustFiles;
@@ -6,41 +6,42 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// `[bus]`: where a node listens and whom it is linked with.
+/// `[bus]`: listening addresses and neighbours of a node.
 ///
-/// Every node relays for its neighbours. Two to four configured neighbours for each node keep a fleet together when links
-/// or nodes fail; fewer save traffic. Without `certs` nobody is asked who they are: whoever reaches the listening address is
-/// part of the fleet.
+/// Every node relays for its neighbours. Two to four configured neighbours for each node keep a
+/// fleet together when links or nodes fail; fewer save traffic. Without `certs` the fleet is open:
+/// every node that reaches the listening address becomes part of the fleet.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct BusConfig {
-    /// Addresses to listen on. Default: the loopback interface, at a port that the system gives.
+    /// Addresses to listen on. Default: the loopback interface, at a port that the system selects.
     pub listen: Vec<String>,
-    /// Neighbours to connect to. Those out of reach are tried again for as long as the node lives.
+    /// Neighbours to connect to. Unreachable neighbours are retried for as long as the node runs.
     pub connect: Vec<String>,
-    /// The folder with the node's certificate and key, and the fleet's authority, as `consort cert` makes it. Links are then
-    /// encrypted, both ends prove who they are, and what nodes say to one another bears their signatures. Default: none.
+    /// The folder with the node's certificate and key, and the fleet's authority, as written by
+    /// `consort cert`. Links are then encrypted, both ends prove their identity, and messages
+    /// between nodes are signed. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub certs: Option<PathBuf>,
 }
 
 impl BusConfig {
-    /// Addresses to listen on.
+    /// Returns the addresses to listen on.
     pub fn listen_addresses(&self) -> Vec<String> {
         if self.listen.is_empty() { vec![format!("{}/127.0.0.1:0", self.protocol())] } else { self.listen.clone() }
     }
 
-    /// The protocol of its addresses.
+    /// Returns the protocol of the addresses.
     fn protocol(&self) -> &'static str {
         if self.certs.is_some() { "tls" } else { "tcp" }
     }
 
-    /// Makes paths relative to `folder`, where the file lies.
+    /// Resolves paths relative to `folder`, the folder of the file.
     pub(super) fn resolve_paths(&mut self, folder: &Path) {
         resolve_path(&mut self.certs, folder);
     }
 
-    /// What is wrong with its addresses.
+    /// Returns the problems of the addresses.
     pub fn validate(&self) -> Vec<String> {
         let protocol = self.protocol();
         let wrong = |key: &'static str| {
@@ -54,7 +55,7 @@ impl BusConfig {
     }
 }
 
-/// The files of a folder that `consort cert` has made for one bearer.
+/// Returns the files in a folder that `consort cert` has written for a principal.
 pub fn trust_files(folder: &Path) -> TrustFiles {
     let revoked = folder.join("revoked.pem");
     TrustFiles {
@@ -65,7 +66,7 @@ pub fn trust_files(folder: &Path) -> TrustFiles {
     }
 }
 
-/// Whether a text is an address as Zenoh writes it.
+/// Checks that a text is an address in Zenoh's notation.
 fn endpoint(text: &str, protocol: &str) -> Result<(), &'static str> {
     let (given, rest) = text.split_once('/').ok_or("there is no `/` after the protocol")?;
     match (given, protocol) {

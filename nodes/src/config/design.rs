@@ -1,4 +1,5 @@
-//! Designs of evaluations as files. What they say is in [`consort_sim::experiment::design`].
+//! Configuration files of evaluation designs. Their keys are documented in
+//! [`consort_sim::experiment::design`].
 
 use super::read::{ConfigFile, join_normalized, resolve_path};
 use crate::map_loader::is_shipped;
@@ -17,7 +18,7 @@ impl ConfigFile for Design {
     }
 
     fn validate(&self) -> Vec<String> {
-        Design::validate(self)
+        Design::validation_errors(self)
     }
 }
 

@@ -1,20 +1,20 @@
-//! What is wrong with a file, said so that its writer can mend it.
+//! Diagnostics of configuration files, with position and allowed values.
 
 use std::fmt;
 
-/// One thing that is wrong, and where.
+/// A problem in a file, with its position.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnostic {
-    /// The file as it was named; empty for flags.
+    /// The file as given by the user; empty for flags.
     pub file: String,
-    /// Line and column, from 1, where they are known.
+    /// Line and column, counted from 1, if known.
     pub position: Option<(usize, usize)>,
-    /// What is wrong, and what is allowed.
+    /// The problem, and the allowed values.
     pub message: String,
 }
 
 impl Diagnostic {
-    /// A problem of a file as a whole, or of a place in it that the text names.
+    /// Creates a diagnostic of a whole file, or of a position that the text contains.
     pub fn for_file(file: impl fmt::Display, what: impl fmt::Display) -> Diagnostic {
         Diagnostic { file: file.to_string(), position: None, message: what.to_string() }
     }
@@ -31,7 +31,8 @@ impl fmt::Display for Diagnostic {
     }
 }
 
-/// All that is wrong, in the order of the file; never empty. Ordinary with hand-written files; nothing was taken over.
+/// All problems, in the order of the file; never empty. Common with hand-written files; nothing was
+/// applied.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnostics(pub Vec<Diagnostic>);
 
@@ -42,7 +43,7 @@ impl From<Diagnostic> for Diagnostics {
 }
 
 impl Diagnostics {
-    /// `Ok` if there is none.
+    /// Returns `Ok` if there are no problems.
     ///
     /// # Errors
     /// The problems, if there are any.
@@ -52,7 +53,7 @@ impl Diagnostics {
 }
 
 impl fmt::Display for Diagnostics {
-    /// One line a problem.
+    /// Prints a line for each problem.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let lines: Vec<String> = self.0.iter().map(ToString::to_string).collect();
         f.write_str(&lines.join("\n"))

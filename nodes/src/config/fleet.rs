@@ -1,4 +1,4 @@
-//! The fleet file: what all nodes of a fleet agree on.
+//! The fleet file: settings shared by all nodes of a fleet.
 
 use super::read::{join_normalized, resolve_path};
 use super::{ConfigFile, load};
@@ -22,7 +22,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// The name of a fleet that no file names.
+/// Default name of a fleet.
 pub const DEFAULT_FLEET: &str = "ward";
 
 /// A fleet file. Every key has a default.
@@ -31,88 +31,94 @@ pub const DEFAULT_FLEET: &str = "ward";
 pub struct FleetConfig {
     /// The fleet's name: part of every key on the bus. Default `ward`.
     pub name: FleetId,
-    /// The map: the name of one that is shipped (`hospital`, the default), or the path of a file.
+    /// The map: the name of a bundled map (`hospital`, the default), or the path of a file.
     pub map: String,
-    /// What robots have learned of their estimates: a file that `consort experiment calibrate` wrote. They then bid by what
-    /// drives and tasks really take, and only if the battery lasts in all but the worst cases. Default: they have learned
-    /// nothing.
+    /// Corrections to robots' estimates: a file written by `consort experiment calibrate`. Robots
+    /// then bid with the measured cost of drives and tasks, and only if the battery lasts in all
+    /// but the worst cases. Default: no corrections.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<PathBuf>,
-    /// Nodes that may vote and must have met, and agree on one of them, before it founds the ledger, for the first time of all:
-    /// as many as are started together. A node that hears of a ledger of this fleet's name founds none; it listens for 0.6 s
-    /// before it founds one, and asks all that it can reach. So nodes that reach each other have one ledger, however few they
-    /// expect. Parts of a fleet that do not hear each other at all found one each if each has as many as are expected, and
-    /// the two never merge: only more than half of all nodes excludes that. Default 1, for a start on one machine, one node
-    /// after the other.
+    /// Number of nodes with `may_vote` that must have met, and agree on a founder, before the
+    /// ledger is created for the first time: as many as are started together. A node that receives
+    /// a ledger of this fleet's name creates no ledger; it listens for 0.6 s before it creates a
+    /// ledger, and queries all reachable nodes. So nodes that reach each other share a single
+    /// ledger, however few they expect. Parts of a fleet without any connection each create a
+    /// ledger if each has as many nodes as expected, and the two never merge: only more than half
+    /// of all nodes excludes that. Default 1, for starting nodes individually on a single machine.
     pub bootstrap_expect: usize,
-    /// How fast the fleet notices and reacts: `lan` (default) for wired machines, `wifi` for links that lose messages.
+    /// Timing preset of failure detection and elections: `lan` (default) for wired machines, `wifi`
+    /// for links that lose messages.
     pub timing: Timing,
-    /// Voters that the autopilot aims at, an odd number from 1 to 9. More survive more failures at once, and slow each
-    /// commit. Default 5.
+    /// Target number of voters, an odd number from 1 to 9. More voters survive more simultaneous
+    /// failures, and slow each commit. Default 5.
     pub voters: usize,
-    /// How long a voter must be gone until another takes its place, in milliseconds. Default: that of `timing`, 10000 or
-    /// 20000: longer than a restart takes.
+    /// Time that a voter must be unreachable until another replaces it, in milliseconds. Default:
+    /// that of `timing`, 10000 or 20000: longer than a restart takes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dead_after_ms: Option<u64>,
-    /// How long a neighbour that says nothing counts as linked, in milliseconds. Shorter: a silent loss is noticed
-    /// earlier; a slow link is more easily taken for one. Default: that of `timing`, 2000 or 5000.
+    /// Time that a silent neighbour still counts as linked, in milliseconds. Shorter: a silent loss
+    /// is detected earlier; a slow link is more easily mistaken for a loss. Default: that of
+    /// `timing`, 2000 or 5000.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub link_lease_ms: Option<u64>,
-    /// After how many seconds a role none of whose steps ends, although it waits for nobody, is taken from its robot; 0 for
-    /// never. Longer: slow drives are left alone, robots that do nothing keep their roles for longer. Default 900.
+    /// Time without a finished step after which a role is taken from its robot, in seconds, unless
+    /// the role waits for another role; 0 for never. Longer: slow drives are not interrupted, stuck
+    /// robots keep their roles for longer. Default 900.
     pub stall_after_s: u64,
-    /// What bids must keep to.
+    /// Limits of bids.
     pub limits: LimitsConfig,
-    /// What is taken on of all that is asked for.
+    /// Limits of requests.
     pub requests: RequestsConfig,
-    /// How long awards last.
+    /// Duration of awards.
     pub lease: LeaseConfig,
-    /// How auctions are held.
+    /// Settings of auctions.
     pub auction: AuctionConfig,
-    /// Whose members are asked for bids: at most one. Default: robots with any skill that a mission can ask for.
+    /// The ensemble that receives calls for bids: at most 1. Default: robots with any skill that a
+    /// mission can use.
     pub ensemble: Vec<EnsembleSpec>,
 }
 
-/// `[limits]`: what bids must keep to.
+/// `[limits]`: limits of bids.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LimitsConfig {
-    /// Longest time that a robot's part may take by its own estimate, in world seconds. Default: no limit.
+    /// Maximum time of a robot's part by its own estimate, in world seconds. Default: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_s: Option<Seconds>,
     /// Charge that must be left, as a share. Default 0.05: below it a robot stops dead.
     pub charge_min: BatteryShare,
 }
 
-/// `[requests]`: what is taken on of all that is asked for. Whoever is refused may ask again.
+/// `[requests]`: limits of requests. A rejected client may retry.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RequestsConfig {
-    /// Missions under way at once; 0 for no limit. Default 1000.
+    /// Maximum number of active missions; 0 for no limit. Default 1000.
     pub missions: usize,
-    /// Requests (to submit, cancel, close) in a second, in the long run, and five times as many at once; 0 for no limit.
-    /// Default 200.
+    /// Maximum sustained number of requests (submit, cancel, resolve) per second, with bursts of
+    /// five times as many; 0 for no limit. Default 200.
     pub per_s: u32,
 }
 
-/// `[lease]`: how long awards last without contact.
+/// `[lease]`: duration of awards without contact.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LeaseConfig {
-    /// A robot suspends its role this long after its last contact with the coordinator, in milliseconds. Longer: blackouts are
-    /// survived in motion; lost robots are replaced later. Default 4000.
+    /// Time after its last contact with the coordinator at which a robot suspends its role, in
+    /// milliseconds. Longer: robots keep moving through blackouts; lost robots are replaced later.
+    /// Default 4000.
     pub lease_ms: u64,
-    /// The coordinator waits this much longer before it gives the role to another, in milliseconds. It covers the drift of
-    /// clocks. Default 2000.
+    /// Additional time that the coordinator waits before it gives the role to another robot, in
+    /// milliseconds. It covers clock drift. Default 2000.
     pub grace_ms: u64,
 }
 
-/// `[auction]`: how auctions are held.
+/// `[auction]`: settings of auctions.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AuctionConfig {
-    /// How long an auction waits for a member that does not answer, in milliseconds; it closes at once when all have.
-    /// Default: that of `timing`, 200 or 800.
+    /// Time that an auction waits for a member that does not answer, in milliseconds; it closes at
+    /// once when all have answered. Default: that of `timing`, 200 or 800.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub window_ms: Option<u64>,
 }
@@ -161,7 +167,7 @@ impl Default for LeaseConfig {
 }
 
 impl FleetConfig {
-    /// The times of its preset, with those that are set apart.
+    /// Returns the times of the preset, with individual overrides.
     pub fn times(&self) -> TimingParameters {
         let times = self.timing.parameters();
         let or = |ms: Option<u64>, preset| ms.map_or(preset, Duration::from_millis);
@@ -173,7 +179,7 @@ impl FleetConfig {
         }
     }
 
-    /// The ensemble whose members are asked for bids.
+    /// Returns the ensemble that receives calls for bids.
     pub fn ensemble(&self) -> EnsembleSpec {
         self.ensemble.first().cloned().unwrap_or_else(|| {
             let skills = extensions::domain().task_types().cloned().collect();
@@ -216,7 +222,7 @@ impl ConfigFile for FleetConfig {
         }
         if self.ensemble.len() > 1 {
             let count = self.ensemble.len();
-            validate.push(format!("ensemble: {count} are declared; one is allowed, whose members are asked for bids"));
+            validate.push(format!("ensemble: {count} are declared; a single ensemble is allowed"));
         }
         for spec in &self.ensemble {
             let domain = extensions::domain();
@@ -229,14 +235,14 @@ impl ConfigFile for FleetConfig {
     }
 }
 
-/// What is wrong with a skill that no task type of the domain is named for.
+/// Describes an unknown skill, with the allowed task types.
 pub(super) fn unknown_skill(skill: &TaskType) -> String {
     let domain = extensions::domain();
     let allowed = consort_protocol::mission::AllowedNames::suggest_for(skill.as_str(), domain.task_types());
     format!("there are no tasks of type `{skill}`; {allowed}")
 }
 
-/// A node file's `fleet`: the path of a fleet file, or the fleet itself as a table.
+/// A node file's `fleet`: the path of a fleet file, or the fleet as a table.
 #[derive(Debug, Clone, PartialEq)]
 pub enum FleetRef {
     /// `fleet = "fleet.toml"`
@@ -258,10 +264,10 @@ impl From<FleetConfig> for FleetRef {
 }
 
 impl FleetRef {
-    /// The fleet itself.
+    /// Returns the fleet.
     ///
     /// # Errors
-    /// [`Problems`](super::Problems) of the file.
+    /// [`Diagnostics`](super::Diagnostics) of the file.
     pub fn resolve(&self) -> Result<FleetConfig, super::Diagnostics> {
         match self {
             FleetRef::File(path) => load(path),
@@ -309,11 +315,11 @@ impl Serialize for FleetRef {
 
 impl<'de> Deserialize<'de> for FleetRef {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<FleetRef, D::Error> {
-        struct Either;
-        impl<'de> Visitor<'de> for Either {
+        struct PathOrTable;
+        impl<'de> Visitor<'de> for PathOrTable {
             type Value = FleetRef;
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("the path of a fleet file, or a table with the keys of one")
+                f.write_str("the path of a fleet file, or a table with the same keys")
             }
             fn visit_str<E>(self, path: &str) -> Result<FleetRef, E> {
                 Ok(FleetRef::File(PathBuf::from(path)))
@@ -322,6 +328,6 @@ impl<'de> Deserialize<'de> for FleetRef {
                 FleetConfig::deserialize(MapAccessDeserializer::new(map)).map(|fleet| FleetRef::Table(Box::new(fleet)))
             }
         }
-        deserializer.deserialize_any(Either)
+        deserializer.deserialize_any(PathOrTable)
     }
 }

@@ -1,9 +1,10 @@
-//! What nodes are told by files, flags and the environment.
+//! Configuration of nodes by files, flags and the environment.
 //!
-//! Four kinds of TOML file: a *fleet* file, which all nodes of a fleet share, and a *robot*, *station* or *world* file
-//! for one node, which names its fleet file. Flags prevail over environment variables (`CONSORT_…`), those over files,
-//! those over defaults. A key that is not known is an error which names those that are. A relative path is relative to
-//! the file that names it.
+//! There are four kinds of TOML file: a *fleet* file, shared by all nodes of a fleet, and a
+//! *robot*, *station* or *world* file for a single node, which names its fleet file. Flags override
+//! environment variables (`CONSORT_…`), variables override files, and files override defaults. An
+//! unknown key is an error that lists the allowed keys. A relative path is relative to the file
+//! that contains it.
 //!
 //! ```
 //! use consort_nodes::config::{FleetConfig, from_text};
@@ -13,7 +14,7 @@
 //!
 //! let wrong = from_text::<FleetConfig>("name = \"ward\"\nvotters = 3\n", "fleet.toml").unwrap_err();
 //! assert!(wrong.to_string().starts_with("fleet.toml:2:1: unknown key `votters` in a fleet file; allowed: name, map, "));
-//! # Ok::<(), consort_nodes::config::Problems>(())
+//! # Ok::<(), consort_nodes::config::Diagnostics>(())
 //! ```
 
 mod bus;

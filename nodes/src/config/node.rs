@@ -1,4 +1,4 @@
-//! What the files of all nodes have in common, whatever the node is for.
+//! Settings common to all node files.
 
 use super::read::resolve_path;
 use super::{BusConfig, ConfigFile, FleetRef, TelemetryConfig};
@@ -6,31 +6,31 @@ use consort_protocol::ids::NodeId;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-/// The file of one node.
+/// The file of a node.
 pub trait NodeFile: ConfigFile {
-    /// The node's name.
+    /// Returns the node's name.
     fn node(&self) -> NodeId;
 
-    /// What the node works with and among.
+    /// Returns the common settings.
     fn common_mut(&mut self) -> CommonConfig<'_>;
 }
 
-/// The part of a node's file that says what the node works with and among.
+/// The settings common to all node files.
 pub struct CommonConfig<'a> {
-    /// Where it keeps what it has promised.
+    /// Directory of the node's store.
     pub data_dir: &'a mut Option<PathBuf>,
-    /// Where it serves the dashboard, if it does.
+    /// Address of the dashboard, if it is served.
     pub dashboard: &'a mut Option<SocketAddr>,
-    /// What it tells those who operate it.
+    /// Log, metrics and spans.
     pub telemetry: &'a mut TelemetryConfig,
-    /// The fleet that it belongs to.
+    /// The node's fleet.
     pub fleet: &'a mut FleetRef,
-    /// Where it is on the network.
+    /// Network settings.
     pub bus: &'a mut BusConfig,
 }
 
 impl CommonConfig<'_> {
-    /// Makes paths relative to `folder`, where the file lies.
+    /// Resolves paths relative to `folder`, the folder of the file.
     pub(super) fn resolve_paths(self, folder: &Path) {
         self.fleet.resolve_paths(folder);
         self.bus.resolve_paths(folder);
@@ -38,7 +38,7 @@ impl CommonConfig<'_> {
     }
 }
 
-/// What is wrong with the fleet, the bus or the telemetry of a node's file.
+/// Returns the problems of the fleet, bus and telemetry settings.
 pub(super) fn validate_common(fleet: &FleetRef, bus: &BusConfig, telemetry: &TelemetryConfig) -> Vec<String> {
     let mut problems = fleet.validate();
     problems.extend(bus.validate());

@@ -1,4 +1,4 @@
-//! The robot file: a node that drives a robot.
+//! The robot file: a node that controls a robot.
 
 use super::fleet::unknown_skill;
 use super::node::validate_common;
@@ -12,51 +12,53 @@ use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-/// A robot file. `name`, `place` and `skills` must be there.
+/// A robot file. `name`, `place` and `skills` are required.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RobotConfig {
     /// The robot's name, and its node's: unique in the fleet.
     pub name: RobotId,
-    /// Where it is until its body has reported.
+    /// Its place until the driver has reported.
     pub place: PlaceId,
-    /// The task types it has skills for.
+    /// The task types of its skills.
     pub skills: BTreeSet<TaskType>,
-    /// Its average speed in metres per second, which its estimates rest on. None: it does not drive.
+    /// Its average speed in metres per second, the basis of its estimates. None: it does not drive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed_mps: Option<MetresPerSecond>,
-    /// Charge until its body has reported, as a share. Default 1, a full battery.
+    /// Charge until the driver has reported, as a share. Default 1, a full battery.
     #[serde(default = "full")]
     pub battery: BatteryShare,
-    /// Charge that it loses in a second of work, as a share. Default 0: mains power.
+    /// Charge used per second of work, as a share. Default 0: mains power.
     #[serde(default = "nothing")]
     pub discharge_share_per_s: SharePerSecond,
-    /// Below this charge it takes no work, as a share. Default 0.08, as in the published evaluation.
+    /// Charge below which it takes no work, as a share. Default 0.08, as in the published
+    /// evaluation.
     #[serde(default = "useful_charge")]
     pub useful_charge: BatteryShare,
-    /// Whether it stays where it is; such nodes are preferred as keepers of the ledger. Default: it does not.
+    /// True if the node does not move; such nodes are preferred as voters. Default: false.
     #[serde(default)]
     pub stationary: bool,
-    /// Whether it lives on mains power; such nodes are preferred as keepers of the ledger. Default: it does not.
+    /// True if the node runs on mains power; such nodes are preferred as voters. Default: false.
     #[serde(default)]
     pub mains_powered: bool,
-    /// Whether it may keep a copy of the ledger, and coordinate. Default: it may.
+    /// True if the node may keep a copy of the ledger, and coordinate. Default: true.
     #[serde(default = "yes")]
     pub may_vote: bool,
-    /// The directory in which the node keeps what it has promised. Default: none, and it forgets all when it ends.
+    /// Directory of the node's store. Default: none, and all state is lost when the node ends.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub data_dir: Option<PathBuf>,
-    /// Address at which the node serves the dashboard, as `127.0.0.1:8088`; port 0 is any free one. Default: none, and it
-    /// serves none.
+    /// Address of the dashboard, as `127.0.0.1:8088`; port 0 selects any free port. Default: none,
+    /// and no dashboard is served.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dashboard: Option<SocketAddr>,
-    /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all defaults.
+    /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all
+    /// defaults.
     #[serde(default)]
     pub fleet: FleetRef,
-    /// Where it is on the network.
+    /// Network settings.
     #[serde(default)]
     pub bus: BusConfig,
-    /// What it tells those who operate it.
+    /// Log, metrics and spans.
     #[serde(default)]
     pub telemetry: TelemetryConfig,
 }
@@ -69,13 +71,13 @@ fn nothing() -> SharePerSecond {
     SharePerSecond::new(0.0).expect("0 is a rate")
 }
 
-/// The charge below which a robot takes no work, where nothing else is said.
+/// Default charge below which a robot takes no work.
 pub fn useful_charge() -> BatteryShare {
     BatteryShare::new(0.08).expect("0.08 is a share")
 }
 
 impl RobotConfig {
-    /// A robot that drives, with the defaults of a robot file.
+    /// Creates the configuration of a robot, with the defaults of a robot file.
     pub fn new(name: RobotId, place: PlaceId, skills: BTreeSet<TaskType>) -> RobotConfig {
         RobotConfig {
             name,
@@ -109,7 +111,7 @@ impl ConfigFile for RobotConfig {
         let unknown = self.skills.iter().filter(|skill| domain.get(skill).is_none());
         let mut validate: Vec<String> = unknown.map(|skill| format!("skills: {}", unknown_skill(skill))).collect();
         if self.skills.is_empty() {
-            validate.push("skills: there are none; such a robot would get no work".to_owned());
+            validate.push("skills: the list is empty; such a robot would get no work".to_owned());
         }
         if self.skills.iter().any(|skill| skill.as_str() == "navigation") && self.speed_mps.is_none() {
             validate.push("speed_mps: is missing, and the robot has the skill `navigation`".to_owned());

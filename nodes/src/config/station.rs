@@ -8,41 +8,42 @@ use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-/// A station file. Only `name` must be there.
+/// A station file. Only `name` is required.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StationConfig {
     /// The node's name: unique in the fleet.
     pub name: NodeId,
-    /// Whether it stays where it is. Default: it does.
+    /// True if the node does not move. Default: true.
     #[serde(default = "yes")]
     pub stationary: bool,
-    /// Whether it lives on mains power. Default: it does.
+    /// True if the node runs on mains power. Default: true.
     #[serde(default = "yes")]
     pub mains_powered: bool,
-    /// Whether it may keep a copy of the ledger, and coordinate. Default: it may.
+    /// True if the node may keep a copy of the ledger, and coordinate. Default: true.
     #[serde(default = "yes")]
     pub may_vote: bool,
-    /// The directory in which the node keeps what it has promised. Default: none, and it forgets all when it ends.
+    /// Directory of the node's store. Default: none, and all state is lost when the node ends.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub data_dir: Option<PathBuf>,
-    /// Address at which the node serves the dashboard, as `127.0.0.1:8088`; port 0 is any free one. Default: none, and it
-    /// serves none.
+    /// Address of the dashboard, as `127.0.0.1:8088`; port 0 selects any free port. Default: none,
+    /// and no dashboard is served.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dashboard: Option<SocketAddr>,
-    /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all defaults.
+    /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all
+    /// defaults.
     #[serde(default)]
     pub fleet: FleetRef,
-    /// Where it is on the network.
+    /// Network settings.
     #[serde(default)]
     pub bus: BusConfig,
-    /// What it tells those who operate it.
+    /// Log, metrics and spans.
     #[serde(default)]
     pub telemetry: TelemetryConfig,
 }
 
 impl StationConfig {
-    /// A station with the defaults of a station file.
+    /// Creates the configuration of a station, with the defaults of a station file.
     pub fn new(name: NodeId) -> StationConfig {
         StationConfig {
             name,

@@ -1,4 +1,4 @@
-//! What a node tells those who operate it.
+//! Log, metrics and spans of a node.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,29 +8,31 @@ use std::net::SocketAddr;
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TelemetryConfig {
-    /// What to log: `error`, `warn`, `info`, `debug` or `trace`, also by module, as `info,consort_actors=debug`. Default: what
-    /// the node does itself, and the troubles of others.
+    /// Log filter: `error`, `warn`, `info`, `debug` or `trace`, also by module, as
+    /// `info,consort_actors=debug`. Default: the node's own actions, and only errors and warnings
+    /// of libraries.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub log: Option<String>,
-    /// How lines of the log are written. Default: for people.
+    /// Format of log lines. Default: text for people.
     pub log_format: LogFormat,
-    /// Address at which metrics are served for Prometheus, as `127.0.0.1:9464`. Default: none, and they are not served.
+    /// Address of the metrics page for Prometheus, as `127.0.0.1:9464`. Default: none, and metrics
+    /// are not served.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metrics: Option<SocketAddr>,
-    /// The OpenTelemetry collector that gets the spans of missions, by OTLP over HTTP, as `http://127.0.0.1:4318`. Default:
-    /// none. Needs a program that was built with the feature `otlp`.
+    /// The OpenTelemetry collector that receives the spans of missions, by OTLP over HTTP, as
+    /// `http://127.0.0.1:4318`. Default: none. Needs a program built with the feature `otlp`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub otlp: Option<String>,
 }
 
-/// How lines of the log are written.
+/// Format of log lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum LogFormat {
-    /// For people, in colour on a terminal.
+    /// Text for people, in colour on a terminal.
     #[default]
     Human,
-    /// For programs: an object a line.
+    /// JSON for programs: an object per line.
     Json,
 }
 

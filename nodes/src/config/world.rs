@@ -1,4 +1,4 @@
-//! The world file: a node that hosts a simulated world.
+//! The world file: a node with a simulated world.
 
 use super::node::validate_common;
 use super::read::join_normalized;
@@ -14,55 +14,57 @@ use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-/// A world file. Every key has a default; a world without robots is a dull one.
+/// A world file. Every key has a default.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct WorldConfig {
     /// The node's name: unique in the fleet. Default `world`.
     pub name: NodeId,
-    /// The map, where it is not the fleet's: the name of one that is shipped, or the path of a file.
+    /// The map, if it differs from the fleet's: the name of a bundled map, or the path of a file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub map: Option<String>,
-    /// What the world's chance comes from. The same seed and the same requests give the same world. Default 1.
+    /// Seed of the world's random numbers. The same seed and the same requests give the same world.
+    /// Default 1.
     pub seed: u64,
-    /// World seconds that pass in one second. Default 1.
+    /// World seconds per second. Default 1.
     pub speed: f64,
-    /// Whether the node may keep a copy of the ledger, and coordinate. Default: it may not, for a world is no part of a
-    /// real fleet.
+    /// True if the node may keep a copy of the ledger, and coordinate. Default: false, because a
+    /// real fleet has no world node.
     pub may_vote: bool,
-    /// The directory in which the node keeps what it has promised, if it may vote. Default: none.
+    /// Directory of the node's store, if it may vote. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub data_dir: Option<PathBuf>,
-    /// Address at which the node serves the dashboard, as `127.0.0.1:8088`; port 0 is any free one. Default: none, and it
-    /// serves none.
+    /// Address of the dashboard, as `127.0.0.1:8088`; port 0 selects any free port. Default: none,
+    /// and no dashboard is served.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dashboard: Option<SocketAddr>,
-    /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all defaults.
+    /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all
+    /// defaults.
     pub fleet: FleetRef,
-    /// Where it is on the network.
+    /// Network settings.
     pub bus: BusConfig,
-    /// What it tells those who operate it.
+    /// Log, metrics and spans.
     pub telemetry: TelemetryConfig,
-    /// How long things take.
+    /// Durations of actions.
     pub durations: Durations,
-    /// How much the world holds and remembers.
+    /// Size limits of the world.
     pub limits: WorldLimits,
-    /// What can happen there, by name, in the order in which it hears of things. Default: all that can.
+    /// Simulated systems, by name, in the order in which they receive events. Default: all systems.
     pub systems: Vec<String>,
-    /// Time between two instants at which what cannot be computed ahead is brought up to date, in seconds of world time.
+    /// Time step for systems that cannot be computed ahead, in seconds of world time.
     pub step_s: f64,
-    /// Gusts that push at what hovers. Default: none.
+    /// Wind gusts that push hovering robots. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub gusts: Option<WindSettings>,
-    /// The robots' bodies, by the names of their robots.
+    pub wind: Option<WindSettings>,
+    /// The simulated robots, by name.
     pub robot: Vec<RobotSetup>,
     /// The people.
     pub person: Vec<PersonSetup>,
-    /// Things that lie on tables at first.
+    /// Objects that lie on tables at the start.
     pub object: Vec<ObjectSetup>,
-    /// Automatic doors of the map that are not as usual.
+    /// Automatic doors of the map with settings other than the default.
     pub door: Vec<DoorSetup>,
-    /// What stands in the way, and when.
+    /// Obstacles, with their times.
     pub obstacle: Vec<Obstacle>,
 }
 
@@ -83,7 +85,7 @@ impl Default for WorldConfig {
             limits: WorldLimits::default(),
             systems: system_names().map(str::to_owned).collect(),
             step_s: default_step_s(),
-            gusts: None,
+            wind: None,
             robot: vec![],
             person: vec![],
             object: vec![],
@@ -93,7 +95,7 @@ impl Default for WorldConfig {
     }
 }
 
-/// Fastest and slowest a world may run. Beyond the upper bound a second of node time is hours of world time.
+/// Allowed speed of a world. Above the upper bound a second of node time is hours of world time.
 const SPEED: std::ops::RangeInclusive<f64> = 0.001..=10_000.0;
 
 impl ConfigFile for WorldConfig {

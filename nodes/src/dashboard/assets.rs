@@ -1,11 +1,11 @@
-//! The page's files, which are part of the program.
+//! The page's files, compiled into the program.
 
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 
 /// A file.
 pub(super) struct Asset {
-    /// Where it is asked for.
+    /// URL path.
     pub(super) path: &'static str,
     kind: &'static str,
     text: &'static str,
@@ -19,7 +19,7 @@ impl IntoResponse for &'static Asset {
 
 macro_rules! assets {
     ($($path:literal $kind:literal $file:literal),* $(,)?) => {
-        /// All of them.
+        /// All files.
         pub(super) static ALL: &[Asset] = &[$(Asset { path: $path, kind: $kind, text: include_str!($file) }),*];
     };
 }
@@ -29,7 +29,7 @@ assets! {
     "/console.css" "text/css; charset=utf-8" "assets/console.css",
     "/icon.svg" "image/svg+xml" "assets/icon.svg",
     "/app.js" "text/javascript; charset=utf-8" "assets/app.js",
-    "/line.js" "text/javascript; charset=utf-8" "assets/line.js",
+    "/connection.js" "text/javascript; charset=utf-8" "assets/connection.js",
     "/dom.js" "text/javascript; charset=utf-8" "assets/dom.js",
     "/theme.js" "text/javascript; charset=utf-8" "assets/theme.js",
     "/status.js" "text/javascript; charset=utf-8" "assets/status.js",

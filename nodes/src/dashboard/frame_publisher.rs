@@ -1,4 +1,4 @@
-//! The picture that is shown, and its frames.
+//! The fleet model that is shown, and its frames.
 
 use crate::fleet_model::{FleetInput, FleetListener, FleetModel, delta};
 use axum::extract::ws::Utf8Bytes;
@@ -8,95 +8,98 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 
-/// Time from one frame to the next: five in a second show driving robots smoothly, since the page fills in between.
+/// Time between frames: five frames per second show driving robots smoothly, since the page
+/// interpolates.
 pub const FRAME: Duration = Duration::from_millis(FRAME_MS);
 
 const FRAME_MS: u64 = 200;
 
-/// Frames without news after which one is sent all the same, so that the page knows that it is still connected.
-const QUIET: u64 = 5;
+/// Number of unchanged frames after which an empty frame is sent, so that the page can detect a
+/// broken connection.
+const KEEP_ALIVE_FRAMES: u64 = 5;
 
-/// What has changed from one instant to the next, as the page is told: written once, whoever looks.
+/// Change between two instants, as sent to the page: serialised once for all clients.
 pub(super) struct Frame {
     pub(super) number: u64,
-    /// Nothing, if nothing has changed and nobody is to be told so.
+    /// Message; `None` if nothing has changed and no keep-alive is due.
     pub(super) text: Option<Utf8Bytes>,
 }
 
-/// A picture, and what it was drawn to.
-struct Drawn {
-    picture: FleetModel,
-    /// Of a recording: which instant of it is shown, and what is to be said of it.
+/// A fleet model, and its JSON as of the last frame.
+struct Rendered {
+    model: FleetModel,
+    /// Shown instant and playback state, if it is a recording.
     recording: Option<(u64, Value)>,
-    /// As in the frame of this number.
-    whole: Value,
+    /// JSON of the model in the frame `number`.
+    full: Value,
     number: u64,
-    /// What time it is there.
+    /// Time in the model.
     now_ms: u64,
-    /// When it was drawn; nothing, if another instant of a recording is to be shown since.
+    /// Time of the last rendering; `None` if another instant of a recording is to be shown since.
     drawn_ms: Option<u64>,
-    /// The whole in words, if it was asked for since.
+    /// Serialised JSON of the model, if it was requested since.
     text: Option<Utf8Bytes>,
 }
 
-impl Drawn {
+impl Rendered {
     fn time(&self, clock: Clock) -> u64 {
         self.recording.as_ref().map_or_else(|| clock.wall_ms(), |(at_ms, _)| *at_ms)
     }
 
-    /// Brings the whole up to date, and says what has changed.
+    /// Updates the JSON of the model, and returns the change.
     fn redraw(&mut self) -> Option<Value> {
-        let mut patch = self.picture.render_patch(&mut self.whole);
+        let mut patch = self.model.render_patch(&mut self.full);
         if let Some((_, recording)) = &self.recording
-            && let Some(change) = delta::between(&self.whole["recording"], recording)
+            && let Some(change) = delta::between(&self.full["recording"], recording)
         {
-            self.whole["recording"] = recording.clone();
+            self.full["recording"] = recording.clone();
             patch.get_or_insert_with(|| json!({}))["recording"] = change;
         }
         patch
     }
 }
 
-/// The picture that is shown.
+/// Publishes the frames of a fleet model.
 pub struct FramePublisher {
-    drawn: Mutex<Drawn>,
+    rendered: Mutex<Rendered>,
     clock: Clock,
     frames: watch::Sender<Arc<Frame>>,
 }
 
 impl FramePublisher {
-    /// Shows a picture.
-    pub fn new(picture: FleetModel, clock: Clock) -> FramePublisher {
-        let whole = Value::Null;
-        let drawn = Drawn { picture, recording: None, whole, number: 0, now_ms: 0, drawn_ms: None, text: None };
+    /// Publishes a fleet model.
+    pub fn new(model: FleetModel, clock: Clock) -> FramePublisher {
+        let full = Value::Null;
+        let rendered = Rendered { model, recording: None, full, number: 0, now_ms: 0, drawn_ms: None, text: None };
         let frames = watch::Sender::new(Arc::new(Frame { number: 0, text: None }));
-        FramePublisher { drawn: Mutex::new(drawn), clock, frames }
+        FramePublisher { rendered: Mutex::new(rendered), clock, frames }
     }
 
-    /// Looks at the picture, or changes it; it is told what time it is, or which of a recording is shown.
+    /// Runs `look` with the model and the current time, or the time of the recording.
     pub fn with_model<T>(&self, look: impl FnOnce(&mut FleetModel, u64) -> T) -> T {
-        let mut drawn = self.lock();
-        let now_ms = drawn.time(self.clock);
-        look(&mut drawn.picture, now_ms)
+        let mut rendered = self.lock();
+        let now_ms = rendered.time(self.clock);
+        look(&mut rendered.model, now_ms)
     }
 
-    /// Shows an instant of a recording: `bring` makes the picture what it was then.
-    pub(super) fn show_instant(&self, at_ms: u64, recording: Value, bring: impl FnOnce(&mut FleetModel)) {
-        let mut drawn = self.lock();
-        bring(&mut drawn.picture);
-        drawn.recording = Some((at_ms, recording));
-        drawn.drawn_ms = None;
+    /// Shows an instant of a recording: `seek` brings the model to its state at that time.
+    pub(super) fn show_instant(&self, at_ms: u64, recording: Value, seek: impl FnOnce(&mut FleetModel)) {
+        let mut rendered = self.lock();
+        seek(&mut rendered.model);
+        rendered.recording = Some((at_ms, recording));
+        rendered.drawn_ms = None;
     }
 
-    /// The whole as it was drawn last, for somebody who has not seen the frame before; with the number of that frame.
+    /// Returns the complete model of the latest frame, for a client without the frame before it,
+    /// and the number of that frame.
     pub(super) fn full_frame(&self) -> (u64, Utf8Bytes) {
-        let mut drawn = self.lock();
-        // Nobody may have looked for long.
-        if drawn.drawn_ms.is_none_or(|drawn_ms| self.clock.wall_ms().saturating_sub(drawn_ms) > FRAME_MS) {
-            self.redraw(&mut drawn);
+        let mut rendered = self.lock();
+        // There may have been no client for a long time.
+        if rendered.drawn_ms.is_none_or(|drawn_ms| self.clock.wall_ms().saturating_sub(drawn_ms) > FRAME_MS) {
+            self.redraw(&mut rendered);
         }
-        let Drawn { whole, number, now_ms, text, .. } = &mut *drawn;
-        let write = || json!({ "number": number, "now_ms": now_ms, "whole": whole }).to_string().into();
+        let Rendered { full, number, now_ms, text, .. } = &mut *rendered;
+        let write = || json!({ "number": number, "now_ms": now_ms, "full": full }).to_string().into();
         let text = text.get_or_insert_with(write);
         (*number, text.clone())
     }
@@ -105,7 +108,7 @@ impl FramePublisher {
         self.frames.subscribe()
     }
 
-    /// Draws a frame every [`FRAME`] while somebody looks.
+    /// Renders a frame every [`FRAME`] while there are clients.
     pub(super) async fn publish_forever(&self) {
         let mut ticks = tokio::time::interval(FRAME);
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -115,40 +118,40 @@ impl FramePublisher {
         }
     }
 
-    /// Draws a frame if somebody looks.
+    /// Renders a frame if there are clients.
     pub(super) fn publish_if_watched(&self) {
         if self.frames.receiver_count() > 0 {
             self.redraw(&mut self.lock());
         }
     }
 
-    fn redraw(&self, drawn: &mut Drawn) {
-        let patch = drawn.redraw();
-        (drawn.number, drawn.now_ms, drawn.text) = (drawn.number + 1, drawn.time(self.clock), None);
-        drawn.drawn_ms = Some(self.clock.wall_ms());
-        let (number, now_ms) = (drawn.number, drawn.now_ms);
-        let told = match patch {
+    fn redraw(&self, rendered: &mut Rendered) {
+        let patch = rendered.redraw();
+        (rendered.number, rendered.now_ms, rendered.text) = (rendered.number + 1, rendered.time(self.clock), None);
+        rendered.drawn_ms = Some(self.clock.wall_ms());
+        let (number, now_ms) = (rendered.number, rendered.now_ms);
+        let message = match patch {
             Some(patch) => Some(json!({ "number": number, "now_ms": now_ms, "patch": patch })),
-            None if number.is_multiple_of(QUIET) => Some(json!({ "number": number, "now_ms": now_ms })),
+            None if number.is_multiple_of(KEEP_ALIVE_FRAMES) => Some(json!({ "number": number, "now_ms": now_ms })),
             None => None,
         };
-        let text = told.map(|told| told.to_string().into());
+        let text = message.map(|message| message.to_string().into());
         self.frames.send_replace(Arc::new(Frame { number, text }));
     }
 
-    fn lock(&self) -> MutexGuard<'_, Drawn> {
-        // Views are taken in anew every second: what a panic left half done does not stay.
-        self.drawn.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Rendered> {
+        // Views are applied again every second, which repairs a partial update after a panic.
+        self.rendered.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl FleetListener for FramePublisher {
     fn on_input(&self, heard: FleetInput) {
-        self.with_model(|picture, now_ms| picture.apply(&heard, now_ms));
+        self.with_model(|model, now_ms| model.apply(&heard, now_ms));
     }
 
     fn missions_to_query(&self) -> Vec<String> {
-        self.with_model(|picture, _| picture.missions_to_query())
+        self.with_model(|model, _| model.missions_to_query())
     }
 
     fn needs_map(&self) -> bool {
@@ -161,92 +164,94 @@ mod tests {
     use super::*;
     use crate::fleet_model::FloorPlan;
 
-    fn said(text: &str) -> Value {
+    fn parse(text: &str) -> Value {
         serde_json::from_str(text).unwrap()
     }
 
     #[tokio::test(start_paused = true)]
-    async fn frames_tell_what_has_changed_and_the_whole_is_what_they_come_to() {
-        let picture = FleetModel::new("ward", "s1", FloorPlan::default(), 0);
-        let board = FramePublisher::new(picture, Clock::virtual_at(1000));
-        let (first, whole) = board.full_frame();
-        let mut seen = said(&whole)["whole"].clone();
+    async fn frames_contain_changes_that_add_up_to_the_full_model() {
+        let model = FleetModel::new("ward", "s1", FloorPlan::default(), 0);
+        let publisher = FramePublisher::new(model, Clock::virtual_at(1000));
+        let (first, full) = publisher.full_frame();
+        let mut seen = parse(&full)["full"].clone();
         assert_eq!((first, &seen["fleet"]), (1, &json!("ward")));
-        assert_eq!(whole.as_ptr(), board.full_frame().1.as_ptr(), "written once for all who ask");
+        assert_eq!(full.as_ptr(), publisher.full_frame().1.as_ptr(), "serialised once for all clients");
         for links in [1, 1, 2] {
-            board.with_model(|picture, now_ms| picture.apply_links(links, now_ms));
-            board.redraw(&mut board.lock());
-            let frame = board.frames().borrow().clone();
+            publisher.with_model(|model, now_ms| model.apply_links(links, now_ms));
+            publisher.redraw(&mut publisher.lock());
+            let frame = publisher.frames().borrow().clone();
             if let Some(text) = &frame.text {
-                delta::apply(&mut seen, &said(text)["patch"]);
+                delta::apply(&mut seen, &parse(text)["patch"]);
             }
-            assert_eq!((frame.number, &seen), (board.full_frame().0, &said(&board.full_frame().1)["whole"]));
+            assert_eq!((frame.number, &seen), (publisher.full_frame().0, &parse(&publisher.full_frame().1)["full"]));
         }
-        assert_eq!(seen["reach"]["links"], 2);
-        let quiet: Vec<Option<Value>> = (0..QUIET)
+        assert_eq!(seen["reachability"]["links"], 2);
+        let quiet: Vec<Option<Value>> = (0..KEEP_ALIVE_FRAMES)
             .map(|_| {
-                board.redraw(&mut board.lock());
-                board.frames().borrow().text.as_ref().map(|text| said(text))
+                publisher.redraw(&mut publisher.lock());
+                publisher.frames().borrow().text.as_ref().map(|text| parse(text))
             })
             .collect();
-        let told: Vec<&Value> = quiet.iter().flatten().collect();
-        assert_eq!(told, [&json!({ "number": 5, "now_ms": 1000 })], "a sign of life now and then");
+        let message: Vec<&Value> = quiet.iter().flatten().collect();
+        assert_eq!(message, [&json!({ "number": 5, "now_ms": 1000 })], "an occasional keep-alive frame");
     }
 
     #[tokio::test(start_paused = true)]
-    async fn of_a_recording_the_instant_that_was_asked_for_is_shown_at_once_and_its_time_passes_by_itself() {
+    async fn a_requested_instant_of_a_recording_is_shown_at_once() {
         let empty = || FleetModel::new("ward", "recorder", FloorPlan::default(), 0);
-        let board = FramePublisher::new(empty(), Clock::virtual_at(90_000));
-        let linked = |links: usize| {
-            let mut picture = empty();
-            picture.apply_links(links, 0);
-            picture
+        let publisher = FramePublisher::new(empty(), Clock::virtual_at(90_000));
+        let with_links = |links: usize| {
+            let mut model = empty();
+            model.apply_links(links, 0);
+            model
         };
-        board.show_instant(700, json!({ "playing": false, "jumps": 0 }), |picture| *picture = linked(3));
-        let mut seen = said(&board.full_frame().1);
-        assert_eq!((&seen["now_ms"], &seen["whole"]["reach"]["links"]), (&json!(700), &json!(3)));
-        // Nobody looks on: whoever asks has it all the same.
-        board.show_instant(500, json!({ "playing": false, "jumps": 1 }), |picture| *picture = linked(2));
-        board.publish_if_watched();
-        assert_eq!(board.frames.borrow().number, 1, "drawn for whoever asked");
-        seen = said(&board.full_frame().1);
+        publisher.show_instant(700, json!({ "playing": false, "seeks": 0 }), |model| *model = with_links(3));
+        let mut seen = parse(&publisher.full_frame().1);
+        assert_eq!((&seen["now_ms"], &seen["full"]["reachability"]["links"]), (&json!(700), &json!(3)));
+        // There are no clients: a request still gets the model.
+        publisher.show_instant(500, json!({ "playing": false, "seeks": 1 }), |model| *model = with_links(2));
+        publisher.publish_if_watched();
+        assert_eq!(publisher.frames.borrow().number, 1, "rendered for the request");
+        seen = parse(&publisher.full_frame().1);
         assert_eq!(
-            (&seen["number"], &seen["now_ms"], &seen["whole"]["reach"]["links"]),
+            (&seen["number"], &seen["now_ms"], &seen["full"]["reachability"]["links"]),
             (&json!(2), &json!(500), &json!(2))
         );
-        // Somebody does: what has changed is told, of the picture and of what is said beside it.
-        let mut frames = board.frames();
-        for (at_ms, jumps, links, patch) in [
+        // With a client: changes of the model and of the playback state are published.
+        let mut frames = publisher.frames();
+        for (at_ms, seeks, links, patch) in [
             (600, 1, 2, None),
-            (800, 2, 2, Some(json!({ "recording": { "jumps": 2 } }))),
-            (900, 2, 5, Some(json!({ "reach": { "links": 5 } }))),
+            (800, 2, 2, Some(json!({ "recording": { "seeks": 2 } }))),
+            (900, 2, 5, Some(json!({ "reachability": { "links": 5 } }))),
         ] {
-            board.show_instant(at_ms, json!({ "playing": false, "jumps": jumps }), |picture| {
-                picture.apply_links(links, 0)
-            });
-            board.publish_if_watched();
+            publisher
+                .show_instant(at_ms, json!({ "playing": false, "seeks": seeks }), |model| model.apply_links(links, 0));
+            publisher.publish_if_watched();
             let frame = frames.borrow_and_update().clone();
-            let told = frame.text.as_ref().map(|text| said(text));
-            assert_eq!(told.as_ref().map(|told| told["now_ms"].clone()), patch.is_some().then(|| json!(at_ms)));
-            assert_eq!(told.map(|told| told["patch"].clone()), patch);
-            assert_eq!(said(&board.full_frame().1)["now_ms"], at_ms);
-            assert_eq!(board.with_model(|_, now_ms| now_ms), at_ms);
+            let message = frame.text.as_ref().map(|text| parse(text));
+            assert_eq!(
+                message.as_ref().map(|message| message["now_ms"].clone()),
+                patch.is_some().then(|| json!(at_ms))
+            );
+            assert_eq!(message.map(|message| message["patch"].clone()), patch);
+            assert_eq!(parse(&publisher.full_frame().1)["now_ms"], at_ms);
+            assert_eq!(publisher.with_model(|_, now_ms| now_ms), at_ms);
         }
     }
 
     #[tokio::test(start_paused = true)]
-    async fn frames_are_drawn_while_somebody_looks_and_only_the_latest_is_kept() {
-        let board =
+    async fn frames_are_rendered_while_there_are_clients() {
+        let publisher =
             Arc::new(FramePublisher::new(FleetModel::new("ward", "s1", FloorPlan::default(), 0), Clock::real()));
-        let drawing = Arc::clone(&board);
-        let drawer = tokio::spawn(async move { drawing.publish_forever().await });
+        let watched = Arc::clone(&publisher);
+        let task = tokio::spawn(async move { watched.publish_forever().await });
         tokio::time::sleep(FRAME * 10).await;
-        assert_eq!(board.frames.borrow().number, 0, "nobody looks");
-        let (number, _) = board.full_frame();
-        assert_eq!((number, board.full_frame().0), (1, 1), "drawn for whoever asks, once in a while");
-        let mut frames = board.frames();
+        assert_eq!(publisher.frames.borrow().number, 0, "there are no clients");
+        let (number, _) = publisher.full_frame();
+        assert_eq!((number, publisher.full_frame().0), (1, 1), "rendered for the request, at most once per frame time");
+        let mut frames = publisher.frames();
         tokio::time::sleep(FRAME * 10).await;
-        assert!(frames.borrow_and_update().number >= 9, "one after the other, and this is the latest");
-        drawer.abort();
+        assert!(frames.borrow_and_update().number >= 9, "consecutive frames, of which this is the latest");
+        task.abort();
     }
 }

@@ -1,33 +1,33 @@
-//! What is sent to the server and answered by it, in JSON.
+//! JSON requests and replies of the server.
 
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-/// The head of an answer.
+/// Headers of a JSON reply.
 pub(super) const JSON_HEADERS: [(header::HeaderName, &str); 1] = [(header::CONTENT_TYPE, "application/json")];
 
-/// Why a body is not taken.
+/// Reply to an invalid body.
 pub(super) type Rejection = (StatusCode, [(header::HeaderName, &'static str); 1], String);
 
-/// What somebody sends, which is JSON.
+/// Parses the JSON body of a request.
 pub(super) fn parse_body<T: DeserializeOwned>(headers: &HeaderMap, body: &[u8]) -> Result<T, Rejection> {
     let refusal = |status, what: &str| (status, JSON_HEADERS, json!({ "error": what }).to_string());
     let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
     if kind.split(';').next().map(str::trim) != Some("application/json") {
-        return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "a request is application/json"));
+        return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "a request must be application/json"));
     }
     serde_json::from_slice(body)
-        .map_err(|mistake| refusal(StatusCode::BAD_REQUEST, &format!("the request is not as it should be: {mistake}")))
+        .map_err(|mistake| refusal(StatusCode::BAD_REQUEST, &format!("the request is not valid: {mistake}")))
 }
 
-/// An answer of what is wrong.
+/// Returns an error reply.
 pub(super) fn error_reply(status: StatusCode, what: &str) -> Response {
     json_reply(status, &json!({ "error": what }))
 }
 
-/// An answer.
+/// Returns a JSON reply.
 pub(super) fn json_reply(status: StatusCode, value: &Value) -> Response {
     (status, JSON_HEADERS, value.to_string()).into_response()
 }

@@ -1,21 +1,24 @@
-//! The dashboard: a page that any node serves, with the fleet as that node knows it.
+//! The dashboard: a page served by any node, with the fleet as seen by that node.
 //!
 //! ```text
-//!  bus ──▶ Watcher ──▶ Board (a Picture) ──▶ frames, five a second ──▶ /ws: first the whole, then what has changed
-//!                        │                                             /api/picture, /api/events, /api/history.csv
-//!  bus ◀── Desk ◀────────┴──────────────────────────────────────────── POST /api/missions: submit, cancel, rescued
+//!  bus ──▶ subscriber ──▶ FramePublisher (a FleetModel) ──▶ frames, five a second ──▶ /ws: first the full model, then changes
+//!                           │                                             /api/fleet, /api/events, /api/history.csv
+//!  bus ◀── RequestForwarder ◀┴──────────────────────────────────────────── POST /api/missions: submit, cancel, resolve
 //! ```
 //!
-//! A frame replaces the one before it, whether or not everybody has seen that: a slow client misses frames, and then gets
-//! a whole picture. Nothing is queued for anybody.
+//! A frame replaces the frame before it, even if not all clients have received that: a slow client
+//! misses frames, and then gets the full model. Nothing is queued for clients.
 //!
-//! A [recording](crate::recording) is shown in the same way, by a projector in place of the watcher and the desk: all who look see
-//! the same instant of it, and any of them may choose another (`POST /api/replay`).
+//! A [recording](crate::recording) is shown in the same way, by a replay server in place of the
+//! subscriber and the forwarder: all clients see the same instant, and each of them may seek
+//! (`POST /api/replay`).
 //!
-//! In a closed fleet it takes a [token](crate::admission) to be let in, and the scope of the token says what for.
+//! In a closed fleet clients need a [token](crate::admission), and its scope decides the allowed
+//! requests.
 //!
-//! It listens where it is told to. What is bound to loopback answers only to loopback's names, so that no page of another
-//! site can read it by giving its own name this address; and requests that change something are taken from the page alone.
+//! The server listens on the configured address. A server on loopback answers only to loopback's
+//! names, so that no page of another site can read it by DNS rebinding. Requests that change
+//! something are accepted from the page alone.
 
 mod assets;
 mod csv;
@@ -43,14 +46,14 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::task::JoinSet;
 
-/// What stands behind a board.
+/// Source of the published model.
 #[derive(Clone)]
 enum DashboardSource {
-    /// A fleet, which can be asked for something.
+    /// A fleet that accepts requests.
     Fleet(Arc<forwarder::RequestForwarder>),
-    /// A recording, in which one can go to and fro.
+    /// A recording that can be seeked.
     Recording(Arc<replay_server::ReplayServer>),
-    /// Whoever fills the board.
+    /// A model filled by other code; requests are not possible.
     ViewOnly,
 }
 
@@ -61,7 +64,8 @@ pub struct Dashboard {
 }
 
 impl Dashboard {
-    /// Serves a fleet to those who are admitted, as it is seen over `bus` at `node`. Called within a tokio runtime.
+    /// Serves a fleet to admitted clients, as seen over `bus` at `node`. Called within a tokio
+    /// runtime.
     pub fn open(
         address: BoundAddress,
         admission: Admission,
@@ -71,41 +75,43 @@ impl Dashboard {
         plan: FloorPlan,
     ) -> Dashboard {
         let clock = Clock::real();
-        let picture = FleetModel::new(fleet.to_string(), node, plan, clock.wall_ms());
-        let board = Arc::new(FramePublisher::new(picture, clock));
-        let desk = forwarder::RequestForwarder::new(Arc::clone(&bus), Keys::new(fleet), node);
+        let model = FleetModel::new(fleet.to_string(), node, plan, clock.wall_ms());
+        let publisher = Arc::new(FramePublisher::new(model, clock));
+        let forwarder = forwarder::RequestForwarder::new(Arc::clone(&bus), Keys::new(fleet), node);
         let mut dashboard =
-            Dashboard::serve(address, Arc::clone(&board), DashboardSource::Fleet(Arc::new(desk)), admission);
-        dashboard.draw(Arc::clone(&board));
-        subscriber::subscribe_fleet(&mut dashboard.tasks, bus, Keys::new(fleet), board);
+            Dashboard::serve(address, Arc::clone(&publisher), DashboardSource::Fleet(Arc::new(forwarder)), admission);
+        dashboard.draw(Arc::clone(&publisher));
+        subscriber::subscribe_fleet(&mut dashboard.tasks, bus, Keys::new(fleet), publisher);
         dashboard
     }
 
-    /// Serves a recording, as a player plays it. Called within a tokio runtime.
-    pub fn replay(address: BoundAddress, reel: RecordingReader, player: Player) -> Dashboard {
-        let board = Arc::new(FramePublisher::new(reel.initial_model(), Clock::real()));
-        let projector = Arc::new(replay_server::ReplayServer::new(reel, player, Arc::clone(&board)));
-        let served = DashboardSource::Recording(Arc::clone(&projector));
-        let mut dashboard = Dashboard::serve(address, board, served, Admission::open());
-        dashboard.tasks.spawn(async move { projector.play_forever().await });
+    /// Serves a recording at a player's position. Called within a tokio runtime.
+    pub fn replay(address: BoundAddress, reader: RecordingReader, player: Player) -> Dashboard {
+        let publisher = Arc::new(FramePublisher::new(reader.initial_model(), Clock::real()));
+        let server = Arc::new(replay_server::ReplayServer::new(reader, player, Arc::clone(&publisher)));
+        let source = DashboardSource::Recording(Arc::clone(&server));
+        let mut dashboard = Dashboard::serve(address, publisher, source, Admission::open());
+        dashboard.tasks.spawn(async move { server.play_forever().await });
         dashboard
     }
 
-    /// Serves a board that somebody else fills, and on which nothing can be asked for. Called within a tokio runtime.
-    pub fn serve_view_only(address: BoundAddress, board: Arc<FramePublisher>) -> Dashboard {
-        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), DashboardSource::ViewOnly, Admission::open());
-        dashboard.draw(board);
+    /// Serves a model that other code fills; requests are not possible. Called within a tokio
+    /// runtime.
+    pub fn serve_view_only(address: BoundAddress, publisher: Arc<FramePublisher>) -> Dashboard {
+        let mut dashboard =
+            Dashboard::serve(address, Arc::clone(&publisher), DashboardSource::ViewOnly, Admission::open());
+        dashboard.draw(publisher);
         dashboard
     }
 
     fn serve(
-        taken: BoundAddress,
-        board: Arc<FramePublisher>,
-        served: DashboardSource,
+        bound: BoundAddress,
+        publisher: Arc<FramePublisher>,
+        source: DashboardSource,
         admission: Admission,
     ) -> Dashboard {
-        let (address, listener) = (taken.local_addr(), taken.with_connection_limit());
-        let router = routes::router(board, served, admission, address);
+        let (address, listener) = (bound.local_addr(), bound.with_connection_limit());
+        let router = routes::router(publisher, source, admission, address);
         let mut tasks = JoinSet::new();
         tasks.spawn(async move {
             if let Err(problem) = axum::serve(listener, router).await {
@@ -115,17 +121,17 @@ impl Dashboard {
         Dashboard { address, tasks }
     }
 
-    /// Has a board drawn that changes by itself.
-    fn draw(&mut self, board: Arc<FramePublisher>) {
-        self.tasks.spawn(async move { board.publish_forever().await });
+    /// Starts rendering frames of a model.
+    fn draw(&mut self, publisher: Arc<FramePublisher>) {
+        self.tasks.spawn(async move { publisher.publish_forever().await });
     }
 
-    /// Where it is.
+    /// Returns the address.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Where it is, for a browser.
+    /// Returns the URL for a browser.
     pub fn url(&self) -> String {
         format!("http://{}/", self.address)
     }

@@ -1,4 +1,5 @@
-//! Who may ask: this page, and programs on purpose; no page of another site.
+//! Same-origin check: requests are accepted from this page and from programs, not from pages of
+//! other sites.
 
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
@@ -6,11 +7,12 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use std::net::{IpAddr, SocketAddr};
 
-/// What the page may load and do: its own files and its own server, nothing else.
+/// Content security policy: the page loads its own files and connects to its own server, nothing
+/// else.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Lets a request through if it may be made, and says with each answer what a browser may do with it.
+/// Middleware: checks a request, and adds the security headers to each response.
 pub(super) async fn check_origin(State(address): State<SocketAddr>, request: Request, next: Next) -> Response {
     let checked = check(address, request.method(), request.headers());
     let mut response = match checked {
@@ -26,25 +28,25 @@ pub(super) async fn check_origin(State(address): State<SocketAddr>, request: Req
     response
 }
 
-/// Whether a request may be made.
+/// Checks whether a request is allowed.
 fn check(address: SocketAddr, method: &Method, headers: &HeaderMap) -> Result<(), &'static str> {
     let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
     let host = text(header::HOST).ok_or("a request names its host")?;
     if address.ip().is_loopback() && !is_loopback(host) {
-        return Err("this dashboard is for its own machine: ask for it as localhost or 127.0.0.1");
+        return Err("this dashboard is bound to loopback: open it as localhost or 127.0.0.1");
     }
-    // Browsers say where a page is from whenever it changes something or opens a WebSocket; other programs do not.
+    // Browsers send the origin of a page with each change and WebSocket; other programs do not.
     let changes = method != Method::GET && method != Method::HEAD;
     let Some(origin) = text(header::ORIGIN) else {
         let site = text(HeaderName::from_static("sec-fetch-site"));
         let own = site.is_none_or(|site| site == "same-origin" || site == "none");
-        return if own || !changes { Ok(()) } else { Err("requests are taken from the dashboard's own page only") };
+        return if own || !changes { Ok(()) } else { Err("requests are accepted from the dashboard's own page only") };
     };
     let own = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://")) == Some(host);
-    if own { Ok(()) } else { Err("requests are taken from the dashboard's own page only") }
+    if own { Ok(()) } else { Err("requests are accepted from the dashboard's own page only") }
 }
 
-/// Whether a host, as a browser names it, is the machine itself.
+/// Checks whether a host, as named by a browser, is the machine itself.
 fn is_loopback(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
         Some(rest) => rest.split(']').next().unwrap_or(rest),
@@ -57,7 +59,7 @@ fn is_loopback(host: &str) -> bool {
 mod tests {
     use super::*;
 
-    fn asked(bound: &str, method: &Method, headers: &[(&'static str, &str)]) -> bool {
+    fn is_allowed(bound: &str, method: &Method, headers: &[(&'static str, &str)]) -> bool {
         let mut map = HeaderMap::new();
         for (name, value) in headers {
             map.insert(*name, HeaderValue::from_str(value).unwrap());
@@ -66,29 +68,30 @@ mod tests {
     }
 
     #[test]
-    fn only_the_page_itself_and_programs_may_change_something() {
+    fn only_the_page_itself_and_programs_may_make_changes() {
         let (bound, host) = ("127.0.0.1:8088", ("host", "127.0.0.1:8088"));
-        let post = |more: &[(&'static str, &str)]| asked(bound, &Method::POST, &[&[host], more].concat());
+        let post = |more: &[(&'static str, &str)]| is_allowed(bound, &Method::POST, &[&[host], more].concat());
         assert!(post(&[("origin", "http://127.0.0.1:8088")]));
         assert!(post(&[]));
         assert!(!post(&[("origin", "http://127.0.0.1:9000")]));
         assert!(!post(&[("origin", "http://evil.example")]));
         assert!(!post(&[("origin", "null")]));
         assert!(!post(&[("sec-fetch-site", "cross-site")]));
-        assert!(!asked(bound, &Method::POST, &[]));
+        assert!(!is_allowed(bound, &Method::POST, &[]));
     }
 
     #[test]
     fn no_page_of_another_site_can_open_the_web_socket() {
-        let get =
-            |origin: &str| asked("127.0.0.1:8088", &Method::GET, &[("host", "localhost:8088"), ("origin", origin)]);
+        let get = |origin: &str| {
+            is_allowed("127.0.0.1:8088", &Method::GET, &[("host", "localhost:8088"), ("origin", origin)])
+        };
         assert!(get("http://localhost:8088"));
         assert!(!get("http://evil.example"));
     }
 
     #[test]
-    fn what_is_bound_to_loopback_answers_to_the_names_of_loopback_alone() {
-        let get = |bound: &str, host: &str| asked(bound, &Method::GET, &[("host", host)]);
+    fn a_loopback_address_answers_to_loopback_names_only() {
+        let get = |bound: &str, host: &str| is_allowed(bound, &Method::GET, &[("host", host)]);
         for host in ["127.0.0.1:8088", "localhost:8088", "[::1]:8088", "localhost"] {
             assert!(get("127.0.0.1:8088", host), "{host}");
         }

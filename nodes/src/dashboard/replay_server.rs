@@ -1,4 +1,4 @@
-//! Shows a recording on the board.
+//! Publishes a recording.
 
 use super::frame_publisher::{FRAME, FramePublisher};
 use crate::recording::{Player, PlayerCommand, RecordingReader};
@@ -8,84 +8,88 @@ use tokio::time::{Instant, MissedTickBehavior};
 
 /// A recording that is being shown.
 pub(super) struct ReplayServer {
-    reel: RecordingReader,
-    board: Arc<FramePublisher>,
-    at: Mutex<At>,
+    reader: RecordingReader,
+    publisher: Arc<FramePublisher>,
+    at: Mutex<Position>,
 }
 
-struct At {
+struct Position {
     player: Player,
-    /// Inputs that the picture on the board has taken in.
-    taken: usize,
-    looked: Instant,
+    /// Number of inputs that the published model contains.
+    applied: usize,
+    advanced_at: Instant,
 }
 
 impl ReplayServer {
-    pub(super) fn new(reel: RecordingReader, player: Player, board: Arc<FramePublisher>) -> ReplayServer {
-        let projector = ReplayServer { reel, board, at: Mutex::new(At { player, taken: 0, looked: Instant::now() }) };
-        projector.go_on(&mut projector.lock());
-        projector
+    pub(super) fn new(reader: RecordingReader, player: Player, publisher: Arc<FramePublisher>) -> ReplayServer {
+        let server = ReplayServer {
+            reader,
+            publisher,
+            at: Mutex::new(Position { player, applied: 0, advanced_at: Instant::now() }),
+        };
+        server.advance(&mut server.lock());
+        server
     }
 
-    /// Shows what is due, a frame after the other.
+    /// Publishes frames continuously.
     pub(super) async fn play_forever(&self) {
         let mut ticks = tokio::time::interval(FRAME);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             ticks.tick().await;
-            self.go_on(&mut self.lock());
-            self.board.publish_if_watched();
+            self.advance(&mut self.lock());
+            self.publisher.publish_if_watched();
         }
     }
 
-    /// Does as somebody at the page asks, and shows it at once: what is shown then.
+    /// Applies a command of the page, publishes the result at once, and returns the new state.
     ///
     /// # Errors
-    /// In words, if it makes no sense.
+    /// A message, if the command is invalid.
     pub(super) fn apply_command(&self, command: PlayerCommand) -> Result<Value, String> {
         let mut at = self.lock();
-        self.go_on(&mut at);
+        self.advance(&mut at);
         at.player.apply(command)?;
-        self.go_on(&mut at);
-        self.board.publish_if_watched();
+        self.advance(&mut at);
+        self.publisher.publish_if_watched();
         Ok(self.value(&at.player))
     }
 
-    /// What is shown, for programs.
+    /// Returns the playback state, for programs.
     pub(super) fn state(&self) -> Value {
         self.value(&self.lock().player)
     }
 
-    /// What this is, in words.
+    /// Describes the recording.
     pub(super) fn description(&self) -> String {
-        format!("this is a recording of {}", self.reel.fleet())
+        format!("this is a recording of {}", self.reader.fleet())
     }
 
-    fn go_on(&self, at: &mut At) {
+    fn advance(&self, at: &mut Position) {
         let now = Instant::now();
-        at.player.advance(now - at.looked);
-        at.looked = now;
+        at.player.advance(now - at.advanced_at);
+        at.advanced_at = now;
         let at_ms = at.player.at_ms();
-        let mut said = self.value(&at.player);
-        // The page is told of that beside: it would be a change in each frame.
-        if let Some(fields) = said.as_object_mut() {
+        let mut state = self.value(&at.player);
+        // The page gets the time separately: it would be a change in each frame.
+        if let Some(fields) = state.as_object_mut() {
             fields.remove("at_ms");
         }
-        let taken = &mut at.taken;
-        self.board.show_instant(at_ms, said, |picture| *taken = self.reel.seek(picture, *taken, at_ms));
+        let applied = &mut at.applied;
+        self.publisher.show_instant(at_ms, state, |model| *applied = self.reader.seek(model, *applied, at_ms));
     }
 
     fn value(&self, player: &Player) -> Value {
         let mut value = json!(player);
-        value["marks"] = json!(self.reel.marks());
-        if let Some(problem) = self.reel.damage() {
-            value["problem"] = problem.into();
+        value["marks"] = json!(self.reader.marks());
+        if let Some(damage) = self.reader.damage() {
+            value["damage"] = damage.into();
         }
         value
     }
 
-    fn lock(&self) -> MutexGuard<'_, At> {
-        // A picture that was left half done is brought to what is shown from the beginning on.
+    fn lock(&self) -> MutexGuard<'_, Position> {
+        // A partially updated model is rebuilt from the beginning.
         self.at.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

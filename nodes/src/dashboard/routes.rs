@@ -1,4 +1,4 @@
-//! What can be asked of the dashboard's server.
+//! Routes of the dashboard's server.
 
 use super::forwarder::ForwardError;
 use super::frame_publisher::FramePublisher;
@@ -24,10 +24,10 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::sync::Semaphore;
 
-/// Events given at once.
+/// Maximum number of events per reply.
 const EVENTS: usize = 500;
 
-/// What stands behind the routes.
+/// State shared by the routes.
 #[derive(Clone)]
 pub(super) struct DashboardState {
     pub(super) publisher: Arc<FramePublisher>,
@@ -36,9 +36,9 @@ pub(super) struct DashboardState {
     pub(super) client_permits: Arc<Semaphore>,
 }
 
-/// The server's routes.
+/// Returns the server's routes.
 pub(super) fn router(
-    board: Arc<FramePublisher>,
+    publisher: Arc<FramePublisher>,
     served: DashboardSource,
     admission: Admission,
     address: SocketAddr,
@@ -46,40 +46,40 @@ pub(super) fn router(
     let pages = assets::ALL
         .iter()
         .fold(Router::new(), |router, asset| router.route(asset.path, get(move || async move { asset })));
-    let takes = |scope, route: MethodRouter<DashboardState>| {
+    let guarded = |scope, route: MethodRouter<DashboardState>| {
         route.layer(axum::middleware::from_fn_with_state((admission.clone(), scope), admit))
     };
     pages
-        .route("/ws", takes(AccessScope::Read, get(open_websocket)))
-        .route("/api/picture", takes(AccessScope::Read, get(picture)))
-        .route("/api/events", takes(AccessScope::Read, get(events)))
-        .route("/api/shipped", takes(AccessScope::Read, get(shipped_missions)))
-        .route("/api/history.csv", takes(AccessScope::Read, get(history)))
-        .route("/api/missions", takes(required_scope(ApiCall::Submit), post(submit)))
-        .route("/api/missions/{id}/cancel", takes(required_scope(ApiCall::Cancel), post(cancel)))
-        .route("/api/missions/{id}/rescued", takes(required_scope(ApiCall::Resolve), post(rescued)))
-        .route("/api/replay", takes(AccessScope::Read, get(replay).post(move_replay)))
+        .route("/ws", guarded(AccessScope::Read, get(open_websocket)))
+        .route("/api/fleet", guarded(AccessScope::Read, get(model)))
+        .route("/api/events", guarded(AccessScope::Read, get(events)))
+        .route("/api/shipped", guarded(AccessScope::Read, get(shipped_missions)))
+        .route("/api/history.csv", guarded(AccessScope::Read, get(history)))
+        .route("/api/missions", guarded(required_scope(ApiCall::Submit), post(submit)))
+        .route("/api/missions/{id}/cancel", guarded(required_scope(ApiCall::Cancel), post(cancel)))
+        .route("/api/missions/{id}/resolve", guarded(required_scope(ApiCall::Resolve), post(resolve)))
+        .route("/api/replay", guarded(AccessScope::Read, get(replay).post(control_replay)))
         .route("/api/session", get(session::current).post(session::begin).delete(session::end))
         .route("/healthz", get(health))
         .layer(DefaultBodyLimit::max(FILE_BYTES_MAX))
         .layer(axum::middleware::from_fn_with_state(address, origin_check::check_origin))
         .with_state(DashboardState {
-            publisher: board,
+            publisher,
             served,
             admission,
             client_permits: Arc::new(Semaphore::new(CLIENTS_MAX)),
         })
 }
 
-async fn picture(State(shared): State<DashboardState>) -> Response {
+async fn model(State(shared): State<DashboardState>) -> Response {
     let (_, whole) = shared.publisher.full_frame();
     (StatusCode::OK, JSON_HEADERS, whole.to_string()).into_response()
 }
 
-/// Which events are wanted: those after a number, of a kind, mission or robot, with a text in them.
+/// Filter of events: after a number, of a kind, mission or robot, with a text in them.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Wanted {
+struct EventFilter {
     after: Option<u64>,
     kind: Option<String>,
     mission: Option<String>,
@@ -88,18 +88,18 @@ struct Wanted {
     limit: Option<usize>,
 }
 
-async fn events(State(shared): State<DashboardState>, Query(wanted): Query<Wanted>) -> Response {
-    let text = wanted.text.as_deref().unwrap_or("").to_lowercase();
-    let is = |wanted: &Option<String>, is: Option<&str>| wanted.as_deref().is_none_or(|wanted| is == Some(wanted));
-    let found = shared.publisher.with_model(|picture, _| {
-        let later = picture.log().range(wanted.after.map_or(0, |after| after.saturating_add(1))..);
+async fn events(State(shared): State<DashboardState>, Query(filter): Query<EventFilter>) -> Response {
+    let text = filter.text.as_deref().unwrap_or("").to_lowercase();
+    let is = |filter: &Option<String>, is: Option<&str>| filter.as_deref().is_none_or(|filter| is == Some(filter));
+    let found = shared.publisher.with_model(|model, _| {
+        let later = model.log().range(filter.after.map_or(0, |after| after.saturating_add(1))..);
         let fitting = later.filter(|(_, event)| {
-            is(&wanted.kind, Some(&event.kind))
-                && is(&wanted.mission, event.mission.as_deref())
-                && is(&wanted.robot, event.robot.as_deref())
+            is(&filter.kind, Some(&event.kind))
+                && is(&filter.mission, event.mission.as_deref())
+                && is(&filter.robot, event.robot.as_deref())
                 && event.text.to_lowercase().contains(&text)
         });
-        let found = fitting.take(wanted.limit.unwrap_or(EVENTS).min(EVENTS));
+        let found = fitting.take(filter.limit.unwrap_or(EVENTS).min(EVENTS));
         found.map(|(number, event)| json!({ "number": number, "event": event })).collect::<Vec<_>>()
     });
     json_reply(StatusCode::OK, &json!({ "events": found }))
@@ -113,7 +113,7 @@ async fn shipped_missions() -> Response {
 }
 
 async fn history(State(shared): State<DashboardState>) -> Response {
-    let table = shared.publisher.with_model(|picture, _| csv::history(picture));
+    let table = shared.publisher.with_model(|model, _| csv::history(model));
     let head = [
         (header::CONTENT_TYPE, "text/csv; charset=utf-8"),
         (header::CONTENT_DISPOSITION, "attachment; filename=\"missions.csv\""),
@@ -122,65 +122,65 @@ async fn history(State(shared): State<DashboardState>) -> Response {
 }
 
 async fn submit(State(shared): State<DashboardState>, headers: HeaderMap, body: Bytes) -> Response {
-    let DashboardSource::Fleet(desk) = &shared.served else { return no_desk(&shared.served) };
+    let DashboardSource::Fleet(forwarder) = &shared.served else { return requests_impossible(&shared.served) };
     let request: Value = match parse_body(&headers, &body) {
         Ok(request) => request,
         Err(refusal) => return refusal.into_response(),
     };
     let now_ms = shared.publisher.with_model(|_, now_ms| now_ms);
-    settled(desk.submit(request, now_ms).await)
+    reply_of(forwarder.submit(request, now_ms).await)
 }
 
 async fn cancel(
     State(shared): State<DashboardState>,
-    Extension(guest): Extension<Option<AuthenticatedClient>>,
+    Extension(client): Extension<Option<AuthenticatedClient>>,
     Path(id): Path<String>,
     headers: HeaderMap,
     body: Bytes,
 ) -> Response {
-    on_word(&shared, guest.as_ref(), ApiCall::Cancel, id, &headers, &body).await
+    forward_action(&shared, client.as_ref(), ApiCall::Cancel, id, &headers, &body).await
 }
 
-async fn rescued(
+async fn resolve(
     State(shared): State<DashboardState>,
-    Extension(guest): Extension<Option<AuthenticatedClient>>,
+    Extension(client): Extension<Option<AuthenticatedClient>>,
     Path(id): Path<String>,
     headers: HeaderMap,
     body: Bytes,
 ) -> Response {
-    on_word(&shared, guest.as_ref(), ApiCall::Resolve, id, &headers, &body).await
+    forward_action(&shared, client.as_ref(), ApiCall::Resolve, id, &headers, &body).await
 }
 
-/// By whose word something is done; without one it is the dashboard's. Whose token it was is said beside.
+/// Name of the responsible person; by default the dashboard. The token's name is added.
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Word {
+struct ResponsiblePerson {
     by: Option<String>,
 }
 
-/// Has something done to a mission that somebody says is to be done.
-async fn on_word(
+/// Forwards a person's action on a mission.
+async fn forward_action(
     shared: &DashboardState,
-    guest: Option<&AuthenticatedClient>,
+    client: Option<&AuthenticatedClient>,
     call: ApiCall,
     id: String,
     headers: &HeaderMap,
     body: &[u8],
 ) -> Response {
-    let DashboardSource::Fleet(desk) = &shared.served else { return no_desk(&shared.served) };
+    let DashboardSource::Fleet(forwarder) = &shared.served else { return requests_impossible(&shared.served) };
     let mission = match MissionId::new(id) {
         Ok(mission) => mission,
         Err(mistake) => return error_reply(StatusCode::BAD_REQUEST, &mistake.to_string()),
     };
-    let word = if body.is_empty() { Ok(Word::default()) } else { parse_body(headers, body) };
+    let word = if body.is_empty() { Ok(ResponsiblePerson::default()) } else { parse_body(headers, body) };
     match word {
-        Ok(Word { by }) => {
+        Ok(ResponsiblePerson { by }) => {
             let by = by.filter(|by| !by.trim().is_empty());
-            let by = match (by, guest.map(|guest| &guest.claims.name)) {
-                (Some(by), Some(name)) if by != name.as_str() => Some(format!("{by}, says {name}")),
+            let by = match (by, client.map(|client| &client.claims.name)) {
+                (Some(by), Some(name)) if by != name.as_str() => Some(format!("{by}, according to {name}")),
                 (by, name) => by.or_else(|| name.map(ToString::to_string)),
             };
-            settled(desk.act_on_mission(call, &mission, by).await)
+            reply_of(forwarder.act_on_mission(call, &mission, by).await)
         }
         Err(refusal) => refusal.into_response(),
     }
@@ -188,49 +188,49 @@ async fn on_word(
 
 async fn replay(State(shared): State<DashboardState>) -> Response {
     match &shared.served {
-        DashboardSource::Recording(projector) => json_reply(StatusCode::OK, &projector.state()),
+        DashboardSource::Recording(server) => json_reply(StatusCode::OK, &server.state()),
         DashboardSource::Fleet(_) | DashboardSource::ViewOnly => no_recording(),
     }
 }
 
-async fn move_replay(State(shared): State<DashboardState>, headers: HeaderMap, body: Bytes) -> Response {
-    let DashboardSource::Recording(projector) = &shared.served else { return no_recording() };
+async fn control_replay(State(shared): State<DashboardState>, headers: HeaderMap, body: Bytes) -> Response {
+    let DashboardSource::Recording(server) = &shared.served else { return no_recording() };
     let command: PlayerCommand = match parse_body(&headers, &body) {
         Ok(command) => command,
         Err(refusal) => return refusal.into_response(),
     };
-    match projector.apply_command(command) {
+    match server.apply_command(command) {
         Ok(state) => json_reply(StatusCode::OK, &state),
         Err(mistake) => error_reply(StatusCode::BAD_REQUEST, &mistake),
     }
 }
 
 async fn health(State(shared): State<DashboardState>) -> Response {
-    let reach = shared.publisher.with_model(|picture, _| picture.reach().clone());
-    json_reply(StatusCode::OK, &json!({ "serving": true, "reach": reach }))
+    let reachability = shared.publisher.with_model(|model, _| model.reachability().clone());
+    json_reply(StatusCode::OK, &json!({ "serving": true, "reachability": reachability }))
 }
 
-fn settled(answered: Result<Value, ForwardError>) -> Response {
-    match answered {
+fn reply_of(outcome: Result<Value, ForwardError>) -> Response {
+    match outcome {
         Ok(value) => json_reply(StatusCode::OK, &value),
         Err(ForwardError::Rejected(what)) => error_reply(StatusCode::BAD_REQUEST, &what),
         Err(ForwardError::Unreachable(what)) => error_reply(StatusCode::SERVICE_UNAVAILABLE, &what),
     }
 }
 
-fn no_desk(served: &DashboardSource) -> Response {
+fn requests_impossible(served: &DashboardSource) -> Response {
     match served {
-        DashboardSource::Recording(projector) => {
-            let what = format!("{}: a fleet that was can be asked for nothing", projector.description());
+        DashboardSource::Recording(server) => {
+            let what = format!("{}: a recorded fleet accepts no requests", server.description());
             error_reply(StatusCode::CONFLICT, &what)
         }
         DashboardSource::Fleet(_) | DashboardSource::ViewOnly => {
-            let what = "what is shown here is not a fleet that could be asked for anything";
+            let what = "the shown model is not a running fleet; it accepts no requests";
             error_reply(StatusCode::SERVICE_UNAVAILABLE, what)
         }
     }
 }
 
 fn no_recording() -> Response {
-    error_reply(StatusCode::NOT_FOUND, "what is shown here is no recording")
+    error_reply(StatusCode::NOT_FOUND, "the shown model is not a recording")
 }

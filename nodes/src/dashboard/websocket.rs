@@ -1,4 +1,4 @@
-//! Those who follow over a WebSocket.
+//! Clients that follow the fleet over a WebSocket.
 
 use super::frame_publisher::Frame;
 use super::json::error_reply;
@@ -14,49 +14,50 @@ use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio::time::{MissedTickBehavior, interval};
 
-/// How long a client may take to take a message in. One that takes longer is gone, or as good as gone.
-const SLOW: Duration = Duration::from_secs(20);
+/// Time limit for sending a message. A client that takes longer counts as disconnected.
+const SEND_LIMIT: Duration = Duration::from_secs(20);
 
-/// How many may follow at once: each costs the node a picture in the beginning, and what changes five times a second.
+/// Maximum number of clients: each costs the node a full model at first, and then the changes five
+/// times per second.
 pub(super) const CLIENTS_MAX: usize = 100;
 
-/// How often it is looked whether who follows still may.
-const JUDGED_EVERY: Duration = Duration::from_secs(5);
+/// Interval for checking that a client's token is still valid.
+const TOKEN_CHECK_EVERY: Duration = Duration::from_secs(5);
 
-/// What a WebSocket is closed with when its token has ended, of the numbers that are an application's own (RFC 6455, 7.4.2).
+/// Close code for an expired token, in the range for applications (RFC 6455, 7.4.2).
 const TOKEN_ENDED: u16 = 4401;
 
-/// Largest message of a client's over the WebSocket, in bytes: it has nothing to say.
-const SAID_MAX: usize = 1024;
+/// Maximum size of a client's message, in bytes: clients have nothing to send.
+const MESSAGE_BYTES_MAX: usize = 1024;
 
-/// Takes in whoever wants to follow, if there is room.
+/// Accepts a client, if the limit allows.
 pub(super) async fn open_websocket(
     State(shared): State<DashboardState>,
-    Extension(guest): Extension<Option<AuthenticatedClient>>,
+    Extension(client): Extension<Option<AuthenticatedClient>>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    let Ok(place) = Arc::clone(&shared.client_permits).try_acquire_owned() else {
-        let what = format!("{CLIENTS_MAX} follow this node already, as many as may at once");
+    let Ok(permit) = Arc::clone(&shared.client_permits).try_acquire_owned() else {
+        let what = format!("this node already serves {CLIENTS_MAX} clients, its maximum");
         return error_reply(StatusCode::SERVICE_UNAVAILABLE, &what);
     };
     let frames = shared.publisher.frames();
-    // Before a frame has come whole, room is made for it.
-    let upgrade = upgrade.max_message_size(SAID_MAX).max_frame_size(SAID_MAX);
-    upgrade.on_upgrade(move |socket| send_frames(socket, shared, guest, frames, place))
+    // Memory is allocated before a frame has arrived completely.
+    let upgrade = upgrade.max_message_size(MESSAGE_BYTES_MAX).max_frame_size(MESSAGE_BYTES_MAX);
+    upgrade.on_upgrade(move |socket| send_frames(socket, shared, client, frames, permit))
 }
 
-/// Sends the whole, then what changes. Whoever is slow misses frames, and gets the whole again. Who was let in by a token follows
-/// for as long as that is good.
+/// Sends the full model, then changes. A slow client misses frames, and gets the full model again.
+/// A client with a token is disconnected when the token expires.
 async fn send_frames(
     mut socket: WebSocket,
-    DashboardState { publisher: board, admission, .. }: DashboardState,
-    guest: Option<AuthenticatedClient>,
+    DashboardState { publisher, admission, .. }: DashboardState,
+    client: Option<AuthenticatedClient>,
     mut frames: watch::Receiver<Arc<Frame>>,
-    _place: OwnedSemaphorePermit,
+    _permit: OwnedSemaphorePermit,
 ) {
-    let mut seen = 0;
-    let mut judged = interval(JUDGED_EVERY);
-    judged.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut sent_number = 0;
+    let mut token_check = interval(TOKEN_CHECK_EVERY);
+    token_check.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tokio::select! {
             changed = frames.changed() => {
@@ -64,32 +65,32 @@ async fn send_frames(
                     return;
                 }
                 let frame = frames.borrow_and_update().clone();
-                let text = match frame.number.checked_sub(seen) {
-                    // What the whole, of a later frame, had already.
+                let text = match frame.number.checked_sub(sent_number) {
+                    // The full model of a later frame contained it already.
                     Some(0) | None => None,
-                    Some(1) if seen > 0 => frame.text.clone(),
+                    Some(1) if sent_number > 0 => frame.text.clone(),
                     Some(_) => {
-                        let (number, whole) = board.full_frame();
-                        seen = number;
-                        Some(whole)
+                        let (number, full) = publisher.full_frame();
+                        sent_number = number;
+                        Some(full)
                     }
                 };
-                seen = seen.max(frame.number);
+                sent_number = sent_number.max(frame.number);
                 let Some(text) = text else { continue };
-                let sent = tokio::time::timeout(SLOW, socket.send(Message::Text(text))).await;
+                let sent = tokio::time::timeout(SEND_LIMIT, socket.send(Message::Text(text))).await;
                 if !matches!(sent, Ok(Ok(()))) {
                     return;
                 }
             }
-            said = socket.recv() => {
-                if !matches!(said, Some(Ok(_))) {
+            received = socket.recv() => {
+                if !matches!(received, Some(Ok(_))) {
                     return;
                 }
             }
-            _ = judged.tick() => {
-                if !admission.is_still_valid(guest.as_ref()) {
-                    let end = CloseFrame { code: TOKEN_ENDED, reason: "the token is no longer good".into() };
-                    let _ = tokio::time::timeout(SLOW, socket.send(Message::Close(Some(end)))).await;
+            _ = token_check.tick() => {
+                if !admission.is_still_valid(client.as_ref()) {
+                    let end = CloseFrame { code: TOKEN_ENDED, reason: "the token is no longer valid".into() };
+                    let _ = tokio::time::timeout(SEND_LIMIT, socket.send(Message::Close(Some(end)))).await;
                     return;
                 }
             }

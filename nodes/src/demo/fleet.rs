@@ -1,4 +1,4 @@
-//! What the director needs of a stage.
+//! The interface of a fleet for the demo's runner.
 
 use crate::exit::Failure;
 use consort_actors::bus::SharedBus;
@@ -6,29 +6,29 @@ use consort_protocol::ids::NodeId;
 use std::future::Future;
 use std::time::Duration;
 
-/// Where a demo is played.
+/// A fleet that runs a demo.
 pub trait DemoFleet {
-    /// The bus, as an onlooker and a client have it.
+    /// Returns the bus, as seen by an external client.
     fn bus(&self) -> SharedBus;
 
-    /// How the stage is introduced: what runs, and how it may be looked into.
+    /// Describes the fleet: its nodes, and how to inspect it.
     fn description(&self) -> String;
 
-    /// Ends a node at once and without warning.
+    /// Kills a node without warning.
     fn kill(&mut self, node: &NodeId) -> impl Future<Output = Result<(), Failure>>;
 
-    /// Starts a node that was killed, as a service manager would.
+    /// Restarts a killed node, as a service manager would.
     fn restart(&mut self, node: &NodeId) -> impl Future<Output = Result<(), Failure>>;
 
-    /// What has gone wrong by itself since it was last asked: a node that ended though nobody killed it.
+    /// Returns a failure since the last call: a node that ended though it was not killed.
     fn unexpected_exit(&mut self) -> Option<String>;
 
-    /// Waits until somebody wants it all to end (Ctrl-C), or has wanted it since it was last asked.
+    /// Waits for an interrupt (Ctrl-C), including an interrupt since the last call.
     fn interrupted(&mut self) -> impl Future<Output = ()>;
 
-    /// Ends everything.
+    /// Ends all nodes.
     fn shut_down(self) -> impl Future<Output = ()>;
 
-    /// Time since the stage was set.
+    /// Returns the time since the fleet was started.
     fn elapsed(&self) -> Duration;
 }

@@ -1,14 +1,14 @@
-//! `consort demo`: the main job, played once from beginning to end.
+//! `consort demo`: runs the main use case once from beginning to end.
 //!
 //! ```text
-//!  Cast ─▶ Stage (processes over Zenoh, or one process on virtual time)
-//!             ▲ kill, restart            │ bus
-//!             └──────── Director ◀───────┘ events, views, requests
-//!                          │
-//!                       Narrator ─▶ timeline and progress bars, or JSON lines
+//!  DemoScenario ─▶ DemoFleet (processes over Zenoh, or a single process on virtual time)
+//!                    ▲ kill, restart            │ bus
+//!                    └──────── DemoRunner ◀─────┘ events, views, requests
+//!                                 │
+//!                             DemoReporter ─▶ timeline and progress bars, or JSON lines
 //! ```
 //!
-//! The director and the narrator cannot tell the two stages apart.
+//! The runner and the reporter do not depend on the kind of fleet.
 
 mod fleet;
 mod process_fleet;
@@ -33,35 +33,36 @@ use runner::{DemoOptions, DemoRunner};
 use std::net::SocketAddr;
 use virtual_fleet::VirtualFleet;
 
-/// Play the main job: a fleet delivers lab samples and survives the death of its coordinator
+/// Run the main use case: a fleet delivers lab samples and survives the failure of its coordinator
 ///
-/// Starts a hospital, robots and an arm as processes that talk over Zenoh on loopback, submits lab samples, kills the
-/// process that coordinates while the mission runs, and ends with the sample in the laboratory.
+/// Starts a hospital, robots and an arm as processes that communicate over Zenoh on loopback,
+/// submits lab samples, kills the coordinator's process while the mission runs, and ends with the
+/// sample in the laboratory.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_long_help = "\
 Examples:
-  consort demo                          the main job: a fleet of processes, its coordinator killed on the way
-  consort demo --missions 3 --robots 8  more of it
-  consort demo --virtual --seed 7       the same fleet on virtual time: one seed gives one run
-  consort demo --virtual --record run.mcap --svg paths.svg    to look at it afterwards, in Foxglove and as a picture
+  consort demo                          the main use case: a fleet of processes, its coordinator is killed
+  consort demo --missions 3 --robots 8  more missions and robots
+  consort demo --virtual --seed 7       the same fleet on virtual time: the same seed gives the same run
+  consort demo --virtual --record run.mcap --svg paths.svg    record it for Foxglove and as an image
   consort demo --json | jq .event       every event as a line of JSON
-  consort demo --keep-running           leave the fleet up afterwards, to look at it (Ctrl-C ends it)
+  consort demo --keep-running           leave the fleet running afterwards (Ctrl-C ends it)
 
 Exit codes: 0 all samples are in the laboratory; 1 they are not; 2 the flags are wrong; 130 interrupted.")]
 pub struct Args {
-    /// Mobile robots
+    /// Number of mobile robots
     #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u16).range(1..=100))]
     robots: u16,
-    /// Missions, submitted together
+    /// Number of missions, submitted together
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=100))]
     missions: u16,
-    /// Leave the coordinator alive
+    /// Do not kill the coordinator
     #[arg(long)]
     no_kill: bool,
-    /// World seconds that pass in a second [default: such that the demo takes under a minute]
+    /// World seconds per second [default: such that the demo takes under a minute]
     #[arg(long, value_name = "X", value_parser = speed)]
     speed: Option<f64>,
-    /// What the robots' places and the nurses' pace are drawn from
+    /// Seed of the robots' places and the nurses' speed
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Print every event as a line of JSON instead of the timeline
@@ -73,13 +74,13 @@ pub struct Args {
     /// Run the same fleet in this process on virtual time
     #[arg(long = "virtual")]
     virtual_time: bool,
-    /// First of the ports on which the processes listen [default: free ones]
+    /// First port of the processes [default: free ports]
     #[arg(long, value_name = "PORT", conflicts_with = "virtual_time")]
     port: Option<u16>,
-    /// Where to serve the dashboard [default: any free port on loopback]
+    /// Address of the dashboard [default: any free port on loopback]
     #[arg(long, value_name = "HOST:PORT", conflicts_with = "virtual_time")]
     dashboard: Option<SocketAddr>,
-    /// Mission to submit: a shipped one's name, or a file
+    /// Mission to submit: the name of a bundled mission, or a file
     #[arg(long, default_value = "lab-samples", value_name = "NAME|FILE")]
     mission: String,
     #[command(flatten)]
@@ -92,32 +93,33 @@ fn speed(text: &str) -> Result<f64, String> {
 }
 
 impl Args {
-    /// Under a minute: three missions run side by side in some 25 s at 8 world seconds a second.
+    /// The demo takes under a minute: three parallel missions take about 25 s at 8 world seconds
+    /// per second.
     fn speed(&self) -> f64 {
         self.speed.unwrap_or_else(|| 8.0 * f64::from(self.missions.div_ceil(3)).min(5.0))
     }
 }
 
-/// Plays the demo.
+/// Runs the demo.
 ///
 /// # Errors
-/// [`Failure`] when it does not end with every sample in the laboratory.
+/// [`Failure`] if it does not end with every sample in the laboratory.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mission = runner::mission_request(&args.mission)?;
     if args.render.is_enabled() && !args.virtual_time {
         let what = "--record and --svg go with --virtual; of a fleet of processes, `consort world` records its world";
         return Err(Failure::Usage(what.to_owned()));
     }
-    let cast = DemoScenario::new(usize::from(args.robots), usize::from(args.missions), args.speed(), args.seed);
-    let narrator = DemoReporter::new(args.json, &cast);
-    let plan = DemoOptions { kill: !args.no_kill, keep_running: args.keep_running, mission };
+    let scenario = DemoScenario::new(usize::from(args.robots), usize::from(args.missions), args.speed(), args.seed);
+    let reporter = DemoReporter::new(args.json, &scenario);
+    let options = DemoOptions { kill: !args.no_kill, keep_running: args.keep_running, mission };
     if args.virtual_time {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
         let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;
         runtime.block_on(async {
-            let stage = VirtualFleet::start(&cast, args.seed, &args.render).await?;
-            let world = stage.world();
-            let played = DemoRunner::new(plan, cast, stage, narrator, None).run().await;
+            let fleet = VirtualFleet::start(&scenario, args.seed, &args.render).await?;
+            let world = fleet.world();
+            let played = DemoRunner::new(options, scenario, fleet, reporter, None).run().await;
             played.and(rendering::finish_recording(&world, |file| output::note(format_args!("{file}"))))
         })
     } else {
@@ -129,11 +131,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 program.map_err(|problem| Failure::Unsuccessful(format!("this program's own file: {problem}")))?;
             let address = args.dashboard.unwrap_or(SocketAddr::from(([127, 0, 0, 1], 0)));
             let address = BoundAddress::bind("--dashboard", address).await.map_err(Failure::Usage)?;
-            let plan_of_floor = FloorPlan::new(&map_loader::load(&cast.fleet.map)?);
-            let stage = ProcessFleet::start(&cast, &program, args.port).await?;
+            let floor_plan = FloorPlan::new(&map_loader::load(&scenario.fleet.map)?);
+            let fleet = ProcessFleet::start(&scenario, &program, args.port).await?;
             let dashboard =
-                Dashboard::open(address, Admission::open(), stage.bus(), &cast.fleet.name, "demo", plan_of_floor);
-            DemoRunner::new(plan, cast, stage, narrator, Some(dashboard)).run().await
+                Dashboard::open(address, Admission::open(), fleet.bus(), &scenario.fleet.name, "demo", floor_plan);
+            DemoRunner::new(options, scenario, fleet, reporter, Some(dashboard)).run().await
         })
     }
 }

@@ -1,7 +1,8 @@
-//! Every node a process of its own: the program `consort`, once for each, talking over Zenoh on loopback alone.
+//! Every node as a process: the program `consort`, started once for each node, communicating over
+//! Zenoh on loopback only.
 //!
-//! A child ends with its parent, however that ends: it is killed when its handle is dropped, and by itself when its
-//! standard input is closed.
+//! A child process ends with its parent in any case: it is killed when its handle is dropped, and
+//! ends by itself when its standard input is closed.
 
 use super::fleet::DemoFleet;
 use super::scenario::DemoScenario;
@@ -22,7 +23,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::process::{Child, Command};
 
-/// How long the world's node may take until the onlooker can connect to it.
+/// Time limit for connecting to the world's node.
 const CONNECT_LIMIT: Duration = Duration::from_secs(20);
 
 /// A fleet of processes.
@@ -38,12 +39,12 @@ pub struct ProcessFleet {
     signals: ShutdownSignals,
 }
 
-/// A folder that is removed when it is no longer needed.
+/// A folder that is removed on drop.
 struct Folder(PathBuf);
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        // What cannot be removed lies in the system's folder for such things.
+        // Leftovers lie in the system's folder for temporary files.
         let _ = fs::remove_dir_all(&self.0);
     }
 }
@@ -53,19 +54,25 @@ fn failed(what: impl std::fmt::Display) -> impl FnOnce(std::io::Error) -> Failur
 }
 
 impl ProcessFleet {
-    /// Starts every node of the cast as a process of `program`, listening on ports from `first_port` up, or on free ones.
+    /// Starts every node of the scenario as a process of `program`, listening on ports from
+    /// `first_port` up, or on free ports.
     ///
     /// # Errors
-    /// [`Failure`] says what could not be had or started, or what a node said before it ended.
-    pub async fn start(cast: &DemoScenario, program: &Path, first_port: Option<u16>) -> Result<ProcessFleet, Failure> {
+    /// [`Failure`] with the resource that was not available, the process that did not start, or the
+    /// last output of a node before it ended.
+    pub async fn start(
+        scenario: &DemoScenario,
+        program: &Path,
+        first_port: Option<u16>,
+    ) -> Result<ProcessFleet, Failure> {
         let started = Instant::now();
         let mut signals = ShutdownSignals::open()?;
         let name = format!("consort-demo-{}", std::process::id());
         let folder = Folder(std::env::temp_dir().join(name));
         fs::create_dir_all(&folder.0).map_err(failed(format_args!("{}", folder.0.display())))?;
-        let ports = ports(cast.voters().len() + 1, first_port)?;
+        let ports = ports(scenario.voters().len() + 1, first_port)?;
         let endpoint = |index: usize| format!("tcp/127.0.0.1:{}", ports[index]);
-        let kinds = write_files(cast, &folder.0, &endpoint)?;
+        let kinds = write_files(scenario, &folder.0, &endpoint)?;
         let endpoint = endpoint(0);
         let mut children = BTreeMap::new();
         for (node, kind) in &kinds {
@@ -79,26 +86,27 @@ impl ProcessFleet {
         let bus = match connected {
             Ok(bus) => bus,
             Err(problem) => {
-                // Why is most likely in the words of the child that ended.
-                let ended = children.iter_mut().find_map(|(node, child)| last_words(&folder.0, node, child));
+                // The last output of the child that ended most likely contains the reason.
+                let ended = children.iter_mut().find_map(|(node, child)| last_output(&folder.0, node, child));
                 return Err(Failure::Unreachable(ended.unwrap_or(problem)));
             }
         };
-        let speed = cast.world.speed;
+        let speed = scenario.world.speed;
         let program = program.to_owned();
         Ok(ProcessFleet { folder, program, kinds, children, bus: Arc::new(bus), endpoint, speed, started, signals })
     }
 }
 
-/// Writes a file for each node of the cast into a folder, and says which kind each is of. The world's node has the first
-/// endpoint, those that may vote have the next.
+/// Writes a file for each node of the scenario into a folder, and returns the kind of each node.
+/// The world's node has the first endpoint, voters have the next.
 fn write_files(
-    cast: &DemoScenario,
+    scenario: &DemoScenario,
     folder: &Path,
     endpoint: &impl Fn(usize) -> String,
 ) -> Result<BTreeMap<NodeId, &'static str>, Failure> {
-    let voters = cast.voters();
-    // Each node is linked to the world's and to the next two in a ring: no single death parts the fleet.
+    let voters = scenario.voters();
+    // Each node is linked to the world's node and to the next two in a ring: no single failure
+    // partitions the fleet.
     let bus = |index: usize| BusConfig {
         certs: None,
         listen: vec![endpoint(index)],
@@ -119,15 +127,15 @@ fn write_files(
         let path = folder.join(format!("{node}.toml"));
         fs::write(&path, toml).map_err(failed(format_args!("{}", path.display())))
     };
-    let world = WorldConfig { bus: bus(0), ..cast.world.clone() };
+    let world = WorldConfig { bus: bus(0), ..scenario.world.clone() };
     write(&world.name, "world", to_toml(&world))?;
     for (index, node) in (1..).zip(&voters) {
         let (bus, data_dir) = (bus(index), Some(folder.join(node.as_str())));
-        if let Some(robot) = cast.robots.iter().find(|robot| robot.name.as_str() == node.as_str()) {
+        if let Some(robot) = scenario.robots.iter().find(|robot| robot.name.as_str() == node.as_str()) {
             let robot = RobotConfig { bus: bus.clone(), data_dir: data_dir.clone(), ..robot.clone() };
             write(node, "robot", to_toml(&robot))?;
         }
-        if let Some(station) = cast.stations.iter().find(|station| station.name == *node) {
+        if let Some(station) = scenario.stations.iter().find(|station| station.name == *node) {
             let station = StationConfig { bus, data_dir, ..station.clone() };
             write(node, "station", to_toml(&station))?;
         }
@@ -136,21 +144,19 @@ fn write_files(
 }
 
 impl ProcessFleet {
-    /// Tells a node to end, as a service manager would: it hands over first. Gives what to wait for until it has ended.
+    /// Asks a node to end, as a service manager would: it transfers the leadership first. Returns a
+    /// future that completes when it has ended.
     pub fn request_shutdown(&mut self, node: &NodeId) -> Option<impl Future<Output = ()> + Send + use<>> {
         let mut child = self.children.remove(node)?;
-        // It was started so as to end when this is closed, just as it does on SIGTERM.
+        // The node was started to end when this is closed, as on SIGTERM.
         drop(child.stdin.take());
         Some(async move {
-            // How it ended is of no interest.
+            // The exit status does not matter.
             let _ = child.wait().await;
         })
     }
 
-    /// Has a node stand still (SIGSTOP), its links with it.
-    ///
-    /// # Errors
-    /// [`Failure`] if the signal cannot be sent.
+    /// Stops a node (SIGSTOP), and with it its links.
     pub async fn freeze(&mut self, node: &NodeId) -> Result<(), Failure> {
         let Some(id) = self.children.get(node).and_then(Child::id) else { return Ok(()) };
         let sent = Command::new("kill").arg("-STOP").arg(id.to_string()).status().await;
@@ -165,7 +171,7 @@ impl DemoFleet for ProcessFleet {
 
     fn description(&self) -> String {
         format!(
-            "{} on loopback ({} world seconds a second); look in with: consort fleet --fleet demo --connect {}",
+            "{} on loopback ({} world seconds a second); inspect it with: consort fleet --fleet demo --connect {}",
             count(self.children.len(), "process", "processes"),
             self.speed,
             self.endpoint
@@ -190,7 +196,7 @@ impl DemoFleet for ProcessFleet {
         let (node, words) = self
             .children
             .iter_mut()
-            .find_map(|(node, child)| Some((node.clone(), last_words(folder, node, child)?)))?;
+            .find_map(|(node, child)| Some((node.clone(), last_output(folder, node, child)?)))?;
         self.children.remove(&node);
         Some(words)
     }
@@ -201,7 +207,7 @@ impl DemoFleet for ProcessFleet {
 
     async fn shut_down(mut self) {
         for child in self.children.values_mut() {
-            // One that has ended already cannot be killed.
+            // A child that has ended already cannot be killed.
             let _ = child.start_kill();
         }
         for child in self.children.values_mut() {
@@ -229,16 +235,16 @@ fn ports(count: usize, first: Option<u16>) -> Result<Vec<u16>, Failure> {
             let ports: Vec<u16> = (first..=last).collect();
             for port in &ports {
                 if let Err(problem) = TcpListener::bind(("127.0.0.1", *port)) {
-                    let help = "choose others with --port, or leave it out to have free ones found";
+                    let help = "choose other ports with --port, or leave it out to use free ports";
                     return Err(Failure::Usage(format!(
-                        "port {port} of {first} to {last} cannot be had: {problem}; {help}"
+                        "port {port} of {first} to {last} is not available: {problem}; {help}"
                     )));
                 }
             }
             Ok(ports)
         }
         None => {
-            // All are held until all are found, so that none comes twice.
+            // All ports stay bound until all are found, so that none is returned twice.
             let held: Vec<TcpListener> = (0..count)
                 .map(|_| TcpListener::bind(("127.0.0.1", 0)))
                 .collect::<Result<_, _>>()
@@ -264,7 +270,7 @@ fn spawn(program: &Path, folder: &Path, node: &NodeId, kind: &str) -> Result<Chi
         .stdout(Stdio::null())
         .stderr(log)
         .kill_on_drop(true)
-        // Ctrl-C on the terminal is for the demo alone, which then ends its children.
+        // Ctrl-C on the terminal reaches the demo only, which then ends its children.
         .process_group(0)
         .spawn()
         .map_err(failed(format_args!("{node} could not be started")))
@@ -289,11 +295,11 @@ async fn connect(endpoint: &str) -> Result<ZenohBus, String> {
     }
 }
 
-/// What a child that has ended by itself said last.
-fn last_words(folder: &Path, node: &NodeId, child: &mut Child) -> Option<String> {
+/// Returns the last output of a child that has ended by itself.
+fn last_output(folder: &Path, node: &NodeId, child: &mut Child) -> Option<String> {
     let status = child.try_wait().ok()??;
     let log = fs::read_to_string(folder.join(format!("{node}.log"))).unwrap_or_default();
     let lines: Vec<&str> = log.lines().collect();
     let last = lines[lines.len().saturating_sub(5)..].join("\n  ");
-    Some(format!("{node} ended by itself ({status}); its last words:\n  {last}"))
+    Some(format!("{node} ended by itself ({status}); its last output:\n  {last}"))
 }

@@ -1,4 +1,4 @@
-//! Tells what happens: a timeline with progress bars for people, or a line of JSON for each event.
+//! Reports the demo: a timeline with progress bars for people, or a line of JSON for each event.
 
 use super::scenario::DemoScenario;
 use crate::event_text::{EventText, describe_event};
@@ -17,45 +17,45 @@ use std::time::Duration;
 /// Width of a progress bar in characters.
 const BAR: usize = 20;
 
-/// Tells what happens.
+/// Reports the events of the demo.
 pub(super) struct DemoReporter {
     json: bool,
     bars: Option<MultiProgress>,
     missions: BTreeMap<MissionId, ProgressBar>,
-    cast: String,
+    scenario: String,
 }
 
 impl DemoReporter {
-    /// A narrator in JSON or in words.
-    pub(super) fn new(json: bool, cast: &DemoScenario) -> DemoReporter {
+    /// Creates a reporter with JSON or text output.
+    pub(super) fn new(json: bool, scenario: &DemoScenario) -> DemoReporter {
         let bars = (!json && std::io::stderr().is_terminal()).then(MultiProgress::new);
-        let mobile = cast.robots.iter().filter(|robot| robot.speed_mps.is_some());
+        let mobile = scenario.robots.iter().filter(|robot| robot.speed_mps.is_some());
         let words = mobile.map(|robot| {
             let speed = robot.speed_mps.map_or_else(|| "-".to_owned(), |speed| format!("{speed:.2}"));
             let (name, place, charge) = (&robot.name, &robot.place, robot.battery.percent());
             let skills = count(robot.skills.len(), "skill", "skills");
             format!("           {name:10} {place:12} {speed}  charge {charge}  {skills}")
         });
-        DemoReporter { json, bars, missions: BTreeMap::new(), cast: words.collect::<Vec<_>>().join("\n") }
+        DemoReporter { json, bars, missions: BTreeMap::new(), scenario: words.collect::<Vec<_>>().join("\n") }
     }
 
-    /// Says what is being played.
+    /// Reports the start of the demo.
     pub(super) fn begin(&self, introduction: &str) -> Result<(), Failure> {
         if self.json {
-            return self.say(json!({ "event": "demo_started", "stage": introduction }).to_string());
+            return self.print(json!({ "event": "demo_started", "fleet": introduction }).to_string());
         }
-        self.say(format!("Consort demo: {introduction}\n{}", self.cast))
+        self.print(format!("Consort demo: {introduction}\n{}", self.scenario))
     }
 
-    /// Tells an event of the fleet.
+    /// Reports an event of the fleet.
     pub(super) fn event(&mut self, at: Duration, event: &Event) -> Result<(), Failure> {
         if self.json {
             let mut value = serde_json::to_value(event).unwrap_or(Value::Null);
             value["t_s"] = json!(seconds(at));
-            return self.say(value.to_string());
+            return self.print(value.to_string());
         }
         let node = &event.node;
-        let task = |role: &RoleId, told: String| self.tell(at, "task", format!("{node:10} {role:8} {told}"));
+        let task = |role: &RoleId, text: String| self.print_timed(at, "task", format!("{node:10} {role:8} {text}"));
         match &event.kind {
             EventKind::Closed { record, .. } => self.closed(at, record),
             EventKind::Progress { mission, done, steps } => self.progress(at, mission, *done, *steps),
@@ -70,35 +70,35 @@ impl DemoReporter {
                 let tasks = tasks.iter().map(TaskId::as_str).collect::<Vec<_>>().join(", ");
                 task(role, format!("{tasks} instead of {id}: {cause}"))
             }
-            // The auction's close tells of all bids, judged.
+            // The close of the auction reports all bids with their verdicts.
             EventKind::Bid { .. } => Ok(()),
             _ => {
-                let EventText { label: word, text, .. } = describe_event(event);
-                self.tell(at, word, text)
+                let EventText { label, text, .. } = describe_event(event);
+                self.print_timed(at, label, text)
             }
         }
     }
 
-    /// Tells what the demo itself does.
-    pub(super) fn demo_event(&self, at: Duration, word: &str, text: &str, value: Value) -> Result<(), Failure> {
+    /// Reports an action of the demo itself.
+    pub(super) fn demo_event(&self, at: Duration, label: &str, text: &str, value: Value) -> Result<(), Failure> {
         if self.json {
             let mut value = value;
             value["t_s"] = json!(seconds(at));
-            return self.say(value.to_string());
+            return self.print(value.to_string());
         }
-        self.tell(at, word, text.to_owned())
+        self.print_timed(at, label, text.to_owned())
     }
 
-    /// Says how it ended.
+    /// Reports the result.
     pub(super) fn summary(&self, rows: &[Vec<String>], words: &[String], value: &Value) -> Result<(), Failure> {
         for bar in self.missions.values() {
             bar.finish_and_clear();
         }
         if self.json {
-            return self.say(value.to_string());
+            return self.print(value.to_string());
         }
-        self.say(format!("\n{}\n", output::table(rows)))?;
-        words.iter().try_for_each(|line| self.say(line.clone()))
+        self.print(format!("\n{}\n", output::table(rows)))?;
+        words.iter().try_for_each(|line| self.print(line.clone()))
     }
 
     fn closed(&self, at: Duration, record: &AuctionRecord) -> Result<(), Failure> {
@@ -108,7 +108,7 @@ impl DemoReporter {
                 let (energy, remaining) = (energy * 100.0, remaining * 100.0);
                 format!("{time:.1} s, {energy:.1} % of its charge, {remaining:.1} % left")
             };
-            let (word, text) = match verdict {
+            let (label, text) = match verdict {
                 BidVerdict::Viable { time, energy, remaining } => {
                     let chosen = record.chosen.get(role) == Some(robot);
                     let mark = if chosen { "  <- chosen" } else { "" };
@@ -120,10 +120,10 @@ impl DemoReporter {
                 }
                 BidVerdict::Refused { reason } => ("refusal", format!("{robot:10} {role:8} {reason}")),
             };
-            self.tell(at, word, text)?;
+            self.print_timed(at, label, text)?;
         }
         match &record.failure {
-            Some(failure) => self.tell(at, "no award", format!("{mission}: {failure}")),
+            Some(failure) => self.print_timed(at, "no award", format!("{mission}: {failure}")),
             None => Ok(()),
         }
     }
@@ -140,14 +140,14 @@ impl DemoReporter {
         }
         let filled = done * BAR / steps.max(1);
         let bar: String = (0..BAR).map(|index| if index < filled { '#' } else { '.' }).collect();
-        self.tell(at, "progress", format!("{mission} [{bar}] {done}/{steps}"))
+        self.print_timed(at, "progress", format!("{mission} [{bar}] {done}/{steps}"))
     }
 
-    fn tell(&self, at: Duration, word: &str, text: String) -> Result<(), Failure> {
-        self.say(format!("{:8.3}   {word:11} {text}", seconds(at)))
+    fn print_timed(&self, at: Duration, label: &str, text: String) -> Result<(), Failure> {
+        self.print(format!("{:8.3}   {label:11} {text}", seconds(at)))
     }
 
-    fn say(&self, text: String) -> Result<(), Failure> {
+    fn print(&self, text: String) -> Result<(), Failure> {
         match &self.bars {
             Some(bars) => bars.suspend(|| output::line(text)),
             None => output::line(text),

@@ -1,4 +1,4 @@
-//! Who takes part in the demo: robots, arms, nurses and missions, worked out from its flags.
+//! The demo's robots, arms, nurses and missions, derived from its flags.
 
 use crate::config::{FleetConfig, FleetRef, RobotConfig, StationConfig, WorldConfig};
 use consort_protocol::ensemble::EnsembleSpec;
@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
 
-/// The rooms where nurses wait, in the order in which missions take them.
+/// Rooms with nurses, in the order in which missions use them.
 const ROOMS: [&str; 14] = [
     "IC Room 6",
     "PC Room 3",
@@ -28,7 +28,7 @@ const ROOMS: [&str; 14] = [
     "PC Room 5",
 ];
 
-/// Robots' names; the first founds the ledger and usually coordinates first.
+/// Robots' names; the first robot creates the ledger and usually coordinates first.
 const NAMES: [&str; 26] = [
     "amber", "birch", "cedar", "dune", "ember", "flint", "grove", "hazel", "iris", "jade", "kelp", "larch", "maple",
     "nova", "opal", "pearl", "quartz", "reed", "sage", "terra", "umber", "vale", "willow", "xenon", "yarrow", "zinnia",
@@ -36,7 +36,7 @@ const NAMES: [&str; 26] = [
 
 const CARRIER: [&str; 5] = ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
 
-/// A kind of robot: what sets it apart from the others.
+/// A kind of robot: its differences from the other kinds.
 struct Kind {
     lacks: Option<&'static str>,
     speed_mps: f64,
@@ -44,7 +44,8 @@ struct Kind {
     discharge: f64,
 }
 
-/// Different skills, speeds and batteries. The first cannot carry, so it has time to coordinate.
+/// Different skills, speeds and batteries. The first kind cannot carry, so it has time to
+/// coordinate.
 const KINDS: [Kind; 6] = [
     Kind { lacks: Some("operate_drawer"), speed_mps: 0.9, battery: 0.95, discharge: 0.000_5 },
     Kind { lacks: None, speed_mps: 0.7, battery: 0.90, discharge: 0.000_6 },
@@ -54,25 +55,25 @@ const KINDS: [Kind; 6] = [
     Kind { lacks: None, speed_mps: 0.6, battery: 0.70, discharge: 0.000_3 },
 ];
 
-/// Everything the demo starts and asks for.
+/// Nodes and missions of the demo.
 #[derive(Debug, Clone)]
 pub struct DemoScenario {
-    /// What all nodes agree on.
+    /// The fleet's settings.
     pub fleet: FleetConfig,
-    /// The hospital, with bodies and nurses.
+    /// The hospital, with simulated robots and nurses.
     pub world: WorldConfig,
-    /// The robots' nodes, the arms' among them.
+    /// The nodes of the robots, including the arms.
     pub robots: Vec<RobotConfig>,
-    /// Nodes without a robot, where there are too few others to outvote a dead one.
+    /// Nodes without a robot, added if there are too few others to outvote a failed node.
     pub stations: Vec<StationConfig>,
-    /// What is asked for.
+    /// Missions to submit.
     pub requests: Vec<MissionRequest>,
 }
 
 /// A mission that the demo submits.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MissionRequest {
-    /// Its name.
+    /// Name of the request.
     pub request: RequestId,
     /// The nurse's room.
     pub room: PlaceId,
@@ -82,12 +83,12 @@ fn slug<T: std::str::FromStr<Err: std::fmt::Debug>>(text: &str) -> T {
     text.parse().expect("the demo's own names are names")
 }
 
-/// Mobile robots with their bodies, where and as quick as chance has them.
-fn carriers(robots: usize, rng: &mut ChaCha8Rng, bodies: &mut Vec<RobotSetup>) -> Vec<RobotConfig> {
+/// Creates mobile robots, with random start places and speeds.
+fn carriers(robots: usize, rng: &mut ChaCha8Rng, simulated: &mut Vec<RobotSetup>) -> Vec<RobotConfig> {
     let mut starts: Vec<&str> = ROOMS.into_iter().chain(["Dock"]).collect();
     starts.shuffle(rng);
     let mut carrier = |index: usize| {
-        // A lone robot must be able to do the job.
+        // A single robot must be able to do the job.
         let kind = &KINDS[if robots < 3 { index + 1 } else { index % KINDS.len() }];
         let name = NAMES.get(index).map_or_else(|| format!("robot-{index}"), |name| (*name).to_owned());
         let place: PlaceId = slug(starts[index % starts.len()]);
@@ -97,7 +98,7 @@ fn carriers(robots: usize, rng: &mut ChaCha8Rng, bodies: &mut Vec<RobotSetup>) -
         let discharge = SharePerSecond::new(kind.discharge).expect("a rate");
         let skills = CARRIER.into_iter().filter(|skill| Some(*skill) != kind.lacks).map(slug).collect();
         let id: RobotId = slug(&name);
-        bodies.push(RobotSetup::carrier(id.clone(), place.clone(), speed, battery, discharge));
+        simulated.push(RobotSetup::carrier(id.clone(), place.clone(), speed, battery, discharge));
         RobotConfig {
             speed_mps: Some(speed),
             battery,
@@ -108,18 +109,18 @@ fn carriers(robots: usize, rng: &mut ChaCha8Rng, bodies: &mut Vec<RobotSetup>) -
     (0..robots).map(&mut carrier).collect()
 }
 
-/// Arms of the laboratory with their bodies.
-fn arms(arms: usize, bodies: &mut Vec<RobotSetup>) -> impl Iterator<Item = RobotConfig> {
+/// Creates the arms of the laboratory.
+fn arms(arms: usize, simulated: &mut Vec<RobotSetup>) -> impl Iterator<Item = RobotConfig> {
     (0..arms).map(move |index| {
         let name = if index == 0 { "lab-arm".to_owned() } else { format!("lab-arm-{}", index + 1) };
         let (id, place): (RobotId, PlaceId) = (slug(&name), slug("Laboratory"));
-        bodies.push(RobotSetup::arm(id.clone(), place.clone()));
+        simulated.push(RobotSetup::arm(id.clone(), place.clone()));
         let skills: BTreeSet<TaskType> = BTreeSet::from([slug("pick_up")]);
         RobotConfig { stationary: true, mains_powered: true, ..RobotConfig::new(id, place, skills) }
     })
 }
 
-/// The nurses of the rooms to which missions go, each with a sample for each of them.
+/// Creates the nurses of the missions' rooms, each with a sample for each of them.
 fn nurses(missions: usize) -> Vec<PersonSetup> {
     let nurse = |(index, room): (usize, &str)| {
         let samples = (index..missions).step_by(ROOMS.len()).map(|mission| format!("sample-{}", mission + 1));
@@ -129,22 +130,23 @@ fn nurses(missions: usize) -> Vec<PersonSetup> {
             role: slug::<RoleId>("nurse"),
             place: slug(room),
             samples,
-            mood: vec![],
+            spontaneous_actions: vec![],
         })
     };
     ROOMS.into_iter().enumerate().filter_map(nurse).collect()
 }
 
 impl DemoScenario {
-    /// `robots` mobile ones and `missions` missions; `speed` world seconds pass in a second. The seed decides where the robots
-    /// stand and how quick the nurses are.
+    /// Creates a scenario with `robots` mobile robots and `missions` missions; `speed` is in world
+    /// seconds per second. The seed decides the robots' start places and the nurses' speed.
     pub fn new(robots: usize, missions: usize, speed: f64, seed: u64) -> DemoScenario {
-        let mut bodies = vec![];
-        let mut cast = carriers(robots, &mut ChaCha8Rng::seed_from_u64(seed), &mut bodies);
-        // As many arms as there are missions under way at once, within reason: each mission needs one from its beginning.
-        cast.extend(arms(missions.clamp(1, 3), &mut bodies));
-        // Three voters survive the death of one.
-        let stations: Vec<StationConfig> = (cast.len()..3)
+        let mut simulated = vec![];
+        let mut scenario = carriers(robots, &mut ChaCha8Rng::seed_from_u64(seed), &mut simulated);
+        // An arm for each parallel mission, within reason: each mission needs an arm from its
+        // beginning.
+        scenario.extend(arms(missions.clamp(1, 3), &mut simulated));
+        // Three voters survive the failure of a voter.
+        let stations: Vec<StationConfig> = (scenario.len()..3)
             .map(|index| StationConfig::new(slug::<NodeId>(&format!("station-{}", index + 1))))
             .collect();
         let requests: Vec<MissionRequest> = (0..missions)
@@ -155,23 +157,23 @@ impl DemoScenario {
             .collect();
         let fleet = FleetConfig {
             name: slug::<FleetId>("demo"),
-            bootstrap_expect: cast.len() + stations.len(),
+            bootstrap_expect: scenario.len() + stations.len(),
             ensemble: vec![EnsembleSpec::with_any_skill_of(
                 slug::<EnsembleId>("logistics"),
                 BTreeSet::from([slug("operate_drawer"), slug("pick_up")]),
             )],
             ..FleetConfig::default()
         };
-        let world = WorldConfig { seed, speed, robot: bodies, person: nurses(missions), ..WorldConfig::default() };
-        let mut cast = DemoScenario { fleet: fleet.clone(), world, robots: cast, stations, requests };
+        let world = WorldConfig { seed, speed, robot: simulated, person: nurses(missions), ..WorldConfig::default() };
+        let mut scenario = DemoScenario { fleet: fleet.clone(), world, robots: scenario, stations, requests };
         let reference = FleetRef::from(fleet);
-        cast.world.fleet = reference.clone();
-        cast.robots.iter_mut().for_each(|robot| robot.fleet = reference.clone());
-        cast.stations.iter_mut().for_each(|station| station.fleet = reference.clone());
-        cast
+        scenario.world.fleet = reference.clone();
+        scenario.robots.iter_mut().for_each(|robot| robot.fleet = reference.clone());
+        scenario.stations.iter_mut().for_each(|station| station.fleet = reference.clone());
+        scenario
     }
 
-    /// All nodes that may vote, by name.
+    /// Returns all nodes that may vote, by name.
     pub fn voters(&self) -> Vec<NodeId> {
         let robots = self.robots.iter().map(|robot| NodeId::from(robot.name.clone()));
         robots.chain(self.stations.iter().map(|station| station.name.clone())).collect()
@@ -183,7 +185,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_seed_gives_one_cast_and_another_seed_another() {
+    fn the_seed_determines_the_scenario() {
         let text = |seed| format!("{:?}", DemoScenario::new(6, 2, 8.0, seed));
         assert_eq!(text(7), text(7));
         assert_ne!(text(7), text(8));
@@ -191,22 +193,22 @@ mod tests {
 
     #[test]
     fn six_robots_differ_in_skills_speeds_and_batteries() {
-        let cast = DemoScenario::new(6, 1, 8.0, 1);
-        let mobile: Vec<_> = cast.robots.iter().filter(|robot| robot.speed_mps.is_some()).collect();
+        let scenario = DemoScenario::new(6, 1, 8.0, 1);
+        let mobile: Vec<_> = scenario.robots.iter().filter(|robot| robot.speed_mps.is_some()).collect();
         assert_eq!(mobile.len(), 6);
         let skills: BTreeSet<_> = mobile.iter().map(|robot| &robot.skills).collect();
         assert_eq!(skills.len(), 3);
-        assert_eq!(cast.robots.len(), 7);
-        assert!(cast.stations.is_empty());
+        assert_eq!(scenario.robots.len(), 7);
+        assert!(scenario.stations.is_empty());
     }
 
     #[test]
-    fn there_are_always_three_who_may_vote_and_a_sample_for_each_mission() {
+    fn every_scenario_has_three_voters_and_a_sample_per_mission() {
         for (robots, missions) in [(1, 1), (2, 1), (1, 3), (30, 40)] {
-            let cast = DemoScenario::new(robots, missions, 8.0, 1);
-            assert!(cast.voters().len() >= 3);
-            assert_eq!(cast.requests.len(), missions);
-            assert_eq!(cast.world.person.iter().map(|nurse| nurse.samples.len()).sum::<usize>(), missions);
+            let scenario = DemoScenario::new(robots, missions, 8.0, 1);
+            assert!(scenario.voters().len() >= 3);
+            assert_eq!(scenario.requests.len(), missions);
+            assert_eq!(scenario.world.person.iter().map(|nurse| nurse.samples.len()).sum::<usize>(), missions);
         }
     }
 }

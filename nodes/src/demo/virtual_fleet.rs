@@ -21,49 +21,53 @@ use tokio::time::Instant;
 pub(super) struct VirtualFleet {
     network: VirtualNetwork,
     client: SharedBus,
-    cast: DemoScenario,
+    scenario: DemoScenario,
     equipment: SkillResources,
     nodes: BTreeMap<NodeId, NodeHandle>,
     world: SharedWorld,
     started: Instant,
     seed: u64,
-    lives: u64,
+    incarnations: u64,
 }
 
 impl VirtualFleet {
-    /// Starts every node of the cast, with its world rendered as is asked for.
-    pub(super) async fn start(cast: &DemoScenario, seed: u64, render: &RenderFlags) -> Result<VirtualFleet, Failure> {
+    /// Starts every node of the scenario, and the requested recordings of its world.
+    pub(super) async fn start(
+        scenario: &DemoScenario,
+        seed: u64,
+        render: &RenderFlags,
+    ) -> Result<VirtualFleet, Failure> {
         let network = VirtualNetwork::new(seed, LinkModel::LAN);
         let client = network.bus(NodeId::new("onlooker").expect("a slug"));
-        let (world, shared) = wiring::world_node(&cast.world, &cast.fleet, life(seed, 1, 0))?;
+        let (world, shared) = wiring::world_node(&scenario.world, &scenario.fleet, incarnation(seed, 1, 0))?;
         render.start_recording(&shared)?;
-        let mut stage = VirtualFleet {
+        let mut fleet = VirtualFleet {
             client: Arc::new(client),
             network,
-            cast: cast.clone(),
-            equipment: wiring::fleet_skill_resources(&cast.fleet)?,
+            scenario: scenario.clone(),
+            equipment: wiring::fleet_skill_resources(&scenario.fleet)?,
             nodes: BTreeMap::new(),
             world: shared,
             started: Instant::now(),
             seed,
-            lives: 1,
+            incarnations: 1,
         };
-        stage.instantiate(world).await?;
-        for node in cast.voters() {
-            stage.restart(&node).await?;
+        fleet.instantiate(world).await?;
+        for node in scenario.voters() {
+            fleet.restart(&node).await?;
         }
-        Ok(stage)
+        Ok(fleet)
     }
 
-    /// The world, to look at.
+    /// Returns the world, for inspection.
     pub(super) fn world(&self) -> SharedWorld {
         self.world.clone()
     }
 
-    fn life(&mut self) -> NodeIncarnation {
-        self.lives += 1;
+    fn incarnation(&mut self) -> NodeIncarnation {
+        self.incarnations += 1;
         let origin = u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX);
-        life(self.seed, self.lives, origin)
+        incarnation(self.seed, self.incarnations, origin)
     }
 
     async fn instantiate(&mut self, settings: NodeSettings) -> Result<(), Failure> {
@@ -82,7 +86,7 @@ impl DemoFleet for VirtualFleet {
     }
 
     fn description(&self) -> String {
-        let speed = self.cast.world.speed;
+        let speed = self.scenario.world.speed;
         let nodes = count(self.nodes.len(), "node", "nodes");
         format!("{nodes} in this process, on virtual time ({speed} world seconds a second)")
     }
@@ -96,14 +100,14 @@ impl DemoFleet for VirtualFleet {
     }
 
     async fn restart(&mut self, node: &NodeId) -> Result<(), Failure> {
-        let life = self.life();
-        let robot = self.cast.robots.iter().find(|robot| robot.name.as_str() == node.as_str());
+        let incarnation = self.incarnation();
+        let robot = self.scenario.robots.iter().find(|robot| robot.name.as_str() == node.as_str());
         let settings = match robot {
-            Some(robot) => wiring::robot_node_with(&self.equipment, robot, &self.cast.fleet, life)?,
+            Some(robot) => wiring::robot_node_with(&self.equipment, robot, &self.scenario.fleet, incarnation)?,
             None => {
-                let station = self.cast.stations.iter().find(|station| station.name == *node);
-                let station = station.ok_or_else(|| Failure::Unsuccessful(format!("{node} is not in the cast")))?;
-                wiring::station_node(station, &self.cast.fleet, life)?
+                let station = self.scenario.stations.iter().find(|station| station.name == *node);
+                let station = station.ok_or_else(|| Failure::Unsuccessful(format!("{node} is not in the scenario")))?;
+                wiring::station_node(station, &self.scenario.fleet, incarnation)?
             }
         };
         self.instantiate(settings).await
@@ -114,7 +118,8 @@ impl DemoFleet for VirtualFleet {
     }
 
     async fn interrupted(&mut self) {
-        // A run takes less time than it takes to change one's mind; the signal's own default ends the process.
+        // A run is shorter than the reaction time of a user; the signal's default action ends the
+        // process.
         std::future::pending::<()>().await;
     }
 
@@ -129,8 +134,9 @@ impl DemoFleet for VirtualFleet {
     }
 }
 
-/// The life of this number among all, which begins so many milliseconds after the stage was set.
-fn life(seed: u64, number: u64, origin: u64) -> NodeIncarnation {
+/// Returns the incarnation with this number, which begins `origin` milliseconds after the fleet was
+/// started.
+fn incarnation(seed: u64, number: u64, origin: u64) -> NodeIncarnation {
     let seed = seed.wrapping_mul(1_000_003).wrapping_add(number);
     NodeIncarnation { clock: Clock::virtual_at(origin), incarnation: number, seed, store: NodeStore::in_memory(seed) }
 }

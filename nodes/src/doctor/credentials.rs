@@ -1,66 +1,73 @@
-//! Certificates: whether they belong together, to whom, and for how long.
+//! Checks of the certificates: their match, principal and expiry.
 
 use super::{DiagnosisTarget, Finding};
-use crate::certs::{CertificateEntry, CertificateState as Good, unix_time};
+use crate::certs::{CertificateEntry, CertificateState, unix_time};
 use crate::config::trust_files;
 use consort_protocol::trust::Principal;
 use std::os::unix::fs::PermissionsExt;
 
-/// Below so many days it is time to renew.
-const SOON: u64 = 14;
+/// Days before expiry at which a renewal is due.
+const RENEW_BELOW_DAYS: u64 = 14;
 
-/// Whether addresses fit to whether there are certificates.
-pub(super) fn check_addresses(patient: &DiagnosisTarget) -> Vec<Finding> {
+/// Checks that the protocols of addresses match the use of certificates.
+pub(super) fn check_addresses(target: &DiagnosisTarget) -> Vec<Finding> {
     let wrong = |problem: String| {
-        Finding::error("addresses", problem, "with certificates all are written tls/…, without all tcp/…")
+        Finding::error("addresses", problem, "with certificates all addresses start with tls/, without with tcp/")
     };
-    patient.bus.validate().into_iter().map(wrong).collect()
+    target.bus.validate().into_iter().map(wrong).collect()
 }
 
-/// What the folder with certificates holds.
-pub(super) fn check_certificates(patient: &DiagnosisTarget) -> Vec<Finding> {
-    let Some(folder) = &patient.bus.certs else { return vec![] };
+/// Checks the folder with certificates.
+pub(super) fn check_certificates(target: &DiagnosisTarget) -> Vec<Finding> {
+    let Some(folder) = &target.bus.certs else { return vec![] };
     let about = format!("certificates {}", folder.display());
     let files = trust_files(folder);
     let mut findings = Vec::new();
-    match files.identity(&patient.fleet, unix_time()) {
+    match files.identity(&target.fleet, unix_time()) {
         Ok(identity) => {
-            let other = match (&identity.principal, &patient.node) {
+            let other = match (&identity.principal, &target.node) {
                 (Principal::Node { name, .. }, Some(own)) if name != own => Some(own),
                 (Principal::Person { .. }, Some(own)) => Some(own),
                 _ => None,
             };
             findings.push(match other {
-                None => Finding::ok(&about, format!("they are {}'s, of fleet {}", identity.principal, identity.fleet)),
+                None => {
+                    Finding::ok(&about, format!("they belong to {}, of fleet {}", identity.principal, identity.fleet))
+                }
                 Some(own) => {
-                    let says = format!("they are {}'s, and this is node {own}", identity.principal);
-                    Finding::error(&about, says, format!("consort cert node {own} --roles … makes the right ones"))
+                    let text = format!("they belong to {}, and this is node {own}", identity.principal);
+                    Finding::error(
+                        &about,
+                        text,
+                        format!("make the right certificate with consort cert node {own} --roles …"),
+                    )
                 }
             });
         }
         Err(problem) => {
             let advice =
-                "copy the folder again from where `consort cert` made it; `consort cert renew NAME` makes it anew";
+                "copy the folder again from the authority's machine, or renew it with `consort cert renew NAME`";
             findings.push(Finding::error(&about, problem, advice));
         }
     }
     if let Ok(holder) = CertificateEntry::read(&files.certificate, &[])
-        && let Good::Valid { days } = holder.state
+        && let CertificateState::Valid { days } = holder.state
     {
         findings.push(match days {
-            0..SOON => Finding::warning(
+            0..RENEW_BELOW_DAYS => Finding::warning(
                 &about,
-                format!("they end in {days} days"),
+                format!("they expire in {days} days"),
                 "consort cert renew NAME, and restart the node",
             ),
-            _ => Finding::ok(&about, format!("they are good for {days} days")),
+            _ => Finding::ok(&about, format!("they are valid for {days} days")),
         });
     }
     if let Ok(key) = std::fs::metadata(&files.key)
         && key.permissions().mode() & 0o077 != 0
     {
-        let says = format!("others on this machine can read {}, and be who it is", files.key.display());
-        findings.push(Finding::warning(&about, says, format!("chmod 600 {}", files.key.display())));
+        let text =
+            format!("other users of this machine can read {}, and can impersonate this identity", files.key.display());
+        findings.push(Finding::warning(&about, text, format!("chmod 600 {}", files.key.display())));
     }
     findings
 }

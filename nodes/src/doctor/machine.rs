@@ -1,4 +1,4 @@
-//! What a node finds on its machine: clock, disk and ports.
+//! Checks of the machine: clock, disk and ports.
 
 use super::Finding;
 use crate::certs::unix_time;
@@ -8,64 +8,68 @@ use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// No clock that is right says it is earlier: 2026-01-01.
+/// A correct clock shows no earlier time: 2026-01-01.
 const NOT_BEFORE: Duration = Duration::from_secs(1_767_225_600);
 
-/// Below this a ledger that grows fills the disk within days: a guess.
+/// Minimum free disk space: with less, a growing ledger fills the disk within days. An estimate.
 const FREE_MIN: u64 = 1 << 30;
 
-/// A commit waits for the disk: slower than this, elections go wrong (a follower answers within half of it on a LAN).
+/// Maximum time of a disk sync, because a commit waits for it: a slower disk disturbs elections (a
+/// follower answers within half of it on a LAN).
 const SYNC_MAX: Duration = Duration::from_millis(50);
 
-/// Whether the clock can be right.
+/// Checks that the clock is set.
 pub(super) fn check_clock() -> Vec<Finding> {
     if unix_time() >= NOT_BEFORE {
         return vec![Finding::ok("clock", "it is set")];
     }
-    let says = format!("it says that {} days have passed since 1970", unix_time().as_secs() / 86_400);
-    vec![Finding::error("clock", says, "set it, and have it kept right (timedatectl set-ntp true)")]
+    let text = format!("it shows {} days since 1970", unix_time().as_secs() / 86_400);
+    vec![Finding::error("clock", text, "set it, and synchronise it (timedatectl set-ntp true)")]
 }
 
-/// Whether a directory can keep a ledger.
+/// Checks that a directory can hold a ledger.
 pub(super) fn check_data_dir(folder: Option<&Path>) -> Vec<Finding> {
     let Some(folder) = folder else { return vec![] };
     let about = format!("data directory {}", folder.display());
-    // It is made when the node starts: what counts until then is where it will be.
-    let there = folder.ancestors().find(|ancestor| ancestor.exists()).unwrap_or(Path::new("/"));
+    // The directory is created when the node starts; until then its nearest existing ancestor is
+    // checked.
+    let existing = folder.ancestors().find(|ancestor| ancestor.exists()).unwrap_or(Path::new("/"));
     let mut findings = Vec::new();
-    match written(there) {
+    match sync_time(existing) {
         Ok(took) if took > SYNC_MAX => {
-            let says = format!("a write that is to last takes {} ms", took.as_millis());
+            let text = format!("a write with a disk sync takes {} ms", took.as_millis());
             let advice =
-                "every commit waits for that: use a faster disk, or a node elsewhere as voter (may_vote = false here)";
-            findings.push(Finding::warning(&about, says, advice));
+                "every commit waits for that: use a faster disk, or another node as voter (may_vote = false here)";
+            findings.push(Finding::warning(&about, text, advice));
         }
         Ok(took) => findings
-            .push(Finding::ok(&about, format!("can be written, a commit takes {:.1} ms", took.as_secs_f64() * 1e3))),
+            .push(Finding::ok(&about, format!("it can be written; a commit takes {:.1} ms", took.as_secs_f64() * 1e3))),
         Err(problem) => {
-            let says = format!("{} cannot be written: {problem}", there.display());
+            let text = format!("{} cannot be written: {problem}", existing.display());
             findings.push(Finding::error(
                 &about,
-                says,
-                "give it to the user that the node runs as (chown), or name another",
+                text,
+                "give it to the node's user (chown), or choose another directory",
             ));
         }
     }
-    if let Ok(disk) = rustix::fs::statvfs(there) {
+    if let Ok(disk) = rustix::fs::statvfs(existing) {
         let free = disk.f_bavail.saturating_mul(disk.f_frsize);
-        let says = format!("{:.1} GB are free", free as f64 / 1e9);
+        let text = format!("{:.1} GB are free", free as f64 / 1e9);
         findings.push(match free < FREE_MIN {
-            false => Finding::ok(&about, says),
-            true => {
-                Finding::warning(&about, says, "make room: a node whose disk is full keeps no ledger and takes no role")
-            }
+            false => Finding::ok(&about, text),
+            true => Finding::warning(
+                &about,
+                text,
+                "free disk space: a node with a full disk keeps no ledger and takes no role",
+            ),
         });
     }
     findings
 }
 
-/// How long a small write takes until it is on the disk.
-fn written(folder: &Path) -> std::io::Result<Duration> {
+/// Measures the time of a small write with a disk sync.
+fn sync_time(folder: &Path) -> std::io::Result<Duration> {
     let file = folder.join(format!(".consort-doctor-{}", std::process::id()));
     let began = Instant::now();
     let wrote = || {
@@ -79,7 +83,7 @@ fn written(folder: &Path) -> std::io::Result<Duration> {
     wrote.map(|()| took)
 }
 
-/// Whether the ports that a node is to listen on can be had.
+/// Checks that the node's ports are available.
 pub(super) fn check_ports(listen: Option<Vec<String>>, pages: &[(&'static str, SocketAddr)]) -> Vec<Finding> {
     let mut findings = Vec::new();
     for address in listen.unwrap_or_default() {
@@ -90,7 +94,7 @@ pub(super) fn check_ports(listen: Option<Vec<String>>, pages: &[(&'static str, S
                 findings.extend(open_to_all(&address, at));
             }
             Ok(None) | Err(_) => {
-                let advice = "write an address of this machine, or 0.0.0.0 for all of them";
+                let advice = "use an address of this machine, or 0.0.0.0 for all addresses";
                 findings.push(Finding::error(format!("listen {address}"), "there is no such host", advice));
             }
         }
@@ -103,21 +107,20 @@ fn port(about: &str, at: SocketAddr) -> Finding {
     match TcpListener::bind(at) {
         Ok(_) => Finding::ok(about, "the port is free"),
         Err(problem) if problem.kind() == ErrorKind::AddrInUse => {
-            let advice =
-                format!("if it is not this node that runs already, find who it is (ss -ltnp 'sport = :{}')", at.port());
-            Finding::warning(about, "somebody listens there", advice)
+            let advice = format!("if it is not this node, find the process (ss -ltnp 'sport = :{}')", at.port());
+            Finding::warning(about, "another process listens there", advice)
         }
         Err(problem) => {
-            Finding::error(about, problem, "name an address of this machine, and a port that its user may open")
+            Finding::error(about, problem, "use an address of this machine, and a port that the user may open")
         }
     }
 }
 
-/// Whoever reaches a node without certificates is part of the fleet.
+/// Without certificates every node that reaches the address becomes part of the fleet.
 fn open_to_all(address: &str, at: SocketAddr) -> Option<Finding> {
     (address.starts_with("tcp/") && !at.ip().is_loopback()).then(|| {
-        let says = "whoever can reach this address is part of the fleet: nobody is asked who they are";
-        let advice = "give the fleet certificates (consort cert), or see to it that nobody else is on this network";
-        Finding::warning(format!("listen {address}"), says, advice)
+        let text = "the fleet is open: every node that reaches this address becomes part of it";
+        let advice = "give the fleet certificates (consort cert), or restrict access to this network";
+        Finding::warning(format!("listen {address}"), text, advice)
     })
 }

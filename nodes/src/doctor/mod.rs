@@ -1,5 +1,5 @@
-//! What may keep a node from its fleet, looked for one by one: files, clock, disk, ports, certificates, links, and what the
-//! fleet itself says. Each finding says what to do about it.
+//! Checks for the reasons why a node does not reach its fleet: files, clock, disk, ports,
+//! certificates, links, and the health of the fleet itself. Each finding has advice.
 
 mod credentials;
 mod fleet;
@@ -15,15 +15,15 @@ use std::fmt;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-/// How a matter stands.
+/// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
-    /// It is as it should be.
+    /// No problem.
     Ok,
-    /// It will be a problem, or may be one.
+    /// A future or possible problem.
     Warning,
-    /// It keeps the node from its fleet, or the fleet from its work.
+    /// A problem that keeps the node from its fleet, or the fleet from its work.
     Error,
 }
 
@@ -37,37 +37,37 @@ impl fmt::Display for Severity {
     }
 }
 
-/// One thing that was looked at.
+/// Result of a check.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// How it stands.
+    /// Severity.
     pub state: Severity,
-    /// What was looked at: `clock`, `link tls/192.0.2.7:7447`.
+    /// Subject of the check: `clock`, `link tls/192.0.2.7:7447`.
     pub about: String,
-    /// What was found.
-    pub says: String,
-    /// What to do, if anything is to be done.
+    /// Result.
+    pub text: String,
+    /// Advice, if any action is needed.
     pub advice: Option<String>,
 }
 
 impl Finding {
-    fn ok(about: impl fmt::Display, says: impl fmt::Display) -> Finding {
-        Finding { state: Severity::Ok, about: about.to_string(), says: says.to_string(), advice: None }
+    fn ok(about: impl fmt::Display, text: impl fmt::Display) -> Finding {
+        Finding { state: Severity::Ok, about: about.to_string(), text: text.to_string(), advice: None }
     }
 
-    fn warning(about: impl fmt::Display, says: impl fmt::Display, advice: impl fmt::Display) -> Finding {
+    fn warning(about: impl fmt::Display, text: impl fmt::Display, advice: impl fmt::Display) -> Finding {
         let advice = Some(advice.to_string());
-        Finding { state: Severity::Warning, about: about.to_string(), says: says.to_string(), advice }
+        Finding { state: Severity::Warning, about: about.to_string(), text: text.to_string(), advice }
     }
 
-    fn error(about: impl fmt::Display, says: impl fmt::Display, advice: impl fmt::Display) -> Finding {
-        Finding { state: Severity::Error, ..Finding::warning(about, says, advice) }
+    fn error(about: impl fmt::Display, text: impl fmt::Display, advice: impl fmt::Display) -> Finding {
+        Finding { state: Severity::Error, ..Finding::warning(about, text, advice) }
     }
 }
 
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:7}  {}: {}", self.state, self.about, self.says)?;
+        write!(f, "{:7}  {}: {}", self.state, self.about, self.text)?;
         match &self.advice {
             Some(advice) => write!(f, "\n         → {advice}"),
             None => Ok(()),
@@ -75,76 +75,81 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Whose troubles are looked for: a node by its file, or a client by its flags.
+/// Target of the checks: a node by its file, or a client by its flags.
 pub struct DiagnosisTarget {
-    /// The node's name; none for a client.
+    /// The node's name; `None` for a client.
     node: Option<NodeId>,
     fleet: FleetId,
     bus: BusConfig,
     data_dir: Option<PathBuf>,
-    /// Where it serves pages, and what they are.
+    /// Addresses of its HTTP pages, with their names.
     pages: Vec<(&'static str, SocketAddr)>,
     client_flags: ClientFlags,
 }
 
 impl DiagnosisTarget {
-    /// A client, by its flags.
+    /// Creates the target of a client, by its flags.
     ///
     /// # Errors
     /// [`crate::exit::Failure::Usage`] of the flags.
-    pub fn client(reach: ClientFlags) -> Result<DiagnosisTarget, crate::exit::Failure> {
-        let bus = BusConfig { listen: vec![], connect: reach.addresses().to_vec(), certs: reach.certs().cloned() };
+    pub fn client(client_flags: ClientFlags) -> Result<DiagnosisTarget, crate::exit::Failure> {
+        let bus = BusConfig {
+            listen: vec![],
+            connect: client_flags.addresses().to_vec(),
+            certs: client_flags.certs().cloned(),
+        };
         Ok(DiagnosisTarget {
             node: None,
-            fleet: reach.fleet()?,
+            fleet: client_flags.fleet()?,
             bus,
             data_dir: None,
             pages: vec![],
-            client_flags: reach,
+            client_flags,
         })
     }
 
-    /// A node, by its file.
+    /// Creates the target of a node, by its file.
     ///
     /// # Errors
-    /// [`Problems`] of the file, or of those that it names.
-    pub fn node(file: &Path, reach: &ClientFlags) -> Result<DiagnosisTarget, Diagnostics> {
+    /// [`Diagnostics`] of the file, or of files that it references.
+    pub fn node(file: &Path, client_flags: &ClientFlags) -> Result<DiagnosisTarget, Diagnostics> {
         match check::detect_kind(file)? {
-            FileKind::Robot => DiagnosisTarget::of(load::<RobotConfig>(file)?, reach),
-            FileKind::World => DiagnosisTarget::of(load::<WorldConfig>(file)?, reach),
-            _ => DiagnosisTarget::of(load::<StationConfig>(file)?, reach),
+            FileKind::Robot => DiagnosisTarget::of(load::<RobotConfig>(file)?, client_flags),
+            FileKind::World => DiagnosisTarget::of(load::<WorldConfig>(file)?, client_flags),
+            _ => DiagnosisTarget::of(load::<StationConfig>(file)?, client_flags),
         }
     }
 
-    fn of<C: crate::config::NodeFile>(mut file: C, reach: &ClientFlags) -> Result<DiagnosisTarget, Diagnostics> {
+    fn of<C: crate::config::NodeFile>(mut file: C, client_flags: &ClientFlags) -> Result<DiagnosisTarget, Diagnostics> {
         let node = Some(file.node());
-        let around = file.common_mut();
-        let fleet = around.fleet.resolve()?.name;
-        let pages = [("dashboard", *around.dashboard), ("metrics", around.telemetry.metrics)];
+        let common = file.common_mut();
+        let fleet = common.fleet.resolve()?.name;
+        let pages = [("dashboard", *common.dashboard), ("metrics", common.telemetry.metrics)];
         let pages = pages.into_iter().filter_map(|(what, at)| at.map(|at| (what, at))).collect();
-        let mut bus = around.bus.clone();
-        bus.certs = reach.certs().cloned().or(bus.certs);
-        // The fleet is asked as the node itself would reach it: by its neighbours, or by itself if it runs.
-        let asked: Vec<String> =
+        let mut bus = common.bus.clone();
+        bus.certs = client_flags.certs().cloned().or(bus.certs);
+        // The fleet is queried as the node itself would reach it: by its neighbours, or by itself
+        // if it runs.
+        let addresses: Vec<String> =
             bus.listen_addresses().iter().filter(|at| !at.ends_with(":0")).chain(&bus.connect).cloned().collect();
-        let reach = reach.with_target(asked, bus.certs.clone(), &fleet);
-        Ok(DiagnosisTarget { node, fleet, bus, data_dir: around.data_dir.clone(), pages, client_flags: reach })
+        let client_flags = client_flags.with_target(addresses, bus.certs.clone(), &fleet);
+        Ok(DiagnosisTarget { node, fleet, bus, data_dir: common.data_dir.clone(), pages, client_flags })
     }
 }
 
-/// Looks at everything, and tells each finding as soon as it is there.
-pub fn run_checks(patient: &DiagnosisTarget, mut tell: impl FnMut(&Finding)) -> Vec<Finding> {
+/// Runs all checks, and passes each finding to `report` as soon as it is available.
+pub fn run_checks(target: &DiagnosisTarget, mut report: impl FnMut(&Finding)) -> Vec<Finding> {
     let mut all = Vec::new();
-    let mut note = |findings: Vec<Finding>| {
-        findings.iter().for_each(&mut tell);
+    let mut add = |findings: Vec<Finding>| {
+        findings.iter().for_each(&mut report);
         all.extend(findings);
     };
-    note(machine::check_clock());
-    note(machine::check_data_dir(patient.data_dir.as_deref()));
-    note(machine::check_ports(patient.node.as_ref().map(|_| patient.bus.listen_addresses()), &patient.pages));
-    note(credentials::check_addresses(patient));
-    note(credentials::check_certificates(patient));
-    note(links::check_links(patient));
-    note(fleet::check_fleet(patient));
+    add(machine::check_clock());
+    add(machine::check_data_dir(target.data_dir.as_deref()));
+    add(machine::check_ports(target.node.as_ref().map(|_| target.bus.listen_addresses()), &target.pages));
+    add(credentials::check_addresses(target));
+    add(credentials::check_certificates(target));
+    add(links::check_links(target));
+    add(fleet::check_fleet(target));
     all
 }

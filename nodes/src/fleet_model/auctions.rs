@@ -1,4 +1,4 @@
-//! Auctions: what was offered for each role, and why the winner won.
+//! Auctions: the bids for each role, and the reason of the assignment.
 
 use super::state::{AuctionModel, RoleBid};
 use super::update::list;
@@ -6,16 +6,16 @@ use super::{FleetModel, bounds};
 use consort_protocol::auction::{AuctionEntry, AuctionRecord, Bid, BidVerdict};
 use serde_json::Value;
 
-/// Bids kept of a mission whose auction is open.
-const TENDERS: usize = 512;
+/// Maximum number of bids kept for an open auction of a mission.
+const BIDS_MAX: usize = 512;
 
-/// Missions whose open auctions are kept.
-const OPEN: usize = 64;
+/// Maximum number of missions with open auctions.
+const OPEN_AUCTIONS_MAX: usize = 64;
 
-/// The parts of a bid: as it was heard, else as the record has them.
-fn parts(entry: &AuctionEntry, heard: Option<&Bid>) -> Option<Value> {
-    let parts = heard.map_or(&entry.parts, |bid| &bid.parts);
-    let known = heard.is_some() || !parts.is_empty();
+/// Returns the parts of a bid: as received, else from the record.
+fn parts(entry: &AuctionEntry, received: Option<&Bid>) -> Option<Value> {
+    let parts = received.map_or(&entry.parts, |bid| &bid.parts);
+    let known = received.is_some() || !parts.is_empty();
     known.then(|| serde_json::to_value(parts).ok()).flatten()
 }
 
@@ -30,39 +30,39 @@ impl FleetModel {
         }
     }
 
-    /// Members were asked: what was bid before is of no interest any more.
+    /// Opens a round: bids of former rounds are discarded.
     pub(super) fn open_auction(&mut self, mission: &str) {
         self.open_bids.insert(mission.to_owned(), vec![]);
-        while self.open_bids.len() > OPEN {
+        while self.open_bids.len() > OPEN_AUCTIONS_MAX {
             self.open_bids.pop_first();
         }
     }
 
     pub(super) fn add_bid(&mut self, mission: &str, bid: &Bid) {
-        let tenders = self.open_bids.entry(mission.to_owned()).or_default();
-        if tenders.len() < TENDERS {
-            tenders.push(bid.clone());
+        let bids = self.open_bids.entry(mission.to_owned()).or_default();
+        if bids.len() < BIDS_MAX {
+            bids.push(bid.clone());
         }
     }
 
     pub(super) fn apply_auction_record(&mut self, record: &AuctionRecord) {
         let mission = record.auction.mission.as_str();
-        // In the order in which they came: of missions by when they were closed.
+        // Rounds are ordered by mission, term and round; missions are dropped by closing time.
         let name = format!("{mission}#{}.{}", record.auction.term, record.auction.round);
-        // Only the bids themselves say where they start.
-        let bids_heard = |shown: &AuctionModel| shown.offers.iter().any(|offer| offer.from.is_some());
-        if self.auctions.get(&name).is_some_and(bids_heard) {
+        // Only the bids themselves contain the start place.
+        let has_received_bids = |shown: &AuctionModel| shown.offers.iter().any(|offer| offer.from.is_some());
+        if self.auctions.get(&name).is_some_and(has_received_bids) {
             return;
         }
-        let tenders = self.open_bids.get(mission).map_or(&[][..], Vec::as_slice);
+        let bids = self.open_bids.get(mission).map_or(&[][..], Vec::as_slice);
         let offers = record.entries.iter().map(|entry| {
-            let tender = tenders.iter().rfind(|bid| bid.robot == entry.robot && bid.role == entry.role);
+            let bid = bids.iter().rfind(|bid| bid.robot == entry.robot && bid.role == entry.role);
             let mut offer = RoleBid {
                 role: entry.role.to_string(),
                 robot: entry.robot.to_string(),
                 chosen: record.chosen.get(&entry.role) == Some(&entry.robot),
-                from: tender.map(|bid| bid.from.to_string()),
-                parts: parts(entry, tender),
+                from: bid.map(|bid| bid.from.to_string()),
+                parts: parts(entry, bid),
                 ..RoleBid::default()
             };
             let (word, price, why) = match &entry.verdict {

@@ -1,10 +1,11 @@
-//! What has changed between two JSON values, as a JSON merge patch (RFC 7396): members that are the same are left out,
-//! objects are compared by member, all else is replaced, and null takes a member away. So nulls cannot be sent as values;
-//! [`strip`] takes them out beforehand.
+//! The difference of two JSON values, as a JSON merge patch (RFC 7396): equal members are left out,
+//! objects are compared by member, everything else is replaced, and null removes a member. So nulls
+//! cannot be sent as values; [`strip_nulls`] removes them beforehand.
 
 use serde_json::{Map, Value};
 
-/// The patch that makes `after` of `before`; `None` if nothing has changed. Neither holds nulls.
+/// Returns the patch from `before` to `after`; `None` if nothing has changed. Neither contains
+/// nulls.
 pub fn between(before: &Value, after: &Value) -> Option<Value> {
     match (before, after) {
         (Value::Object(before), Value::Object(after)) => {
@@ -24,7 +25,8 @@ pub fn between(before: &Value, after: &Value) -> Option<Value> {
     }
 }
 
-/// Puts a member into `drawn`, or takes it away if it is null; and what has changed of it by that into `patch`.
+/// Replaces a member of `drawn`, or removes it if the value is null, and adds the change to
+/// `patch`.
 pub fn replace_member(drawn: &mut Map<String, Value>, patch: &mut Map<String, Value>, name: String, value: Value) {
     if value.is_null() {
         if drawn.remove(&name).is_some() {
@@ -42,7 +44,7 @@ pub fn replace_member(drawn: &mut Map<String, Value>, patch: &mut Map<String, Va
     }
 }
 
-/// Changes a value by a patch.
+/// Applies a patch to a value.
 pub fn apply(value: &mut Value, patch: &Value) {
     let Value::Object(changes) = patch else {
         *value = patch.clone();
@@ -61,7 +63,8 @@ pub fn apply(value: &mut Value, patch: &Value) {
     }
 }
 
-/// Takes out the members of objects that are null, at any depth. Those of lists stay: lists are replaced as a whole.
+/// Removes null members of objects, at any depth. Nulls in lists stay: lists are replaced as a
+/// whole.
 pub fn strip_nulls(value: &mut Value) {
     match value {
         Value::Object(members) => {
@@ -92,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn an_object_in_the_place_of_something_else_and_the_other_way_round() {
+    fn an_object_replaces_other_values_and_is_replaced_by_them() {
         for (before, after) in [
             (json!({ "a": 1 }), json!({ "a": { "b": 2 } })),
             (json!({ "a": { "b": 2 } }), json!({ "a": 1 })),
@@ -106,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn nulls_are_taken_out_at_any_depth() {
+    fn nulls_are_removed_at_any_depth() {
         let mut value = json!({ "a": null, "b": { "c": null, "d": [ { "e": null, "f": 1 } ] } });
         strip_nulls(&mut value);
         assert_eq!(value, json!({ "b": { "d": [ { "f": 1 } ] } }));

@@ -1,4 +1,4 @@
-//! What happens, taken in: into the log, and where it changes what is shown.
+//! Applies events: to the log, and to the state of missions, robots and auctions.
 
 use super::assignments;
 use super::state::{LogEntry, MissionModel, TaskBar};
@@ -8,15 +8,15 @@ use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::{MissionId, RoleId, TaskId};
 
 impl FleetModel {
-    /// Takes in an event.
+    /// Applies an event.
     pub fn apply_event(&mut self, event: &Event, now_ms: u64) {
-        self.enter(event);
+        self.add_to_log(event);
         let (node, at) = (event.node.as_str(), event.at_ms);
         match &event.kind {
             EventKind::Elected { term, .. } => {
                 if self.coordinator.as_ref().is_none_or(|known| known.term < *term) {
                     self.update_coordinator(&event.node, *term, now_ms, now_ms);
-                    self.reach.heard_ms = Some(now_ms);
+                    self.reachability.last_contact_ms = Some(now_ms);
                 }
             }
             EventKind::Submitted { mission, parameters } => {
@@ -26,7 +26,7 @@ impl FleetModel {
                 }
                 shown.parameters.clone_from(parameters);
             }
-            EventKind::Called { mission, .. } => self.open_auction(mission.as_str()),
+            EventKind::BidsRequested { mission, .. } => self.open_auction(mission.as_str()),
             EventKind::Bid { mission, bid } => self.add_bid(mission.as_str(), bid),
             EventKind::Closed { record, .. } => self.apply_auction_record(record),
             EventKind::Awarded { mission, holders, after_ms, .. } => {
@@ -48,27 +48,27 @@ impl FleetModel {
                 (shown.done, shown.steps) = (shown.done.max(*done as u64), *steps as u64);
             }
             EventKind::TaskBegan { mission, role, task } => {
-                self.mission(mission).begin(role, task, node, at);
-                self.at_task(node, Some((mission, task)));
+                self.mission(mission).begin_task(role, task, node, at);
+                self.set_task(node, Some((mission, task)));
             }
             EventKind::TaskEnded { mission, role, task } => {
-                self.mission(mission).end(role, task, node, at, "done");
-                self.at_task(node, None);
+                self.mission(mission).end_task(role, task, node, at, "done");
+                self.set_task(node, None);
             }
             EventKind::TaskFailed { mission, role, task, .. } => {
-                self.mission(mission).end(role, task, node, at, "failed");
-                self.at_task(node, None);
+                self.mission(mission).end_task(role, task, node, at, "failed");
+                self.set_task(node, None);
             }
             EventKind::Alternative { mission, role, task, .. } => {
-                self.mission(mission).end(role, task, node, at, "failed");
+                self.mission(mission).end_task(role, task, node, at, "failed");
             }
             EventKind::Halted { mission, role, reason } => {
                 let shown = self.mission(mission);
-                shown.break_off(role, node, at);
+                shown.abort_tasks(role, node, at);
                 if shown.is_assigned(role.as_str(), node) {
                     shown.end_assignment(role.as_str(), at, assignments::state_after(*reason));
                 }
-                self.at_task(node, None);
+                self.set_task(node, None);
             }
             EventKind::Started { mission, role, .. } => self.mission(mission).start_assignment(role.as_str(), node, at),
             EventKind::Suspended { mission, role } => self.mission(mission).set_suspended(role.as_str(), node, true),
@@ -82,11 +82,11 @@ impl FleetModel {
             | EventKind::Joined { .. }
             | EventKind::Left { .. }
             | EventKind::Sent { .. }
-            | EventKind::Heard { .. }
+            | EventKind::Received { .. }
             | EventKind::TaskRetried { .. }
             | EventKind::GaveUp { .. }
-            | EventKind::ChargeShort { .. }
-            | EventKind::Outdated { .. } => {}
+            | EventKind::LowCharge { .. }
+            | EventKind::StaleSignal { .. } => {}
         }
     }
 
@@ -98,7 +98,7 @@ impl FleetModel {
         })
     }
 
-    fn at_task(&mut self, robot: &str, at: Option<(&MissionId, &TaskId)>) {
+    fn set_task(&mut self, robot: &str, at: Option<(&MissionId, &TaskId)>) {
         let Some(shown) = self.robots.get_mut(&robot.to_owned()) else { return };
         shown.task = at.map(|(_, task)| task.to_string());
         if let Some((mission, _)) = at {
@@ -107,8 +107,8 @@ impl FleetModel {
         self.update_route(robot);
     }
 
-    fn enter(&mut self, event: &Event) {
-        let EventText { label: word, text, alarm } = describe_event(event);
+    fn add_to_log(&mut self, event: &Event) {
+        let EventText { label, text, alarm } = describe_event(event);
         let robot = match &event.kind {
             EventKind::Bid { bid, .. } => Some(bid.robot.to_string()),
             EventKind::Joined { member, .. } | EventKind::Left { member, .. } => Some(member.to_string()),
@@ -118,7 +118,7 @@ impl FleetModel {
             at_ms: event.at_ms,
             node: event.node.to_string(),
             kind: event.kind.as_str().to_owned(),
-            word: word.to_owned(),
+            label: label.to_owned(),
             text,
             mission: event.kind.mission().map(ToString::to_string),
             robot,
@@ -131,11 +131,11 @@ impl FleetModel {
 }
 
 impl MissionModel {
-    fn begin(&mut self, role: &RoleId, task: &TaskId, by: &str, at_ms: u64) {
+    fn begin_task(&mut self, role: &RoleId, task: &TaskId, by: &str, at_ms: u64) {
         let open = |bar: &&mut TaskBar| bar.to_ms.is_none() && bar.role == role.as_str() && bar.task == task.as_str();
         for bar in self.bars.iter_mut().filter(open) {
             bar.to_ms = Some(at_ms);
-            "broken off".clone_into(&mut bar.state);
+            "aborted".clone_into(&mut bar.state);
         }
         let (role, task, state) = (role.to_string(), task.to_string(), "running".to_owned());
         self.bars.push(TaskBar { role, task, by: by.to_owned(), from_ms: at_ms, to_ms: None, state });
@@ -144,26 +144,26 @@ impl MissionModel {
         }
     }
 
-    fn end(&mut self, role: &RoleId, task: &TaskId, by: &str, at_ms: u64, word: &str) {
+    fn end_task(&mut self, role: &RoleId, task: &TaskId, by: &str, at_ms: u64, state: &str) {
         let open = |bar: &&mut TaskBar| bar.to_ms.is_none() && bar.role == role.as_str() && bar.task == task.as_str();
         match self.bars.iter_mut().rev().find(open) {
             Some(bar) => {
                 bar.to_ms = Some(at_ms.max(bar.from_ms));
-                word.clone_into(&mut bar.state);
+                state.clone_into(&mut bar.state);
             }
-            // Its beginning was not heard.
+            // Its beginning was not received.
             None => {
-                self.begin(role, task, by, at_ms);
-                self.end(role, task, by, at_ms, word);
+                self.begin_task(role, task, by, at_ms);
+                self.end_task(role, task, by, at_ms, state);
             }
         }
     }
 
-    fn break_off(&mut self, role: &RoleId, by: &str, at_ms: u64) {
+    fn abort_tasks(&mut self, role: &RoleId, by: &str, at_ms: u64) {
         let open = |bar: &&mut TaskBar| bar.to_ms.is_none() && bar.role == role.as_str() && bar.by == by;
         for bar in self.bars.iter_mut().filter(open) {
             bar.to_ms = Some(at_ms);
-            "broken off".clone_into(&mut bar.state);
+            "aborted".clone_into(&mut bar.state);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The floor that a picture is drawn on.
+//! The floor plan of the model.
 
 use crate::fleet_model::delta;
 use crate::map_loader::LoadedMap;
@@ -8,7 +8,7 @@ use consort_skills::environment::Routes;
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// A map to draw, with the ways on it.
+/// A map to draw, with its routes.
 #[derive(Debug, Clone, Default)]
 pub struct FloorPlan {
     routes: Option<Routes>,
@@ -17,24 +17,25 @@ pub struct FloorPlan {
 }
 
 impl FloorPlan {
-    /// The plan of a map. One whose ways make no sense is drawn without routes.
+    /// Creates the plan of a map. A map with invalid lanes is drawn without routes.
     pub fn new(floor: &LoadedMap) -> FloorPlan {
         let mut shown = floor.to_json();
         delta::strip_nulls(&mut shown);
         FloorPlan { routes: Routes::new(&floor.topology).ok(), places: floor.topology.places.clone(), shown }
     }
 
-    /// What is drawn, as `view/map` has it.
+    /// Returns the map as JSON, as in `view/map`.
     pub(super) fn map_json(&self) -> &Value {
         &self.shown
     }
 
-    /// Where a place is.
+    /// Returns the position of a place.
     pub(super) fn pose_of(&self, name: &str) -> Option<Pose> {
         self.places.get(&PlaceId::new(name).ok()?).copied()
     }
 
-    /// The way of a body that stands at `pose` and passed `passed` last, as points; empty if there is none.
+    /// Returns the points of the route of a robot at `pose` that passed `passed` last; empty if
+    /// there is none.
     pub(super) fn route(&self, passed: &str, pose: Pose, to: &str) -> Vec<(f64, f64)> {
         let (Some(routes), Ok(passed), Ok(to)) = (&self.routes, PlaceId::new(passed), PlaceId::new(to)) else {
             return vec![];

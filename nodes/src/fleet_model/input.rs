@@ -1,4 +1,4 @@
-//! What a picture is made of, as values: so that what is heard of a fleet can be drawn at once, kept, and drawn again.
+//! Inputs of the fleet model, as values: they can be applied at once, recorded, and replayed.
 
 use super::FleetModel;
 use consort_protocol::event::Event;
@@ -7,45 +7,46 @@ use consort_protocol::message::Beacon;
 use consort_skills::actions::Telemetry;
 use serde_json::Value;
 
-/// Something heard of a fleet.
+/// An input from a fleet.
 #[derive(Debug, Clone, PartialEq)]
 pub enum FleetInput {
-    /// A node told what happened.
+    /// An event published by a node.
     Event(Box<Event>),
-    /// A body reported of itself.
+    /// Telemetry of a robot.
     Telemetry {
-        /// Whose body it is.
+        /// The robot.
         robot: String,
-        /// Its report.
+        /// The telemetry.
         telemetry: Telemetry,
     },
-    /// The coordinator gave a sign of life.
+    /// A coordinator's beacon.
     Beacon(Beacon),
-    /// So many other nodes are linked. Heard some times in a second, it is also how time passes.
+    /// Number of links to other nodes. Received several times per second, it also drives the
+    /// passing of time.
     Links(usize),
-    /// A node showed what it knows.
+    /// A view returned by a node.
     View {
-        /// Which view it is.
+        /// Key of the view.
         key: Key,
-        /// What it holds.
+        /// Content of the view.
         view: Value,
     },
 }
 
-/// Whoever is told what is heard of a fleet.
+/// A receiver of the inputs from a fleet.
 pub trait FleetListener: Send + Sync + 'static {
-    /// Takes in what was just heard.
+    /// Receives an input.
     fn on_input(&self, heard: FleetInput);
 
-    /// The missions whose own views are wanted, the most wanted first.
+    /// Returns the missions to query individually, the most important first.
     fn missions_to_query(&self) -> Vec<String>;
 
-    /// Whether the fleet's map is wanted.
+    /// Checks whether the fleet's map is needed.
     fn needs_map(&self) -> bool;
 }
 
 impl FleetModel {
-    /// Takes in what was heard. A picture depends on what it has taken in, and when, and on nothing else.
+    /// Applies an input. The model depends only on its inputs and their times.
     pub fn apply(&mut self, heard: &FleetInput, now_ms: u64) {
         match heard {
             FleetInput::Event(event) => self.apply_event(event, now_ms),

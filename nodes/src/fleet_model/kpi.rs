@@ -1,45 +1,46 @@
-//! Figures: how well the fleet does, as far as the picture knows.
+//! Key performance indicators of the fleet.
 
 use super::FleetModel;
 use super::state::{MissionModel, RobotModel};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Longest stretch of time that is counted as one: after a longer one nobody knows what the robots did meanwhile.
-const STRETCH_MAX_MS: u64 = 5000;
+/// Maximum time step that counts fully: the robots' state during a longer step is unknown.
+const STEP_MAX_MS: u64 = 5000;
 
-/// Figures of the missions that are known, and of the time since the picture was begun.
+/// Indicators of the known missions, and of the time since the model was created.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Kpis {
-    /// Missions known.
+    /// Known missions.
     pub missions: usize,
-    /// Carried out.
+    /// Completed missions.
     pub completed: usize,
-    /// Given up, or waiting for a rescue.
+    /// Failed missions, or missions that need intervention.
     pub failed: usize,
-    /// Withdrawn.
+    /// Canceled missions.
     pub canceled: usize,
-    /// Under way or waiting for robots.
+    /// Running missions, or missions that wait for robots.
     pub under_way: usize,
-    /// Share of the missions carried out, of those that ended and were not withdrawn.
+    /// Share of completed missions among those that ended and were not canceled.
     pub success: Option<f64>,
-    /// Median time from request to end of the missions carried out, in milliseconds, of those whose end was seen.
-    pub conclude_ms: Option<u64>,
+    /// Median time from request to end of completed missions with a known end, in milliseconds.
+    pub completion_ms: Option<u64>,
     /// Median time from request to award, in milliseconds.
     pub award_ms: Option<f64>,
-    /// Share of the time that robots in service had a role, since the picture was begun.
+    /// Share of the time in which robots in service had a role, since the model was created.
     pub utilisation: Option<f64>,
-    /// Robots in service that have a role now.
+    /// Robots in service with a role.
     pub busy: usize,
     /// Robots in service.
     pub in_service: usize,
-    /// Changes of the coordinator since the picture was begun.
+    /// Changes of the coordinator since the model was created.
     pub takeovers: usize,
-    /// How long the last of them took, in milliseconds, from the former one's last word.
+    /// Duration of the last change, in milliseconds, from the last message of the former
+    /// coordinator.
     pub takeover_ms: Option<u64>,
 }
 
-/// How much of their time robots had a role, in robot milliseconds.
+/// Time that robots had a role, in robot milliseconds.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Utilization {
     busy: u64,
@@ -48,13 +49,13 @@ pub(super) struct Utilization {
 }
 
 impl Utilization {
-    /// Time has passed.
+    /// Advances the time.
     pub(super) fn advance(&mut self, robots: &BTreeMap<String, RobotModel>, now_ms: u64) {
         if let Some(until) = self.until_ms {
-            let stretch = now_ms.saturating_sub(until).min(STRETCH_MAX_MS);
+            let step = now_ms.saturating_sub(until).min(STEP_MAX_MS);
             let (busy, in_service) = counts(robots);
-            self.busy += busy as u64 * stretch;
-            self.in_service += in_service as u64 * stretch;
+            self.busy += busy as u64 * step;
+            self.in_service += in_service as u64 * step;
         }
         self.until_ms = Some(now_ms);
     }
@@ -72,17 +73,17 @@ fn counts(robots: &BTreeMap<String, RobotModel>) -> (usize, usize) {
 }
 
 impl FleetModel {
-    /// The figures.
+    /// Returns the indicators.
     pub fn kpis(&self) -> Kpis {
         let count = |is: fn(&MissionModel) -> bool| self.missions.values().filter(|mission| is(mission)).count();
         let completed = count(|mission| mission.state == "completed");
         let canceled = count(|mission| mission.state == "canceled");
         let ended = count(|mission| mission.ended);
         let failed = ended - completed - canceled;
-        let judged = completed + failed;
+        let decided = completed + failed;
         let took = |mission: &MissionModel| Some(mission.ended_ms?.saturating_sub(mission.submitted_ms));
-        let concluded = self.missions.values().filter(|mission| mission.state == "completed").filter_map(took);
-        let awarded = self.missions.values().filter_map(|mission| mission.award_after_ms);
+        let completion_times = self.missions.values().filter(|mission| mission.state == "completed").filter_map(took);
+        let award_times = self.missions.values().filter_map(|mission| mission.award_after_ms);
         let (busy, in_service) = counts(&self.robots);
         let changes = || self.takeovers.iter().filter(|takeover| takeover.from.is_some());
         Kpis {
@@ -91,9 +92,9 @@ impl FleetModel {
             failed,
             canceled,
             under_way: self.missions.len() - ended,
-            success: (judged > 0).then(|| completed as f64 / judged as f64),
-            conclude_ms: median(concluded.map(|ms| ms as f64).collect()).map(|ms| ms.round() as u64),
-            award_ms: median(awarded.collect()),
+            success: (decided > 0).then(|| completed as f64 / decided as f64),
+            completion_ms: median(completion_times.map(|ms| ms as f64).collect()).map(|ms| ms.round() as u64),
+            award_ms: median(award_times.collect()),
             utilisation: self.utilization.share(),
             busy,
             in_service,

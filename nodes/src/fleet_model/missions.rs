@@ -1,4 +1,4 @@
-//! Missions, as the views tell of them.
+//! Applies views of missions.
 
 use super::state::{MissionModel, RoleModel};
 use super::update::{flag, list, number, text};
@@ -8,11 +8,11 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 
 impl FleetModel {
-    /// The missions whose own views would tell something new: first those under way, then those of which the plan is not
-    /// known; the latest first.
+    /// Returns the missions to query individually: first running missions, then missions without a
+    /// known plan; the latest first.
     pub fn missions_to_query(&self) -> Vec<String> {
-        let lacking = |mission: &MissionModel| !mission.ended || mission.tasks.is_none();
-        let mut wanted: Vec<_> = self.missions.iter().filter(|(_, mission)| lacking(mission)).collect();
+        let incomplete = |mission: &MissionModel| !mission.ended || mission.tasks.is_none();
+        let mut wanted: Vec<_> = self.missions.iter().filter(|(_, mission)| incomplete(mission)).collect();
         wanted.sort_by_key(|(_, mission)| (mission.ended, std::cmp::Reverse(mission.number)));
         wanted.into_iter().map(|(id, _)| id.clone()).collect()
     }
@@ -20,7 +20,7 @@ impl FleetModel {
     pub(super) fn apply_missions(&mut self, view: &Value, now_ms: u64) {
         for (index, brief) in (1..).zip(list(&view["missions"])) {
             let Some(id) = text(brief, "mission") else { continue };
-            // Nothing changes any more of what has ended, but that a rescue is closed.
+            // An ended mission changes no more, except when it is resolved.
             let is_known = |known: &MissionModel| {
                 known.ended && known.number > 0 && text(brief, "state") == Some(known.state.as_str())
             };
@@ -28,7 +28,7 @@ impl FleetModel {
                 continue;
             }
             let mission = self.missions.get_or_insert_with(id.to_owned(), MissionModel::default);
-            mission.take_brief(brief, now_ms);
+            mission.apply_brief(brief, now_ms);
             if mission.number == 0 {
                 mission.number = index;
             }
@@ -38,12 +38,12 @@ impl FleetModel {
 
     pub(super) fn apply_mission(&mut self, id: &str, view: &Value, now_ms: u64) {
         let mission = self.missions.get_or_insert_with(id.to_owned(), MissionModel::default);
-        mission.take_brief(view, now_ms);
+        mission.apply_brief(view, now_ms);
         if let Some(number) = number(view, "number") {
             mission.number = number;
         }
         mission.tasks = view.get("tasks").filter(|tasks| tasks.is_array()).cloned().or(mission.tasks.take());
-        let roles = list(&view["roles"]).filter_map(|role| Some((text(role, "role")?.to_owned(), role_shown(role))));
+        let roles = list(&view["roles"]).filter_map(|role| Some((text(role, "role")?.to_owned(), role_model(role))));
         let roles: BTreeMap<String, RoleModel> = roles.collect();
         if !roles.is_empty() {
             let held = roles.iter().filter_map(|(role, shown)| Some((role.clone(), shown.holder.clone()?)));
@@ -62,7 +62,7 @@ impl FleetModel {
         self.forget_old_missions();
     }
 
-    /// Of the missions that have ended only the latest are kept.
+    /// Keeps only the latest ended missions.
     fn forget_old_missions(&mut self) {
         let mut ended: Vec<(u64, String)> = self
             .missions
@@ -79,11 +79,12 @@ impl FleetModel {
 }
 
 impl MissionModel {
-    fn take_brief(&mut self, view: &Value, now_ms: u64) {
+    fn apply_brief(&mut self, view: &Value, now_ms: u64) {
         let state = serde_json::from_value::<MissionState>(view["detail"].clone());
         if let Ok(state) = &state {
-            // What has ended stays ended, whatever an older view says; only a rescue is still closed.
-            let ended_before = self.ended && self.state != "needs_rescue";
+            // An ended mission stays ended, whatever an older view contains; only a resolution
+            // still changes it.
+            let ended_before = self.ended && self.state != "needs_intervention";
             if !ended_before || state.is_final() {
                 self.apply_state(state, now_ms);
             }
@@ -99,31 +100,33 @@ impl MissionModel {
         }
         self.done = number(view, "done").unwrap_or(self.done);
         self.steps = number(view, "steps").unwrap_or(self.steps);
-        self.why_pending = text(view, "why_pending").map(str::to_owned).or(self.why_pending.take());
+        // Recordings of earlier releases use the name `why_pending`.
+        let reason = text(view, "pending_reason").or_else(|| text(view, "why_pending"));
+        self.pending_reason = reason.map(str::to_owned).or(self.pending_reason.take());
         if self.state != "pending" {
-            self.why_pending = None;
+            self.pending_reason = None;
         }
         self.items = view.get("items").filter(|items| list(items).next().is_some()).cloned();
         self.submitted_ms = number(view, "submitted_at_ms").unwrap_or(self.submitted_ms);
     }
 
-    /// Takes in how the mission stands. When it ended is known only to who was there: of a mission that is first seen ended
-    /// it stays open.
+    /// Applies the mission's state. The end time is known only if the end was observed; a mission
+    /// that is first seen ended has no end time.
     pub(super) fn apply_state(&mut self, state: &MissionState, at_ms: u64) {
-        let seen_under_way = !self.state.is_empty() && !self.ended;
+        let seen_running = !self.state.is_empty() && !self.ended;
         state.as_str().clone_into(&mut self.state);
         self.cause = match state {
-            MissionState::Failed { cause } | MissionState::NeedsRescue { cause, .. } => Some(cause.clone()),
+            MissionState::Failed { cause } | MissionState::NeedsIntervention { cause, .. } => Some(cause.clone()),
             MissionState::Canceled { by } => Some(format!("by {by}")),
             MissionState::Pending | MissionState::Running | MissionState::Completed => None,
         };
         if state.is_final() {
-            if seen_under_way {
+            if seen_running {
                 self.ended_ms.get_or_insert(at_ms);
             }
             for bar in self.bars.iter_mut().filter(|bar| bar.to_ms.is_none()) {
                 bar.to_ms = Some(at_ms);
-                "broken off".clone_into(&mut bar.state);
+                "aborted".clone_into(&mut bar.state);
             }
             self.end_all_assignments(at_ms, *state == MissionState::Completed);
         }
@@ -131,7 +134,7 @@ impl MissionModel {
     }
 }
 
-fn role_shown(role: &Value) -> RoleModel {
+fn role_model(role: &Value) -> RoleModel {
     let phase = &role["phase"];
     let phase = phase.as_str().map(str::to_owned).or_else(|| phase.as_object()?.keys().next().cloned());
     let own = |key: &str| text(role, key).map(str::to_owned);

@@ -1,13 +1,13 @@
-//! The fleet as it is known at one place: values in, values out. The dashboard shows it, and so may whatever else wants to
-//! show a fleet, live or recorded: nothing here knows a bus, a server or a clock.
+//! A model of the fleet as seen by an observer: inputs are applied, and JSON is rendered. It serves
+//! the dashboard and any other live or recorded display. It uses no bus, server or clock.
 //!
 //! ```text
-//!  views, events, body states, beacons ──▶ Picture ──▶ value() ──▶ delta::between(before, after) ──▶ whoever looks on
+//!  views, events, telemetry, beacons ──▶ FleetModel ──▶ to_json() ──▶ delta::between(before, after) ──▶ clients
 //! ```
 //!
-//! Instants are milliseconds of a wall clock, and go by names that end in `_ms`; where something was heard of, the picture
-//! has the instant and not its age, so that a thing of which nothing new is heard does not change. Everything is bounded:
-//! see the constants of [`bounds`].
+//! Instants are milliseconds of a wall clock, with names that end in `_ms`. The model stores the
+//! instant of the last contact and not its age, so that it does not change without new inputs. All
+//! collections are bounded: see the constants of [`bounds`].
 
 mod assignments;
 mod auctions;
@@ -35,38 +35,40 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 use tracked::TrackedMap;
 
-/// How much a picture holds.
+/// Size limits of the model.
 pub mod bounds {
     /// Events in the log.
     pub const EVENTS: usize = 500;
-    /// Missions that have ended, the latest.
+    /// Latest ended missions.
     pub const ENDED_MISSIONS: usize = 300;
-    /// Rounds of auctions, the latest.
+    /// Latest rounds of auctions.
     pub const AUCTIONS: usize = 60;
-    /// Bars of one mission on the chart.
+    /// Bars of a mission on the chart.
     pub const BARS: usize = 200;
     /// Changes of the coordinator.
     pub const TAKEOVERS: usize = 50;
-    /// What is the matter.
+    /// Health findings.
     pub const FINDINGS: usize = 50;
-    /// Nodes, robots and people, each; a fleet of more is shown in part.
+    /// Nodes, robots and people, each; a larger fleet is shown in part.
     pub const NODES: usize = 2000;
 }
 
-/// After this long without a word of a coordinator, its place counts as silent, in milliseconds: a dozen of its beacons.
+/// Time without a beacon after which the coordinator counts as lost, in milliseconds: about a dozen
+/// beacons.
 pub const NO_COORDINATOR_AFTER_MS: u64 = 3000;
 
-/// The fleet as known.
+/// The fleet as seen by an observer.
 #[derive(Debug, Clone, Default)]
 pub struct FleetModel {
     fleet: String,
-    /// At which node it is drawn.
+    /// The observing node.
     node: String,
     plan: FloorPlan,
     since_ms: u64,
-    /// Whether what hardly ever changes may have, since it was drawn: fleet, node and map.
+    /// True if the rarely changing parts may have changed since the last rendering: fleet, node and
+    /// map.
     static_fields_changed: bool,
-    reach: Reachability,
+    reachability: Reachability,
     coordinator: Option<CoordinatorModel>,
     takeovers: Vec<Takeover>,
     nodes: TrackedMap<String, NodeModel>,
@@ -75,36 +77,45 @@ pub struct FleetModel {
     doors: TrackedMap<String, String>,
     missions: TrackedMap<String, MissionModel>,
     auctions: TrackedMap<String, AuctionModel>,
-    /// Bids heard of auctions that have not been closed, with their parts, by mission.
+    /// Bids received in open auctions, with their parts, by mission.
     open_bids: BTreeMap<String, Vec<consort_protocol::auction::Bid>>,
     ensembles: TrackedMap<String, EnsembleModel>,
-    /// What is the matter, the worst first.
+    /// Health findings, the worst first.
     health: Vec<HealthFinding>,
     log: TrackedMap<u64, LogEntry>,
-    /// Events logged so far.
+    /// Number of logged events.
     log_count: u64,
-    /// When each view was last heard, by its name.
+    /// Time of each view's content, by the view's name.
     views: BTreeMap<String, u64>,
     utilization: kpi::Utilization,
     world_rate: assignments::WorldRate,
 }
 
 impl FleetModel {
-    /// A picture of nothing yet, of this fleet, drawn at this node from `now_ms` on.
+    /// Creates an empty model of a fleet, observed at a node from `now_ms` on.
     pub fn new(fleet: impl Into<String>, node: impl Into<String>, plan: FloorPlan, now_ms: u64) -> FleetModel {
-        let reach = Reachability { state: ReachabilityState::Silent, links: 0, since_ms: now_ms, heard_ms: None };
-        FleetModel { fleet: fleet.into(), node: node.into(), plan, since_ms: now_ms, reach, ..FleetModel::default() }
+        let reachability =
+            Reachability { state: ReachabilityState::NoCoordinator, links: 0, since_ms: now_ms, last_contact_ms: None };
+        FleetModel {
+            fleet: fleet.into(),
+            node: node.into(),
+            plan,
+            since_ms: now_ms,
+            reachability,
+            ..FleetModel::default()
+        }
     }
 
-    /// The whole, as JSON: objects, named by ids wherever there are several of a kind, and no nulls.
+    /// Returns the complete model as JSON: objects, named by ids, and no nulls.
     pub fn to_json(&self) -> Value {
         let mut drawn = Value::Null;
         self.clone().render_patch(&mut drawn);
         drawn
     }
 
-    /// Brings `drawn`, which this was drawn to before, up to date, and says what has changed since, as a patch (see
-    /// [`delta`]). Anything but an object counts as drawn never before. Only what has been touched since is looked at.
+    /// Updates `drawn`, a former rendering of this model, and returns the changes as a patch (see
+    /// [`delta`]). Any value but an object counts as not rendered yet. Only changed parts are
+    /// rendered.
     pub fn render_patch(&mut self, drawn: &mut Value) -> Option<Value> {
         if !drawn.is_object() {
             *drawn = json!({});
@@ -125,7 +136,7 @@ impl FleetModel {
             );
         }
         renew(json!({
-            "reach": self.reach,
+            "reachability": self.reachability,
             "coordinator": self.coordinator,
             "takeovers": self.takeovers,
             "health": self.health,
@@ -143,7 +154,7 @@ impl FleetModel {
         (!patch.is_empty()).then_some(Value::Object(patch))
     }
 
-    /// Counts everything as changed since it was drawn: this is not the picture that was.
+    /// Marks everything as changed: the model was replaced.
     pub(crate) fn mark_all_changed(&mut self) {
         self.static_fields_changed = true;
         self.nodes.mark_all_changed();
@@ -156,63 +167,63 @@ impl FleetModel {
         self.log.mark_all_changed();
     }
 
-    /// The missions, by id.
+    /// Returns the missions, by id.
     pub fn missions(&self) -> &BTreeMap<String, MissionModel> {
         &self.missions
     }
 
-    /// The robots, by name.
+    /// Returns the robots, by name.
     pub fn robots(&self) -> &BTreeMap<String, RobotModel> {
         &self.robots
     }
 
-    /// How the fleet is reached.
-    pub fn reach(&self) -> &Reachability {
-        &self.reach
+    /// Returns the reachability of the fleet.
+    pub fn reachability(&self) -> &Reachability {
+        &self.reachability
     }
 
-    /// Who coordinates, as far as was heard.
+    /// Returns the last known coordinator.
     pub fn coordinator(&self) -> Option<&CoordinatorModel> {
         self.coordinator.as_ref()
     }
 
-    /// The changes of the coordinator, oldest first.
+    /// Returns the changes of the coordinator, oldest first.
     pub fn takeovers(&self) -> &[Takeover] {
         &self.takeovers
     }
 
-    /// The log, by number.
+    /// Returns the log, by number.
     pub fn log(&self) -> &BTreeMap<u64, LogEntry> {
         &self.log
     }
 
-    /// The people, by name.
+    /// Returns the people, by name.
     pub fn people(&self) -> &BTreeMap<String, PersonModel> {
         &self.people
     }
 
-    /// How automatic doors stand, by name: `closed`, `opening`, `open` or `closing`.
+    /// Returns the states of automatic doors, by name: `closed`, `opening`, `open` or `closing`.
     pub fn doors(&self) -> &BTreeMap<String, String> {
         &self.doors
     }
 
-    /// The auctions, by mission, term and round.
+    /// Returns the auctions, by mission, term and round.
     pub fn auctions(&self) -> &BTreeMap<String, AuctionModel> {
         &self.auctions
     }
 
-    /// What is the matter with the fleet, as the nearest node judges, the worst first.
+    /// Returns the health findings of the nearest node, the worst first.
     pub fn health(&self) -> &[HealthFinding] {
         &self.health
     }
 
-    /// The ensembles, by name.
+    /// Returns the ensembles, by name.
     pub fn ensembles(&self) -> &BTreeMap<String, EnsembleModel> {
         &self.ensembles
     }
 }
 
-/// Draws one section anew, where something in it was touched.
+/// Renders a section again, if any member has changed.
 fn section<K: Ord + Clone + Display, V: Serialize>(
     name: &str,
     members: &mut TrackedMap<K, V>,

@@ -1,96 +1,97 @@
-//! What a picture is made of.
+//! Parts of the fleet model, as serialised for clients.
 
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// How the fleet is reached from where the picture is drawn.
+/// Reachability of the fleet from the observing node.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Reachability {
-    /// In a word.
+    /// The state.
     pub state: ReachabilityState,
-    /// Links to other nodes.
+    /// Number of links to other nodes.
     pub links: usize,
-    /// Since when it is so.
+    /// Start of this state.
     pub since_ms: u64,
-    /// When a coordinator was last heard.
-    pub heard_ms: Option<u64>,
+    /// Time of the last contact with a coordinator.
+    pub last_contact_ms: Option<u64>,
 }
 
-/// Whether what is shown is up to date.
+/// State of the connection to the fleet.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ReachabilityState {
-    /// A coordinator is heard.
-    Whole,
-    /// Other nodes are linked, and none of them coordinates.
+    /// A coordinator is reachable.
+    Connected,
+    /// Other nodes are linked, but no coordinator is reachable.
     #[default]
-    Silent,
-    /// Nobody is linked, and no coordinator is heard.
-    Alone,
+    NoCoordinator,
+    /// No node is linked.
+    Isolated,
 }
 
-/// Who coordinates.
+/// The coordinator.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct CoordinatorModel {
     /// The node.
     pub node: String,
     /// Its term.
     pub term: u64,
-    /// Since when.
+    /// Start of its leadership.
     pub since_ms: u64,
-    /// When a majority of the voters last acknowledged it.
+    /// Time of the last acknowledgement by a majority of the voters.
     pub quorum_ms: Option<u64>,
-    /// Who keeps the ledger.
+    /// Voters of the ledger.
     pub voters: Vec<String>,
-    /// Who follows without a vote.
+    /// Learners of the ledger.
     pub observers: Vec<String>,
-    /// Voters that are gone for good.
+    /// Permanently lost voters.
     pub voters_lost: Vec<String>,
 }
 
-/// A node began to coordinate.
+/// A change of the coordinator.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Takeover {
-    /// When.
+    /// Time of the change.
     pub at_ms: u64,
-    /// Who.
+    /// The new coordinator.
     pub node: String,
     /// Its term.
     pub term: u64,
-    /// Who coordinated before, if that is known.
+    /// The former coordinator, if known.
     pub from: Option<String>,
-    /// From the last word of the former coordinator to the first of the next, in milliseconds.
+    /// Time from the last message of the former coordinator to the first message of the next, in
+    /// milliseconds.
     pub gap_ms: Option<u64>,
 }
 
 /// A node.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct NodeModel {
-    /// Whether it is judged alive.
+    /// True if it counts as alive.
     pub alive: bool,
-    /// How it is judged, in a word.
+    /// Its membership status.
     pub status: String,
-    /// When it was last heard of.
-    pub heard_ms: u64,
-    /// Whether it may keep the ledger.
+    /// Time of the last contact.
+    pub last_contact_ms: u64,
+    /// True if it may become a voter.
     pub may_vote: bool,
-    /// Whether it stays where it is.
+    /// True if it does not move.
     pub stationary: bool,
-    /// Whether it lives on mains power.
+    /// True if it runs on mains power.
     pub mains_powered: bool,
-    /// Whether it is about to leave for good.
+    /// True if it is being decommissioned.
     pub leaving: bool,
-    /// Whether it has a robot.
+    /// True if it has a robot.
     pub robot: bool,
 }
 
 /// A robot.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct RobotModel {
-    /// Whether its node is judged alive.
+    /// True if its node counts as alive.
     pub alive: bool,
-    /// The place it stands at, or passed last.
+    /// The current place, or the last passed place.
     pub place: String,
     /// Metres to the east of the map's origin.
     pub x: f64,
@@ -102,42 +103,42 @@ pub struct RobotModel {
     pub battery: f64,
     /// Charge below which it takes no work, as a share.
     pub useful_charge: f64,
-    /// Whether it can move.
-    pub able: bool,
+    /// True if it can move.
+    pub can_move: bool,
     /// `free`, `holding`, `suspended` or `out_of_service`.
     pub availability: String,
-    /// Why it is out of service.
+    /// Reason for being out of service.
     pub problem: Option<String>,
-    /// The mission it works for.
+    /// The current mission.
     pub mission: Option<String>,
-    /// Its role there.
+    /// The role in the mission.
     pub role: Option<String>,
-    /// The task it is at.
+    /// The current task.
     pub task: Option<String>,
-    /// Where it drives to.
+    /// The destination.
     pub destination: Option<String>,
-    /// The way there: points in metres.
+    /// Points of the route, in metres.
     pub route: Vec<(f64, f64)>,
     /// Its average speed in metres per second.
     pub speed: Option<f64>,
-    /// What it can do.
+    /// The skills.
     pub skills: Vec<String>,
-    /// When its node was last heard of.
-    pub heard_ms: u64,
-    /// When its body was last heard of.
-    pub body_ms: Option<u64>,
+    /// Time of the last contact with its node.
+    pub last_contact_ms: u64,
+    /// Time of the last telemetry.
+    pub telemetry_ms: Option<u64>,
 }
 
 /// A person.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct PersonModel {
-    /// The role they play.
+    /// The role in missions.
     pub role: String,
-    /// Where they stay.
+    /// The place.
     pub place: String,
-    /// Whether they have left it.
+    /// True if the person has left the place.
     pub away: bool,
-    /// What they have to hand over.
+    /// Samples to hand over.
     pub samples: Vec<String>,
     /// Metres to the east of the map's origin, if the place is on the map.
     pub x: Option<f64>,
@@ -148,48 +149,48 @@ pub struct PersonModel {
 /// A mission.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct MissionModel {
-    /// In which order it was submitted.
+    /// Sequence number of the submission.
     pub number: u64,
-    /// How it stands, in a word.
+    /// The state.
     pub state: String,
-    /// Why it failed, who withdrew it, what is to be rescued.
+    /// Reason of the failure or cancellation, or the needed intervention.
     pub cause: Option<String>,
-    /// Whether the fleet does nothing more about it.
+    /// True if the fleet does no more work on it.
     pub ended: bool,
-    /// Higher is served first.
+    /// Priority; higher is served first.
     pub priority: i64,
-    /// When it should be done.
+    /// The deadline.
     pub deadline_ms: Option<u64>,
-    /// Which of its trees is carried out: `main` or `recovery`.
+    /// The executed tree: `main` or `recovery`.
     pub branch: String,
-    /// What the request filled in.
+    /// Parameters of the request.
     pub parameters: BTreeMap<String, String>,
-    /// Who has which role.
+    /// Robot of each role.
     pub holders: BTreeMap<String, String>,
-    /// Steps ended.
+    /// Finished steps.
     pub done: u64,
-    /// Steps in all.
+    /// Total steps.
     pub steps: u64,
-    /// Why no robots have it yet.
-    pub why_pending: Option<String>,
-    /// What robots have in their keeping.
+    /// Reason why it is still pending.
+    pub pending_reason: Option<String>,
+    /// Items in robots' hands.
     pub items: Option<Value>,
-    /// When it was acknowledged.
+    /// Time of the acknowledgement.
     pub submitted_ms: u64,
-    /// When its roles were first given.
+    /// Time of the first award.
     pub awarded_ms: Option<u64>,
-    /// From the request to the award, in milliseconds.
+    /// Time from the request to the award, in milliseconds.
     pub award_after_ms: Option<f64>,
-    /// When it ended.
+    /// Time of the end.
     pub ended_ms: Option<u64>,
     /// Its roles.
     pub roles: BTreeMap<String, RoleModel>,
-    /// The tree: tasks, the first is the root, children by their indices.
+    /// The tree: a list of tasks; the first is the root, children are indices.
     pub tasks: Option<Value>,
-    /// What was done when, as far as it was heard.
+    /// Task bars of the chart, as far as received.
     pub bars: Vec<TaskBar>,
-    /// Who had which role when, as far as it was heard.
-    pub tenures: Vec<RoleAssignment>,
+    /// Role assignments over time, as far as received.
+    pub assignments: Vec<RoleAssignment>,
 }
 
 /// A role of a mission.
@@ -197,13 +198,13 @@ pub struct MissionModel {
 pub struct RoleModel {
     /// `managed` or `unmanaged`.
     pub kind: String,
-    /// How far it is, in a word.
+    /// The phase.
     pub phase: String,
-    /// Who has it.
+    /// The holder.
     pub holder: Option<String>,
-    /// By which award.
+    /// The epoch of the award.
     pub epoch: Option<String>,
-    /// Its plan: each step with type, label and whether it is done.
+    /// The plan: each step with type, label and whether it is done.
     pub steps: Option<Value>,
 }
 
@@ -214,44 +215,45 @@ pub struct TaskBar {
     pub role: String,
     /// The task.
     pub task: String,
-    /// Who does it.
+    /// The robot or person.
     pub by: String,
-    /// When it began.
+    /// Start.
     pub from_ms: u64,
-    /// When it ended.
+    /// End.
     pub to_ms: Option<u64>,
     /// `running`, `done`, `failed`, or `broken off`.
     pub state: String,
 }
 
-/// A robot's time in a role.
+/// The assignment of a role to a robot, with its times.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct RoleAssignment {
     /// The role.
     pub role: String,
     /// The robot.
     pub by: String,
-    /// When it got the role, or when that was first heard.
+    /// Start of the assignment, or the time when it was first seen.
     pub from_ms: u64,
-    /// When it no longer had it.
+    /// End of the assignment.
     pub to_ms: Option<u64>,
     /// `at work`, `suspended`, `carried out`, `given up` or `broken off`.
     pub state: String,
-    /// How long the robot had said it would take, in milliseconds at the pace of its world, if both are known.
+    /// Planned duration by the robot's bid, in milliseconds at the speed of its world, if both are
+    /// known.
     pub planned_ms: Option<u64>,
 }
 
-/// Something that is the matter with the fleet, or that nothing is.
+/// A health finding of the fleet.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct HealthFinding {
     /// `ok`, `warning` or `error`.
     pub level: String,
-    /// What it is about.
+    /// Subject of the finding.
     pub about: String,
-    /// The node, robot or mission, if it is about one.
+    /// The node, robot or mission, if there is any.
     pub name: Option<String>,
-    /// What, in words.
-    pub says: String,
+    /// Description.
+    pub text: String,
 }
 
 /// A round of an auction.
@@ -261,13 +263,13 @@ pub struct AuctionModel {
     pub mission: String,
     /// The coordinator's term.
     pub term: u64,
-    /// Which round.
+    /// The round.
     pub round: u64,
-    /// When it was closed.
+    /// Closing time.
     pub at_ms: u64,
-    /// Who was chosen.
+    /// The assignment, by role.
     pub chosen: BTreeMap<String, String>,
-    /// Why nobody was.
+    /// Reason if no robot was assigned.
     pub failure: Option<String>,
     /// Answers left out of the record.
     pub omitted: u64,
@@ -275,7 +277,7 @@ pub struct AuctionModel {
     pub offers: Vec<RoleBid>,
 }
 
-/// A robot's answer for a role.
+/// A robot's bid or refusal for a role.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct RoleBid {
     /// The role.
@@ -284,7 +286,7 @@ pub struct RoleBid {
     pub robot: String,
     /// `bid`, `unviable` or `refused`.
     pub verdict: String,
-    /// Whether it won.
+    /// True if it won.
     pub chosen: bool,
     /// Time for the plan, in seconds.
     pub time_s: Option<f64>,
@@ -292,46 +294,46 @@ pub struct RoleBid {
     pub energy: Option<f64>,
     /// Charge left, as a share.
     pub remaining: Option<f64>,
-    /// Why not.
+    /// Reason if it was not accepted.
     pub why: Option<String>,
-    /// Where the estimate began.
+    /// Start place of the estimate.
     pub from: Option<String>,
     /// The parts of the price: label, skill, time and energy.
     pub parts: Option<Value>,
 }
 
-/// An ensemble: each node and, if it is none, why it is no member.
+/// An ensemble: members, and other nodes with the reason.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct EnsembleModel {
-    /// What must be true of a member, as expressions of the fleet file.
+    /// Membership conditions, as expressions of the fleet file.
     pub membership: Vec<String>,
-    /// Skills of which it asks.
+    /// Required skills.
     pub skills: Vec<String>,
-    /// Whoever was heard longer ago than this is no member, in milliseconds.
+    /// Nodes without contact for longer than this are not members, in milliseconds.
     pub stale_after_ms: Option<u64>,
     /// Members.
     pub members: Vec<String>,
-    /// Those who are none, each with the reason.
-    pub others: BTreeMap<String, String>,
+    /// Other nodes, each with the reason.
+    pub non_members: BTreeMap<String, String>,
 }
 
 /// An event in the log.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct LogEntry {
-    /// When, by the clock of the node where it happened.
+    /// Time by the clock of the publishing node.
     pub at_ms: u64,
-    /// Where it happened.
+    /// The publishing node.
     pub node: String,
-    /// What kind of event: its name in the stream.
+    /// Kind of event: its name in the stream.
     pub kind: String,
-    /// The same in a word for people.
-    pub word: String,
-    /// What happened, in words.
+    /// Label of the kind, for people.
+    pub label: String,
+    /// Description.
     pub text: String,
-    /// The mission it is about.
+    /// The mission, if any.
     pub mission: Option<String>,
-    /// The robot it is about.
+    /// The robot, if any.
     pub robot: Option<String>,
-    /// Whether somebody should look at it.
+    /// True if the event needs attention.
     pub alarm: bool,
 }

@@ -1,5 +1,5 @@
-//! Maps that know which of their members may have changed since they were last drawn: a fleet of hundreds is drawn some times
-//! in a second, and of most of it nothing new is heard in between.
+//! Maps that track changed members since the last rendering: a fleet of hundreds is rendered
+//! several times per second, and most of it is unchanged.
 
 use super::delta;
 use serde::Serialize;
@@ -8,18 +8,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::ops::Deref;
 
-/// A map to be looked at as any other; whatever may change a member takes a note of it.
+/// A map that tracks changes; every access that may change a member marks it.
 #[derive(Debug, Clone)]
 pub(super) struct TrackedMap<K, V> {
     members: BTreeMap<K, V>,
-    /// Those that may have changed, among them some that are gone; without a list it may be any. A list that grew longer than
-    /// the members are is of no use: nobody may look for days.
-    touched: Option<BTreeSet<K>>,
+    /// Members that may have changed or were removed; `None` if any may have changed. A list longer
+    /// than the map is useless and is dropped: there may be no client for days.
+    changed: Option<BTreeSet<K>>,
 }
 
 impl<K, V> Default for TrackedMap<K, V> {
     fn default() -> TrackedMap<K, V> {
-        TrackedMap { members: BTreeMap::new(), touched: Some(BTreeSet::new()) }
+        TrackedMap { members: BTreeMap::new(), changed: Some(BTreeSet::new()) }
     }
 }
 
@@ -33,25 +33,25 @@ impl<K, V> Deref for TrackedMap<K, V> {
 
 impl<K: Ord + Clone, V> TrackedMap<K, V> {
     pub(super) fn insert(&mut self, name: K, value: V) {
-        self.touch(name.clone());
+        self.mark_changed(name.clone());
         self.members.insert(name, value);
     }
 
     pub(super) fn remove(&mut self, name: &K) {
-        self.touch(name.clone());
+        self.mark_changed(name.clone());
         self.members.remove(name);
     }
 
-    /// A member, to be changed; made if it is not there.
+    /// Returns a member for changing; created if missing.
     pub(super) fn get_or_insert_with(&mut self, name: K, make: impl FnOnce() -> V) -> &mut V {
-        self.touch(name.clone());
+        self.mark_changed(name.clone());
         self.members.entry(name).or_insert_with(make)
     }
 
-    /// A member, to be changed if it is there.
+    /// Returns an existing member for changing.
     pub(super) fn get_mut(&mut self, name: &K) -> Option<&mut V> {
         if self.members.contains_key(name) {
-            self.touch(name.clone());
+            self.mark_changed(name.clone());
         }
         self.members.get_mut(name)
     }
@@ -62,7 +62,7 @@ impl<K: Ord + Clone, V> TrackedMap<K, V> {
         gone.iter().for_each(|name| self.remove(name));
     }
 
-    /// Puts other members in the place of all there are.
+    /// Replaces all members.
     pub(super) fn replace(&mut self, members: BTreeMap<K, V>)
     where
         V: PartialEq,
@@ -75,35 +75,36 @@ impl<K: Ord + Clone, V> TrackedMap<K, V> {
         }
     }
 
-    /// Keeps the last `most` in the order of their names.
+    /// Keeps the last `most` members in the order of their names.
     pub(super) fn keep_last(&mut self, most: usize) {
         while self.members.len() > most {
             let Some((first, _)) = self.members.pop_first() else { return };
-            self.touch(first);
+            self.mark_changed(first);
         }
     }
 
-    /// Counts every member as changed.
+    /// Marks every member as changed.
     pub(super) fn mark_all_changed(&mut self) {
-        self.touched = None;
+        self.changed = None;
     }
 
-    fn touch(&mut self, name: K) {
-        if let Some(touched) = &mut self.touched {
-            touched.insert(name);
-            if touched.len() > self.members.len() + 1 {
-                self.touched = None;
+    fn mark_changed(&mut self, name: K) {
+        if let Some(changed) = &mut self.changed {
+            changed.insert(name);
+            if changed.len() > self.members.len() + 1 {
+                self.changed = None;
             }
         }
     }
 }
 
 impl<K: Ord + Clone + Display, V: Serialize> TrackedMap<K, V> {
-    /// Brings what was drawn up to date, and says what has changed, as a patch. From here on nothing counts as changed.
+    /// Updates the former rendering, and returns the changes as a patch. Afterwards no member
+    /// counts as changed.
     pub(super) fn render_patch(&mut self, drawn: &mut Map<String, Value>) -> Option<Value> {
         let named = |name: &K| (name.to_string(), self.members.get(name));
-        let due: BTreeMap<String, Option<&V>> = match self.touched.replace(BTreeSet::new()) {
-            Some(touched) => touched.iter().map(named).collect(),
+        let due: BTreeMap<String, Option<&V>> = match self.changed.replace(BTreeSet::new()) {
+            Some(changed) => changed.iter().map(named).collect(),
             None => drawn.keys().map(|name| (name.clone(), None)).chain(self.members.keys().map(named)).collect(),
         };
         let mut patch = Map::new();
@@ -122,7 +123,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn only_what_was_touched_is_drawn_and_only_what_differs_is_told() {
+    fn only_changed_members_are_rendered_and_only_differences_sent() {
         let mut tracked = TrackedMap::default();
         let mut drawn = Map::new();
         tracked.insert("ada", json!({ "x": 1, "y": 2, "gone": null }));
@@ -137,7 +138,7 @@ mod tests {
         assert_eq!(tracked.render_patch(&mut drawn), Some(json!({ "ada": { "y": 5 }, "bob": null, "cyd": {} })));
         assert_eq!(Value::Object(drawn.clone()), json!({ "ada": { "x": 1, "y": 5 }, "cyd": {} }));
 
-        // Touched, and as before.
+        // Marked, but unchanged.
         tracked.get_mut(&"ada");
         assert_eq!(tracked.render_patch(&mut drawn), None);
         tracked.replace([("ada", json!({ "x": 1, "y": 5 })), ("dot", json!(1))].into());
@@ -149,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_drawn_of_others_becomes_what_there_is() {
+    fn a_rendering_of_another_map_is_brought_up_to_date() {
         let mut tracked = TrackedMap::default();
         tracked.insert("ada", json!({ "x": 1, "y": 2 }));
         let Value::Object(mut drawn) = json!({ "ada": { "x": 1, "y": 3 }, "bob": {} }) else { return };
@@ -159,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_is_noted_than_there_is_though_nobody_looks() {
+    fn the_list_of_changes_is_bounded_without_rendering() {
         let mut tracked = TrackedMap::default();
         let mut drawn = Map::new();
         tracked.insert(0, json!(0));
@@ -167,11 +168,11 @@ mod tests {
         for number in 1..1000 {
             tracked.insert(number, json!(number));
             tracked.keep_last(10);
-            assert!(tracked.touched.as_ref().is_none_or(|touched| touched.len() <= 11));
+            assert!(tracked.changed.as_ref().is_none_or(|changed| changed.len() <= 11));
         }
         let patch = tracked.render_patch(&mut drawn).unwrap();
         assert_eq!((patch["0"].clone(), patch["999"].clone(), drawn.len()), (Value::Null, json!(999), 10));
         tracked.insert(1000, json!(0));
-        assert_eq!(tracked.render_patch(&mut drawn), Some(json!({ "1000": 0 })), "from then on single ones again");
+        assert_eq!(tracked.render_patch(&mut drawn), Some(json!({ "1000": 0 })), "afterwards single changes again");
     }
 }

@@ -1,4 +1,4 @@
-//! What is heard of the fleet, taken in.
+//! Applies views, beacons, links and telemetry to the model.
 
 use super::state::{
     CoordinatorModel, EnsembleModel, HealthFinding, NodeModel, PersonModel, ReachabilityState, RobotModel, Takeover,
@@ -14,7 +14,7 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 
 impl FleetModel {
-    /// Takes in a view, as any node answers it. What is not there, or not as expected, changes nothing.
+    /// Applies a view, as returned by any node. Missing or unexpected parts change nothing.
     pub fn apply_view(&mut self, key: &Key, view: &Value, now_ms: u64) {
         match key {
             Key::ViewFleet => self.take_fleet(view, now_ms),
@@ -27,16 +27,16 @@ impl FleetModel {
             Key::ViewMap => self.take_map(view),
             _ => return,
         }
-        // Each mission has its time with the list of all; a map does not grow old.
+        // A mission's time comes with the list of all missions; a map does not age.
         if !matches!(key, Key::ViewMission(_) | Key::ViewMap) {
-            let said_ms = now_ms.saturating_sub(number(view, "age_ms").unwrap_or(0));
-            self.views.insert(key.to_string(), said_ms);
+            let published_ms = now_ms.saturating_sub(number(view, "age_ms").unwrap_or(0));
+            self.views.insert(key.to_string(), published_ms);
         }
     }
 
-    /// Takes in a sign of life of a coordinator's.
+    /// Applies a coordinator's beacon.
     pub fn apply_beacon(&mut self, beacon: &Beacon, now_ms: u64) {
-        if self.coordinator.as_ref().is_some_and(|known| known.term > beacon.term) && !self.is_silent(now_ms) {
+        if self.coordinator.as_ref().is_some_and(|known| known.term > beacon.term) && !self.has_no_coordinator(now_ms) {
             return;
         }
         let since_ms = now_ms.saturating_sub(beacon.since_ms);
@@ -44,26 +44,27 @@ impl FleetModel {
         if let Some(shown) = &mut self.coordinator {
             shown.voters = beacon.voters.iter().map(NodeId::to_string).collect();
         }
-        self.reach.heard_ms = Some(now_ms);
+        self.reachability.last_contact_ms = Some(now_ms);
     }
 
-    /// Takes in how many other nodes are linked, and what has become old. To be called some times in a second.
+    /// Applies the number of links to other nodes, and updates time-dependent values. To be called
+    /// several times per second.
     pub fn apply_links(&mut self, links: usize, now_ms: u64) {
         self.utilization.advance(&self.robots, now_ms);
         self.update_planned_times();
-        let state = match (self.is_silent(now_ms), links) {
-            (false, _) => ReachabilityState::Whole,
-            (true, 0) => ReachabilityState::Alone,
-            (true, _) => ReachabilityState::Silent,
+        let state = match (self.has_no_coordinator(now_ms), links) {
+            (false, _) => ReachabilityState::Connected,
+            (true, 0) => ReachabilityState::Isolated,
+            (true, _) => ReachabilityState::NoCoordinator,
         };
-        self.reach.links = links;
-        if state != self.reach.state {
-            self.reach.state = state;
-            self.reach.since_ms = now_ms;
+        self.reachability.links = links;
+        if state != self.reachability.state {
+            self.reachability.state = state;
+            self.reachability.since_ms = now_ms;
         }
     }
 
-    /// Takes in what a body reports of itself.
+    /// Applies the telemetry of a robot.
     pub fn apply_telemetry(&mut self, robot: &str, telemetry: &Telemetry, now_ms: u64) {
         if !self.robots.contains_key(robot) && self.robots.len() >= bounds::NODES {
             return;
@@ -74,26 +75,30 @@ impl FleetModel {
         let passed = shown.place != telemetry.place.as_str();
         shown.place = telemetry.place.to_string();
         shown.battery = round(telemetry.battery.get());
-        shown.able = telemetry.able;
-        shown.body_ms = Some(now_ms);
-        // Between two places the way that is left leads over the same ones.
+        shown.can_move = telemetry.able;
+        shown.telemetry_ms = Some(now_ms);
+        // Between two places the rest of the route does not change.
         if passed {
             self.update_route(robot);
         }
     }
 
-    fn is_silent(&self, now_ms: u64) -> bool {
-        self.reach.heard_ms.is_none_or(|heard| now_ms.saturating_sub(heard) > NO_COORDINATOR_AFTER_MS)
+    fn has_no_coordinator(&self, now_ms: u64) -> bool {
+        self.reachability.last_contact_ms.is_none_or(|contact| now_ms.saturating_sub(contact) > NO_COORDINATOR_AFTER_MS)
     }
 
-    /// A coordinator was heard; if it is another than before, that is a takeover.
+    /// Updates the coordinator; a change is recorded as a takeover.
     pub(super) fn update_coordinator(&mut self, node: &NodeId, term: u64, since_ms: u64, now_ms: u64) {
         let known = self.coordinator.as_ref().filter(|known| known.node == node.as_str() && known.term == term);
         if known.is_some() {
             return;
         }
         let former = self.coordinator.take();
-        let gap_ms = self.reach.heard_ms.filter(|_| former.is_some()).map(|heard| now_ms.saturating_sub(heard));
+        let gap_ms = self
+            .reachability
+            .last_contact_ms
+            .filter(|_| former.is_some())
+            .map(|contact| now_ms.saturating_sub(contact));
         let from = former.map(|former| former.node).filter(|former| former != node.as_str());
         let shown = CoordinatorModel { node: node.to_string(), term, since_ms, ..CoordinatorModel::default() };
         self.coordinator = Some(shown);
@@ -110,14 +115,14 @@ impl FleetModel {
         else {
             return;
         };
-        let said_ms = now_ms.saturating_sub(number(view, "age_ms").unwrap_or(0));
-        // Beacons come more often than views, and say who is late.
+        let published_ms = now_ms.saturating_sub(number(view, "age_ms").unwrap_or(0));
+        // Beacons come more often than views, and show if a view is outdated.
         if self.coordinator.as_ref().is_some_and(|known| known.term > term) {
             return;
         }
-        let since_ms = said_ms.saturating_sub(number(view, "since_ms").unwrap_or(0));
-        self.update_coordinator(&node, term, since_ms, said_ms);
-        let quorum = number(view, "quorum_age_ms").map(|age| said_ms.saturating_sub(age));
+        let since_ms = published_ms.saturating_sub(number(view, "since_ms").unwrap_or(0));
+        self.update_coordinator(&node, term, since_ms, published_ms);
+        let quorum = number(view, "quorum_age_ms").map(|age| published_ms.saturating_sub(age));
         if let Some(shown) = &mut self.coordinator {
             shown.quorum_ms = quorum.or(shown.quorum_ms);
             shown.voters = texts(&view["voters"]);
@@ -127,16 +132,16 @@ impl FleetModel {
     }
 
     fn take_fleet(&mut self, view: &Value, now_ms: u64) {
-        let said_ms = now_ms.saturating_sub(number(view, "age_ms").unwrap_or(0));
+        let published_ms = now_ms.saturating_sub(number(view, "age_ms").unwrap_or(0));
         let mut present = vec![];
         for entry in list(&view["nodes"]).take(bounds::NODES) {
             let Some(name) = text(entry, "node") else { continue };
-            let heard_ms = said_ms.saturating_sub(number(entry, "age_ms").unwrap_or(0));
+            let last_contact_ms = published_ms.saturating_sub(number(entry, "age_ms").unwrap_or(0));
             let worker = entry.get("robot").filter(|worker| worker.is_object());
             let node = NodeModel {
                 alive: flag(entry, "alive"),
                 status: text(entry, "status").unwrap_or("unknown").to_owned(),
-                heard_ms,
+                last_contact_ms,
                 may_vote: flag(entry, "may_vote"),
                 stationary: flag(entry, "stationary"),
                 mains_powered: flag(entry, "mains_powered"),
@@ -168,7 +173,7 @@ impl FleetModel {
                     true => shown.members.push(name.to_owned()),
                     false => {
                         let reason = text(node, "reason").unwrap_or("").to_owned();
-                        shown.others.insert(name.to_owned(), reason);
+                        shown.non_members.insert(name.to_owned(), reason);
                     }
                 }
             }
@@ -180,18 +185,18 @@ impl FleetModel {
     fn take_worker(&mut self, name: &str, worker: &Value, node: &NodeModel) {
         let shown = self.robots.get_or_insert_with(name.to_owned(), RobotModel::default);
         shown.alive = node.alive;
-        shown.heard_ms = node.heard_ms;
+        shown.last_contact_ms = node.last_contact_ms;
         shown.skills = texts(&worker["skills"]);
         shown.speed = worker["speed"].as_f64();
         shown.useful_charge = worker["useful_charge"].as_f64().unwrap_or(0.0);
-        // The body itself speaks more often than its node speaks of it.
-        if shown.body_ms.is_none_or(|body| body < node.heard_ms) {
+        // The driver's telemetry is more frequent than the node's own record.
+        if shown.telemetry_ms.is_none_or(|body| body < node.last_contact_ms) {
             if let Ok(pose) = serde_json::from_value::<Pose>(worker["pose"].clone()) {
                 (shown.x, shown.y, shown.yaw) = (round(pose.x), round(pose.y), round(pose.yaw));
             }
             text(worker, "place").unwrap_or("").clone_into(&mut shown.place);
             shown.battery = round(worker["battery"].as_f64().unwrap_or(0.0));
-            shown.able = true;
+            shown.can_move = true;
         }
         let availability = &worker["availability"];
         let (word, holding, problem) = match (availability.get("holding"), availability.get("out_of_service")) {
@@ -247,12 +252,13 @@ impl FleetModel {
             level: own(finding, "level"),
             about: own(finding, "about"),
             name: text(finding, "name").map(str::to_owned),
-            says: own(finding, "says"),
+            // Recordings of earlier releases use the name `says`.
+            text: text(finding, "text").or_else(|| text(finding, "says")).unwrap_or("").to_owned(),
         };
         self.health = list(&view["findings"]).take(bounds::FINDINGS).map(shown).collect();
     }
 
-    /// Finds where a robot is going, and the way there.
+    /// Updates the destination of a robot, and its route.
     pub(super) fn update_route(&mut self, robot: &str) {
         let Some(shown) = self.robots.get(robot) else { return };
         let destination = shown.mission.as_ref().zip(shown.task.as_ref()).and_then(|(mission, task)| {
@@ -269,7 +275,7 @@ impl FleetModel {
     }
 }
 
-/// Where a task of a mission's tree leads, if it is one of driving.
+/// Returns the destination of a navigation task in a mission's tree.
 fn destination<'a>(tasks: &'a Value, task: &str) -> Option<&'a str> {
     let node = list(tasks).find(|node| text(node, "id") == Some(task))?;
     let spec = node.pointer("/body/Elementary")?;
@@ -279,7 +285,7 @@ fn destination<'a>(tasks: &'a Value, task: &str) -> Option<&'a str> {
     spec.pointer("/parameters/to").and_then(Value::as_str)
 }
 
-/// To a tenth of a millimetre, or of a thousandth: finer is noise, and costs bytes.
+/// Rounds to a tenth of a millimetre, or of a thousandth: finer digits are noise, and cost bytes.
 fn round(number: f64) -> f64 {
     (number * 1e4).round() / 1e4
 }

@@ -1,4 +1,4 @@
-//! What is counted as it happens.
+//! Counters of events.
 
 use consort_actors::bus::Direction;
 use consort_protocol::auction::{AuctionRecord, BidVerdict};
@@ -9,61 +9,62 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 
-/// A count for each value of one label.
-type By = Family<[(&'static str, &'static str); 1], Counter>;
-/// A count for each pair of values of two labels.
-type ByTwo = Family<[(&'static str, &'static str); 2], Counter>;
+/// Counters by the value of a label.
+type CountersByLabel = Family<[(&'static str, &'static str); 1], Counter>;
+/// Counters by the values of two labels.
+type CountersByTwoLabels = Family<[(&'static str, &'static str); 2], Counter>;
 
-/// Upper bounds in seconds: an auction takes milliseconds when all answer, and a window when somebody does not.
+/// Upper bounds in seconds: an auction takes milliseconds when all members answer, and a window
+/// otherwise.
 const AWARD_SECONDS: [f64; 10] = [0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 5.0, 30.0];
 
 pub(super) struct EventCounters {
-    events: By,
+    events: CountersByLabel,
     elections: Counter,
     submitted: Counter,
-    ended: By,
-    auctions: By,
-    bids: By,
+    ended: CountersByLabel,
+    auctions: CountersByLabel,
+    bids: CountersByLabel,
     award_seconds: Histogram,
-    tasks: By,
+    tasks: CountersByLabel,
     commands: Counter,
-    messages: ByTwo,
-    bytes: ByTwo,
+    messages: CountersByTwoLabels,
+    bytes: CountersByTwoLabels,
 }
 
 impl EventCounters {
     pub(super) fn new(registry: &mut Registry) -> EventCounters {
         let counts = EventCounters {
-            events: By::default(),
+            events: CountersByLabel::default(),
             elections: Counter::default(),
             submitted: Counter::default(),
-            ended: By::default(),
-            auctions: By::default(),
-            bids: By::default(),
+            ended: CountersByLabel::default(),
+            auctions: CountersByLabel::default(),
+            bids: CountersByLabel::default(),
             award_seconds: Histogram::new(AWARD_SECONDS),
-            tasks: By::default(),
+            tasks: CountersByLabel::default(),
             commands: Counter::default(),
-            messages: ByTwo::default(),
-            bytes: ByTwo::default(),
+            messages: CountersByTwoLabels::default(),
+            bytes: CountersByTwoLabels::default(),
         };
-        // What has not happened yet is told as zero: a rate needs a beginning.
-        let begin = |counts: &By, label: &'static str, values: &[&'static str]| {
+        // Unused counters start at zero: a rate needs a beginning.
+        let begin = |counts: &CountersByLabel, label: &'static str, values: &[&'static str]| {
             values.iter().for_each(|value| drop(counts.get_or_create(&[(label, value)])));
         };
-        begin(&counts.ended, "state", &["completed", "failed", "canceled", "needs_rescue"]);
+        begin(&counts.ended, "state", &["completed", "failed", "canceled", "needs_intervention"]);
         begin(&counts.auctions, "result", &["awarded", "no_award"]);
         begin(&counts.bids, "verdict", &["viable", "unviable", "refused"]);
         begin(&counts.tasks, "result", &["done", "failed", "retried", "alternative"]);
-        registry.register("events", "Happenings told on the event stream", counts.events.clone());
+        registry.register("events", "Events published on the event stream", counts.events.clone());
         registry.register("elections", "Times elected coordinator", counts.elections.clone());
         registry.register("missions_submitted", "Missions acknowledged as coordinator", counts.submitted.clone());
         registry.register("missions_ended", "Missions ended while coordinating", counts.ended.clone());
         registry.register("auctions", "Auctions closed", counts.auctions.clone());
-        registry.register("bids", "Answers in auctions closed", counts.bids.clone());
+        registry.register("bids", "Bids and refusals in closed auctions", counts.bids.clone());
         let help = "From the commit of a request to the commit of its award";
         registry.register("award_seconds", help, counts.award_seconds.clone());
         registry.register("tasks", "Tasks of this node's robot", counts.tasks.clone());
-        registry.register("ledger_commands", "Commands of the ledger taken in", counts.commands.clone());
+        registry.register("ledger_commands", "Applied commands of the ledger", counts.commands.clone());
         registry.register("bus_messages", "Messages of this node", counts.messages.clone());
         registry.register("bus_bytes", "Bytes of payload of this node's messages", counts.bytes.clone());
         counts

@@ -1,40 +1,41 @@
-//! What a node counts and measures of itself and of the fleet as it knows it, for Prometheus.
+//! Prometheus metrics of a node, and of the fleet as seen by it.
 //!
-//! Every metric has the labels `fleet` and `node`: who measured it. Names begin with `consort_`, but for those of the process,
-//! which are the ones that Prometheus' own libraries use. What a node *does* is
-//! counted by that node alone, so sums over nodes are right; what it *knows* of the fleet (missions, robots) every node
-//! tells, so take the one that coordinates (`… and on (node) consort_coordinates == 1`), or the maximum.
+//! Every metric has the labels `fleet` and `node`: the node that measured it. Names begin with
+//! `consort_`, except the process metrics, which have the names of Prometheus' own libraries. Each
+//! node counts its own actions, so sums over nodes are right. The state of the fleet (missions,
+//! robots) is reported by every node, so take the coordinator's value
+//! (`… and on (node) consort_is_leader == 1`), or the maximum.
 //!
 //! | name | what |
 //! |---|---|
-//! | `consort_events_total{event}` | happenings that the node told on the event stream, by kind |
+//! | `consort_events_total{event}` | events that the node published on the event stream, by kind |
 //! | `consort_elections_total` | times that the node was elected coordinator |
 //! | `consort_missions_submitted_total` | missions that it acknowledged as coordinator |
-//! | `consort_missions_ended_total{state}` | missions that ended while it coordinated |
+//! | `consort_missions_ended_total{state}` | missions that ended while it was the coordinator |
 //! | `consort_auctions_total{result}` | auctions that it closed: `awarded` or `no_award` |
 //! | `consort_bids_total{verdict}` | answers in them: `viable`, `unviable`, `refused` |
 //! | `consort_award_seconds` | histogram: from the commit of a request to the commit of its award |
 //! | `consort_tasks_total{result}` | tasks of its robot: `done`, `failed`, `retried`, `alternative` |
-//! | `consort_ledger_commands_total` | commands of the ledger that its copy took in |
+//! | `consort_ledger_commands_total` | commands of the ledger that its copy applied |
 //! | `consort_bus_messages_total{kind,direction}` | messages that it sent and received itself |
 //! | `consort_bus_bytes_total{kind,direction}` | their payloads |
-//! | `consort_coordinates` | whether it coordinates: 0 or 1 |
+//! | `consort_is_leader` | 1 if it is the coordinator, else 0 |
 //! | `consort_term` | its term |
-//! | `consort_voters`, `consort_observers` | who keeps the ledger, by its knowledge |
-//! | `consort_quorum_age_seconds` | of a coordinator: how long ago a majority answered |
-//! | `consort_ledger_index` | the last entry of the ledger that its copy took in |
-//! | `consort_missions{state}` | missions in its copy of the ledger, ended ones included while they are kept |
-//! | `consort_nodes{status}` | nodes of the fleet as it judges them |
+//! | `consort_voters`, `consort_observers` | voters and learners of the ledger, as seen by it |
+//! | `consort_quorum_age_seconds` | on the coordinator: time since the last reply of a majority |
+//! | `consort_ledger_index` | last entry of the ledger that its copy applied |
+//! | `consort_missions{state}` | missions in its copy of the ledger, ended missions included while they are kept |
+//! | `consort_nodes{status}` | nodes of the fleet, by their status at this node |
 //! | `consort_robot_battery_ratio{robot}` | charge left, 1 is full |
-//! | `consort_robot_age_seconds{robot}` | how old its knowledge of the robot is |
-//! | `consort_robot_state{robot,state}` | 1 for what the robot is: `free`, `holding`, `suspended`, `out_of_service` |
-//! | `consort_gossip_malformed_total` | messages of gossip that could not be read |
-//! | `consort_gossip_returns_total` | times that others wrongly judged the node down |
-//! | `consort_started_at_seconds` | when the node began, in seconds since 1970 |
-//! | `process_cpu_seconds_total` | processor time that the process has spent; this and what follows on Linux only |
-//! | `process_resident_memory_bytes`, `process_virtual_memory_bytes` | memory in use, and set aside |
-//! | `process_open_fds`, `process_max_fds` | files and connections that are open, and how many may be |
-//! | `process_start_time_seconds` | when the process began, in seconds since 1970 |
+//! | `consort_robot_age_seconds{robot}` | age of its knowledge of the robot |
+//! | `consort_robot_state{robot,state}` | 1 for the robot's state: `free`, `holding`, `suspended`, `out_of_service` |
+//! | `consort_gossip_malformed_total` | gossip messages that could not be parsed |
+//! | `consort_gossip_refutations_total` | refutations of suspicions against the node |
+//! | `consort_started_at_seconds` | start of the node, in seconds since 1970 |
+//! | `process_cpu_seconds_total` | processor time of the process; this and the following on Linux only |
+//! | `process_resident_memory_bytes`, `process_virtual_memory_bytes` | memory in use, and reserved |
+//! | `process_open_fds`, `process_max_fds` | open files and connections, and their maximum |
+//! | `process_start_time_seconds` | start of the process, in seconds since 1970 |
 
 mod counters;
 mod node_collector;
@@ -60,7 +61,7 @@ use prometheus_client::registry::Registry;
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// The metrics of one node.
+/// The metrics of a node.
 pub struct Metrics {
     registry: Registry,
     process: Registry,
@@ -69,7 +70,7 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Nothing counted yet.
+    /// Creates metrics with all counters at zero.
     pub fn new(fleet: &FleetId, node: &NodeId) -> Arc<Metrics> {
         let by = |name: &'static str, value: String| (Cow::Borrowed(name), Cow::Owned(value));
         let labels = [by("fleet", fleet.to_string()), by("node", node.to_string())];
@@ -82,16 +83,16 @@ impl Metrics {
         Arc::new(Metrics { registry, process, counts, levels })
     }
 
-    /// From now on, what this node knows is measured too.
+    /// Sets the sources of the node's sampled metrics.
     pub fn set_sources(&self, watched: MetricSources) {
         self.levels.set_sources(watched);
     }
 
-    /// All of it as it stands, as OpenMetrics text.
+    /// Returns all metrics as OpenMetrics text.
     pub fn text(&self) -> String {
         let mut text = String::new();
         let encoded = [&self.registry, &self.process].into_iter().try_for_each(|part| encode_registry(&mut text, part));
-        encoded.and_then(|()| encode_eof(&mut text)).expect("a text takes in whatever is written");
+        encoded.and_then(|()| encode_eof(&mut text)).expect("writing to a string cannot fail");
         text
     }
 }
@@ -118,8 +119,8 @@ mod tests {
     use consort_protocol::event::EventKind;
     use consort_protocol::ledger::MissionState;
 
-    fn told(metrics: &Metrics, what: EventKind) {
-        metrics.on_event(&Event { node: "ada".parse().unwrap(), sequence: 1, at_ms: 0, kind: what });
+    fn publish(metrics: &Metrics, kind: EventKind) {
+        metrics.on_event(&Event { node: "ada".parse().unwrap(), sequence: 1, at_ms: 0, kind });
     }
 
     fn metrics() -> Arc<Metrics> {
@@ -135,26 +136,26 @@ mod tests {
     }
 
     #[test]
-    fn what_is_told_is_counted_by_kind_with_fleet_and_node() {
+    fn events_are_counted_by_kind_with_fleet_and_node() {
         let metrics = metrics();
-        told(&metrics, EventKind::Elected { term: 2, voters: vec![] });
+        publish(&metrics, EventKind::Elected { term: 2, voters: vec![] });
         let mission = || "lab-samples-1".parse().unwrap();
         for state in [MissionState::Running, MissionState::Completed] {
-            told(&metrics, EventKind::Mission { mission: mission(), state, submitted_at_ms: 0 });
+            publish(&metrics, EventKind::Mission { mission: mission(), state, submitted_at_ms: 0 });
         }
-        told(
+        publish(
             &metrics,
             EventKind::TaskEnded { mission: mission(), role: "r1".parse().unwrap(), task: "t".parse().unwrap() },
         );
         let holders = std::collections::BTreeMap::new();
         let epoch = Epoch { term: 1, index: 3 };
-        told(&metrics, EventKind::Awarded { mission: mission(), holders, epoch, after_ms: Some(7.0) });
+        publish(&metrics, EventKind::Awarded { mission: mission(), holders, epoch, after_ms: Some(7.0) });
         let text = metrics.text();
         let labels = r#"fleet="ward",node="ada""#;
         assert_eq!(line(&text, "consort_elections_total"), format!("consort_elections_total{{{labels}}} 1"));
         let ended = format!(r#"consort_missions_ended_total{{{labels},state="completed"}} 1"#);
         assert!(text.contains(&ended), "{text}");
-        assert!(!text.contains(r#"state="running""#), "running is no end: {text}");
+        assert!(!text.contains(r#"state="running""#), "running is not an end state: {text}");
         assert!(text.contains(&format!(r#"consort_tasks_total{{{labels},result="done"}} 1"#)), "{text}");
         assert!(text.contains(&format!(r#"consort_events_total{{{labels},event="mission"}} 2"#)), "{text}");
         assert_eq!(line(&text, "consort_award_seconds_sum"), format!("consort_award_seconds_sum{{{labels}}} 0.007"));
@@ -177,14 +178,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn every_metric_is_documented_with_its_name_and_every_name_is_a_metric() {
+    async fn every_metric_is_documented_and_every_documented_name_exists() {
         let metrics = metrics();
         metrics.levels.set_sources(MetricSources::empty());
         metrics.count(KeyKind::Gossip, Direction::Sent, 1);
-        told(&metrics, EventKind::SteppedDown { term: 1 });
+        publish(&metrics, EventKind::SteppedDown { term: 1 });
         let text = metrics.text();
-        let told = text.lines().filter_map(|line| line.strip_prefix("# TYPE "));
-        let told: std::collections::BTreeSet<String> = told
+        let publish = text.lines().filter_map(|line| line.strip_prefix("# TYPE "));
+        let publish: std::collections::BTreeSet<String> = publish
             .map(|line| match line.rsplit_once(' ') {
                 Some((name, "counter")) => format!("{name}_total"),
                 Some((name, _)) => name.to_owned(),
@@ -195,6 +196,6 @@ mod tests {
         let cells = rows.map(|row| row.split('|').nth(1).unwrap_or_default());
         let names = cells.flat_map(|cell| cell.split('`').skip(1).step_by(2));
         let documented = names.map(|name| name.split('{').next().unwrap_or_default().to_owned()).collect();
-        assert_eq!(told, documented);
+        assert_eq!(publish, documented);
     }
 }

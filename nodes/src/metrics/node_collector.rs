@@ -1,4 +1,4 @@
-//! What is measured when it is asked for: the fleet as this node knows it.
+//! Metrics sampled from a node's state: the fleet as seen by this node.
 
 use super::sampled_metric::SampledMetric;
 use consort_actors::clock::Clock;
@@ -12,20 +12,20 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, OnceLock};
 
-/// Where a node's knowledge is read.
+/// Sources of a node's metrics.
 pub struct MetricSources {
-    /// Its copy of the ledger, if it keeps one.
+    /// Its copy of the ledger, if it keeps a copy.
     pub replica: Option<Replica<Ledger>>,
-    /// What it has heard of others.
+    /// Its knowledge of other nodes.
     pub knowledge: SharedKnowledge,
     /// Its clock.
     pub clock: Clock,
-    /// When it began: milliseconds since 1970.
+    /// Start of the node: milliseconds since 1970.
     pub since_ms: u64,
 }
 
 impl MetricSources {
-    /// Of a node that knows nothing.
+    /// Sources without data.
     #[cfg(test)]
     pub(super) fn empty() -> MetricSources {
         let clock = Clock::virtual_at(0);
@@ -33,7 +33,7 @@ impl MetricSources {
     }
 }
 
-/// Measures what is watched, once there is something.
+/// Samples the sources, after they have been set.
 #[derive(Clone, Default)]
 pub(super) struct NodeCollector(Arc<OnceLock<MetricSources>>);
 
@@ -44,7 +44,7 @@ impl fmt::Debug for NodeCollector {
 }
 
 impl NodeCollector {
-    /// The first that is given is watched for good: a node lives once.
+    /// Sets the sources. Later calls have no effect: a process runs a single node.
     pub(super) fn set_sources(&self, watched: MetricSources) {
         let _ = self.0.set(watched);
     }
@@ -62,26 +62,26 @@ impl Collector for NodeCollector {
 
 impl MetricSources {
     fn levels(&self) -> Vec<SampledMetric> {
-        let mut levels = self.of_ledger();
-        levels.extend(self.of_knowledge());
+        let mut levels = self.ledger_metrics();
+        levels.extend(self.knowledge_metrics());
         levels.push(SampledMetric::gauge(
             "started_at_seconds",
-            "When the node began, since 1970",
+            "Start of the node, since 1970",
             self.since_ms as f64 / 1e3,
         ));
         levels
     }
 
-    /// A node without a copy tells zeros, so that sums and alarms need not know which nodes keep one.
-    fn of_ledger(&self) -> Vec<SampledMetric> {
+    /// A node without a copy reports zeros, so that sums and alerts work for all nodes.
+    fn ledger_metrics(&self) -> Vec<SampledMetric> {
         let leadership = self.replica.as_ref().map(|replica| replica.leadership().borrow().clone());
-        let (mut coordinates, mut term, mut voters, mut observers) = (false, 0, 0, 0);
+        let (mut is_leader, mut term, mut voters, mut observers) = (false, 0, 0, 0);
         if let Some(leadership) = leadership {
-            (coordinates, term) = (leadership.is_leader, leadership.term);
+            (is_leader, term) = (leadership.is_leader, leadership.term);
             (voters, observers) = (leadership.voters.len(), leadership.learners.len());
         }
         let replica = self.replica.as_ref();
-        let age = replica.filter(|_| coordinates).and_then(Replica::quorum_ack_age);
+        let age = replica.filter(|_| is_leader).and_then(Replica::quorum_ack_age);
         let index = replica.map_or(0, |replica| replica.applied().borrow().index);
         let mut missions: BTreeMap<&'static str, u32> = BTreeMap::new();
         if let Some(replica) = replica {
@@ -92,25 +92,21 @@ impl MetricSources {
         let missions = missions.into_iter().map(|(state, count)| (vec![("state", state.to_owned())], f64::from(count)));
         let age = age.map(|age| (vec![], age.as_secs_f64())).into_iter().collect();
         vec![
-            SampledMetric::gauge("coordinates", "Whether this node coordinates", f64::from(u8::from(coordinates))),
+            SampledMetric::gauge("is_leader", "1 if this node is the coordinator", f64::from(u8::from(is_leader))),
             SampledMetric::gauge("term", "This node's term", term as f64),
-            SampledMetric::gauge("voters", "Nodes that vote, as this one knows", voters as f64),
-            SampledMetric::gauge(
-                "observers",
-                "Nodes that keep the ledger without a vote, as this one knows",
-                observers as f64,
-            ),
+            SampledMetric::gauge("voters", "Voters, as seen by this node", voters as f64),
+            SampledMetric::gauge("observers", "Learners of the ledger, as seen by this node", observers as f64),
             SampledMetric::labelled_gauge(
                 "quorum_age_seconds",
-                "Of a coordinator: how long ago a majority answered",
+                "On the coordinator: time since the last reply of a majority",
                 age,
             ),
-            SampledMetric::gauge("ledger_index", "The last entry of the ledger that this copy took in", index as f64),
+            SampledMetric::gauge("ledger_index", "Last entry of the ledger applied by this copy", index as f64),
             SampledMetric::labelled_gauge("missions", "Missions in this copy of the ledger", missions.collect()),
         ]
     }
 
-    fn of_knowledge(&self) -> Vec<SampledMetric> {
+    fn knowledge_metrics(&self) -> Vec<SampledMetric> {
         let mut nodes: BTreeMap<&'static str, u32> = BTreeMap::new();
         self.knowledge.statuses().values().for_each(|status| *nodes.entry(status.as_str()).or_default() += 1);
         let nodes = nodes.into_iter().map(|(status, count)| (vec![("status", status.to_owned())], f64::from(count)));
@@ -127,18 +123,18 @@ impl MetricSources {
         });
         let counters = self.knowledge.counters();
         vec![
-            SampledMetric::labelled_gauge("nodes", "Nodes of the fleet, as this one judges them", nodes.collect()),
+            SampledMetric::labelled_gauge("nodes", "Nodes of the fleet, by their status at this node", nodes.collect()),
             SampledMetric::labelled_gauge("robot_battery_ratio", "Charge left; 1 is full", batteries),
-            SampledMetric::labelled_gauge("robot_age_seconds", "How old this node's knowledge of the robot is", ages),
-            SampledMetric::labelled_gauge("robot_state", "1 for what the robot is", states),
+            SampledMetric::labelled_gauge("robot_age_seconds", "Age of this node's knowledge of the robot", ages),
+            SampledMetric::labelled_gauge("robot_state", "1 for the robot's state", states),
             SampledMetric::counter(
                 "gossip_malformed",
-                "Messages of gossip that could not be read",
+                "Gossip messages that could not be parsed",
                 counters.malformed as f64,
             ),
             SampledMetric::counter(
-                "gossip_returns",
-                "Times that others wrongly judged this node down",
+                "gossip_refutations",
+                "Refutations of suspicions against this node",
                 counters.refutations as f64,
             ),
         ]

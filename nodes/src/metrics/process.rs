@@ -1,5 +1,5 @@
-//! What the system says of this process, under the names that Prometheus' own libraries use. Linux says it in `/proc`;
-//! where there is no such thing, these metrics are absent.
+//! Process metrics from the system, under the names of Prometheus' own libraries. Linux provides
+//! them in `/proc`; on other systems these metrics are absent.
 
 use super::sampled_metric::SampledMetric;
 use procfs_core::prelude::*;
@@ -11,12 +11,12 @@ use std::fmt;
 use std::fs::{self, File};
 use std::io::Read;
 
-/// Linux tells programs of times in hundredths of a second, however it counts them itself.
+/// Linux reports times to programs in hundredths of a second, whatever its internal unit.
 const TICKS_PER_SECOND: u64 = 100;
 
 const KIBIBYTE: u64 = 1024;
 
-/// Measures this process when it is asked for.
+/// Samples this process.
 #[derive(Debug)]
 pub(super) struct ProcessCollector;
 
@@ -27,7 +27,7 @@ impl Collector for ProcessCollector {
     }
 }
 
-/// What this process uses.
+/// Resource usage of this process.
 #[derive(Debug, PartialEq)]
 struct Usage {
     cpu_s: f64,
@@ -41,7 +41,7 @@ struct Usage {
 impl Usage {
     fn now() -> Option<Usage> {
         let file = |name: &str| File::open(format!("/proc/{name}"));
-        // The folder that is read is open itself meanwhile.
+        // The folder being read is open itself.
         let open_files = fs::read_dir("/proc/self/fd").ok()?.count().saturating_sub(1);
         let (stat, status) = (file("self/stat").ok()?, file("self/status").ok()?);
         let (limits, kernel) = (file("self/limits").ok()?, file("stat").ok()?);
@@ -56,7 +56,7 @@ impl Usage {
         open_files: usize,
     ) -> ProcResult<Usage> {
         let (stat, status, limits) = (Stat::from_read(stat)?, Status::from_read(status)?, Limits::from_read(limits)?);
-        // Of these only the ticks matter here.
+        // Only the ticks matter here.
         let system = ExplicitSystemInfo {
             boot_time_secs: 0,
             ticks_per_second: TICKS_PER_SECOND,
@@ -79,18 +79,21 @@ impl Usage {
     }
 
     fn levels(&self) -> Vec<SampledMetric> {
-        let one = |name, help, value: u64| SampledMetric::gauge(name, help, value as f64);
+        let gauge = |name, help, value: u64| SampledMetric::gauge(name, help, value as f64);
         let cpu = SampledMetric::counter("process_cpu_seconds", "Processor time spent in all threads", self.cpu_s);
         let start =
-            SampledMetric::gauge("process_start_time_seconds", "When the process began, since 1970", self.started_s);
+            SampledMetric::gauge("process_start_time_seconds", "Start of the process, since 1970", self.started_s);
         let mut levels = vec![
             cpu,
-            one("process_resident_memory_bytes", "Memory that the process has in use", self.resident_bytes),
-            one("process_virtual_memory_bytes", "Memory that the process has set aside", self.virtual_bytes),
-            one("process_open_fds", "Files and connections that are open", self.open_files as u64),
+            gauge("process_resident_memory_bytes", "Memory in use", self.resident_bytes),
+            gauge("process_virtual_memory_bytes", "Memory reserved", self.virtual_bytes),
+            gauge("process_open_fds", "Open files and connections", self.open_files as u64),
             start,
         ];
-        levels.extend(self.open_files_max.map(|most| one("process_max_fds", "How many may be open", most)));
+        levels.extend(
+            self.open_files_max
+                .map(|most| gauge("process_max_fds", "Maximum number of open files and connections", most)),
+        );
         levels
     }
 }
@@ -100,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_linux_says_is_told_in_seconds_and_bytes() {
+    fn the_values_of_linux_are_converted_to_seconds_and_bytes() {
         let stat = "42 (a (b) c) S 1 42 42 0 -1 4194560 1013 0 0 0 150 75 0 0 20 0 9 0 12345 276480000 6500 \
                     18446744073709551615 1 1 0 0 0 0 0 4096 17442 0 0 0 17 1 0 0 0 0 0 0 0 0 0 0 0 0 0";
         let status = "Name:\ta\nUmask:\t0022\nState:\tS (sleeping)\nTgid:\t42\nNgid:\t0\nPid:\t42\nPPid:\t1\nTracerPid:\t0\n\
@@ -147,7 +150,7 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn this_very_process_is_measured() {
+    fn the_running_process_is_measured() {
         let before = Usage::now().expect("Linux has /proc");
         let (files, memory) = ([(); 40].map(|()| File::open("/proc/self/stat").unwrap()), vec![7_u8; 64 << 20]);
         let after = Usage::now().expect("Linux has /proc");

@@ -1,4 +1,4 @@
-//! A metric that is measured when it is asked for.
+//! A metric that is sampled when metrics are read.
 
 use prometheus_client::encoding::{DescriptorEncoder, EncodeMetric};
 use prometheus_client::metrics::MetricType;
@@ -6,7 +6,7 @@ use prometheus_client::metrics::counter::ConstCounter;
 use prometheus_client::metrics::gauge::ConstGauge;
 use std::fmt;
 
-/// One metric: a value for each set of labels.
+/// A metric: a value for each set of labels.
 pub(super) struct SampledMetric {
     name: &'static str,
     help: &'static str,

@@ -1,4 +1,4 @@
-//! The page that Prometheus reads.
+//! The metrics page for Prometheus.
 
 use super::Metrics;
 use crate::address::LimitedListener;
@@ -9,13 +9,13 @@ use axum::routing::get;
 use consort_protocol::trust::AccessScope;
 use std::sync::Arc;
 
-/// OpenMetrics in its text form, which Prometheus asks for.
+/// Content type of OpenMetrics text, which Prometheus requests.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// Answers `GET /metrics` of those who are admitted on `listener` until it is dropped.
+/// Serves `GET /metrics` to admitted clients on `listener` until it is dropped.
 ///
 /// # Errors
-/// What the system says if connections can no longer be accepted.
+/// The system's error if connections can no longer be accepted.
 pub async fn serve(listener: LimitedListener, metrics: Arc<Metrics>, admission: Admission) -> std::io::Result<()> {
     let page = move || {
         let text = metrics.text();

@@ -1,37 +1,39 @@
-//! A fleet, written down as it is heard of, and shown again.
+//! Records the messages of a fleet, and replays them.
 //!
 //! ```text
-//!  bus ──▶ watcher ──▶ Recorder ──▶ Picture, to know what has changed
-//!                         └───────▶ Tape ──▶ run.mcap ──▶ Reel ──▶ Picture, as it was at any time ──▶ the dashboard
+//!  bus ──▶ subscriber ──▶ Recorder ──▶ FleetModel, to detect changes
+//!                            └───────▶ RecordingWriter ──▶ run.mcap ──▶ RecordingReader ──▶ FleetModel at any time ──▶ the dashboard
 //! ```
 //!
-//! **What a file holds.** An MCAP file, whose messages are JSON, each with its schema:
+//! **Contents of a file.** An MCAP file with JSON messages, each with its schema:
 //!
 //! | topic | schema | what |
 //! |---|---|---|
-//! | `/events` | `consort.Event` | what nodes told: with the node's number for it as sequence number, when it was heard, and when it was said |
-//! | `/gaps` | `consort.Gap` | events that a node numbered and that were not heard |
-//! | `/coordinator` | `consort.Beacon` | the coordinator's signs of life |
-//! | `/robots/NAME/body` | `consort.Body` | reports of bodies: place, pose, battery |
-//! | `/links` | `consort.Links` | how many nodes the recorder was linked to |
-//! | `/view/fleet` … | `consort.View` | the views, as a node answered; those of single missions on `/view/mission` |
-//! | `/view/again` | `consort.Again` | that an answer was the one before, but for its age |
-//! | `/log` | `foxglove.Log` | events and gaps in words |
+//! | `/events` | `consort.Event` | events of nodes, with the node's number as sequence number, the time of receipt, and the time of publication |
+//! | `/gaps` | `consort.Gap` | missed events, by the numbers of their node |
+//! | `/coordinator` | `consort.Beacon` | the coordinator's beacons |
+//! | `/robots/NAME/body` | `consort.Body` | telemetry of robots: place, pose, battery |
+//! | `/links` | `consort.Links` | number of nodes linked to the recorder |
+//! | `/view/fleet` … | `consort.View` | the views, as returned by a node; those of single missions on `/view/mission` |
+//! | `/view/again` | `consort.Again` | a view with the same content as the last, except for its age |
+//! | `/log` | `foxglove.Log` | events and gaps as text |
 //! | `/map`, `/doors`, `/people`, `/robots` | `foxglove.SceneUpdate` | the same for the 3D panel, |
 //! | `/tf`, `/robots/NAME/pose` | `foxglove.FrameTransforms`, `foxglove.PoseInFrame` | whenever it changes |
 //!
-//! Times are those of the recorder's clock; `publish_time` is when it was said, where that is known. A record `consort.fleet`
-//! at the beginning names the fleet.
+//! Times are those of the recorder's clock; `publish_time` is the time of publication, if known. A
+//! record `consort.fleet` at the beginning names the fleet.
 //!
-//! **Why inputs, and not pictures.** The `consort` messages are what the recorder heard: the inputs of [`Picture`](crate::picture),
-//! which depends on nothing else. Frames of pictures would be quicker to show, but they are what this version of the program made
-//! of what it heard. Inputs can be read by other programs, and are drawn by a later version as that one knows how. They are
-//! also written once, where keyframes say everything again and again. What makes jumping cheap is made when the file is
-//! opened instead: [`Reel`] plays it once, which it does anyway to find what is to be marked, and keeps a copy of the picture
-//! every so often, [`KEYFRAMES`] at most. A jump takes the copy before, and plays on from there.
+//! **Inputs instead of rendered models.** The `consort` messages are the received inputs of the
+//! [`FleetModel`](crate::fleet_model), which depends on nothing else. Rendered models would be
+//! quicker to show, but they are specific to the version of the program that recorded them. Inputs
+//! can be read by other programs, and a later version renders them in its own way. They are also
+//! written once, while keyframes repeat everything. Seeking is made fast when the file is opened
+//! instead: [`RecordingReader`] plays it once, which is needed anyway to find the marks, and keeps
+//! up to [`KEYFRAMES_MAX`] copies of the model. A seek takes the copy before, and plays on from
+//! there.
 //!
-//! **Ends.** What was heard reaches the file after [`CHUNK`] at the latest. A file without an end, or with a damaged one, is
-//! shown as far as it can be read.
+//! **Incomplete files.** Received messages reach the file after [`FLUSH_AFTER`] at the latest. A
+//! file without an end, or with a damaged end, is shown as far as it can be read.
 
 mod gaps;
 mod parser;

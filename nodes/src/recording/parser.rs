@@ -1,4 +1,4 @@
-//! A file that is read back, as far as it goes.
+//! Parses a recording, as far as it is readable.
 
 use super::schemas::{FLEET_METADATA, FORMAT_VERSION, MessageKind};
 use consort_protocol::ids::FleetId;
@@ -11,43 +11,43 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// How much is read at once, in bytes.
-const PIECE: usize = 256 * 1024;
+/// Bytes per read.
+const READ_BYTES: usize = 256 * 1024;
 
-/// Topics that are named in an error.
-const TOPICS: usize = 8;
+/// Maximum number of topics in an error message.
+const TOPICS_MAX: usize = 8;
 
-/// Why a file is not shown at all.
+/// Reason why a file is not shown at all.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
-    /// The system does not hand it out.
+    /// The system refuses it.
     #[error("{}: this recording cannot be read: {source}", file.display())]
     Unreadable {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// It is something else.
-    #[error("{}: this is no MCAP file: it does not begin as one; `consort record --out FILE` makes recordings", file.display())]
+    /// The file has another format.
+    #[error("{}: this is not an MCAP file: it has no MCAP header; `consort record --out FILE` makes recordings", file.display())]
     NotMcap {
         /// The file.
         file: PathBuf,
     },
-    /// It is a recording of something else, as of a world alone.
+    /// A recording of something else, for example of a world alone.
     #[error(
-        "{}: this MCAP file is no recording of a fleet: there is nothing of `consort record` in it{}{}",
-        file.display(), if *world { "; a world was recorded here, which Foxglove shows" } else { "" }, of(topics)
+        "{}: this MCAP file is not a recording of a fleet: it has no data of `consort record`{}{}",
+        file.display(), if *world { "; it is a recording of a world, which Foxglove shows" } else { "" }, of(topics)
     )]
     NotAFleetRecording {
         /// The file.
         file: PathBuf,
-        /// Whether it is of `consort world --record`.
+        /// True if it was made by `consort world --record`.
         world: bool,
-        /// Topics that it has.
+        /// Its topics.
         topics: Vec<String>,
     },
-    /// It was made by a later version of this program.
+    /// Made by a later version of this program.
     #[error("{}: this recording is of format {format:?}; this version of consort reads {ours:?}", file.display(), ours = FORMAT_VERSION)]
     UnsupportedFormat {
         /// The file.
@@ -55,12 +55,12 @@ pub enum RecordingError {
         /// Its format.
         format: String,
     },
-    /// It is damaged before anything that could be shown.
-    #[error("{}: nothing of this recording can be shown: {problem}", file.display())]
+    /// Damaged before any message that could be shown.
+    #[error("{}: this recording cannot be shown: {problem}", file.display())]
     Unusable {
         /// The file.
         file: PathBuf,
-        /// What is wrong.
+        /// The problem.
         problem: String,
     },
 }
@@ -69,35 +69,35 @@ fn of(topics: &[String]) -> String {
     match topics.len() {
         0 => String::new(),
         many => {
-            let more = if many > TOPICS { ", …" } else { "" };
-            format!("; it has the topics {}{more}", topics[..many.min(TOPICS)].join(", "))
+            let more = if many > TOPICS_MAX { ", …" } else { "" };
+            format!("; it has the topics {}{more}", topics[..many.min(TOPICS_MAX)].join(", "))
         }
     }
 }
 
-/// A message of ours, not yet read.
+/// A message of a fleet recording, not parsed yet.
 pub(super) struct RecordedInput {
     pub(super) at_ms: u64,
     pub(super) kind: MessageKind,
-    /// In which of [`Contents::topics`] it stands.
+    /// Key of its topic in [`RecordingContents::topics`].
     pub(super) topic: u16,
-    /// Shared by all that say the same.
+    /// Shared by all messages with the same content.
     pub(super) data: Arc<[u8]>,
-    /// Of a view that was answered again: the age it has now.
+    /// Current age, if it is a repeated view.
     pub(super) age_ms: Option<u64>,
 }
 
-/// What a file holds, as far as it could be read.
+/// Contents of a file, as far as readable.
 pub(super) struct RecordingContents {
     pub(super) fleet: FleetId,
     pub(super) node: String,
     pub(super) began_ms: u64,
     pub(super) topics: BTreeMap<u16, String>,
-    /// In the order of their times.
+    /// Inputs, in the order of their times.
     pub(super) inputs: Vec<RecordedInput>,
-    /// Time of the last message, of whichever topic.
+    /// Time of the last message of any topic.
     pub(super) until_ms: u64,
-    /// What is wrong with it.
+    /// Damage of the file.
     pub(super) damage: Option<String>,
 }
 
@@ -111,7 +111,7 @@ struct Reading {
     until_ms: u64,
 }
 
-/// Reads a file from its beginning on, for as long as it makes sense.
+/// Reads a file from its beginning, as far as it is valid.
 pub(super) fn read(path: &Path) -> Result<RecordingContents, RecordingError> {
     let file = path.to_owned();
     let unreadable = |source| RecordingError::Unreadable { file: path.to_owned(), source };
@@ -126,7 +126,7 @@ pub(super) fn read(path: &Path) -> Result<RecordingContents, RecordingError> {
         match reader.next_event() {
             None => break None,
             Some(Ok(LinearReadEvent::ReadRequest(need))) => {
-                let got = source.read(reader.insert(need.max(PIECE))).map_err(unreadable)?;
+                let got = source.read(reader.insert(need.max(READ_BYTES))).map_err(unreadable)?;
                 reader.notify_read(got);
             }
             Some(Ok(LinearReadEvent::Record { opcode, data })) => {
@@ -149,9 +149,9 @@ pub(super) fn read(path: &Path) -> Result<RecordingContents, RecordingError> {
     if foreign || length < mcap::MAGIC.len() as u64 {
         return Err(RecordingError::NotMcap { file });
     }
-    let problem = problem.map(|problem| words(&problem));
+    let problem = problem.map(|problem| describe(&problem));
     let Reading { mut metadata, topics, mut inputs, until_ms, .. } = reading;
-    let Some(mut said) = metadata.remove(FLEET_METADATA) else {
+    let Some(mut metadata_field) = metadata.remove(FLEET_METADATA) else {
         let world = metadata.contains_key("consort.world");
         return Err(match (topics.is_empty(), problem) {
             (true, Some(problem)) => RecordingError::Unusable { file, problem },
@@ -161,22 +161,22 @@ pub(super) fn read(path: &Path) -> Result<RecordingContents, RecordingError> {
             }
         });
     };
-    let mut said = |name: &str| said.remove(name).unwrap_or_default();
-    let format = said("format");
+    let mut metadata_field = |name: &str| metadata_field.remove(name).unwrap_or_default();
+    let format = metadata_field("format");
     if format != FORMAT_VERSION {
         return Err(RecordingError::UnsupportedFormat { file, format });
     }
     let nothing = |problem: String| RecordingError::Unusable { file: path.to_owned(), problem };
-    let fleet = FleetId::new(said("fleet")).map_err(|problem| nothing(problem.to_string()))?;
-    let began_ms = said("began_ms").parse().map_err(|_| nothing("it does not say when it began".to_owned()))?;
+    let fleet = FleetId::new(metadata_field("fleet")).map_err(|problem| nothing(problem.to_string()))?;
+    let began_ms = metadata_field("began_ms").parse().map_err(|_| nothing("it has no start time".to_owned()))?;
     if inputs.is_empty() {
-        return Err(nothing(problem.unwrap_or_else(|| "nothing was heard while it was made".to_owned())));
+        return Err(nothing(problem.unwrap_or_else(|| "no messages were received while it was made".to_owned())));
     }
-    // As they were written; other programs may have put them in another order.
+    // Written in order; other programs may have changed the order.
     inputs.sort_by_key(|input| input.at_ms);
     Ok(RecordingContents {
         fleet,
-        node: said("node"),
+        node: metadata_field("node"),
         began_ms,
         topics,
         inputs,
@@ -186,13 +186,13 @@ pub(super) fn read(path: &Path) -> Result<RecordingContents, RecordingError> {
 }
 
 impl Reading {
-    /// Takes what is in a chunk. mcap 0.26.0 would do that, too, and reckons below zero if the last record says that it is longer
-    /// than the chunk.
+    /// Parses a chunk. mcap 0.26.0 could do that, but it underflows if the length of the last
+    /// record exceeds the chunk.
     fn take_chunk(&mut self, header: &ChunkHeader, mut data: &[u8]) -> Result<(), McapError> {
         if !header.compression.is_empty() {
             return Err(McapError::UnsupportedCompression(header.compression.clone()));
         }
-        // Before anything of it is looked at: what is damaged there is not to be made sense of.
+        // The checksum is verified first: damaged data must not be parsed.
         let (saved, calculated) = (header.uncompressed_crc, crc32fast::hash(data));
         if saved != 0 && saved != calculated {
             return Err(McapError::BadChunkCrc { saved, calculated });
@@ -229,20 +229,22 @@ impl Reading {
                     self.inputs.push(RecordedInput { at_ms, kind, topic, data, age_ms: None });
                 }
             }
-            // The index repeats what stands before, and no chunk stands in a chunk.
+            // The index repeats earlier data, and chunks are not nested.
             _ => {}
         }
     }
 }
 
-/// What is wrong with a file from some place on.
-fn words(problem: &McapError) -> String {
+/// Describes the damage of a file.
+fn describe(problem: &McapError) -> String {
     match problem {
         McapError::UnexpectedEof | McapError::UnexpectedEoc => {
-            "it has no end: it was cut short, or its recorder was killed".to_owned()
+            "it has no end: it was truncated, or its recorder was killed".to_owned()
         }
         McapError::UnsupportedCompression(name) => {
-            format!("its chunks are compressed with {name}; `mcap decompress` of the MCAP command line tool undoes it")
+            format!(
+                "its chunks are compressed with {name}; decompress it with `mcap decompress` of the MCAP command line tool"
+            )
         }
         other => format!("it is damaged: {other}"),
     }

@@ -1,4 +1,4 @@
-//! Takes in what is heard of a fleet while it is heard.
+//! Records inputs of a fleet as they arrive.
 
 use super::writer::{RecordingStats, RecordingWriter};
 use crate::fleet_model::{CoordinatorModel, FleetInput, FleetListener, FleetModel};
@@ -7,7 +7,7 @@ use consort_sim::record::RecordError;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
-/// Who is told what is heard of a fleet, and writes it down.
+/// A listener that applies the inputs of a fleet to a model and writes them to a file.
 pub struct Recorder {
     clock: Clock,
     inner: Mutex<Inner>,
@@ -15,29 +15,29 @@ pub struct Recorder {
 }
 
 struct Inner {
-    picture: FleetModel,
+    model: FleetModel,
     has_map: bool,
-    /// Gone once it has failed, or the recording is over.
-    tape: Option<RecordingWriter>,
+    /// `None` after a write error, or after the end of the recording.
+    writer: Option<RecordingWriter>,
     problem: Option<RecordError>,
 }
 
 impl Recorder {
-    /// Records on a tape what the picture, which is empty, is made of.
-    pub fn new(picture: FleetModel, tape: RecordingWriter, clock: Clock) -> Recorder {
-        let inner = Inner { picture, has_map: false, tape: Some(tape), problem: None };
+    /// Creates a recorder with an empty model.
+    pub fn new(model: FleetModel, writer: RecordingWriter, clock: Clock) -> Recorder {
+        let inner = Inner { model, has_map: false, writer: Some(writer), problem: None };
         Recorder { clock, inner: Mutex::new(inner), failed: Notify::new() }
     }
 
-    /// Has what was heard a while ago reach the file; to be called some times in a second. What there is so far, and who
-    /// coordinates.
+    /// Writes older inputs to the file; to be called several times per second. Returns the
+    /// statistics and the coordinator.
     pub fn flush_due(&self) -> (Option<RecordingStats>, Option<CoordinatorModel>) {
         let (now_ms, mut inner) = (self.clock.wall_ms(), self.lock());
-        self.write(&mut inner, |tape, _| tape.flush_due(now_ms));
-        (inner.tape.as_ref().map(RecordingWriter::stats), inner.picture.coordinator().cloned())
+        self.write(&mut inner, |writer, _| writer.flush_due(now_ms));
+        (inner.writer.as_ref().map(RecordingWriter::stats), inner.model.coordinator().cloned())
     }
 
-    /// Waits until nothing can be written any more.
+    /// Waits until a write error occurs.
     pub async fn write_failed(&self) {
         self.failed.notified().await;
     }
@@ -45,25 +45,25 @@ impl Recorder {
     /// Ends the recording.
     ///
     /// # Errors
-    /// [`RecordError`] if the file does not hold all that was heard.
+    /// [`RecordError`] if the file does not hold all inputs.
     pub fn finish(&self) -> Result<RecordingStats, RecordError> {
         let mut inner = self.lock();
-        match (inner.tape.take(), inner.problem.take()) {
+        match (inner.writer.take(), inner.problem.take()) {
             (_, Some(problem)) => Err(problem),
-            (Some(tape), None) => tape.finish(),
-            (None, None) => Ok(RecordingStats::default()), // it has ended before
+            (Some(writer), None) => writer.finish(),
+            (None, None) => Ok(RecordingStats::default()), // it was ended before
         }
     }
 
-    /// A tape that fails is left alone from then on.
+    /// After a write error nothing more is written.
     fn write(
         &self,
         inner: &mut Inner,
         work: impl FnOnce(&mut RecordingWriter, &FleetModel) -> Result<(), RecordError>,
     ) {
-        let Some(tape) = &mut inner.tape else { return };
-        if let Err(problem) = work(tape, &inner.picture) {
-            inner.tape = None;
+        let Some(writer) = &mut inner.writer else { return };
+        if let Err(problem) = work(writer, &inner.model) {
+            inner.writer = None;
             inner.problem = Some(problem);
             self.failed.notify_one();
         }
@@ -75,17 +75,17 @@ impl Recorder {
 }
 
 impl FleetListener for Recorder {
-    fn on_input(&self, heard: FleetInput) {
+    fn on_input(&self, input: FleetInput) {
         let mut inner = self.lock();
-        // Within the lock, so that what is written later is never of earlier.
+        // The time is read within the lock, so that inputs are written in the order of their times.
         let now_ms = self.clock.wall_ms();
-        inner.picture.apply(&heard, now_ms);
-        inner.has_map |= matches!(&heard, FleetInput::View { key: consort_protocol::keys::Key::ViewMap, .. });
-        self.write(&mut inner, |tape, picture| tape.write_input(&heard, picture, now_ms));
+        inner.model.apply(&input, now_ms);
+        inner.has_map |= matches!(&input, FleetInput::View { key: consort_protocol::keys::Key::ViewMap, .. });
+        self.write(&mut inner, |writer, model| writer.write_input(&input, model, now_ms));
     }
 
     fn missions_to_query(&self) -> Vec<String> {
-        self.lock().picture.missions_to_query()
+        self.lock().model.missions_to_query()
     }
 
     fn needs_map(&self) -> bool {

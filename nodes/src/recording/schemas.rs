@@ -1,4 +1,4 @@
-//! Topics and schemas of our own.
+//! Topics and schemas of recordings.
 
 use crate::fleet_model::FleetInput;
 use consort_protocol::keys::{Key, Keys};
@@ -8,22 +8,22 @@ use consort_skills::actions::Telemetry;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-/// The record at the beginning of a file, and what it says.
+/// Name of the metadata record at the beginning of a file.
 pub(super) const FLEET_METADATA: &str = "consort.fleet";
 
-/// How files are written now. One of another number may hold what this program does not know.
+/// Version of the file format. A file with another version may contain unknown messages.
 pub(super) const FORMAT_VERSION: &str = "1";
 
 pub(super) static EVENT: Schema = Schema::new("consort.Event", || {
     json!({
         "type": "object",
-        "description": "What happened, as the node told it on consort/FLEET/events/NODE; the fields depend on the event.",
+        "description": "An event, as the node published it on consort/FLEET/events/NODE; the fields depend on the event.",
         "required": ["node", "sequence", "at_ms", "event"],
         "properties": {
-            "node": { "type": "string", "description": "Where it happened." },
-            "sequence": { "type": "integer", "description": "Counts the node's events since it started, from 1." },
-            "at_ms": { "type": "integer", "description": "When, in milliseconds of the node's wall clock." },
-            "event": { "type": "string", "description": "What kind of event it is." },
+            "node": { "type": "string", "description": "The publishing node." },
+            "sequence": { "type": "integer", "description": "Sequence number of the node's events since its start, from 1." },
+            "at_ms": { "type": "integer", "description": "Time, in milliseconds of the node's wall clock." },
+            "event": { "type": "string", "description": "Kind of the event." },
             "mission": { "type": "string" }, "role": { "type": "string" }, "task": { "type": "string" },
         },
     })
@@ -32,13 +32,13 @@ pub(super) static EVENT: Schema = Schema::new("consort.Event", || {
 pub(super) static GAP: Schema = Schema::new("consort.Gap", || {
     json!({
         "type": "object",
-        "description": "Events that a node numbered and that were not heard.",
+        "description": "Missed events of a node, by their sequence numbers.",
         "required": ["node", "after", "before", "lost"],
         "properties": {
             "node": { "type": "string" },
-            "after": { "type": "integer", "description": "The number of the last event before; 0 if the node had just started." },
-            "before": { "type": "integer", "description": "The number of the first one that was heard again." },
-            "lost": { "type": "integer", "description": "How many there were in between." },
+            "after": { "type": "integer", "description": "Number of the last event before the gap; 0 if the node had just started." },
+            "before": { "type": "integer", "description": "Number of the first event after the gap." },
+            "lost": { "type": "integer", "description": "Number of missed events." },
         },
     })
 });
@@ -46,13 +46,13 @@ pub(super) static GAP: Schema = Schema::new("consort.Gap", || {
 pub(super) static BEACON: Schema = Schema::new("consort.Beacon", || {
     json!({
         "type": "object",
-        "description": "The coordinator's sign of life.",
+        "description": "The coordinator's beacon.",
         "required": ["node", "term", "since_ms", "voters"],
         "properties": {
             "node": { "type": "string" },
             "term": { "type": "integer" },
-            "since_ms": { "type": "integer", "description": "How long it has coordinated, in milliseconds." },
-            "voters": { "type": "array", "items": { "type": "string" }, "description": "Who keeps the ledger." },
+            "since_ms": { "type": "integer", "description": "Time since its election, in milliseconds." },
+            "voters": { "type": "array", "items": { "type": "string" }, "description": "Voters of the ledger." },
         },
     })
 });
@@ -67,14 +67,14 @@ pub(super) static TELEMETRY: Schema = Schema::new("consort.Body", || {
     });
     json!({
         "type": "object",
-        "description": "What a robot's body reports of itself.",
+        "description": "Telemetry of a robot.",
         "required": ["time", "pose", "place", "battery", "able"],
         "properties": {
             "time": { "type": "number", "description": "Seconds on the world's clock." },
             "pose": pose,
-            "place": { "type": "string", "description": "Where it stands, or the last place that it passed." },
+            "place": { "type": "string", "description": "Current place, or the last passed place." },
             "battery": { "type": "number", "description": "Charge left, as a share." },
-            "able": { "type": "boolean", "description": "Whether it can still move." },
+            "able": { "type": "boolean", "description": "True if it can still move." },
         },
     })
 });
@@ -82,7 +82,7 @@ pub(super) static TELEMETRY: Schema = Schema::new("consort.Body", || {
 pub(super) static LINKS: Schema = Schema::new("consort.Links", || {
     json!({
         "type": "object",
-        "description": "How many nodes the recorder was linked to.",
+        "description": "Number of nodes linked to the recorder.",
         "required": ["links"],
         "properties": { "links": { "type": "integer" } },
     })
@@ -91,11 +91,11 @@ pub(super) static LINKS: Schema = Schema::new("consort.Links", || {
 pub(super) static VIEW: Schema = Schema::new("consort.View", || {
     json!({
         "type": "object",
-        "description": "What a node answered to somebody who looked.",
+        "description": "A view returned by a node.",
         "required": ["key", "view"],
         "properties": {
-            "key": { "type": "string", "description": "The key that was asked." },
-            "view": { "type": "object", "description": "The answer." },
+            "key": { "type": "string", "description": "The queried key." },
+            "view": { "type": "object", "description": "The reply." },
         },
     })
 });
@@ -103,11 +103,11 @@ pub(super) static VIEW: Schema = Schema::new("consort.View", || {
 pub(super) static REPEATED_VIEW: Schema = Schema::new("consort.Again", || {
     json!({
         "type": "object",
-        "description": "A node answered what was answered on this key before, but for its age.",
+        "description": "A view with the same content as the last view of this key, except for its age.",
         "required": ["key"],
         "properties": {
-            "key": { "type": "string", "description": "The key that was asked." },
-            "age_ms": { "type": ["integer", "null"], "description": "The age that the answer gives." },
+            "key": { "type": "string", "description": "The queried key." },
+            "age_ms": { "type": ["integer", "null"], "description": "Age in the reply." },
         },
     })
 });
@@ -129,7 +129,7 @@ pub(super) struct ViewMessage<V> {
     pub(super) view: V,
 }
 
-/// The topic of a view. Missions come and go: they share one.
+/// Returns the topic of a view. All missions share a topic because they come and go.
 pub(super) fn view_topic(key: &Key) -> String {
     match key {
         Key::ViewMission(_) => "/view/mission".to_owned(),
@@ -141,7 +141,7 @@ pub(super) fn telemetry_topic(robot: &str) -> String {
     format!("/robots/{robot}/body")
 }
 
-/// What kind of input a message is.
+/// Kind of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum MessageKind {
     Event,
@@ -149,12 +149,12 @@ pub(super) enum MessageKind {
     Telemetry,
     Links,
     View,
-    /// A view as it was answered before.
+    /// A view with the same content as before.
     RepeatedView,
 }
 
 impl MessageKind {
-    /// That of messages of a schema.
+    /// Returns the kind of messages with a schema.
     pub(super) fn of(schema: &str) -> Option<MessageKind> {
         let kinds = [
             (&EVENT, MessageKind::Event),
@@ -167,9 +167,9 @@ impl MessageKind {
         kinds.into_iter().find(|(known, _)| known.name() == schema).map(|(_, kind)| kind)
     }
 
-    /// Reads a message back; `None` for one that makes no sense by itself.
+    /// Parses a message; `None` if it is invalid, or has no meaning by itself.
     pub(super) fn parse(self, keys: &Keys, topic: &str, data: &[u8]) -> Option<FleetInput> {
-        let heard = match self {
+        let input = match self {
             MessageKind::RepeatedView => return None,
             MessageKind::Event => FleetInput::Event(serde_json::from_slice(data).ok()?),
             MessageKind::Beacon => FleetInput::Beacon(serde_json::from_slice::<Beacon>(data).ok()?),
@@ -183,6 +183,6 @@ impl MessageKind {
                 FleetInput::View { key: keys.read(&key)?, view }
             }
         };
-        Some(heard)
+        Some(input)
     }
 }

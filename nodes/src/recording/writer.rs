@@ -1,4 +1,4 @@
-//! The file that is being written.
+//! Writes a recording.
 
 use super::gaps::{EventGap, GapDetector};
 use super::schemas::{
@@ -20,37 +20,38 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::Duration;
 
-/// After this long what was heard is in the file: what is lost if the recorder is killed.
+/// Received inputs reach the file after this time at the latest: the loss if the recorder is
+/// killed.
 pub const FLUSH_AFTER: Duration = Duration::from_secs(1);
 
-/// What a recording holds.
+/// Statistics of a recording.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct RecordingStats {
-    /// Its length in seconds.
+    /// Length in seconds.
     pub seconds: f64,
-    /// Events heard.
+    /// Received events.
     pub events: u64,
-    /// Reports of bodies.
+    /// Telemetry reports.
     pub reports: u64,
-    /// Views that nodes answered.
+    /// Views.
     pub views: u64,
-    /// Stretches in which events of a node were not heard.
+    /// Gaps in the events of nodes.
     pub gaps: u64,
-    /// Events that were not heard.
+    /// Missed events.
     pub lost: u64,
-    /// Messages in all.
+    /// Messages in total.
     pub messages: u64,
     /// Size of the file.
     pub bytes: u64,
 }
 
-/// A file on which a fleet is recorded.
+/// A recording that is being written.
 pub struct RecordingWriter {
     file: McapFile,
     keys: Keys,
     scene: FleetScene,
     gaps: GapDetector,
-    /// Each view as it was last written, whole.
+    /// Last written content of each view.
     views: BTreeMap<Key, Value>,
     began_ms: u64,
     latest_ms: u64,
@@ -58,10 +59,10 @@ pub struct RecordingWriter {
 }
 
 impl RecordingWriter {
-    /// Begins a recording of a fleet, drawn at `node`.
+    /// Begins a recording of a fleet, observed at `node`.
     ///
     /// # Errors
-    /// [`RecordError`] if the file cannot be written, or is there already and is to be kept.
+    /// [`RecordError`] if the file cannot be written, or exists and is to be kept.
     pub fn create(
         path: &Path,
         existing: ExistingFile,
@@ -90,15 +91,15 @@ impl RecordingWriter {
         })
     }
 
-    /// Writes down what was heard. `picture` has taken it in already.
+    /// Writes an input. The model has applied it already.
     ///
     /// # Errors
-    /// [`RecordError`] if the file cannot be written to.
-    pub fn write_input(&mut self, heard: &FleetInput, picture: &FleetModel, now_ms: u64) -> Result<(), RecordError> {
+    /// [`RecordError`] if the file cannot be written.
+    pub fn write_input(&mut self, input: &FleetInput, model: &FleetModel, now_ms: u64) -> Result<(), RecordError> {
         self.latest_ms = self.latest_ms.max(now_ms);
         let at = Time::from_millis(now_ms);
-        match heard {
-            FleetInput::Event(event) => self.event(event, picture, at),
+        match input {
+            FleetInput::Event(event) => self.event(event, model, at),
             FleetInput::Beacon(beacon) => self.file.write("/coordinator", &BEACON, MessageStamp::at(at), beacon),
             FleetInput::Links(links) => {
                 self.file.write("/links", &LINKS, MessageStamp::at(at), &LinksMessage { links: *links })
@@ -106,46 +107,46 @@ impl RecordingWriter {
             FleetInput::Telemetry { robot, telemetry } => {
                 self.recorded.reports += 1;
                 self.file.write(&schemas::telemetry_topic(robot), &TELEMETRY, MessageStamp::at(at), telemetry)?;
-                self.scene.set_robots(&mut self.file, robot_at(picture, robot), at)
+                self.scene.set_robots(&mut self.file, robot_at(model, robot), at)
             }
             FleetInput::View { key, view } => {
                 self.recorded.views += 1;
-                self.view(key, view, picture, now_ms)?;
-                self.draw(key, view, picture, at)
+                self.view(key, view, model, now_ms)?;
+                self.draw(key, view, model, at)
             }
         }
     }
 
-    fn event(&mut self, event: &Event, picture: &FleetModel, at: Time) -> Result<(), RecordError> {
+    fn event(&mut self, event: &Event, model: &FleetModel, at: Time) -> Result<(), RecordError> {
         if let Some(gap) = self.gaps.observe(event) {
             self.gap(&gap, at)?;
         }
         self.recorded.events += 1;
         let said = Time::from_millis(event.at_ms);
-        // The format has 32 bits for it; the message itself has all.
+        // MCAP has 32 bits for the number; the message itself has all.
         let stamp = MessageStamp { log_time: at, publish_time: said, sequence: Some(event.sequence as u32) };
         self.file.write("/events", &EVENT, stamp, event)?;
-        let Some((_, logged)) = picture.log().last_key_value() else { return Ok(()) };
-        let message = format!("{}: {}", logged.word, logged.text);
+        let Some((_, logged)) = model.log().last_key_value() else { return Ok(()) };
+        let message = format!("{}: {}", logged.label, logged.text);
         let said = LogMessage { name: event.node.to_string(), message, is_warning: logged.alarm };
         self.scene.log(&mut self.file, said, MessageStamp { sequence: None, ..stamp })
     }
 
-    /// Most answers are those of a second ago.
-    fn view(&mut self, key: &Key, view: &Value, picture: &FleetModel, now_ms: u64) -> Result<(), RecordError> {
+    /// Writes a view; most views repeat the content of a second ago.
+    fn view(&mut self, key: &Key, view: &Value, model: &FleetModel, now_ms: u64) -> Result<(), RecordError> {
         let age_ms = view.get("age_ms").and_then(Value::as_u64);
         let said = Time::from_millis(now_ms.saturating_sub(age_ms.unwrap_or(0)));
         let (stamp, said) = (
             MessageStamp { log_time: Time::from_millis(now_ms), publish_time: said, sequence: None },
             self.keys.write(key),
         );
-        if self.views.get(key).is_some_and(|before| is_same(before, view)) {
+        if self.views.get(key).is_some_and(|before| is_equal_but_for_age(before, view)) {
             return self.file.write("/view/again", &REPEATED_VIEW, stamp, &RepeatedViewMessage { key: said, age_ms });
         }
         self.views.insert(key.clone(), view.clone());
-        // Of missions that are forgotten nothing more is heard.
+        // Forgotten missions are not queried again.
         self.views.retain(|key, _| match key {
-            Key::ViewMission(mission) => picture.missions().contains_key(mission.as_str()),
+            Key::ViewMission(mission) => model.missions().contains_key(mission.as_str()),
             _ => true,
         });
         self.file.write(&schemas::view_topic(key), &VIEW, stamp, &ViewMessage { key: said, view })
@@ -155,46 +156,46 @@ impl RecordingWriter {
         self.recorded.gaps += 1;
         self.recorded.lost += gap.lost;
         self.file.write("/gaps", &GAP, MessageStamp::at(at), gap)?;
-        let lost = count(gap.lost, "event was", "events were");
-        let message = format!("{lost} not heard, after number {}", gap.after);
+        let lost = count(gap.lost, "event", "events");
+        let message = format!("{lost} missed, after number {}", gap.after);
         let said = LogMessage { name: gap.node.to_string(), message, is_warning: true };
         self.scene.log(&mut self.file, said, MessageStamp::at(at))
     }
 
-    /// What a view changes of the scene.
-    fn draw(&mut self, key: &Key, view: &Value, picture: &FleetModel, at: Time) -> Result<(), RecordError> {
+    /// Updates the 3D scene from a view.
+    fn draw(&mut self, key: &Key, view: &Value, model: &FleetModel, at: Time) -> Result<(), RecordError> {
         match key {
             Key::ViewMap => match LoadedMap::from_view(view).ok().and_then(|floor| floor.map) {
                 Some(map) => self.scene.set_map(&mut self.file, map, at),
                 None => Ok(()),
             },
             Key::ViewFleet => {
-                let robots = || picture.robots().keys();
+                let robots = || model.robots().keys();
                 let present: BTreeSet<RobotId> = robots().filter_map(|name| RobotId::new(name.clone()).ok()).collect();
                 self.scene.retain_robots(&mut self.file, &present, at)?;
-                self.scene.set_robots(&mut self.file, robots().filter_map(|robot| robot_at(picture, robot)), at)
+                self.scene.set_robots(&mut self.file, robots().filter_map(|robot| robot_at(model, robot)), at)
             }
             Key::ViewWorld => {
-                let there = picture.people().iter().filter(|(_, person)| !person.away);
+                let there = model.people().iter().filter(|(_, person)| !person.away);
                 let places = there.filter_map(|(name, person)| Some((name.clone(), place(&person.place)?)));
                 let people: BTreeMap<String, PlaceId> = places.collect();
                 self.scene.set_people(&mut self.file, people, at)?;
-                let doors = picture.doors().iter().map(|(name, state)| (name.clone(), state != "closed"));
+                let doors = model.doors().iter().map(|(name, state)| (name.clone(), state != "closed"));
                 self.scene.set_doors(&mut self.file, doors.collect(), at)
             }
             _ => Ok(()),
         }
     }
 
-    /// Time has passed, whatever was heard: what is as old as [`CHUNK`] reaches the file.
+    /// Flushes data that is older than [`FLUSH_AFTER`].
     ///
     /// # Errors
-    /// [`RecordError`] if the file cannot be written to.
+    /// [`RecordError`] if the file cannot be written.
     pub fn flush_due(&mut self, now_ms: u64) -> Result<(), RecordError> {
         self.file.flush_if_older(Time::from_millis(now_ms), FLUSH_AFTER)
     }
 
-    /// What it holds so far; the size is that of the file as it is.
+    /// Returns the current statistics, with the current size of the file.
     pub fn stats(&self) -> RecordingStats {
         let seconds = self.latest_ms.saturating_sub(self.began_ms) as f64 / 1000.0;
         let bytes = std::fs::metadata(self.file.path()).map_or(0, |file| file.len());
@@ -204,15 +205,15 @@ impl RecordingWriter {
     /// Completes the file.
     ///
     /// # Errors
-    /// [`RecordError`] if it cannot be written to.
+    /// [`RecordError`] if the file cannot be written.
     pub fn finish(mut self) -> Result<RecordingStats, RecordError> {
         self.file.finish()?;
         Ok(self.stats())
     }
 }
 
-/// Whether two answers are the same but for their age.
-fn is_same(before: &Value, now: &Value) -> bool {
+/// Checks whether two views are equal except for their age.
+fn is_equal_but_for_age(before: &Value, now: &Value) -> bool {
     let (Some(before), Some(now)) = (before.as_object(), now.as_object()) else { return false };
     let field = |(name, value): (&String, &Value)| {
         before.get(name).is_some_and(|before| match name.as_str() {
@@ -223,9 +224,9 @@ fn is_same(before: &Value, now: &Value) -> bool {
     before.len() == now.len() && now.iter().all(field)
 }
 
-/// Where a robot is, as far as anybody has said.
-fn robot_at(picture: &FleetModel, robot: &str) -> Option<RobotPose> {
-    let shown = picture.robots().get(robot).filter(|shown| !shown.place.is_empty())?;
+/// Returns the last known position of a robot.
+fn robot_at(model: &FleetModel, robot: &str) -> Option<RobotPose> {
+    let shown = model.robots().get(robot).filter(|shown| !shown.place.is_empty())?;
     let (place, pose) = (place(&shown.place), Pose::new(shown.x, shown.y, shown.yaw));
     Some(RobotPose { robot: RobotId::new(robot).ok()?, place, pose })
 }

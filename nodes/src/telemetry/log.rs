@@ -1,5 +1,5 @@
-//! The log of a node's own doings: what it tells on the event stream, each line within the span of its mission, with the
-//! mission's trace id, so that the lines of many nodes can be put together.
+//! The log of a node's own events: each line within the span of its mission, with the mission's
+//! trace id, so that the lines of many nodes can be joined.
 
 use super::ClusterCell;
 use super::ids::TraceId;
@@ -12,20 +12,20 @@ use consort_protocol::ledger::Command;
 use serde_json::Value;
 use tracing::{Level, debug, info, info_span, warn};
 
-/// By which these lines are chosen in a filter, as `consort::told=debug`.
-const TARGET: &str = "consort::told";
+/// Target for log filters, as in `consort::events=debug`.
+const TARGET: &str = "consort::events";
 
-/// Writes what a node tells to its log.
+/// Writes a node's events to its log.
 pub struct EventLogger(pub(super) ClusterCell);
 
 impl Observer for EventLogger {
     fn on_event(&self, event: &Event) {
         let write = || {
-            let what = &event.kind;
+            let kind = &event.kind;
             match level(event) {
-                Level::WARN => warn!(target: TARGET, event = what.as_str(), "{}", fields(what)),
-                Level::INFO => info!(target: TARGET, event = what.as_str(), "{}", fields(what)),
-                _ => debug!(target: TARGET, event = what.as_str(), "{}", fields(what)),
+                Level::WARN => warn!(target: TARGET, event = kind.as_str(), "{}", fields(kind)),
+                Level::INFO => info!(target: TARGET, event = kind.as_str(), "{}", fields(kind)),
+                _ => debug!(target: TARGET, event = kind.as_str(), "{}", fields(kind)),
             }
         };
         match event.kind.mission() {
@@ -40,29 +40,31 @@ impl Observer for EventLogger {
     fn on_applied(&self, _: &NodeId, _: Epoch, _: &[Command]) {}
 }
 
-/// What is told but for the kind and the mission, which the line has already: `role="carrier" task="go"`.
-fn fields(what: &EventKind) -> String {
-    let Ok(Value::Object(all)) = serde_json::to_value(what) else { return String::new() };
-    let said = |key: &str| matches!(key, "event" | "mission");
-    let fields = all.iter().filter(|(key, _)| !said(key)).map(|(key, value)| format!("{key}={value}"));
+/// Formats the fields except the kind and the mission, which the line has already:
+/// `role="carrier" task="go"`.
+fn fields(kind: &EventKind) -> String {
+    let Ok(Value::Object(all)) = serde_json::to_value(kind) else { return String::new() };
+    let is_in_line = |key: &str| matches!(key, "event" | "mission");
+    let fields = all.iter().filter(|(key, _)| !is_in_line(key)).map(|(key, value)| format!("{key}={value}"));
     fields.collect::<Vec<_>>().join(" ")
 }
 
-/// Few lines a mission for whoever only looks whether all is well; troubles stand out; the rest is there if asked for.
+/// Returns the level of an event: few lines per mission at info, warnings for problems, the rest at
+/// debug.
 fn level(event: &Event) -> Level {
     match &event.kind {
         EventKind::Joined { .. }
         | EventKind::Left { .. }
-        | EventKind::Called { .. }
+        | EventKind::BidsRequested { .. }
         | EventKind::Bid { .. }
-        // Whoever waits for robots has one of these after the other.
+        // A mission that waits for robots has many of these.
         | EventKind::Closed { .. }
         | EventKind::Progress { .. }
         | EventKind::TaskBegan { .. }
         | EventKind::TaskEnded { .. }
         | EventKind::Sent { .. }
-        | EventKind::Heard { .. }
-        | EventKind::Outdated { .. } => Level::DEBUG,
+        | EventKind::Received { .. }
+        | EventKind::StaleSignal { .. } => Level::DEBUG,
         EventKind::Elected { .. }
         | EventKind::SteppedDown { .. }
         | EventKind::Foreign { .. }
@@ -79,7 +81,7 @@ fn level(event: &Event) -> Level {
         | EventKind::TaskRetried { .. }
         | EventKind::Alternative { .. }
         | EventKind::GaveUp { .. }
-        | EventKind::ChargeShort { .. } => if describe_event(event).alarm { Level::WARN } else { Level::INFO },
+        | EventKind::LowCharge { .. } => if describe_event(event).alarm { Level::WARN } else { Level::INFO },
     }
 }
 
@@ -89,15 +91,15 @@ mod tests {
     use consort_protocol::ledger::MissionState;
 
     #[test]
-    fn a_line_has_what_its_kind_and_its_span_do_not_say() {
+    fn a_log_line_repeats_neither_the_kind_nor_the_span() {
         let mission = "lab-samples-1".parse().unwrap();
         let (role, task) = ("r1".parse().unwrap(), "go".parse().unwrap());
-        let what = EventKind::TaskFailed { mission, role, task, cause: "the door is \"shut\"".to_owned() };
-        assert_eq!(fields(&what), r#"cause="the door is \"shut\"" role="r1" task="go""#);
-        let told = |what| level(&Event { node: "ada".parse().unwrap(), sequence: 1, at_ms: 0, kind: what });
-        assert_eq!(told(what), Level::WARN);
+        let kind = EventKind::TaskFailed { mission, role, task, cause: "the door is \"shut\"".to_owned() };
+        assert_eq!(fields(&kind), r#"cause="the door is \"shut\"" role="r1" task="go""#);
+        let level_of = |kind| level(&Event { node: "ada".parse().unwrap(), sequence: 1, at_ms: 0, kind });
+        assert_eq!(level_of(kind), Level::WARN);
         let state = |state| EventKind::Mission { mission: "m-1".parse().unwrap(), state, submitted_at_ms: 0 };
-        assert_eq!(told(state(MissionState::Completed)), Level::INFO);
-        assert_eq!(told(state(MissionState::Failed { cause: "no robots".to_owned() })), Level::WARN);
+        assert_eq!(level_of(state(MissionState::Completed)), Level::INFO);
+        assert_eq!(level_of(state(MissionState::Failed { cause: "no robots".to_owned() })), Level::WARN);
     }
 }

@@ -1,6 +1,6 @@
-//! What a node does, for whoever looks on from outside: in its log, and as spans for OpenTelemetry.
+//! Observability of a node's actions: log lines, and spans for OpenTelemetry.
 //!
-//! Both are made of what the node tells on the event stream, and name a mission's trace by the same id: see [`ids`].
+//! Both are derived from the node's events, and use the same id for a mission's trace: see [`ids`].
 
 pub mod ids;
 mod log;
@@ -16,11 +16,11 @@ use consort_actors::observe::SharedObserver;
 use consort_protocol::ids::ClusterId;
 use std::sync::{Arc, OnceLock};
 
-/// How long the last spans of a node that ends are waited for.
+/// Time limit for sending the last spans when a node ends.
 #[cfg(feature = "otlp")]
-const FAREWELL: std::time::Duration = std::time::Duration::from_secs(2);
+const LAST_SPANS_LIMIT: std::time::Duration = std::time::Duration::from_secs(2);
 
-/// The cluster of a node that may not have started yet.
+/// The cluster of a node, empty until the node has started.
 #[derive(Clone, Default)]
 pub(crate) struct ClusterCell(Arc<OnceLock<ClusterMembership>>);
 
@@ -30,7 +30,7 @@ impl ClusterCell {
     }
 }
 
-/// The log and the spans of one node.
+/// The log and the spans of a node.
 pub struct Telemetry {
     membership: ClusterCell,
     #[cfg(feature = "otlp")]
@@ -38,11 +38,12 @@ pub struct Telemetry {
 }
 
 impl Telemetry {
-    /// Of the node that `settings` make; spans go to the collector at `endpoint` (as `http://127.0.0.1:4318`) if one is named.
-    /// Called within a tokio runtime. Returned beside it are those who must observe the node.
+    /// Creates the telemetry of the node with `settings`; spans go to the collector at `endpoint`
+    /// (as `http://127.0.0.1:4318`), if given. Called within a tokio runtime. Also returns the
+    /// observers to attach to the node.
     ///
     /// # Errors
-    /// Why spans cannot be sent there, in words.
+    /// A message with the reason why spans cannot be sent there.
     pub fn open(endpoint: Option<&str>, settings: &NodeSettings) -> Result<(Telemetry, Vec<SharedObserver>), String> {
         let membership = ClusterCell::default();
         let mut observers: Vec<SharedObserver> = vec![Arc::new(EventLogger(membership.clone()))];
@@ -62,17 +63,17 @@ impl Telemetry {
         }
     }
 
-    /// From now on the cluster is known, once the node belongs to one.
+    /// Sets the node's cluster membership.
     pub fn set_cluster(&self, allegiance: ClusterMembership) {
-        // A node lives once: there is no second.
+        // A process runs a single node: there is no second call.
         let _ = self.membership.0.set(allegiance);
     }
 
-    /// Sends what there still is, for a moment at most.
+    /// Sends the remaining spans, within a time limit.
     pub async fn shut_down(self) {
         #[cfg(feature = "otlp")]
         if let Some(exporter) = self.exporter {
-            let _ = tokio::time::timeout(FAREWELL, exporter.end()).await;
+            let _ = tokio::time::timeout(LAST_SPANS_LIMIT, exporter.end()).await;
         }
     }
 }

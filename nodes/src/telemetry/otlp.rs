@@ -1,7 +1,7 @@
-//! Spans to a collector, by OTLP over HTTP.
+//! Sends spans to a collector, by OTLP over HTTP.
 
-use super::Membership;
-use super::spans::{Span, Spans};
+use super::ClusterCell;
+use super::spans::{Span, SpanTracker};
 use consort_actors::node::NodeSettings;
 use consort_actors::observe::{Observer, SharedObserver};
 use consort_protocol::event::Event;
@@ -19,27 +19,27 @@ use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tokio::task::JoinHandle;
 use tracing::warn;
 
-/// Spans that wait for a slow collector; more are lost.
+/// Maximum number of spans that wait for a slow collector; further spans are lost.
 const WAITING_MAX: usize = 4096;
 
-/// Most spans in one message.
+/// Maximum number of spans in a message.
 const BATCH_MAX: usize = 256;
 
-/// How long spans are gathered before they are sent.
+/// Time for collecting spans before they are sent.
 const GATHER: Duration = Duration::from_secs(1);
 
-/// Sends the spans of one node.
+/// Sends the spans of a node.
 pub(super) struct Exporter {
     tracer: Arc<Tracer>,
     task: JoinHandle<()>,
 }
 
 impl Exporter {
-    pub(super) fn start(endpoint: &str, settings: &NodeSettings, membership: Membership) -> Result<Exporter, String> {
+    pub(super) fn start(endpoint: &str, settings: &NodeSettings, membership: ClusterCell) -> Result<Exporter, String> {
         let at = format!("{}/v1/traces", endpoint.trim_end_matches('/'));
         let wrong = |problem: &dyn std::fmt::Display| format!("--otlp {endpoint}: {problem}; as http://127.0.0.1:4318");
         if !endpoint.starts_with("http://") {
-            return Err(wrong(&"collectors are reached by http"));
+            return Err(wrong(&"a collector's address starts with http://"));
         }
         let exporter = SpanExporter::builder().with_http().with_protocol(Protocol::HttpBinary).with_endpoint(at);
         let mut exporter = exporter.build().map_err(|problem| wrong(&problem))?;
@@ -58,18 +58,18 @@ impl Exporter {
         self.tracer.clone()
     }
 
-    /// Sends what waits, and ends.
+    /// Sends the waiting spans, and ends.
     pub(super) async fn end(self) {
         self.tracer.to.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let _ = self.task.await; // a panic there was told already
+        let _ = self.task.await; // a panic there was reported already
     }
 }
 
-/// Makes spans of what is told.
+/// Creates spans from events.
 struct Tracer {
-    membership: Membership,
-    spans: Mutex<Spans>,
-    /// Nothing once the node has ended.
+    membership: ClusterCell,
+    spans: Mutex<SpanTracker>,
+    /// `None` after the node has ended.
     to: Mutex<Option<Sender<Span>>>,
 }
 
@@ -80,14 +80,14 @@ impl Observer for Tracer {
         let Some(to) = &*to else { return };
         let lost = ended.into_iter().filter(|span| to.try_send(span.clone()).is_err()).count();
         if lost > 0 {
-            warn!(lost, "the collector is too slow, or away: spans are lost");
+            warn!(lost, "the collector is too slow, or unreachable: spans are lost");
         }
     }
 
     fn applied(&self, _: &NodeId, _: Epoch, _: &[Command]) {}
 }
 
-/// Sends what comes until there is no more.
+/// Sends spans until the channel is closed.
 async fn send(exporter: SpanExporter, mut waiting: Receiver<Span>) {
     let mut fails = false;
     while let Some(first) = waiting.recv().await {
@@ -101,7 +101,7 @@ async fn send(exporter: SpanExporter, mut waiting: Receiver<Span>) {
         match exporter.export(batch).await {
             Ok(()) => fails = false,
             Err(problem) if !fails => {
-                warn!(%problem, "spans were not taken; this is told once until some are");
+                warn!(%problem, "spans were not accepted; logged once until the collector accepts spans again");
                 fails = true;
             }
             Err(_) => {}

@@ -1,8 +1,9 @@
-//! Spans of missions, made of what a node tells on the event stream.
+//! Builds spans of missions from a node's events.
 //!
-//! A mission is a trace. Its root is told by the coordinator that sees it end, whoever saw it begin; below it stand the
-//! auctions that this coordinator held, and what each robot's node did in a role, with its tasks. Each node tells its own
-//! spans, and those of a process that died are missing.
+//! A mission is a trace. Its root span is published by the coordinator that observes its end, even
+//! if another node observed its beginning. Below it are the auctions of this coordinator, and the
+//! roles and tasks of each robot's node. Each node publishes its own spans; the spans of a failed
+//! process are missing.
 
 use super::ids::{SpanId, TraceId};
 use consort_protocol::event::{Event, EventKind};
@@ -10,34 +11,34 @@ use consort_protocol::ids::{ClusterId, MissionId, RoleId, TaskId};
 use consort_protocol::ledger::MissionState;
 use std::collections::BTreeMap;
 
-/// Most marks of a span; later ones are left out.
-const MARKS_MAX: usize = 128;
+/// Maximum number of events of a span; later events are dropped.
+const EVENTS_MAX: usize = 128;
 
-/// Something that took time and is over.
+/// A finished span.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Span {
-    /// The mission that it is part of.
+    /// The trace of the mission.
     pub trace: TraceId,
-    /// Which it is.
+    /// The id.
     pub id: SpanId,
-    /// What it is part of; nothing for a mission itself.
+    /// The parent span; `None` for a mission itself.
     pub parent: Option<SpanId>,
-    /// What it is: `mission`, `auction`, `role` or `task`, and of what.
+    /// Name: `mission`, `auction`, `role` or `task`, with its id.
     pub name: String,
-    /// When it began, in milliseconds of the teller's wall clock.
+    /// Start, in milliseconds of the node's wall clock.
     pub begin_ms: u64,
-    /// When it ended.
+    /// End.
     pub end_ms: u64,
-    /// Why it failed, if it did.
+    /// Cause of a failure, if any.
     pub failure: Option<String>,
-    /// More of it.
+    /// Attributes.
     pub attributes: Vec<(&'static str, String)>,
-    /// What happened meanwhile, and when.
+    /// Events within the span, with their times.
     pub events: Vec<(u64, String)>,
 }
 
 impl Span {
-    /// One that begins now, below `parent`.
+    /// Creates a span that begins now, below `parent`.
     fn begin(trace: TraceId, id: SpanId, parent: Option<SpanId>, name: String, event: &Event) -> Span {
         let attributes = vec![("node", event.node.to_string())];
         let (begin_ms, end_ms) = (event.at_ms, event.at_ms);
@@ -49,18 +50,18 @@ impl Span {
         self
     }
 
-    /// Ended; a clock that was put back makes nothing end before it began.
+    /// Ends the span; after a clock was set back, the end is not before the beginning.
     fn end(self, at_ms: u64, failure: Option<String>) -> Span {
         Span { end_ms: at_ms.max(self.begin_ms), failure, ..self }
     }
 }
 
-/// Spans that have begun on this node.
+/// Unfinished spans of this node.
 #[derive(Default)]
 pub struct SpanTracker {
     auctions: BTreeMap<MissionId, Span>,
     roles: BTreeMap<(MissionId, RoleId), Span>,
-    /// Of roles of robots and of people.
+    /// Tasks in roles of robots and of people.
     tasks: BTreeMap<(MissionId, RoleId), BTreeMap<TaskId, Span>>,
 }
 
@@ -69,12 +70,12 @@ fn root(mission: &MissionId) -> SpanId {
 }
 
 impl SpanTracker {
-    /// Takes in what the node told; returns what has ended by it.
+    /// Applies an event of the node, and returns the finished spans.
     pub fn on_event(&mut self, cluster: Option<ClusterId>, event: &Event) -> Vec<Span> {
         let at = event.at_ms;
         match &event.kind {
-            EventKind::SteppedDown { .. } => self.auctions.clear(), // whoever follows holds them anew
-            EventKind::Called { mission, round, .. } => {
+            EventKind::SteppedDown { .. } => self.auctions.clear(), // the next coordinator repeats them
+            EventKind::BidsRequested { mission, round, .. } => {
                 let id = SpanId::of(&["auction", mission.as_str(), &round.to_string(), event.node.as_str()]);
                 let (trace, name) = (TraceId::of(cluster, mission), format!("auction {mission}"));
                 let span = Span::begin(trace, id, Some(root(mission)), name, event).with("round", round);
@@ -106,14 +107,14 @@ impl SpanTracker {
             }
             EventKind::Halted { mission, role, reason } => {
                 let reason = format!("{reason:?}").to_lowercase();
-                return self.role_ended((mission.clone(), role.clone()), at, None, &reason);
+                return self.end_role((mission.clone(), role.clone()), at, None, &reason);
             }
             EventKind::GaveUp { mission, role, cause, .. } => {
-                return self.role_ended((mission.clone(), role.clone()), at, Some(cause.clone()), "gave up");
+                return self.end_role((mission.clone(), role.clone()), at, Some(cause.clone()), "gave up");
             }
             EventKind::TaskBegan { mission, role, task } => {
                 let key = (mission.clone(), role.clone());
-                // People's tasks have no role of the fleet's: they stand below the mission.
+                // Tasks of people have no role span: they stand below the mission.
                 let parent = self.roles.get(&key).map_or(root(mission), |role| role.id);
                 let words = ["task", mission.as_str(), role.as_str(), task.as_str(), &parent.to_string()];
                 let (trace, name) = (TraceId::of(cluster, mission), format!("task {task}"));
@@ -121,41 +122,35 @@ impl SpanTracker {
                 self.tasks.entry(key).or_default().insert(task.clone(), span);
             }
             EventKind::TaskEnded { mission, role, task } => {
-                return self.task_ended((mission.clone(), role.clone()), task, at, None).into_iter().collect();
+                return self.end_task((mission.clone(), role.clone()), task, at, None).into_iter().collect();
             }
             EventKind::TaskFailed { mission, role, task, cause } => {
                 let failure = Some(cause.clone());
-                return self.task_ended((mission.clone(), role.clone()), task, at, failure).into_iter().collect();
+                return self.end_task((mission.clone(), role.clone()), task, at, failure).into_iter().collect();
             }
-            other => self.mark(other, at),
+            other => self.add_event(other, at),
         }
         vec![]
     }
 
-    /// A node's robot has one role at a time: what happens in a mission happens to that.
-    fn mark(&mut self, what: &EventKind, at: u64) {
-        let Some((mission, text)) = marked(what) else { return };
+    /// A robot has a single role at a time: the events of a mission belong to that role.
+    fn add_event(&mut self, kind: &EventKind, at: u64) {
+        let Some((mission, text)) = role_event(kind) else { return };
         let role = self.roles.iter_mut().find(|((of, _), _)| of == mission);
-        if let Some((_, span)) = role.filter(|(_, span)| span.events.len() < MARKS_MAX) {
+        if let Some((_, span)) = role.filter(|(_, span)| span.events.len() < EVENTS_MAX) {
             span.events.push((at, text));
         }
     }
 
-    /// The tasks that were under way are left off with it.
-    fn role_ended(&mut self, key: (MissionId, RoleId), at: u64, failure: Option<String>, why: &str) -> Vec<Span> {
+    /// The unfinished tasks are aborted with it.
+    fn end_role(&mut self, key: (MissionId, RoleId), at: u64, failure: Option<String>, why: &str) -> Vec<Span> {
         let tasks = self.tasks.remove(&key).unwrap_or_default().into_values();
-        let tasks = tasks.map(|span| span.end(at, Some(format!("left off: {why}"))));
+        let tasks = tasks.map(|span| span.end(at, Some(format!("aborted: {why}"))));
         let role = self.roles.remove(&key).map(|span| span.with("ended", why).end(at, failure));
         tasks.chain(role).collect()
     }
 
-    fn task_ended(
-        &mut self,
-        key: (MissionId, RoleId),
-        task: &TaskId,
-        at: u64,
-        failure: Option<String>,
-    ) -> Option<Span> {
+    fn end_task(&mut self, key: (MissionId, RoleId), task: &TaskId, at: u64, failure: Option<String>) -> Option<Span> {
         let tasks = self.tasks.get_mut(&key)?;
         let span = tasks.remove(task)?;
         if tasks.is_empty() {
@@ -165,18 +160,18 @@ impl SpanTracker {
     }
 }
 
-/// What is told in a role's span rather than in one of its own.
-fn marked(what: &EventKind) -> Option<(&MissionId, String)> {
-    Some(match what {
+/// Returns the events that are part of a role's span.
+fn role_event(kind: &EventKind) -> Option<(&MissionId, String)> {
+    Some(match kind {
         EventKind::Sent { mission, signal } => (mission, format!("sent {signal}")),
-        EventKind::Heard { mission, signal } => (mission, format!("heard {signal}")),
-        EventKind::Suspended { mission, .. } => (mission, "suspended: its lease has run out".to_owned()),
+        EventKind::Received { mission, signal } => (mission, format!("received {signal}")),
+        EventKind::Suspended { mission, .. } => (mission, "suspended: its lease has expired".to_owned()),
         EventKind::Resumed { mission, .. } => (mission, "resumed".to_owned()),
         EventKind::TaskRetried { mission, task, attempt, cause, .. } => {
-            (mission, format!("{task} failed for the {attempt}. time and is tried again: {cause}"))
+            (mission, format!("{task} failed at attempt {attempt} and is retried: {cause}"))
         }
-        EventKind::Alternative { mission, task, cause, .. } => (mission, format!("another way than {task}: {cause}")),
-        EventKind::ChargeShort { mission, cause, .. } => (mission, format!("goes on with little charge: {cause}")),
+        EventKind::Alternative { mission, task, cause, .. } => (mission, format!("alternative to {task}: {cause}")),
+        EventKind::LowCharge { mission, cause, .. } => (mission, format!("continues with low charge: {cause}")),
         _ => return None,
     })
 }
@@ -187,22 +182,22 @@ mod tests {
     use consort_protocol::ids::NodeId;
     use consort_protocol::lease::{EndReason, Epoch};
 
-    /// A node that tells of mission m-1, and what became spans of it.
-    struct Teller {
+    /// A node that publishes events of mission m-1, and its spans.
+    struct Publisher {
         node: NodeId,
         spans: SpanTracker,
         at_ms: u64,
     }
 
-    fn teller(node: &str) -> Teller {
-        Teller { node: node.parse().unwrap(), spans: SpanTracker::default(), at_ms: 1_000 }
+    fn publisher(node: &str) -> Publisher {
+        Publisher { node: node.parse().unwrap(), spans: SpanTracker::default(), at_ms: 1_000 }
     }
 
-    impl Teller {
-        /// It tells so a second later.
-        fn tells(&mut self, what: EventKind) -> Vec<Span> {
+    impl Publisher {
+        /// Publishes an event a second later.
+        fn publish(&mut self, kind: EventKind) -> Vec<Span> {
             self.at_ms += 1_000;
-            let event = Event { node: self.node.clone(), sequence: 1, at_ms: self.at_ms, kind: what };
+            let event = Event { node: self.node.clone(), sequence: 1, at_ms: self.at_ms, kind };
             self.spans.on_event(Some(ClusterId(7)), &event)
         }
     }
@@ -235,25 +230,25 @@ mod tests {
         EventKind::Halted { mission: mission(), role: role(), reason }
     }
 
-    fn told(spans: &[Span]) -> Vec<(&str, u64, u64, Option<&str>)> {
+    fn summary(spans: &[Span]) -> Vec<(&str, u64, u64, Option<&str>)> {
         spans.iter().map(|span| (span.name.as_str(), span.begin_ms, span.end_ms, span.failure.as_deref())).collect()
     }
 
     #[test]
-    fn spans_of_several_processes_hang_together() {
-        let mut robot = teller("ada");
-        assert_eq!(robot.tells(started()), []);
-        robot.tells(began("go"));
-        let first = robot.tells(done("go"));
-        assert_eq!(told(&first), [("task go", 3_000, 4_000, None)]);
-        let over = robot.tells(halted(EndReason::Over));
-        assert_eq!(told(&over), [("role carrier", 2_000, 5_000, None)]);
+    fn spans_of_several_processes_form_a_single_trace() {
+        let mut robot = publisher("ada");
+        assert_eq!(robot.publish(started()), []);
+        robot.publish(began("go"));
+        let first = robot.publish(done("go"));
+        assert_eq!(summary(&first), [("task go", 3_000, 4_000, None)]);
+        let over = robot.publish(halted(EndReason::Over));
+        assert_eq!(summary(&over), [("role carrier", 2_000, 5_000, None)]);
 
-        // Another node saw it end; it was elected after the request.
-        let mut coordinator = teller("station-1");
+        // Another node observed the end; it was elected after the request.
+        let mut coordinator = publisher("station-1");
         let end = EventKind::Mission { mission: mission(), state: MissionState::Completed, submitted_at_ms: 500 };
-        let whole = coordinator.tells(end);
-        assert_eq!(told(&whole), [("mission m-1", 500, 2_000, None)]);
+        let whole = coordinator.publish(end);
+        assert_eq!(summary(&whole), [("mission m-1", 500, 2_000, None)]);
         assert_eq!(whole[0].parent, None);
         assert_eq!((over[0].parent, first[0].parent), (Some(whole[0].id), Some(over[0].id)));
         let traces = [first[0].trace, over[0].trace, whole[0].trace];
@@ -261,41 +256,41 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_off_has_failed_and_says_by_what() {
-        let mut robot = teller("ada");
-        robot.tells(started());
-        robot.tells(began("go"));
+    fn an_aborted_task_has_failed_with_its_reason() {
+        let mut robot = publisher("ada");
+        robot.publish(started());
+        robot.publish(began("go"));
         let signal = EventKind::Suspended { mission: mission(), role: role() };
-        assert_eq!(robot.tells(signal), []);
-        let spans = robot.tells(halted(EndReason::Canceled));
-        let expected = [("task go", 3_000, 5_000, Some("left off: canceled")), ("role carrier", 2_000, 5_000, None)];
-        assert_eq!(told(&spans), expected);
-        assert_eq!(spans[1].events, [(4_000, "suspended: its lease has run out".to_owned())]);
-        assert_eq!(robot.tells(halted(EndReason::Canceled)), [], "told twice, it ends once");
+        assert_eq!(robot.publish(signal), []);
+        let spans = robot.publish(halted(EndReason::Canceled));
+        let expected = [("task go", 3_000, 5_000, Some("aborted: canceled")), ("role carrier", 2_000, 5_000, None)];
+        assert_eq!(summary(&spans), expected);
+        assert_eq!(spans[1].events, [(4_000, "suspended: its lease has expired".to_owned())]);
+        assert_eq!(robot.publish(halted(EndReason::Canceled)), [], "a repeated event has no effect");
 
-        robot.tells(started());
-        robot.tells(began("go"));
+        robot.publish(started());
+        robot.publish(began("go"));
         let cause = "the way is closed".to_owned();
         let failed = EventKind::TaskFailed { mission: mission(), role: role(), task: task("go"), cause: cause.clone() };
-        assert_eq!(told(&robot.tells(failed)), [("task go", 8_000, 9_000, Some("the way is closed"))]);
+        assert_eq!(summary(&robot.publish(failed)), [("task go", 8_000, 9_000, Some("the way is closed"))]);
     }
 
     #[test]
     fn another_award_of_a_role_is_another_span() {
-        let mut robot = teller("ada");
-        robot.tells(started());
-        let first = robot.tells(halted(EndReason::Released));
+        let mut robot = publisher("ada");
+        robot.publish(started());
+        let first = robot.publish(halted(EndReason::Released));
         let epoch = Epoch { term: 2, index: 9 };
-        robot.tells(EventKind::Started { mission: mission(), role: role(), epoch });
-        let second = robot.tells(halted(EndReason::Over));
+        robot.publish(EventKind::Started { mission: mission(), role: role(), epoch });
+        let second = robot.publish(halted(EndReason::Over));
         assert_ne!(first[0].id, second[0].id);
     }
 
     #[test]
-    fn tasks_of_people_stand_below_the_mission_and_take_up_no_room_afterwards() {
-        let mut host = teller("world");
-        host.tells(began("deposit"));
-        let spans = host.tells(done("deposit"));
+    fn tasks_of_people_are_below_the_mission_and_are_freed() {
+        let mut host = publisher("world");
+        host.publish(began("deposit"));
+        let spans = host.publish(done("deposit"));
         assert_eq!(spans[0].parent, Some(root(&mission())));
         assert!(host.spans.tasks.is_empty());
     }

@@ -1,6 +1,6 @@
-//! The fleet on a terminal: a [`Picture`] drawn as text, and what keys do.
+//! The fleet on a terminal: a [`FleetModel`] drawn as text, and key bindings.
 //!
-//! Values in, cells out: who reads keys and writes to the terminal is `consort watch`.
+//! It draws cells from values; `consort watch` reads the keys and writes to the terminal.
 
 mod panels;
 
@@ -12,22 +12,22 @@ use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 
-/// From this width on there is room for two columns.
+/// Minimum width for two columns.
 const WIDE: u16 = 110;
 
-/// What the keys do, for the last line.
-const KEYS: &str = " q quit   Tab next panel   ↑ ↓ PgUp PgDn move   the auction is that of the mission chosen";
+/// Key bindings, for the last line.
+const KEYS: &str = " q quit   Tab next panel   ↑ ↓ PgUp PgDn move   the auction is that of the selected mission";
 
-/// A part of the screen that can be moved in.
+/// A part of the screen with a selection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Panel {
     /// The robots.
     Robots,
     /// The missions.
     Missions,
-    /// The answers of the latest auction of the chosen mission.
+    /// The bids of the latest auction of the selected mission.
     Auction,
-    /// What happened.
+    /// The events.
     Log,
 }
 
@@ -35,21 +35,21 @@ impl Panel {
     const ALL: [Panel; 4] = [Panel::Robots, Panel::Missions, Panel::Auction, Panel::Log];
 }
 
-/// What a key asks for.
+/// Result of a key press.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum KeyOutcome {
-    /// To go on.
+    /// Continue.
     Continue,
-    /// To end.
+    /// Quit.
     Quit,
 }
 
-/// Whether colours may be used; without them bold and reverse say the same.
+/// Use of colours; without them bold and reverse have the same meaning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ColorMode {
     /// The terminal's colours.
     Color,
-    /// None.
+    /// No colours.
     Plain,
 }
 
@@ -78,22 +78,23 @@ impl ColorMode {
     }
 }
 
-/// Where somebody who looks is.
+/// Focus and selection of the terminal interface.
 #[derive(Debug)]
 pub struct Tui {
     paint: ColorMode,
     focus: Panel,
-    /// The row chosen in each panel, in the order of [`Panel::ALL`]; in the log it counts from the newest.
+    /// The selected row of each panel, in the order of [`Panel::ALL`]; the log counts from the
+    /// newest.
     rows: [usize; 4],
 }
 
 impl Tui {
-    /// At the missions, the newest first.
+    /// Creates the interface with the focus on the missions, the newest first.
     pub fn new(paint: ColorMode) -> Tui {
         Tui { paint, focus: Panel::Missions, rows: [0; 4] }
     }
 
-    /// Does what a key asks for.
+    /// Handles a key press.
     pub fn handle_key(&mut self, key: KeyEvent) -> KeyOutcome {
         if key.kind == KeyEventKind::Release {
             return KeyOutcome::Continue;
@@ -118,8 +119,8 @@ impl Tui {
         Panel::ALL[(self.focus as usize + steps) % Panel::ALL.len()]
     }
 
-    /// Draws the picture as it is at `now_ms`.
-    pub fn draw(&mut self, frame: &mut Frame<'_>, picture: &FleetModel, now_ms: u64) {
+    /// Draws the model at `now_ms`.
+    pub fn draw(&mut self, frame: &mut Frame<'_>, model: &FleetModel, now_ms: u64) {
         let lines = [Constraint::Length(2), Constraint::Min(0), Constraint::Length(1)];
         let [head, body, foot] = Layout::vertical(lines).areas(frame.area());
         let halves = [Constraint::Percentage(50), Constraint::Percentage(50)];
@@ -129,45 +130,45 @@ impl Tui {
             let [missions, auction] = Layout::vertical(halves).areas(right);
             [robots, missions, auction, log]
         } else {
-            // The one that is looked at gets what the others leave.
+            // The focused panel gets the remaining space.
             let part = |panel| if panel == self.focus { Constraint::Min(5) } else { Constraint::Length(5) };
             Layout::vertical(Panel::ALL.map(part)).areas(body)
         };
-        self.head(frame, head, picture, now_ms);
-        self.robots(frame, robots, picture, now_ms);
-        let chosen = self.missions(frame, missions, picture, now_ms);
-        self.auction(frame, auction, picture, chosen.as_deref());
-        self.log(frame, log, picture, now_ms);
+        self.head(frame, head, model, now_ms);
+        self.robots(frame, robots, model, now_ms);
+        let chosen = self.missions(frame, missions, model, now_ms);
+        self.auction(frame, auction, model, chosen.as_deref());
+        self.log(frame, log, model, now_ms);
         frame.render_widget(Line::styled(KEYS, self.paint.faint()), foot);
     }
 
-    /// Who coordinates, and whether what is shown is up to date; below, figures.
-    fn head(&self, frame: &mut Frame<'_>, area: Rect, picture: &FleetModel, now_ms: u64) {
-        let reach = picture.reach();
-        let heard = match reach.heard_ms {
-            Some(at) => format!("a coordinator was last heard {} ago", format_span(now_ms.saturating_sub(at))),
-            None => "no coordinator was heard yet".to_owned(),
+    /// Draws the coordinator and the state of the connection; below, key figures.
+    fn head(&self, frame: &mut Frame<'_>, area: Rect, model: &FleetModel, now_ms: u64) {
+        let reachability = model.reachability();
+        let contact = match reachability.last_contact_ms {
+            Some(at) => format!("last contact with a coordinator {} ago", format_span(now_ms.saturating_sub(at))),
+            None => "no contact with a coordinator yet".to_owned(),
         };
-        let who = match picture.coordinator() {
-            Some(shown) => format!("{} coordinates, term {}", shown.node, shown.term),
-            None => "nobody is known to coordinate".to_owned(),
+        let coordinator = match model.coordinator() {
+            Some(shown) => format!("coordinator {}, term {}", shown.node, shown.term),
+            None => "no coordinator is known".to_owned(),
         };
-        let state = match reach.state {
-            ReachabilityState::Whole => Span::styled("live", self.paint.good()),
-            ReachabilityState::Silent => {
-                Span::styled(format!("NO COORDINATOR: {heard}; what is shown is old"), self.paint.bad())
+        let state = match reachability.state {
+            ReachabilityState::Connected => Span::styled("live", self.paint.good()),
+            ReachabilityState::NoCoordinator => {
+                Span::styled(format!("NO COORDINATOR: {contact}; the data is old"), self.paint.bad())
             }
-            ReachabilityState::Alone => {
-                Span::styled(format!("CUT OFF: {heard}; what is shown is old"), self.paint.bad())
+            ReachabilityState::Isolated => {
+                Span::styled(format!("CUT OFF: {contact}; the data is old"), self.paint.bad())
             }
         };
         let bold = Style::new().add_modifier(Modifier::BOLD);
-        let first = Line::from_iter([Span::styled(" Consort ", bold), Span::raw(who), Span::raw("   "), state]);
-        let kpis = picture.kpis();
+        let first = Line::from_iter([Span::styled(" Consort ", bold), Span::raw(coordinator), Span::raw("   "), state]);
+        let kpis = model.kpis();
         let success = kpis.success.map_or("-".to_owned(), |share| format!("{:.0} %", share * 100.0));
-        let conclude = kpis.conclude_ms.map_or("-".to_owned(), format_span);
+        let completion = kpis.completion_ms.map_or("-".to_owned(), format_span);
         let second = format!(
-            " {}, {} under way, success {success}, median {conclude}   {} of {} at work   {}",
+            " {}, {} under way, success {success}, median {completion}   {} of {} at work   {}",
             count(kpis.missions, "mission", "missions"),
             kpis.under_way,
             kpis.busy,
@@ -178,7 +179,7 @@ impl Tui {
     }
 }
 
-/// A span of time in a few characters.
+/// Formats a duration in a few characters.
 fn format_span(ms: u64) -> String {
     match ms / 1000 {
         0 => format!("{ms} ms"),
@@ -201,9 +202,9 @@ mod tests {
 
     const NOW_MS: u64 = 100_000;
 
-    /// A fleet of two robots and one mission, as a coordinator shows it.
-    fn picture() -> FleetModel {
-        let mut picture = FleetModel::new("ward", "desk", FloorPlan::default(), 0);
+    /// A fleet of two robots and a mission, as published by a coordinator.
+    fn model() -> FleetModel {
+        let mut model = FleetModel::new("ward", "desk", FloorPlan::default(), 0);
         let worker = json!({ "skills": ["navigation"], "place": "Dock", "pose": { "x": 0.0, "y": 0.0, "yaw": 0.0 },
             "battery": 0.42, "discharge": 0.0001, "useful_charge": 0.1, "speed": 0.5, "availability": "free",
             "estimator": "standard" });
@@ -211,18 +212,18 @@ mod tests {
             json!({ "node": name, "alive": alive, "status": if alive { "alive" } else { "down" }, "age_ms": 100,
                 "may_vote": true, "stationary": false, "mains_powered": false, "leaving": false, "robot": worker })
         };
-        picture.apply_view(&Key::ViewFleet, &json!({ "nodes": [node("ada", true), node("bea", false)] }), NOW_MS);
+        model.apply_view(&Key::ViewFleet, &json!({ "nodes": [node("ada", true), node("bea", false)] }), NOW_MS);
         let coordinator = json!({ "node": "ada", "term": 3, "since_ms": 1000, "voters": ["ada"], "observers": [] });
-        picture.apply_view(&Key::ViewCoordinator, &coordinator, NOW_MS);
+        model.apply_view(&Key::ViewCoordinator, &coordinator, NOW_MS);
         let mission = json!({ "mission": "lab-samples-1", "state": "running", "detail": "running", "done": 4, "steps": 16,
             "holders": { "r1": "ada" }, "parameters": {}, "priority": 0, "submitted_at_ms": 40_000 });
-        picture.apply_view(&Key::ViewMissions, &json!({ "missions": [mission] }), NOW_MS);
-        picture
+        model.apply_view(&Key::ViewMissions, &json!({ "missions": [mission] }), NOW_MS);
+        model
     }
 
-    fn drawn(screen: &mut Tui, picture: &FleetModel, width: u16, height: u16) -> String {
+    fn drawn(screen: &mut Tui, model: &FleetModel, width: u16, height: u16) -> String {
         let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
-        terminal.draw(|frame| screen.draw(frame, picture, NOW_MS)).unwrap();
+        terminal.draw(|frame| screen.draw(frame, model, NOW_MS)).unwrap();
         terminal.backend().to_string()
     }
 
@@ -231,10 +232,10 @@ mod tests {
     }
 
     #[test]
-    fn the_fleet_is_on_one_screen() {
+    fn the_whole_fleet_fits_on_a_screen() {
         for (width, height) in [(140, 40), (80, 24)] {
-            let text = drawn(&mut Tui::new(ColorMode::Plain), &picture(), width, height);
-            for part in ["ada coordinates, term 3", "lab-samples-1", "running", "4/16", "42 %", "bea", "down", "q quit"]
+            let text = drawn(&mut Tui::new(ColorMode::Plain), &model(), width, height);
+            for part in ["coordinator ada, term 3", "lab-samples-1", "running", "4/16", "42 %", "bea", "down", "q quit"]
             {
                 assert!(text.contains(part), "{part} is not on {width}x{height}:\n{text}");
             }
@@ -242,23 +243,23 @@ mod tests {
     }
 
     #[test]
-    fn a_fleet_that_is_no_longer_heard_is_said_to_be_so() {
-        let mut picture = picture();
-        picture.apply_links(0, NOW_MS + 10_000);
-        let text = drawn(&mut Tui::new(ColorMode::Plain), &picture, 140, 40);
-        assert!(text.contains("what is shown is old"), "{text}");
+    fn an_unreachable_fleet_is_marked_as_old() {
+        let mut model = model();
+        model.apply_links(0, NOW_MS + 10_000);
+        let text = drawn(&mut Tui::new(ColorMode::Plain), &model, 140, 40);
+        assert!(text.contains("the data is old"), "{text}");
     }
 
     #[test]
-    fn what_happens_is_in_the_log_with_the_newest_at_the_top() {
-        let mut picture = picture();
+    fn the_log_shows_the_newest_events_at_the_top() {
+        let mut model = model();
         for (sequence, state) in [(1, MissionState::Running), (2, MissionState::Completed)] {
             let mission = "lab-samples-1".parse().unwrap();
-            let what = EventKind::Mission { mission, state, submitted_at_ms: 0 };
-            let event = Event { node: "ada".parse().unwrap(), sequence, at_ms: NOW_MS, kind: what };
-            picture.apply_event(&event, NOW_MS);
+            let kind = EventKind::Mission { mission, state, submitted_at_ms: 0 };
+            let event = Event { node: "ada".parse().unwrap(), sequence, at_ms: NOW_MS, kind };
+            model.apply_event(&event, NOW_MS);
         }
-        let text = drawn(&mut Tui::new(ColorMode::Plain), &picture, 140, 40);
+        let text = drawn(&mut Tui::new(ColorMode::Plain), &model, 140, 40);
         let log = &text[text.find(" Log ").expect("a log")..];
         let at = |word: &str| log.find(word).unwrap_or_else(|| panic!("{word} in\n{log}"));
         assert!(at("completed") < at("running"), "{text}");
@@ -274,7 +275,7 @@ mod tests {
         assert_eq!(screen.focus, Panel::Robots);
         press(&mut screen, KeyCode::PageDown);
         assert_eq!(screen.rows[0], 10);
-        drawn(&mut screen, &picture(), 140, 40);
+        drawn(&mut screen, &model(), 140, 40);
         assert_eq!(screen.rows[0], 1, "there are two robots");
         press(&mut screen, KeyCode::Up);
         press(&mut screen, KeyCode::Up);
@@ -285,10 +286,10 @@ mod tests {
     }
 
     #[test]
-    fn nothing_and_no_room_are_drawn_too() {
+    fn an_empty_model_and_a_tiny_terminal_are_drawn_too() {
         let nothing = FleetModel::new("ward", "desk", FloorPlan::default(), 0);
         let text = drawn(&mut Tui::new(ColorMode::Color), &nothing, 120, 30);
-        assert!(text.contains("nobody is known to coordinate"), "{text}");
-        drawn(&mut Tui::new(ColorMode::Color), &picture(), 1, 1);
+        assert!(text.contains("no coordinator is known"), "{text}");
+        drawn(&mut Tui::new(ColorMode::Color), &model(), 1, 1);
     }
 }

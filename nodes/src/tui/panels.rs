@@ -8,7 +8,8 @@ use ratatui::style::{Modifier, Style};
 use ratatui::widgets::{Block, Cell, Row, Table, TableState};
 
 impl Tui {
-    /// Rows under their heads, one of which is chosen; a row beyond the last is the last.
+    /// Draws rows under their headings, with a selected row; a selection beyond the last row is
+    /// moved to it.
     fn table(
         &mut self,
         frame: &mut Frame<'_>,
@@ -17,20 +18,20 @@ impl Tui {
         (title, heads, widths): (String, &[&'static str], &[Constraint]),
         rows: Vec<Row<'static>>,
     ) {
-        let looked_at = self.focus == panel;
-        let chosen = &mut self.rows[panel as usize];
-        *chosen = (*chosen).min(rows.len().saturating_sub(1));
-        let mut state = TableState::new().with_selected((!rows.is_empty()).then_some(*chosen));
+        let focused = self.focus == panel;
+        let selected = &mut self.rows[panel as usize];
+        *selected = (*selected).min(rows.len().saturating_sub(1));
+        let mut state = TableState::new().with_selected((!rows.is_empty()).then_some(*selected));
         let bold = Style::new().add_modifier(Modifier::BOLD);
-        let border = if looked_at { self.paint.work().add_modifier(Modifier::BOLD) } else { self.paint.faint() };
+        let border = if focused { self.paint.work().add_modifier(Modifier::BOLD) } else { self.paint.faint() };
         let block = Block::bordered().title(title).border_style(border);
-        let shown = if looked_at { Style::new().add_modifier(Modifier::REVERSED) } else { Style::new() };
+        let shown = if focused { Style::new().add_modifier(Modifier::REVERSED) } else { Style::new() };
         let head = Row::new(heads.iter().map(|head| Cell::from(*head).style(bold)));
         let table = Table::new(rows, widths.iter().copied()).header(head).block(block).row_highlight_style(shown);
         frame.render_stateful_widget(table, area, &mut state);
     }
 
-    pub(super) fn robots(&mut self, frame: &mut Frame<'_>, area: Rect, picture: &FleetModel, now_ms: u64) {
+    pub(super) fn robots(&mut self, frame: &mut Frame<'_>, area: Rect, model: &FleetModel, now_ms: u64) {
         let paint = self.paint;
         let row = |(name, robot): (&String, &RobotModel)| {
             let (state, style) = match (robot.alive, &robot.problem, &robot.task) {
@@ -48,11 +49,13 @@ impl Tui {
                 if short { battery.style(paint.bad()) } else { battery },
                 Cell::from(format!("{}{to}", robot.place)),
                 Cell::from(robot.mission.clone().unwrap_or_else(|| "-".to_owned())),
-                Cell::from(format_span(now_ms.saturating_sub(robot.body_ms.unwrap_or(0).max(robot.heard_ms)))),
+                Cell::from(format_span(
+                    now_ms.saturating_sub(robot.telemetry_ms.unwrap_or(0).max(robot.last_contact_ms)),
+                )),
             ])
         };
-        let rows = picture.robots().iter().map(row).collect();
-        let heads = ["ROBOT", "DOES", "BATTERY", "PLACE", "MISSION", "HEARD"];
+        let rows = model.robots().iter().map(row).collect();
+        let heads = ["ROBOT", "DOES", "BATTERY", "PLACE", "MISSION", "AGE"];
         let widths = [
             Constraint::Max(12),
             Constraint::Fill(2),
@@ -64,25 +67,26 @@ impl Tui {
         self.table(frame, area, Panel::Robots, (" Robots ".to_owned(), &heads, &widths), rows);
     }
 
-    /// Returns the mission that is chosen.
+    /// Draws the missions, and returns the selected mission.
     pub(super) fn missions(
         &mut self,
         frame: &mut Frame<'_>,
         area: Rect,
-        picture: &FleetModel,
+        model: &FleetModel,
         now_ms: u64,
     ) -> Option<String> {
         let paint = self.paint;
-        let mut missions: Vec<(&String, &MissionModel)> = picture.missions().iter().collect();
+        let mut missions: Vec<(&String, &MissionModel)> = model.missions().iter().collect();
         missions.sort_by_key(|(id, mission)| std::cmp::Reverse((mission.number, mission.submitted_ms, (*id).clone())));
         let row = |(id, mission): &(&String, &MissionModel)| {
             let style = match mission.state.as_str() {
                 "completed" => paint.good(),
-                "failed" | "needs_rescue" => paint.bad(),
+                "failed" | "needs_intervention" => paint.bad(),
                 "running" => paint.work(),
                 _ => Style::new(),
             };
-            let why = mission.cause.as_ref().or(mission.why_pending.as_ref()).filter(|_| mission.state != "completed");
+            let why =
+                mission.cause.as_ref().or(mission.pending_reason.as_ref()).filter(|_| mission.state != "completed");
             let holders = mission.holders.iter().map(|(role, robot)| format!("{role}: {robot}"));
             let detail = why.cloned().unwrap_or_else(|| holders.collect::<Vec<_>>().join(", "));
             let until = mission.ended_ms.unwrap_or(now_ms);
@@ -107,9 +111,9 @@ impl Tui {
         missions.get(self.rows[Panel::Missions as usize]).map(|(id, _)| (*id).clone())
     }
 
-    pub(super) fn auction(&mut self, frame: &mut Frame<'_>, area: Rect, picture: &FleetModel, mission: Option<&str>) {
+    pub(super) fn auction(&mut self, frame: &mut Frame<'_>, area: Rect, model: &FleetModel, mission: Option<&str>) {
         let paint = self.paint;
-        let of_mission = picture.auctions().values().filter(|auction| Some(auction.mission.as_str()) == mission);
+        let of_mission = model.auctions().values().filter(|auction| Some(auction.mission.as_str()) == mission);
         let auction = of_mission.max_by_key(|auction| (auction.term, auction.round));
         let title = match auction {
             Some(AuctionModel { mission, round, failure: None, .. }) => {
@@ -150,12 +154,12 @@ impl Tui {
         self.table(frame, area, Panel::Auction, (title, &heads, &widths), rows);
     }
 
-    pub(super) fn log(&mut self, frame: &mut Frame<'_>, area: Rect, picture: &FleetModel, now_ms: u64) {
+    pub(super) fn log(&mut self, frame: &mut Frame<'_>, area: Rect, model: &FleetModel, now_ms: u64) {
         let paint = self.paint;
-        let rows = picture.log().values().rev().map(|logged| {
+        let rows = model.log().values().rev().map(|logged| {
             Row::new([
                 Cell::from(format_span(now_ms.saturating_sub(logged.at_ms))),
-                Cell::from(logged.word.clone()).style(if logged.alarm { paint.bad() } else { Style::new() }),
+                Cell::from(logged.label.clone()).style(if logged.alarm { paint.bad() } else { Style::new() }),
                 Cell::from(logged.node.clone()),
                 Cell::from(logged.text.clone()),
             ])

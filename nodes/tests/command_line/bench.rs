@@ -2,7 +2,7 @@ use super::support::run;
 use serde_json::Value;
 
 #[test]
-fn each_swarm_is_a_line_of_json_and_flies_the_same_way_each_time() {
+fn each_swarm_prints_a_json_line_and_flies_deterministically() {
     let args = ["bench", "swarm", "--drones", "3,20", "--seed", "7", "--json"];
     let told = || {
         let ran = run(&args);
@@ -24,7 +24,7 @@ fn each_swarm_is_a_line_of_json_and_flies_the_same_way_each_time() {
 }
 
 #[test]
-fn a_table_has_the_published_columns_and_swarms_that_cannot_be_are_refused() {
+fn bench_prints_the_published_columns_and_rejects_invalid_sizes() {
     let ran = run(&["bench", "swarm", "--drones", "2"]);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
     let heading = ran.out.lines().next().expect("a heading");

@@ -1,10 +1,10 @@
-//! Certificates as people make them, and manual pages.
+//! Certificate commands and manual pages.
 
 use crate::support::{run, test_file};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
-/// A folder of a test's own, which does not exist yet.
+/// Returns the folder of a test, which does not exist yet.
 fn folder(name: &str) -> PathBuf {
     let folder = Path::new(&test_file(&format!("{name}.mark"), "")).with_extension("certs");
     let _ = std::fs::remove_dir_all(&folder);
@@ -18,7 +18,7 @@ fn cert(dir: &Path, arguments: &[&str]) -> (i32, String) {
 }
 
 #[test]
-fn certificates_are_made_shown_renewed_and_revoked() {
+fn certificates_are_created_shown_renewed_and_revoked() {
     let dir = folder("made");
     let (code, said) = cert(&dir, &["node", "ada", "--roles", "robot"]);
     assert!(code == 2 && said.contains("there is no authority here; `consort cert init"), "{said}");
@@ -28,11 +28,11 @@ fn certificates_are_made_shown_renewed_and_revoked() {
     assert_eq!(cert(&dir, &["node", "ada", "--roles", "robot,voter", "--address", "192.0.2.7"]).0, 0);
     assert_eq!(cert(&dir, &["person", "kim", "--scope", "submit", "--days", "30"]).0, 0);
     let (code, said) = cert(&dir, &["node", "ada", "--roles", "robot"]);
-    assert!(code == 2 && said.contains("it is there already; `consort cert renew`"), "{said}");
+    assert!(code == 2 && said.contains("it exists already; `consort cert renew`"), "{said}");
     let (code, said) = cert(&dir, &["node", "bob", "--roles", "boss"]);
     assert!(code == 2 && said.contains("allowed: robot, voter, host"), "{said}");
     let (code, said) = cert(&dir, &["person", "authority"]);
-    assert!(code == 2 && said.contains("nobody else can be called so"), "{said}");
+    assert!(code == 2 && said.contains("this name is reserved for the authority"), "{said}");
 
     for key in ["authority/ca.key", "ada/key.pem", "kim/key.pem"] {
         let mode = std::fs::metadata(dir.join(key)).expect(key).permissions().mode();
@@ -53,17 +53,17 @@ fn certificates_are_made_shown_renewed_and_revoked() {
     assert_eq!((&after[0]["identity"], &after[0]["addresses"]), (&before[0]["identity"], &before[0]["addresses"]));
 
     let (code, said) = cert(&dir, &["revoke", "bob"]);
-    assert!(code == 2 && said.contains("nobody here is called \"bob\"; there are: ada, kim"), "{said}");
+    assert!(code == 2 && said.contains("there is no certificate of \"bob\"; there are: ada, kim"), "{said}");
     let (code, said) = cert(&dir, &["revoke", "ada"]);
     assert!(code == 0 && said.contains("kim/revoked.pem"), "{said}");
     assert_eq!((&shown()[0]["state"], &shown()[1]["state"]), (&"revoked".into(), &"valid".into()));
-    // Who was revoked before stays so.
+    // A certificate that was revoked before stays revoked.
     assert_eq!(cert(&dir, &["revoke", "kim"]).0, 0);
     assert_eq!((&shown()[0]["state"], &shown()[1]["state"]), (&"revoked".into(), &"revoked".into()));
 }
 
 #[test]
-fn shells_and_readers_get_every_command() {
+fn completions_and_manual_pages_cover_every_command() {
     let bash = run(&["completions", "bash"]);
     assert_eq!(bash.code, Some(0), "{}", bash.err);
     let dir = folder("man");

@@ -4,7 +4,7 @@ use serde_json::Value;
 use std::path::PathBuf;
 
 #[test]
-fn a_run_is_told_in_json_and_is_the_same_each_time() {
+fn a_run_is_printed_as_json_and_is_deterministic() {
     let args = ["chaos", "--seed", "7", "--nodes", "4", "--minutes", "0.5", "--json"];
     let (one, other) = (run(&args), run(&args));
     assert_eq!(one.code, Some(0), "{}{}", one.out, one.err);
@@ -12,12 +12,13 @@ fn a_run_is_told_in_json_and_is_the_same_each_time() {
     let outcome: Value = serde_json::from_str(&one.out).expect("a line of JSON");
     assert_eq!(outcome["seed"], 7);
     assert_eq!(outcome["violation"], Value::Null);
-    assert_eq!(outcome["tally"]["lost"], 0);
+    assert_eq!(outcome["counters"]["lost"], 0);
 }
 
 #[test]
-fn a_schedule_that_names_what_is_not_there_is_refused_with_what_there_is() {
-    let file = test_file("nobody.json", r#"{"steps": [{"at_ms": 9, "act": "pause", "node": "nobody", "for_ms": 5}]}"#);
+fn a_schedule_with_an_unknown_name_is_rejected_with_the_known_names() {
+    let file =
+        test_file("nobody.json", r#"{"steps": [{"at_ms": 9, "action": "pause", "node": "nobody", "for_ms": 5}]}"#);
     let ran = run(&["chaos", "--seed", "7", "--nodes", "4", "--schedule", &file]);
     assert_eq!(ran.code, Some(2), "{}", ran.err);
     let expected = "at 9 ms: \"nobody\" is not known; there are aster, basil, garnet, lab-arm, world";
@@ -25,14 +26,14 @@ fn a_schedule_that_names_what_is_not_there_is_refused_with_what_there_is() {
 }
 
 #[test]
-fn seeds_are_a_first_and_a_last() {
+fn seeds_must_be_an_ascending_range() {
     let ran = run(&["chaos", "--seeds", "9..1"]);
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains("\"9..1\" is not FIRST..LAST, as in 1..1000"), "{}", ran.err);
 }
 
 #[test]
-fn flags_that_a_mode_does_not_heed_are_refused_with_those_that_it_does() {
+fn flags_of_another_mode_are_rejected_with_the_valid_flags() {
     let mutants = "consort chaos --mutants [--jobs JOBS] [--json]";
     let scoreboard = "consort chaos --scoreboard [--runs N] [--minutes MINUTES] [--save FILE] [--jobs JOBS] [--json]";
     let one = "consort chaos --seed SEED [--schedule FILE | --faults KIND,…]";
@@ -62,8 +63,8 @@ fn lines_of_json(out: &str) -> Vec<Value> {
 }
 
 #[test]
-fn in_json_nothing_else_is_said_on_the_standard_output() {
-    let steps = r#"{"steps": [{"at_ms": 600, "act": "partition", "groups": [["client"]], "for_ms": 100}]}"#;
+fn json_mode_prints_only_json_to_the_standard_output() {
+    let steps = r#"{"steps": [{"at_ms": 600, "action": "partition", "groups": [["client"]], "for_ms": 100}]}"#;
     let file = test_file("parted.json", steps);
     let small = ["--nodes", "4", "--minutes", "0.5", "--json"];
     for (mode, told) in [
@@ -74,16 +75,16 @@ fn in_json_nothing_else_is_said_on_the_standard_output() {
         let ran = run(&[&["chaos"], mode, &small].concat());
         assert_eq!(ran.code, Some(0), "{mode:?}: {}{}", ran.out, ran.err);
         assert!(lines_of_json(&ran.out).iter().all(|outcome| outcome["seed"].is_u64()), "{}", ran.out);
-        assert_eq!(!ran.err.is_empty(), told, "what is done in the run is told elsewhere: {}", ran.err);
+        assert_eq!(!ran.err.is_empty(), told, "actions are printed to the standard error only: {}", ran.err);
     }
     let ran = run(&["chaos", "--scoreboard", "--runs", "1", "--minutes", "0.5", "--json"]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
-    let [rows] = &lines_of_json(&ran.out)[..] else { panic!("one line: {}", ran.out) };
+    let [rows] = &lines_of_json(&ran.out)[..] else { panic!("expected a single line: {}", ran.out) };
     assert!(rows.as_array().is_some_and(|rows| rows.iter().all(|row| row["fault"].is_string())), "{rows}");
 }
 
 #[test]
-fn a_violation_is_a_line_of_json_and_what_is_said_to_repeat_it_does() {
+fn a_violation_prints_json_and_the_suggested_commands_reproduce_it() {
     if mutants::activate(Some(Mutant::WaitSkipped)).is_err() {
         return; // nothing here makes mistakes: a build of this package alone
     }
@@ -94,7 +95,7 @@ fn a_violation_is_a_line_of_json_and_what_is_said_to_repeat_it_does() {
         let text = |bytes| String::from_utf8(bytes).expect("the binary writes UTF-8");
         let (out, err) = (text(ran.stdout), text(ran.stderr));
         assert_eq!(ran.status.code(), Some(1), "{words:?}: {out}{err}");
-        let [outcome] = &lines_of_json(&out)[..] else { panic!("one line: {out}") };
+        let [outcome] = &lines_of_json(&out)[..] else { panic!("expected a single line: {out}") };
         assert_eq!(outcome["violation"]["invariant"], "signals", "{outcome}");
         err
     };

@@ -1,4 +1,4 @@
-//! What is shipped for machines of its own: configurations and units.
+//! Shipped deployment files: configurations and units.
 
 use super::support::{crate_file, run};
 use std::fs;
@@ -6,7 +6,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// The files in a folder of this crate, in order.
+/// Returns the files in a folder of this crate, in order.
 fn files(folder: &str) -> Vec<PathBuf> {
     let entries = fs::read_dir(crate_file(folder)).expect("a folder that is shipped");
     let mut files: Vec<PathBuf> = entries.map(|entry| entry.expect("an entry").path()).collect();
@@ -15,7 +15,7 @@ fn files(folder: &str) -> Vec<PathBuf> {
 }
 
 #[test]
-fn the_configurations_of_every_topology_are_right() {
+fn the_configurations_of_every_topology_are_valid() {
     for topology in ["lan", "site", "sites"] {
         let files = files(&format!("deploy/topologies/{topology}"));
         let paths: Vec<String> = files.iter().map(|path| path.display().to_string()).collect();
@@ -24,7 +24,7 @@ fn the_configurations_of_every_topology_are_right() {
         let ran = run(&args);
         assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
         for path in &files {
-            // Its unit finds a node's file by the node's name.
+            // The unit of a node finds the file by the name of the node.
             let name = path.file_stem().and_then(|stem| stem.to_str()).expect("a name");
             let table: toml::Table = fs::read_to_string(path).expect("a file").parse().expect("TOML");
             let expected = if name == "fleet" { "ward" } else { name };
@@ -34,7 +34,7 @@ fn the_configurations_of_every_topology_are_right() {
     }
 }
 
-/// Copies a folder with all that is in it.
+/// Copies a folder recursively.
 fn copy(from: &Path, to: &Path) {
     fs::create_dir_all(to).expect("cargo's own folder");
     for entry in fs::read_dir(from).expect("a folder") {
@@ -48,10 +48,10 @@ fn copy(from: &Path, to: &Path) {
 }
 
 #[test]
-fn systemd_has_nothing_to_say_against_the_units() {
+fn systemd_accepts_the_units() {
     let system = Path::new("/lib/systemd/system");
     if Command::new("systemd-analyze").arg("--version").output().is_err() || !system.exists() {
-        // A test prints what it has to say; the lint means the program.
+        // Tests may print; the lint applies to the program.
         let _ = writeln!(std::io::stderr(), "skipped: there is no systemd-analyze, or no units of systemd's own");
         return;
     }
@@ -64,15 +64,15 @@ fn systemd_has_nothing_to_say_against_the_units() {
     }
     let program = root.join("usr/bin/consort");
     fs::create_dir_all(root.join("usr/bin")).expect("cargo's own folder");
-    // A link may be left over from the last time.
+    // A previous run may have left a link.
     let _ = fs::remove_file(&program);
-    fs::hard_link(env!("CARGO_BIN_EXE_consort"), &program).expect("one file system");
+    fs::hard_link(env!("CARGO_BIN_EXE_consort"), &program).expect("the same file system");
     let root = format!("--root={}", root.display());
     for kind in ["station", "robot", "world"] {
         let unit = format!("consort-{kind}@{kind}-1.service");
         let said = Command::new("systemd-analyze").args(["verify", "--man=no", &root, &unit]).output();
         let said = said.expect("it was there a moment ago");
-        // A key that it does not know is no failure to it.
+        // An unknown key does not make it fail.
         let text = String::from_utf8_lossy(&said.stderr).into_owned();
         assert!(said.status.success() && text.is_empty(), "{unit}: {text}");
     }

@@ -12,11 +12,12 @@ fn number(value: &Value, key: &str) -> Option<f64> {
 }
 
 #[test]
-fn a_small_ward_worked_out_by_hand() {
+fn bids_match_a_small_ward_computed_by_hand() {
     let (map, scenarios) = (crate_file("tests/data/ward_map.json"), crate_file("tests/data/ward_scenarios.json"));
     let ran = run(&["dry-run", "lab-samples", "--map", &map, "--scenarios", &scenarios, "--json"]);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
-    // 7 m from Room 1 to the laboratory, the 9 m lane notwithstanding; 11 steps of 2 s; 0.5 m/s; 0.001 a second.
+    // 7 m from Room 1 to the laboratory, although there is a 9 m lane; 11 steps of 2 s; 0.5 m/s; a
+    // discharge of 0.001 per second.
     let expected = concat!(
         r#"{"code":"small","bids":["#,
         r#"{"worker":"near","time_s":36.0,"energy":0.036,"remaining":0.074,"viable":false,"#,
@@ -67,14 +68,14 @@ fn every_role_is_auctioned_among_the_workers_of_a_file() {
 }
 
 #[test]
-fn a_mission_that_nobody_can_do_says_so_and_fails() {
+fn a_mission_without_viable_bids_fails_with_the_reason() {
     let workers = test_file("arm_only.json", r#"[{ "name": "arm", "place": "Laboratory", "skills": ["pick_up"] }]"#);
     let ran = run(&["dry-run", "lab-samples", "--workers", &workers]);
     assert_eq!(ran.code, Some(1));
     assert!(ran.err.contains("the mission would stay pending: no viable bid for r1"), "{}", ran.err);
 }
 
-/// The published evaluation, where it is at hand.
+/// Returns the folder of the published evaluation, if available.
 fn reference() -> Option<PathBuf> {
     let folder = std::env::var_os("CONSORT_REFERENCE")
         .map_or_else(|| crate_file("../../shared/reference").into(), PathBuf::from);
@@ -82,7 +83,7 @@ fn reference() -> Option<PathBuf> {
     if folder.join("bids_27.jsonl").is_file() {
         return Some(folder);
     }
-    #[expect(clippy::print_stderr, reason = "whoever runs the tests is to know what was not tested")]
+    #[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
     {
         eprintln!("skipped: {} is not there; CONSORT_REFERENCE names its parent", folder.display());
     }
@@ -127,7 +128,7 @@ fn all_published_bids_are_reproduced() {
             let same = by_worker[bid["worker"].as_str().expect("a name")];
             assert_eq!(same["viable"], bid["is_viable"], "{code}: {bid}");
             for (our_key, their_key) in [("time_s", "time"), ("energy", "energy"), ("remaining", "remaining_battery")] {
-                // The published log leaves out the time and energy of bids that are not viable.
+                // The published log omits the time and energy of bids that are not viable.
                 if let Some(published) = number(bid, their_key) {
                     let own = number(same, our_key).expect("a bid");
                     assert!((own - published).abs() <= 1e-9, "{code}: {our_key} {own}, published {published}");
@@ -181,7 +182,7 @@ fn all_81_selections_agree_with_a_plain_recomputation() {
     }
 }
 
-/// Floyd and Warshall.
+/// Computes all shortest distances with the Floyd-Warshall algorithm.
 fn all_pairs(map: &Value) -> BTreeMap<(String, String), f64> {
     let text = |value: &Value| value.as_str().expect("a text").to_owned();
     let names: Vec<String> = map["nodes"].as_array().expect("a list").iter().map(|node| text(&node["label"])).collect();

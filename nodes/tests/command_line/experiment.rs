@@ -1,7 +1,7 @@
 use super::support::{run, test_file};
 use std::path::{Path, PathBuf};
 
-/// A design of two trials.
+/// A design with two trials.
 const THIN: &str = r#"
 name = "thin"
 seed = 7
@@ -75,16 +75,16 @@ fn a_design_becomes_rows_and_a_report() {
 }
 
 #[test]
-fn what_is_learned_is_written_and_can_be_used() {
+fn a_calibration_is_learned_written_and_used() {
     let (design, out) = (test_file("thin-to-calibrate.toml", THIN), folder("calibrate"));
     let ran = run(&["experiment", "calibrate", &design, "--out", &out.display().to_string()]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
-    assert!(text(&out, "report.md").contains("## What calibration gains"));
+    assert!(text(&out, "report.md").contains("## Effect of calibration"));
     let learned = out.join("calibration.toml").display().to_string();
     let again = folder("calibrated").display().to_string();
     let ran = run(&["experiment", "run", &design, "--out", &again, "--calibration", &learned]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
-    // A fleet can be told of it, too, and is told what is wrong with it.
+    // A fleet file may refer to a calibration too, and its errors are reported.
     let fleet = test_file("fleet-that-learned.toml", &format!("calibration = {learned:?}\n"));
     let ran = run(&["check", "--kind", "fleet", &fleet]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
@@ -97,7 +97,7 @@ fn what_is_learned_is_written_and_can_be_used() {
 }
 
 #[test]
-fn policies_treatments_and_repetitions_can_be_given_in_place_of_the_designs() {
+fn flags_override_policies_treatments_and_repetitions() {
     let (design, out) = (test_file("thin-to-change.toml", THIN), folder("changed"));
     let (out_flag, calm) = (out.display().to_string(), "calm,coordinator-killed");
     let flags = ["--policies", "optimal", "--treatments", calm, "--repetitions", "2", "--seed", "8"];
@@ -113,7 +113,7 @@ fn policies_treatments_and_repetitions_can_be_given_in_place_of_the_designs() {
 }
 
 #[test]
-fn mistakes_are_told_with_their_place_and_what_is_allowed() {
+fn errors_are_reported_with_their_place_and_the_allowed_values() {
     let out = folder("never").display().to_string();
     let said = |text: &str| {
         let ran = run(&["experiment", "run", &test_file("wrong-design.toml", text), "--out", &out]);
@@ -135,7 +135,8 @@ fn mistakes_are_told_with_their_place_and_what_is_allowed() {
     let ran = run(&["experiment", "run", "publishd", "--out", &out]);
     assert_eq!(ran.code, Some(2));
     assert!(
-        ran.err.contains("publishd: no such file; it is the path of a file, or one of published, food, rounds"),
+        ran.err
+            .contains("publishd: no such file; give the path of a file, or a bundled design: published, food, rounds"),
         "{}",
         ran.err
     );

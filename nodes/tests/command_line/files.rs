@@ -1,7 +1,7 @@
 use super::support::{consort, crate_file, run, test_file};
 
 #[test]
-fn the_shipped_examples_missions_and_maps_are_right() {
+fn the_shipped_examples_missions_and_maps_are_valid() {
     let files = [
         ("examples/fleet.toml", "a fleet: ward"),
         ("examples/robot.toml", "a robot: ada"),
@@ -26,7 +26,7 @@ fn the_shipped_examples_missions_and_maps_are_right() {
 }
 
 #[test]
-fn check_names_every_problem_with_file_and_place() {
+fn check_reports_every_error_with_file_and_position() {
     let fleet = test_file("wrong_fleet.toml", "name = \"ward\"\nmapp = \"hospital\"\n[lease]\nlase_ms = 1\n");
     let robot = test_file("wrong_robot.toml", "name = \"a\"\nplace = \"Kitchen\"\nskills = [\"pick_up\"]\n");
     let map = test_file(
@@ -64,7 +64,7 @@ fn a_node_with_an_unknown_key_does_not_start() {
 }
 
 #[test]
-fn what_print_config_prints_is_read_back_as_the_same() {
+fn the_output_of_print_config_reads_back_unchanged() {
     for (command, file) in [("robot", "robot.toml"), ("station", "station.toml"), ("world", "world.toml")] {
         let first = run(&[command, "--config", &crate_file(&format!("examples/{file}")), "--print-config"]);
         assert_eq!(first.code, Some(0), "{}", first.err);
@@ -75,7 +75,7 @@ fn what_print_config_prints_is_read_back_as_the_same() {
 }
 
 #[test]
-fn flags_prevail_over_variables_and_variables_over_files() {
+fn flags_override_variables_and_variables_override_files() {
     let file = crate_file("examples/robot.toml");
     let args = ["robot", "--config", &file, "--print-config", "--lease-ms", "7000"];
     let mut command = consort(&args);
@@ -92,14 +92,15 @@ fn flags_prevail_over_variables_and_variables_over_files() {
 }
 
 #[test]
-fn a_value_that_a_flag_gives_is_checked_like_one_of_a_file() {
+fn a_flag_value_is_validated_like_a_file_value() {
     let file = crate_file("examples/station.toml");
     let ran = run(&["station", "--config", &file, "--print-config", "--lease-ms", "1"]);
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains("lease.lease_ms is 1, allowed is 500 to 3600000"), "{}", ran.err);
 }
 
-/// The keys that a file of this kind may have there, as the message about an unknown one names them.
+/// Returns the allowed keys of a table in this kind of file, from the error message about an
+/// unknown key.
 fn allowed_keys(kind: &str, table: &str) -> Vec<String> {
     let file = test_file(&format!("keys_wanted_of_{kind}.toml"), &format!("name = \"ward\"\n{table}\nnot_a_key = 1\n"));
     let ran = run(&["check", "--kind", kind, &file]);
@@ -109,7 +110,7 @@ fn allowed_keys(kind: &str, table: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_example_of_a_fleet_file_has_every_key_that_there_is() {
+fn the_example_fleet_file_contains_every_key() {
     let text = std::fs::read_to_string(crate_file("examples/fleet.toml")).expect("an example");
     let example: toml::Table = text.parse().expect("TOML");
     let part = |name: &str| match &example[name] {
@@ -132,10 +133,10 @@ fn the_example_of_a_fleet_file_has_every_key_that_there_is() {
 }
 
 #[test]
-fn the_examples_of_node_files_name_every_key_that_all_nodes_have() {
+fn the_example_node_files_mention_every_common_key() {
     for kind in ["robot", "station", "world"] {
         let text = std::fs::read_to_string(crate_file(&format!("examples/{kind}.toml"))).expect("an example");
-        // What is left out stands there behind a `#`.
+        // Omitted keys are in the example behind a `#`.
         let lines: Vec<&str> = text.lines().map(|line| line.trim_start_matches("# ")).collect();
         let names = |key: &str| {
             let forms = [format!("{key} = "), format!("[{key}]"), format!("[[{key}]]")];
@@ -145,14 +146,14 @@ fn the_examples_of_node_files_name_every_key_that_all_nodes_have() {
             let keys = allowed_keys(kind, table);
             assert!(keys.len() > 1, "{kind} {table}: {keys:?}");
             for key in keys {
-                assert!(names(&key), "{kind}.toml does not tell of {table} {key}");
+                assert!(names(&key), "{kind}.toml does not mention {table} {key}");
             }
         }
     }
 }
 
 #[test]
-fn what_a_node_tells_of_itself_is_said_by_files_variables_and_flags() {
+fn telemetry_is_set_by_files_variables_and_flags() {
     let telemetry =
         "log = \"warn\"\nlog_format = \"json\"\nmetrics = \"127.0.0.1:9464\"\notlp = \"http://127.0.0.1:4318\"\n";
     let file = test_file("telemetry.toml", &format!("name = \"s\"\n[telemetry]\n{telemetry}"));
@@ -168,7 +169,7 @@ fn what_a_node_tells_of_itself_is_said_by_files_variables_and_flags() {
     let expected =
         "log = \"debug\"\nlog_format = \"human\"\nmetrics = \"127.0.0.1:2\"\notlp = \"http://127.0.0.1:4318\"\n";
     assert_eq!(by_variables, expected.parse::<toml::Table>().expect("TOML"));
-    // The variable that programs in Rust share prevails over the file, too.
+    // The common Rust variable also takes precedence over the file.
     assert_eq!(printed(&[], &[("RUST_LOG", "error")])["log"], "error".into());
 
     let wrong = test_file("telemetry_wrong.toml", "name = \"s\"\n[telemetry]\notlp = \"127.0.0.1:4318\"\n");

@@ -48,7 +48,7 @@ fn the_help_of_each_command_teaches_by_examples() {
 }
 
 #[test]
-fn flags_that_are_wrong_are_told_with_exit_code_2() {
+fn wrong_flags_exit_with_code_2() {
     let ran = run(&["dry-run", "lab-samples"]);
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains("--workers <FILE>"), "{}", ran.err);

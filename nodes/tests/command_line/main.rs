@@ -1,4 +1,4 @@
-//! The binary as people and scripts meet it.
+//! The command line, as people and scripts use it.
 
 mod bench;
 mod binary;

@@ -5,7 +5,7 @@ fn sample(name: &str) -> String {
     crate_file(&format!("../sim_bridge/maps/{name}"))
 }
 
-/// A folder of this test's own, empty.
+/// Returns an empty folder of a test.
 fn folder(name: &str) -> PathBuf {
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("command_line").join(name);
     let _ = std::fs::remove_dir_all(&folder);
@@ -14,7 +14,7 @@ fn folder(name: &str) -> PathBuf {
 }
 
 #[test]
-fn check_says_what_is_on_maps_of_every_form_and_what_was_left_out() {
+fn check_summarizes_maps_of_every_format_and_lists_omissions() {
     let (clinic, office) = (sample("clinic.drawio"), sample("office.building.yaml"));
     let ran = run(&["map", "check", "hospital", &clinic, &office]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
@@ -29,7 +29,7 @@ fn check_says_what_is_on_maps_of_every_form_and_what_was_left_out() {
 }
 
 #[test]
-fn check_says_all_that_is_wrong_with_file_and_place() {
+fn check_reports_all_map_errors_with_file_and_place() {
     let office = std::fs::read_to_string(sample("office.building.yaml")).expect("the sample");
     let wrong = test_file("wrong.building.yaml", &office.replace("- [6, 7, { bid", "- [6, 17, { bid"));
     let ran = run(&["map", "check", &wrong, "hospital"]);
@@ -47,7 +47,7 @@ fn check_says_all_that_is_wrong_with_file_and_place() {
 }
 
 #[test]
-fn show_draws_beside_where_one_is_to_the_output_or_where_it_is_told() {
+fn show_draws_to_the_current_folder_the_output_or_a_file() {
     let folder = folder("show");
     let office = sample("office.building.yaml");
     let ran = consort(&["map", "show", &office]).current_dir(&folder).output().expect("the binary starts");
@@ -66,7 +66,7 @@ fn show_draws_beside_where_one_is_to_the_output_or_where_it_is_told() {
 }
 
 #[test]
-fn convert_writes_our_own_form_which_says_the_same() {
+fn convert_writes_an_equivalent_map_in_our_format() {
     let folder = folder("convert");
     let clinic = sample("clinic.drawio");
     for name in ["clinic.yaml", "clinic.json"] {
@@ -98,7 +98,7 @@ fn convert_writes_our_own_form_which_says_the_same() {
 }
 
 #[test]
-fn who_and_what_is_drawn_becomes_a_world() {
+fn drawn_robots_people_and_items_become_a_world() {
     let folder = folder("drawn_world");
     let [map, world] = ["clinic.yaml", "clinic.toml"].map(|name| folder.join(name).display().to_string());
     let ran = run(&["map", "convert", &sample("clinic.drawio"), "--out", &map, "--world", &world]);
@@ -125,7 +125,7 @@ fn who_and_what_is_drawn_becomes_a_world() {
 }
 
 #[test]
-fn a_map_of_any_form_is_taken_wherever_one_is_named() {
+fn a_map_of_any_format_is_accepted_everywhere() {
     let (clinic, office) = (sample("clinic.drawio"), sample("office.building.yaml"));
     let world = |map: &str, place: &str| {
         format!(

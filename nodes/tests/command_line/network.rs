@@ -5,19 +5,19 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 #[test]
-fn a_client_that_reaches_nobody_says_so_and_what_to_do() {
+fn a_client_without_a_connection_reports_a_remedy() {
     let address = free_address();
     for command in [&["missions"][..], &["fleet"], &["submit", "lab-samples"], &["cancel", "m-1"]] {
         let ran = run(&[command, &["--connect", &address, "--timeout", "0.3"]].concat());
         assert_eq!(ran.code, Some(3), "{command:?}: {}", ran.err);
-        let expected = format!("consort: not connected: nothing answers at {address}");
+        let expected = format!("consort: not connected: no node answers at {address}");
         assert!(ran.err.contains(&expected), "{command:?}: {}", ran.err);
         assert!(ran.err.contains("--connect tcp/HOST:PORT"), "{command:?}: {}", ran.err);
     }
 }
 
 #[test]
-fn the_keys_are_those_of_the_module_that_writes_them() {
+fn the_key_list_matches_the_key_module() {
     use consort_protocol::keys::TABLE;
     let ran = run(&["keys", "--fleet", "north"]);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
@@ -38,7 +38,7 @@ fn the_keys_are_those_of_the_module_that_writes_them() {
 }
 
 #[test]
-fn a_station_alone_coordinates_takes_missions_and_stops_when_told() {
+fn a_single_station_coordinates_accepts_missions_and_stops() {
     let address = free_address();
     let station = consort(&["station", "--name", "s1", "--listen", &address])
         .stderr(Stdio::null())
@@ -49,12 +49,12 @@ fn a_station_alone_coordinates_takes_missions_and_stops_when_told() {
     let ran = run(&["submit", "lab-samples", "--request", "r-1", "--connect", &address]);
     assert_eq!((ran.code, ran.out.as_str()), (Some(0), "lab-samples-1\n"), "{}", ran.err);
     let ran = run(&["submit", "lab-samples", "--request", "r-1", "--connect", &address]);
-    assert_eq!(ran.out, "lab-samples-1 (asked for before)\n", "{}", ran.err);
+    assert_eq!(ran.out, "lab-samples-1 (requested before)\n", "{}", ran.err);
     let ran = run(&["submit", "lab-samples", "--set", "rom=x", "--connect", &address]);
     assert_eq!(ran.code, Some(1));
     assert!(ran.err.contains("did you mean `room`?"), "{}", ran.err);
     let ran = run(&["fleet", "--connect", &address]);
-    assert!(ran.out.starts_with("s1 coordinates since "), "{}{}", ran.out, ran.err);
+    assert!(ran.out.starts_with("s1 is the coordinator for "), "{}{}", ran.out, ran.err);
     let ran = run(&["missions", "--connect", &address]);
     assert!(ran.out.contains("lab-samples-1  pending  0/16"), "{}{}", ran.out, ran.err);
     let ran = run(&["explain", "lab-samples-1", "--connect", &address]);
@@ -68,7 +68,7 @@ fn a_station_alone_coordinates_takes_missions_and_stops_when_told() {
     assert_eq!(ran.code, Some(3));
     assert!(ran.err.contains("no node of fleet another answers"), "{}", ran.err);
 
-    // The port is taken: a second node there says so.
+    // The port is in use: a second node on it reports that.
     let ran = run(&["station", "--name", "s2", "--listen", &address]);
     assert_eq!(ran.code, Some(2), "{}", ran.err);
     assert!(ran.err.contains(&format!("listen on {address}")), "{}", ran.err);
@@ -86,17 +86,17 @@ fn a_station_alone_coordinates_takes_missions_and_stops_when_told() {
     assert_eq!(status.code(), Some(0));
 }
 
-/// What a page answers, head and all.
+/// Returns the whole HTTP response of a page.
 fn get(address: &str, page: &str) -> String {
-    let mut stream = TcpStream::connect(address).expect("somebody listens");
+    let mut stream = TcpStream::connect(address).expect("the address is open");
     write!(stream, "GET {page} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").expect("it reads");
     let mut answer = String::new();
-    stream.read_to_string(&mut answer).expect("it answers in text");
+    stream.read_to_string(&mut answer).expect("the response is text");
     answer
 }
 
 #[test]
-fn a_node_serves_metrics_and_logs_in_json_to_whoever_reads_it() {
+fn a_node_serves_metrics_and_logs_json() {
     let address = free_address();
     let mut station = consort(&["station", "--name", "s1", "--listen", &address, "--metrics", "127.0.0.1:0"])
         .args(["--log-format", "json"])
@@ -112,8 +112,8 @@ fn a_node_serves_metrics_and_logs_in_json_to_whoever_reads_it() {
         let message = object["message"].as_str()?;
         Some(message.strip_prefix("metrics at http://")?.strip_suffix("/metrics")?.to_owned())
     });
-    // From here on nobody reads the log any more, which is nothing to the node.
-    let at = { at }.next().expect("it says where");
+    // From here on the log has no reader, which does not affect the node.
+    let at = { at }.next().expect("it logs the address");
 
     let ran = run(&["submit", "lab-samples", "--connect", &address]);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
@@ -121,7 +121,7 @@ fn a_node_serves_metrics_and_logs_in_json_to_whoever_reads_it() {
     assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
     assert!(answer.contains("content-type: application/openmetrics-text; version=1.0.0; charset=utf-8"), "{answer}");
     for line in [
-        r#"consort_coordinates{fleet="ward",node="s1"} 1"#,
+        r#"consort_is_leader{fleet="ward",node="s1"} 1"#,
         r#"consort_missions{fleet="ward",node="s1",state="pending"} 1"#,
         r#"consort_missions_submitted_total{fleet="ward",node="s1"} 1"#,
         r#"process_resident_memory_bytes{fleet="ward",node="s1"} "#,
@@ -133,7 +133,7 @@ fn a_node_serves_metrics_and_logs_in_json_to_whoever_reads_it() {
 }
 
 #[test]
-fn an_address_that_somebody_else_has_is_said_to_be_before_anything_is_started() {
+fn an_occupied_address_is_reported_before_anything_starts() {
     let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let at = taken.local_addr().expect("its address").to_string();
     for line in [
@@ -144,7 +144,7 @@ fn an_address_that_somebody_else_has_is_said_to_be_before_anything_is_started() 
         let ran = run(line);
         assert_eq!(ran.code, Some(2), "{line:?}: {}", ran.err);
         let flag = line[line.len() - 2];
-        let said = format!("consort: {flag} {at}: this address cannot be had: ");
+        let said = format!("consort: {flag} {at}: this address is not available: ");
         assert!(ran.err.starts_with(&said), "{line:?}: {}", ran.err);
         assert_eq!((ran.err.lines().count(), ran.out.as_str()), (1, ""), "nothing was opened before: {}", ran.err);
     }
@@ -152,13 +152,13 @@ fn an_address_that_somebody_else_has_is_said_to_be_before_anything_is_started() 
 
 #[cfg(not(feature = "otlp"))]
 #[test]
-fn a_program_that_was_built_without_opentelemetry_says_how_it_is_built_with_it() {
+fn a_build_without_opentelemetry_reports_how_to_enable_it() {
     let ran = run(&["station", "--name", "s1", "--otlp", "http://127.0.0.1:4318"]);
     assert_eq!(ran.code, Some(2), "{}", ran.err);
     assert!(ran.err.contains("s1 was built without OpenTelemetry: build it with --features otlp"), "{}", ran.err);
 }
 
-/// One request that a collector got.
+/// Accepts a request at a collector and returns its header and body.
 #[cfg(feature = "otlp")]
 fn taken(listener: &TcpListener) -> (String, Vec<u8>) {
     let (stream, _) = listener.accept().expect("the node connects");
@@ -176,7 +176,7 @@ fn taken(listener: &TcpListener) -> (String, Vec<u8>) {
         head += &line;
     }
     let mut body = vec![0; length];
-    reader.read_exact(&mut body).expect("as long as it says");
+    reader.read_exact(&mut body).expect("a body of the stated length");
     let answer =
         "HTTP/1.1 200 OK\r\nContent-Type: application/x-protobuf\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
     reader.get_mut().write_all(answer.as_bytes()).expect("it listens");

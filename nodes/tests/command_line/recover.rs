@@ -16,7 +16,7 @@ use std::time::Duration;
 
 const NAMES: [&str; 3] = ["ada", "bob", "cyd"];
 
-/// A folder that is removed at the end of its test.
+/// A folder that is removed on drop.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -45,7 +45,8 @@ fn name(name: &str) -> NodeId {
     NodeId::new(name).expect("a slug")
 }
 
-/// The data directories of a fleet of three that had two missions, one of them canceled, before it was switched off.
+/// Creates the data directories of a stopped fleet of three nodes with two missions, one of them
+/// canceled.
 fn three_voters(folder: &Folder) {
     let fleet = FleetConfig::default().name;
     let template = &shipped()["lab-samples"];
@@ -94,7 +95,7 @@ fn three_voters(folder: &Folder) {
 }
 
 #[test]
-fn what_cannot_be_recovered_is_told_and_left_alone() {
+fn an_unrecoverable_store_is_reported_and_left_unchanged() {
     let folder = Folder::new("refused");
     let ran = recover(&folder.of("nowhere"), &["--yes"]);
     assert_eq!(ran.code, Some(2));
@@ -109,7 +110,7 @@ fn what_cannot_be_recovered_is_told_and_left_alone() {
     drop(store);
     let ran = recover(&folder.of("ada"), &["--yes"]);
     assert_eq!(ran.code, Some(1));
-    assert!(ran.err.contains("it holds no entry: there is nothing to recover"), "{}", ran.err);
+    assert!(ran.err.contains("the log store is empty: there is nothing to recover"), "{}", ran.err);
 
     let file = folder.of("ada").join(LEDGER_FILE);
     let whole = fs::read(&file).expect("a file");
@@ -117,7 +118,7 @@ fn what_cannot_be_recovered_is_told_and_left_alone() {
     let ran = recover(&folder.of("ada"), &["--yes"]);
     assert_eq!(ran.code, Some(1));
     assert!(ran.err.contains("ledger.redb: it is damaged: "), "{}", ran.err);
-    assert!(ran.err.contains("as long as a majority of the other voters lives"), "{}", ran.err);
+    assert!(ran.err.contains("while a majority of the other voters is alive"), "{}", ran.err);
 }
 
 #[test]
@@ -126,7 +127,7 @@ fn the_last_of_three_becomes_the_only_voter_and_coordinates_again() {
     three_voters(&folder);
     let cyd = folder.of("cyd");
 
-    // Nobody agreed: it shows what there is, warns, and changes nothing.
+    // Without confirmation it shows the contents, warns, and changes nothing.
     let held = || {
         let store = DurableStore::open_existing(&cyd).expect("a store");
         let held = inspect_ledger(&store).expect("a ledger");

@@ -1,30 +1,30 @@
-//! What is asked of a fleet, and how it is refused or put off.
+//! Requests to a fleet, and their rejection or delay.
 
 use super::support::{Running, consort, free_address, run};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read};
 use std::process::Stdio;
 
-/// A station of its own fleet, without robots, which listens there.
+/// Starts a station without robots at this address, in its own fleet.
 fn station(address: &str, more: &[&str]) -> Running {
     let args = [&["station", "--name", "s1", "--listen", address], more].concat();
     Running(consort(&args).stderr(Stdio::null()).spawn().expect("the binary starts"))
 }
 
 #[test]
-fn a_priority_or_a_deadline_that_is_none_is_refused_before_anybody_is_asked() {
+fn an_invalid_priority_or_deadline_is_rejected_before_connecting() {
     let priority = "--priority <NUMBER>";
     let deadline = "--deadline <SECONDS>";
     for (flag, value, what, allowed) in [
-        ("--priority", "101", priority, "101 is no priority; allowed are -100 to 100"),
-        ("--priority", "-101", priority, "-101 is no priority; allowed are -100 to 100"),
-        ("--priority", "99999999999999999999", priority, "is no whole number; allowed are -100 to 100"),
-        ("--priority", "high", priority, "\"high\" is no whole number; allowed are -100 to 100"),
-        ("--deadline", "0", deadline, "allowed are more than 0 and at most 315360000 seconds"),
-        ("--deadline", "-60", deadline, "allowed are more than 0 and at most 315360000 seconds"),
-        ("--deadline", "inf", deadline, "allowed are more than 0 and at most 315360000 seconds"),
-        ("--deadline", "NaN", deadline, "allowed are more than 0 and at most 315360000 seconds"),
-        ("--deadline", "17:30", deadline, "\"17:30\" is no number of seconds from now"),
+        ("--priority", "101", priority, "101 is not a valid priority; allowed are -100 to 100"),
+        ("--priority", "-101", priority, "-101 is not a valid priority; allowed are -100 to 100"),
+        ("--priority", "99999999999999999999", priority, "is not a whole number; allowed are -100 to 100"),
+        ("--priority", "high", priority, "\"high\" is not a whole number; allowed are -100 to 100"),
+        ("--deadline", "0", deadline, "the time must be more than 0 and at most 315360000 seconds"),
+        ("--deadline", "-60", deadline, "the time must be more than 0 and at most 315360000 seconds"),
+        ("--deadline", "inf", deadline, "the time must be more than 0 and at most 315360000 seconds"),
+        ("--deadline", "NaN", deadline, "the time must be more than 0 and at most 315360000 seconds"),
+        ("--deadline", "17:30", deadline, "\"17:30\" is not a number of seconds from now"),
     ] {
         let ran = run(&["submit", "lab-samples", flag, value]);
         assert_eq!(ran.code, Some(2), "{flag} {value}: {}", ran.err);
@@ -34,7 +34,7 @@ fn a_priority_or_a_deadline_that_is_none_is_refused_before_anybody_is_asked() {
 }
 
 #[test]
-fn a_priority_and_a_deadline_are_kept_with_the_mission_and_past_its_deadline_it_fails() {
+fn a_mission_keeps_its_priority_and_fails_after_its_deadline() {
     let address = free_address();
     let _station = station(&address, &[]);
     let ask = |args: &[&str]| run(&[args, &["--connect", &address]].concat());
@@ -55,14 +55,14 @@ fn a_priority_and_a_deadline_are_kept_with_the_mission_and_past_its_deadline_it_
 }
 
 #[test]
-fn a_mission_that_needs_no_rescue_cannot_be_closed() {
+fn a_mission_without_need_of_intervention_cannot_be_resolved() {
     let address = free_address();
     let _station = station(&address, &[]);
     let ask = |args: &[&str]| run(&[args, &["--connect", &address]].concat());
     let ran = ask(&["submit", "lab-samples"]);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
     for (mission, expected) in [
-        ("lab-samples-1", "lab-samples-1 is pending; only one that needs rescue can be closed"),
+        ("lab-samples-1", "lab-samples-1 is pending; only a mission that needs intervention can be resolved"),
         ("lab-samples-9", "no mission lab-samples-9"),
     ] {
         let ran = ask(&["rescue", mission, "--by", "Nia"]);
@@ -75,7 +75,7 @@ fn a_mission_that_needs_no_rescue_cannot_be_closed() {
 }
 
 #[test]
-fn while_nobody_coordinates_the_command_says_so_and_asks_again_until_somebody_does() {
+fn a_command_retries_until_there_is_a_coordinator() {
     let address = free_address();
     let _first = station(&address, &["--bootstrap-expect", "2"]);
     let args = ["submit", "lab-samples", "--connect", &address, "--timeout", "60"];
@@ -93,23 +93,23 @@ fn while_nobody_coordinates_the_command_says_so_and_asks_again_until_somebody_do
     assert_eq!(out, ["lab-samples-1"], "{:?}", said.collect::<Vec<_>>());
     assert!(asking.0.wait().expect("a child of ours").success());
 
-    // Nobody else comes, and it gives up in the time that it was given.
+    // Without a second node the command gives up after its timeout.
     let alone = free_address();
     let _alone = station(&alone, &["--bootstrap-expect", "2"]);
     let ran = run(&["submit", "lab-samples", "--connect", &alone, "--timeout", "4"]);
     assert_eq!((ran.code, ran.out.as_str()), (Some(3), ""), "{}", ran.err);
     assert!(ran.err.contains("consort: no coordinator, and none did in 4 s; linked to "), "{}", ran.err);
-    assert!(ran.err.contains("Are as many nodes up that may vote as its bootstrap_expect says"), "{}", ran.err);
+    assert!(ran.err.contains("Are at least bootstrap_expect nodes with may_vote running"), "{}", ran.err);
 }
 
-/// The words of the line by which a request may be repeated, as the command says it.
+/// Returns the command line that the error output suggests for repeating a request.
 fn said_to_repeat(err: &str) -> Vec<String> {
     let line = err.lines().skip_while(|line| !line.contains("can be repeated safely")).nth(1);
-    shlex::split(line.unwrap_or_else(|| panic!("not said: {err}"))).expect("a line for a shell")
+    shlex::split(line.unwrap_or_else(|| panic!("the suggestion is missing: {err}"))).expect("a line for a shell")
 }
 
 #[test]
-fn a_request_that_nobody_answers_can_be_made_again_as_the_command_says_and_gets_one_mission() {
+fn an_unanswered_request_can_be_repeated_and_gets_a_single_mission() {
     let address = free_address();
     let _first = station(&address, &["--bootstrap-expect", "2"]);
     let asked = ["submit", "lab-samples", "--set", "room=IC Room 6", "--json", "--connect", &address, "--timeout", "2"];
@@ -118,10 +118,10 @@ fn a_request_that_nobody_answers_can_be_made_again_as_the_command_says_and_gets_
     let again = said_to_repeat(&ran.err);
     let flag = again.iter().position(|word| word == "--request").unwrap_or_else(|| panic!("no name: {again:?}"));
     let name = &again[flag + 1];
-    assert!(ran.err.contains(&format!("Whether request {name} was taken is not known")), "{}", ran.err);
+    assert!(ran.err.contains(&format!("It is unknown if request {name} was accepted")), "{}", ran.err);
     let mut words = again[1..].to_vec();
     words.drain(flag - 1..=flag);
-    assert_eq!(words, asked, "but for its name it is what was asked");
+    assert_eq!(words, asked, "the suggestion differs in the name only");
 
     let args = ["station", "--name", "s2", "--bootstrap-expect", "2", "--connect", &address];
     let _second = Running(consort(&args).stderr(Stdio::null()).spawn().expect("the binary starts"));
@@ -141,7 +141,7 @@ fn lines_of_json(out: &str) -> Vec<Value> {
 }
 
 #[test]
-fn in_json_whoever_waits_is_told_the_mission_however_the_wait_ends() {
+fn json_output_names_the_mission_however_the_wait_ends() {
     let address = free_address();
     let mut station = station(&address, &[]);
     let args = ["submit", "lab-samples", "--request", "a", "--wait", "--json", "--connect", &address, "--timeout", "5"];
@@ -151,7 +151,7 @@ fn in_json_whoever_waits_is_told_the_mission_however_the_wait_ends() {
     assert_eq!(*acknowledged, json!({ "mission": "lab-samples-1", "again": false, "request": "a" }));
     assert_eq!((&ended["mission"], &ended["state"]), (&json!("lab-samples-1"), &json!("failed")), "{ended}");
 
-    // The whole fleet is gone while somebody waits.
+    // The whole fleet ends while a command waits.
     let args = args.map(|word| if word == "a" { "b" } else { word });
     let waiting = consort(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the binary starts");
     let mut waiting = Running(waiting);
@@ -160,7 +160,7 @@ fn in_json_whoever_waits_is_told_the_mission_however_the_wait_ends() {
     let expected = json!({ "mission": "lab-samples-2", "again": false, "request": "b" });
     assert_eq!(lines_of_json(&first), [expected]);
     station.0.kill().expect("a child of ours");
-    assert!(out.next().is_none(), "nothing else is said there");
+    assert!(out.next().is_none(), "there is no further output");
     assert_eq!(waiting.0.wait().expect("a child of ours").code(), Some(3));
     let mut err = String::new();
     waiting.0.stderr.take().expect("it is piped").read_to_string(&mut err).expect("it writes UTF-8");

@@ -1,11 +1,11 @@
-//! Running the binary.
+//! Helpers that run the binary.
 
 pub(crate) use super::binary::consort;
 use std::net::TcpListener;
 use std::path::PathBuf;
 use std::process::{Child, Output};
 
-/// What a run came to.
+/// Exit code and output of a command.
 pub(crate) struct CommandOutput {
     pub(crate) code: Option<i32>,
     pub(crate) out: String,
@@ -18,18 +18,18 @@ pub(crate) fn run(args: &[&str]) -> CommandOutput {
     CommandOutput { code: status.code(), out: text(stdout), err: text(stderr) }
 }
 
-/// An address on loopback that was free a moment ago.
+/// Returns a loopback address that was free a moment ago.
 pub(crate) fn free_address() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     format!("tcp/{}", listener.local_addr().expect("its address"))
 }
 
-/// A file of this crate.
+/// Returns the path of a file of this crate.
 pub(crate) fn crate_file(path: &str) -> String {
     format!("{}/{path}", env!("CARGO_MANIFEST_DIR"))
 }
 
-/// A file written for one test.
+/// Writes a file for a test and returns its path.
 pub(crate) fn test_file(name: &str, text: &str) -> String {
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("command_line");
     std::fs::create_dir_all(&folder).expect("cargo's own folder");
@@ -38,12 +38,12 @@ pub(crate) fn test_file(name: &str, text: &str) -> String {
     path.display().to_string()
 }
 
-/// A process that does not outlive its test.
+/// A process, killed on drop.
 pub(crate) struct Running(pub(crate) Child);
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // It may have ended already.
+        // The process may have ended already.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }

@@ -1,10 +1,10 @@
-//! Links within the repository lead to what is there.
+//! Links within the repository have existing targets.
 
 use super::page::{Page, repository};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Every page of the repository.
+/// Collects the pages of the repository.
 fn pages(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).expect("a folder of the repository").flatten() {
         let path = entry.path();
@@ -18,7 +18,7 @@ fn pages(folder: &Path, found: &mut Vec<PathBuf>) {
 }
 
 #[test]
-fn every_link_to_a_file_or_a_heading_of_the_repository_leads_there() {
+fn every_link_to_a_file_or_a_heading_has_a_target() {
     let mut found = vec![];
     pages(&repository(), &mut found);
     assert!(found.len() > 10, "{found:?}");
@@ -47,7 +47,7 @@ fn every_link_to_a_file_or_a_heading_of_the_repository_leads_there() {
 }
 
 #[test]
-fn every_page_can_be_come_upon_from_the_readme() {
+fn every_page_is_reachable_from_the_readme() {
     let whole = |path: &Path| path.canonicalize().unwrap_or_else(|problem| panic!("{}: {problem}", path.display()));
     let mut come_upon = BTreeSet::new();
     let mut open = vec![whole(&repository().join("README.md"))];
@@ -62,5 +62,5 @@ fn every_page_can_be_come_upon_from_the_readme() {
     let mut all = vec![];
     pages(&repository().join("nodes/docs"), &mut all);
     let lost: Vec<PathBuf> = all.iter().map(|path| whole(path)).filter(|path| !come_upon.contains(path)).collect();
-    assert!(lost.is_empty(), "no page that is linked to names {lost:?}");
+    assert!(lost.is_empty(), "these pages are not reachable: {lost:?}");
 }

@@ -1,4 +1,5 @@
-//! The documentation: its links lead somewhere, its tutorials work as they are written, its references say what the code does.
+//! The documentation: its links have targets, its tutorials work as written, and its reference
+//! matches the code.
 
 #[path = "../command_line/binary.rs"]
 mod binary;

@@ -1,15 +1,15 @@
-//! A page of Markdown: its headings, its links, its blocks of code.
+//! A Markdown page: its headings, links and code blocks.
 
 use std::path::{Path, PathBuf};
 
-/// A block between fences.
+/// A fenced code block.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Block {
-    /// The line of its first fence, from 1.
+    /// Line of its opening fence, from 1.
     pub(crate) line: usize,
-    /// The first word behind the fence: `yaml`, `console`; empty if there is none.
+    /// First word after the fence: `yaml`, `console`; empty if there is none.
     pub(crate) language: String,
-    /// The second: the file that it is.
+    /// Second word: the name of the file.
     pub(crate) file: Option<String>,
     pub(crate) text: String,
 }
@@ -17,25 +17,25 @@ pub(crate) struct Block {
 /// A page.
 pub(crate) struct Page {
     pub(crate) path: PathBuf,
-    /// Its lines outside of blocks, each with its number, from 1.
+    /// Its lines outside of code blocks, with line numbers from 1.
     pub(crate) prose: Vec<(usize, String)>,
     pub(crate) blocks: Vec<Block>,
 }
 
-/// Where a heading is reached.
+/// Returns the anchor of a heading.
 pub(crate) fn anchor_of(heading: &str) -> String {
     let kept = heading.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
     kept.map(|c| if c == ' ' { '-' } else { c }).collect::<String>().to_lowercase()
 }
 
-/// The folder of the repository.
+/// Returns the folder of the repository.
 pub(crate) fn repository() -> PathBuf {
     let nodes = Path::new(env!("CARGO_MANIFEST_DIR"));
     nodes.parent().expect("nodes/ is a folder of the repository").to_owned()
 }
 
 impl Page {
-    /// The page at a path within the repository.
+    /// Opens a page by its path within the repository.
     pub(crate) fn open(path: &Path) -> Page {
         let path = repository().join(path);
         let text = std::fs::read_to_string(&path).unwrap_or_else(|problem| panic!("{}: {problem}", path.display()));
@@ -62,7 +62,8 @@ impl Page {
         Page { path, prose, blocks }
     }
 
-    /// Where its headings are reached: `#what-it-survives`, as they are shown by what shows repositories.
+    /// Returns the anchors of its headings, such as `#what-it-survives`, by the rules of repository
+    /// hosts.
     pub(crate) fn anchors(&self) -> Vec<String> {
         let mut anchors: Vec<String> = vec![];
         for (_, line) in &self.prose {
@@ -77,14 +78,14 @@ impl Page {
         anchors
     }
 
-    /// The targets of its links and pictures, each with its line.
+    /// Returns the targets of its links and images with their lines.
     pub(crate) fn links(&self) -> Vec<(usize, &str)> {
         let mut links = vec![];
         for (number, line) in &self.prose {
             let mut from = 0;
             while let Some(open) = line[from..].find("](").map(|at| from + at) {
                 let Some(close) = line[open..].find(')').map(|at| open + at) else { break };
-                // Between backticks it is no link.
+                // Text between backticks is no link.
                 if line[..open].matches('`').count() % 2 == 0 {
                     links.push((*number, &line[open + 2..close]));
                 }
@@ -96,7 +97,7 @@ impl Page {
 }
 
 #[test]
-fn a_page_is_taken_apart() {
+fn a_page_is_split_into_prose_and_blocks() {
     let text =
         "# A b, c!\n[x](y.md#z) `[a](b)` ![p](q.png)\n```yaml f.yaml\na: 1\n```\n## A-b\n## A-b\n```\n# no\n```\n";
     let page = Page::of(PathBuf::from("p.md"), text);

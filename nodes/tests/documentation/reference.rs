@@ -1,5 +1,6 @@
-//! The reference says what the code says. Its pages have parts between `<!-- generated: NAME -->` and `<!-- end -->`, which are made
-//! of schemas, tables and comments of the code. With `CONSORT_DOCUMENTATION=1` they are written anew.
+//! The reference matches the code. Its pages contain generated parts between
+//! `<!-- generated: NAME -->` and `<!-- end -->`. These are made from schemas, tables and comments
+//! of the code. `CONSORT_DOCUMENTATION=1` writes them again.
 
 use super::page::repository;
 use super::schema_tables::{SchemaTables, plain};
@@ -10,7 +11,7 @@ use consort_protocol::mission::{Domain, ValueKind};
 use std::fmt::Write;
 use std::path::Path;
 
-/// What comes between the marks of each name.
+/// Returns the generated part of each name.
 fn generated(name: &str) -> String {
     match name {
         "configuration" => files(
@@ -51,7 +52,7 @@ fn task_types() -> String {
     let domain = Domain::hospital();
     let mut text = "| type | must be told | may be told |\n|---|---|---|\n".to_owned();
     for task_type in domain.task_types() {
-        let schema = domain.get(task_type).expect("one of its own");
+        let schema = domain.get(task_type).expect("a task type of the domain");
         let told = |required: bool| {
             let of = schema.parameters.iter().filter(|(_, parameter)| parameter.required == required);
             let each = of.map(|(name, parameter)| {
@@ -84,7 +85,7 @@ fn source(path: &str) -> String {
     std::fs::read_to_string(repository().join(path)).expect("a file of the repository")
 }
 
-/// The table in a module's own documentation.
+/// Returns the table in the documentation of a module.
 fn doc_table(path: &str) -> String {
     let source = source(path);
     let rows = source.lines().filter_map(|line| line.strip_prefix("//! |"));
@@ -95,7 +96,7 @@ fn doc_table(path: &str) -> String {
     rows.map(row).collect()
 }
 
-/// The calls on `api/**`, by what the program itself answers about them.
+/// Returns the calls on `api/**`, from the help of the program.
 fn calls() -> String {
     let mut text = String::new();
     let help = consort_actors::api_help();
@@ -119,7 +120,7 @@ fn calls() -> String {
     text.trim_end().to_owned() + "\n"
 }
 
-/// The kinds of events with their fields, by the comments of the enum.
+/// Returns the event kinds with their fields, from the comments of the enum.
 fn events() -> String {
     let source = source("protocol/src/event.rs");
     let (_, body) = source.split_once("pub enum EventKind {\n").expect("the enum");
@@ -158,7 +159,7 @@ fn snake(name: &str) -> String {
     snake
 }
 
-/// The exit codes, by the comments of the failures.
+/// Returns the exit codes, from the comments of the failures.
 fn exit_codes() -> String {
     let source = source("nodes/src/exit.rs");
     let comments = source.lines().filter_map(|line| line.trim_start().strip_prefix("/// "));
@@ -173,7 +174,7 @@ fn exit_codes() -> String {
 }
 
 #[test]
-fn the_reference_says_what_the_code_says() {
+fn the_reference_matches_the_code() {
     let folder = repository().join("nodes/docs/reference");
     let mut names = vec![];
     for entry in std::fs::read_dir(&folder).expect("a folder of the repository").flatten() {
@@ -195,7 +196,7 @@ fn the_reference_says_what_the_code_says() {
     assert_eq!(names, all);
 }
 
-/// Compares the generated parts of a page with what the code says; their names.
+/// Compares the generated parts of a page with the code. Returns their names.
 fn compared(path: &Path) -> Vec<String> {
     let text = std::fs::read_to_string(path).expect("a page");
     let (mut new, mut names) = (String::new(), vec![]);

@@ -1,19 +1,19 @@
-//! A JSON Schema as tables for people: a section for each object, a row for each key.
+//! Tables from a JSON Schema: a section per object, a row per key.
 
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-/// Writes sections; an object that has one already is only linked.
+/// Writer of sections. An object with an existing section is only linked.
 #[derive(Default)]
 pub(crate) struct SchemaTables {
     text: String,
-    /// Where the sections are, by the names of their objects.
+    /// Anchors of the sections, by object name.
     anchors: BTreeMap<String, String>,
 }
 
 impl SchemaTables {
-    /// Adds the sections of a kind of file; `depth` is that of the first one's heading.
+    /// Adds the sections of a file kind; `depth` is the level of the first heading.
     pub(crate) fn file(&mut self, depth: usize, title: &str, kind: &str, schema: &Value) {
         let name = schema["title"].as_str().expect("schemas of files have a title").to_owned();
         self.anchors.insert(name, anchor(title));
@@ -25,17 +25,17 @@ impl SchemaTables {
         self.text.trim_end().to_owned() + "\n"
     }
 
-    /// The table of an object, and after it those of the objects that are first met in it.
+    /// Adds the table of an object, followed by the tables of objects that first appear in it.
     fn object(&mut self, depth: usize, path: &str, object: &Value, defs: &Value) {
         let none = Map::new();
         let properties = object["properties"].as_object().unwrap_or(&none);
         let required: Vec<&str> =
             object["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
-        // What must be there comes first.
+        // Required keys come first.
         let (must, may): (Vec<_>, Vec<_>) = properties.iter().partition(|(key, _)| required.contains(&key.as_str()));
         let properties = [must, may].concat();
         let mut met = vec![];
-        // Titles of sections first: rows link to them.
+        // The section titles must be known first, because rows link to them.
         for (key, schema) in &properties {
             for name in objects(schema, defs) {
                 if !self.anchors.contains_key(&name) {
@@ -76,7 +76,7 @@ impl SchemaTables {
         }
     }
 
-    /// What a value is, in words.
+    /// Describes the type of a value.
     fn what(&self, schema: &Value, defs: &Value) -> String {
         if let Some(to) = schema["$ref"].as_str() {
             let name = name_of(to);
@@ -129,13 +129,13 @@ impl SchemaTables {
     }
 }
 
-/// The forms that an object may have, by its key `kind`.
+/// Returns the variants of an object, distinguished by the key `kind`.
 fn variants(def: &Value) -> impl Iterator<Item = &Value> {
     let several = def["oneOf"].as_array().into_iter().flatten();
     several.filter(|variant| !variant["properties"]["kind"].is_null())
 }
 
-/// The words that are allowed, where there is a list of them.
+/// Returns the allowed words, if the schema lists them.
 fn words(schema: &Value) -> Option<String> {
     if let Some(word) = schema["const"].as_str() {
         return Some(format!("`{word:?}`"));
@@ -150,7 +150,7 @@ fn words(schema: &Value) -> Option<String> {
     Some(words.join(", "))
 }
 
-/// The objects with sections of their own that a value is made of.
+/// Returns the objects in a value that have their own sections.
 fn objects(schema: &Value, defs: &Value) -> Vec<String> {
     let mut found = vec![];
     if let Some(name) = schema["$ref"].as_str().map(name_of) {
@@ -174,12 +174,12 @@ fn anchor(title: &str) -> String {
     super::page::anchor_of(title)
 }
 
-/// What the code says of it, as a cell of a table.
+/// Returns the comment of a schema as a table cell.
 fn meaning(schema: &Value) -> String {
     plain(schema["description"].as_str().unwrap_or_default())
 }
 
-/// A comment of the code without links into the code, in one line.
+/// Returns the first paragraph of a comment in a single line, without links into the code.
 pub(crate) fn plain(comment: &str) -> String {
     let comment = comment.split("\n\n").next().unwrap_or_default();
     let one_line = comment.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|");
@@ -206,7 +206,7 @@ pub(crate) fn plain(comment: &str) -> String {
 }
 
 #[test]
-fn comments_of_the_code_are_made_plain() {
+fn doc_comments_become_plain_text() {
     assert_eq!(
         plain("A [`Leaf`](crate::x) of\na [tree](crate::y); `[bus]` [`Z`]\n\nMore."),
         "A `Leaf` of a tree; `[bus]` `Z`"

@@ -1,5 +1,6 @@
-//! The JSON Schemas that are shipped are those of the code; what the program takes they take, and what it refuses for its form
-//! they refuse. The latter two are asked of Python's `jsonschema`; where there is none they are not asked, and it is said.
+//! The shipped JSON Schemas match the code. Files that the program accepts satisfy them, and files
+//! that the program rejects for their form violate them. Python's `jsonschema` checks the latter
+//! two; without it these checks are skipped with a message.
 
 use super::page::repository;
 use consort_nodes::check::{self, FileKind};
@@ -26,7 +27,7 @@ fn of(kind: FileKind) -> Value {
 }
 
 #[test]
-fn the_schemas_that_are_shipped_are_those_of_the_code() {
+fn the_shipped_schemas_match_the_code() {
     let folder = repository().join("nodes/schemas");
     for (name, kind) in KINDS {
         let path = folder.join(format!("{name}.json"));
@@ -41,7 +42,7 @@ fn the_schemas_that_are_shipped_are_those_of_the_code() {
     assert_eq!(count, KINDS.len());
 }
 
-/// The files of a folder with such an ending.
+/// Returns the files in a folder with these suffixes.
 fn files(folder: &str, endings: &[&str]) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(repository().join(folder)).expect("a folder of the repository").flatten();
     let paths = entries.map(|entry| entry.path());
@@ -51,7 +52,7 @@ fn files(folder: &str, endings: &[&str]) -> Vec<PathBuf> {
     found
 }
 
-/// The content of a file, as JSON has it.
+/// Parses a file as a JSON value.
 fn value(text: &str, path: &Path) -> Value {
     match path.extension().and_then(|extension| extension.to_str()) {
         Some("toml") => serde_json::to_value(text.parse::<toml::Table>().expect("TOML")).expect("TOML is JSON"),
@@ -60,7 +61,8 @@ fn value(text: &str, path: &Path) -> Value {
     }
 }
 
-/// What is wrong with each of these by a schema, or nothing; none at all without Python's `jsonschema`.
+/// Validates values against their schemas. Returns an error text or `None` for each; returns `None`
+/// without Python's `jsonschema`.
 fn judged(asked: &[(FileKind, Value)]) -> Option<Vec<Option<String>>> {
     const JUDGE: &str = "import json, sys\nfrom jsonschema import Draft202012Validator as V\nout = []\n\
         for a in json.load(sys.stdin):\n    V.check_schema(a['schema'])\n    e = next(V(a['schema']).iter_errors(a['value']), None)\n    \
@@ -69,20 +71,20 @@ fn judged(asked: &[(FileKind, Value)]) -> Option<Vec<Option<String>>> {
     let python = Command::new("python3").args(["-c", JUDGE]).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
     let mut python = python.ok()?;
     let question = serde_json::to_vec(&asked).expect("JSON");
-    // One that has no `jsonschema` ends without having read all of it.
+    // Without `jsonschema` the script ends before it has read its input.
     let _ = python.stdin.take().expect("it was piped").write_all(&question);
     let output = python.wait_with_output().expect("it was started");
     output.status.success().then(|| serde_json::from_slice(&output.stdout).expect("JSON"))
 }
 
-/// Says on the standard error why a test was not made.
+/// Prints that the test is skipped.
 fn skipped() {
     let why = "skipped: python3 has no jsonschema (apt-get install python3-jsonschema)\n";
     std::io::stderr().write_all(why.as_bytes()).expect("the standard error");
 }
 
 #[test]
-fn what_is_shipped_is_of_the_form_that_its_schema_says() {
+fn shipped_files_satisfy_their_schemas() {
     let mut paths = files("nodes/examples", &[".toml", ".yaml"]);
     paths.extend(files("protocol/missions", &[".yaml"]));
     paths.extend(files("tests/features/missions", &[".yaml"]));
@@ -107,7 +109,7 @@ fn what_is_shipped_is_of_the_form_that_its_schema_says() {
 }
 
 #[test]
-fn schemas_take_and_refuse_the_forms_that_the_program_takes_and_refuses() {
+fn schemas_and_program_accept_the_same_forms() {
     let world = |body: &str| {
         format!(
             "[[robot]]\nid = \"a\"\nplace = \"Dock\"\nspeed_mps = 1.0\nbattery = 1.0\ndischarge_share_per_s = 0.0\n{body}"

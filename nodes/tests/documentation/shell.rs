@@ -1,12 +1,15 @@
-//! Plays a page as a reader would at a terminal: its files are written, its commands are given, and what they print is compared.
+//! Runs a page as a reader would in a terminal: writes its files, executes its commands, and
+//! compares their output.
 //!
-//! - ```` ```yaml ward.yaml ```` is a file of that name.
-//! - ```` ```console ```` has commands behind `$ ` and, under each, what it prints; `…` stands for anything, in a line or for lines,
-//!   and how many blanks stand between words does not matter. A command must succeed, unless `$ echo $?` follows and says otherwise.
-//! - A command that ends in `&` runs until the end of the page, or until `$ kill -9 %N` for the Nth of them. From then on a command that asks how things are is repeated
-//!   until it prints what it should, for a generous while: nodes take their time to meet.
+//! - ```` ```yaml ward.yaml ``` is a file of that name.
+//! - ```` ```console ```` contains commands after `$
+//!   `, each followed by its output. `…` matches any text, within a line or over several lines, and the number of spaces between words is ignored. A command must succeed, unless `$
+//!   echo $? follows with another exit code.
+//! - A command that ends in `&` runs until the end of the page, or until `$ kill -9 %N` for the Nth
+//!   of them. After such a command, a query command is repeated until its output matches, up to a
+//!   generous limit, because nodes need time to meet.
 //!
-//! Ports of the page are exchanged for free ones, so that pages do not get into one another's way.
+//! Ports of the page are replaced by free ports, so that pages do not interfere.
 
 use super::binary::{consort, program};
 use super::page::Page;
@@ -15,16 +18,18 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Longest that is waited until a command prints what it should.
+/// Limit for a command to print the expected output.
 const LIMIT: Duration = Duration::from_secs(90);
 
-/// What a program that this one plays prints comes behind this; what stands before is said by the test that plays it.
+/// Separates the output of a substituted program from the preceding output of the test process that
+/// runs it.
 pub(crate) const OUTPUT_MARKER: &str = "\n== the program ==\n";
 
-/// How programs that are not `consort` are started: the words that name one, and its command.
+/// Programs other than `consort`: the words that name each, and a function that creates its
+/// command.
 pub(crate) type Programs<'a> = &'a [(&'a str, fn(&[String]) -> Command)];
 
-/// A command and what it prints.
+/// A command and its expected output.
 #[derive(Debug, PartialEq, Eq)]
 struct Deed {
     line: usize,
@@ -32,14 +37,14 @@ struct Deed {
     prints: Vec<String>,
 }
 
-/// Plays a page in a folder of its own, where its files are left.
+/// Runs a page in its own folder, which keeps the files.
 ///
 /// # Panics
-/// Where a command does not do what the page says, with the page's line.
+/// If a command does not match the page. The message contains the line of the page.
 pub(crate) fn run_page(page: &Page, programs: Programs<'_>) -> PathBuf {
     let name = page.path.file_stem().expect("a page has a name").to_string_lossy().into_owned();
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("documentation").join(&name);
-    // There may be none yet.
+    // The folder may not exist yet.
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).expect("cargo's own folder");
     let ports = free_ports();
@@ -57,20 +62,20 @@ pub(crate) fn run_page(page: &Page, programs: Programs<'_>) -> PathBuf {
     folder
 }
 
-/// The ports that pages use, each with one that was free a moment ago.
+/// Returns the ports that pages use, each with a port that was free a moment ago.
 fn free_ports() -> Vec<(String, String)> {
     let taken: Vec<TcpListener> = (0..4).map(|_| TcpListener::bind("127.0.0.1:0").expect("a free port")).collect();
     let free = taken.iter().map(|listener| format!("127.0.0.1:{}", listener.local_addr().expect("its address").port()));
     (7447..).map(|port| format!("127.0.0.1:{port}")).zip(free).collect()
 }
 
-/// The commands of a block, whose fence is in line `first`.
+/// Returns the commands of a block whose fence is in line `first`.
 fn deeds(first: usize, text: &str) -> Vec<Deed> {
     let mut deeds: Vec<Deed> = vec![];
     for (line, text) in (first + 1..).zip(text.lines()) {
         match (text.strip_prefix("$ "), deeds.last_mut()) {
             (Some(command), _) => deeds.push(Deed { line, command: command.to_owned(), prints: vec![] }),
-            // A command that is too long for one line goes on in the next.
+            // A long command continues in the next line.
             (None, Some(deed)) if deed.command.ends_with('\\') => {
                 deed.command.pop();
                 deed.command.push_str(text.trim_start());
@@ -92,7 +97,7 @@ struct Shell<'a> {
 impl Drop for Shell<'_> {
     fn drop(&mut self) {
         for (_, child) in &mut self.running {
-            // It may have ended already.
+            // The process may have ended already.
             let _ = child.kill();
             let _ = child.wait();
         }
@@ -100,16 +105,17 @@ impl Drop for Shell<'_> {
 }
 
 impl Shell<'_> {
-    /// Gives commands one after the other; how many there were.
+    /// Executes commands in order and returns their number.
     fn give(&mut self, deeds: &[Deed]) -> usize {
         let mut deeds = deeds.iter().peekable();
         let mut given = 0;
         while let Some(deed) = deeds.next() {
             given += 1;
             if let Some(number) = deed.command.strip_prefix("kill -9 %") {
-                let number: usize = number.parse().unwrap_or_else(|_| panic!("line {}: which one?", deed.line));
+                let number: usize =
+                    number.parse().unwrap_or_else(|_| panic!("line {}: a process number is required", deed.line));
                 let (_, child) = &mut self.running[number - 1];
-                child.kill().and_then(|()| child.wait()).expect("a program that this one has started");
+                child.kill().and_then(|()| child.wait()).expect("a program started by this test");
             } else if let Some(command) = deed.command.strip_suffix('&') {
                 self.start(command.trim_end(), deed);
             } else {
@@ -148,7 +154,7 @@ impl Shell<'_> {
             let again = asks && !self.running.is_empty() && since.elapsed() < LIMIT;
             assert!(
                 again,
-                "{}:{}: $ {}\nended with {:?} where {code} was awaited, and printed:\n{printed}\n{}",
+                "{}:{}: $ {}\nended with {:?} instead of {code}, and printed:\n{printed}\n{}",
                 self.page.path.display(),
                 deed.line,
                 deed.command,
@@ -159,7 +165,7 @@ impl Shell<'_> {
         }
     }
 
-    /// What the programs that run have said last.
+    /// Returns the last log lines of the running programs.
     fn logs(&self) -> String {
         let tail = |(number, (command, _)): (usize, &(String, Child))| {
             let log = std::fs::read_to_string(self.folder.join(format!("{number}.log"))).unwrap_or_default();
@@ -185,15 +191,18 @@ impl Shell<'_> {
     }
 }
 
-/// A program that the page has readers build, played by this one: see `tutorials::as_a_program`.
+/// Returns a command for a program that the page tells readers to build. This test binary runs it:
+/// see `tutorials::it_runs_as_a_program`.
 pub(crate) fn substitute_program(name: &str, args: &[String]) -> Command {
-    let mut command =
-        program(std::env::current_exe().expect("this program"), &["--exact", "tutorials::as_a_program", "--nocapture"]);
+    let mut command = program(
+        std::env::current_exe().expect("this program"),
+        &["--exact", "tutorials::it_runs_as_a_program", "--nocapture"],
+    );
     command.env("CONSORT_TUTORIAL", name).env("CONSORT_TUTORIAL_ARGS", args.join("\n"));
     command
 }
 
-/// Whether a text is what is expected, where `…` stands for anything.
+/// Checks whether a text matches the expected lines, in which `…` matches anything.
 fn is_as_told(text: &str, told: &[String]) -> bool {
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
     let lines: Vec<String> = text.lines().map(words).filter(|line| !line.is_empty()).collect();
@@ -204,9 +213,9 @@ fn is_as_told(text: &str, told: &[String]) -> bool {
     })
 }
 
-/// Whether a list matches another, in which `…` stands for any number of elements.
+/// Checks whether a list matches a pattern, in which `…` matches any number of elements.
 fn fit(list: &[String], told: &[String], same: &dyn Fn(&String, &String) -> bool) -> bool {
-    // From which places on in `told` the rest may be matched, after what was looked at of `list`.
+    // Positions in the pattern at which the rest may match, after the elements of `list` so far.
     let skip = |mut at: Vec<bool>| {
         for place in 0..told.len() {
             at[place + 1] |= at[place] && told[place] == "…";
@@ -230,7 +239,7 @@ fn fit(list: &[String], told: &[String], same: &dyn Fn(&String, &String) -> bool
 }
 
 #[test]
-fn what_is_printed_is_compared_but_for_what_is_left_out() {
+fn output_is_compared_with_ellipses_as_wildcards() {
     let told = |lines: &[&str]| lines.iter().map(|line| (*line).to_owned()).collect::<Vec<_>>();
     let text = "a  1.5 s\n\nb 2\nc\n";
     assert!(is_as_told(text, &told(&["a 1.5 s", "b   2", "c"])));
@@ -242,7 +251,7 @@ fn what_is_printed_is_compared_but_for_what_is_left_out() {
 }
 
 #[test]
-fn commands_are_told_from_what_they_print() {
+fn commands_are_separated_from_their_output() {
     let text = "$ consort a \\\n    --b\nx\n$ consort c &\n";
     let deed = |line, command: &str, prints: &[&str]| Deed {
         line,

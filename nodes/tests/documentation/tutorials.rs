@@ -1,4 +1,4 @@
-//! Tutorials, each played as it is written.
+//! Tutorials, each executed as written.
 
 use super::page::{Page, repository};
 use super::shell::{OUTPUT_MARKER, run_page, substitute_program};
@@ -8,7 +8,8 @@ use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
 
-/// Programs that tutorials have their readers write. They stand beside the example files, where cargo builds them.
+/// Programs that readers of tutorials write. They are next to the example files, where cargo builds
+/// them.
 #[path = "../../examples/look_around.rs"]
 #[expect(dead_code, reason = "its `main` is for the program alone")]
 mod look_around;
@@ -25,13 +26,13 @@ fn tutorial(name: &str) -> Page {
     Page::open(Path::new(&format!("nodes/docs/tutorials/{name}.md")))
 }
 
-/// Not a test by itself: another process runs this very one, and is a tutorial's program then.
+/// This is not a test by itself: another process runs this test as the program of a tutorial.
 #[test]
-fn as_a_program() {
+fn it_runs_as_a_program() {
     let Some(name) = std::env::var_os("CONSORT_TUTORIAL") else { return };
     let args = std::env::var("CONSORT_TUTORIAL_ARGS").expect("it is given with the name");
     let args: Vec<String> = args.lines().map(str::to_owned).collect();
-    std::io::stdout().write_all(OUTPUT_MARKER.as_bytes()).expect("somebody reads what it prints");
+    std::io::stdout().write_all(OUTPUT_MARKER.as_bytes()).expect("the output is read");
     let succeeded = match (name.to_str(), &args[..]) {
         (Some("look_around"), args) => {
             let args = std::iter::once("consort").chain(args.iter().map(String::as_str)).map(OsString::from);
@@ -44,7 +45,8 @@ fn as_a_program() {
     std::process::exit(i32::from(!succeeded));
 }
 
-/// Whether a page shows the example that a test builds, and nothing else in Rust.
+/// Checks that a page contains the example that a test builds, and no other Rust code. Returns the
+/// code of the page.
 fn shows(page: &Page, example: &str) -> String {
     let code = std::fs::read_to_string(repository().join("nodes/examples").join(example)).expect("the example");
     let shown: Vec<&str> = page.blocks.iter().filter(|b| b.language == "rust").map(|b| b.text.as_str()).collect();
@@ -53,21 +55,21 @@ fn shows(page: &Page, example: &str) -> String {
 }
 
 #[test]
-fn an_adapter_of_your_own() {
+fn the_adapter_tutorial_works() {
     let page = tutorial("adapter");
     shows(&page, "rover.rs");
     run_page(&page, &[("cargo run --example rover --", |args| substitute_program("rover", args))]);
 }
 
 #[test]
-fn a_planner_of_your_own() {
+fn the_planner_tutorial_works() {
     let page = tutorial("planner");
     shows(&page, "round_planner.rs");
     run_page(&page, &[("cargo run --example round_planner --", |args| substitute_program("round_planner", args))]);
 }
 
 #[test]
-fn a_skill_of_your_own() {
+fn the_skill_tutorial_works() {
     let page = tutorial("skill");
     let code = shows(&page, "look_around.rs");
     assert!(code.lines().count() <= 50, "{} lines are not 50", code.lines().count());
@@ -75,22 +77,22 @@ fn a_skill_of_your_own() {
 }
 
 #[test]
-fn a_map_of_your_own() {
+fn the_map_tutorial_works() {
     let folder = run_page(&tutorial("map"), &[]);
-    assert!(std::fs::metadata(folder.join("ward.png")).expect("the picture that the page draws").len() > 1000);
+    assert!(std::fs::metadata(folder.join("ward.png")).expect("the picture of the page").len() > 1000);
 }
 
 #[test]
-fn an_ensemble_of_your_own() {
+fn the_ensemble_tutorial_works() {
     run_page(&tutorial("ensemble"), &[]);
 }
 
 #[test]
-fn operations_look_as_they_are_shown() {
+fn the_operations_tutorial_works() {
     run_page(&Page::open(Path::new("nodes/docs/operations.md")), &[]);
 }
 
 #[test]
-fn a_mission_of_your_own() {
+fn the_mission_tutorial_works() {
     run_page(&tutorial("mission"), &[]);
 }

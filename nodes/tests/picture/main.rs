@@ -1,4 +1,4 @@
-//! A picture made of what a fleet says.
+//! The fleet model that is built from the messages of a fleet.
 
 use consort_nodes::fleet_model::{FleetModel, FloorPlan, NO_COORDINATOR_AFTER_MS, ReachabilityState, bounds, delta};
 use consort_nodes::map_loader;
@@ -55,7 +55,7 @@ fn telemetry(x: f64, y: f64) -> Telemetry {
 }
 
 #[test]
-fn a_robot_is_where_its_body_says_and_goes_where_its_task_leads() {
+fn a_robot_has_the_pose_of_its_telemetry_and_the_route_of_its_task() {
     let mut picture = picture();
     let holding = json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
     let ada = json!({ "node": "ada", "alive": true, "status": "alive", "age_ms": 300, "robot": worker(holding) });
@@ -73,7 +73,7 @@ fn a_robot_is_where_its_body_says_and_goes_where_its_task_leads() {
     let ada = &picture.robots()["ada"];
     assert_eq!((ada.x, ada.y, ada.battery), (6.0, 4.0, 0.75));
     assert_eq!((ada.availability.as_str(), ada.task.as_deref()), ("holding", Some("navto_room")));
-    assert_eq!(ada.heard_ms, NOW - 300);
+    assert_eq!(ada.last_contact_ms, NOW - 300);
     assert_eq!(ada.destination.as_deref(), Some("IC Room 6"));
     let map = picture.to_json()["map"].clone();
     let mut places = map["places"].as_array().unwrap().iter();
@@ -81,7 +81,7 @@ fn a_robot_is_where_its_body_says_and_goes_where_its_task_leads() {
     assert_eq!(json!(ada.route.last()), json!([room["x_m"], room["y_m"]]));
     assert!(ada.route.len() > 2, "along the corridor: {:?}", ada.route);
 
-    // What its node knows of it is older than what its body said.
+    // The record of its node is older than its telemetry.
     picture.apply_view(
         &Key::ViewFleet,
         &fleet(json!([{ "node": "ada", "alive": true, "age_ms": 500, "robot": worker(json!("free")) }])),
@@ -92,22 +92,22 @@ fn a_robot_is_where_its_body_says_and_goes_where_its_task_leads() {
     assert_eq!((&ada.destination, ada.route.len()), (&None, 0));
     let logistics = &picture.ensembles()["logistics"];
     assert_eq!(logistics.members, ["ada"]);
-    assert_eq!(logistics.others["bob"], "lacks navigation");
+    assert_eq!(logistics.non_members["bob"], "lacks navigation");
     assert_eq!(
         (logistics.membership.as_slice(), logistics.stale_after_ms),
         (&["member.robot".to_owned()][..], Some(10_000))
     );
 
     picture.apply_view(&Key::ViewFleet, &fleet(json!([{ "node": "cyd", "alive": true }])), NOW + 30);
-    assert!(picture.robots().is_empty(), "who is no longer known is no longer shown");
+    assert!(picture.robots().is_empty(), "unknown robots are removed");
 }
 
 #[test]
-fn a_takeover_is_noted_with_who_came_before_and_how_long_nobody_was_there() {
+fn a_takeover_records_the_previous_coordinator_and_the_gap() {
     let mut picture = picture();
     picture.apply_beacon(&beacon("ada", 1, 500), NOW);
     picture.apply_beacon(&beacon("ada", 1, 750), NOW + 250);
-    assert_eq!(picture.kpis().takeovers, 0, "the first is nobody's successor");
+    assert_eq!(picture.kpis().takeovers, 0, "the first coordinator is no takeover");
     picture.apply_event(
         &event("bob", 1, NOW + 600, json!({ "event": "elected", "term": 2, "voters": ["bob"] })),
         NOW + 600,
@@ -117,7 +117,7 @@ fn a_takeover_is_noted_with_who_came_before_and_how_long_nobody_was_there() {
     assert_eq!((bob.node.as_str(), bob.term, bob.voters.as_slice()), ("bob", 2, &["bob".to_owned()][..]));
     let takeover = &picture.takeovers()[1];
     assert_eq!((takeover.from.as_deref(), takeover.gap_ms, picture.takeovers().len()), (Some("ada"), Some(350), 2));
-    // A coordinator that does not know that it no longer is.
+    // A coordinator that has not noticed its replacement yet.
     picture.apply_beacon(&beacon("ada", 1, 9_000), NOW + 800);
     assert_eq!(picture.coordinator().unwrap().node, "bob");
     assert_eq!(picture.kpis().takeovers, 1);
@@ -125,28 +125,34 @@ fn a_takeover_is_noted_with_who_came_before_and_how_long_nobody_was_there() {
 }
 
 #[test]
-fn a_fleet_that_is_no_longer_heard_is_said_to_be_lost_and_since_when() {
+fn a_silent_fleet_is_shown_as_lost_with_the_time() {
     let mut picture = picture();
     picture.apply_links(2, NOW);
-    assert_eq!(picture.reach().state, ReachabilityState::Silent, "nobody was heard yet");
+    assert_eq!(picture.reachability().state, ReachabilityState::NoCoordinator, "no beacon was received yet");
     picture.apply_beacon(&beacon("ada", 1, 0), NOW + 100);
     picture.apply_links(2, NOW + 200);
-    assert_eq!(picture.reach().state, ReachabilityState::Whole);
+    assert_eq!(picture.reachability().state, ReachabilityState::Connected);
     picture.apply_links(2, NOW + 100 + NO_COORDINATOR_AFTER_MS);
-    assert_eq!(picture.reach().state, ReachabilityState::Whole);
+    assert_eq!(picture.reachability().state, ReachabilityState::Connected);
     let late = NOW + 101 + NO_COORDINATOR_AFTER_MS;
     picture.apply_links(2, late);
-    assert_eq!((picture.reach().state, picture.reach().since_ms), (ReachabilityState::Silent, late));
+    assert_eq!(
+        (picture.reachability().state, picture.reachability().since_ms),
+        (ReachabilityState::NoCoordinator, late)
+    );
     picture.apply_links(0, late + 5);
-    assert_eq!((picture.reach().state, picture.reach().heard_ms), (ReachabilityState::Alone, Some(NOW + 100)));
-    // Another fleet's life may have begun anew: whoever is heard after a silence is the coordinator.
+    assert_eq!(
+        (picture.reachability().state, picture.reachability().last_contact_ms),
+        (ReachabilityState::Isolated, Some(NOW + 100))
+    );
+    // The fleet may have been restarted: after a silence, the next beacon names the coordinator.
     picture.apply_beacon(&beacon("bob", 1, 0), late + 10);
     picture.apply_links(1, late + 11);
-    assert_eq!(picture.reach().state, ReachabilityState::Whole);
+    assert_eq!(picture.reachability().state, ReachabilityState::Connected);
 }
 
 #[test]
-fn tasks_become_bars_and_a_mission_ends_when_it_was_seen_to_end() {
+fn tasks_become_bars_and_a_mission_ends_with_its_event() {
     let mut picture = picture();
     let of = |what: &str, task: &str| json!({ "event": what, "mission": "m-1", "role": "r1", "task": task });
     let tell = |picture: &mut FleetModel, at: u64, what: Value| picture.apply_event(&event("ada", 1, at, what), at);
@@ -166,13 +172,14 @@ fn tasks_become_bars_and_a_mission_ends_when_it_was_seen_to_end() {
     let bars: Vec<_> = shown.bars.iter().map(|bar| (bar.task.as_str(), bar.state.as_str(), bar.to_ms)).collect();
     assert_eq!(
         bars,
-        [("go", "done", Some(NOW + 50)), ("open", "broken off", Some(NOW + 100)), ("unheard", "done", Some(NOW + 90)),]
+        [("go", "done", Some(NOW + 50)), ("open", "aborted", Some(NOW + 100)), ("unheard", "done", Some(NOW + 90)),]
     );
     assert_eq!((shown.state.as_str(), shown.ended, shown.ended_ms), ("completed", true, Some(NOW + 100)));
     let kpis = picture.kpis();
-    assert_eq!((kpis.success, kpis.conclude_ms, kpis.award_ms), (Some(1.0), Some(100), Some(6.5)));
+    assert_eq!((kpis.success, kpis.completion_ms, kpis.award_ms), (Some(1.0), Some(100), Some(6.5)));
 
-    // A list that was made before does not bring it back to life; one that was over when it was first seen ended who knows when.
+    // An older list does not change an ended mission back. The end time of a mission is unknown if
+    // it had ended before it was first seen.
     let list = json!({ "missions": [
         { "mission": "m-1", "detail": "running", "done": 1, "steps": 3 },
         { "mission": "m-2", "detail": { "failed": { "cause": "no robots" } }, "submitted_at_ms": 5 },
@@ -185,10 +192,10 @@ fn tasks_become_bars_and_a_mission_ends_when_it_was_seen_to_end() {
 }
 
 #[test]
-fn an_auction_has_every_answer_with_its_parts_and_the_winner() {
+fn an_auction_contains_every_bid_with_its_parts_and_the_winner() {
     let mut picture = picture();
     let tell = |picture: &mut FleetModel, what: Value| picture.apply_event(&event("ada", 1, NOW, what), NOW);
-    tell(&mut picture, json!({ "event": "called", "mission": "m-1", "roles": ["r1"], "round": 1, "asked": 2 }));
+    tell(&mut picture, json!({ "event": "bids_requested", "mission": "m-1", "roles": ["r1"], "round": 1, "asked": 2 }));
     let bid = json!({ "robot": "bob", "role": "r1", "time": 99.5, "energy": 0.06, "remaining": 0.84, "useful_charge": 0.08,
         "from": "Dock", "age_ms": 3, "parts": [{ "step": 0, "label": "navto_room", "skill": "navigation", "time": 60.0, "energy": 0.04 }] });
     tell(&mut picture, json!({ "event": "bid", "mission": "m-1", "bid": bid }));
@@ -198,7 +205,7 @@ fn an_auction_has_every_answer_with_its_parts_and_the_winner() {
         { "role": "r1", "robot": "cyd", "verdict": { "refused": { "reason": { "missing_skills": { "skills": ["navigation"] } } } } },
     ] });
     tell(&mut picture, json!({ "event": "closed", "mission": "m-1", "record": record }));
-    // The same record comes with the views, without parts: nothing is lost.
+    // The views contain the same record without parts: the parts are kept.
     picture.apply_view(&Key::ViewAuctions, &json!({ "auctions": [record] }), NOW);
     let (name, shown) = picture.auctions().first_key_value().unwrap();
     assert_eq!((name.as_str(), shown.offers.len()), ("m-1#1.1", 2));
@@ -210,7 +217,7 @@ fn an_auction_has_every_answer_with_its_parts_and_the_winner() {
 }
 
 #[test]
-fn robots_at_work_count_for_the_time_in_which_they_were() {
+fn utilization_counts_the_time_of_busy_robots() {
     let mut picture = picture();
     let node = |name: &str, availability: Value| json!({ "node": name, "alive": true, "robot": worker(availability) });
     let holding = json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
@@ -223,15 +230,16 @@ fn robots_at_work_count_for_the_time_in_which_they_were() {
     assert_eq!((kpis.busy, kpis.in_service, kpis.utilisation), (1, 2, Some(0.5)));
 }
 
-/// Who had which role from when to when, after the start, and how that stands or ended.
-fn tenures(picture: &FleetModel) -> Vec<(&str, u64, Option<u64>, &str)> {
-    let all = picture.missions()["m-1"].tenures.iter();
+/// Returns the assignments of a role: the robot, start and end in milliseconds after the start, and
+/// the state.
+fn assignments(picture: &FleetModel) -> Vec<(&str, u64, Option<u64>, &str)> {
+    let all = picture.missions()["m-1"].assignments.iter();
     let since = |ms: u64| ms - NOW;
     all.map(|one| (one.by.as_str(), since(one.from_ms), one.to_ms.map(since), one.state.as_str())).collect()
 }
 
 #[test]
-fn a_role_passes_from_robot_to_robot_and_each_has_its_time_and_what_was_planned() {
+fn each_assignment_of_a_role_has_its_times_and_planned_end() {
     let mut picture = picture();
     let tell = |picture: &mut FleetModel, node: &str, at: u64, what: Value| {
         picture.apply_event(&event(node, 1, NOW + at, what), NOW + at);
@@ -252,31 +260,31 @@ fn a_role_passes_from_robot_to_robot_and_each_has_its_time_and_what_was_planned(
         2,
         json!({ "event": "started", "mission": "m-1", "role": "r1", "epoch": { "term": 1, "index": 3 } }),
     );
-    assert_eq!(tenures(&picture), [("ada", 1, None, "at work")], "begun once");
-    // World time goes by five times as fast: 60 s are planned as 12.
+    assert_eq!(assignments(&picture), [("ada", 1, None, "active")], "begun once");
+    // World time runs five times as fast: 60 s are planned as 12 s.
     let at = |world_s: f64| Telemetry { time: WorldTime::from_secs(world_s), ..telemetry(1.0, 1.0) };
     for (world_s, at_ms) in [(100.0, 10), (102.0, 410), (115.0, 3010)] {
         picture.apply_telemetry("ada", &at(world_s), NOW + at_ms);
         picture.apply_links(1, NOW + at_ms);
     }
-    assert_eq!(picture.missions()["m-1"].tenures[0].planned_ms, Some(12_000));
+    assert_eq!(picture.missions()["m-1"].assignments[0].planned_ms, Some(12_000));
 
     tell(&mut picture, "ada", 4000, of("suspended"));
-    assert_eq!(tenures(&picture), [("ada", 1, None, "suspended")]);
+    assert_eq!(assignments(&picture), [("ada", 1, None, "suspended")]);
     tell(&mut picture, "s1", 5000, json!({ "event": "released", "mission": "m-1", "role": "r1", "cause": "silent" }));
     tell(&mut picture, "s1", 5100, auction(2, "bob", 40.0));
     tell(&mut picture, "s1", 5200, award(9, "bob"));
-    // Whoever lost the role says so late: it is nobody's business any more.
+    // The previous holder reports late; the report changes nothing.
     tell(&mut picture, "ada", 6000, json!({ "event": "halted", "mission": "m-1", "role": "r1", "reason": "replaced" }));
     picture.apply_links(1, NOW + 6100);
     let completed = json!({ "event": "mission", "mission": "m-1", "state": "completed", "submitted_at_ms": NOW });
     tell(&mut picture, "s1", 9000, completed);
-    assert_eq!(tenures(&picture), [("ada", 1, Some(5000), "given up"), ("bob", 5200, Some(9000), "carried out")]);
-    assert_eq!(picture.missions()["m-1"].tenures[1].planned_ms, Some(8000));
+    assert_eq!(assignments(&picture), [("ada", 1, Some(5000), "released"), ("bob", 5200, Some(9000), "completed")]);
+    assert_eq!(picture.missions()["m-1"].assignments[1].planned_ms, Some(8000));
 }
 
 #[test]
-fn who_comes_late_learns_from_the_ledger_who_has_which_role() {
+fn a_late_client_learns_role_holders_from_the_ledger() {
     let mut picture = picture();
     let mission = |phase: &str, holder: &str| {
         json!({ "mission": "m-1", "detail": "running", "done": 1, "steps": 3, "roles": [
@@ -286,22 +294,22 @@ fn who_comes_late_learns_from_the_ledger_who_has_which_role() {
     };
     let key = Key::ViewMission("m-1".parse().unwrap());
     picture.apply_view(&key, &mission("active", "ada"), NOW + 100);
-    assert_eq!(tenures(&picture), [("ada", 100, None, "at work")]);
+    assert_eq!(assignments(&picture), [("ada", 100, None, "active")]);
     let released = json!({ "event": "released", "mission": "m-1", "role": "r1", "cause": "silent" });
     picture.apply_event(&event("s1", 1, NOW + 5000, released), NOW + 5000);
-    // A view that was drawn before the release does not bring its holder back.
+    // A view from before the release does not restore the previous holder.
     picture.apply_view(&key, &mission("active", "ada"), NOW + 5100);
-    assert_eq!(tenures(&picture), [("ada", 100, Some(5000), "given up")]);
+    assert_eq!(assignments(&picture), [("ada", 100, Some(5000), "released")]);
     picture.apply_view(&key, &mission("active", "bob"), NOW + 8000);
     picture.apply_view(&key, &mission("ended", "bob"), NOW + 12_000);
-    assert_eq!(tenures(&picture)[1..], [("bob", 8000, Some(12_000), "carried out")]);
+    assert_eq!(assignments(&picture)[1..], [("bob", 8000, Some(12_000), "completed")]);
 }
 
 #[test]
-fn what_is_the_matter_is_taken_from_the_nearest_node() {
+fn health_findings_come_from_the_nearest_node() {
     let mut picture = picture();
     let view = json!({ "level": "warning", "findings": [
-        { "level": "warning", "about": "node", "name": "bob", "says": "bob is down; it was last heard 9.0 s ago" }] });
+        { "level": "warning", "about": "node", "name": "bob", "text": "bob is down; last contact 9.0 s ago" }] });
     picture.apply_view(&Key::ViewHealth, &view, NOW);
     let [finding] = picture.health() else { panic!("{:?}", picture.health()) };
     assert_eq!((finding.level.as_str(), finding.name.as_deref()), ("warning", Some("bob")));
@@ -309,7 +317,7 @@ fn what_is_the_matter_is_taken_from_the_nearest_node() {
 }
 
 #[test]
-fn patches_one_after_the_other_come_to_the_whole() {
+fn consecutive_patches_equal_the_whole_model() {
     let mut picture = picture();
     let (mut drawn, mut seen) = (Value::Null, Value::Null);
     picture.render_patch(&mut drawn);
@@ -350,7 +358,7 @@ fn patches_one_after_the_other_come_to_the_whole() {
 }
 
 #[test]
-fn a_picture_is_bounded_however_much_happens() {
+fn a_fleet_model_has_a_bounded_size() {
     let mut picture = picture();
     for number in 0..3 * bounds::EVENTS as u64 {
         let of = |what: &str| json!({ "event": what, "mission": "m-0", "role": "r1", "task": "go" });
@@ -370,7 +378,7 @@ fn a_picture_is_bounded_however_much_happens() {
 }
 
 #[test]
-fn what_makes_no_sense_changes_nothing_and_nothing_new_makes_no_change() {
+fn invalid_views_and_unchanged_values_produce_no_patch() {
     let mut picture = picture();
     let before = picture.to_json();
     for view in [json!(null), json!([]), json!({ "nodes": 7, "missions": "x", "auctions": [{}], "people": [1] })] {
@@ -386,5 +394,5 @@ fn what_makes_no_sense_changes_nothing_and_nothing_new_makes_no_change() {
     let before = picture.to_json();
     picture.apply_telemetry("ada", &telemetry(1.5, 1.0), NOW + 200);
     let patch = delta::between(&before, &picture.to_json()).unwrap();
-    assert_eq!(patch, json!({ "robots": { "ada": { "x": 1.5, "body_ms": NOW + 200 } } }));
+    assert_eq!(patch, json!({ "robots": { "ada": { "x": 1.5, "telemetry_ms": NOW + 200 } } }));
 }

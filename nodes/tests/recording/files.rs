@@ -1,4 +1,4 @@
-//! Files: what is in them, and those that are cut short, damaged, or something else.
+//! Recording files: their contents, and files that are truncated, damaged, or of another kind.
 
 use crate::support::*;
 use consort_nodes::fleet_model::FleetInput;
@@ -21,7 +21,7 @@ fn driving() -> impl Iterator<Item = (u64, FleetInput)> {
 }
 
 #[test]
-fn a_file_has_topics_with_schemas_and_each_event_its_number_and_times() {
+fn a_file_has_topics_with_schemas_and_events_with_times() {
     let elected = json!({ "event": "elected", "term": 2, "voters": ["s-2"] });
     let inputs = [
         (5, map()),
@@ -44,7 +44,7 @@ fn a_file_has_topics_with_schemas_and_each_event_its_number_and_times() {
     assert_eq!(summary.stats.unwrap().message_count, recorded.messages);
     let messages: Vec<mcap::Message<'_>> = MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
     let of = |message: &mcap::Message<'_>| {
-        let schema = message.channel.schema.clone().expect("each has one");
+        let schema = message.channel.schema.clone().expect("each topic has a schema");
         assert_eq!((schema.encoding.as_str(), message.channel.message_encoding.as_str()), ("jsonschema", "json"));
         let described: Value = serde_json::from_slice(&schema.data).unwrap();
         assert_eq!(described["title"], schema.name.as_str());
@@ -80,7 +80,7 @@ fn a_file_has_topics_with_schemas_and_each_event_its_number_and_times() {
     assert_eq!(events, [(9, ns(100), ns(90)), (12, ns(200), ns(195))]);
     let gap: Value = serde_json::from_slice(&on("/gaps")[0].data).unwrap();
     assert_eq!(gap, json!({ "node": "s-2", "after": 9, "before": 12, "lost": 2 }));
-    // What stands as it stood is not written again; a person who left is taken away.
+    // Unchanged values are not written again; a person that left is removed.
     let counts: BTreeMap<&str, usize> =
         ["/robots", "/tf", "/people", "/doors"].map(|topic| (topic, on(topic).len())).into();
     assert_eq!(counts, [("/robots", 1), ("/tf", 2), ("/people", 2), ("/doors", 3)].into());
@@ -91,7 +91,7 @@ fn a_file_has_topics_with_schemas_and_each_event_its_number_and_times() {
 }
 
 #[test]
-fn an_answer_that_was_given_before_is_written_once() {
+fn a_repeated_view_is_written_once() {
     let again = |from_ms: u64| (0..100u64).map(move |second| (from_ms + second * 1000, missions_of("running", second)));
     let live = LiveRecording::record(again(0).chain([(100_500, missions("completed"))]).chain(again(101_000)));
     let bytes = fs::read(&live.file.0).unwrap();
@@ -108,7 +108,7 @@ fn an_answer_that_was_given_before_is_written_once() {
 }
 
 #[test]
-fn a_file_that_was_cut_short_is_shown_as_far_as_it_goes() {
+fn a_truncated_file_is_shown_up_to_the_cut() {
     let live = LiveRecording::record(driving());
     let whole = fs::read(&live.file.0).unwrap();
     assert_eq!(RecordingReader::open(&live.file.0).unwrap().damage(), None);
@@ -118,10 +118,10 @@ fn a_file_that_was_cut_short_is_shown_as_far_as_it_goes() {
         match RecordingReader::open(&cut.0) {
             Ok(reel) => {
                 shown += 1;
-                let problem = reel.damage().expect("it is told");
+                let problem = reel.damage().expect("the damage is reported");
                 assert!(problem.contains("it has no end"), "{share}: {problem}");
                 let after_ms = reel.to_ms() - BEGAN;
-                // The inputs of one instant may have been torn apart.
+                // The inputs of an instant may be separated by the cut.
                 let sure_ms = after_ms.saturating_sub(1);
                 assert_eq!(&reel.model_at(BEGAN + sure_ms).to_json(), live.at(sure_ms), "cut at {share}");
             }
@@ -136,7 +136,7 @@ fn a_file_that_was_cut_short_is_shown_as_far_as_it_goes() {
 }
 
 #[test]
-fn a_file_that_is_damaged_is_shown_up_to_there_and_never_wrongly() {
+fn a_damaged_file_is_shown_up_to_the_damage_and_never_wrongly() {
     let live = LiveRecording::record(driving());
     let whole = fs::read(&live.file.0).unwrap();
     let (mut noticed, mut harmless) = (0, 0);
@@ -150,7 +150,7 @@ fn a_file_that_is_damaged_is_shown_up_to_there_and_never_wrongly() {
         };
         let sure_ms = match reel.damage() {
             Some(_) => (reel.to_ms() - BEGAN).saturating_sub(1),
-            // It was in the index, which repeats what stands before it.
+            // The damage is in the index, which repeats earlier content.
             None => live.length_ms(),
         };
         *(if reel.damage().is_some() { &mut noticed } else { &mut harmless }) += 1;
@@ -160,7 +160,7 @@ fn a_file_that_is_damaged_is_shown_up_to_there_and_never_wrongly() {
 }
 
 #[test]
-fn what_was_heard_a_while_ago_survives_the_recorders_death() {
+fn flushed_inputs_survive_a_kill_of_the_recorder() {
     let file = Scratch::new();
     let mut tape = recorder(&file.0, ExistingFile::Keep);
     let mut picture = consort_nodes::fleet_model::FleetModel::new("ward", "recorder", Default::default(), BEGAN);
@@ -171,7 +171,7 @@ fn what_was_heard_a_while_ago_survives_the_recorders_death() {
         tape.write_input(&heard, &picture, now_ms).unwrap();
         tape.flush_due(now_ms).unwrap();
         if after_ms > 2 * chunk_ms {
-            // As it lies on the disk now.
+            // The current content of the disk.
             let left = Scratch::holding(&fs::read(&file.0).unwrap());
             let reel = RecordingReader::open(&left.0).unwrap();
             assert!(reel.to_ms() + chunk_ms >= now_ms, "{} of {now_ms}", reel.to_ms());
@@ -180,7 +180,7 @@ fn what_was_heard_a_while_ago_survives_the_recorders_death() {
 }
 
 #[test]
-fn a_file_that_is_there_is_kept_unless_it_is_to_be_replaced() {
+fn an_existing_file_is_kept_unless_replacement_is_requested() {
     let file = Scratch::holding(b"dear diary");
     let kept = RecordingWriter::create(&file.0, ExistingFile::Keep, &fleet(), "recorder", BEGAN);
     let problem = kept.err().expect("it is refused").to_string();
@@ -191,27 +191,27 @@ fn a_file_that_is_there_is_kept_unless_it_is_to_be_replaced() {
 }
 
 #[test]
-fn a_file_of_something_else_is_refused_with_what_it_is() {
+fn a_file_of_another_kind_is_rejected_with_its_kind() {
     let refusal = |bytes: &[u8]| {
         let file = Scratch::holding(bytes);
         let problem = RecordingReader::open(&file.0).err().expect("it is refused").to_string();
         problem.strip_prefix(&format!("{}: ", file.0.display())).expect("the file is named").to_owned()
     };
-    assert!(refusal(b"").starts_with("this is no MCAP file"));
-    assert!(refusal(b"abc").starts_with("this is no MCAP file"));
-    assert!(refusal(b"%PDF-1.7 and whatever follows").starts_with("this is no MCAP file"));
-    assert!(refusal(mcap::MAGIC).starts_with("nothing of this recording can be shown: it has no end"));
-    // Another's.
+    assert!(refusal(b"").starts_with("this is not an MCAP file"));
+    assert!(refusal(b"abc").starts_with("this is not an MCAP file"));
+    assert!(refusal(b"%PDF-1.7 and whatever follows").starts_with("this is not an MCAP file"));
+    assert!(refusal(mcap::MAGIC).starts_with("this recording cannot be shown: it has no end"));
+    // A file of another program.
     let mut writer = mcap::Writer::new(std::io::Cursor::new(vec![])).unwrap();
     let schema = writer.add_schema("foxglove.Log", "jsonschema", b"{}").unwrap();
     writer.add_channel(schema, "/rosout", "json", &BTreeMap::new()).unwrap();
     writer.finish().unwrap();
     let others = refusal(writer.into_inner().get_ref());
-    assert!(others.contains("no recording of a fleet") && others.ends_with("it has the topics /rosout"), "{others}");
-    // Ours, before anything was heard.
+    assert!(others.contains("not a recording of a fleet") && others.ends_with("it has the topics /rosout"), "{others}");
+    // A recording without any input.
     let file = Scratch::new();
     recorder(&file.0, ExistingFile::Keep).finish().unwrap();
-    assert!(refusal(&fs::read(&file.0).unwrap()).contains("nothing was heard while it was made"));
+    assert!(refusal(&fs::read(&file.0).unwrap()).contains("no messages were received while it was made"));
     let nowhere = RecordingReader::open("/no/such/run.mcap".as_ref()).err().unwrap().to_string();
     assert!(nowhere.starts_with("/no/such/run.mcap: this recording cannot be read: No such file"), "{nowhere}");
 }

@@ -1,4 +1,4 @@
-//! Recordings of fleets: written, read back, cut short, and looked at from all sides.
+//! Recordings of fleets: written, read back, truncated, and replayed.
 
 mod files;
 mod scrubbing;

@@ -1,4 +1,4 @@
-//! A recording shows at every instant what was shown live, however one gets there.
+//! A recording shows at every instant the state that was shown live, however the reader reaches it.
 
 use crate::support::*;
 use consort_nodes::fleet_model::{FleetInput, delta};
@@ -6,7 +6,7 @@ use consort_nodes::recording::{KEYFRAMES_MAX, RecordingReader, TimelineMarkKind}
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-/// A mission whose coordinator is lost on the way.
+/// A mission whose coordinator is lost meanwhile.
 fn story() -> Vec<(u64, FleetInput)> {
     let of = |what: &str| json!({ "event": what, "mission": "m-1", "role": "r1", "task": "go" });
     let state = |state: &str| json!({ "event": "mission", "mission": "m-1", "state": state, "submitted_at_ms": BEGAN });
@@ -35,7 +35,7 @@ fn story() -> Vec<(u64, FleetInput)> {
         (4100, event("s-2", 9, 4090, json!({ "event": "elected", "term": 2, "voters": ["s-2"] }))),
         (4110, beacon("s-2", 2, 20)),
         (4500, world(true, "open")),
-        // Three of hers were lost on the way.
+        // Three events of ada were lost.
         (5000, event("ada", 11, 4999, of("task_ended"))),
         (5100, event("s-2", 10, 5090, state("completed"))),
         (5200, missions("completed")),
@@ -44,7 +44,7 @@ fn story() -> Vec<(u64, FleetInput)> {
 }
 
 #[test]
-fn every_instant_of_a_recording_is_what_was_shown_live() {
+fn every_instant_of_a_recording_equals_the_live_model() {
     let live = LiveRecording::record(story());
     let reel = RecordingReader::open(&live.file.0).unwrap();
     assert_eq!((reel.fleet(), reel.from_ms(), reel.to_ms()), ("ward", BEGAN, BEGAN + 9000));
@@ -52,7 +52,7 @@ fn every_instant_of_a_recording_is_what_was_shown_live() {
     for after_ms in [0, 4, 5, 1000, 1150, 1400, 3999, 4000, 4100, 5000, 5199, 9000, 99_000] {
         assert_eq!(&reel.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "{after_ms} ms");
     }
-    // It is not that they are all alike.
+    // The states must differ.
     let picture = |after_ms: u64| reel.model_at(BEGAN + after_ms);
     assert!(picture(999).missions().is_empty());
     assert_eq!(picture(4099).missions()["m-1"].state, "running");
@@ -67,20 +67,20 @@ fn every_instant_of_a_recording_is_what_was_shown_live() {
 }
 
 #[test]
-fn the_coordinators_changes_and_the_ends_of_missions_are_marked() {
+fn coordinator_changes_and_mission_ends_are_marked() {
     let live = LiveRecording::record(story());
     let reel = RecordingReader::open(&live.file.0).unwrap();
     let marks: Vec<_> = reel.marks().iter().map(|mark| (mark.at_ms - BEGAN, mark.kind, mark.text.as_str())).collect();
     assert_eq!(
         marks,
         [
-            (4100, TimelineMarkKind::Coordinator, "s-2 coordinates, term 2"),
+            (4100, TimelineMarkKind::Coordinator, "coordinator s-2, term 2"),
             (5100, TimelineMarkKind::Completed, "m-1 completed")
         ]
     );
 }
 
-/// Anything at all, some time after what was before it.
+/// Any input after any delay.
 fn anything() -> impl Strategy<Value = (u64, FleetInput)> {
     let name = prop::sample::select(vec!["ada", "bob", "s-1"]);
     let what = (0..10u8, name, 0..60u64).prop_map(|(what, name, number)| match what {
@@ -103,7 +103,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn going_to_an_instant_shows_the_same_as_playing_up_to_it(
+    fn seeking_to_an_instant_equals_playing_up_to_it(
         inputs in prop::collection::vec(anything(), 1..400),
         jumps in prop::collection::vec(0.0..1.1f64, 1..20),
     ) {
@@ -114,15 +114,15 @@ proptest! {
         });
         let live = LiveRecording::record(inputs);
         let reel = RecordingReader::open(&live.file.0).unwrap();
-        // One picture goes to and fro, as that on the board does.
+        // A single model moves back and forth, as that of the publisher does.
         let (mut picture, mut taken) = (reel.initial_model(), 0);
-        // What was drawn of it, and what whoever looks on has made of the changes alone.
+        // The rendered model, and the model of a client that applies the patches.
         let mut drawn = Value::Null;
         picture.render_patch(&mut drawn);
         let mut seen = drawn.clone();
         for share in jumps {
             let anywhere_ms = (live.length_ms() as f64 * share) as u64;
-            // Most of all the very instants at which something was heard.
+            // Mostly the exact instants of inputs.
             let after_ms = if share < 0.7 { live.last_input_ms(anywhere_ms) } else { anywhere_ms };
             taken = reel.seek(&mut picture, taken, BEGAN + after_ms);
             prop_assert_eq!(&picture.to_json(), live.at(after_ms), "{} ms, after a jump", after_ms);
@@ -137,8 +137,8 @@ proptest! {
 }
 
 #[test]
-fn a_long_recording_is_no_slower_to_jump_in_than_its_keyframes_are_apart() {
-    // An hour, a word each quarter of a second: copies become rarer, and what is shown stays right.
+fn keyframes_keep_seeking_fast_in_a_long_recording() {
+    // An hour with four inputs per second: keyframes become rarer, and the shown state stays right.
     let inputs = (0..14_400u64).map(|number| (number * 250, body("ada", number as f64 / 4.0)));
     let live = LiveRecording::record(inputs);
     let reel = RecordingReader::open(&live.file.0).unwrap();

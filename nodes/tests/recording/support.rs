@@ -1,4 +1,4 @@
-//! What is heard of a small fleet, and the pictures that were made of it while it was heard.
+//! Inputs from a small fleet, and the fleet models after each input.
 
 use consort_nodes::fleet_model::{FleetInput, FleetModel, FloorPlan};
 use consort_nodes::map_loader;
@@ -13,10 +13,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// When recordings begin.
+/// Start time of recordings.
 pub(crate) const BEGAN: u64 = 1_795_000_000_000;
 
-/// A file of its own, that is gone when this is dropped.
+/// A temporary file, removed on drop.
 pub(crate) struct Scratch(pub(crate) PathBuf);
 
 impl Scratch {
@@ -51,16 +51,16 @@ fn empty() -> FleetModel {
     FleetModel::new("ward", "recorder", FloorPlan::default(), BEGAN)
 }
 
-/// Inputs with their times, and the pictures after each of them.
+/// Inputs with their times, and the models after each of them.
 pub(crate) struct LiveRecording {
     pub(crate) file: Scratch,
     pub(crate) recorded: RecordingStats,
-    /// After so many milliseconds, the picture as JSON; the first is of nothing yet.
+    /// Models as JSON with their times in milliseconds; the first model is empty.
     pictures: Vec<(u64, Value)>,
 }
 
 impl LiveRecording {
-    /// Records what is heard, each so many milliseconds after the recording began.
+    /// Records inputs, each with its delay in milliseconds after the start of the recording.
     pub(crate) fn record(inputs: impl IntoIterator<Item = (u64, FleetInput)>) -> LiveRecording {
         let file = Scratch::new();
         let (mut tape, mut picture) = (recorder(&file.0, ExistingFile::Keep), empty());
@@ -76,19 +76,19 @@ impl LiveRecording {
         LiveRecording { file, recorded, pictures }
     }
 
-    /// What was shown at an instant.
+    /// Returns the model at an instant.
     pub(crate) fn at(&self, after_ms: u64) -> &Value {
         let until = self.pictures.partition_point(|(at, _)| *at <= after_ms);
         &self.pictures[until.saturating_sub(1)].1
     }
 
-    /// When the last input was heard that was heard until then.
+    /// Returns the time of the last input up to an instant.
     pub(crate) fn last_input_ms(&self, after_ms: u64) -> u64 {
         let until = self.pictures.partition_point(|(at, _)| *at <= after_ms);
         self.pictures[until.saturating_sub(1)].0
     }
 
-    /// When the last input was heard.
+    /// Returns the time of the last input.
     pub(crate) fn length_ms(&self) -> u64 {
         self.pictures.last().unwrap().0
     }
@@ -141,7 +141,7 @@ pub(crate) fn missions(state: &str) -> FleetInput {
     missions_of(state, 0)
 }
 
-/// The missions as somebody has them who heard of them so long ago.
+/// Returns the view of missions with this age.
 pub(crate) fn missions_of(state: &str, age_ms: u64) -> FleetInput {
     let mission = json!({ "mission": "m-1", "detail": state, "parameters": { "room": "IC Room 6" }, "holders": { "r1": "ada" },
         "done": 3, "steps": 7, "submitted_at_ms": BEGAN });

@@ -1,6 +1,7 @@
-//! The rule by which roles are given to robots, once all answers are in.
+//! Allocators: rules that assign roles to robots after all replies have arrived.
 //!
-//! A fleet uses [`Exact`]. Others are for evaluations, which compare what comes of them: the rule is all that differs.
+//! A fleet uses [`OptimalAssignment`]. Evaluations use other allocators and compare their results;
+//! the allocator is the only difference.
 
 use super::assignment::optimal_assignment;
 use super::bid::{Bid, BidLimits, CallForBids};
@@ -8,39 +9,39 @@ use crate::ids::{RobotId, RoleId};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-/// What there is to choose from.
+/// Input of an allocator.
 #[derive(Debug, Clone, Copy)]
 pub struct AllocatorInput<'a> {
-    /// What was asked.
+    /// Call for bids.
     pub call: &'a CallForBids,
-    /// For each role of the call, who answered and could be given it: robots that hold no other role and have not failed at
-    /// this one. Whether they have the skills and the charge for it is another matter.
+    /// Robots that replied and may get the role, for each role of the call: they hold no other role
+    /// and have not failed at this role. They may lack the skills or the charge for it.
     pub candidates: &'a BTreeMap<RoleId, BTreeSet<RobotId>>,
-    /// The bids of those, viable or not, by role and robot.
+    /// Bids of these robots, viable or not, by role and robot.
     pub bids: &'a [&'a Bid],
-    /// The bids among them that keep to the limits.
+    /// Bids within the limits.
     pub viable: &'a [&'a Bid],
-    /// The limits.
+    /// Limits for bids.
     pub limits: &'a BidLimits,
 }
 
-/// A rule. Asked twice about one ballot, it answers the same.
+/// Allocator. Deterministic: the same input gives the same result.
 pub trait Allocator: fmt::Debug + Send + Sync {
-    /// Gives every role of the call to a robot of its own out of [`Ballot::open`].
+    /// Assigns every role of the call to a different robot from [`AllocatorInput::candidates`].
     ///
     /// # Errors
-    /// Why not, for people; nobody gets anything then.
-    fn allocate(&self, ballot: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String>;
+    /// Text for people if the roles cannot be assigned; then no role is assigned.
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String>;
 }
 
-/// The exact assignment of [`select`](super::select()).
+/// Optimal assignment of [`optimal_assignment`](super::optimal_assignment()).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct OptimalAssignment;
 
 impl Allocator for OptimalAssignment {
-    fn allocate(&self, ballot: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
-        let roles = ballot.call.roles.keys().cloned().collect();
-        let picks = optimal_assignment(&roles, ballot.viable).map_err(|problem| problem.to_string())?;
-        Ok(picks.into_iter().map(|(role, index)| (role, ballot.viable[index].robot.clone())).collect())
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
+        let roles = input.call.roles.keys().cloned().collect();
+        let picks = optimal_assignment(&roles, input.viable).map_err(|problem| problem.to_string())?;
+        Ok(picks.into_iter().map(|(role, index)| (role, input.viable[index].robot.clone())).collect())
     }
 }

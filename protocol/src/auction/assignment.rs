@@ -1,8 +1,9 @@
-//! Choosing robots for roles: an exact assignment (Kuhn 1955, Munkres 1957).
+//! Optimal assignment of robots to roles (Kuhn 1955, Munkres 1957).
 //!
-//! The choice minimises the sum of the bids' times, in whole microseconds. Among choices of equal sum the one with the
-//! smallest sum of robots' ranks (in the order of their names) is taken; what is still equal is settled by the solver,
-//! which sees roles and robots in the order of their names and so always answers alike.
+//! The assignment minimises the sum of the bids' times, in whole microseconds. Ties are resolved by
+//! the smallest sum of the robots' ranks (in the order of their names). Remaining ties are resolved
+//! by the solver. It receives roles and robots in the order of their names, so the result is
+//! deterministic.
 
 use super::bid::Bid;
 use crate::ids::{RobotId, RoleId};
@@ -11,21 +12,22 @@ use pathfinding::prelude::kuhn_munkres_min;
 use std::borrow::Borrow;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Why no robots were chosen. Nothing is assigned: a mission is filled whole or not at all.
+/// Error: the roles cannot be assigned. No role is assigned: a mission is filled completely or not
+/// at all.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum AssignmentError {
-    /// Nobody made a viable bid for some roles; ordinary in a busy fleet.
+    /// Some roles have no viable bid; common in a busy fleet.
     #[error("no viable bid for {}", names(.roles))]
     NoViableBid {
-        /// Which roles.
+        /// Roles without a viable bid.
         roles: Vec<RoleId>,
     },
-    /// Each role has a viable bid, but not by robots that differ.
+    /// Each role has a viable bid, but not from different robots.
     #[error("{} roles cannot be filled by different robots: viable bids came only from {}", .roles.len(), names(.robots))]
     TooFewRobots {
         /// The roles.
         roles: Vec<RoleId>,
-        /// Who bid on any of them.
+        /// Robots with a viable bid for any of the roles.
         robots: Vec<RobotId>,
     },
 }
@@ -34,11 +36,12 @@ fn names<T: std::fmt::Display>(list: &[T]) -> String {
     list.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
-/// Chooses one bid for each role, by index into `bids`, from bids that are all viable. Bids for roles that are not open
-/// are ignored; of several bids by one robot for one role the first counts. Bids may be given or lent.
+/// Selects a bid for each role, by index into `bids`; all bids must be viable. Bids for roles that
+/// are not open are ignored. Of several bids by the same robot for the same role the first counts.
+/// Bids may be owned or borrowed.
 ///
 /// # Errors
-/// [`NoCoalition`] when not every role can be filled by a robot of its own.
+/// [`AssignmentError`] if not every role can be filled by a different robot.
 pub fn optimal_assignment<B: Borrow<Bid>>(
     roles: &BTreeSet<RoleId>,
     bids: &[B],
@@ -49,13 +52,13 @@ pub fn optimal_assignment<B: Borrow<Bid>>(
     let columns: BTreeMap<&RobotId, usize> = robots.iter().enumerate().map(|(rank, robot)| (*robot, rank)).collect();
     let rows: BTreeMap<&RoleId, usize> = roles.iter().enumerate().map(|(row, role)| (role, row)).collect();
 
-    let mut offers: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    let mut costs_by_pair: BTreeMap<(usize, usize), usize> = BTreeMap::new();
     for (index, bid) in bids.iter().enumerate() {
         if let Some(&row) = rows.get(&bid.role) {
-            offers.entry((row, columns[&bid.robot])).or_insert(index);
+            costs_by_pair.entry((row, columns[&bid.robot])).or_insert(index);
         }
     }
-    let bid_for: BTreeSet<usize> = offers.keys().map(|(row, _)| *row).collect();
+    let bid_for: BTreeSet<usize> = costs_by_pair.keys().map(|(row, _)| *row).collect();
     if bid_for.len() < roles.len() {
         let roles = rows.iter().filter(|(_, row)| !bid_for.contains(row)).map(|(role, _)| (*role).clone()).collect();
         return Err(AssignmentError::NoViableBid { roles });
@@ -71,15 +74,17 @@ pub fn optimal_assignment<B: Borrow<Bid>>(
         return Ok(BTreeMap::new());
     }
 
-    // Ranks weigh less than one microsecond in sum, and no feasible choice costs as much as one impossible pair.
-    let microsecond = i128::try_from(robots.len() * roles.len() + 1).expect("a fleet fits 128 bits");
+    // The sum of ranks weighs less than 1 microsecond, and no feasible assignment costs as much as
+    // an impossible pair.
+    let microsecond = i128::try_from(robots.len() * roles.len() + 1).expect("the sizes of a fleet fit 128 bits");
     let cost = |index: usize, column: usize| {
-        (bids[index].time.get() * 1e6).round() as i128 * microsecond + i128::try_from(column).expect("see above")
+        (bids[index].time.get() * 1e6).round() as i128 * microsecond
+            + i128::try_from(column).expect("the sizes of a fleet fit 128 bits")
     };
-    let dearest = offers.iter().map(|((_, column), index)| cost(*index, *column)).max().unwrap_or(0);
-    let impossible = (dearest + 1) * i128::try_from(roles.len() + 1).expect("see above");
+    let largest_cost = costs_by_pair.iter().map(|((_, column), index)| cost(*index, *column)).max().unwrap_or(0);
+    let impossible = (largest_cost + 1) * i128::try_from(roles.len() + 1).expect("the sizes of a fleet fit 128 bits");
     let mut weights = Matrix::new(roles.len(), robots.len(), impossible);
-    for (&(row, column), &index) in &offers {
+    for (&(row, column), &index) in &costs_by_pair {
         weights[(row, column)] = cost(index, column);
     }
     let (_, assignment) = kuhn_munkres_min(&weights);
@@ -87,7 +92,9 @@ pub fn optimal_assignment<B: Borrow<Bid>>(
         .iter()
         .zip(assignment)
         .enumerate()
-        .map(|(row, (role, column))| offers.get(&(row, column)).map(|index| (role.clone(), *index)).ok_or_else(too_few))
+        .map(|(row, (role, column))| {
+            costs_by_pair.get(&(row, column)).map(|index| (role.clone(), *index)).ok_or_else(too_few)
+        })
         .collect()
 }
 
@@ -122,19 +129,19 @@ mod tests {
     }
 
     #[test]
-    fn one_robot_fills_one_role_even_if_it_is_the_fastest_for_both() {
+    fn a_robot_fills_only_1_role_even_if_it_is_fastest_for_both() {
         let bids = [bid("ada", "r1", 10.0), bid("ada", "r2", 10.0), bid("bob", "r1", 12.0), bid("bob", "r2", 30.0)];
         assert_eq!(chosen(&["r1", "r2"], &bids).unwrap(), ["bob", "ada"]);
     }
 
     #[test]
-    fn a_tie_goes_to_the_robot_first_in_the_alphabet() {
+    fn a_tie_is_resolved_by_the_order_of_names() {
         let bids = [bid("cyd", "r1", 10.0), bid("bob", "r1", 10.0), bid("ada", "r1", 10.000_001)];
         assert_eq!(chosen(&["r1"], &bids).unwrap(), ["bob"]);
     }
 
     #[test]
-    fn a_mission_is_filled_whole_or_not_at_all() {
+    fn a_mission_is_filled_completely_or_not_at_all() {
         let bids = [bid("ada", "r1", 10.0), bid("ada", "r2", 10.0)];
         assert_eq!(
             chosen(&["r1", "r2"], &bids).unwrap_err().to_string(),
@@ -145,13 +152,13 @@ mod tests {
 
     #[test]
     fn an_impossible_pair_is_never_chosen() {
-        // bob bids on nothing but r3; ada and cyd on r1 alone: r2 and r3 cannot both be filled.
+        // bob bids on r2 and r3 only, ada and cyd on r1 only: r2 and r3 cannot both be filled.
         let bids = [bid("ada", "r1", 1.0), bid("bob", "r2", 1.0), bid("bob", "r3", 1.0), bid("cyd", "r1", 2.0)];
         assert!(matches!(chosen(&["r1", "r2", "r3"], &bids), Err(AssignmentError::TooFewRobots { .. })));
     }
 
     #[test]
-    fn a_bid_must_leave_more_than_both_floors() {
+    fn a_bid_must_leave_more_than_both_minimum_charges() {
         use crate::auction::{BidLimits, ViabilityError};
         let mut ada = bid("ada", "r1", 10.0);
         ada.remaining = 0.08;
@@ -164,11 +171,12 @@ mod tests {
         assert_eq!(ada.check_viable(&limits), Err(ViabilityError::TooSlow { time: ada.time, limit }));
     }
 
-    /// All ways to give different robots to roles, the cheapest sum of microseconds.
+    /// Tries all assignments of different robots to roles and returns the smallest sum of
+    /// microseconds.
     fn cheapest(costs: &[Vec<Option<u64>>], row: usize, taken: &mut Vec<bool>) -> Option<u64> {
-        let Some(offers) = costs.get(row) else { return Some(0) };
+        let Some(costs_by_pair) = costs.get(row) else { return Some(0) };
         let mut best = None;
-        for (robot, offer) in offers.iter().enumerate() {
+        for (robot, offer) in costs_by_pair.iter().enumerate() {
             let Some(cost) = offer.filter(|_| !taken[robot]) else { continue };
             taken[robot] = true;
             if let Some(rest) = cheapest(costs, row + 1, taken) {
@@ -181,14 +189,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_choice_is_the_cheapest_of_all(
+        fn the_assignment_is_the_cheapest_of_all(
             costs in (1usize..4, 1usize..6).prop_flat_map(|(rows, columns)| {
                 prop::collection::vec(prop::collection::vec(prop::option::weighted(0.7, 1u64..50), columns), rows)
             })
         ) {
             let mut bids = vec![];
-            for (row, offers) in costs.iter().enumerate() {
-                for (robot, offer) in offers.iter().enumerate() {
+            for (row, costs_by_pair) in costs.iter().enumerate() {
+                for (robot, offer) in costs_by_pair.iter().enumerate() {
                     if let Some(seconds) = offer {
                         bids.push(bid(&format!("robot{robot}"), &format!("role{row}"), *seconds as f64));
                     }

@@ -1,4 +1,4 @@
-//! Calls, bids and refusals as values, and when a bid is viable.
+//! Calls, bids and refusals as values, and the viability check of bids.
 
 use crate::ids::{EnsembleId, ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId, TaskType};
 use crate::plan::LocalPlan;
@@ -6,163 +6,166 @@ use crate::units::{BatteryShare, Seconds};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// One round of bidding for the open roles of a mission.
+/// Round of bidding for the open roles of a mission.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct AuctionId {
     /// The mission.
     pub mission: MissionId,
-    /// Term of the coordinator that calls.
+    /// Term of the coordinator that sent the call.
     pub term: u64,
-    /// Counts the rounds that this coordinator has called for this mission, from 1.
+    /// Number of the round among the rounds of this coordinator for this mission, from 1.
     pub round: u32,
 }
 
-/// The coordinator's question to the members of an ensemble.
+/// Call for bids from the coordinator to the members of an ensemble.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CallForBids {
-    /// Which round this is.
+    /// Round of the auction.
     pub auction: AuctionId,
-    /// Whose members are asked.
+    /// Ensemble of the invited members.
     pub ensemble: EnsembleId,
-    /// What each open role has to do.
+    /// Local plan of each open role.
     pub roles: BTreeMap<RoleId, LocalPlan>,
 }
 
-/// One robot's answers to a call: one for each role in it.
+/// Replies of a robot to a call: a bid or a refusal for each role.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BidResponse {
-    /// Who answers.
+    /// Robot that replies.
     pub robot: RobotId,
-    /// To which call.
+    /// Round that the robot replies to.
     pub auction: AuctionId,
-    /// In the order of the roles' names.
+    /// Replies in the order of the roles' names.
     pub replies: Vec<RoleReply>,
 }
 
-/// What a robot says to one role.
+/// Reply of a robot for a single role.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RoleReply {
-    /// It would, at this price.
+    /// The robot can take the role at this cost.
     Bid(Bid),
-    /// It will not, for this reason.
+    /// The robot does not take the role, for this reason.
     Refusal(BidRefusal),
 }
 
-/// A robot's price for one role.
+/// Bid of a robot for a single role.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Bid {
-    /// Who bids.
+    /// Robot that bids.
     pub robot: RobotId,
-    /// For which role.
+    /// Role.
     pub role: RoleId,
     /// Time for the whole plan.
     pub time: Seconds,
-    /// Charge to have for it, as a share of a full battery: what the steps use by estimate, and a reserve if the robot knows
-    /// how far its estimates are off. It may exceed 1.
+    /// Charge needed, as a share of a full battery: the estimated use of all steps, plus a reserve
+    /// if the robot has data on the error of its estimates. May exceed 1.
     pub energy: f64,
-    /// Charge left afterwards, as a share of a full battery; negative when it would not last.
+    /// Charge left afterwards, as a share of a full battery; negative if the battery would not
+    /// last.
     pub remaining: f64,
-    /// Below this charge the robot is of no further use, by its own account.
+    /// Charge below which the robot is no longer useful, as stated by the robot.
     pub useful_charge: BatteryShare,
-    /// Where it would start.
+    /// Place where the plan starts.
     pub from: PlaceId,
-    /// How old its knowledge of that place and its battery is, in milliseconds.
+    /// Age of the place and battery values, in milliseconds.
     pub age_ms: u64,
-    /// Step by step.
+    /// Cost of each step.
     pub parts: Vec<BidPart>,
 }
 
-/// The price of one step of a local plan.
+/// Cost of a single step of a local plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BidPart {
-    /// Which step.
+    /// Index of the step.
     pub step: u32,
-    /// The task's name, or the message's.
+    /// Name of the task or of the signal.
     pub label: String,
-    /// What carries it out.
+    /// Skill that executes the step.
     pub skill: TaskType,
-    /// How long it takes.
+    /// Duration of the step.
     pub time: Seconds,
-    /// Charge it uses, as a share of a full battery.
+    /// Charge used, as a share of a full battery.
     pub energy: f64,
 }
 
-/// A robot's no to one role.
+/// Refusal of a single role by a robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BidRefusal {
-    /// Who refuses.
+    /// Robot that refuses.
     pub robot: RobotId,
-    /// Which role.
+    /// Role refused.
     pub role: RoleId,
-    /// Why.
+    /// Reason of the refusal.
     pub reason: RefusalReason,
 }
 
-/// Why a robot will not, for programs and (through `Display`) for people.
+/// Reason for a refusal, for programs and (through `Display`) for people.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[serde(rename_all = "snake_case")]
 pub enum RefusalReason {
-    /// It lacks skills that the role needs.
+    /// The robot lacks skills that the role needs.
     #[error("lacks {}", list(.skills))]
     MissingSkills {
-        /// Which, in the order of their names.
+        /// Missing skills, in the order of their names.
         skills: Vec<TaskType>,
     },
-    /// It holds another role.
+    /// The robot holds another role.
     #[error("busy as {role} of {mission}")]
     Busy {
-        /// The mission it is at work for.
+        /// Mission of that role.
         mission: MissionId,
-        /// Its role there.
+        /// Role that it holds.
         role: RoleId,
     },
-    /// Its own estimator could not price a task (no route, unknown place, …).
+    /// The robot's estimator could not compute the cost of a task (no route, unknown place, …).
     #[error("cannot do {task}: {problem}")]
     NotFeasible {
         /// The task.
         task: TaskId,
-        /// What the estimator said.
+        /// Error of the estimator.
         problem: String,
     },
-    /// It cannot move: its battery ran out, or its body does not answer.
+    /// The robot cannot move: its battery is empty, or its driver does not respond.
     #[error("out of service: {problem}")]
     OutOfService {
-        /// What is the matter.
+        /// Description of the problem.
         problem: String,
     },
-    /// By what it knows of itself, it is not a member of the ensemble that was called.
+    /// The robot is not a member of the ensemble that was called, according to its own record.
     #[error("not a member of {ensemble}: {why}")]
     NotMember {
         /// The ensemble.
         ensemble: EnsembleId,
-        /// What the predicate said.
+        /// Condition that is false.
         why: String,
     },
-    /// It has something of a mission that waits for a person. Said by the coordinator.
-    #[error("has the {item} of {mission}, which needs rescue")]
-    HandsFull {
-        /// What it has, or may have.
+    /// The robot has an item of a mission that waits for a person. Set by the coordinator.
+    #[error("has the {item} of {mission}, which needs intervention")]
+    #[serde(alias = "hands_full")]
+    CarriesItem {
+        /// Item that it has, or may have.
         item: ItemId,
-        /// The mission that waits.
+        /// Mission that waits.
         mission: MissionId,
     },
-    /// It had the role in this mission and failed. Said by the coordinator.
+    /// The robot held this role of the mission and failed. Set by the coordinator.
     #[error("failed at it before: {cause}")]
     Excluded {
-        /// Why it was taken from the robot.
+        /// Cause of the release.
         cause: String,
     },
-    /// It was asked and did not answer in time. Said by the coordinator on its behalf.
-    #[error("no answer within {window_ms} ms")]
+    /// The robot was invited and did not reply in time. Set by the coordinator on its behalf.
+    #[error("no reply within {window_ms} ms")]
     Silent {
-        /// How long was waited.
+        /// Time waited, in milliseconds.
         window_ms: u64,
     },
 }
 
 impl RefusalReason {
-    /// Whether asking again in this mission is in vain: nothing that the robot does meanwhile changes its answer.
+    /// Checks whether the refusal is permanent for this mission: nothing that the robot does
+    /// meanwhile changes it.
     pub fn is_permanent(&self) -> bool {
         match self {
             RefusalReason::MissingSkills { .. }
@@ -171,7 +174,7 @@ impl RefusalReason {
             RefusalReason::Busy { .. }
             | RefusalReason::OutOfService { .. }
             | RefusalReason::NotMember { .. }
-            | RefusalReason::HandsFull { .. }
+            | RefusalReason::CarriesItem { .. }
             | RefusalReason::Silent { .. } => false,
         }
     }
@@ -181,12 +184,12 @@ fn list(skills: &[TaskType]) -> String {
     skills.iter().map(TaskType::as_str).collect::<Vec<_>>().join(", ")
 }
 
-/// What every bid must keep to. Fleet-wide.
+/// Limits for every bid. Fleet-wide.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct BidLimits {
-    /// Longest time a plan may take; `None` for no limit.
+    /// Maximum time of a plan; `None` for no limit.
     pub time: Option<Seconds>,
-    /// Charge that must be left above this. Default 0.05: below it a robot stops dead.
+    /// Minimum charge left; a bid must leave more. Default 0.05: below it a robot stops.
     pub charge_min: BatteryShare,
 }
 
@@ -197,20 +200,20 @@ impl Default for BidLimits {
 }
 
 impl BidLimits {
-    /// What must be left of the battery of a robot with this useful charge.
+    /// Returns the minimum charge left for a robot with this useful charge.
     pub fn charge_floor(&self, useful_charge: BatteryShare) -> BatteryShare {
         if useful_charge > self.charge_min { useful_charge } else { self.charge_min }
     }
 }
 
-/// Why a bid cannot be taken although it was made.
+/// Error: a bid is outside the limits.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(rename_all = "snake_case")]
 pub enum ViabilityError {
-    /// It would take too long.
+    /// The plan would take too long.
     #[error("{time:.1} is longer than the limit of {limit:.1}")]
     TooSlow {
-        /// The bid's time.
+        /// Time of the bid.
         time: Seconds,
         /// The limit.
         limit: Seconds,
@@ -218,19 +221,19 @@ pub enum ViabilityError {
     /// Too little charge would be left.
     #[error("{:.1} % charge left is not above {:.1} %", .remaining * 100.0, .floor.get() * 100.0)]
     LowCharge {
-        /// What would be left, as a share; negative when the battery would not last.
+        /// Charge left, as a share; negative if the battery would not last.
         remaining: f64,
-        /// What it has to exceed.
+        /// Minimum that it must exceed.
         floor: BatteryShare,
     },
 }
 
 impl Bid {
-    /// Whether the bid may be taken: within the time limit, and with more charge left than both the fleet's minimum and
-    /// the robot's own useful level.
+    /// Checks the bid against the limits: the time limit, and a remaining charge above both the
+    /// fleet's minimum and the robot's own useful charge.
     ///
     /// # Errors
-    /// [`Unviable`] says which bound it misses and by how much.
+    /// [`ViabilityError`] states the limit that the bid violates, and by how much.
     pub fn check_viable(&self, limits: &BidLimits) -> Result<(), ViabilityError> {
         if let Some(limit) = limits.time.filter(|limit| self.time > *limit) {
             return Err(ViabilityError::TooSlow { time: self.time, limit });

@@ -1,4 +1,4 @@
-//! From answers to a decision.
+//! Clearing of an auction: from replies to a decision.
 
 use super::allocator::{Allocator, AllocatorInput, OptimalAssignment};
 use super::bid::{Bid, BidLimits, BidPart, BidResponse, CallForBids, RefusalReason, RoleReply};
@@ -7,120 +7,117 @@ use crate::ids::{RobotId, RoleId};
 use crate::units::Seconds;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What an auction came to.
+/// Outcome of an auction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AuctionOutcome {
-    /// Who gets which role: every role of the call, or `None`.
+    /// Robot of each role: all roles of the call, or `None`.
     pub holders: Option<BTreeMap<RoleId, RobotId>>,
-    /// How it came about.
+    /// Record of the auction.
     pub record: AuctionRecord,
-    /// Roles at which somebody has failed, and which all others refuse for good.
+    /// Roles that at least 1 robot has failed at and all others refuse permanently.
     pub unfillable: BTreeSet<RoleId>,
 }
 
-/// What the coordinator knows beside the answers.
+/// Inputs of the clearing in addition to the replies.
 #[derive(Debug, Clone)]
 pub struct AuctionContext<'a> {
-    /// Who should have answered.
+    /// Robots that were invited.
     pub invited: &'a BTreeSet<RobotId>,
-    /// Robots whose bids do not count, and why: they hold a role, or are about to, and may have bid before they heard of
-    /// that; or they still carry something of another mission.
+    /// Robots with bids that do not count, and the reasons. Such a robot holds a role or is about
+    /// to get one, and may have sent its bid before it was notified; or it carries an item of
+    /// another mission.
     pub unavailable: &'a BTreeMap<RobotId, RefusalReason>,
-    /// Robots that failed at a role in this mission, and why.
+    /// Robots that failed at a role of this mission, with the causes.
     pub excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
-    /// What bids must keep to.
+    /// Limits for bids.
     pub limits: &'a BidLimits,
-    /// How long was waited for answers, in milliseconds.
+    /// Time waited for replies, in milliseconds.
     pub window_ms: u64,
-    /// The time to write into the record.
+    /// Time to write into the record, in milliseconds.
     pub at_ms: u64,
 }
 
-/// Judges all answers to a call and chooses. Robots that were expected and said nothing are recorded as silent; so every
-/// robot that could have had a role, and why it did not get it, is in the record.
-pub fn clear_auction(
-    call: &CallForBids,
-    tenders: &[BidResponse],
-    circumstances: &AuctionContext<'_>,
-) -> AuctionOutcome {
-    clear_auction_with(call, tenders, circumstances, &OptimalAssignment)
+/// Evaluates all replies to a call and assigns the roles. Invited robots without a reply are
+/// recorded as silent. So the record contains every robot that could have had a role, and the
+/// reason if it did not get it.
+pub fn clear_auction(call: &CallForBids, responses: &[BidResponse], context: &AuctionContext<'_>) -> AuctionOutcome {
+    clear_auction_with(call, responses, context, &OptimalAssignment)
 }
 
-/// The same by another rule.
+/// Does the same with another allocator.
 pub fn clear_auction_with(
     call: &CallForBids,
-    tenders: &[BidResponse],
-    circumstances: &AuctionContext<'_>,
-    choice: &dyn Allocator,
+    responses: &[BidResponse],
+    context: &AuctionContext<'_>,
+    allocator: &dyn Allocator,
 ) -> AuctionOutcome {
-    let answers = answers_to(call, tenders);
-    let mut entries = judged(call, &answers, circumstances);
-    let hopeless = hopeless(call, &entries, circumstances);
-    let (holders, failure) = match chosen_by(choice, call, &answers, &entries, circumstances.limits) {
+    let replies = replies_to(call, responses);
+    let mut entries = evaluate_all(call, &replies, context);
+    let unfillable = unfillable_roles(call, &entries, context);
+    let (holders, failure) = match allocate_roles(allocator, call, &replies, &entries, context.limits) {
         Ok(holders) => (Some(holders), None),
         Err(problem) => (None, Some(problem)),
     };
     let omitted = entries.len().saturating_sub(AuctionRecord::ENTRIES_MAX);
     if omitted > 0 {
-        // Those who could do the work are the ones people ask about first.
+        // Bids are kept first: people look for robots that could do the work.
         entries.sort_by_key(|entry| matches!(entry.verdict, BidVerdict::Refused { .. }));
         entries.truncate(AuctionRecord::ENTRIES_MAX);
     }
     let chosen = holders.clone().unwrap_or_default();
-    keep_parts(&mut entries, &chosen, |role, robot| bid_of(&answers, role, robot).map_or(&[], |bid| &bid.parts));
+    keep_parts(&mut entries, &chosen, |role, robot| bid_of(&replies, role, robot).map_or(&[], |bid| &bid.parts));
     let record = AuctionRecord {
         auction: call.auction.clone(),
-        at_ms: circumstances.at_ms,
+        at_ms: context.at_ms,
         entries,
         omitted: u32::try_from(omitted).unwrap_or(u32::MAX),
         chosen,
         failure,
     };
-    AuctionOutcome { holders, record, unfillable: hopeless }
+    AuctionOutcome { holders, record, unfillable }
 }
 
-/// What each robot answered for each role; its first answer counts.
-type Answers<'a> = BTreeMap<(&'a RoleId, &'a RobotId), &'a RoleReply>;
+/// Reply of each robot for each role; the first reply counts.
+type Replies<'a> = BTreeMap<(&'a RoleId, &'a RobotId), &'a RoleReply>;
 
-/// What was answered to this call; nobody answers for another.
-fn answers_to<'a>(call: &CallForBids, tenders: &'a [BidResponse]) -> Answers<'a> {
-    let mut answers = Answers::new();
-    for tender in tenders.iter().filter(|tender| tender.auction == call.auction) {
-        for answer in &tender.replies {
-            let (role, robot) = match answer {
+/// Collects the replies to this call. A robot may reply only for itself.
+fn replies_to<'a>(call: &CallForBids, responses: &'a [BidResponse]) -> Replies<'a> {
+    let mut replies = Replies::new();
+    for response in responses.iter().filter(|response| response.auction == call.auction) {
+        for reply in &response.replies {
+            let (role, robot) = match reply {
                 RoleReply::Bid(bid) => (&bid.role, &bid.robot),
                 RoleReply::Refusal(refusal) => (&refusal.role, &refusal.robot),
             };
-            if *robot == tender.robot {
-                answers.entry((role, robot)).or_insert(answer);
+            if *robot == response.robot {
+                replies.entry((role, robot)).or_insert(reply);
             }
         }
     }
-    answers
+    replies
 }
 
-fn bid_of<'a>(answers: &Answers<'a>, role: &RoleId, robot: &RobotId) -> Option<&'a Bid> {
-    match answers.get(&(role, robot)) {
+fn bid_of<'a>(replies: &Replies<'a>, role: &RoleId, robot: &RobotId) -> Option<&'a Bid> {
+    match replies.get(&(role, robot)) {
         Some(RoleReply::Bid(bid)) => Some(bid),
         Some(RoleReply::Refusal(_)) | None => None,
     }
 }
 
-/// A verdict on every robot for every role: on those that answered, and on those that should have.
-fn judged(call: &CallForBids, answers: &Answers<'_>, circumstances: &AuctionContext<'_>) -> Vec<AuctionEntry> {
-    let robots: BTreeSet<&RobotId> =
-        circumstances.invited.iter().chain(answers.keys().map(|(_, robot)| *robot)).collect();
+/// Evaluates every robot for every role: robots that replied and robots that were invited.
+fn evaluate_all(call: &CallForBids, replies: &Replies<'_>, context: &AuctionContext<'_>) -> Vec<AuctionEntry> {
+    let robots: BTreeSet<&RobotId> = context.invited.iter().chain(replies.keys().map(|(_, robot)| *robot)).collect();
     let mut entries = vec![];
     for role in call.roles.keys() {
         for &robot in &robots {
-            let excluded = circumstances.excluded.get(role).and_then(|excluded| excluded.get(robot));
-            let verdict = match answers.get(&(role, robot)) {
+            let excluded = context.excluded.get(role).and_then(|excluded| excluded.get(robot));
+            let verdict = match replies.get(&(role, robot)) {
                 _ if let Some(cause) = excluded => {
                     BidVerdict::Refused { reason: RefusalReason::Excluded { cause: cause.clone() } }
                 }
-                Some(RoleReply::Bid(bid)) => judge(bid, circumstances),
+                Some(RoleReply::Bid(bid)) => evaluate(bid, context),
                 Some(RoleReply::Refusal(refusal)) => BidVerdict::Refused { reason: refusal.reason.clone() },
-                None => BidVerdict::Refused { reason: RefusalReason::Silent { window_ms: circumstances.window_ms } },
+                None => BidVerdict::Refused { reason: RefusalReason::Silent { window_ms: context.window_ms } },
             };
             entries.push(AuctionEntry { role: role.clone(), robot: robot.clone(), verdict, parts: vec![] });
         }
@@ -128,44 +125,46 @@ fn judged(call: &CallForBids, answers: &Answers<'_>, circumstances: &AuctionCont
     entries
 }
 
-/// Roles of the call at which somebody has failed, and which all others refuse for good.
-fn hopeless(call: &CallForBids, entries: &[AuctionEntry], circumstances: &AuctionContext<'_>) -> BTreeSet<RoleId> {
-    let for_good = |entry: &AuctionEntry| match &entry.verdict {
-        // Whoever is at work for this very mission will not be free before it ends.
+/// Returns the roles of the call that at least 1 robot has failed at and all others refuse
+/// permanently.
+fn unfillable_roles(call: &CallForBids, entries: &[AuctionEntry], context: &AuctionContext<'_>) -> BTreeSet<RoleId> {
+    let is_permanent = |entry: &AuctionEntry| match &entry.verdict {
+        // A robot that holds a role of this same mission will not be free before the mission ends.
         BidVerdict::Refused { reason: RefusalReason::Busy { mission, .. } } => *mission == call.auction.mission,
         BidVerdict::Refused { reason } => reason.is_permanent(),
         BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => false,
     };
-    let failed_at = circumstances.excluded.iter().filter(|(_, excluded)| !excluded.is_empty()).map(|(role, _)| role);
+    let failed_at = context.excluded.iter().filter(|(_, excluded)| !excluded.is_empty()).map(|(role, _)| role);
     let called = failed_at.filter(|role| call.roles.contains_key(*role));
-    called.filter(|role| entries.iter().filter(|entry| entry.role == **role).all(for_good)).cloned().collect()
+    called.filter(|role| entries.iter().filter(|entry| entry.role == **role).all(is_permanent)).cloned().collect()
 }
 
-/// Who gets which role by the rule, of those whom the verdicts leave to it; or why nobody does.
-fn chosen_by(
-    choice: &dyn Allocator,
+/// Assigns the roles with the allocator, among the robots that the verdicts permit. The error is
+/// the reason for people.
+fn allocate_roles(
+    allocator: &dyn Allocator,
     call: &CallForBids,
-    answers: &Answers<'_>,
+    replies: &Replies<'_>,
     entries: &[AuctionEntry],
     limits: &BidLimits,
 ) -> Result<BTreeMap<RoleId, RobotId>, String> {
     let mut open: BTreeMap<RoleId, BTreeSet<RobotId>> =
         call.roles.keys().map(|role| (role.clone(), BTreeSet::new())).collect();
-    for entry in entries.iter().filter(|entry| may_be_given(&entry.verdict)) {
+    for entry in entries.iter().filter(|entry| is_candidate(&entry.verdict)) {
         open.entry(entry.role.clone()).or_default().insert(entry.robot.clone());
     }
     let viable = entries.iter().filter(|entry| matches!(entry.verdict, BidVerdict::Viable { .. }));
-    let viable: Vec<&Bid> = viable.filter_map(|entry| bid_of(answers, &entry.role, &entry.robot)).collect();
-    let bids: Vec<&Bid> = answers
+    let viable: Vec<&Bid> = viable.filter_map(|entry| bid_of(replies, &entry.role, &entry.robot)).collect();
+    let bids: Vec<&Bid> = replies
         .iter()
         .filter(|((role, robot), _)| open.get(*role).is_some_and(|robots| robots.contains(*robot)))
-        .filter_map(|(_, answer)| if let RoleReply::Bid(bid) = answer { Some(bid) } else { None })
+        .filter_map(|(_, reply)| if let RoleReply::Bid(bid) = reply { Some(bid) } else { None })
         .collect();
-    choice.allocate(&AllocatorInput { call, candidates: &open, bids: &bids, viable: &viable, limits })
+    allocator.allocate(&AllocatorInput { call, candidates: &open, bids: &bids, viable: &viable, limits })
 }
 
-/// Writes the parts of bids into a record for as long as there is room: first the winners', then by time, and those that
-/// could not be taken at last.
+/// Adds the parts of bids to the record while there is room: first those of winners, then by time,
+/// and last those of bids outside the limits.
 fn keep_parts<'a>(
     entries: &mut [AuctionEntry],
     chosen: &BTreeMap<RoleId, RobotId>,
@@ -192,8 +191,9 @@ fn keep_parts<'a>(
     }
 }
 
-/// Whether a robot may be given a role as far as the others are concerned: a rule other than ours may try its luck.
-fn may_be_given(verdict: &BidVerdict) -> bool {
+/// Checks whether the allocator may assign the role to the robot. Robots that lack skills are
+/// included, for allocators other than ours.
+fn is_candidate(verdict: &BidVerdict) -> bool {
     match verdict {
         BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => true,
         BidVerdict::Refused { reason } => {
@@ -202,12 +202,12 @@ fn may_be_given(verdict: &BidVerdict) -> bool {
     }
 }
 
-fn judge(bid: &Bid, circumstances: &AuctionContext<'_>) -> BidVerdict {
+fn evaluate(bid: &Bid, context: &AuctionContext<'_>) -> BidVerdict {
     let Bid { time, energy, remaining, .. } = *bid;
-    if let Some(reason) = circumstances.unavailable.get(&bid.robot) {
+    if let Some(reason) = context.unavailable.get(&bid.robot) {
         return BidVerdict::Refused { reason: reason.clone() };
     }
-    match bid.check_viable(circumstances.limits) {
+    match bid.check_viable(context.limits) {
         Ok(()) => BidVerdict::Viable { time, energy, remaining },
         Err(why) => BidVerdict::Unviable { time, energy, remaining, why },
     }
@@ -237,9 +237,9 @@ mod tests {
         }
     }
 
-    static NOBODY: BTreeMap<RoleId, BTreeMap<RobotId, String>> = BTreeMap::new();
+    static NO_EXCLUDED: BTreeMap<RoleId, BTreeMap<RobotId, String>> = BTreeMap::new();
 
-    fn circumstances<'a>(
+    fn context<'a>(
         expected: &'a BTreeSet<RobotId>,
         taken: &'a BTreeMap<RobotId, RefusalReason>,
         excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
@@ -264,21 +264,21 @@ mod tests {
     }
 
     #[test]
-    fn every_robot_and_why_it_did_not_get_the_role_is_in_the_record() {
+    fn the_record_contains_every_robot_with_its_reason() {
         let expected = ["ada", "bob", "cyd", "dan", "eve", "fay"].map(robot).into_iter().collect();
         let taken_by = RefusalReason::Busy { mission: MissionId::new("m-0").unwrap(), role: role() };
         let taken = BTreeMap::from([(robot("bob"), taken_by)]);
-        let circumstances = circumstances(&expected, &taken, &NOBODY);
+        let context = context(&expected, &taken, &NO_EXCLUDED);
         let busy = RefusalReason::Busy { mission: MissionId::new("m-7").unwrap(), role: role() };
         let refusal = BidRefusal { robot: robot("dan"), role: role(), reason: busy.clone() };
         let refuses =
             BidResponse { robot: robot("dan"), auction: call().auction, replies: vec![RoleReply::Refusal(refusal)] };
-        let tenders =
+        let responses =
             [bids("ada", 9.0, 0.5), bids("bob", 1.0, 0.5), bids("cyd", 2.0, 0.06), refuses, bids("eve", 8.0, 0.5)];
-        let conclusion = clear_auction(&call(), &tenders, &circumstances);
+        let outcome = clear_auction(&call(), &responses, &context);
 
-        assert_eq!(conclusion.holders, Some(BTreeMap::from([(role(), robot("eve"))])));
-        let said: Vec<String> = conclusion
+        assert_eq!(outcome.holders, Some(BTreeMap::from([(role(), robot("eve"))])));
+        let texts: Vec<String> = outcome
             .record
             .entries
             .iter()
@@ -289,33 +289,33 @@ mod tests {
             })
             .collect();
         assert_eq!(
-            said,
+            texts,
             [
                 "ada: 9 s",
                 "bob: busy as r1 of m-0",
                 "cyd: 6.0 % charge left is not above 8.0 %",
                 "dan: busy as r1 of m-7",
                 "eve: 8 s",
-                "fay: no answer within 200 ms",
+                "fay: no reply within 200 ms",
             ]
         );
     }
 
-    /// Gives each role to the last of those who may have it.
+    /// Assigns each role to the last candidate.
     #[derive(Debug)]
     struct Last;
 
     impl Allocator for Last {
-        fn allocate(&self, ballot: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
-            let bidders: Vec<&str> = ballot.bids.iter().map(|bid| bid.robot.as_str()).collect();
-            assert_eq!((bidders, ballot.viable.len()), (vec!["cyd", "eve"], 1));
-            let last = |robots: &BTreeSet<RobotId>| robots.last().cloned().ok_or("nobody may".to_owned());
-            ballot.candidates.iter().map(|(role, robots)| Ok((role.clone(), last(robots)?))).collect()
+        fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
+            let bidders: Vec<&str> = input.bids.iter().map(|bid| bid.robot.as_str()).collect();
+            assert_eq!((bidders, input.viable.len()), (vec!["cyd", "eve"], 1));
+            let last = |robots: &BTreeSet<RobotId>| robots.last().cloned().ok_or("no candidate".to_owned());
+            input.candidates.iter().map(|(role, robots)| Ok((role.clone(), last(robots)?))).collect()
         }
     }
 
     #[test]
-    fn another_rule_may_choose_whoever_lacks_skills_or_charge_but_nobody_who_is_taken_or_has_failed() {
+    fn another_allocator_may_use_robots_that_lack_skills_or_charge() {
         let expected = ["bob", "cyd", "dan", "eve", "fay", "gil"].map(robot).into_iter().collect();
         let busy = RefusalReason::Busy { mission: MissionId::new("m-0").unwrap(), role: role() };
         let taken = BTreeMap::from([(robot("fay"), busy)]);
@@ -323,12 +323,12 @@ mod tests {
         let reason = RefusalReason::MissingSkills { skills: vec![] };
         let refusal = RoleReply::Refusal(BidRefusal { robot: robot("dan"), role: role(), reason });
         let lacks = BidResponse { robot: robot("dan"), auction: call().auction, replies: vec![refusal] };
-        let tenders =
+        let responses =
             [bids("eve", 9.0, 0.5), bids("cyd", 2.0, 0.01), lacks, bids("fay", 1.0, 0.5), bids("gil", 1.0, 0.5)];
-        let circumstances = circumstances(&expected, &taken, &excluded);
-        let by_last = clear_auction_with(&call(), &tenders, &circumstances, &Last);
+        let context = context(&expected, &taken, &excluded);
+        let by_last = clear_auction_with(&call(), &responses, &context, &Last);
         assert_eq!(by_last.holders, Some(BTreeMap::from([(role(), robot("eve"))])));
-        let alone = clear_auction_with(&call(), &tenders[1..3], &circumstances, &AnyLast);
+        let alone = clear_auction_with(&call(), &responses[1..3], &context, &AnyLast);
         assert_eq!(alone.holders, Some(BTreeMap::from([(role(), robot("dan"))])));
     }
 
@@ -336,8 +336,8 @@ mod tests {
     struct AnyLast;
 
     impl Allocator for AnyLast {
-        fn allocate(&self, ballot: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
-            Ok(ballot
+        fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
+            Ok(input
                 .candidates
                 .iter()
                 .filter_map(|(role, robots)| Some((role.clone(), robots.last()?.clone())))
@@ -346,31 +346,31 @@ mod tests {
     }
 
     #[test]
-    fn whoever_failed_at_a_role_does_not_get_it_and_when_nobody_else_can_it_is_hopeless() {
+    fn a_role_is_unfillable_when_one_robot_failed_and_the_others_refuse() {
         let (expected, taken) = (["ada", "bob"].map(robot).into_iter().collect(), BTreeMap::new());
         let excluded = BTreeMap::from([(role(), BTreeMap::from([(robot("ada"), "lost its way".to_owned())]))]);
-        let circumstances = circumstances(&expected, &taken, &excluded);
-        let conclusion = clear_auction(&call(), &[bids("ada", 1.0, 0.5), bids("bob", 9.0, 0.5)], &circumstances);
-        assert_eq!(conclusion.holders, Some(BTreeMap::from([(role(), robot("bob"))])));
-        let said = |verdict: &BidVerdict| match verdict {
+        let context = context(&expected, &taken, &excluded);
+        let outcome = clear_auction(&call(), &[bids("ada", 1.0, 0.5), bids("bob", 9.0, 0.5)], &context);
+        assert_eq!(outcome.holders, Some(BTreeMap::from([(role(), robot("bob"))])));
+        let texts = |verdict: &BidVerdict| match verdict {
             BidVerdict::Refused { reason } => reason.to_string(),
             other => format!("{other:?}"),
         };
-        assert_eq!(said(&conclusion.record.entries[0].verdict), "failed at it before: lost its way");
-        assert!(conclusion.unfillable.is_empty());
+        assert_eq!(texts(&outcome.record.entries[0].verdict), "failed at it before: lost its way");
+        assert!(outcome.unfillable.is_empty());
 
-        let silent = clear_auction(&call(), &[bids("ada", 1.0, 0.5)], &circumstances);
-        assert_eq!((silent.holders, silent.unfillable), (None, BTreeSet::new()), "bob may yet answer");
+        let silent = clear_auction(&call(), &[bids("ada", 1.0, 0.5)], &context);
+        assert_eq!((silent.holders, silent.unfillable), (None, BTreeSet::new()), "bob may still reply");
         let lacks = RefusalReason::MissingSkills { skills: vec![] };
         let refusal = BidRefusal { robot: robot("bob"), role: role(), reason: lacks };
         let refuses =
             BidResponse { robot: robot("bob"), auction: call().auction, replies: vec![RoleReply::Refusal(refusal)] };
-        let conclusion = clear_auction(&call(), &[bids("ada", 1.0, 0.5), refuses], &circumstances);
-        assert_eq!((conclusion.holders, conclusion.unfillable), (None, [role()].into()));
+        let outcome = clear_auction(&call(), &[bids("ada", 1.0, 0.5), refuses], &context);
+        assert_eq!((outcome.holders, outcome.unfillable), (None, [role()].into()));
     }
 
     #[test]
-    fn the_parts_of_the_winner_and_of_its_closest_rivals_are_kept_while_there_is_room() {
+    fn the_parts_of_the_winner_and_closest_bids_are_kept_within_the_limit() {
         let part = |step: u32| BidPart {
             step,
             label: "x".repeat(40),
@@ -378,38 +378,42 @@ mod tests {
             time: Seconds::new(1.0).unwrap(),
             energy: 0.001,
         };
-        let tenders: Vec<BidResponse> = (0..20)
+        let responses: Vec<BidResponse> = (0..20)
             .map(|number| {
-                // Who bids last is the quickest of those that can be taken; the first of all would run out of charge.
+                // The last bidder is the fastest within the limits; the first bidder would run out
+                // of charge.
                 let remaining = if number == 0 { 0.01 } else { 0.5 };
-                let mut tender = bids(&format!("robot-{number:02}"), 100.0 - f64::from(number), remaining);
-                let RoleReply::Bid(bid) = &mut tender.replies[0] else { panic!("it bids") };
+                let mut response = bids(&format!("robot-{number:02}"), 100.0 - f64::from(number), remaining);
+                let RoleReply::Bid(bid) = &mut response.replies[0] else { panic!("the reply is a bid") };
                 bid.parts = (0..12).map(part).collect();
-                tender
+                response
             })
             .collect();
-        let expected = tenders.iter().map(|tender| tender.robot.clone()).collect();
+        let expected = responses.iter().map(|response| response.robot.clone()).collect();
         let taken = BTreeMap::new();
-        let record = clear_auction(&call(), &tenders, &circumstances(&expected, &taken, &NOBODY)).record;
+        let record = clear_auction(&call(), &responses, &context(&expected, &taken, &NO_EXCLUDED)).record;
         let kept: Vec<&str> =
             record.entries.iter().filter(|entry| !entry.parts.is_empty()).map(|entry| entry.robot.as_str()).collect();
         // 12 parts of 74 bytes: nine bids fit into 8 KiB.
         let closest: Vec<String> = (11..20).map(|number| format!("robot-{number}")).collect();
         assert_eq!(kept, closest);
-        assert!(record.entries.iter().all(|entry| [0, 12].contains(&entry.parts.len())), "whole or not at all");
+        assert!(
+            record.entries.iter().all(|entry| [0, 12].contains(&entry.parts.len())),
+            "the parts of a bid are kept completely or not at all"
+        );
     }
 
     #[test]
-    fn an_answer_to_another_call_or_in_anothers_name_does_not_count() {
+    fn a_reply_to_another_call_or_for_another_robot_does_not_count() {
         let expected = BTreeSet::new();
         let taken = BTreeMap::new();
-        let circumstances = circumstances(&expected, &taken, &NOBODY);
+        let context = context(&expected, &taken, &NO_EXCLUDED);
         let mut old = bids("ada", 1.0, 0.5);
         old.auction.round = 9;
         let mut forged = bids("bob", 1.0, 0.5);
         forged.robot = robot("mal");
-        let conclusion = clear_auction(&call(), &[old, forged], &circumstances);
-        assert_eq!(conclusion.holders, None);
-        assert_eq!(conclusion.record.failure.as_deref(), Some("no viable bid for r1"));
+        let outcome = clear_auction(&call(), &[old, forged], &context);
+        assert_eq!(outcome.holders, None);
+        assert_eq!(outcome.record.failure.as_deref(), Some("no viable bid for r1"));
     }
 }

@@ -1,4 +1,5 @@
-//! Why each robot did or did not get each role, in words: from the record of an auction alone.
+//! Explanation of an auction in text: the reason for which each robot got or did not get each role.
+//! Computed from the record of the auction alone.
 
 use super::bid::{BidPart, RefusalReason};
 use super::record::{AuctionEntry, AuctionRecord, BidVerdict};
@@ -9,73 +10,73 @@ use serde::{Deserialize, Serialize};
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
-/// An auction, explained.
+/// Explanation of an auction.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Explanation {
-    /// Its round.
+    /// Round of the auction.
     pub round: u32,
-    /// When it was held: milliseconds on the coordinator's wall clock.
+    /// Time on the coordinator's wall clock, in milliseconds.
     pub at_ms: u64,
-    /// Role by role.
+    /// Explanation of each role.
     pub roles: Vec<RoleExplanation>,
-    /// Answers that the record has no room for.
+    /// Number of replies that the record omits.
     pub omitted: u32,
 }
 
-/// What became of one role.
+/// Explanation for a single role.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RoleExplanation {
     /// The role.
     pub role: RoleId,
-    /// Who gets it; `None` if nobody does.
+    /// Robot that gets the role, if any.
     pub winner: Option<RobotId>,
-    /// Why, in a sentence.
+    /// Reason, as a sentence.
     pub why: String,
-    /// Every robot that was asked: the winner, then the others by their price, then those that did not bid.
+    /// Every invited robot: the winner, then the others by cost, then robots without a bid.
     pub robots: Vec<RobotExplanation>,
 }
 
-/// What became of one robot's answer.
+/// Explanation for a single robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RobotExplanation {
     /// The robot.
     pub robot: RobotId,
-    /// In a word, for programs.
+    /// Outcome, for programs.
     pub outcome: RobotOutcome,
-    /// In a sentence, for people.
+    /// Reason as a sentence, for people.
     pub why: String,
-    /// What it bid, if it did.
+    /// Cost of its bid, if it sent a bid.
     pub bid: Option<BidCost>,
-    /// The bid step by step, where the record has it.
+    /// Cost of each step, if the record contains it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<BidPart>,
-    /// How much longer than the winner it would take, in seconds; negative if it would be quicker.
+    /// Additional time compared to the winner, in seconds; negative if it would be faster.
     pub behind_s: Option<f64>,
 }
 
-/// What can become of a robot's answer.
+/// Outcome of a robot's reply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RobotOutcome {
-    /// It gets the role.
+    /// The robot gets the role.
     Won,
-    /// It gets another role of the mission.
-    ElsewhereInMission,
-    /// Another bid is taken.
+    /// The robot gets another role of the mission.
+    WonOtherRole,
+    /// Another bid was chosen.
     Outbid,
-    /// Its bid could be taken, but nobody gets the role.
-    InVain,
-    /// Its bid cannot be taken.
+    /// The bid is viable, but no robot gets the role.
+    RoleUnfilled,
+    /// The bid is outside the limits.
     Unviable,
-    /// It will not, or cannot.
+    /// The robot refused the role.
     Refused,
-    /// It is no member of the ensemble.
+    /// The robot is not a member of the ensemble.
     NotMember,
-    /// It said nothing in time.
+    /// The robot did not reply in time.
     Silent,
 }
 
-/// The parts of a bid that were compared.
+/// Values of a bid that are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct BidCost {
     /// Time for the plan.
@@ -91,8 +92,8 @@ impl BidCost {
         BidCost { time_s: time.get(), energy, remaining }
     }
 
-    /// `99.7 s, 6.0 % of its charge, 84.0 % left`.
-    fn words(&self) -> String {
+    /// Formats the cost: `99.7 s, 6.0 % of its charge, 84.0 % left`.
+    fn text(&self) -> String {
         format!(
             "{:.1} s, {:.1} % of its charge, {:.1} % left",
             self.time_s,
@@ -102,38 +103,39 @@ impl BidCost {
     }
 }
 
-/// The bid that was taken.
+/// Bid that was chosen.
 #[derive(Clone, Copy)]
-struct Taken<'a> {
+struct ChosenBid<'a> {
     price: BidCost,
     parts: &'a [BidPart],
 }
 
-/// What a step is: a task by its name, a message by whom it goes to or comes from.
-fn step_in_words(part: &BidPart) -> String {
-    // As `Signal` is written: kind, task, sender, receiver.
+/// Describes a step: a task by its name, a signal by its sender or receiver.
+fn step_text(part: &BidPart) -> String {
+    // Format of `Signal`: kind, task, sender, receiver.
     let mut words = part.label.split(':').skip(2);
     match (part.skill.as_str(), words.next(), words.next()) {
-        ("send_message", Some(_), Some(to)) => format!("telling {to}"),
-        ("wait_message", Some(from), _) => format!("waiting for {from}"),
+        ("send_message", Some(_), Some(to)) => format!("signal to {to}"),
+        ("wait_message", Some(from), _) => format!("wait for {from}"),
         _ => part.label.clone(),
     }
 }
 
 impl RobotExplanation {
-    /// What each step of the bid takes, as far as it takes anything: `navto_room 37.0 s 2.2 %, approach_nurse 1.0 s 0.1 %`.
-    /// `None` if the steps are not known.
+    /// Formats the cost of each step that is not negligible:
+    /// `navto_room 37.0 s 2.2 %, approach_nurse 1.0 s 0.1 %`. `None` if the steps are not in the
+    /// record.
     pub fn parts_text(&self) -> Option<String> {
         let takes = |part: &&BidPart| part.time.get() >= 0.05 || part.energy >= 0.0005;
         let words =
-            |part: &BidPart| format!("{} {:.1} s {:.1} %", step_in_words(part), part.time.get(), part.energy * 100.0);
+            |part: &BidPart| format!("{} {:.1} s {:.1} %", step_text(part), part.time.get(), part.energy * 100.0);
         let parts: Vec<String> = self.parts.iter().filter(takes).map(words).collect();
         (!parts.is_empty()).then(|| parts.join(", "))
     }
 }
 
 impl Explanation {
-    /// The same without the bids' parts, for where the record stands beside it.
+    /// Removes the parts of the bids, for use next to the record that contains them.
     pub fn without_parts(mut self) -> Explanation {
         for robot in self.roles.iter_mut().flat_map(|role| &mut role.robots) {
             robot.parts.clear();
@@ -163,7 +165,7 @@ fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]
     let winner = record.chosen.get(role);
     let taken = |robot: &RobotId| {
         let entry = entries.iter().find(|entry| entry.robot == *robot)?;
-        Some(Taken { price: viable(&entry.verdict)?, parts: &entry.parts })
+        Some(ChosenBid { price: viable_cost(&entry.verdict)?, parts: &entry.parts })
     };
     let won = winner.and_then(taken);
     let mut robots: Vec<RobotExplanation> =
@@ -181,16 +183,16 @@ fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]
     let why = match winner {
         Some(winner) => why_won(record, winner, won.map(|won| won.price), &robots),
         None => {
-            let viable = robots.iter().filter(|robot| robot.outcome == RobotOutcome::InVain).count();
-            let cause = record.failure.as_deref().unwrap_or("the auction came to nothing");
+            let viable = robots.iter().filter(|robot| robot.outcome == RobotOutcome::RoleUnfilled).count();
+            let cause = record.failure.as_deref().unwrap_or("the auction assigned no role");
             match viable {
                 0 => format!(
-                    "nobody gets {role}: {cause}; none of {} could take it",
-                    count(robots.len(), "robot", "robots")
+                    "{role} is not assigned: {cause}; {} considered",
+                    count(robots.len(), "robot was", "robots were")
                 ),
                 _ => format!(
-                    "nobody gets {role}: {cause}; {} could be taken, but a mission is filled whole or not at all",
-                    count(viable, "bid", "bids")
+                    "{role} is not assigned: {cause}; {} within the limits, but a mission is filled completely or not at all",
+                    count(viable, "bid is", "bids are")
                 ),
             }
         }
@@ -199,36 +201,38 @@ fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]
 }
 
 fn why_won(record: &AuctionRecord, winner: &RobotId, won: Option<BidCost>, robots: &[RobotExplanation]) -> String {
-    let Some(won) = won else { return format!("{winner} gets it; its bid is not among those that were kept") };
+    let Some(won) = won else { return format!("{winner} gets the role; its bid is not in the record") };
     let rivals: Vec<&RobotExplanation> = robots
         .iter()
-        .filter(|robot| matches!(robot.outcome, RobotOutcome::Outbid | RobotOutcome::ElsewhereInMission))
+        .filter(|robot| matches!(robot.outcome, RobotOutcome::Outbid | RobotOutcome::WonOtherRole))
         .collect();
-    let quicker: Vec<&&RobotExplanation> =
+    let faster: Vec<&&RobotExplanation> =
         rivals.iter().filter(|robot| robot.behind_s.is_some_and(|behind| behind < 0.0)).collect();
-    let bid = format!("{winner} gets it with {}", won.words());
-    if let Some(rival) = quicker.first() {
+    let bid = format!("{winner} gets the role with {}", won.text());
+    if let Some(rival) = faster.first() {
         return match rival.outcome {
-            RobotOutcome::ElsewhereInMission => {
+            RobotOutcome::WonOtherRole => {
                 let role =
                     record.chosen.iter().find(|(_, robot)| **robot == rival.robot).map(|(role, _)| role.as_str());
                 format!(
-                    "{bid}: {} would be quicker, but gets {}, and so all roles together take least time",
+                    "{bid}: {} would be faster, but gets {}, which minimises the total time of all roles",
                     rival.robot,
                     role.unwrap_or("another role")
                 )
             }
-            _ => format!("{bid}, though {} would be quicker: the rule of this fleet chose otherwise", rival.robot),
+            _ => {
+                format!("{bid}, although {} would be faster: the allocator of this fleet chose otherwise", rival.robot)
+            }
         };
     }
     match rivals.first().map(|rival| (rival, rival.behind_s.unwrap_or(0.0))) {
-        None => format!("{bid}: no other bid could be taken"),
+        None => format!("{bid}: there is no other viable bid"),
         Some((rival, behind)) if behind < 0.05 => {
-            format!("{bid}: as quick as {}, of {}", rival.robot, count(rivals.len() + 1, "bid", "bids"))
+            format!("{bid}: as fast as {}, of {}", rival.robot, count(rivals.len() + 1, "bid", "bids"))
         }
         Some((rival, behind)) => {
             format!(
-                "{bid}: the quickest of {}, {behind:.1} s before {}",
+                "{bid}: the fastest of {}, {behind:.1} s before {}",
                 count(rivals.len() + 1, "bid", "bids"),
                 rival.robot
             )
@@ -241,39 +245,38 @@ fn explain_robot(
     role: &RoleId,
     entry: &AuctionEntry,
     winner: Option<&RobotId>,
-    won: Option<Taken<'_>>,
+    won: Option<ChosenBid<'_>>,
 ) -> RobotExplanation {
     let robot = &entry.robot;
     let elsewhere = record.chosen.iter().find(|(other, chosen)| *other != role && *chosen == robot);
     let (outcome, bid, why) = match &entry.verdict {
         BidVerdict::Viable { time, energy, remaining } => {
             let bid = BidCost::of(*time, *energy, *remaining);
-            let words = format!("{robot} bid {}", bid.words());
+            let words = format!("{robot} bid {}", bid.text());
             let (outcome, why) = match (winner, elsewhere, won) {
                 (Some(winner), ..) if winner == robot => (RobotOutcome::Won, format!("{words}, and gets the role")),
                 (_, Some((other, _)), _) => {
-                    (RobotOutcome::ElsewhereInMission, format!("{words}; it gets {other} of this mission instead"))
+                    (RobotOutcome::WonOtherRole, format!("{words}; it gets {other} of this mission instead"))
                 }
                 (Some(winner), None, Some(won)) => {
                     let behind = bid.time_s - won.price.time_s;
                     let more = if behind < 0.0 { "less" } else { "more" };
                     let most = if behind < 0.0 { None } else { most_behind(&entry.parts, won.parts) };
-                    let most =
-                        most.map(|(step, more)| format!(", most of all in {} ({more:.1} s more)", step_in_words(step)));
+                    let most = most.map(|(step, more)| format!(", mostly in {} ({more:.1} s more)", step_text(step)));
                     let most = most.unwrap_or_default();
                     (RobotOutcome::Outbid, format!("{words}: outbid, {:.1} s {more} than {winner}{most}", behind.abs()))
                 }
                 (Some(winner), None, None) => (RobotOutcome::Outbid, format!("{words}: {winner} was chosen")),
-                (None, ..) => (RobotOutcome::InVain, format!("{words}, in vain")),
+                (None, ..) => (RobotOutcome::RoleUnfilled, format!("{words}, but the role is not assigned")),
             };
             (outcome, Some(bid), why)
         }
         BidVerdict::Unviable { time, energy, remaining, why } => {
             let bid = BidCost::of(*time, *energy, *remaining);
-            (RobotOutcome::Unviable, Some(bid), format!("{robot} bid {}: not to be taken, {why}", bid.words()))
+            (RobotOutcome::Unviable, Some(bid), format!("{robot} bid {}: outside the limits, {why}", bid.text()))
         }
         BidVerdict::Refused { reason } => {
-            let (outcome, why) = refused(robot, reason);
+            let (outcome, why) = explain_refusal(robot, reason);
             (outcome, None, why)
         }
     };
@@ -281,7 +284,8 @@ fn explain_robot(
     RobotExplanation { robot: robot.clone(), outcome, why, bid, parts: entry.parts.clone(), behind_s }
 }
 
-/// The step in which a bid falls behind another of the same plan the most, and by how many seconds.
+/// Returns the step with the largest additional time compared to another bid of the same plan, and
+/// that time in seconds.
 fn most_behind<'a>(parts: &'a [BidPart], won: &[BidPart]) -> Option<(&'a BidPart, f64)> {
     let behind = |part: &'a BidPart| {
         let same = won.iter().find(|other| other.step == part.step)?;
@@ -291,16 +295,16 @@ fn most_behind<'a>(parts: &'a [BidPart], won: &[BidPart]) -> Option<(&'a BidPart
     (most.1 >= 0.05).then_some(most)
 }
 
-fn refused(robot: &RobotId, reason: &RefusalReason) -> (RobotOutcome, String) {
+fn explain_refusal(robot: &RobotId, reason: &RefusalReason) -> (RobotOutcome, String) {
     match reason {
         RefusalReason::NotMember { ensemble, why } => {
             (RobotOutcome::NotMember, format!("{robot} is not a member of {ensemble}: {why}"))
         }
         RefusalReason::Silent { window_ms } => {
-            (RobotOutcome::Silent, format!("{robot} was asked and did not answer within {window_ms} ms"))
+            (RobotOutcome::Silent, format!("{robot} was invited and did not reply within {window_ms} ms"))
         }
         RefusalReason::MissingSkills { .. } => (RobotOutcome::Refused, format!("{robot} {reason}")),
-        RefusalReason::HandsFull { .. } | RefusalReason::Excluded { .. } => {
+        RefusalReason::CarriesItem { .. } | RefusalReason::Excluded { .. } => {
             (RobotOutcome::Refused, format!("{robot} {reason}"))
         }
         RefusalReason::NotFeasible { .. } => (RobotOutcome::Refused, format!("{robot} {reason}")),
@@ -310,7 +314,7 @@ fn refused(robot: &RobotId, reason: &RefusalReason) -> (RobotOutcome, String) {
     }
 }
 
-fn viable(verdict: &BidVerdict) -> Option<BidCost> {
+fn viable_cost(verdict: &BidVerdict) -> Option<BidCost> {
     match verdict {
         BidVerdict::Viable { time, energy, remaining } => Some(BidCost::of(*time, *energy, *remaining)),
         BidVerdict::Unviable { .. } | BidVerdict::Refused { .. } => None,
@@ -332,8 +336,8 @@ mod tests {
         AuctionEntry { role: slug(role), robot: slug(robot), verdict, parts: vec![] }
     }
 
-    /// A bid whose steps are a drive of so many seconds, which uses a thousandth of the charge in a second, a wait, and a
-    /// minute with the nurse.
+    /// A bid with these steps: a drive of `seconds`, which uses 0.001 of the charge per second, a
+    /// wait, and 60 s with the nurse.
     fn drives(robot: &str, seconds: f64) -> AuctionEntry {
         let part = |step, label: &str, skill, seconds| BidPart {
             step,
@@ -352,7 +356,7 @@ mod tests {
         AuctionEntry { parts, ..bid("r1", robot, seconds + 64.0) }
     }
 
-    fn no(role: &str, robot: &str, reason: RefusalReason) -> AuctionEntry {
+    fn refusal(role: &str, robot: &str, reason: RefusalReason) -> AuctionEntry {
         AuctionEntry { role: slug(role), robot: slug(robot), verdict: BidVerdict::Refused { reason }, parts: vec![] }
     }
 
@@ -376,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn the_quickest_wins_and_everybody_else_hears_why_not() {
+    fn the_fastest_wins_and_every_other_robot_has_a_reason() {
         let unviable = BidVerdict::Unviable {
             time: Seconds::new(90.0).unwrap(),
             energy: 0.107,
@@ -384,20 +388,20 @@ mod tests {
             why: ViabilityError::LowCharge { remaining: 0.023, floor: BatteryShare::new(0.08).unwrap() },
         };
         let entries = vec![
-            no("r1", "amber", RefusalReason::NotMember { ensemble: slug("logistics"), why: "too far".to_owned() }),
+            refusal("r1", "amber", RefusalReason::NotMember { ensemble: slug("logistics"), why: "too far".to_owned() }),
             bid("r1", "birch", 99.7),
             bid("r1", "cedar", 176.9),
-            no("r1", "dune", RefusalReason::MissingSkills { skills: vec![slug("navigation")] }),
+            refusal("r1", "dune", RefusalReason::MissingSkills { skills: vec![slug("navigation")] }),
             AuctionEntry { role: slug("r1"), robot: slug("ember"), verdict: unviable, parts: vec![] },
             bid("r1", "flint", 160.3),
-            no("r1", "gorse", RefusalReason::Busy { mission: slug("m-2"), role: slug("r1") }),
-            no("r1", "hazel", RefusalReason::Silent { window_ms: 200 }),
+            refusal("r1", "gorse", RefusalReason::Busy { mission: slug("m-2"), role: slug("r1") }),
+            refusal("r1", "hazel", RefusalReason::Silent { window_ms: 200 }),
         ];
         let explained = explain(&record(entries, &[("r1", "birch")], None));
         assert_eq!(
             words(&explained),
             [
-                "r1: birch gets it with 99.7 s, 6.0 % of its charge, 84.0 % left: the quickest of 3 bids, 60.6 s before \
+                "r1: birch gets the role with 99.7 s, 6.0 % of its charge, 84.0 % left: the fastest of 3 bids, 60.6 s before \
                  flint",
                 "  birch bid 99.7 s, 6.0 % of its charge, 84.0 % left, and gets the role",
                 "  flint bid 160.3 s, 6.0 % of its charge, 84.0 % left: outbid, 60.6 s more than birch",
@@ -405,8 +409,8 @@ mod tests {
                 "  dune lacks navigation",
                 "  gorse is busy as r1 of m-2",
                 "  amber is not a member of logistics: too far",
-                "  hazel was asked and did not answer within 200 ms",
-                "  ember bid 90.0 s, 10.7 % of its charge, 2.3 % left: not to be taken, 2.3 % charge left is not above \
+                "  hazel was invited and did not reply within 200 ms",
+                "  ember bid 90.0 s, 10.7 % of its charge, 2.3 % left: outside the limits, 2.3 % charge left is not above \
                  8.0 %",
             ]
         );
@@ -416,16 +420,16 @@ mod tests {
     }
 
     #[test]
-    fn a_bid_is_told_step_by_step_and_where_a_rival_falls_behind() {
+    fn an_explanation_lists_steps_and_the_largest_difference() {
         let entries = vec![drives("birch", 37.04), drives("flint", 92.1), bid("r1", "cedar", 103.0)];
         let explained = explain(&record(entries, &[("r1", "birch")], None));
         let [birch, cedar, flint] = &explained.roles[0].robots[..] else { panic!("three robots") };
-        let steps = "navto_room 37.0 s 3.7 %, waiting for nurse 2.0 s 0.2 %, telling nurse 2.0 s 0.2 %, authenticate_nurse \
+        let steps = "navto_room 37.0 s 3.7 %, wait for nurse 2.0 s 0.2 %, signal to nurse 2.0 s 0.2 %, authenticate_nurse \
                      60.0 s 6.0 %";
         assert_eq!(birch.parts_text().as_deref(), Some(steps));
         assert!(cedar.why.ends_with(": outbid, 2.0 s more than birch"), "{}", cedar.why);
         assert_eq!(cedar.parts_text(), None);
-        let most = ": outbid, 55.1 s more than birch, most of all in navto_room (55.1 s more)";
+        let most = ": outbid, 55.1 s more than birch, mostly in navto_room (55.1 s more)";
         assert!(flint.why.ends_with(most), "{}", flint.why);
         let seen = serde_json::to_value(birch).unwrap();
         assert_eq!(seen["parts"][0]["skill"], "navigation", "{seen}");
@@ -434,17 +438,17 @@ mod tests {
     }
 
     #[test]
-    fn who_would_be_quicker_and_has_another_role_is_named() {
+    fn a_faster_robot_with_another_role_is_named() {
         let entries = vec![bid("a", "ada", 10.0), bid("a", "bob", 12.0), bid("b", "ada", 11.0), bid("b", "bob", 30.0)];
         let explained = explain(&record(entries, &[("a", "bob"), ("b", "ada")], None));
         assert_eq!(
             words(&explained),
             [
-                "a: bob gets it with 12.0 s, 6.0 % of its charge, 84.0 % left: ada would be quicker, but gets b, and so all \
-                 roles together take least time",
+                "a: bob gets the role with 12.0 s, 6.0 % of its charge, 84.0 % left: ada would be faster, but gets b, which \
+                 minimises the total time of all roles",
                 "  bob bid 12.0 s, 6.0 % of its charge, 84.0 % left, and gets the role",
                 "  ada bid 10.0 s, 6.0 % of its charge, 84.0 % left; it gets b of this mission instead",
-                "b: ada gets it with 11.0 s, 6.0 % of its charge, 84.0 % left: the quickest of 2 bids, 19.0 s before bob",
+                "b: ada gets the role with 11.0 s, 6.0 % of its charge, 84.0 % left: the fastest of 2 bids, 19.0 s before bob",
                 "  ada bid 11.0 s, 6.0 % of its charge, 84.0 % left, and gets the role",
                 "  bob bid 30.0 s, 6.0 % of its charge, 84.0 % left; it gets a of this mission instead",
             ]
@@ -452,18 +456,18 @@ mod tests {
     }
 
     #[test]
-    fn an_auction_that_came_to_nothing_says_what_was_missing() {
+    fn an_auction_without_assignment_states_the_missing_bid() {
         let entries = vec![
             bid("a", "ada", 10.0),
-            no("b", "ada", RefusalReason::OutOfService { problem: "no charge".to_owned() }),
+            refusal("b", "ada", RefusalReason::OutOfService { problem: "no charge".to_owned() }),
         ];
         let explained = explain(&record(entries, &[], Some("no viable bid for b")));
         assert_eq!(
             words(&explained),
             [
-                "a: nobody gets a: no viable bid for b; 1 bid could be taken, but a mission is filled whole or not at all",
-                "  ada bid 10.0 s, 6.0 % of its charge, 84.0 % left, in vain",
-                "b: nobody gets b: no viable bid for b; none of 1 robot could take it",
+                "a: a is not assigned: no viable bid for b; 1 bid is within the limits, but a mission is filled completely or not at all",
+                "  ada bid 10.0 s, 6.0 % of its charge, 84.0 % left, but the role is not assigned",
+                "b: b is not assigned: no viable bid for b; 1 robot was considered",
                 "  ada is out of service: no charge",
             ]
         );

@@ -1,4 +1,4 @@
-//! What is kept of an auction, for people to look at.
+//! Record of an auction, for display.
 
 use super::bid::{AuctionId, BidPart, RefusalReason, ViabilityError};
 use crate::ids::{RobotId, RoleId};
@@ -6,52 +6,52 @@ use crate::units::Seconds;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What an auction heard and decided.
+/// Replies and decision of an auction.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AuctionRecord {
-    /// Which round.
+    /// Round of the auction.
     pub auction: AuctionId,
-    /// When: milliseconds on the coordinator's wall clock, to show.
+    /// Time on the coordinator's wall clock, in milliseconds, for display.
     pub at_ms: u64,
-    /// Every answer, in the order of roles and robots.
+    /// All replies, in the order of roles and robots.
     pub entries: Vec<AuctionEntry>,
-    /// Answers left out because the record would have grown too large.
+    /// Number of replies omitted to bound the size of the record.
     pub omitted: u32,
-    /// Who was chosen.
+    /// Robot chosen for each role.
     pub chosen: BTreeMap<RoleId, RobotId>,
-    /// Why nobody was, if so.
+    /// Reason, if no roles were assigned.
     pub failure: Option<String>,
 }
 
 impl AuctionRecord {
-    /// Most answers that a record holds.
+    /// Maximum number of replies in a record.
     pub const ENTRIES_MAX: usize = 256;
 
-    /// Most bytes that the parts of all bids in a record take up, near enough: the ledger keeps a record for each mission.
-    /// Some ten bids of a dozen steps.
+    /// Approximate maximum size of the parts of all bids in a record, in bytes: the ledger stores a
+    /// record for each mission. Enough for about ten bids of a dozen steps.
     pub const PARTS_BYTES_MAX: usize = 8 * 1024;
 }
 
-/// One robot's answer for one role, judged.
+/// Reply of a robot for a role, with its verdict.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AuctionEntry {
-    /// For which role.
+    /// Role.
     pub role: RoleId,
-    /// By whom.
+    /// Robot that replied.
     pub robot: RobotId,
-    /// What came of it.
+    /// Verdict on the reply.
     pub verdict: BidVerdict,
-    /// The bid step by step. Empty if there is none, or if the record has no room for it: the winners' come first, then those
-    /// of the quickest.
+    /// Cost of each step of the bid. Empty if there is no bid or no room for it: the winners' parts
+    /// are kept first, then those of the fastest bids.
     #[serde(default)]
     pub parts: Vec<BidPart>,
 }
 
-/// What came of a robot's answer.
+/// Verdict on a robot's reply.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BidVerdict {
-    /// A bid that could be taken.
+    /// The bid is within the limits.
     Viable {
         /// Time for the plan.
         time: Seconds,
@@ -60,7 +60,7 @@ pub enum BidVerdict {
         /// Charge left, as a share.
         remaining: f64,
     },
-    /// A bid that could not.
+    /// The bid is outside the limits.
     Unviable {
         /// Time for the plan.
         time: Seconds,
@@ -68,12 +68,12 @@ pub enum BidVerdict {
         energy: f64,
         /// Charge left, as a share.
         remaining: f64,
-        /// Why not.
+        /// Limit that is violated.
         why: ViabilityError,
     },
-    /// No bid.
+    /// The robot refused.
     Refused {
-        /// Why not.
+        /// Reason of the refusal.
         reason: RefusalReason,
     },
 }

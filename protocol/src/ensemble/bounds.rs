@@ -1,16 +1,16 @@
-//! How much work a condition may be, told from what it says.
+//! Bound on the work of evaluating a condition, computed from its expression.
 //!
-//! The length of a condition and the depth to which it is read are limited elsewhere. What is left are loops within loops: each
-//! multiplies the work, and what one makes another may go over.
+//! Length and parse depth of a condition are limited elsewhere. Nested loops remain: each level
+//! multiplies the work, and an inner loop may iterate over a list that an outer loop has produced.
 
 use cel::IdedExpr;
 use cel::common::ast::{EntryExpr, Expr};
 
-/// How deep loops (`exists`, `all`, `filter`, `map` …) may stand within one another. Two are a few hundred thousand steps at most,
-/// in a condition of the greatest length.
+/// Maximum nesting depth of loops (`exists`, `all`, `filter`, `map` …). Two levels are a few
+/// hundred thousand steps at most, in a condition of maximum length.
 pub(super) const LOOP_DEPTH_MAX: usize = 2;
 
-/// How deep loops stand within one another, what they go over included.
+/// Returns the nesting depth of loops, including the loops in the lists that they iterate over.
 pub(super) fn loop_depth(expression: &IdedExpr) -> usize {
     let deepest = |parts: &mut dyn Iterator<Item = &IdedExpr>| parts.map(loop_depth).max().unwrap_or(0);
     match &expression.expr {
@@ -20,8 +20,14 @@ pub(super) fn loop_depth(expression: &IdedExpr) -> usize {
         Expr::Select(select) => loop_depth(&select.operand),
         Expr::Map(map) => map.entries.iter().map(|entry| of_entry(&entry.expr)).max().unwrap_or(0),
         Expr::Struct(value) => value.entries.iter().map(|entry| of_entry(&entry.expr)).max().unwrap_or(0),
-        Expr::Comprehension(each) => {
-            let parts = [&each.iter_range, &each.accu_init, &each.loop_cond, &each.loop_step, &each.result];
+        Expr::Comprehension(comprehension) => {
+            let parts = [
+                &comprehension.iter_range,
+                &comprehension.accu_init,
+                &comprehension.loop_cond,
+                &comprehension.loop_step,
+                &comprehension.result,
+            ];
             1 + deepest(&mut parts.into_iter())
         }
     }

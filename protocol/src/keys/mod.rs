@@ -1,15 +1,15 @@
-//! Every key there is. All other code calls this module, to write a key and to read one back.
+//! All keys of the project. Other code calls this module to format and to parse keys.
 //!
 //! ```text
-//! consort/{fleet}/wire/**   bincode, between nodes             (see `message` for who says what)
-//! consort/{fleet}/view/**   JSON, for people and any client    get: what any one node knows, for all of them
-//! consort/{fleet}/seen/**   JSON, for people and any client    get: {node}/…: the same views as this node has them
+//! consort/{fleet}/wire/**   bincode, between nodes             (messages: see `message`)
+//! consort/{fleet}/view/**   JSON, for people and any client    get: the fleet as any node sees it
+//! consort/{fleet}/seen/**   JSON, for people and any client    get: {node}/…: the same views, from this node
 //! consort/{fleet}/api/**    JSON, for people and any client    query: submit, cancel, get, list, help, leave/{node} …
 //! consort/{fleet}/alive/**  presence tokens                    robot/{id}, node/{id}, coordinator/{term}/{id}
-//! consort/{fleet}/events/** JSON, published                    {node}: what happens there, as it happens
+//! consort/{fleet}/events/** JSON, published                    {node}: events of this node, as they happen
 //! ```
 //!
-//! [`TABLE`] has each of them with who says it, how and what.
+//! [`TABLE`] lists each key with its owner, usage and content.
 //!
 //! ```
 //! use consort_protocol::ids::{FleetId, RobotId};
@@ -19,7 +19,7 @@
 //! let award = Key::Award(RobotId::new("ada")?);
 //! assert_eq!(keys.write(&award), "consort/ward/wire/award/ada");
 //! assert_eq!(keys.read("consort/ward/wire/award/ada"), Some(award));
-//! assert_eq!(keys.read("consort/annex/wire/award/ada"), None); // another fleet's
+//! assert_eq!(keys.read("consort/annex/wire/award/ada"), None); // a key of another fleet
 //! # Ok::<(), consort_protocol::ids::NameError>(())
 //! ```
 
@@ -32,42 +32,48 @@ use crate::trust::Fingerprint;
 use crate::word_enum::words;
 use std::fmt;
 
-/// A key of a fleet, as a value.
+/// Key of a fleet, as a value.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Key {
-    /// `wire/card/{fingerprint}`: asked, its bearer shows the certificate by which its messages are sealed.
+    /// `wire/certificate/{fingerprint}`: the principal replies with the certificate that verifies
+    /// its messages.
     Certificate(Fingerprint),
     /// `wire/knowledge/{node}`: a node publishes its record.
     Knowledge(NodeId),
-    /// `wire/gossip/{node}`: asked with a digest, a node answers with what the asker lacks.
+    /// `wire/gossip/{node}`: a node replies to a digest with the records that the requester lacks.
     Gossip(NodeId),
     /// `wire/swim/{node}`: failure detection packets for a node.
     Swim(NodeId),
     /// `wire/raft/{member}/{call}`: consensus calls to a member, by its number.
     Raft(u64, RaftCall),
-    /// `wire/found/{node}`: before it founds a ledger, a node asks whether anybody knows better.
+    /// `wire/bootstrap/{node}`: before it creates a ledger, a node asks the other nodes for
+    /// permission.
     Bootstrap(NodeId),
     /// `wire/beacon`: the coordinator publishes that it coordinates.
     Beacon,
-    /// `wire/bid/{robot}`: the coordinator asks for bids.
+    /// `wire/bid/{robot}`: the coordinator calls for bids.
     Bid(RobotId),
-    /// `wire/award/{robot}`: the coordinator tells a robot of an award.
+    /// `wire/award/{robot}`: the coordinator notifies a robot of an award.
     Award(RobotId),
     /// `wire/report/{node}`: a robot reports to the coordinator on that node.
     Report(NodeId),
-    /// `wire/live/{node}`: anyone asks the coordinator on that node which missions are under way.
+    /// `wire/active_missions/{node}`: any node queries the coordinator on that node for the active
+    /// missions.
     ActiveMissions(NodeId),
-    /// `wire/changed`: the coordinator publishes that missions under way have changed.
+    /// `wire/changed`: the coordinator publishes that active missions have changed.
     Changed,
-    /// `wire/signal/{mission}/{role}`: a message of the mission's plan, published for the role that awaits it.
+    /// `wire/signal/{mission}/{role}`: a signal of the mission's plan, published for the role that
+    /// awaits it.
     Signal(MissionId, RoleId),
-    /// `wire/said/{mission}/{role}`: a late waiter asks which messages the role has sent.
+    /// `wire/signal_history/{mission}/{role}`: a waiting role queries the signals that the role has
+    /// sent.
     SignalHistory(MissionId, RoleId),
-    /// `wire/body/{robot}/{call}`: a robot's node drives its body.
+    /// `wire/body/{robot}/{call}`: a robot's node and its driver server.
     Body(RobotId, BodyCall),
-    /// `wire/people/{call}`: unmanaged roles are asked to act.
+    /// `wire/people/{call}`: tasks of people in unmanaged roles.
     People(PeopleCall),
-    /// `wire/world`: asked, the host of bodies says how its world looks. In JSON, which is passed on as `view/world`.
+    /// `wire/world`: the simulator replies with the state of its world, in JSON; `view/world`
+    /// passes it on.
     World,
     /// `view/fleet`.
     ViewFleet,
@@ -87,15 +93,15 @@ pub enum Key {
     ViewMap,
     /// `view/health`.
     ViewHealth,
-    /// `view/world`: as the host of bodies sees it, where there is one.
+    /// `view/world`: the world from the simulator, if there is one.
     ViewWorld,
-    /// `seen/{node}/…`: a view as this one node has it.
+    /// `seen/{node}/…`: a view from this node.
     Seen(NodeId, Box<Key>),
     /// `api/{call}`.
     Api(ApiCall),
-    /// `api/{call}/help`: how a call is made.
+    /// `api/{call}/help`: description of a call.
     Help(ApiCall),
-    /// `api/leave/{node}`: asks a node to leave the fleet for good.
+    /// `api/leave/{node}`: asks a node to leave the fleet permanently.
     Leave(NodeId),
     /// `alive/robot/{robot}`.
     AliveRobot(RobotId),
@@ -103,99 +109,100 @@ pub enum Key {
     AliveNode(NodeId),
     /// `alive/coordinator/{term}/{node}`.
     AliveCoordinator(u64, NodeId),
-    /// `events/{node}`: a node publishes what happens on it.
+    /// `events/{node}`: a node publishes its events.
     Events(NodeId),
 }
 
 words! {
-    /// A consensus call.
+    /// Consensus call.
     RaftCall {
-        /// A candidate asks for a vote.
+        /// A candidate requests a vote.
         Vote = "vote",
-        /// The leader appends entries, or says that it leads.
+        /// The leader appends entries, or confirms its leadership.
         Append = "append",
-        /// The leader hands over a snapshot, piece by piece.
+        /// The leader sends a snapshot, in chunks.
         Snapshot = "snapshot",
-        /// Before it stands, a node asks whether anybody would vote for it.
-        PreVote = "canvass",
-        /// A leader that leaves says who is to succeed it.
-        TransferLeadership = "succeed",
-        /// A leader that waits for an answer asks whether the voter is still there.
-        Heartbeat = "beat",
+        /// Before it campaigns, a node asks the voters whether they would vote for it.
+        PreVote = "pre_vote",
+        /// A leader that leaves transfers its leadership.
+        TransferLeadership = "transfer_leadership",
+        /// A leader that waits for a reply checks that the voter is reachable.
+        Heartbeat = "heartbeat",
     }
-    /// A call between a robot's node and the host of its body.
+    /// Call between a robot's node and its driver server.
     BodyCall {
-        /// Query to the host: begin or end a goal, or just say how things stand.
+        /// Query to the server: start or cancel a goal, or only return the state.
         Command = "command",
-        /// Publication by the host: telemetry and the state of goals.
+        /// Publication by the server: telemetry and the state of goals.
         State = "state",
     }
-    /// A call between unmanaged roles' attendants and the host of people.
+    /// Call between a human task proxy and the host of people.
     PeopleCall {
         /// Query to the host: ask or dismiss a person.
         Ask = "ask",
-        /// Publication by the host: what a person has done.
+        /// Publication by the host: a task that a person has completed.
         Done = "done",
     }
-    /// A request that clients in any language make, in JSON.
+    /// Request of clients in any language, in JSON.
     ApiCall {
-        /// Ask for a mission.
+        /// Submit a mission.
         Submit = "submit",
-        /// Withdraw a mission.
+        /// Cancel a mission.
         Cancel = "cancel",
-        /// Say that a person has taken care of what a mission left in robots' hands.
-        Resolve = "rescued",
-        /// Ask for a copy of the ledger.
+        /// Resolve an intervention: a person has taken care of the items that robots had.
+        Resolve = "resolve",
+        /// Get a backup of the ledger.
         Backup = "backup",
-        /// Ask how far the fleet is on its way to the next version of the wire, and finish it.
+        /// Get the progress of an upgrade to the next wire version, and complete it.
         Upgrade = "upgrade",
-        /// Look at one mission.
+        /// Get a mission.
         Get = "get",
-        /// Look at all missions.
+        /// List all missions.
         List = "list",
-        /// Ask why each robot did or did not get each role of a mission.
+        /// Explain for each role of a mission the outcome of each robot's bid.
         Explain = "explain",
-        /// Ask which calls there are, and what they take.
+        /// List the calls with their parameters.
         Help = "help",
     }
-    /// What is said on a key, whoever says it of whom: to count by.
+    /// Category of the messages on a key, for metrics.
     KeyKind {
         /// Certificates.
-        Certificate = "card",
+        Certificate = "certificate",
         /// Records of knowledge.
         Knowledge = "knowledge",
         /// Comparisons of knowledge.
         Gossip = "gossip",
         /// Failure detection.
         Swim = "swim",
-        /// The leader's questions whether a voter is there.
-        RaftHeartbeat = "raft/beat",
-        /// Entries of the ledger, and heartbeats.
+        /// Heartbeats of the leader to its voters.
+        RaftHeartbeat = "raft/heartbeat",
+        /// Entries of the ledger, and confirmations of the leadership.
         RaftAppend = "raft/append",
-        /// All else of consensus.
+        /// Other consensus messages.
         Raft = "raft",
-        /// The coordinator's signs of life.
+        /// Beacons of the coordinator.
         Beacon = "beacon",
-        /// What a body's driver says to its host.
+        /// Commands to driver servers.
         BodyCommand = "body/command",
-        /// What a host says of its bodies.
+        /// States published by driver servers.
         BodyState = "body/state",
         /// Auctions, awards and reports.
         Work = "work",
-        /// Messages of missions, and questions for them.
+        /// Signals of missions, and queries for them.
         Signal = "signal",
-        /// Changes of missions, and questions about those under way.
-        ActiveMissions = "live",
+        /// Changes of missions, and queries for active missions.
+        ActiveMissions = "active_missions",
         /// Views and requests of people.
         People = "people",
-        /// Whatever else.
+        /// All other messages.
         Other = "other",
     }
 }
 
 impl ApiCall {
-    /// Whether it changes nothing, and any node answers it from what it knows. A copy of the ledger is the coordinator's: nobody
-    /// else knows that nothing is missing.
+    /// Checks whether the call changes nothing and any node can answer it from its own data. A
+    /// backup of the ledger is not such a call: only the coordinator can ensure that it is
+    /// complete.
     pub fn is_read_only(self) -> bool {
         match self {
             ApiCall::Submit | ApiCall::Cancel | ApiCall::Resolve | ApiCall::Backup | ApiCall::Upgrade => false,
@@ -205,24 +212,24 @@ impl ApiCall {
 }
 
 impl KeyKind {
-    /// The kind of a key or key expression, of whichever fleet.
+    /// Returns the category of a key or key expression, of any fleet.
     pub fn of(text: &str) -> KeyKind {
         let mut segments = text.split('/').skip(2);
         match (segments.next(), segments.next()) {
             (Some("wire"), Some(kind)) => match (kind, segments.last()) {
-                ("card", _) => KeyKind::Certificate,
+                ("certificate", _) => KeyKind::Certificate,
                 ("knowledge", _) => KeyKind::Knowledge,
                 ("gossip", _) => KeyKind::Gossip,
                 ("swim", _) => KeyKind::Swim,
-                ("raft", Some("beat")) => KeyKind::RaftHeartbeat,
+                ("raft", Some("heartbeat")) => KeyKind::RaftHeartbeat,
                 ("raft", Some("append")) => KeyKind::RaftAppend,
-                ("raft" | "found", _) => KeyKind::Raft,
+                ("raft" | "bootstrap", _) => KeyKind::Raft,
                 ("beacon", _) => KeyKind::Beacon,
                 ("body", Some("state")) => KeyKind::BodyState,
                 ("body", _) => KeyKind::BodyCommand,
                 ("bid" | "award" | "report", _) => KeyKind::Work,
-                ("signal" | "said", _) => KeyKind::Signal,
-                ("live" | "changed", _) => KeyKind::ActiveMissions,
+                ("signal" | "signal_history", _) => KeyKind::Signal,
+                ("active_missions" | "changed", _) => KeyKind::ActiveMissions,
                 ("people" | "world", _) => KeyKind::People,
                 _ => KeyKind::Other,
             },
@@ -232,7 +239,7 @@ impl KeyKind {
     }
 }
 
-/// Writes and reads the keys of one fleet.
+/// Formats and parses the keys of a fleet.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Keys {
     fleet: FleetId,
@@ -240,150 +247,151 @@ pub struct Keys {
 }
 
 impl Keys {
-    /// The keys of a fleet.
+    /// Creates the keys of a fleet.
     pub fn new(fleet: &FleetId) -> Keys {
         Keys { fleet: fleet.clone(), prefix: format!("consort/{fleet}") }
     }
 
-    /// Whose keys they are.
+    /// Returns the fleet.
     pub fn fleet(&self) -> &FleetId {
         &self.fleet
     }
 
-    /// The key as text.
+    /// Formats a key.
     pub fn write(&self, key: &Key) -> String {
         format!("{}/{key}", self.prefix)
     }
 
-    /// The key that a text is, if it is one of this fleet's.
+    /// Parses a key. `None` if the text is not a key of this fleet.
     pub fn read(&self, text: &str) -> Option<Key> {
         read(self.strip_fleet(text)?)
     }
 
-    /// Whether what is said on this key, or key expression, concerns missions and is [`Within`](crate::message::Within)
-    /// a cluster.
+    /// Checks whether messages on this key or key expression concern missions and are wrapped in a
+    /// [`ClusterEnvelope`](crate::message::ClusterEnvelope).
     pub fn is_cluster_scoped(&self, text: &str) -> bool {
         let below = text.strip_prefix(&self.prefix).and_then(|rest| rest.strip_prefix("/wire/"));
         let kind = below.map(|rest| rest.split('/').next().unwrap_or(rest));
         kind.is_some_and(|kind| {
-            ["beacon", "bid", "award", "report", "live", "changed", "signal", "said"].contains(&kind)
+            ["beacon", "bid", "award", "report", "active_missions", "changed", "signal", "signal_history"]
+                .contains(&kind)
         })
     }
 
-    /// What is below the fleet's prefix of a key or key expression: `wire/bid/*`.
+    /// Returns the part of a key or key expression below the fleet's prefix: `wire/bid/*`.
     pub fn strip_fleet<'a>(&self, text: &'a str) -> Option<&'a str> {
         text.strip_prefix(&self.prefix)?.strip_prefix('/')
     }
 
-    /// Key expression for all certificates.
+    /// Returns the key expression for all certificates.
     pub fn any_certificate(&self) -> String {
-        format!("{}/wire/card/*", self.prefix)
+        format!("{}/wire/certificate/*", self.prefix)
     }
 
-    /// Key expression for all records of knowledge.
+    /// Returns the key expression for the records of all nodes.
     pub fn any_knowledge(&self) -> String {
         format!("{}/wire/knowledge/*", self.prefix)
     }
 
-    /// Key expression that asks all robots for bids.
+    /// Returns the key expression for calls for bids to all robots.
     pub fn any_bid(&self) -> String {
         format!("{}/wire/bid/*", self.prefix)
     }
 
-    /// Key expression for the messages of a mission to one of its roles, whichever mission it is.
+    /// Returns the key expression for the signals of all missions to all roles.
     pub fn any_signal(&self) -> String {
         format!("{}/wire/signal/*/*", self.prefix)
     }
 
-    /// Key expression for all bodies' commands: what a host of bodies serves.
+    /// Returns the key expression for the commands to all robots, which a driver server serves.
     pub fn any_body_command(&self) -> String {
         format!("{}/wire/body/*/{}", self.prefix, BodyCall::Command.as_str())
     }
 
-    /// Key expression for all bodies' states: what tells which bodies there are.
+    /// Returns the key expression for the states of all robots, which shows the connected robots.
     pub fn any_body_state(&self) -> String {
         format!("{}/wire/body/*/{}", self.prefix, BodyCall::State.as_str())
     }
 
-    /// Key expression for a member's consensus calls.
+    /// Returns the key expression for the consensus calls to a member.
     pub fn any_raft(&self, member: u64) -> String {
         format!("{}/wire/raft/{member:016x}/*", self.prefix)
     }
 
-    /// Key expression that asks all nodes that may vote whether one may found a ledger.
+    /// Returns the key expression for bootstrap requests to all nodes that may vote.
     pub fn any_bootstrap(&self) -> String {
-        format!("{}/wire/found/*", self.prefix)
+        format!("{}/wire/bootstrap/*", self.prefix)
     }
 
-    /// Key expression for all views.
+    /// Returns the key expression for all views.
     pub fn any_view(&self) -> String {
         format!("{}/view/**", self.prefix)
     }
 
-    /// Key expression for all views as one node has them.
+    /// Returns the key expression for all views of a single node.
     pub fn any_seen(&self, node: &NodeId) -> String {
         format!("{}/seen/{node}/**", self.prefix)
     }
 
-    /// Key expression for all views as each node has them.
+    /// Returns the key expression for all views of each node.
     pub fn any_seen_by_any(&self) -> String {
         format!("{}/seen/**", self.prefix)
     }
 
-    /// Key expression for what each node believes of the coordinator.
+    /// Returns the key expression for the coordinator as seen by each node.
     pub fn any_seen_coordinator(&self) -> String {
         format!("{}/seen/*/coordinator", self.prefix)
     }
 
-    /// Key expression that asks nodes to leave.
+    /// Returns the key expression for requests to leave.
     pub fn any_leave(&self) -> String {
         format!("{}/api/leave/*", self.prefix)
     }
 
-    /// Key expression for the help on each call.
+    /// Returns the key expression for the help on each call.
     pub fn any_help(&self) -> String {
         format!("{}/api/*/help", self.prefix)
     }
 
-    /// Key expression for all requests.
+    /// Returns the key expression for all requests.
     pub fn any_api(&self) -> String {
         format!("{}/api/*", self.prefix)
     }
 
-    /// Key expression for the events of all nodes.
+    /// Returns the key expression for the events of all nodes.
     pub fn any_events(&self) -> String {
         format!("{}/events/**", self.prefix)
     }
 
-    /// Key expression for all presence tokens.
+    /// Returns the key expression for all presence tokens.
     pub fn any_alive(&self) -> String {
         format!("{}/alive/**", self.prefix)
     }
 
-    /// Key expression for the presence tokens of nodes.
+    /// Returns the key expression for the presence tokens of nodes.
     pub fn any_alive_node(&self) -> String {
         format!("{}/alive/node/*", self.prefix)
     }
 }
 
 impl fmt::Display for Key {
-    /// The key without the fleet's prefix.
+    /// Writes the key without the fleet's prefix.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Key::Certificate(fingerprint) => write!(f, "wire/card/{fingerprint}"),
+            Key::Certificate(fingerprint) => write!(f, "wire/certificate/{fingerprint}"),
             Key::Knowledge(node) => write!(f, "wire/knowledge/{node}"),
             Key::Gossip(node) => write!(f, "wire/gossip/{node}"),
             Key::Swim(node) => write!(f, "wire/swim/{node}"),
             Key::Raft(member, call) => write!(f, "wire/raft/{member:016x}/{}", call.as_str()),
-            Key::Bootstrap(node) => write!(f, "wire/found/{node}"),
+            Key::Bootstrap(node) => write!(f, "wire/bootstrap/{node}"),
             Key::Beacon => f.write_str("wire/beacon"),
             Key::Bid(robot) => write!(f, "wire/bid/{robot}"),
             Key::Award(robot) => write!(f, "wire/award/{robot}"),
             Key::Report(node) => write!(f, "wire/report/{node}"),
-            Key::ActiveMissions(node) => write!(f, "wire/live/{node}"),
+            Key::ActiveMissions(node) => write!(f, "wire/active_missions/{node}"),
             Key::Changed => f.write_str("wire/changed"),
             Key::Signal(mission, role) => write!(f, "wire/signal/{mission}/{role}"),
-            Key::SignalHistory(mission, role) => write!(f, "wire/said/{mission}/{role}"),
+            Key::SignalHistory(mission, role) => write!(f, "wire/signal_history/{mission}/{role}"),
             Key::Body(robot, call) => write!(f, "wire/body/{robot}/{}", call.as_str()),
             Key::People(call) => write!(f, "wire/people/{}", call.as_str()),
             Key::ViewFleet => f.write_str("view/fleet"),
@@ -415,22 +423,22 @@ impl fmt::Display for Key {
 fn read(text: &str) -> Option<Key> {
     let segments: Vec<&str> = text.split('/').collect();
     Some(match segments[..] {
-        ["wire", "card", fingerprint] => Key::Certificate(fingerprint.parse().ok()?),
+        ["wire", "certificate", fingerprint] => Key::Certificate(fingerprint.parse().ok()?),
         ["wire", "knowledge", node] => Key::Knowledge(node.parse().ok()?),
         ["wire", "gossip", node] => Key::Gossip(node.parse().ok()?),
         ["wire", "swim", node] => Key::Swim(node.parse().ok()?),
         ["wire", "raft", member, call] if member.len() == 16 => {
             Key::Raft(u64::from_str_radix(member, 16).ok()?, RaftCall::parse(call)?)
         }
-        ["wire", "found", node] => Key::Bootstrap(node.parse().ok()?),
+        ["wire", "bootstrap", node] => Key::Bootstrap(node.parse().ok()?),
         ["wire", "beacon"] => Key::Beacon,
         ["wire", "bid", robot] => Key::Bid(robot.parse().ok()?),
         ["wire", "award", robot] => Key::Award(robot.parse().ok()?),
         ["wire", "report", node] => Key::Report(node.parse().ok()?),
-        ["wire", "live", node] => Key::ActiveMissions(node.parse().ok()?),
+        ["wire", "active_missions", node] => Key::ActiveMissions(node.parse().ok()?),
         ["wire", "changed"] => Key::Changed,
         ["wire", "signal", mission, role] => Key::Signal(mission.parse().ok()?, role.parse().ok()?),
-        ["wire", "said", mission, role] => Key::SignalHistory(mission.parse().ok()?, role.parse().ok()?),
+        ["wire", "signal_history", mission, role] => Key::SignalHistory(mission.parse().ok()?, role.parse().ok()?),
         ["wire", "body", robot, call] => Key::Body(robot.parse().ok()?, BodyCall::parse(call)?),
         ["wire", "people", call] => Key::People(PeopleCall::parse(call)?),
         ["wire", "world"] => Key::World,
@@ -447,7 +455,7 @@ fn read(text: &str) -> Option<Key> {
     })
 }
 
-/// A view, by the segments behind `view/`.
+/// Parses a view from the segments after `view/`.
 fn read_view(segments: &[&str]) -> Option<Key> {
     Some(match *segments {
         ["fleet"] => Key::ViewFleet,
@@ -514,7 +522,7 @@ mod tests {
     }
 
     #[test]
-    fn every_key_reads_back_as_what_was_written() {
+    fn every_key_parses_to_the_value_that_was_formatted() {
         let keys = Keys::new(&FleetId::new("ward").unwrap());
         for key in all() {
             let text = keys.write(&key);
@@ -524,7 +532,7 @@ mod tests {
     }
 
     #[test]
-    fn every_key_but_tokens_has_a_kind_to_count_it_by() {
+    fn every_key_except_tokens_has_a_category() {
         let keys = Keys::new(&FleetId::new("ward").unwrap());
         let mut counted = std::collections::BTreeSet::new();
         for key in all() {
@@ -541,14 +549,14 @@ mod tests {
     }
 
     #[test]
-    fn no_two_keys_are_written_alike() {
+    fn all_keys_are_formatted_differently() {
         let keys = Keys::new(&FleetId::new("ward").unwrap());
         let texts: std::collections::BTreeSet<String> = all().iter().map(|key| keys.write(key)).collect();
         assert_eq!(texts.len(), all().len());
     }
 
     #[test]
-    fn what_concerns_missions_is_within_a_cluster() {
+    fn keys_about_missions_are_cluster_scoped() {
         let keys = Keys::new(&FleetId::new("ward").unwrap());
         for text in [keys.any_bid(), keys.any_signal(), keys.write(&Key::Beacon), keys.write(&Key::Changed)] {
             assert!(keys.is_cluster_scoped(&text), "{text}");
@@ -560,7 +568,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_key_of_this_fleet_is_none() {
+    fn keys_outside_the_fleet_are_not_parsed() {
         let keys = Keys::new(&FleetId::new("ward").unwrap());
         for text in [
             "consort/warden/wire/beacon",

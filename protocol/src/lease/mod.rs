@@ -1,15 +1,16 @@
 //! Awards as leases with an epoch (after Gray and Cheriton 1989; the epoch is a fencing token).
 //!
-//! An award names a mission, a role, a robot and an [`Epoch`], which only grows. The robot renews it by reporting. Time
-//! is counted from when the *request* for renewal was sent on the robot's side, and from when the *answer* was given on
-//! the coordinator's, so that whatever the network delays, the robot stops before the role is given to another:
+//! An award names a mission, a role, a robot and an [`Epoch`], which only grows. The robot renews
+//! it by reporting. The robot counts the lease from the time at which it *sent* the request for
+//! renewal; the coordinator counts from the time at which it *replied*. So the robot stops before
+//! the role is awarded to another robot, however long the network delays a message:
 //!
 //! ```text
 //! robot        sends report ──────────────────────────── lease ───────────────▶ suspends
-//! coordinator          answers ──────────────────────────────── lease + grace ─────────▶ may release
+//! coordinator          replies ──────────────────────────────── lease + grace ─────────▶ may release
 //! ```
 //!
-//! [`Tenure`] is the robot's side. The coordinator's is [`Watch`].
+//! [`RoleLease`] is the robot's side, [`LeaseMonitor`] the coordinator's.
 
 mod monitor;
 
@@ -25,11 +26,12 @@ use std::fmt;
 use std::time::Duration;
 
 /// Position of an award in the history of the fleet: term and index of its entry in the ledger.
+/// Serves as a fencing token.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 pub struct Epoch {
-    /// The coordinator's term.
+    /// Term of the coordinator.
     pub term: u64,
-    /// Place in the ledger's log.
+    /// Index in the ledger's log.
     pub index: u64,
 }
 
@@ -39,70 +41,77 @@ impl fmt::Display for Epoch {
     }
 }
 
-/// A role given to a robot, with all that it needs in order to begin.
+/// Role awarded to a robot, with all data needed to start.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Award {
     /// The mission.
     pub mission: MissionId,
     /// The role in it.
     pub role: RoleId,
-    /// Who gets it.
+    /// Robot that gets the role.
     pub robot: RobotId,
-    /// Which award this is.
+    /// Epoch of this award.
     pub epoch: Epoch,
-    /// What to do.
+    /// Local plan to execute.
     pub plan: LocalPlan,
-    /// Who holds the mission's managed roles.
+    /// Holders of the mission's managed roles.
     pub holders: BTreeMap<RoleId, RoleHolder>,
 }
 
-/// Who holds a role, and by which award: what is said in that role under an older one is not listened to.
+/// Holder of a role, and the epoch of its award. Signals sent under an older epoch are ignored.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RoleHolder {
     /// The robot.
     pub robot: RobotId,
-    /// The award.
+    /// Epoch of the award.
     pub epoch: Epoch,
 }
 
 impl RoleHolder {
-    /// The robots alone.
+    /// Returns the robots without the epochs.
     pub fn robots(holders: &BTreeMap<RoleId, RoleHolder>) -> BTreeMap<RoleId, RobotId> {
-        holders.iter().map(|(role, holding)| (role.clone(), holding.robot.clone())).collect()
+        holders.iter().map(|(role, holder)| (role.clone(), holder.robot.clone())).collect()
     }
 }
 
-/// How long an award lasts without contact. Fleet-wide: all nodes must agree.
+/// Duration of a lease without contact. Fleet-wide: all nodes must use the same values.
 ///
 /// # Clocks
 ///
-/// Leases are measured by each node's monotonic clock. Clocks need not agree on the time; they may even run at different
-/// rates, within a bound ([`drift_max`](LeaseTerms::drift_max)). Let the fastest clock of the fleet count `1 + d` seconds
-/// while the slowest counts one, and tell all times below in seconds of the slowest, which is the worst that the robot's
-/// and the first coordinator's can be. With lease `L`, grace `G`, and `r` for the robot's reaction (the time from the end of
-/// its lease until its body has come to rest: its beat, and its body's way to stop):
+/// Leases are measured by each node's monotonic clock. Clocks need not agree on the time. They may
+/// even run at different rates, within a bound ([`drift_max`](LeaseTerms::drift_max)). Let the
+/// fastest clock of the fleet count `1 + d` seconds while the slowest counts 1 second, and measure
+/// all times below in seconds of the slowest clock. That is the worst case for the clocks of the
+/// robot and of the first coordinator. `L` is the lease, `G` the grace, and `r` the robot's
+/// reaction: the time from the end of its lease until it has come to rest (its control period and
+/// its stopping time).
 ///
-/// - The robot sends a report at `s`. If it is answered, and no later one is, it is at rest by `s + L + r`.
-/// - The coordinator answers at `a`, and `a >= s`. A majority had followed it at most `G / 2` before.
-/// - A later coordinator has been elected by a majority, one of whom had followed the former at that moment and voted
-///   afterwards: it takes over no earlier than `a - G / 2`, and counts from then on. On the fastest clock it has counted
-///   `L + G` after `(L + G) / (1 + d)`. It gives the role away no earlier than `a - G / 2 + (L + G) / (1 + d)`.
+/// - The robot sends a report at `s`. If the report is answered and no later report is, the robot
+///   is at rest by `s + L + r`.
+/// - The coordinator replies at `a`, and `a >= s`. A majority had followed it at most `G / 2`
+///   before.
+/// - A later coordinator was elected by a majority. At least one node of that majority had followed
+///   the first coordinator at that moment, and voted afterwards. So the later coordinator takes
+///   over no earlier than `a - G / 2`, and counts from then on. On the fastest clock it has counted
+///   `L + G` after `(L + G) / (1 + d)`. It releases the role no earlier than
+///   `a - G / 2 + (L + G) / (1 + d)`.
 ///
-/// Nobody else acts in the role before the robot is at rest if, at worst with `s = a`,
+/// No other robot acts in the role before this robot is at rest if, in the worst case `s = a`,
 ///
 /// ```text
 /// L + r <= (L + G) / (1 + d) - G / 2      that is      d <= (G / 2 - r) / (L + G / 2 + r)
 /// ```
 ///
-/// With the defaults and a reaction of half a second this is 9 %; clocks in use differ by less than 0.1 %. A coordinator
-/// that stays counts from `a`, which leaves `d <= (G - r) / (L + r)`: 33 %.
+/// With the defaults and a reaction of 0.5 s this is 9 %; real clocks differ by less than 0.1 %. A
+/// coordinator that stays leader counts from `a`, which allows `d <= (G - r) / (L + r)`: 33 %.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LeaseTerms {
-    /// The robot suspends this long after it sent the last report that was answered. Raised: longer blackouts are
-    /// survived in motion, lost robots are replaced later. Default 4 s: several takeovers long.
+    /// The robot suspends this long after it sent the last report that was answered. Raised: the
+    /// robot keeps moving through longer blackouts, but lost robots are replaced later. Default 4
+    /// s: several times the duration of a takeover.
     pub lease: Duration,
-    /// The coordinator waits this much longer. It covers clock drift and the age to which a coordinator may still
-    /// believe in its own leadership. Default 2 s.
+    /// Additional wait of the coordinator. It covers clock drift and the maximum age of the
+    /// coordinator's last contact with a quorum. Default 2 s.
     pub grace: Duration,
 }
 
@@ -113,53 +122,54 @@ impl Default for LeaseTerms {
 }
 
 impl LeaseTerms {
-    /// By which part a fleet's fastest clock may be faster than its slowest, given a robot's reaction: how long after the
-    /// end of its lease its body is at rest. The derivation stands above. Nothing when the grace does not even cover the
-    /// reaction.
+    /// Returns the largest relative clock drift between the slowest and the fastest clock at which
+    /// leases are safe; see the derivation above. `reaction` is the time from the end of a lease
+    /// until the robot is at rest. Returns 0 if the grace does not even cover the reaction.
     pub fn drift_max(&self, reaction: Duration) -> f64 {
         let (lease, half, reaction) =
             (self.lease.as_secs_f64(), self.grace.as_secs_f64() / 2.0, reaction.as_secs_f64());
         ((half - reaction) / (lease + half + reaction)).max(0.0)
     }
 
-    /// How old a coordinator's last contact with a quorum may be for it to renew leases: half the grace. The other half
-    /// is for drift.
+    /// Returns the maximum age of a coordinator's last contact with a quorum for it to renew
+    /// leases: half the grace. The other half is for drift.
     pub fn leadership_age_max(&self) -> Duration {
         self.grace / 2
     }
 }
 
-/// Something the holder has learned.
+/// Input of the lease state machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Event {
-    /// An award for this robot was heard. It is not begun before the coordinator has confirmed it.
+    /// An award for this robot was received. The plan starts only after the coordinator has
+    /// confirmed the award.
     AwardReceived(Box<Award>),
-    /// The coordinator answered a report that was sent at `sent`.
+    /// The coordinator replied to a report that was sent at `sent`.
     Renewed {
-        /// The award it is about.
+        /// Epoch of the award concerned.
         epoch: Epoch,
-        /// When the report had been sent.
+        /// Time at which the report was sent.
         sent: NodeTime,
-        /// Steps that the ledger knows as ended.
+        /// Steps that have ended according to the ledger.
         ended: BTreeSet<StepIndex>,
     },
-    /// The coordinator said that the role is no longer this robot's.
+    /// The coordinator revoked the role.
     Revoked {
-        /// The award it is about.
+        /// Epoch of the award concerned.
         epoch: Epoch,
-        /// Why.
+        /// Reason.
         reason: EndReason,
     },
-    /// The plan was carried out to its end, or a task of it failed, and the ledger knows.
+    /// The plan was completed or one of its tasks failed, and the ledger has recorded it.
     Settled {
-        /// The award it is about.
+        /// Epoch of the award concerned.
         epoch: Epoch,
     },
     /// Time has passed.
     Tick,
 }
 
-/// Why a role ended otherwise than by being carried out.
+/// Reason for which a role ended without being completed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EndReason {
@@ -167,66 +177,68 @@ pub enum EndReason {
     Canceled,
     /// The mission failed elsewhere.
     Failed,
-    /// The mission is over.
+    /// The mission has ended.
     Over,
     /// Another award has replaced this one.
     Replaced,
-    /// The role was given up; another robot will take it over.
+    /// The role was released; another robot will take it over.
     Released,
-    /// The mission waits for a person: something was left in a robot's hands.
-    Rescue,
+    /// The mission waits for a person, since a robot still has an item.
+    #[serde(alias = "rescue")]
+    NeedsIntervention,
 }
 
-/// Something for the holder to carry out, in the order given.
+/// Action for the robot to perform, in the order given.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Action {
-    /// Ask the coordinator to confirm the award: send a report now.
+    /// Send a report now, to have the coordinator confirm the award.
     Report,
-    /// Begin the plan; the steps named have ended already.
+    /// Start the plan; the given steps have ended already.
     Start(Box<Award>, BTreeSet<StepIndex>),
-    /// Stop safely and keep the place in the plan: the lease has run out.
+    /// Stop safely and keep the progress in the plan: the lease has run out.
     Suspend,
-    /// Go on.
+    /// Continue the plan.
     Resume,
-    /// Stop safely and forget the plan.
+    /// Stop safely and drop the plan.
     Halt(EndReason),
 }
 
-/// Why a robot does not take an award that it was told of.
+/// Reason for which a robot declines an award.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum DeclineReason {
-    /// It holds another role. One robot, one role.
+    /// The robot holds another role. A robot holds at most 1 role.
     #[error("holds {role} of {mission}")]
     Busy {
-        /// The mission it is at work for.
+        /// Mission of the role that it holds.
         mission: MissionId,
-        /// Its role there.
+        /// Role that it holds.
         role: RoleId,
     },
-    /// It has heard of a later award of the same role; ordinary when messages overtake one another.
-    #[error("has heard of epoch {known}")]
+    /// The robot has received a later award of the same role; common when messages overtake each
+    /// other.
+    #[error("has already received epoch {known}")]
     Stale {
-        /// The later epoch.
+        /// Epoch of the later award.
         known: Epoch,
     },
-    /// The award is for somebody else.
-    #[error("is not {robot}")]
+    /// The award is for another robot.
+    #[error("is not {robot}, to which the award was made")]
     WrongRobot {
-        /// For whom it is.
+        /// Robot named in the award.
         robot: RobotId,
     },
-    /// The robot takes nothing new: it is about to leave the fleet.
-    #[error("leaves the fleet")]
+    /// The robot accepts no new role, since it is about to leave the fleet.
+    #[error("is leaving the fleet")]
     Leaving,
 }
 
-/// The robot's side of an award: at most one at a time.
+/// Robot's side of a lease. A robot has at most 1 award at a time.
 #[derive(Debug, Clone)]
 pub struct RoleLease {
     robot: RobotId,
     terms: LeaseTerms,
     held: Option<Held>,
-    /// The latest epoch heard of each role, so that an overtaken award is not begun.
+    /// Latest epoch received for each role, so that an award that was overtaken is not started.
     latest: BTreeMap<(MissionId, RoleId), Epoch>,
 }
 
@@ -234,69 +246,75 @@ pub struct RoleLease {
 struct Held {
     award: Award,
     phase: Phase,
-    /// The end of the lease; before the first confirmation, when to forget about the award.
+    /// End of the lease. Before the first confirmation: the time at which the award is dropped.
     until: NodeTime,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
-    /// Heard, not confirmed.
-    Heard,
-    /// Known from a former life, not confirmed in this one. Kept until the coordinator has said something.
-    Recalled,
+    /// Received, not confirmed.
+    Received,
+    /// Restored after a restart, not confirmed since. Kept until the coordinator has replied.
+    Restored,
     Active,
     Suspended,
 }
 
-/// Of so many roles the latest epoch is remembered. An award that is older than them all has left every queue long ago.
+/// Maximum number of roles for which the latest epoch is stored. An award that is older than all of
+/// them has left every queue long ago.
 const LATEST_KEPT: usize = 512;
 
 impl RoleLease {
-    /// No award yet.
+    /// Creates a lease without an award.
     pub fn new(robot: RobotId, terms: LeaseTerms) -> Self {
         RoleLease { robot, terms, held: None, latest: BTreeMap::new() }
     }
 
-    /// Takes up an award that a former life of the robot's node had written down. Nothing is done under it before the
-    /// coordinator has confirmed it; until it has answered, the award is neither forgotten nor exchanged for another role's.
+    /// Restores an award that the robot's node had stored before a restart. The plan starts only
+    /// after the coordinator has confirmed the award. Until the coordinator has replied, the award
+    /// is neither dropped nor replaced by an award of another role.
     pub fn restore(robot: RobotId, terms: LeaseTerms, award: Award) -> Self {
         let latest = BTreeMap::from([((award.mission.clone(), award.role.clone()), award.epoch)]);
-        let held = Some(Held { award, phase: Phase::Recalled, until: NodeTime::ZERO });
+        let held = Some(Held { award, phase: Phase::Restored, until: NodeTime::ZERO });
         RoleLease { robot, terms, held, latest }
     }
 
-    /// Forgets which awards it has heard of, but for the one it holds: those of another cluster are counted anew.
+    /// Drops the latest epochs of all roles, except for the role that it holds: epochs of another
+    /// cluster are counted anew.
     pub fn clear_latest_epochs(&mut self) {
         let held = self.held.as_ref().map(|held| (held.award.mission.clone(), held.award.role.clone()));
         self.latest.retain(|role, _| Some(role) == held.as_ref());
     }
 
-    /// The award held or about to be, if any.
+    /// Returns the award, confirmed or not.
     pub fn award(&self) -> Option<&Award> {
         self.held.as_ref().map(|held| &held.award)
     }
 
-    /// Whether the plan may be acted on at this instant: confirmed, and the lease has not run out.
+    /// Checks whether the robot may act at this instant: the award is confirmed and the lease has
+    /// not run out.
     pub fn may_act(&self, now: NodeTime) -> bool {
         self.held.as_ref().is_some_and(|held| {
             held.phase == Phase::Active && (now < held.until || mutants::is_active(Mutant::LeaseNotChecked))
         })
     }
 
-    /// Whether the plan is held up: the lease has run out, or the award is a former life's and nobody has confirmed it yet.
+    /// Checks whether the plan is suspended: the lease has run out, or the award was restored after
+    /// a restart and is not confirmed yet.
     pub fn is_suspended(&self) -> bool {
-        self.held.as_ref().is_some_and(|held| matches!(held.phase, Phase::Suspended | Phase::Recalled))
+        self.held.as_ref().is_some_and(|held| matches!(held.phase, Phase::Suspended | Phase::Restored))
     }
 
-    /// When the lease ends; `None` without an award, or with one of a former life that nobody has confirmed yet.
+    /// Returns the end of the lease. `None` without an award, or if the award was restored after a
+    /// restart and is not confirmed yet.
     pub fn expires_at(&self) -> Option<NodeTime> {
-        self.held.as_ref().filter(|held| held.phase != Phase::Recalled).map(|held| held.until)
+        self.held.as_ref().filter(|held| held.phase != Phase::Restored).map(|held| held.until)
     }
 
-    /// Whether an award could be taken, and if not, why.
+    /// Checks whether the robot can accept an award.
     ///
     /// # Errors
-    /// [`Declined`], for the coordinator to hear.
+    /// [`DeclineReason`], which is sent to the coordinator.
     pub fn check_award(&self, award: &Award) -> Result<(), DeclineReason> {
         if award.robot != self.robot {
             return Err(DeclineReason::WrongRobot { robot: award.robot.clone() });
@@ -313,18 +331,18 @@ impl RoleLease {
         }
     }
 
-    /// What follows from an event at an instant.
+    /// Handles an event and returns the resulting actions.
     pub fn handle(&mut self, event: Event, now: NodeTime) -> Vec<Action> {
         match event {
-            Event::AwardReceived(award) => self.hear(*award, now),
+            Event::AwardReceived(award) => self.receive_award(*award, now),
             Event::Renewed { epoch, sent, ended } => self.renew(epoch, sent, ended, now),
             Event::Revoked { epoch, reason } => self.revoke(epoch, reason),
             Event::Settled { epoch } => self.settle(epoch),
-            Event::Tick => self.lapse(now),
+            Event::Tick => self.expire(now),
         }
     }
 
-    fn hear(&mut self, award: Award, now: NodeTime) -> Vec<Action> {
+    fn receive_award(&mut self, award: Award, now: NodeTime) -> Vec<Action> {
         if self.check_award(&award).is_err() {
             return vec![];
         }
@@ -336,12 +354,12 @@ impl RoleLease {
         let mut actions = vec![];
         match &self.held {
             Some(held) if held.award.epoch == award.epoch => return vec![Action::Report],
-            Some(held) if held.phase != Phase::Heard => actions.push(Action::Halt(EndReason::Replaced)),
+            Some(held) if held.phase != Phase::Received => actions.push(Action::Halt(EndReason::Replaced)),
             Some(_) => {}
-            None if known == Some(award.epoch) => return vec![], // an echo of an award that has ended
+            None if known == Some(award.epoch) => return vec![], // a duplicate of an award that has ended
             None => {}
         }
-        self.held = Some(Held { award, phase: Phase::Heard, until: now + self.terms.lease });
+        self.held = Some(Held { award, phase: Phase::Received, until: now + self.terms.lease });
         actions.push(Action::Report);
         actions
     }
@@ -352,10 +370,10 @@ impl RoleLease {
         };
         let until = sent + self.terms.lease;
         if until <= now {
-            return vec![]; // the answer took longer than the lease
+            return vec![]; // the reply took longer than the lease
         }
         match held.phase {
-            Phase::Heard | Phase::Recalled => {
+            Phase::Received | Phase::Restored => {
                 held.phase = Phase::Active;
                 held.until = until;
                 vec![Action::Start(Box::new(held.award.clone()), ended)]
@@ -372,10 +390,11 @@ impl RoleLease {
         }
     }
 
-    /// A robot that never acted has nothing to halt, and nothing to tell: it had told nobody that it began.
+    /// A robot that never started the plan has nothing to halt and nothing to report: it has
+    /// published no start.
     fn revoke(&mut self, epoch: Epoch, reason: EndReason) -> Vec<Action> {
         match self.held.take_if(|held| held.award.epoch == epoch) {
-            Some(held) if held.phase == Phase::Heard => vec![],
+            Some(held) if held.phase == Phase::Received => vec![],
             Some(_) => vec![Action::Halt(reason)],
             None => vec![],
         }
@@ -386,14 +405,15 @@ impl RoleLease {
         vec![]
     }
 
-    fn lapse(&mut self, now: NodeTime) -> Vec<Action> {
+    fn expire(&mut self, now: NodeTime) -> Vec<Action> {
         if mutants::is_active(Mutant::LeaseNotChecked) {
             return vec![];
         }
         let Some(held) = self.held.as_mut().filter(|held| held.until <= now) else { return vec![] };
         match held.phase {
-            Phase::Heard => {
-                // Nobody has confirmed it, and nothing was begun: should it be told again, it is as good as new.
+            Phase::Received => {
+                // The award was not confirmed and nothing was started: if it is received again, it
+                // counts as new.
                 if let Some(held) = self.held.take() {
                     self.latest.remove(&(held.award.mission, held.award.role));
                 }
@@ -403,7 +423,7 @@ impl RoleLease {
                 held.phase = Phase::Suspended;
                 vec![Action::Suspend]
             }
-            Phase::Suspended | Phase::Recalled => vec![],
+            Phase::Suspended | Phase::Restored => vec![],
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The state machine.
+//! State machine of the ledger.
 
 use super::custody::HeldItem;
 use super::entry::{Branch, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, Submission};
@@ -12,10 +12,11 @@ use crate::plan::StepIndex;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Ended missions that are kept to be looked at and to answer repeated requests; the oldest are dropped beyond.
+/// Maximum number of ended missions kept, for display and to answer repeated requests; the oldest
+/// are dropped.
 pub const HISTORY_MAX: usize = 500;
 
-/// What the fleet has promised and what came of it.
+/// The replicated state: missions, awards and their results.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ledger {
     cluster: Option<ClusterId>,
@@ -25,152 +26,155 @@ pub struct Ledger {
     wire: Option<u8>,
 }
 
-/// Something the coordinator wants to hold for all.
+/// Command that the coordinator proposes to the log.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Command {
-    /// The ledger gets its identity: the first command of all.
+    /// Sets the identity of the ledger: the first command in every log.
     Bootstrap {
-        /// Unlike that of every other ledger of a fleet of this name.
+        /// Cluster id, different from that of every other ledger under this fleet name.
         cluster: ClusterId,
     },
-    /// A client asks for a mission.
+    /// Adds a mission requested by a client.
     Submit(Box<Submission>),
-    /// An auction has filled all open roles.
+    /// Awards all open roles after an auction.
     Award {
         /// The mission.
         mission: MissionId,
-        /// Of which branch's roles: a role may have the same name in both.
+        /// Branch of the roles: a role may have the same name in both branches.
         branch: Branch,
-        /// Who gets which open role: all of them, and no others.
+        /// Robot of each open role: all open roles, and no others.
         holders: BTreeMap<RoleId, RobotId>,
-        /// How it came about.
+        /// Record of the auction.
         auction: AuctionRecord,
     },
-    /// An auction could not fill the open roles. The mission stays pending.
+    /// Records an auction that could not fill the open roles. The mission stays pending.
     Defer {
         /// The mission.
         mission: MissionId,
-        /// Of which branch's roles.
+        /// Branch of the roles.
         branch: Branch,
-        /// Why.
+        /// Record of the auction.
         auction: AuctionRecord,
     },
-    /// The holder has confirmed a role.
+    /// Records that the holder has confirmed a role.
     Accept {
         /// The mission.
         mission: MissionId,
         /// The role.
         role: RoleId,
-        /// By which award.
+        /// Epoch of the award.
         epoch: Epoch,
-        /// Which life of the robot's node speaks.
+        /// Incarnation of the robot's node that confirms.
         incarnation: u64,
-        /// Whether that life took the plan up from what a former one had written down.
+        /// True if that incarnation restored the plan from a checkpoint.
         from_checkpoint: bool,
     },
-    /// Steps of a role have ended.
+    /// Records that steps of a role have ended.
     Progress {
         /// The mission.
         mission: MissionId,
         /// The role.
         role: RoleId,
-        /// By which award; for an unmanaged role, which is nobody's award, the default.
+        /// Epoch of the award; the default for an unmanaged role, which has none.
         epoch: Epoch,
-        /// For an unmanaged role, of which branch's plan: it has the same name in both. For a managed role, whose award tells
-        /// it, the default.
+        /// Branch of the plan, for an unmanaged role, which has the same name in both branches. For
+        /// a managed role the default, since the epoch identifies the branch.
         branch: Branch,
         /// All steps that have ended so far.
         ended: BTreeSet<StepIndex>,
     },
-    /// A role's holder is gone.
+    /// Releases a role from its holder.
     Release {
         /// The mission.
         mission: MissionId,
         /// The role.
         role: RoleId,
-        /// By which award it was held.
+        /// Epoch of the award.
         epoch: Epoch,
-        /// Why it is taken away, in words.
+        /// Cause, as text.
         cause: String,
-        /// Whether the robot failed at the role, and was not merely silent: it is not asked for it again in this mission.
+        /// True if the robot failed at the role, rather than losing contact. It is not invited
+        /// again for this role of the mission.
         robot_failed: bool,
-        /// Where the robot was last known to be.
+        /// Last known place of the robot.
         place: Option<PlaceId>,
     },
-    /// The mission cannot be carried out.
+    /// Fails a mission that cannot be completed.
     Fail {
         /// The mission.
         mission: MissionId,
-        /// Why, in words.
+        /// Cause, as text.
         cause: String,
-        /// In which branch that is so; `None` if whichever is taken, as for a deadline.
+        /// Branch for which this holds; `None` for any branch, as for a deadline.
         branch: Option<Branch>,
-        /// Where its robots were last known to be.
+        /// Last known places of its robots.
         places: BTreeMap<RobotId, PlaceId>,
     },
-    /// A client withdraws a mission.
+    /// Cancels a mission at a client's request.
     Cancel {
         /// The mission.
         mission: MissionId,
-        /// On whose word.
+        /// Person or client that cancels.
         by: String,
-        /// Where its robots were last known to be.
+        /// Last known places of its robots.
         places: BTreeMap<RobotId, PlaceId>,
     },
-    /// A person has taken care of what a mission left in robots' hands.
+    /// Closes a mission that needs intervention: a person has taken care of the items that robots
+    /// had.
     Resolve {
         /// The mission.
         mission: MissionId,
-        /// Who.
+        /// Person that resolved it.
         by: String,
     },
-    /// From now on the fleet writes this version of the wire, and what comes with it may stand in the ledger. Whoever proposes it
-    /// has seen to it that everybody can read it; nothing lowers it again.
+    /// Raises the wire version that the fleet writes. From now on the ledger may contain what this
+    /// version adds. The proposer has checked that every node can read it; the version is never
+    /// lowered.
     RaiseWireVersion {
-        /// The version.
+        /// New wire version.
         wire: u8,
     },
 }
 
-/// What a command did.
+/// Outcome of a command.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CommandOutcome {
-    /// The mission that the request stands for.
+    /// The request was accepted as this mission.
     Submitted {
-        /// Its id.
+        /// Id of the mission.
         mission: MissionId,
-        /// Whether the request had been made before.
+        /// True if the request had been made before.
         again: bool,
     },
-    /// The roles were given under this epoch.
+    /// The roles were awarded under this epoch.
     Awarded {
-        /// The award.
+        /// Epoch of the award.
         epoch: Epoch,
     },
-    /// It was done, or had been done before.
+    /// The command was applied, now or before.
     Done,
-    /// It does not fit the ledger, which is unchanged.
+    /// The command does not fit the ledger, which is unchanged.
     Refused(CommandError),
 }
 
-/// Why a command does not fit the ledger.
+/// Error: a command does not fit the ledger.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum CommandError {
-    /// No such mission; ordinary for one that ended long ago.
-    #[error("no mission {mission}")]
+    /// There is no such mission; common for a mission that ended long ago.
+    #[error("there is no mission {mission}")]
     NoMission {
-        /// Its id.
+        /// Id of the mission.
         mission: MissionId,
     },
     /// The mission has ended.
     #[error("mission {mission} is {}", .state.as_str())]
     MissionEnded {
-        /// Its id.
+        /// Id of the mission.
         mission: MissionId,
-        /// How.
+        /// Final state.
         state: MissionState,
     },
-    /// No such role.
+    /// The mission has no such role.
     #[error("mission {mission} has no role {role}")]
     NoRole {
         /// The mission.
@@ -178,63 +182,63 @@ pub enum CommandError {
         /// The role.
         role: RoleId,
     },
-    /// Another award holds the role, or none does.
+    /// The role is held under another award, or under none.
     #[error("{role} of {mission} is held under epoch {}", .held.map_or("none".to_owned(), |epoch| epoch.to_string()))]
     StaleEpoch {
         /// The mission.
         mission: MissionId,
         /// The role.
         role: RoleId,
-        /// The award in force.
+        /// Epoch of the award in force.
         held: Option<Epoch>,
     },
-    /// What was said concerns the branch that is not taken; ordinary for what was long on its way.
-    #[error("mission {mission} is in its {} branch, and this was said of the other", .taken.as_str())]
+    /// The command concerns the branch that is not executed; common for delayed messages.
+    #[error("mission {mission} executes its {} branch, and the command concerns the other branch", .taken.as_str())]
     WrongBranch {
         /// The mission.
         mission: MissionId,
-        /// Its branch now.
+        /// Branch that is executed now.
         taken: Branch,
     },
-    /// The awarded roles are not the open ones.
+    /// The awarded roles differ from the open roles.
     #[error("the open roles of {mission} are {}", .open.iter().map(RoleId::as_str).collect::<Vec<_>>().join(", "))]
     NotOpen {
         /// The mission.
         mission: MissionId,
-        /// Its open roles.
+        /// Open roles of the mission.
         open: BTreeSet<RoleId>,
     },
     /// A robot would hold two roles.
-    #[error("{robot} would hold two roles: it has {role} of {mission}")]
+    #[error("{robot} would hold two roles: it already holds {role} of {mission}")]
     TwoRoles {
         /// The robot.
         robot: RobotId,
-        /// The mission of the role that it has.
+        /// Mission of the role that it holds.
         mission: MissionId,
-        /// The role that it has.
+        /// Role that it holds.
         role: RoleId,
     },
-    /// A robot has something of a mission that waits for a person.
-    #[error("{robot} has the {item} of {mission}, which needs rescue")]
+    /// A robot has an item of a mission that waits for a person.
+    #[error("{robot} has the {item} of {mission}, which needs intervention")]
     CarriesItem {
         /// The robot.
         robot: RobotId,
-        /// What it has, or may have.
+        /// Item that it has, or may have.
         item: ItemId,
-        /// The mission that waits.
+        /// Mission that waits.
         mission: MissionId,
     },
     /// The mission does not wait for a person.
-    #[error("mission {mission} is {state}; only one that needs rescue can be closed")]
+    #[error("mission {mission} is {state}; only a mission that needs intervention can be resolved")]
     NoInterventionNeeded {
         /// The mission.
         mission: MissionId,
-        /// How it stands, in a word.
+        /// Name of its state.
         state: String,
     },
-    /// The robot's node has started anew, and a later life of it has confirmed the role; ordinary for a report that was
-    /// long on its way.
-    #[error("a later life of {robot} has confirmed {role} of {mission}")]
+    /// The robot's node has restarted, and a later incarnation has confirmed the role; common for
+    /// delayed reports.
+    #[error("a later incarnation of {robot} has confirmed {role} of {mission}")]
     StaleIncarnation {
         /// The robot.
         robot: RobotId,
@@ -243,8 +247,8 @@ pub enum CommandError {
         /// The role.
         role: RoleId,
     },
-    /// The robot's node has started anew since it confirmed the role, and knows nothing of the plan.
-    #[error("{robot} has started anew since it confirmed {role} of {mission}")]
+    /// The robot's node has restarted since it confirmed the role, and has lost the plan.
+    #[error("{robot} has restarted since it confirmed {role} of {mission}")]
     Restarted {
         /// The robot.
         robot: RobotId,
@@ -256,10 +260,10 @@ pub enum CommandError {
 }
 
 impl Ledger {
-    /// Carries out the command that stands at `at` in the log.
+    /// Applies the command at position `at` in the log.
     pub fn apply(&mut self, at: Epoch, command: Command) -> CommandOutcome {
         let done = match command {
-            Command::Bootstrap { cluster } => Ok(self.found(cluster)),
+            Command::Bootstrap { cluster } => Ok(self.bootstrap(cluster)),
             Command::Submit(submission) => return self.submit(*submission),
             Command::Award { mission, branch, holders, auction } => self.award(&mission, branch, holders, auction, at),
             Command::Defer { mission, branch, auction } => self.defer(&mission, branch, auction),
@@ -269,8 +273,8 @@ impl Ledger {
             Command::Progress { mission, role, epoch, branch, ended } => {
                 self.progress(&mission, &role, epoch, branch, &ended)
             }
-            Command::Release { mission, role, epoch, cause, robot_failed: blamed, place } => {
-                self.release(&mission, &role, epoch, &ReleaseCause { cause, robot_failed: blamed, place })
+            Command::Release { mission, role, epoch, cause, robot_failed, place } => {
+                self.release(&mission, &role, epoch, &ReleaseCause { cause, robot_failed, place })
             }
             Command::Fail { mission, cause, branch, places } => self.fail(&mission, cause, branch, &places),
             Command::Cancel { mission, by, places } => self.cancel(&mission, by, &places),
@@ -280,55 +284,58 @@ impl Ledger {
         done.unwrap_or_else(CommandOutcome::Refused)
     }
 
-    /// Which founding of the fleet's ledger this is; `None` until the founding is committed.
+    /// Returns the cluster id of this ledger; `None` until it is committed.
     pub fn cluster(&self) -> Option<ClusterId> {
         self.cluster
     }
 
-    /// Which version of the wire the fleet writes; `None` until that is said first, right after the founding.
+    /// Returns the wire version that the fleet writes; `None` until it is set, right after the
+    /// ledger's creation.
     pub fn wire(&self) -> Option<u8> {
         self.wire
     }
 
-    /// Makes this the ledger of another cluster, with all that it holds. Never part of the log: only whoever recovers one
-    /// copy, outside the fleet, may say that the others are strangers to it.
+    /// Makes this the ledger of another cluster, with all its contents. Never part of the log: only
+    /// an offline recovery, which restores a single replica outside the fleet, may separate it from
+    /// the other replicas.
     pub fn replace_cluster(&mut self, cluster: ClusterId) {
         self.cluster = Some(cluster);
     }
 
-    /// All missions that are kept, by id.
+    /// Returns all missions, by id.
     pub fn missions(&self) -> impl Iterator<Item = &MissionEntry> {
         self.missions.values()
     }
 
-    /// A mission.
+    /// Returns a mission.
     pub fn mission(&self, id: &MissionId) -> Option<&MissionEntry> {
         self.missions.get(id)
     }
 
-    /// The mission that a request stands for.
+    /// Returns the mission of a request.
     pub fn mission_of_request(&self, request: &RequestId) -> Option<&MissionEntry> {
         self.missions.get(self.requests.get(request)?)
     }
 
-    /// Missions that have not ended, in the order in which they are served: by priority, then as they were submitted.
+    /// Returns the missions that have not ended, in the order in which they are served: by
+    /// priority, then by submission.
     pub fn active_missions(&self) -> Vec<&MissionEntry> {
         let mut live: Vec<_> = self.missions.values().filter(|entry| !entry.state.is_final()).collect();
         live.sort_by_key(|entry| entry.rank());
         live
     }
 
-    /// Whether so many missions, or more, are under way.
+    /// Checks whether at least `count` missions are active.
     pub fn has_active(&self, count: usize) -> bool {
         self.missions.values().filter(|entry| !entry.state.is_final()).take(count).count() == count
     }
 
-    /// What robots have of missions that wait for a person, or that recover from the loss of it, with those missions. Such
-    /// robots are given no role of another mission.
+    /// Returns the items of missions that wait for a person, or that execute their recovery branch,
+    /// with these missions. Robots with such items get no role of another mission.
     pub fn held_items(&self) -> impl Iterator<Item = (&MissionEntry, HeldItem)> {
         self.missions.values().flat_map(|entry| {
             let items = match &entry.state {
-                MissionState::NeedsRescue { items, .. } => items.clone(),
+                MissionState::NeedsIntervention { items, .. } => items.clone(),
                 MissionState::Pending | MissionState::Running => entry.unmoved_items(),
                 MissionState::Completed | MissionState::Failed { .. } | MissionState::Canceled { .. } => vec![],
             };
@@ -336,7 +343,7 @@ impl Ledger {
         })
     }
 
-    /// The role that a robot holds now, with its award.
+    /// Returns the role that a robot holds now, with the epoch of its award.
     pub fn held_by(&self, robot: &RobotId) -> Option<(&MissionEntry, &RoleId, Epoch)> {
         self.missions.values().filter(|entry| !entry.state.is_final()).find_map(|entry| {
             entry.roles.iter().find_map(|(id, role)| match (&role.holder, role.phase) {
@@ -348,8 +355,9 @@ impl Ledger {
         })
     }
 
-    /// Once founded, a ledger stays what it is: a second founder may have stood in for the first.
-    fn found(&mut self, cluster: ClusterId) -> CommandOutcome {
+    /// Sets the cluster id once; a second bootstrap command has no effect, since its proposer may
+    /// have replaced the first proposer.
+    fn bootstrap(&mut self, cluster: ClusterId) -> CommandOutcome {
         self.cluster.get_or_insert(cluster);
         CommandOutcome::Done
     }
@@ -368,7 +376,7 @@ impl Ledger {
         self.submitted += 1;
         let number = self.submitted;
         let name: String = submission.mission.name.as_str().chars().take(40).collect();
-        let id = MissionId::new(format!("{name}-{number}")).expect("a task's name, a dash and a number are a slug");
+        let id = MissionId::new(format!("{name}-{number}")).expect("a task name, a dash and a number form a slug");
         let roles = RoleEntry::all_open(&submission.mission);
         self.requests.insert(submission.request.clone(), id.clone());
         let state = MissionState::Pending;
@@ -403,20 +411,20 @@ impl Ledger {
         }
         let mut taken: BTreeMap<&RobotId, &RoleId> = BTreeMap::new();
         for (role, robot) in &holders {
-            let two = |mission: &MissionId, role: &RoleId| CommandError::TwoRoles {
+            let two_roles = |mission: &MissionId, role: &RoleId| CommandError::TwoRoles {
                 robot: robot.clone(),
                 mission: mission.clone(),
                 role: role.clone(),
             };
             if let Some((held, role, _)) = self.held_by(robot) {
-                return Err(two(&held.id, role));
+                return Err(two_roles(&held.id, role));
             }
             if let Some(role) = taken.insert(robot, role) {
-                return Err(two(mission, role));
+                return Err(two_roles(mission, role));
             }
             let mut others = self.held_items().filter(|(entry, _)| entry.id != *mission);
-            if let Some((entry, kept)) = others.find(|(_, kept)| kept.robot == *robot) {
-                let (robot, item, mission) = (robot.clone(), kept.item, entry.id.clone());
+            if let Some((entry, held_item)) = others.find(|(_, held_item)| held_item.robot == *robot) {
+                let (robot, item, mission) = (robot.clone(), held_item.item, entry.id.clone());
                 return Err(CommandError::CarriesItem { robot, item, mission });
             }
         }
@@ -517,7 +525,7 @@ impl Ledger {
         }
     }
 
-    /// A mission that has not ended, and of which this branch is taken.
+    /// Returns a mission that has not ended and executes this branch.
     fn in_branch(&mut self, mission: &MissionId, branch: Branch) -> Result<&mut MissionEntry, CommandError> {
         let entry = self.active_mission(mission)?;
         match entry.branch {
@@ -526,7 +534,7 @@ impl Ledger {
         }
     }
 
-    /// A role that is held under `epoch` and has not ended, or an unmanaged one.
+    /// Returns a role of an active mission that is held under `epoch`, or an unmanaged role.
     pub(super) fn held_role(
         &mut self,
         mission: &MissionId,
@@ -546,7 +554,7 @@ impl Ledger {
     }
 
     pub(super) fn prune_history(&mut self) {
-        // What waits for a person is not forgotten.
+        // Missions that wait for a person are not dropped.
         let ended = self.missions.values().filter(|entry| entry.state.is_final() && !entry.state.needs_intervention());
         let mut ended: Vec<(u64, MissionId, RequestId)> =
             ended.map(|entry| (entry.number, entry.id.clone(), entry.submission.request.clone())).collect();

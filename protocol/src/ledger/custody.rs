@@ -1,16 +1,17 @@
-//! Who has what, as far as the ledger can tell.
+//! Custody of items: the robot that has each item, according to the ledger.
 //!
-//! The ledger hears of steps after they ended, so it lags behind what robots do. How far, the guards say: the task that
-//! moves an item does not begin before the ledger holds what comes before its guard
-//! ([`item_moves`](crate::plan::item_moves)). So of each move the ledger knows one of three things:
+//! The ledger records steps after they ended, so it lags behind the robots. The guards bound the
+//! lag: a task that moves an item does not begin before the ledger contains the predecessors of its
+//! guard ([`item_moves`](crate::plan::item_moves)). So for each move the ledger shows one of three
+//! cases:
 //!
-//! | the ledger holds | the move | who has the item |
+//! | the ledger contains | the move | custody of the item |
 //! |---|---|---|
-//! | its task's end | has happened | its receiver |
-//! | all before its guards, not its end | may have happened | the former keeper or the receiver: neither for certain |
-//! | less | has not happened | the former keeper |
+//! | the end of its task | has happened | the receiver |
+//! | all predecessors of its guards, not its end | may have happened | the former holder or the receiver: neither is certain |
+//! | less | has not happened | the former holder |
 //!
-//! A step has happened if its role reported it, or if a step that comes after it was reported, by whatever role.
+//! A step has happened if its role reported it, or if any role reported a step that comes after it.
 
 use super::entry::{MissionEntry, RolePhase};
 use crate::ids::{ItemId, PlaceId, RobotId, RoleId};
@@ -19,28 +20,28 @@ use crate::plan::{ItemMove, Signal, StepAction, StepIndex, item_moves};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// An item in a robot's keeping, while a mission is under way or waits for a person.
+/// Item in the custody of a robot, while a mission is active or waits for a person.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldItem {
-    /// What.
+    /// The item.
     pub item: ItemId,
-    /// In which role the robot got it.
+    /// Role in which the robot received the item.
     pub role: RoleId,
-    /// The robot that has it.
+    /// Robot that has the item.
     pub robot: RobotId,
-    /// Where that robot was last known to be.
+    /// Last known place of that robot.
     pub place: Option<PlaceId>,
-    /// Whether it is certain that the robot has it.
+    /// True if it is certain that the robot has the item.
     pub certain: bool,
 }
 
-/// The steps of each role that have happened.
+/// Steps of each role that have happened.
 type Happened<'a> = BTreeMap<&'a RoleId, BTreeSet<StepIndex>>;
 
 impl MissionEntry {
-    /// The items that are in robots' keeping, or may be, by item; an item of which it is not certain may be there more than
-    /// once. What has come to its last move and a role that was carried to its end is where the mission meant it to be, and
-    /// in nobody's keeping.
+    /// Returns the items that robots have or may have, by item. An uncertain item may be listed
+    /// more than once. An item is not listed once its last move has happened and the role that
+    /// received it is completed: it is where the mission requires it.
     pub fn custody(&self) -> Vec<HeldItem> {
         let mission = self.mission();
         if self.items_at_recovery.is_empty()
@@ -48,56 +49,58 @@ impl MissionEntry {
         {
             return vec![];
         }
-        // A mission in the ledger was checked; of one that was not, nothing is known.
+        // A mission in the ledger was checked; for an unchecked mission there are no moves.
         let moves = self.division().and_then(|division| item_moves(mission, division).ok()).unwrap_or_default();
         let happened = self.happened();
         let inherited = self.items_at_recovery.iter().filter(|item| !moves.contains_key(&item.item)).cloned();
-        let kept = moves.iter().flat_map(|(item, moves)| self.keepers(item, moves, &happened));
-        inherited.chain(kept).collect()
+        let held = moves.iter().flat_map(|(item, moves)| self.custodians(item, moves, &happened));
+        inherited.chain(held).collect()
     }
 
-    fn keepers(&self, item: &ItemId, moves: &[ItemMove], happened: &Happened<'_>) -> Vec<HeldItem> {
-        let known = moves.iter().rposition(|moved| self.has_happened(moved, happened));
-        let mut keepers: Vec<HeldItem> = match known {
-            None => self.items_at_recovery.iter().filter(|kept| kept.item == *item).cloned().collect(),
+    fn custodians(&self, item: &ItemId, moves: &[ItemMove], happened: &Happened<'_>) -> Vec<HeldItem> {
+        let known = moves.iter().rposition(|item_move| self.has_happened(item_move, happened));
+        let mut custodians: Vec<HeldItem> = match known {
+            None => self.items_at_recovery.iter().filter(|held| held.item == *item).cloned().collect(),
             Some(last) => {
                 let to = moves[last].receiver.as_ref();
                 let delivered = last + 1 == moves.len()
                     && to.is_some_and(|to| self.roles.get(to).is_some_and(|role| role.phase == RolePhase::Ended));
-                let keeper = to.filter(|_| !delivered).and_then(|to| self.keeper(item, to, true));
-                keeper.into_iter().collect()
+                let custodian = to.filter(|_| !delivered).and_then(|to| self.custodian(item, to, true));
+                custodian.into_iter().collect()
             }
         };
-        for moved in &moves[known.map_or(0, |known| known + 1)..] {
-            if !self.may_have_happened(moved, happened) {
+        for item_move in &moves[known.map_or(0, |known| known + 1)..] {
+            if !self.may_have_happened(item_move, happened) {
                 break;
             }
-            keepers.iter_mut().for_each(|keeper| keeper.certain = false);
-            let to = moved.receiver.as_ref().filter(|to| !keepers.iter().any(|keeper| keeper.role == **to));
-            keepers.extend(to.and_then(|to| self.keeper(item, to, false)));
+            custodians.iter_mut().for_each(|custodian| custodian.certain = false);
+            let to =
+                item_move.receiver.as_ref().filter(|to| !custodians.iter().any(|custodian| custodian.role == **to));
+            custodians.extend(to.and_then(|to| self.custodian(item, to, false)));
         }
-        keepers
+        custodians
     }
 
-    /// The robot that holds a managed role, as the keeper of an item. What a person has is in good hands.
-    fn keeper(&self, item: &ItemId, role: &RoleId, certain: bool) -> Option<HeldItem> {
+    /// Returns the robot that holds a managed role, as custodian of an item. Items that a person
+    /// has are not tracked.
+    fn custodian(&self, item: &ItemId, role: &RoleId, certain: bool) -> Option<HeldItem> {
         let entry = self.roles.get(role).filter(|entry| entry.kind == RoleKind::Managed)?;
         let robot = entry.holder.as_ref()?.robot.clone();
         Some(HeldItem { item: item.clone(), role: role.clone(), robot, place: None, certain })
     }
 
-    fn has_happened(&self, moved: &ItemMove, happened: &Happened<'_>) -> bool {
-        moved.performers.iter().all(|role| {
+    fn has_happened(&self, item_move: &ItemMove, happened: &Happened<'_>) -> bool {
+        item_move.performers.iter().all(|role| {
             let steps = self.plan(role).map_or(&[][..], |plan| &plan.steps);
             let is_it = |step: &StepIndex| match steps.get(*step as usize).map(|step| &step.action) {
-                Some(StepAction::Task { id, .. }) => *id == moved.task,
+                Some(StepAction::Task { id, .. }) => *id == item_move.task,
                 Some(StepAction::Send(_) | StepAction::Wait(_)) | None => false,
             };
             happened.get(role).is_some_and(|steps| steps.iter().any(is_it))
         })
     }
 
-    fn may_have_happened(&self, moved: &ItemMove, happened: &Happened<'_>) -> bool {
+    fn may_have_happened(&self, item_move: &ItemMove, happened: &Happened<'_>) -> bool {
         let acts = |role: &RoleId| {
             let acting = |phase| matches!(phase, RolePhase::Active | RolePhase::Ended);
             self.roles.get(role).is_some_and(|role| role.kind == RoleKind::Unmanaged || acting(role.phase))
@@ -108,10 +111,11 @@ impl MissionEntry {
             let held = |step: &StepIndex| happened.get(role).is_some_and(|steps| steps.contains(step));
             acts(role) && before.iter().all(held)
         };
-        moved.guards.iter().all(guard_may_be_past) && moved.performers.iter().all(acts)
+        item_move.guards.iter().all(guard_may_be_past) && item_move.performers.iter().all(acts)
     }
 
-    /// All steps that have happened: those that the ledger was told of, and all that come before them, in whatever role.
+    /// Returns all steps that have happened: the reported steps and all their predecessors, in any
+    /// role.
     fn happened(&self) -> Happened<'_> {
         let Some(division) = self.division() else { return BTreeMap::new() };
         let mut sends: BTreeMap<&Signal, StepIndex> = BTreeMap::new();
@@ -122,8 +126,8 @@ impl MissionEntry {
             }));
         }
         let mut happened: Happened<'_> = BTreeMap::new();
-        let told = self.roles.iter().flat_map(|(role, entry)| entry.ended.iter().map(move |step| (role, *step)));
-        let mut open: Vec<(&RoleId, StepIndex)> = told.collect();
+        let reported = self.roles.iter().flat_map(|(role, entry)| entry.ended.iter().map(move |step| (role, *step)));
+        let mut open: Vec<(&RoleId, StepIndex)> = reported.collect();
         while let Some((role, index)) = open.pop() {
             let step = division.plans.get(role).and_then(|plan| plan.steps.get(index as usize));
             let Some(step) = step.filter(|_| happened.entry(role).or_default().insert(index)) else { continue };
@@ -135,20 +139,21 @@ impl MissionEntry {
         happened
     }
 
-    /// Whether something that the role did has been told to others, so that it cannot simply be begun anew elsewhere: by
-    /// its own account, or because somebody who waited for it has gone on.
-    pub(super) fn has_signalled(&self, teller: &RoleId) -> bool {
-        let steps = self.plan(teller).map_or(&[][..], |plan| &plan.steps);
+    /// Checks whether other roles have been signalled about work of this role, so that the role
+    /// cannot simply be restarted on another robot: the role reported a send, or a role that waited
+    /// for its signal has continued.
+    pub(super) fn has_signalled(&self, role: &RoleId) -> bool {
+        let steps = self.plan(role).map_or(&[][..], |plan| &plan.steps);
         let is_send = |step: &StepIndex| match steps.get(*step as usize).map(|step| &step.action) {
             Some(StepAction::Send(_)) => true,
             Some(StepAction::Wait(_) | StepAction::Task { .. }) | None => false,
         };
-        self.happened().get(teller).is_some_and(|happened| happened.iter().any(is_send))
+        self.happened().get(role).is_some_and(|happened| happened.iter().any(is_send))
     }
 
-    /// Whether the role has done what the mission is about, and only its own cleaning up is left: it had items and has
-    /// passed all of them on for certain, and of what remains of its plan nobody awaits anything and nothing touches an
-    /// item. (A role that never had an item may have its purpose in its last steps.)
+    /// Checks whether only cleanup of the role itself remains: it received items and has certainly
+    /// passed on all of them, no role awaits any of its remaining steps, and no remaining step
+    /// touches an item. (For a role that never had an item the last steps may be its purpose.)
     pub(super) fn only_cleanup_remains(&self, role: &RoleId) -> bool {
         let (Some(plan), Some(division)) = (self.plan(role), self.division()) else { return false };
         let happened = self.happened();
@@ -160,8 +165,9 @@ impl MissionEntry {
             StepAction::Task { spec, .. } => spec.items().next().is_none() && !spec.is_joint(),
         });
         let moves = item_moves(self.mission(), division).unwrap_or_default();
-        let got = |moved: &ItemMove| moved.receiver.as_ref() == Some(role) && self.has_happened(moved, &happened);
-        let had_any = moves.values().flatten().any(got);
-        is_its_own && had_any && !self.custody().iter().any(|kept| kept.role == *role)
+        let received =
+            |item_move: &ItemMove| item_move.receiver.as_ref() == Some(role) && self.has_happened(item_move, &happened);
+        let had_any = moves.values().flatten().any(received);
+        is_its_own && had_any && !self.custody().iter().any(|held| held.role == *role)
     }
 }

@@ -1,4 +1,4 @@
-//! What the ledger keeps of each mission.
+//! Ledger entry of a mission.
 
 use super::custody::HeldItem;
 use crate::auction::AuctionRecord;
@@ -11,30 +11,33 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-/// A mission as it was asked for: checked and divided.
+/// Mission request, checked and divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Submission {
-    /// The client's name for the request: sent twice, it is answered twice and done once.
+    /// Identifier of the request, chosen by the client: a repeated request is answered again and
+    /// executed once.
     pub request: RequestId,
-    /// What is to be done.
+    /// Mission to execute.
     pub mission: Mission,
-    /// By whom and in step with whom; proven free of deadlock before it was submitted.
+    /// Local plans of the roles; proven free of deadlock before submission.
     pub division: Division,
-    /// What the client gave for the mission's parameters, to show.
+    /// Parameter values given by the client, for display.
     pub parameters: BTreeMap<String, String>,
-    /// What is done instead if a robot is lost that has an item.
+    /// Branch to execute if a robot is lost that has an item.
     pub recovery: Option<RecoveryBranch>,
-    /// Which of two waiting missions is served first: the one of higher priority, then the earlier.
+    /// Priority. Of two waiting missions the mission with higher priority is served first, then the
+    /// earlier mission.
     pub priority: Priority,
-    /// When the mission should be done: milliseconds since 1970 on the accepting coordinator's wall clock. Deadlines trust
-    /// the wall clocks of coordinators, leases never do.
+    /// Deadline: milliseconds since 1970 on the accepting coordinator's wall clock. Deadlines rely
+    /// on the wall clocks of coordinators; leases never do.
     pub deadline_ms: Option<u64>,
-    /// When it was submitted: milliseconds on the accepting coordinator's wall clock, to show; nothing is decided by it.
+    /// Time of submission: milliseconds on the accepting coordinator's wall clock. For display; it
+    /// affects no decision.
     pub at_ms: u64,
 }
 
 impl Submission {
-    /// A request for a mission and nothing beyond it: no recovery branch, of usual priority, without a deadline, made at 0.
+    /// Creates a plain request: no recovery branch, default priority, no deadline, submitted at 0.
     pub fn of(request: RequestId, mission: Mission, division: Division) -> Submission {
         Submission {
             request,
@@ -49,17 +52,18 @@ impl Submission {
     }
 }
 
-/// A mission's recovery branch, divided and proven like the mission itself.
+/// Recovery branch of a mission, divided and proven like the mission itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RecoveryBranch {
-    /// What is to be done.
+    /// Mission to execute.
     pub mission: Mission,
-    /// By whom and in step with whom.
+    /// Local plans of the roles.
     pub division: Division,
 }
 
 impl RecoveryBranch {
-    /// The branch for what was lost; `None` if it asks for what is not known.
+    /// Returns the branch with the lost item substituted; `None` if the branch uses a value that is
+    /// not known.
     fn filled(&self, lost: &LostItem) -> Option<RecoveryBranch> {
         let mut division = self.division.clone();
         for plan in division.plans.values_mut() {
@@ -76,21 +80,21 @@ impl RecoveryBranch {
     }
 }
 
-/// How urgent a mission is: -100 to 100, higher first.
+/// Priority of a mission: -100 to 100, higher first.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "i8", into = "i8")]
 pub struct Priority(i8);
 
-/// A number that is no priority.
+/// Error: a number is outside the range of priorities.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("{0} is no priority; allowed are -100 to 100, and higher ones are served first")]
+#[error("{0} is not a valid priority; allowed are -100 to 100, and higher priorities are served first")]
 pub struct PriorityError(i64);
 
 impl Priority {
-    /// Takes a number as a priority.
+    /// Creates a priority from a number.
     ///
     /// # Errors
-    /// [`PriorityError`] if it is none.
+    /// [`PriorityError`] if the number is outside -100 to 100.
     pub fn new(number: i64) -> Result<Self, PriorityError> {
         match i8::try_from(number) {
             Ok(small @ -100..=100) => Ok(Priority(small)),
@@ -98,24 +102,24 @@ impl Priority {
         }
     }
 
-    /// As a number.
+    /// Returns the number.
     pub fn get(self) -> i8 {
         self.0
     }
 }
 
-/// Longest time until a deadline: ten years of seconds.
+/// Maximum time until a deadline: ten years, in seconds.
 const ALLOWED_MAX_S: f64 = 315_360_000.0;
 
-/// A time in which no mission can be done, or be waited for. Nothing was asked for.
+/// Error: the time until a deadline is not positive, or too long. Nothing was requested.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("allowed are more than 0 and at most {ALLOWED_MAX_S} seconds")]
+#[error("the time must be more than 0 and at most {ALLOWED_MAX_S} seconds")]
 pub struct DeadlineError;
 
-/// Reads the time, in seconds from now, in which a mission should be done.
+/// Parses the time until a deadline, in seconds from now.
 ///
 /// # Errors
-/// [`DeadlineError`] if it is none, has passed, or is longer than ten years.
+/// [`DeadlineError`] if the value is not a time, has passed, or is longer than ten years.
 pub fn time_until_deadline(seconds: f64) -> Result<Duration, DeadlineError> {
     match Duration::try_from_secs_f64(seconds) {
         Ok(time) if seconds > 0.0 && seconds <= ALLOWED_MAX_S => Ok(time),
@@ -136,50 +140,52 @@ impl From<Priority> for i8 {
     }
 }
 
-/// A mission in the ledger.
+/// Mission in the ledger.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MissionEntry {
-    /// Its id.
+    /// Id of the mission.
     pub id: MissionId,
-    /// Its place among all missions ever submitted, from 1: of missions of one priority, the order in which they are served.
+    /// Number among all missions ever submitted, from 1. Missions of the same priority are served
+    /// in this order.
     pub number: u64,
-    /// What was asked.
+    /// Request as submitted.
     pub submission: Submission,
-    /// How it stands.
+    /// State of the mission.
     pub state: MissionState,
-    /// Its roles, the unmanaged ones too.
+    /// Roles, including unmanaged roles.
     pub roles: BTreeMap<RoleId, RoleEntry>,
-    /// The latest auction held for it.
+    /// Latest auction of the mission.
     pub auction: Option<AuctionRecord>,
-    /// Whether its recovery branch was taken.
+    /// Branch that is executed.
     pub branch: Branch,
-    /// What was in robots' keeping when the recovery branch was taken.
+    /// Items that robots had when the recovery branch was taken.
     pub items_at_recovery: Vec<HeldItem>,
-    /// The awards in force when the recovery branch was taken, until its roles are given out: their holders may act on them
-    /// for as long as their leases last.
+    /// Awards in force when the recovery branch was taken, until the roles of that branch are
+    /// awarded: their holders may act on them until their leases expire.
     pub former_holders: Vec<RoleHolder>,
-    /// The robots that its roles were taken from, oldest first; of more than [`RELEASES_KEPT`] not all.
+    /// Releases of roles, oldest first; at most [`RELEASES_KEPT`].
     pub releases: Vec<RoleRelease>,
-    /// How many there were.
+    /// Total number of releases.
     pub release_count: u32,
 }
 
-/// How many releases are kept to be looked at.
+/// Maximum number of releases kept for display.
 pub const RELEASES_KEPT: usize = 16;
 
-/// Which part of a mission is carried out.
+/// Branch of a mission that is executed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Branch {
-    /// What was asked for.
+    /// The mission as requested.
     #[default]
     Main,
-    /// What is done because something was lost. A mission that takes it never goes back.
+    /// The recovery branch, executed after a loss. A mission never returns from it to the main
+    /// branch.
     Recovery,
 }
 
 impl Branch {
-    /// One word for it.
+    /// Returns the name.
     pub fn as_str(self) -> &'static str {
         match self {
             Branch::Main => "main",
@@ -188,67 +194,69 @@ impl Branch {
     }
 }
 
-/// A role that was taken from a robot.
+/// Release of a role from a robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RoleRelease {
-    /// The role.
+    /// Role released.
     pub role: RoleId,
-    /// Who had it.
+    /// Robot that held it.
     pub robot: RobotId,
-    /// Why it was taken away, in words.
+    /// Cause, as text.
     pub cause: String,
-    /// Whether the robot failed at the role, and is not asked for it again in this mission.
-    pub blamed: bool,
-    /// Whether it had confirmed the role. One that never did counts for little.
+    /// True if the robot failed at the role. It is not invited again for this role of the mission.
+    pub robot_failed: bool,
+    /// True if the robot had confirmed the role. A release before confirmation does not count
+    /// towards the limit of releases.
     pub confirmed: bool,
 }
 
-/// How a mission stands.
+/// State of a mission.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MissionState {
-    /// Some managed role is open.
+    /// At least 1 managed role is open.
     Pending,
     /// All managed roles are held or ended.
     Running,
-    /// Carried out.
+    /// Completed successfully.
     Completed,
-    /// Given up.
+    /// Failed.
     Failed {
-        /// Why, in words.
+        /// Cause, as text.
         cause: String,
     },
-    /// Withdrawn.
+    /// Canceled.
     Canceled {
-        /// On whose word.
+        /// Person or client that canceled it.
         by: String,
     },
-    /// Given up or withdrawn while robots had something in their hands: nothing more is done about it by the fleet, and it
+    /// Failed or canceled while robots had items. The fleet takes no further action, and the entry
     /// is kept until a person closes it.
-    NeedsRescue {
-        /// Why, in words.
+    #[serde(alias = "needs_rescue")]
+    NeedsIntervention {
+        /// Cause, as text.
         cause: String,
-        /// What is where.
+        /// Items and the robots that have them.
         items: Vec<HeldItem>,
     },
 }
 
 impl MissionState {
-    /// Whether the fleet does nothing more about the mission.
+    /// Checks whether the fleet takes no further action for the mission.
     pub fn is_final(&self) -> bool {
         match self {
             MissionState::Pending | MissionState::Running => false,
             MissionState::Completed | MissionState::Failed { .. } | MissionState::Canceled { .. } => true,
-            MissionState::NeedsRescue { .. } => true,
+            MissionState::NeedsIntervention { .. } => true,
         }
     }
 
-    /// Whether it waits for a person to close it.
+    /// Checks whether the mission waits for a person to close it.
     pub fn needs_intervention(&self) -> bool {
-        matches!(self, MissionState::NeedsRescue { .. })
+        matches!(self, MissionState::NeedsIntervention { .. })
     }
 
-    /// One word for it.
+    /// Returns the name.
     pub fn as_str(&self) -> &'static str {
         match self {
             MissionState::Pending => "pending",
@@ -256,60 +264,60 @@ impl MissionState {
             MissionState::Completed => "completed",
             MissionState::Failed { .. } => "failed",
             MissionState::Canceled { .. } => "canceled",
-            MissionState::NeedsRescue { .. } => "needs_rescue",
+            MissionState::NeedsIntervention { .. } => "needs_intervention",
         }
     }
 }
 
-/// How a role stands.
+/// State of a role.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RoleEntry {
-    /// Whether a robot fills it.
+    /// Managed or unmanaged.
     pub kind: RoleKind,
-    /// Open, awarded, active or ended.
+    /// Phase: open, awarded, active or ended.
     pub phase: RolePhase,
-    /// Who has it; stays after the end, to show who did it.
+    /// Holder; kept after the end, for display.
     pub holder: Option<RoleAssignment>,
     /// Steps of its local plan that have ended.
     pub ended: BTreeSet<StepIndex>,
 }
 
 impl RoleEntry {
-    /// The roles of a mission, which nobody holds yet.
+    /// Creates the roles of a mission, without holders.
     pub(super) fn all_open(mission: &Mission) -> BTreeMap<RoleId, RoleEntry> {
         let open = |kind| RoleEntry { kind, phase: RolePhase::Open, holder: None, ended: BTreeSet::new() };
         mission.roles.iter().map(|(role, declared)| (role.clone(), open(declared.kind))).collect()
     }
 }
 
-/// How far the filling of a role has come.
+/// Phase of a role.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RolePhase {
-    /// Nobody has it.
+    /// No robot holds it.
     Open,
-    /// Given to a robot that has not confirmed it yet.
+    /// Awarded to a robot that has not confirmed it yet.
     Awarded,
     /// Confirmed by its holder.
     Active,
-    /// Carried out.
+    /// Completed.
     Ended,
 }
 
-/// Who holds a role.
+/// Assignment of a role to a robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RoleAssignment {
     /// The robot.
     pub robot: RobotId,
-    /// By which award.
+    /// Epoch of the award.
     pub epoch: Epoch,
-    /// In which life of the robot's node it confirmed. A later life knows nothing of the plan, unless it says that it took
-    /// it up from what the former one had written down.
+    /// Incarnation of the robot's node that confirmed the award. A later incarnation has lost the
+    /// plan, unless it reports that it restored the plan from a checkpoint.
     pub incarnation: Option<u64>,
 }
 
 impl MissionEntry {
-    /// The managed roles that nobody has, unless the mission has ended.
+    /// Returns the managed roles without a holder; empty if the mission has ended.
     pub fn open_roles(&self) -> BTreeSet<RoleId> {
         if self.state.is_final() {
             return BTreeSet::new();
@@ -318,37 +326,38 @@ impl MissionEntry {
         self.roles.iter().filter(open).map(|(id, _)| id.clone()).collect()
     }
 
-    /// Who holds, or has carried out, the managed roles.
+    /// Returns the robots that hold, or have completed, the managed roles.
     pub fn holders(&self) -> BTreeMap<RoleId, RobotId> {
         let holder = |(id, role): (&RoleId, &RoleEntry)| Some((id.clone(), role.holder.as_ref()?.robot.clone()));
         self.roles.iter().filter_map(holder).collect()
     }
 
-    /// The same with the awards.
+    /// Returns the holders with the epochs of their awards.
     pub fn role_holders(&self) -> BTreeMap<RoleId, RoleHolder> {
         let holding = |holder: &RoleAssignment| RoleHolder { robot: holder.robot.clone(), epoch: holder.epoch };
         let held = self.roles.iter().filter_map(|(id, role)| Some((id.clone(), holding(role.holder.as_ref()?))));
         held.collect()
     }
 
-    /// What other roles have told a role, by the steps of theirs that have ended. It outlives those who told it.
-    pub fn signals_to(&self, hearer: &RoleId) -> BTreeSet<Signal> {
-        let tellers = self.roles.iter().filter_map(|(id, role)| Some((role, self.plan(id)?)));
+    /// Returns the signals that other roles have sent to `receiver`, according to their ended
+    /// steps. They outlive their senders.
+    pub fn signals_to(&self, receiver: &RoleId) -> BTreeSet<Signal> {
+        let senders = self.roles.iter().filter_map(|(id, role)| Some((role, self.plan(id)?)));
         let steps =
-            tellers.flat_map(|(role, plan)| role.ended.iter().filter_map(|step| plan.steps.get(*step as usize)));
-        let told = steps.filter_map(|step| match &step.action {
+            senders.flat_map(|(role, plan)| role.ended.iter().filter_map(|step| plan.steps.get(*step as usize)));
+        let sent = steps.filter_map(|step| match &step.action {
             StepAction::Send(signal) => Some(signal),
             StepAction::Task { .. } | StepAction::Wait(_) => None,
         });
-        told.filter(|signal| signal.to == *hearer).cloned().collect()
+        sent.filter(|signal| signal.to == *receiver).cloned().collect()
     }
 
-    /// A role's local plan.
+    /// Returns the local plan of a role.
     pub fn plan(&self, role: &RoleId) -> Option<&LocalPlan> {
         self.division()?.plans.get(role)
     }
 
-    /// What is to be done, in the branch that is taken.
+    /// Returns the mission tree of the branch that is executed.
     pub fn mission(&self) -> &Mission {
         match (&self.submission.recovery, self.branch) {
             (Some(recovery), Branch::Recovery) => &recovery.mission,
@@ -356,7 +365,7 @@ impl MissionEntry {
         }
     }
 
-    /// The plans of the branch that is taken.
+    /// Returns the plans of the branch that is executed.
     pub(super) fn division(&self) -> Option<&Division> {
         match self.branch {
             Branch::Main => Some(&self.submission.division),
@@ -364,20 +373,22 @@ impl MissionEntry {
         }
     }
 
-    /// In which order missions are served: smallest first.
+    /// Returns the sort key in which missions are served: smallest first.
     pub fn rank(&self) -> (Reverse<Priority>, u64) {
         (Reverse(self.submission.priority), self.number)
     }
 
-    /// The robots that failed at a role of this mission, and why: they are not asked for it again.
+    /// Returns the robots that failed at a role of this mission, with the causes. They are not
+    /// invited again for this role.
     pub fn excluded(&self, role: &RoleId) -> BTreeMap<RobotId, String> {
-        let blamed = self.releases.iter().filter(|released| released.blamed && released.role == *role);
-        blamed.map(|released| (released.robot.clone(), released.cause.clone())).collect()
+        let failed = self.releases.iter().filter(|released| released.robot_failed && released.role == *role);
+        failed.map(|released| (released.robot.clone(), released.cause.clone())).collect()
     }
 
-    /// Goes over to the recovery branch for what was lost, if there is one that has not been taken and that asks for
-    /// nothing that is not known. All its roles are open.
-    pub(super) fn recover(&mut self, lost: &HeldItem, kept: Vec<HeldItem>) -> bool {
+    /// Switches to the recovery branch for the lost item. Returns false without any change if there
+    /// is no such branch, if it was taken before, or if it uses a value that is not known. All its
+    /// roles are open.
+    pub(super) fn recover(&mut self, lost: &HeldItem, held: Vec<HeldItem>) -> bool {
         let from = lost.role.clone();
         let lost = LostItem { item: lost.item.clone(), robot: lost.robot.clone(), place: lost.place.clone() };
         let filled = match self.branch {
@@ -394,13 +405,13 @@ impl MissionEntry {
         self.roles = RoleEntry::all_open(&filled.mission);
         self.submission.recovery = Some(filled);
         self.branch = Branch::Recovery;
-        self.items_at_recovery = kept;
+        self.items_at_recovery = held;
         self.auction = None;
         self.state = MissionState::Pending;
         true
     }
 
-    /// Steps ended and steps in all, over all managed roles.
+    /// Returns the number of ended steps and of all steps, over all managed roles.
     pub fn progress(&self) -> (usize, usize) {
         let managed = self.roles.iter().filter(|(_, role)| role.kind == RoleKind::Managed);
         managed.fold((0, 0), |(done, all), (id, role)| {

@@ -1,14 +1,15 @@
-//! What becomes of a mission when a robot is lost, or when it is given up, withdrawn or closed.
+//! Consequences for a mission when a robot is lost, and when the mission fails, is canceled or is
+//! closed.
 //!
 //! ```text
-//! a role is taken from its holder, which …
-//!   has, or may have, an item ──────▶ the mission's recovery branch, else needs rescue
-//!   has only cleaning up left ──────▶ the role has ended
-//!   told nobody of its work ────────▶ the role is open again       (also: `on_loss: restart`)
-//!   told others ────────────────────▶ failed
-//! the same within the recovery branch, of which there is one: with what it moves in hand ──▶ needs rescue; else as above,
-//!   and what was lost at first is still where it was
-//! given up or withdrawn while somebody has, or may have, an item ──▶ needs rescue ── a person ──▶ failed
+//! a role is released from its holder, which …
+//!   has, or may have, an item ──────▶ the mission's recovery branch, else needs intervention
+//!   has only cleanup left ──────────▶ the role has ended
+//!   has signalled no other role ────▶ the role is open again       (also: `on_loss: restart`)
+//!   has signalled other roles ──────▶ failed
+//! in the recovery branch: the robot has an item that the branch moves ──▶ needs intervention; else as above,
+//!   and the item that was lost first is still where it was
+//! failed or canceled while a robot has, or may have, an item ──▶ needs intervention ── a person ──▶ failed
 //! ```
 
 use super::apply::{CommandError, CommandOutcome, Ledger};
@@ -19,11 +20,12 @@ use crate::lease::Epoch;
 use crate::mission::{OnLoss, RoleKind};
 use std::collections::BTreeMap;
 
-/// How often the roles of a mission may be taken from robots that had confirmed them; then it fails. Raised: a mission
-/// outlives more losses, and one that no robot can carry out wears out more of them. Default: a guess.
+/// Maximum number of releases from robots that had confirmed their roles; then the mission fails.
+/// Raised: a mission survives more losses, but a mission that no robot can complete occupies more
+/// robots. Default: a guess.
 pub const RELEASES_MAX: usize = 5;
 
-/// Why a role is taken from its holder.
+/// Cause of a release.
 pub(super) struct ReleaseCause {
     pub(super) cause: String,
     pub(super) robot_failed: bool,
@@ -40,16 +42,22 @@ impl Ledger {
     ) -> Result<CommandOutcome, CommandError> {
         let role = self.held_role(mission, role_id, epoch)?;
         if role.phase == RolePhase::Ended {
-            return Ok(CommandOutcome::Done); // carried out: nobody needs to do it again
+            return Ok(CommandOutcome::Done); // completed: it need not be repeated
         }
         let Some(robot) = role.holder.as_ref().map(|holder| holder.robot.clone()) else {
             return Ok(CommandOutcome::Done);
         };
         let confirmed = role.phase == RolePhase::Active;
-        let ReleaseCause { cause, robot_failed: blamed, place } = loss;
+        let ReleaseCause { cause, robot_failed, place } = loss;
         let entry = self.active_mission(mission)?;
-        let (role, who) = (role_id.clone(), robot.clone());
-        entry.releases.push(RoleRelease { role, robot: who, cause: cause.clone(), blamed: *blamed, confirmed });
+        let (role, holder) = (role_id.clone(), robot.clone());
+        entry.releases.push(RoleRelease {
+            role,
+            robot: holder,
+            cause: cause.clone(),
+            robot_failed: *robot_failed,
+            confirmed,
+        });
         entry.release_count = entry.release_count.saturating_add(1);
         if entry.releases.len() > RELEASES_KEPT {
             let first = entry.releases.iter().position(|released| !released.confirmed).unwrap_or(0);
@@ -57,16 +65,16 @@ impl Ledger {
         }
 
         let places = place.iter().map(|place| (robot.clone(), place.clone())).collect();
-        let kept = in_places(entry.custody(), &places);
+        let held = in_places(entry.custody(), &places);
         let lost =
-            kept.iter().filter(|kept| kept.role == *role_id && kept.robot == robot).min_by_key(|kept| !kept.certain);
+            held.iter().filter(|held| held.role == *role_id && held.robot == robot).min_by_key(|held| !held.certain);
         if let Some(lost) = lost.cloned() {
-            if entry.recover(&lost, kept.clone()) {
+            if entry.recover(&lost, held.clone()) {
                 return Ok(CommandOutcome::Done);
             }
             let has = if lost.certain { "has" } else { "may have" };
             let cause = format!("{robot} was lost as {role_id} and {has} the {}: {cause}", lost.item);
-            entry.state = MissionState::NeedsRescue { cause, items: kept };
+            entry.state = MissionState::NeedsIntervention { cause, items: held };
             return Ok(CommandOutcome::Done);
         }
         if entry.only_cleanup_remains(role_id) {
@@ -78,11 +86,12 @@ impl Ledger {
             let cause = format!("{robot} was lost as {role_id} after others had acted on its work: {cause}");
             return self.end(mission, MissionState::Failed { cause }, &places);
         }
-        let worn: Vec<&RoleRelease> = entry.releases.iter().filter(|released| released.confirmed).collect();
-        if worn.len() >= RELEASES_MAX {
-            let causes = worn.iter().map(|released| format!("{} ({})", released.cause, released.role));
+        let confirmed_releases: Vec<&RoleRelease> =
+            entry.releases.iter().filter(|released| released.confirmed).collect();
+        if confirmed_releases.len() >= RELEASES_MAX {
+            let causes = confirmed_releases.iter().map(|released| format!("{} ({})", released.cause, released.role));
             let causes = causes.collect::<Vec<_>>().join("; ");
-            let cause = format!("its roles were given up {} times: {causes}", worn.len());
+            let cause = format!("its roles were given up {} times: {causes}", confirmed_releases.len());
             return self.end(mission, MissionState::Failed { cause }, &places);
         }
         let role = self.held_role(mission, role_id, epoch)?;
@@ -93,7 +102,8 @@ impl Ledger {
         Ok(CommandOutcome::Done)
     }
 
-    /// Ends a mission so, unless somebody has an item in hand: then it needs rescue.
+    /// Ends a mission in the given state. If a robot has an item, the mission needs intervention
+    /// instead.
     pub(super) fn end(
         &mut self,
         mission: &MissionId,
@@ -105,19 +115,20 @@ impl Ledger {
         let cause = match &state {
             MissionState::Failed { cause } => cause.clone(),
             MissionState::Canceled { by } => format!("canceled by {by}"),
-            MissionState::Completed => "carried out".to_owned(),
-            MissionState::Pending | MissionState::Running | MissionState::NeedsRescue { .. } => String::new(),
+            MissionState::Completed => "completed".to_owned(),
+            MissionState::Pending | MissionState::Running | MissionState::NeedsIntervention { .. } => String::new(),
         };
         entry.state = match items.is_empty() {
             true => state,
-            false => MissionState::NeedsRescue { cause: format!("{cause}; {}", whereabouts(&items)), items },
+            false => MissionState::NeedsIntervention { cause: format!("{cause}; {}", custody_text(&items)), items },
         };
         self.prune_history();
         Ok(CommandOutcome::Done)
     }
 
-    /// Withdraws a mission. One that waits for a person stays so, since only a person who has been there can close it; and
-    /// whoever asks again for want of an answer has been heard.
+    /// Cancels a mission. A mission that waits for a person keeps its state, since only a person on
+    /// site can close it. A client that repeats the request, for lack of a reply, gets the same
+    /// outcome.
     pub(super) fn cancel(
         &mut self,
         mission: &MissionId,
@@ -125,7 +136,7 @@ impl Ledger {
         places: &BTreeMap<RobotId, PlaceId>,
     ) -> Result<CommandOutcome, CommandError> {
         match self.missions.get(mission).map(|entry| &entry.state) {
-            Some(MissionState::NeedsRescue { .. }) => Ok(CommandOutcome::Done),
+            Some(MissionState::NeedsIntervention { .. }) => Ok(CommandOutcome::Done),
             Some(MissionState::Canceled { by: known }) if *known == by => Ok(CommandOutcome::Done),
             _ => self.end(mission, MissionState::Canceled { by }, places),
         }
@@ -135,10 +146,10 @@ impl Ledger {
         let Some(entry) = self.missions.get_mut(mission) else {
             return Err(CommandError::NoMission { mission: mission.clone() });
         };
-        let closing = format!("; rescued by {by}");
+        let closing = format!("; resolved by {by}");
         let cause = match &entry.state {
-            MissionState::NeedsRescue { cause, .. } => cause,
-            // Asked once more for want of an answer.
+            MissionState::NeedsIntervention { cause, .. } => cause,
+            // The request was repeated for lack of a reply.
             MissionState::Failed { cause } if cause.ends_with(&closing) => return Ok(CommandOutcome::Done),
             state => {
                 let state = state.as_str().to_owned();
@@ -146,12 +157,13 @@ impl Ledger {
             }
         };
         entry.state = MissionState::Failed { cause: format!("{cause}{closing}") };
-        // The oldest are forgotten when the next mission ends: this one may be among them, and is still to be looked at.
+        // The history is pruned when the next mission ends: this mission may be among the oldest,
+        // and must remain visible.
         Ok(CommandOutcome::Done)
     }
 
-    /// Completes a mission whose managed roles have all ended. If its recovery branch left something where it was, a person
-    /// is still needed.
+    /// Completes a mission once all its managed roles have ended. If its recovery branch left an
+    /// item in place, a person is still needed.
     pub(super) fn complete_if_done(&mut self, mission: &MissionId) -> Result<CommandOutcome, CommandError> {
         let entry = self.active_mission(mission)?;
         let mut managed = entry.roles.values().filter(|role| role.kind == RoleKind::Managed);
@@ -161,8 +173,8 @@ impl Ledger {
         match entry.unmoved_items() {
             items if items.is_empty() => entry.state = MissionState::Completed,
             items => {
-                let cause = format!("the recovery branch was carried out; {}", whereabouts(&items));
-                entry.state = MissionState::NeedsRescue { cause, items };
+                let cause = format!("the recovery branch was completed; {}", custody_text(&items));
+                entry.state = MissionState::NeedsIntervention { cause, items };
             }
         }
         self.prune_history();
@@ -171,30 +183,31 @@ impl Ledger {
 }
 
 impl MissionEntry {
-    /// What the recovery branch has not moved: it is still where it was lost.
+    /// Returns the items that the recovery branch has not moved: they are still where they were
+    /// lost.
     pub(super) fn unmoved_items(&self) -> Vec<HeldItem> {
         if self.items_at_recovery.is_empty() {
             return vec![];
         }
-        self.custody().into_iter().filter(|kept| self.items_at_recovery.contains(kept)).collect()
+        self.custody().into_iter().filter(|held| self.items_at_recovery.contains(held)).collect()
     }
 }
 
-fn in_places(mut kept: Vec<HeldItem>, places: &BTreeMap<RobotId, PlaceId>) -> Vec<HeldItem> {
-    for item in &mut kept {
+fn in_places(mut held: Vec<HeldItem>, places: &BTreeMap<RobotId, PlaceId>) -> Vec<HeldItem> {
+    for item in &mut held {
         if let Some(place) = places.get(&item.robot) {
             item.place = Some(place.clone());
         }
     }
-    kept
+    held
 }
 
-/// `the sample is with amber at IC Room 6`.
-fn whereabouts(items: &[HeldItem]) -> String {
-    let line = |kept: &HeldItem| {
-        let is = if kept.certain { "is" } else { "may be" };
-        let at = kept.place.as_ref().map(|place| format!(" at {place}")).unwrap_or_default();
-        format!("the {} {is} with {}{at}", kept.item, kept.robot)
+/// Formats custody: `the sample is with amber at IC Room 6`.
+fn custody_text(items: &[HeldItem]) -> String {
+    let line = |held: &HeldItem| {
+        let is = if held.certain { "is" } else { "may be" };
+        let at = held.place.as_ref().map(|place| format!(" at {place}")).unwrap_or_default();
+        format!("the {} {is} with {}{at}", held.item, held.robot)
     };
     items.iter().map(line).collect::<Vec<_>>().join(", ")
 }

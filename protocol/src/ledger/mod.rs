@@ -1,9 +1,12 @@
-//! The ledger: what the fleet has promised and what came of it, as a state machine that consensus replicates.
+//! The ledger: accepted missions, awards and their results, as a state machine that consensus
+//! replicates.
 //!
-//! A mission that is in the ledger has been acknowledged; a role that it gives to a robot is that robot's until it is
-//! released, whoever coordinates. [`Ledger::apply`] is a pure function of the ledger and a [`Command`] at its position
-//! ([`Epoch`](crate::lease::Epoch)) in the log, so that all copies agree. Commands say what the coordinator saw; a command that no longer
-//! fits the ledger is [refused](Refused) and changes nothing, so that a late or repeated one does no harm.
+//! A mission in the ledger has been acknowledged. A role that the ledger assigns to a robot stays
+//! with that robot until it is released, also under another coordinator. [`Ledger::apply`] is a
+//! pure function of the ledger and a [`Command`] at its position ([`Epoch`](crate::lease::Epoch))
+//! in the log, so that all replicas agree. Commands contain the coordinator's observations. A
+//! command that no longer fits the ledger is [rejected](CommandError) and changes nothing, so late
+//! and repeated commands do no harm.
 //!
 //! ```text
 //!                 award (all open roles)         all managed roles ended
@@ -12,8 +15,9 @@
 //!             └──┘◀────── release ─────────┘ └── fail (cause) ─▶ failed      cancel: from pending and running
 //! ```
 //!
-//! A mission that would fail or be canceled while a robot has something in its hands goes to *needs rescue* instead, and
-//! stays there until a person closes it; with a recovery branch it goes on with that. `custody` says who has what.
+//! A mission that would fail or be canceled while a robot has an item changes to *needs
+//! intervention* instead, and stays there until a person closes it. If it has a recovery branch, it
+//! continues with that branch. The module `custody` computes which robot has which item.
 
 mod apply;
 mod custody;

@@ -1,7 +1,9 @@
-//! What a coordinator tells those who act in unmanaged roles: the plans of all missions under way.
+//! Plans of the active missions, as the coordinator sends them to the human task proxies of
+//! unmanaged roles.
 //!
-//! A message is bounded ([`codec::LIMIT`]), so the answer comes in as many parts as it takes, and each says how many plans
-//! there are in all: whoever has not heard all of them has heard nothing, since what is not among them is over.
+//! A message is bounded ([`codec::MESSAGE_BYTES_MAX`]), so the reply is split into as many parts as
+//! needed. Each part contains the total number of plans. A receiver that lacks a part ignores the
+//! reply, since plans that are not listed count as ended.
 
 use crate::codec;
 use crate::ids::{ClusterId, MissionId, RoleId};
@@ -11,62 +13,64 @@ use crate::plan::{LocalPlan, Signal, StepIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// For whatever is around the plans of a part, the cluster's envelope included; and some more.
+/// Bytes reserved in each part for the fields around the plans and for the cluster envelope, with a
+/// margin.
 const FRAME: usize = 256;
 
-/// A mission under way, for those who act in unmanaged roles.
+/// Plan of an unmanaged role in an active mission.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ActivePlan {
     /// The mission.
     pub mission: MissionId,
-    /// Which of its branches is taken.
+    /// Branch of the mission that is executed.
     pub branch: Branch,
-    /// The plan of one unmanaged role in that branch.
+    /// Plan of the unmanaged role in that branch.
     pub plan: LocalPlan,
-    /// Steps that the ledger knows as ended.
+    /// Steps that have ended according to the ledger.
     pub ended: BTreeSet<StepIndex>,
-    /// Who holds the managed roles.
+    /// Holders of the managed roles.
     pub holders: BTreeMap<RoleId, RoleHolder>,
-    /// The managed roles that nobody holds: tasks that name one of them wait.
+    /// Managed roles without a holder: tasks that name such a role wait.
     pub vacant: BTreeSet<RoleId>,
-    /// What other roles have told this one, as far as the ledger knows.
+    /// Signals from other roles to this role, according to the ledger.
     pub signals: BTreeSet<Signal>,
 }
 
 /// All plans of unmanaged roles, or a part of them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ActiveMissions {
-    /// Whose missions they are: a ledger founded anew may have others of the same names.
+    /// Cluster of the missions: a newly created ledger may have other missions with the same names.
     pub cluster: Option<ClusterId>,
-    /// How many plans there are in all parts.
+    /// Number of plans in all parts.
     pub count: u32,
-    /// Those in this part.
+    /// Plans in this part.
     pub plans: Vec<ActivePlan>,
 }
 
 impl ActiveMissions {
-    /// The answer as parts, each of which fits a message; one without plans is an answer, too. Beside it plans that fit no
-    /// message, which nobody can be told.
+    /// Splits the reply into parts that each fit a message; a reply without plans has 1 part. Also
+    /// returns the plans that are too large for any message and cannot be sent.
     pub fn split(cluster: Option<ClusterId>, plans: Vec<ActivePlan>) -> (Vec<ActiveMissions>, Vec<ActivePlan>) {
         let size = |plan: &ActivePlan| codec::encode(plan).map_or(usize::MAX, |bytes| bytes.len());
-        let (plans, unfit): (Vec<_>, Vec<_>) =
+        let (plans, too_large): (Vec<_>, Vec<_>) =
             plans.into_iter().partition(|plan| size(plan) <= codec::MESSAGE_BYTES_MAX - FRAME);
-        let count = u32::try_from(plans.len()).expect("fewer missions than that fit a ledger");
+        let count = u32::try_from(plans.len()).expect("a ledger holds fewer than 2^32 missions");
         let mut parts = vec![ActiveMissions { cluster, count, plans: vec![] }];
         let mut used = FRAME;
         for plan in plans {
-            let more = size(&plan);
-            if used + more > codec::MESSAGE_BYTES_MAX {
+            let size_of_plan = size(&plan);
+            if used + size_of_plan > codec::MESSAGE_BYTES_MAX {
                 parts.push(ActiveMissions { cluster, count, plans: vec![] });
                 used = FRAME;
             }
-            used += more;
-            parts.last_mut().expect("there is one from the beginning").plans.push(plan);
+            used += size_of_plan;
+            parts.last_mut().expect("the list starts with 1 part").plans.push(plan);
         }
-        (parts, unfit)
+        (parts, too_large)
     }
 
-    /// The parts put together, repeated ones once. `None` if one is lacking, or if they are not parts of one answer.
+    /// Joins the parts; repeated parts count once. Returns `None` if a part is missing, or if the
+    /// parts belong to different replies.
     pub fn join(parts: Vec<ActiveMissions>) -> Option<ActiveMissions> {
         let (cluster, count) = parts.first().map(|part| (part.cluster, part.count))?;
         if parts.iter().any(|part| (part.cluster, part.count) != (cluster, count)) {
@@ -86,7 +90,7 @@ mod tests {
     use crate::mission::TaskSpec;
     use crate::plan::{Step, StepAction};
 
-    /// A plan of about so many bytes.
+    /// Creates a plan of about `bytes` bytes.
     fn plan(number: usize, bytes: usize) -> ActivePlan {
         let nurse = RoleId::new("nurse").unwrap();
         let mut spec = TaskSpec::of(TaskType::new("deposit").unwrap(), vec![nurse.clone()]);
@@ -104,48 +108,48 @@ mod tests {
     }
 
     #[test]
-    fn each_part_fits_a_message_within_its_envelope() {
+    fn each_part_fits_a_message_with_its_envelope() {
         let cluster = Some(ClusterId(u64::MAX));
-        // Eight of the large ones would not fit a message, and hundreds of the small ones do.
+        // Eight of the large plans would not fit a message; hundreds of the small plans do.
         let mut plans: Vec<ActivePlan> = (100..112).map(|number| plan(number, 30_000)).collect();
         plans.extend((112..400).map(|number| plan(number, 20)));
         plans.push(plan(400, codec::MESSAGE_BYTES_MAX - FRAME - 100));
-        let (parts, unfit) = ActiveMissions::split(cluster, plans.clone());
-        assert_eq!(unfit, []);
+        let (parts, too_large) = ActiveMissions::split(cluster, plans.clone());
+        assert_eq!(too_large, []);
         for part in &parts {
-            let said = codec::encode(part).expect("a part fits");
-            codec::encode(&ClusterEnvelope { cluster, payload: said }).expect("with its envelope, too");
+            let payload = codec::encode(part).expect("a part fits");
+            codec::encode(&ClusterEnvelope { cluster, payload }).expect("the envelope fits, too");
         }
         assert!(parts.len() <= 8, "{} parts", parts.len());
         assert_eq!(ActiveMissions::join(parts), Some(ActiveMissions { cluster, count: 301, plans }));
     }
 
     #[test]
-    fn a_plan_that_fits_no_message_does_not_hold_up_the_others() {
-        let (parts, unfit) =
+    fn a_plan_that_is_too_large_does_not_block_the_others() {
+        let (parts, too_large) =
             ActiveMissions::split(None, vec![plan(1, 20), plan(2, codec::MESSAGE_BYTES_MAX), plan(3, 20)]);
-        assert_eq!(unfit, [plan(2, codec::MESSAGE_BYTES_MAX)]);
+        assert_eq!(too_large, [plan(2, codec::MESSAGE_BYTES_MAX)]);
         assert_eq!(ActiveMissions::join(parts).unwrap().plans, [plan(1, 20), plan(3, 20)]);
     }
 
     #[test]
-    fn an_answer_of_which_a_part_is_lacking_is_none() {
+    fn a_reply_with_a_missing_part_is_rejected() {
         let (parts, _) = ActiveMissions::split(None, (1..6).map(|number| plan(number, 30_000)).collect());
         assert!(parts.len() > 1);
         for lost in 0..parts.len() {
-            let mut heard = parts.clone();
-            heard.remove(lost);
-            assert_eq!(ActiveMissions::join(heard), None);
+            let mut received = parts.clone();
+            received.remove(lost);
+            assert_eq!(ActiveMissions::join(received), None);
         }
         let repeated = parts.iter().chain(&parts).cloned().collect();
         assert_eq!(ActiveMissions::join(repeated).unwrap().plans.len(), 5);
-        assert_eq!(ActiveMissions::join(vec![]), None, "no answer is none");
+        assert_eq!(ActiveMissions::join(vec![]), None, "no parts are not a reply");
         let (nothing, _) = ActiveMissions::split(None, vec![]);
-        assert_eq!(ActiveMissions::join(nothing).unwrap().plans, [], "and nothing under way is one");
+        assert_eq!(ActiveMissions::join(nothing).unwrap().plans, [], "a reply without plans is valid");
     }
 
     #[test]
-    fn parts_of_two_answers_are_not_put_together() {
+    fn parts_of_two_replies_are_not_joined() {
         let (mut parts, _) = ActiveMissions::split(Some(ClusterId(1)), vec![plan(1, 20)]);
         parts.extend(ActiveMissions::split(Some(ClusterId(2)), vec![plan(1, 20)]).0);
         assert_eq!(ActiveMissions::join(parts), None);

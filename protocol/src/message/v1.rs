@@ -1,5 +1,5 @@
-//! Messages whose layout has changed, as version 1 of the wire has them. What is not in it is not sent to whoever may read no
-//! later one.
+//! Layouts of wire version 1, for messages whose layout has changed since. Fields that version 1
+//! lacks are not sent to nodes that read no later version.
 
 use crate::ids::NodeId;
 use crate::knowledge::{Digest, DigestScope, Knowledge, RecordStamp};
@@ -28,17 +28,17 @@ impl From<Record> for crate::knowledge::Record {
     }
 }
 
-/// See [`message::Statement`].
-#[expect(clippy::large_enum_variant, reason = "as in what it stands for")]
+/// Layout of [`message::RecordUpdate`] in version 1.
+#[expect(clippy::large_enum_variant, reason = "same as in the current layout")]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum RecordUpdate {
-    /// All of it.
+    /// The whole record.
     Record(Record),
-    /// That it still says what it said.
+    /// The record has not changed.
     Refresh {
-        /// Its latest version.
+        /// Latest version of the record.
         stamp: RecordStamp,
-        /// The version with which it began to say this.
+        /// Version since which the content is unchanged.
         since: u64,
     },
 }
@@ -61,7 +61,7 @@ impl From<RecordUpdate> for message::RecordUpdate {
     }
 }
 
-/// See [`message::Exchange`].
+/// Layout of [`message::Exchange`] in version 1.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Exchange {
     sums: Vec<u64>,

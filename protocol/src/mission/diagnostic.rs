@@ -1,20 +1,21 @@
-//! What can be wrong with a mission, said so that its writer can mend it.
+//! Diagnostics of missions, worded so that the author can correct the mission.
 
 use crate::count::count;
 use crate::ids::{ItemId, NameError, RoleId, TaskId};
 use std::fmt;
 
-/// All that is wrong with a mission. Ordinary for a mission written by hand; nothing was taken over.
+/// Error: a mission is invalid, with all diagnostics. Common for a mission written by hand; nothing
+/// was changed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MissionErrors {
-    /// The mission, by the name it gives itself.
+    /// Name of the mission, as given in it.
     pub mission: String,
-    /// Every problem that was found, in the order of the file. Never empty.
+    /// Diagnostics in the order of the file. Never empty.
     pub diagnostics: Vec<MissionDiagnostic>,
 }
 
 impl fmt::Display for MissionErrors {
-    /// One line for the mission, then one line a problem.
+    /// Writes 1 line for the mission, then 1 line per diagnostic.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "mission {} has {}:", self.mission, count(self.diagnostics.len(), "problem", "problems"))?;
         self.diagnostics.iter().try_for_each(|problem| write!(f, "\n  {problem}"))
@@ -24,19 +25,19 @@ impl fmt::Display for MissionErrors {
 impl std::error::Error for MissionErrors {}
 
 impl MissionErrors {
-    /// `Ok` if there is no problem.
+    /// Returns `Ok` if there are no diagnostics.
     pub(super) fn ok_if_empty(mission: impl fmt::Display, problems: Vec<MissionDiagnostic>) -> Result<(), Self> {
         if problems.is_empty() { Ok(()) } else { Err(Self { mission: mission.to_string(), diagnostics: problems }) }
     }
 }
 
-/// One thing that is wrong, and where.
+/// Problem with its place in the mission.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MissionDiagnostic {
-    /// Where: the tasks from the root down (`root/meet_nurse/navto_room`), or another part of the file
-    /// (`roles/nurse`, `parameters/room`).
+    /// Place: the tasks from the root down (`root/meet_nurse/navto_room`), or another part of the
+    /// file (`roles/nurse`, `parameters/room`).
     pub path: String,
-    /// What.
+    /// Kind of problem.
     pub kind: MissionErrorKind,
 }
 
@@ -46,20 +47,20 @@ impl fmt::Display for MissionDiagnostic {
     }
 }
 
-/// The names that would have been right, and the likeliest of them.
+/// Names that are allowed at a place, and the most similar of them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AllowedNames {
-    /// All of them, in order.
+    /// All allowed names, in order.
     pub names: Vec<String>,
-    /// The one that was probably meant.
+    /// Name that was probably intended.
     pub nearest: Option<String>,
 }
 
-/// How many allowed names a message lists.
+/// Maximum number of allowed names in a message.
 const NAMES_SHOWN: usize = 24;
 
 impl AllowedNames {
-    /// The names allowed where `found` stood.
+    /// Creates the names allowed in place of `found`.
     pub fn suggest_for<T: fmt::Display>(found: &str, names: impl IntoIterator<Item = T>) -> Self {
         let names: Vec<String> = names.into_iter().map(|name| name.to_string()).collect();
         let nearest = names
@@ -75,7 +76,7 @@ impl AllowedNames {
 impl fmt::Display for AllowedNames {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.names.is_empty() {
-            return f.write_str("there are none to choose from");
+            return f.write_str("no names are available");
         }
         let shown = &self.names[..self.names.len().min(NAMES_SHOWN)];
         write!(f, "allowed: {}", shown.join(", "))?;
@@ -89,7 +90,8 @@ impl fmt::Display for AllowedNames {
     }
 }
 
-/// Edits (insert, delete, replace, swap of neighbours) from one name to the other, letter case aside.
+/// Returns the edit distance (insert, delete, replace, swap of neighbours) of two names, ignoring
+/// case.
 fn distance(a: &str, b: &str) -> usize {
     let a: Vec<char> = a.chars().take(80).flat_map(char::to_lowercase).collect();
     let b: Vec<char> = b.chars().take(80).flat_map(char::to_lowercase).collect();
@@ -109,55 +111,55 @@ fn distance(a: &str, b: &str) -> usize {
     rows[a.len()][b.len()]
 }
 
-/// What is wrong at one place of a mission.
+/// Kind of problem in a mission.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MissionErrorKind {
-    /// A name that is none.
+    /// A name is invalid.
     #[error(transparent)]
     Name(#[from] NameError),
 
-    /// A mission without any task.
-    #[error("there is no task at all; the first task is the root")]
+    /// The mission has no task.
+    #[error("the mission has no task; the first task is the root")]
     NoTask,
-    /// Too many nodes.
+    /// There are too many tasks.
     #[error("{found} tasks; at most {max} are allowed")]
     TooManyTasks {
-        /// How many there are.
+        /// Number found.
         found: usize,
-        /// How many there may be.
+        /// Maximum.
         max: usize,
     },
-    /// Too many roles.
+    /// There are too many roles.
     #[error("{found} roles; at most {max} are allowed")]
     TooManyRoles {
-        /// How many there are.
+        /// Number found.
         found: usize,
-        /// How many there may be.
+        /// Maximum.
         max: usize,
     },
-    /// Too many levels of refinement.
-    #[error("stands {found} levels deep; at most {max} are allowed")]
+    /// There are too many levels of refinement.
+    #[error("is {found} levels deep; at most {max} are allowed")]
     TooDeep {
-        /// How deep it stands; the root stands at 1.
+        /// Depth of the task; the root has depth 1.
         found: usize,
-        /// How deep it may stand.
+        /// Maximum depth.
         max: usize,
     },
-    /// A child that does not exist.
+    /// A child does not exist.
     #[error("is refined into task number {child}, but the mission has {tasks} tasks, counted from 0")]
     ChildOutOfRange {
-        /// The child's index.
+        /// Index of the child.
         child: u32,
-        /// How many tasks there are.
+        /// Number of tasks.
         tasks: usize,
     },
-    /// A child at or before its parent, as in every cycle.
-    #[error("is refined into `{child}`, which does not stand after it: a cycle, or tasks out of order")]
+    /// A child is at or before its parent, as in every cycle.
+    #[error("is refined into `{child}`, which is not listed after it: a cycle, or tasks out of order")]
     ChildNotAfter {
         /// The child.
         child: String,
     },
-    /// A node in two places of the tree, or twice in one.
+    /// A node occurs in two places of the tree, or twice in the same place.
     #[error("is refined into `{child}`, which already belongs to {parent}; a task has one parent")]
     TwoParents {
         /// The child.
@@ -165,32 +167,32 @@ pub enum MissionErrorKind {
         /// Path of its other parent.
         parent: String,
     },
-    /// A node that hangs in the air.
+    /// A node has no parent.
     #[error("belongs to no task; only the first task, the root, has no parent")]
     NoParent,
-    /// A method that does nothing.
-    #[error("its method has no tasks; a method has at least one")]
+    /// A method has no tasks.
+    #[error("its method has no tasks; a method needs at least 1 task")]
     EmptyMethod,
-    /// Two tasks of one name.
-    #[error("has the name of {first}; task names are unique in a mission")]
+    /// Two tasks have the same name.
+    #[error("has the same name as {first}; task names must be unique in a mission")]
     DuplicateId {
-        /// Path of the first task of that name.
+        /// Path of the first task with that name.
         first: String,
     },
 
-    /// Nobody the fleet could provide.
-    #[error("no role is managed; a mission needs at least one role that a robot fills")]
+    /// No role is managed.
+    #[error("no role is managed; a mission needs at least 1 role that a robot fills")]
     NoManagedRole,
-    /// A role without a task.
-    #[error("has no task; give it one or leave it out")]
+    /// A role has no task.
+    #[error("has no task; add a task for it or remove it")]
     UnusedRole,
-    /// A task nobody does.
-    #[error("no role does it; name at least one, {allowed}")]
+    /// A task has no role.
+    #[error("has no role; name at least 1 role, {allowed}")]
     NoRole {
         /// The mission's roles.
         allowed: AllowedNames,
     },
-    /// A role that the mission does not have.
+    /// A role is not declared in the mission.
     #[error("unknown role `{role}`; {allowed}")]
     UnknownRole {
         /// As given.
@@ -198,21 +200,21 @@ pub enum MissionErrorKind {
         /// The mission's roles.
         allowed: AllowedNames,
     },
-    /// A role named twice.
+    /// A role is named twice.
     #[error("names the role `{role}` twice")]
     RoleTwice {
         /// The role.
         role: RoleId,
     },
-    /// A joint task of too many.
-    #[error("{found} roles do it jointly; at most {max} are allowed")]
+    /// Too many roles execute a task jointly.
+    #[error("{found} roles execute it jointly; at most {max} are allowed")]
     TooManyJoint {
-        /// How many there are.
+        /// Number found.
         found: usize,
-        /// How many there may be.
+        /// Maximum.
         max: usize,
     },
-    /// A kind of task that nothing realises.
+    /// The task type is not in the domain.
     #[error("unknown task type `{task_type}`; {allowed}")]
     UnknownType {
         /// As given.
@@ -220,160 +222,160 @@ pub enum MissionErrorKind {
         /// The domain's task types.
         allowed: AllowedNames,
     },
-    /// A parameter that the task type does not have.
+    /// The task type does not have the parameter.
     #[error("`{task_type}` has no parameter `{name}`; {allowed}")]
     UnknownParameter {
-        /// The task's type.
+        /// Type of the task.
         task_type: String,
-        /// The parameter as given.
+        /// Parameter as given.
         name: String,
-        /// The type's parameters.
+        /// Parameters of the type.
         allowed: AllowedNames,
     },
-    /// A parameter that the task type needs.
+    /// A required parameter is missing.
     #[error("`{task_type}` needs the parameter `{name}`: {kind}")]
     MissingParameter {
-        /// The task's type.
+        /// Type of the task.
         task_type: String,
-        /// The parameter that is missing.
+        /// Missing parameter.
         name: String,
-        /// What it should hold, in words.
+        /// Required kind of value, as text.
         kind: String,
     },
-    /// A value that is not of its parameter's kind.
-    #[error("parameter `{name}` is {value:?}; it should be {kind}")]
+    /// A value is not of the kind of its parameter.
+    #[error("parameter `{name}` is {value:?}; it must be {kind}")]
     BadValue {
         /// The parameter.
         name: String,
-        /// Its value.
+        /// Value as given.
         value: String,
-        /// What it should hold, in words.
+        /// Required kind of value, as text.
         kind: String,
     },
-    /// A place that is on no map.
+    /// A place is not on the map.
     #[error("`{name}` is the place {place:?}, which is not on the fleet's map; {allowed}")]
     UnknownPlace {
         /// The parameter.
         name: String,
-        /// The place as given.
+        /// Place as given.
         place: String,
-        /// The map's places.
+        /// Places of the map.
         allowed: AllowedNames,
     },
-    /// A parameter that names a role which the mission does not have.
-    #[error("parameter `{name}` names the role `{role}`, which the mission does not have; {allowed}")]
+    /// A parameter names a role that the mission does not have.
+    #[error("parameter `{name}` names the role `{role}`, which is not declared in the mission; {allowed}")]
     ParameterRole {
         /// The parameter.
         name: String,
-        /// The role as given.
+        /// Role as given.
         role: String,
         /// The mission's roles.
         allowed: AllowedNames,
     },
-    /// Too many parameters or reached states on one task.
+    /// A task has too many parameters or reached states.
     #[error("{found} {what}; at most {max} are allowed")]
     TooManyEntries {
-        /// Which list, in words.
+        /// List concerned, as text.
         what: &'static str,
-        /// How many there are.
+        /// Number found.
         found: usize,
-        /// How many there may be.
+        /// Maximum.
         max: usize,
     },
-    /// A text that is too long.
+    /// A text is too long.
     #[error("{what} `{name}` has {found} characters; at most {max} are allowed")]
     TooLong {
-        /// Which text, in words.
+        /// Text concerned.
         what: &'static str,
-        /// Its name, shortened.
+        /// Name, shortened.
         name: String,
-        /// Its length.
+        /// Length found.
         found: usize,
-        /// How long it may be.
+        /// Maximum length.
         max: usize,
     },
 
-    /// Too few or too many attempts.
-    #[error("has {found} attempts; allowed are 1 to {max}")]
+    /// The number of attempts is out of range.
+    #[error("has {found} attempts; 1 to {max} are allowed")]
     Attempts {
         /// As given.
         found: u8,
-        /// How many there may be.
+        /// Maximum.
         max: u8,
     },
-    /// An item that a task both hands over and lays down.
-    #[error("both acquires and releases the item `{item}`; it does one or the other")]
+    /// A task both acquires and releases an item.
+    #[error("both acquires and releases the item `{item}`; only one of the two is allowed")]
     ItemTwice {
         /// The item.
         item: ItemId,
     },
-    /// Two tasks that move one item in no order, so that nobody could tell who has it.
-    #[error("touches the item `{item}`, as does {other}, and neither must come first; put them in sequence")]
+    /// Two tasks that move the same item are unordered, so that custody would be undefined.
+    #[error("touches the item `{item}`, as does {other}, and the two tasks are unordered; put them in sequence")]
     ItemUnordered {
         /// The item.
         item: ItemId,
         /// The other task.
         other: TaskId,
     },
-    /// A recovery branch that is never taken.
+    /// A recovery branch is never taken.
     #[error("is never taken: no task of the mission acquires an item")]
     UnusedRecovery,
-    /// A method with alternatives that is not one role's own affair.
+    /// A method with alternatives is not local to a single role.
     #[error(
-        "has alternatives, so its tasks and theirs are done by one managed role alone and touch no item; \
+        "has alternatives, so a single managed role must execute its tasks and theirs, and none may touch an item; \
          but {task} {problem}"
     )]
     NonLocalAlternatives {
-        /// The task that is not.
+        /// Task that is not local.
         task: TaskId,
-        /// In what way, in words.
+        /// Reason, as text.
         problem: String,
     },
 
-    /// A node of a mission file that is both abstract and elementary, or neither.
+    /// A node of a mission file is both abstract and elementary, or neither.
     #[error(
-        "a task has either `method` and `tasks`, or `type` and `roles` (and `parameters`, `reaches`); this one {problem}"
+        "a task has either `method` and `tasks`, or `type` and `roles` (and `parameters`, `reaches`); this task {problem}"
     )]
     InvalidTaskShape {
-        /// What is wrong, in words.
+        /// Description of the problem.
         problem: String,
     },
-    /// A `${…}` that is not closed or not a name.
+    /// A `${…}` is not closed or not a name.
     #[error("{text:?}: {problem}; write `${{name}}` for a parameter and `$$` for a dollar sign")]
     Substitution {
-        /// The text that holds it.
+        /// Text that contains it.
         text: String,
-        /// What is wrong, in words.
+        /// Description of the problem.
         problem: String,
     },
-    /// A `${…}` of a parameter that the file does not declare.
-    #[error("`${{{name}}}` is no parameter of the mission; {allowed}")]
+    /// A `${…}` names a parameter that the file does not declare.
+    #[error("`${{{name}}}` is not a parameter of the mission; {allowed}")]
     UnknownReference {
-        /// The name in braces.
+        /// Name in braces.
         name: String,
-        /// The declared parameters.
+        /// Declared parameters.
         allowed: AllowedNames,
     },
-    /// A declared parameter that no task uses.
-    #[error("is declared, but `${{{name}}}` stands nowhere in the tasks")]
+    /// No task uses a declared parameter.
+    #[error("is declared, but `${{{name}}}` is not used in any task")]
     UnusedParameter {
         /// The parameter.
         name: String,
     },
-    /// A request that gives what the mission does not ask for.
+    /// A request gives a parameter that the mission does not declare.
     #[error("is given, but the mission has no such parameter; {allowed}")]
     UnknownArgument {
-        /// The declared parameters.
+        /// Declared parameters.
         allowed: AllowedNames,
     },
-    /// A request that does not give what the mission asks for.
-    #[error("is not given and has no default; it should be {kind}")]
+    /// A request lacks a parameter that the mission requires.
+    #[error("is not given and has no default; it must be {kind}")]
     MissingArgument {
-        /// What it should hold, in words.
+        /// Required kind of value, as text.
         kind: String,
     },
 
-    /// What is wrong with a node of a flat iHTN.
+    /// A node of a flat iHTN is invalid.
     #[error(transparent)]
     Ihtn(#[from] super::ihtn::IhtnError),
 }

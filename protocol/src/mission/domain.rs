@@ -1,8 +1,9 @@
-//! What kinds of task there are, and what each needs to be told.
+//! Domain of missions: task types with their parameters, and places.
 //!
-//! A mission is valid within a domain (thesis 3.5: its task types are among those that the system has skills for). Where the
-//! fleet's map is known, the places that it names are among those on it.
-//! The domain says nothing of how a task is done or what it costs: that is the knowledge of skills.
+//! A mission is valid within a domain (thesis 3.5: its task types are among those that the system
+//! has skills for). If the fleet's map is known, the places that a mission uses must be on it. The
+//! domain contains no information on the implementation or the cost of a task: skills have that
+//! information.
 
 use super::diagnostic::{AllowedNames, MissionErrorKind};
 use crate::ids::{PlaceId, TaskType};
@@ -11,49 +12,49 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
-/// The task types that missions may use, and the places that they may name.
+/// Task types and places that missions may use.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Domain {
     types: BTreeMap<TaskType, TaskSchema>,
-    /// Those of the fleet's map; none where no map is at hand, and then every name will do.
+    /// Places of the fleet's map; `None` without a map, and then every name is accepted.
     #[serde(skip)]
     places: Option<Arc<BTreeSet<PlaceId>>>,
 }
 
-/// What a task of one type is told.
+/// Parameters of a task type.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TaskSchema {
-    /// Its parameters, by name.
+    /// Parameters, by name.
     #[serde(default)]
     pub parameters: BTreeMap<String, ParameterSchema>,
 }
 
-/// What one parameter holds.
+/// Schema of a parameter.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ParameterSchema {
-    /// What its value is.
+    /// Kind of value.
     pub kind: ValueKind,
-    /// Whether a task without it is refused.
+    /// True if a task without it is rejected.
     #[serde(default)]
     pub required: bool,
 }
 
-/// What a value is. Values travel as text; the kind says which texts will do.
+/// Kind of a value. Values are text; the kind defines the valid texts.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ValueKind {
-    /// A place on the map.
+    /// Place on the map.
     Place,
-    /// A role of the mission.
+    /// Role of the mission.
     Role,
-    /// A time span in seconds, zero or more, with or without decimals.
+    /// Duration in seconds, 0 or more, with or without decimals.
     Seconds,
     /// Any text.
     Text,
-    /// One of these words.
+    /// A word from this set.
     OneOf(BTreeSet<String>),
 }
 
@@ -73,7 +74,8 @@ impl fmt::Display for ValueKind {
 }
 
 impl ValueKind {
-    /// Whether `text` is such a value. That a role exists in the mission is asked elsewhere.
+    /// Checks whether `text` is a value of this kind. The existence of a role in the mission is
+    /// checked elsewhere.
     pub fn admits(&self, text: &str) -> bool {
         match self {
             ValueKind::Place => PlaceId::new(text).is_ok(),
@@ -86,13 +88,13 @@ impl ValueKind {
 }
 
 impl TaskSchema {
-    /// The same with one more parameter, without which a task is refused.
+    /// Adds a required parameter.
     #[must_use]
     pub fn required(self, name: &str, kind: ValueKind) -> Self {
         self.with(name, kind, true)
     }
 
-    /// The same with one more parameter, which a task may leave out.
+    /// Adds an optional parameter.
     #[must_use]
     pub fn optional(self, name: &str, kind: ValueKind) -> Self {
         self.with(name, kind, false)
@@ -105,25 +107,25 @@ impl TaskSchema {
 }
 
 impl Domain {
-    /// The same with one more task type; a type that is already there is replaced.
+    /// Adds a task type; replaces an existing type of the same name.
     #[must_use]
     pub fn with(mut self, task_type: TaskType, schema: TaskSchema) -> Self {
         self.types.insert(task_type, schema);
         self
     }
 
-    /// The same, where these are all the places that there are.
+    /// Sets the complete list of places.
     #[must_use]
     pub fn with_places(self, places: impl IntoIterator<Item = PlaceId>) -> Self {
         Self { places: Some(Arc::new(places.into_iter().collect())), ..self }
     }
 
-    /// The places of the fleet's map, if it is known.
+    /// Returns the places of the fleet's map, if it is known.
     pub fn places(&self) -> Option<&BTreeSet<PlaceId>> {
         self.places.as_deref()
     }
 
-    /// What is wrong with a value that should be of this kind and is of its form: a place that is on no map.
+    /// Returns the problem of a well-formed value of this kind: a place that is not on the map.
     pub(super) fn unknown_place(&self, name: &str, kind: &ValueKind, value: &str) -> Option<MissionErrorKind> {
         let places = self.places().filter(|_| *kind == ValueKind::Place)?;
         if places.iter().any(|place| place.as_str() == value) {
@@ -133,17 +135,17 @@ impl Domain {
         Some(MissionErrorKind::UnknownPlace { name: name.to_owned(), place: value.to_owned(), allowed })
     }
 
-    /// What a task of this type is told, if the domain has it.
+    /// Returns the parameters of a task type, if the domain has the type.
     pub fn get(&self, task_type: &TaskType) -> Option<&TaskSchema> {
         self.types.get(task_type)
     }
 
-    /// The task types, in the order of their names.
+    /// Returns the task types, in the order of their names.
     pub fn task_types(&self) -> impl Iterator<Item = &TaskType> {
         self.types.keys()
     }
 
-    /// The task types of service robots in a hospital: what the shipped missions are made of.
+    /// Returns the task types of service robots in a hospital, which the shipped missions use.
     pub fn hospital() -> Self {
         use ValueKind::{OneOf, Place, Role, Seconds, Text};
         let position = || OneOf(["open", "close"].map(str::to_owned).into());

@@ -1,11 +1,11 @@
-//! Mission files: a mission with its parameters left open, as people write it, in YAML or JSON.
+//! Mission files: templates of missions with open parameters, written by people in YAML or JSON.
 //!
 //! ```yaml
 //! mission: inspect-room              # the name of the kind of mission: a slug
 //! title: Look after one room         # for people; optional
-//! parameters:                        # what a request fills in; optional
+//! parameters:                        # values that a request provides; optional
 //!   room: { kind: place, default: IC Room 6, description: which room }
-//! roles:                             # who takes part; at least one is managed
+//! roles:                             # participants; at least 1 is managed
 //!   r1: { kind: managed }
 //!   nurse: { kind: unmanaged, description: on duty in the room }
 //! root:                              # an abstract task: `task`, `method`, `tasks`
@@ -17,34 +17,43 @@
 //!     - { task: meet, type: wait, roles: [r1, nurse], parameters: { seconds: "5" } }   # two roles: a joint task
 //! ```
 //!
-//! An elementary task may say more:
+//! Optional fields of an elementary task:
 //!
-//! - `acquires: { sample: r1 }`: once it has ended, `r1` has the sample; `releases: [sample]`: nobody of the mission has.
-//!   Tasks that touch one item must be in a definite order. The ledger knows from this what a lost robot carries.
-//! - `attempts: 3`: how often its skill is tried before the task has failed; 1 to 10, 2 if nothing is said.
-//! - where it takes a person (`approach_person`, `authenticate_person`, `deposit`), `parameters: { patience: "300" }`: how many
-//!   seconds it waits, at each attempt, for one who has left; 120 if nothing is said.
+//! - `acquires: { sample: r1 }`: after the task, `r1` has the sample; `releases: [sample]`: after
+//!   the task, the sample is outside the mission. Tasks that touch the same item must be ordered.
+//!   The ledger derives from this which items a lost robot carries.
+//! - `attempts: 3`: maximum number of attempts of its skill before the task fails permanently; 1 to
+//!   10, default 2.
+//! - for tasks with a person (`approach_person`, `authenticate_person`, `deposit`),
+//!   `parameters: { patience: "300" }`: time in seconds that the robot waits, at each attempt, for
+//!   a person who has left; default 120.
 //!
-//! A role may say `on_loss: restart`: if its holder is lost after others have acted on its work, and has no item in its
-//! hands, another begins it from the beginning. Without it such a mission fails.
+//! A role may set `on_loss: restart`: if its holder is lost after other roles have acted on its
+//! work, and has no item, another robot restarts the role from its first step. Without it such a
+//! mission fails.
 //!
-//! Beside `root` a file may have a `recovery`, of the same shape: what is done instead if a robot is lost that has, or may
-//! have, an item. Its roles are declared with the others, and robots are sought anew for all that take part in it. Its
-//! tasks have names of their own. In its `parameters` and `reaches`, `${lost.item}`, `${lost.robot}` and `${lost.place}`
-//! stand for what was lost, who had it, and where that robot was last known to be. A robot that is lost in turn, with nothing in
-//! its hands, is replaced; with an item, or if the branch cannot be carried out, the mission needs a person.
+//! In addition to `root` a file may have a `recovery` branch of the same form. It is executed
+//! instead if a robot is lost that has, or may have, an item. Its roles are declared with the
+//! others, and robots are sought anew for all of them. Its tasks have different names. In its
+//! `parameters` and `reaches`, `${lost.item}`, `${lost.robot}` and `${lost.place}` stand for the
+//! lost item, the robot that had it, and the last known place of that robot. If another robot is
+//! lost during the recovery, it is replaced if it has no item. If it has an item, or if the branch
+//! cannot be executed, the mission needs a person.
 //!
-//! An abstract task may have `alternatives`: other methods, each `{ method: sequential, tasks: [ elementary tasks ] }`,
-//! tried in the order of the file when a task of its own method has failed for good. They are *local*: all tasks of the
-//! method and of its alternatives are done by one managed role alone, and none touches an item.
+//! An abstract task may have `alternatives`: other methods, each
+//! `{ method: sequential, tasks: [ elementary tasks ] }`. They are tried in the order of the file
+//! when a task of its own method has failed permanently. They are *local*: a single managed role
+//! executes all tasks of the method and of its alternatives, and none of these tasks touches an
+//! item.
 //!
-//! A parameter's `kind` is `place`, `seconds` or `text`; without a `default` a request must give it. `${name}` stands
-//! for its value, within the values of `parameters` and `reaches` only; `$$` stands for a dollar sign. What was put
-//! in is never searched again, so a value cannot smuggle in another.
+//! A parameter's `kind` is `place`, `seconds` or `text`. Without a `default` a request must provide
+//! the value. `${name}` stands for the value, within the values of `parameters` and `reaches` only;
+//! `$$` stands for a dollar sign. A substituted value is never searched again, so a value cannot
+//! insert another value.
 //!
-//! Files may come from anyone. Text is limited in size before it is read and in depth while it is read; YAML anchors,
-//! aliases, merge keys and further documents are refused, as no mission needs them and a few of them make
-//! gigabytes.
+//! Files may come from any source. The size of a text is limited before it is parsed, and its depth
+//! while it is parsed. YAML anchors, aliases, merge keys and multiple documents are rejected: no
+//! mission needs them, and a few of them can expand to gigabytes.
 
 mod builder;
 mod form;
@@ -64,10 +73,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::Path;
 
-/// Largest mission file, in bytes. Five hundred tasks with generous comments take a third of it.
+/// Maximum size of a mission file, in bytes. 500 tasks with long comments take a third of it.
 pub const FILE_BYTES_MAX: usize = 256 * 1024;
 
-/// How a mission file is written.
+/// Format of a mission file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// JSON, as clients send it.
@@ -86,7 +95,8 @@ impl fmt::Display for Format {
 }
 
 impl Format {
-    /// By the file's extension where it has one that says; else JSON if the text begins with a brace.
+    /// Determines the format: by the file's extension if it is known, otherwise JSON if the text
+    /// begins with a brace.
     pub fn of(path: Option<&Path>, text: &str) -> Self {
         match path.and_then(Path::extension).and_then(|extension| extension.to_str()) {
             Some("json") => Format::Json,
@@ -97,29 +107,29 @@ impl Format {
     }
 }
 
-/// Why a text is no mission file. Ordinary for files written by hand; nothing was taken over.
+/// Error: a text is not a mission file. Common for files written by hand; nothing was changed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MissionFileError {
-    /// More text than any mission needs; none of it was read.
+    /// The text is larger than any mission needs; it was not parsed.
     #[error("the mission file has {bytes} bytes; at most {FILE_BYTES_MAX} are allowed")]
     TooLarge {
-        /// Its size.
+        /// Size of the file.
         bytes: usize,
     },
-    /// Not the format, or not the fields.
+    /// The text has a syntax error, or wrong fields.
     #[error("not a mission file in {format}: {message}")]
     Syntax {
-        /// How it was read.
+        /// Format used for parsing.
         format: Format,
-        /// What the reader says, with line and column.
+        /// Message of the parser, with line and column.
         message: String,
     },
-    /// The mission's own name is none.
+    /// The name of the mission is invalid.
     #[error(transparent)]
     Name(#[from] NameError),
 }
 
-/// A mission file that was read: a mission for every choice of its parameters.
+/// Parsed mission file: a template that gives a mission for each choice of its parameters.
 #[derive(Debug, Clone)]
 pub struct MissionTemplate {
     name: TaskId,
@@ -143,7 +153,8 @@ fn yaml_options() -> serde_saphyr::Options {
 }
 
 impl MissionTemplate {
-    /// Reads a mission file. Tasks, roles and parameters are judged by [`MissionTemplate::instantiate`].
+    /// Parses a mission file. Tasks, roles and parameters are checked by
+    /// [`MissionTemplate::instantiate`].
     ///
     /// ```
     /// use consort_protocol::mission::{Domain, Format, MissionTemplate};
@@ -151,13 +162,13 @@ impl MissionTemplate {
     /// let file = r#"{ "mission": "go", "roles": { "r1": { "kind": "managed" } },
     ///     "root": { "task": "go", "type": "navigate", "roles": ["r1"], "parameters": { "to": "Dock" } } }"#;
     /// let template = MissionTemplate::parse(file, Format::Json)?;
-    /// let wrong = template.instantiate(&Default::default(), &Domain::hospital()).unwrap_err().to_string();
-    /// assert!(wrong.contains("unknown task type `navigate`") && wrong.ends_with("did you mean `navigation`?"), "{wrong}");
+    /// let error = template.instantiate(&Default::default(), &Domain::hospital()).unwrap_err().to_string();
+    /// assert!(error.contains("unknown task type `navigate`") && error.ends_with("did you mean `navigation`?"), "{error}");
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     ///
     /// # Errors
-    /// [`FileError`] says where the text is not of the documented form.
+    /// [`MissionFileError`] with the place at which the text does not match the documented form.
     pub fn parse(text: &str, format: Format) -> Result<Self, MissionFileError> {
         if text.len() > FILE_BYTES_MAX {
             return Err(MissionFileError::TooLarge { bytes: text.len() });
@@ -173,79 +184,82 @@ impl MissionTemplate {
         Ok(Self { name: TaskId::new(&*file.mission)?, file })
     }
 
-    /// The form of a mission file, as a JSON Schema. What it cannot say, as which task types there are, [`instantiate`] does.
+    /// Returns the JSON Schema of mission files. Rules beyond the schema, such as the known task
+    /// types, are checked by [`instantiate`].
     ///
     /// [`instantiate`]: MissionTemplate::instantiate
     pub fn schema() -> Schema {
         schema_for!(MissionFile)
     }
 
-    /// The name of the kind of mission.
+    /// Returns the name of the kind of mission.
     pub fn name(&self) -> &TaskId {
         &self.name
     }
 
-    /// What it is about, for people; may be empty.
+    /// Returns the title for people; may be empty.
     pub fn title(&self) -> &str {
         &self.file.title
     }
 
-    /// What a request fills in.
+    /// Returns the parameters that a request provides.
     pub fn parameters(&self) -> &BTreeMap<String, TemplateParameter> {
         &self.file.parameters
     }
 
-    /// The mission with its parameters filled in, checked against the domain; its recovery branch, too, is checked.
+    /// Creates the mission with the given parameters and checks it against the domain. The recovery
+    /// branch is checked, too.
     ///
     /// # Errors
-    /// [`MissionErrors`] lists every problem of the values given and of the file.
-    pub fn instantiate(&self, given: &BTreeMap<String, String>, domain: &Domain) -> Result<Mission, MissionErrors> {
-        self.instantiate_with_recovery(given, domain).map(|(mission, _)| mission)
+    /// [`MissionErrors`] lists every problem of the given values and of the file.
+    pub fn instantiate(&self, arguments: &BTreeMap<String, String>, domain: &Domain) -> Result<Mission, MissionErrors> {
+        self.instantiate_with_recovery(arguments, domain).map(|(mission, _)| mission)
     }
 
-    /// The mission and its recovery branch, if it has one. What is told of the loss is filled in when there is one.
+    /// Creates the mission and its recovery branch, if it has one. The values of the loss are
+    /// substituted when the loss occurs.
     ///
     /// # Errors
-    /// As [`instantiate`](MissionTemplate::instantiate).
+    /// Same as [`instantiate`](MissionTemplate::instantiate).
     pub fn instantiate_with_recovery(
         &self,
-        given: &BTreeMap<String, String>,
+        arguments: &BTreeMap<String, String>,
         domain: &Domain,
     ) -> Result<(Mission, Option<Mission>), MissionErrors> {
-        let mut building = MissionBuilder::default();
-        building.bind_parameters(&self.file.parameters, given, domain);
-        let mut mission = building.mission(&self.name, &self.file.roles, &self.file.root, "root");
+        let mut builder = MissionBuilder::default();
+        builder.bind_parameters(&self.file.parameters, arguments, domain);
+        let mut mission = builder.mission(&self.name, &self.file.roles, &self.file.root, "root");
         let mut recovery = self.file.recovery.as_ref().map(|root| {
-            building.values.extend(lost_item::VARIABLES);
-            building.mission(&self.name, &self.file.roles, root, "recovery")
+            builder.values.extend(lost_item::VARIABLES);
+            builder.mission(&self.name, &self.file.roles, root, "recovery")
         });
-        building.find_unused(&self.file.parameters);
-        let mut problems = building.diagnostics;
-        let unwritten = !problems.is_empty();
+        builder.find_unused(&self.file.parameters);
+        let mut problems = builder.diagnostics;
+        let incomplete = !problems.is_empty();
         let place = |problem: &MissionDiagnostic| match &problem.kind {
             MissionErrorKind::UnknownPlace { place, .. } => Some(place.clone()),
             _ => None,
         };
-        let astray: BTreeSet<String> = problems.iter().filter_map(place).collect();
-        let mut found = vec![];
+        let unknown_places: BTreeSet<String> = problems.iter().filter_map(place).collect();
+        let mut diagnostics_found = vec![];
         if let Some(recovery) = &mut recovery {
             split_roles(&mut mission, recovery);
-            found = recovery_diagnostics(&mission, recovery, domain);
+            diagnostics_found = recovery_diagnostics(&mission, recovery, domain);
         }
-        found.splice(0..0, mission.check(domain).err().into_iter().flat_map(|errors| errors.diagnostics));
-        // Where something could not be put in, what is missing for that reason is no problem of its own.
-        let own = |problem: &MissionDiagnostic| match &problem.kind {
+        diagnostics_found.splice(0..0, mission.check(domain).err().into_iter().flat_map(|errors| errors.diagnostics));
+        // After a failed substitution, missing values that follow from it are not reported again.
+        let is_reported = |problem: &MissionDiagnostic| match &problem.kind {
             MissionErrorKind::NoRole { .. }
             | MissionErrorKind::UnusedRole
-            | MissionErrorKind::MissingParameter { .. } => !unwritten,
+            | MissionErrorKind::MissingParameter { .. } => !incomplete,
             MissionErrorKind::BadValue { .. } | MissionErrorKind::EmptyMethod | MissionErrorKind::NoManagedRole => {
-                !unwritten
+                !incomplete
             }
-            // Told once, of the request, and not of every task that goes there.
-            MissionErrorKind::UnknownPlace { place, .. } => !astray.contains(place),
+            // Reported once, for the request, and not for every task that uses the place.
+            MissionErrorKind::UnknownPlace { place, .. } => !unknown_places.contains(place),
             _ => true,
         };
-        problems.extend(found.into_iter().filter(own));
+        problems.extend(diagnostics_found.into_iter().filter(is_reported));
         MissionErrors::ok_if_empty(&self.name, problems)?;
         Ok((mission, recovery))
     }

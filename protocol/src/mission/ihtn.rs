@@ -1,21 +1,24 @@
-//! Reading missions in the flat iHTN form of the MissionControl replication package.
+//! Import of missions in the flat iHTN form of the MissionControl replication package.
 //!
-//! A JSON object maps ids to nodes: `name`, `type` (`task`, `method` or `action`), `parent` (`"-1"` for the root),
-//! `agents`, `locations` and `children` (a list, or `""` for none). It says less than [`Mission`] holds, and these
-//! rules fill the gaps:
+//! A JSON object maps ids to nodes: `name`, `type` (`task`, `method` or `action`), `parent` (`"-1"`
+//! for the root), `agents`, `locations` and `children` (a list, or `""` for an empty list). The
+//! form has less information than [`Mission`]; these rules fill the gaps:
 //!
-//! - A `task` has exactly one `method`, and both become one abstract task of the task's name. There is no ordering
-//!   field: children are in sequence.
-//! - The roles are the agents of actions; agents that stand at tasks and methods only do nothing and are left out.
-//!   The form does not say who is a person: the caller does ([`IhtnReading::unmanaged`]).
-//! - Names repeat. The first bearer keeps a name; the next are called `name-2`, `name-3`, ….
-//! - An action's name is its task type, after [`IhtnReading::aliases`]. If the domain lacks that type, a name
-//!   `type-word` is split at its first `-` that makes sense: the domain has `type`, and exactly one of its
-//!   parameters is a choice that has `word`. So `operate_drawer-open` is `operate_drawer { action: open }`.
-//! - A location goes to the type's parameter of kind place (the required one if there are several), and `navigation`
-//!   is said to reach it.
-//! - A parameter of kind role takes the one agent of the action's method which is not the action's own, if there is
-//!   exactly one: the robot that approaches in a method of `r1` and `lab_arm` approaches `lab_arm`.
+//! - A `task` has exactly 1 `method`, and both become a single abstract task with the name of the
+//!   task. There is no ordering field: children are in sequence.
+//! - The roles are the agents of actions. Agents that occur only at tasks and methods have no
+//!   action and are omitted. The form does not mark persons: the caller does
+//!   ([`IhtnOptions::unmanaged`]).
+//! - Names repeat. The first node keeps its name; the next nodes are named `name-2`, `name-3`, ….
+//! - An action's name is its task type, after [`IhtnOptions::aliases`]. If the domain lacks that
+//!   type, a name `type-word` is split at the first `-` for which two conditions hold: the domain
+//!   has `type`, and exactly 1 of its parameters is a choice that includes `word`. So
+//!   `operate_drawer-open` is `operate_drawer { action: open }`.
+//! - A location becomes the type's parameter of kind place (the required parameter if there are
+//!   several), and is the reached state of `navigation`.
+//! - A parameter of kind role takes the agent of the action's method that is not the action's own,
+//!   if there is exactly 1 such agent: in a method of `r1` and `lab_arm`, `r1` approaches
+//!   `lab_arm`.
 
 use super::diagnostic::{AllowedNames, MissionDiagnostic, MissionErrorKind, MissionErrors};
 use super::domain::{Domain, TaskSchema, ValueKind};
@@ -26,127 +29,128 @@ use crate::ids::{RoleId, TaskId, TaskType};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What the reader of a flat iHTN must be told besides the file.
+/// Options of the import of a flat iHTN.
 #[derive(Debug, Clone)]
 pub struct IhtnOptions {
-    /// The mission's name.
+    /// Name of the mission.
     pub name: TaskId,
-    /// The agents that are people, or otherwise take no orders.
+    /// Agents that are people, or otherwise not commanded by the fleet.
     pub unmanaged: BTreeSet<RoleId>,
-    /// Task types by the name that the file gives them (`navto` for `navigation`).
+    /// Task types by their names in the file (`navto` for `navigation`).
     pub aliases: BTreeMap<String, TaskType>,
 }
 
-/// What can be wrong with a node of a flat iHTN. The node is told by the problem's path (`node 12 (deposit)`).
+/// Problem of a node of a flat iHTN. The path of the diagnostic names the node
+/// (`node 12 (deposit)`).
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum IhtnError {
-    /// More text than any mission needs.
+    /// The text is larger than any mission needs.
     #[error("the file has {bytes} bytes; at most {FILE_BYTES_MAX} are allowed")]
     TooLarge {
-        /// Its size.
+        /// Size of the file.
         bytes: usize,
     },
-    /// Not JSON, or not the fields.
+    /// The text is not JSON, or has wrong fields.
     #[error("not a flat iHTN: {message}")]
     Syntax {
-        /// What the reader says, with line and column.
+        /// Message of the parser, with line and column.
         message: String,
     },
     /// No node has the parent `-1`.
-    #[error("no node is the root; the root has the parent \"-1\"")]
+    #[error("there is no root; the root has the parent \"-1\"")]
     NoRoot,
     /// Several nodes have the parent `-1`.
-    #[error("several nodes have the parent \"-1\": {nodes}; exactly one is the root")]
+    #[error("several nodes have the parent \"-1\": {nodes}; exactly 1 node must be the root")]
     SeveralRoots {
-        /// Their ids.
+        /// Ids of these nodes.
         nodes: String,
     },
     /// The root is not a task.
-    #[error("the root is of type {found}; it should be a task")]
+    #[error("the root is of type {found}; it must be a task")]
     RootNotTask {
-        /// Its type.
+        /// Type of the root.
         found: &'static str,
     },
-    /// A parent that does not exist.
+    /// A parent does not exist.
     #[error("its parent {parent:?} does not exist")]
     NoSuchParent {
-        /// The parent's id.
+        /// Id of the parent.
         parent: String,
     },
-    /// A parent that does not list the node.
+    /// A parent does not list the node.
     #[error("its parent {parent:?} does not have it among its children")]
     NotAmongChildren {
-        /// The parent's id.
+        /// Id of the parent.
         parent: String,
     },
-    /// A child that does not exist.
+    /// A child does not exist.
     #[error("its child {child:?} does not exist")]
     NoSuchChild {
-        /// The child's id.
+        /// Id of the child.
         child: String,
     },
-    /// A child that names another parent.
-    #[error("its child {child:?} says that its parent is {parent:?}")]
+    /// A child names another parent.
+    #[error("its child {child:?} names the parent {parent:?}")]
     WrongParent {
-        /// The child's id.
+        /// Id of the child.
         child: String,
-        /// The parent it names.
+        /// Parent that the child names.
         parent: String,
     },
-    /// A child listed twice.
-    #[error("has the child {child:?} twice")]
+    /// A child is listed twice.
+    #[error("lists the child {child:?} twice")]
     ChildTwice {
-        /// The child's id.
+        /// Id of the child.
         child: String,
     },
-    /// A node that is its own ancestor.
+    /// A node is its own ancestor.
     #[error("is its own ancestor: {cycle}")]
     Cycle {
-        /// The ids around, ending where they begin.
+        /// Ids along the cycle; the first and the last are equal.
         cycle: String,
     },
-    /// A child of a type that cannot stand there.
-    #[error("is of type {parent} and has {child:?} of type {found}; it takes {takes}")]
+    /// A child has a type that is not allowed there.
+    #[error("is of type {parent} and has {child:?} of type {found}; allowed: {takes}")]
     WrongType {
-        /// The node's type.
+        /// Type of the node.
         parent: &'static str,
-        /// The child's id.
+        /// Id of the child.
         child: String,
-        /// The child's type.
+        /// Type of the child.
         found: &'static str,
-        /// What may stand there, in words.
+        /// Allowed children, as text.
         takes: &'static str,
     },
-    /// A task that is refined in no way or in several.
-    #[error("has {found} methods; in an instantiated network a task has exactly one")]
+    /// A task has no method or several.
+    #[error("has {found} methods; in an instantiated network a task has exactly 1")]
     NotOneMethod {
-        /// How many it has.
+        /// Number found.
         found: usize,
     },
-    /// An agent that its parent does not know.
+    /// An agent is not listed at the parent.
     #[error("its agent `{agent}` is not among the agents of its parent")]
     AgentNotInParent {
-        /// The agent.
+        /// Agent.
         agent: String,
     },
-    /// An action in several places.
-    #[error("has {found} locations; an action has at most one")]
+    /// An action has several locations.
+    #[error("has {found} locations; an action has at most 1")]
     SeveralLocations {
-        /// How many it has.
+        /// Number found.
         found: usize,
     },
-    /// A location that its type has no use for.
+    /// The task type has no parameter for the location.
     #[error("has the location {location:?}, but `{task_type}` has no parameter for a place")]
     UnusedLocation {
-        /// The location.
+        /// Location.
         location: String,
-        /// The task type.
+        /// Task type.
         task_type: String,
     },
-    /// An agent said to be unmanaged that acts nowhere.
-    #[error("is said to be unmanaged, but acts nowhere in the file; {allowed}")]
+    /// An agent of [`IhtnOptions::unmanaged`] has no action.
+    #[error("is listed as unmanaged, but has no action in the file; {allowed}")]
     NoSuchAgent {
-        /// The agents that act.
+        /// Agents with actions.
         allowed: AllowedNames,
     },
 }
@@ -160,7 +164,7 @@ enum NodeType {
 }
 
 impl NodeType {
-    fn word(self) -> &'static str {
+    fn as_str(self) -> &'static str {
         match self {
             NodeType::Task => "task",
             NodeType::Method => "method",
@@ -184,7 +188,7 @@ struct FlatNode {
     children: ListOrEmpty,
 }
 
-/// A list, or a text that is `""` for no entry and else the only entry.
+/// List, or a text that is `""` for an empty list and otherwise the only entry.
 #[derive(Debug, Default, Deserialize)]
 #[serde(from = "ListForm")]
 struct ListOrEmpty(Vec<String>);
@@ -212,65 +216,65 @@ struct FlatFile(#[serde(deserialize_with = "unique_keys")] BTreeMap<String, Flat
 
 const NO_PARENT: &str = "-1";
 
-/// Reads a flat iHTN and checks the mission against the domain.
+/// Imports a flat iHTN and checks the mission against the domain.
 ///
 /// # Errors
 /// [`MissionErrors`] lists the problems of the tree; if there are none, those of the tasks.
-pub fn import_ihtn(text: &str, reading: &IhtnOptions, domain: &Domain) -> Result<Mission, MissionErrors> {
-    let refuse = |fault: IhtnError| MissionErrors {
-        mission: reading.name.to_string(),
-        diagnostics: vec![MissionDiagnostic { path: "file".to_owned(), kind: fault.into() }],
+pub fn import_ihtn(text: &str, options: &IhtnOptions, domain: &Domain) -> Result<Mission, MissionErrors> {
+    let reject = |kind: IhtnError| MissionErrors {
+        mission: options.name.to_string(),
+        diagnostics: vec![MissionDiagnostic { path: "file".to_owned(), kind: kind.into() }],
     };
     if text.len() > FILE_BYTES_MAX {
-        return Err(refuse(IhtnError::TooLarge { bytes: text.len() }));
+        return Err(reject(IhtnError::TooLarge { bytes: text.len() }));
     }
     let FlatFile(nodes) =
-        serde_json::from_str(text).map_err(|error| refuse(IhtnError::Syntax { message: error.to_string() }))?;
+        serde_json::from_str(text).map_err(|error| reject(IhtnError::Syntax { message: error.to_string() }))?;
     if nodes.len() > 2 * TASKS_MAX {
-        let fault = MissionErrorKind::TooManyTasks { found: nodes.len(), max: 2 * TASKS_MAX };
+        let kind = MissionErrorKind::TooManyTasks { found: nodes.len(), max: 2 * TASKS_MAX };
         return Err(MissionErrors {
-            mission: reading.name.to_string(),
-            diagnostics: vec![MissionDiagnostic { path: "file".to_owned(), kind: fault }],
+            mission: options.name.to_string(),
+            diagnostics: vec![MissionDiagnostic { path: "file".to_owned(), kind }],
         });
     }
-    let mut import = Import { nodes: &nodes, reading, domain, problems: Vec::new() };
+    let mut import = Import { nodes: &nodes, options, domain, problems: Vec::new() };
     let root = import.find_tree();
-    MissionErrors::ok_if_empty(&reading.name, std::mem::take(&mut import.problems))?;
-    let mission = import.mission(root.expect("a tree without problems has a root"));
-    MissionErrors::ok_if_empty(&reading.name, import.problems)?;
+    MissionErrors::ok_if_empty(&options.name, std::mem::take(&mut import.problems))?;
+    let mission = import.mission(root.expect("a valid tree has a root"));
+    MissionErrors::ok_if_empty(&options.name, import.problems)?;
     mission.check(domain)?;
     Ok(mission)
 }
 
 struct Import<'a> {
     nodes: &'a BTreeMap<String, FlatNode>,
-    reading: &'a IhtnOptions,
+    options: &'a IhtnOptions,
     domain: &'a Domain,
     problems: Vec<MissionDiagnostic>,
 }
 
 impl<'a> Import<'a> {
-    fn problem(&mut self, id: &str, fault: impl Into<MissionErrorKind>) {
+    fn report(&mut self, id: &str, kind: impl Into<MissionErrorKind>) {
         let name = self.nodes.get(id).map_or("?", |node| &node.name);
-        self.problems.push(MissionDiagnostic { path: format!("node {id} ({name})"), kind: fault.into() });
+        self.problems.push(MissionDiagnostic { path: format!("node {id} ({name})"), kind: kind.into() });
     }
 
-    fn problem_of_file(&mut self, fault: IhtnError) {
-        self.problems.push(MissionDiagnostic { path: "file".to_owned(), kind: fault.into() });
+    fn report_for_file(&mut self, kind: IhtnError) {
+        self.problems.push(MissionDiagnostic { path: "file".to_owned(), kind: kind.into() });
     }
 
-    /// Checks that the nodes form one tree of alternating kinds, and gives its root.
+    /// Checks that the nodes form a tree of alternating types, and returns its root.
     fn find_tree(&mut self) -> Option<&'a str> {
         let nodes = self.nodes;
         let roots: Vec<&str> =
             nodes.iter().filter(|(_, node)| node.parent == NO_PARENT).map(|(id, _)| id.as_str()).collect();
         match roots[..] {
-            [] => self.problem_of_file(IhtnError::NoRoot),
+            [] => self.report_for_file(IhtnError::NoRoot),
             [root] if nodes[root].node_type != NodeType::Task => {
-                self.problem(root, IhtnError::RootNotTask { found: nodes[root].node_type.word() });
+                self.report(root, IhtnError::RootNotTask { found: nodes[root].node_type.as_str() });
             }
             [_] => {}
-            _ => self.problem_of_file(IhtnError::SeveralRoots { nodes: roots.join(", ") }),
+            _ => self.report_for_file(IhtnError::SeveralRoots { nodes: roots.join(", ") }),
         }
         for (id, node) in nodes {
             self.check_parent(id, node);
@@ -285,32 +289,32 @@ impl<'a> Import<'a> {
             return;
         }
         let Some(parent) = self.nodes.get(&node.parent) else {
-            return self.problem(id, IhtnError::NoSuchParent { parent: node.parent.clone() });
+            return self.report(id, IhtnError::NoSuchParent { parent: node.parent.clone() });
         };
         if !parent.children.0.iter().any(|child| child == id) {
-            self.problem(id, IhtnError::NotAmongChildren { parent: node.parent.clone() });
+            self.report(id, IhtnError::NotAmongChildren { parent: node.parent.clone() });
         }
         for agent in node.agents.0.iter().filter(|agent| !parent.agents.0.contains(agent)) {
-            self.problem(id, IhtnError::AgentNotInParent { agent: agent.clone() });
+            self.report(id, IhtnError::AgentNotInParent { agent: agent.clone() });
         }
     }
 
     fn check_children(&mut self, id: &str, node: &FlatNode) {
         let takes = match node.node_type {
-            NodeType::Task => "one method",
+            NodeType::Task => "1 method",
             NodeType::Method => "tasks and actions",
             NodeType::Action => "no children",
         };
         let mut seen = BTreeSet::new();
         for name in &node.children.0 {
             let Some(child) = self.nodes.get(name) else {
-                self.problem(id, IhtnError::NoSuchChild { child: name.clone() });
+                self.report(id, IhtnError::NoSuchChild { child: name.clone() });
                 continue;
             };
             if !seen.insert(name) {
-                self.problem(id, IhtnError::ChildTwice { child: name.clone() });
+                self.report(id, IhtnError::ChildTwice { child: name.clone() });
             } else if child.parent != id {
-                self.problem(id, IhtnError::WrongParent { child: name.clone(), parent: child.parent.clone() });
+                self.report(id, IhtnError::WrongParent { child: name.clone(), parent: child.parent.clone() });
             }
             let fits = match node.node_type {
                 NodeType::Task => child.node_type == NodeType::Method,
@@ -318,20 +322,21 @@ impl<'a> Import<'a> {
                 NodeType::Action => false,
             };
             if !fits {
-                let (parent, found) = (node.node_type.word(), child.node_type.word());
-                self.problem(id, IhtnError::WrongType { parent, child: name.clone(), found, takes });
+                let (parent, found) = (node.node_type.as_str(), child.node_type.as_str());
+                self.report(id, IhtnError::WrongType { parent, child: name.clone(), found, takes });
             }
         }
         match node.node_type {
             NodeType::Task if node.children.0.len() != 1 => {
-                self.problem(id, IhtnError::NotOneMethod { found: node.children.0.len() });
+                self.report(id, IhtnError::NotOneMethod { found: node.children.0.len() });
             }
-            NodeType::Method if node.children.0.is_empty() => self.problem(id, MissionErrorKind::EmptyMethod),
+            NodeType::Method if node.children.0.is_empty() => self.report(id, MissionErrorKind::EmptyMethod),
             NodeType::Task | NodeType::Method | NodeType::Action => {}
         }
     }
 
-    /// Follows parents: in a tree everybody comes to the root, else somebody comes to himself.
+    /// Follows the parents of each node: in a tree every path ends at the root, otherwise a path
+    /// reaches its start again.
     fn find_cycles(&mut self) {
         let mut rooted: BTreeSet<&str> = BTreeSet::new();
         let nodes = self.nodes;
@@ -346,7 +351,7 @@ impl<'a> Import<'a> {
                     let mut cycle = trail[first..].to_vec();
                     cycle.push(at);
                     cycle.reverse();
-                    self.problem(at, IhtnError::Cycle { cycle: cycle.join(" > ") });
+                    self.report(at, IhtnError::Cycle { cycle: cycle.join(" > ") });
                     break;
                 }
                 trail.push(at);
@@ -356,7 +361,7 @@ impl<'a> Import<'a> {
         }
     }
 
-    /// Builds the mission of a tree without problems.
+    /// Builds the mission of a valid tree.
     fn mission(&mut self, root: &'a str) -> Mission {
         let mut tasks: Vec<TaskNode> = Vec::new();
         let mut roles: BTreeMap<RoleId, Role> = BTreeMap::new();
@@ -378,18 +383,18 @@ impl<'a> Import<'a> {
             match TaskId::new(names.next(&node.name)) {
                 Ok(id) => tasks.push(TaskNode { id, body }),
                 Err(error) => {
-                    self.problem(id, error);
-                    let id = TaskId::new(format!("unnamed-{index}")).expect("made of a slug's characters");
+                    self.report(id, error);
+                    let id = TaskId::new(format!("unnamed-{index}")).expect("consists of characters allowed in a slug");
                     tasks.push(TaskNode { id, body });
                 }
             }
         }
-        for agent in self.reading.unmanaged.iter().filter(|agent| !roles.contains_key(*agent)) {
+        for agent in self.options.unmanaged.iter().filter(|agent| !roles.contains_key(*agent)) {
             let allowed = AllowedNames::suggest_for(agent.as_str(), roles.keys());
-            let fault = IhtnError::NoSuchAgent { allowed }.into();
-            self.problems.push(MissionDiagnostic { path: format!("roles/{agent}"), kind: fault });
+            let kind = IhtnError::NoSuchAgent { allowed }.into();
+            self.problems.push(MissionDiagnostic { path: format!("roles/{agent}"), kind });
         }
-        Mission { name: self.reading.name.clone(), roles, tasks }
+        Mission { name: self.options.name.clone(), roles, tasks }
     }
 
     fn action(&mut self, id: &str, node: &FlatNode, roles: &mut BTreeMap<RoleId, Role>) -> TaskBody {
@@ -397,19 +402,19 @@ impl<'a> Import<'a> {
         for agent in &node.agents.0 {
             match RoleId::new(&**agent) {
                 Ok(role) => {
-                    let unmanaged = self.reading.unmanaged.contains(&role);
+                    let unmanaged = self.options.unmanaged.contains(&role);
                     let kind = if unmanaged { RoleKind::Unmanaged } else { RoleKind::Managed };
                     roles.insert(role.clone(), Role::of(kind));
                     own.push(role);
                 }
-                Err(error) => self.problem(id, error),
+                Err(error) => self.report(id, error),
             }
         }
         let (task_type, mut parameters) = match self.type_of(&node.name) {
             Some(found) => found,
             None => {
                 let allowed = AllowedNames::suggest_for(&node.name, self.domain.task_types());
-                self.problem(id, MissionErrorKind::UnknownType { task_type: node.name.clone(), allowed });
+                self.report(id, MissionErrorKind::UnknownType { task_type: node.name.clone(), allowed });
                 return TaskBody::Abstract(Method::of(TaskOrder::Sequential, vec![]));
             }
         };
@@ -427,9 +432,9 @@ impl<'a> Import<'a> {
         TaskBody::Elementary(TaskSpec { parameters, reaches, ..TaskSpec::of(task_type, own) })
     }
 
-    /// The task type that an action's name stands for, and the parameter that its ending stands for.
+    /// Returns the task type of an action's name, and the parameter given by its suffix.
     fn type_of(&self, name: &str) -> Option<(TaskType, BTreeMap<String, String>)> {
-        let known = |name: &str| match self.reading.aliases.get(name) {
+        let known = |name: &str| match self.options.aliases.get(name) {
             Some(alias) => Some(alias.clone()).filter(|alias| self.domain.get(alias).is_some()),
             None => TaskType::new(name).ok().filter(|own| self.domain.get(own).is_some()),
         };
@@ -437,14 +442,14 @@ impl<'a> Import<'a> {
             return Some((task_type, BTreeMap::new()));
         }
         name.match_indices('-').find_map(|(dash, _)| {
-            let (task_type, word) = (known(&name[..dash])?, &name[dash + 1..]);
+            let (task_type, suffix) = (known(&name[..dash])?, &name[dash + 1..]);
             let schema = self.domain.get(&task_type)?;
             let mut choices = schema.parameters.iter().filter(|(_, parameter)| match &parameter.kind {
-                ValueKind::OneOf(words) => words.contains(word),
+                ValueKind::OneOf(words) => words.contains(suffix),
                 ValueKind::Place | ValueKind::Role | ValueKind::Seconds | ValueKind::Text => false,
             });
             match (choices.next(), choices.next()) {
-                (Some((parameter, _)), None) => Some((task_type, [(parameter.clone(), word.to_owned())].into())),
+                (Some((parameter, _)), None) => Some((task_type, [(parameter.clone(), suffix.to_owned())].into())),
                 _ => None,
             }
         })
@@ -462,14 +467,14 @@ impl<'a> Import<'a> {
         let location = match &node.locations.0[..] {
             [] => return,
             [location] => location,
-            several => return self.problem(id, IhtnError::SeveralLocations { found: several.len() }),
+            several => return self.report(id, IhtnError::SeveralLocations { found: several.len() }),
         };
         let places = || schema.parameters.iter().filter(|(_, parameter)| parameter.kind == ValueKind::Place);
         match places().find(|(_, parameter)| parameter.required).or_else(|| places().next()) {
             Some((name, _)) => drop(parameters.insert(name.clone(), location.clone())),
             None => {
                 let (location, task_type) = (location.clone(), task_type.to_string());
-                return self.problem(id, IhtnError::UnusedLocation { location, task_type });
+                return self.report(id, IhtnError::UnusedLocation { location, task_type });
             }
         }
         if task_type.as_str() == "navigation" {
@@ -478,19 +483,19 @@ impl<'a> Import<'a> {
     }
 }
 
-/// Gives out names, each once, without giving to a later bearer what is another node's own name.
+/// Assigns unique names. A numbered name never equals the own name of another node.
 struct Names<'a> {
     own: BTreeSet<&'a str>,
-    given: BTreeMap<&'a str, u32>,
+    assigned: BTreeMap<&'a str, u32>,
 }
 
 impl<'a> Names<'a> {
     fn of(nodes: &'a BTreeMap<String, FlatNode>) -> Self {
-        Self { own: nodes.values().map(|node| node.name.as_str()).collect(), given: BTreeMap::new() }
+        Self { own: nodes.values().map(|node| node.name.as_str()).collect(), assigned: BTreeMap::new() }
     }
 
     fn next(&mut self, name: &'a str) -> String {
-        let number = self.given.entry(name).or_insert(0);
+        let number = self.assigned.entry(name).or_insert(0);
         loop {
             *number += 1;
             if *number == 1 {
@@ -508,7 +513,7 @@ impl<'a> Names<'a> {
 mod tests {
     use super::*;
 
-    fn reading() -> IhtnOptions {
+    fn options() -> IhtnOptions {
         IhtnOptions {
             name: TaskId::new("trial").unwrap(),
             unmanaged: [RoleId::new("ann").unwrap()].into(),
@@ -516,7 +521,7 @@ mod tests {
         }
     }
 
-    /// A fetch by r1, with Ann putting something in.
+    /// A fetch by r1, to which Ann adds an item.
     fn nodes() -> serde_json::Value {
         serde_json::json!({
             "0": { "name": "Fetch", "type": "task", "parent": "-1", "agents": ["r1", "ann", "idler"], "children": ["1"] },
@@ -529,20 +534,20 @@ mod tests {
     }
 
     fn import(nodes: &serde_json::Value) -> Result<Mission, Vec<String>> {
-        import_ihtn(&nodes.to_string(), &reading(), &Domain::hospital())
+        import_ihtn(&nodes.to_string(), &options(), &Domain::hospital())
             .map_err(|errors| errors.diagnostics.iter().map(ToString::to_string).collect())
     }
 
     #[test]
-    fn the_gaps_of_the_form_are_filled_by_rule() {
+    fn gaps_of_the_form_are_filled_by_rules() {
         let mission = import(&nodes()).unwrap();
-        let told: Vec<String> = mission
+        let tasks: Vec<String> = mission
             .elementary()
             .iter()
             .map(|(id, spec)| format!("{id} {} {:?} {:?}", spec.task_type, spec.parameters, spec.reaches))
             .collect();
         assert_eq!(
-            told,
+            tasks,
             [
                 r#"navto navigation {"to": "Ward"} {"location": "Ward"}"#,
                 r#"operate_drawer-open operate_drawer {"action": "open"} {}"#,
@@ -556,7 +561,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_tree_is_told_precisely() {
+    fn a_malformed_tree_is_reported_precisely() {
         type Change<'c> = &'c dyn Fn(&mut serde_json::Value);
         let cases: [(Change<'_>, &[&str]); 9] = [
             (
@@ -570,15 +575,15 @@ mod tests {
             (
                 &|n| n["5"]["parent"] = "0".into(),
                 &[
-                    "node 1 (m): its child \"5\" says that its parent is \"0\"",
+                    "node 1 (m): its child \"5\" names the parent \"0\"",
                     "node 5 (navto): its parent \"0\" does not have it among its children",
                 ],
             ),
             (
                 &|n| n["5"]["parent"] = "-1".into(),
                 &[
-                    "file: several nodes have the parent \"-1\": 0, 5; exactly one is the root",
-                    "node 1 (m): its child \"5\" says that its parent is \"-1\"",
+                    "file: several nodes have the parent \"-1\": 0, 5; exactly 1 node must be the root",
+                    "node 1 (m): its child \"5\" names the parent \"-1\"",
                 ],
             ),
             (
@@ -588,14 +593,14 @@ mod tests {
                     n["1"]["children"] = ["0", "2", "3", "4", "5"].into();
                 },
                 &[
-                    "file: no node is the root; the root has the parent \"-1\"",
+                    "file: there is no root; the root has the parent \"-1\"",
                     "node 0 (Fetch): is its own ancestor: 0 > 1 > 0",
                 ],
             ),
             (
                 &|n| n["0"]["children"] = "".into(),
                 &[
-                    "node 0 (Fetch): has 0 methods; in an instantiated network a task has exactly one",
+                    "node 0 (Fetch): has 0 methods; in an instantiated network a task has exactly 1",
                     "node 1 (m): its parent \"0\" does not have it among its children",
                 ],
             ),
@@ -625,20 +630,17 @@ mod tests {
     }
 
     #[test]
-    fn a_node_given_twice_is_refused() {
+    fn a_repeated_node_is_rejected() {
         let text = nodes().to_string().replacen("\"1\":", "\"0\":", 1);
-        let error = import_ihtn(&text, &reading(), &Domain::hospital()).unwrap_err().to_string();
-        assert!(error.contains("`0` stands here twice"), "{error}");
+        let error = import_ihtn(&text, &options(), &Domain::hospital()).unwrap_err().to_string();
+        assert!(error.contains("the key `0` occurs twice"), "{error}");
     }
 
     #[test]
-    fn the_caller_can_only_name_agents_that_act() {
-        let mut reading = reading();
-        reading.unmanaged = [RoleId::new("an").unwrap()].into();
-        let error = import_ihtn(&nodes().to_string(), &reading, &Domain::hospital()).unwrap_err().to_string();
-        assert!(
-            error.contains("roles/an: is said to be unmanaged") && error.contains("did you mean `ann`?"),
-            "{error}"
-        );
+    fn only_agents_with_actions_may_be_unmanaged() {
+        let mut options = options();
+        options.unmanaged = [RoleId::new("an").unwrap()].into();
+        let error = import_ihtn(&nodes().to_string(), &options, &Domain::hospital()).unwrap_err().to_string();
+        assert!(error.contains("roles/an: is listed as unmanaged") && error.contains("did you mean `ann`?"), "{error}");
     }
 }

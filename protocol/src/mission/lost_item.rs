@@ -1,22 +1,23 @@
-//! What a recovery branch is told of the loss that it recovers from.
+//! Values of a loss, substituted into the recovery branch.
 //!
-//! The branch is prepared with the mission, when nothing is lost yet: in its parameters stand marks, which are exchanged
-//! for what is known when it is taken. A mark holds a control character, which no value that a request or a file gives for
-//! a parameter may hold, so nothing else is ever taken for one.
+//! The branch is prepared together with the mission, before any loss. Its parameters contain
+//! placeholders, which are replaced by the values of the loss when the branch is taken. A
+//! placeholder contains a control character. Values of parameters in requests and files may not
+//! contain control characters, so no other text is mistaken for a placeholder.
 
 use super::domain::Domain;
 use super::model::{Mission, TaskBody, TaskSpec};
 use crate::ids::{ItemId, PlaceId, RobotId};
 use serde::{Deserialize, Serialize};
 
-/// What was lost.
+/// Item lost together with a robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LostItem {
-    /// What the lost robot has or may have; of several items the first by name.
+    /// Item that the lost robot has or may have; of several items the first by name.
     pub item: ItemId,
-    /// The robot.
+    /// Robot that was lost.
     pub robot: RobotId,
-    /// Where it was last known to be.
+    /// Last known place of the robot.
     pub place: Option<PlaceId>,
 }
 
@@ -24,11 +25,11 @@ pub(super) const ITEM: &str = "\u{1a}item\u{1a}";
 pub(super) const ROBOT: &str = "\u{1a}robot\u{1a}";
 pub(super) const PLACE: &str = "\u{1a}place\u{1a}";
 
-/// The names by which a recovery branch refers to the loss, and the marks that stand for them.
+/// Names by which a recovery branch refers to the loss, and their placeholders.
 pub(super) const VARIABLES: [(&str, &str); 3] = [("lost.item", ITEM), ("lost.robot", ROBOT), ("lost.place", PLACE)];
 
 impl LostItem {
-    /// Something to check a branch with before anything was lost.
+    /// Returns example values, to check a branch before any loss.
     pub(super) fn example(domain: &Domain) -> LostItem {
         let place = domain.places().and_then(|places| places.first().cloned());
         LostItem {
@@ -38,7 +39,8 @@ impl LostItem {
         }
     }
 
-    /// Puts into a task what was lost. `None` if it asks for what is not known.
+    /// Substitutes the values of the loss into a task. `None` if the task uses a value that is not
+    /// known.
     #[must_use]
     pub fn substitute(&self, mut spec: TaskSpec) -> Option<TaskSpec> {
         for value in spec.parameters.values_mut().chain(spec.reaches.values_mut()) {
@@ -50,7 +52,8 @@ impl LostItem {
         Some(spec)
     }
 
-    /// Puts into each task of a mission what was lost. `None` if one asks for what is not known.
+    /// Substitutes the values of the loss into each task of a mission. `None` if a task uses a
+    /// value that is not known.
     #[must_use]
     pub fn substitute_mission(&self, mut mission: Mission) -> Option<Mission> {
         for node in &mut mission.tasks {

@@ -1,16 +1,18 @@
-//! Missions: what is to be done, in which order, by which roles.
+//! Missions: tasks, their order, and the roles that execute them.
 //!
-//! A mission is an instantiated hierarchical task network (iHTN: Lesire et al. 2016, as extended with roles by
-//! Rodrigues): abstract tasks are refined by methods, whose tasks are in sequence or in no order, down to
-//! elementary tasks, each assigned to one role or jointly to several.
+//! A mission is an instantiated hierarchical task network (iHTN: Lesire et al. 2016, as extended
+//! with roles by Rodrigues). Abstract tasks are refined by methods. The tasks of a method are in
+//! sequence or unordered, down to elementary tasks. Each elementary task is assigned to a single
+//! role, or jointly to several.
 //!
-//! [`Mission`] is the checked value that travels, is divided and is kept in the ledger. It is flat (children by
-//! index) so that decoding one can never recurse. Files, their parameters and the flat iHTN import produce it:
+//! [`Mission`] is the checked value that is sent, divided and stored in the ledger. It is flat
+//! (children by index) so that decoding never recurses. It is created from files, their parameters,
+//! and the flat iHTN import:
 //!
 //! ```text
 //! YAML, JSON ─► MissionTemplate ─ parameters, Domain ─► Mission ─► plan::divide
 //! flat iHTN ─────────────────────── IhtnReading ──────────▲
-//! off the wire ────────────────── Mission::check ─────────┘
+//! network ─────────────────────── Mission::check ─────────┘
 //! ```
 
 mod diagnostic;

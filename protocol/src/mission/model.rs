@@ -1,142 +1,146 @@
-//! The mission tree as a value.
+//! Mission tree as a value.
 
 use crate::ids::{ItemId, RoleId, TaskId, TaskType};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Position of a task in [`Mission::tasks`].
+/// Index of a task in [`Mission::tasks`].
 pub type TaskIndex = u32;
 
-/// A mission: roles, and a tree of tasks whose root is the first of `tasks`; every child stands after its parent.
+/// Mission: roles, and a tree of tasks. The root is the first of `tasks`, and every child comes
+/// after its parent.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Mission {
-    /// The name of the kind of mission (`lab-samples`), not of this instance.
+    /// Name of the kind of mission (`lab-samples`), not of this instance.
     pub name: TaskId,
-    /// Who takes part.
+    /// Participating roles.
     pub roles: BTreeMap<RoleId, Role>,
-    /// The tree, parents before children, siblings in the order of the file.
+    /// Tasks of the tree: parents before children, siblings in the order of the file.
     pub tasks: Vec<TaskNode>,
 }
 
-/// A part in a mission.
+/// Role in a mission.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Role {
-    /// Whether a robot is sought for it.
+    /// Managed roles are filled by robots.
     pub kind: RoleKind,
-    /// What becomes of the mission when a holder of it is lost whose work others have already acted on.
+    /// Consequence if its holder is lost after other roles have acted on its work.
     #[serde(default)]
     pub on_loss: OnLoss,
 }
 
-/// What becomes of a mission when a robot is lost after others have acted on its work, while it has no item in its hands.
-/// (With one, the mission is recovered or rescued, whatever this says. Before, the role is begun anew elsewhere.)
+/// Consequence if a robot is lost after other roles have acted on its work, while it has no item.
+/// (With an item, the mission is recovered or needs intervention, whatever this value is. If no
+/// role has acted on its work yet, another robot restarts the role.)
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum OnLoss {
-    /// It fails: what the others built upon may no longer be there.
+    /// The mission fails: the result that other roles used may no longer exist.
     #[default]
     Fail,
-    /// Another robot begins the role from its first step, and does again what had been done; the others go on from where
-    /// they are. For roles whose work does no harm when it is done twice.
+    /// Another robot starts the role from its first step and repeats the completed work; the other
+    /// roles continue. For roles with work that may be repeated without harm.
     Restart,
 }
 
 impl Role {
-    /// A role of this kind, whose loss fails the mission once others have acted on its work.
+    /// Creates a role of this kind with the default [`OnLoss::Fail`].
     pub fn of(kind: RoleKind) -> Self {
         Role { kind, on_loss: OnLoss::Fail }
     }
 }
 
-/// Whether the fleet fills a role.
+/// Kind of role: filled by the fleet or not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum RoleKind {
     /// Filled by a robot, through an auction.
     Managed,
-    /// Filled by a person, or by anyone else who takes no orders from the fleet.
+    /// Filled by a person, or by another participant that the fleet does not command.
     Unmanaged,
 }
 
-/// A node of the tree.
+/// Node of the tree.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskNode {
-    /// Its name, unique within the mission.
+    /// Name, unique within the mission.
     pub id: TaskId,
-    /// What it comes down to.
+    /// Abstract or elementary content.
     pub body: TaskBody,
 }
 
-/// What a task comes down to.
+/// Content of a task.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TaskBody {
     /// Refined by a method.
     Abstract(Method),
-    /// Done as it is.
+    /// Executed by a skill.
     Elementary(TaskSpec),
 }
 
-/// How an abstract task is refined.
+/// Refinement of an abstract task.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Method {
-    /// Whether its tasks depend on one another.
+    /// Order of its tasks.
     pub order: TaskOrder,
-    /// Its tasks; never empty.
+    /// Indices of its tasks; never empty.
     pub children: Vec<TaskIndex>,
-    /// What its role may do instead when a task of it has failed for good, in the order in which it is tried.
+    /// Alternatives for when a task has failed permanently, in the order in which they are tried.
     #[serde(default)]
     pub alternatives: Vec<AlternativeMethod>,
 }
 
-/// Another way to do what a method does. *Local*: every elementary task below the method, and every task of its
-/// alternatives, belongs to one and the same managed role and to it alone, and none of them touches an item. So a role
-/// may go over to it without asking or telling anybody.
+/// Alternative to a method. It is *local*: a single managed role executes every elementary task
+/// below the method and every task of its alternatives, and none of them touches an item. So a role
+/// may switch to it without coordination with other roles.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AlternativeMethod {
-    /// Its tasks, one after the other; never empty.
+    /// Tasks, executed in sequence; never empty.
     pub tasks: Vec<(TaskId, TaskSpec)>,
 }
 
-/// How the tasks of a method depend on one another.
+/// Order of the tasks of a method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum TaskOrder {
-    /// Each begins after the one before it has ended.
+    /// Each task begins after the preceding task has ended.
     Sequential,
-    /// No dependency: side by side where the roles differ, one after the other in any order where they do not.
+    /// No dependency: in parallel if the roles differ, otherwise in sequence in any order.
     Unordered,
 }
 
-/// An elementary task: what is to be achieved, not how.
+/// Specification of an elementary task: the goal, not the implementation.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskSpec {
-    /// Its kind, which names the skill that realises it.
+    /// Type, which is the name of the skill that executes it.
     #[serde(rename = "type")]
     pub task_type: TaskType,
-    /// Who does it: one role, or several jointly. Never empty, without repetition, in the order of the file.
+    /// Roles that execute it: a single role, or several jointly. Never empty, without repetition,
+    /// in the order of the file.
     pub roles: Vec<RoleId>,
-    /// What the skill needs to know, by name (`to = IC Room 6`, `action = open`).
+    /// Parameters of the skill, by name (`to = IC Room 6`, `action = open`).
     #[serde(default)]
     pub parameters: BTreeMap<String, String>,
-    /// The state that its success guarantees (`location = IC Room 6`).
+    /// State that holds after success (`location = IC Room 6`).
     #[serde(default)]
     pub reaches: BTreeMap<String, String>,
-    /// Who has which item once the task has ended.
+    /// Items that roles have after the task.
     #[serde(default)]
     pub acquires: BTreeMap<ItemId, RoleId>,
-    /// Items that nobody of the mission has any more once the task has ended: laid down where they belong.
+    /// Items that are outside the mission after the task: placed at their destination.
     #[serde(default)]
     pub releases: BTreeSet<ItemId>,
-    /// How often the skill is tried before the task has failed: 1 to [`ATTEMPTS_MAX`]. Raised: passing troubles cost time
-    /// and not the role; lasting ones are noticed later. Default [`ATTEMPTS`] (a guess).
+    /// Maximum number of attempts before the task has failed permanently: 1 to [`ATTEMPTS_MAX`].
+    /// Raised: transient errors cost time and not the role; permanent errors are detected later.
+    /// Default [`ATTEMPTS`] (a guess).
     #[serde(default = "attempts")]
     pub attempts: u8,
 }
 
-/// How often a skill is tried unless the mission says otherwise.
+/// Default number of attempts.
 pub const ATTEMPTS: u8 = 2;
-/// How often a skill may be tried.
+/// Maximum number of attempts.
 pub const ATTEMPTS_MAX: u8 = 10;
 
 fn attempts() -> u8 {
@@ -144,14 +148,14 @@ fn attempts() -> u8 {
 }
 
 impl Method {
-    /// A method without alternatives.
+    /// Creates a method without alternatives.
     pub fn of(order: TaskOrder, children: Vec<TaskIndex>) -> Self {
         Method { order, children, alternatives: vec![] }
     }
 }
 
 impl TaskSpec {
-    /// A task of these roles that is told nothing and touches nothing.
+    /// Creates a task of these roles without parameters and items.
     pub fn of(task_type: TaskType, roles: Vec<RoleId>) -> Self {
         TaskSpec {
             task_type,
@@ -164,25 +168,25 @@ impl TaskSpec {
         }
     }
 
-    /// The items that it moves.
+    /// Returns the items that the task moves.
     pub fn items(&self) -> impl Iterator<Item = &ItemId> {
         self.acquires.keys().chain(&self.releases)
     }
 
-    /// Whether several roles do it together.
+    /// Checks whether several roles execute the task jointly.
     pub fn is_joint(&self) -> bool {
         self.roles.len() > 1
     }
 }
 
 impl Mission {
-    /// The elementary tasks, depth first and in the order of the file; those of alternatives are not among them. Ends on
-    /// an unchecked mission, too: whatever its children say, each task is visited once at most.
+    /// Returns the elementary tasks, depth first and in the order of the file, without those of
+    /// alternatives. Terminates for an unchecked mission, too: each task is visited at most once.
     pub fn elementary(&self) -> Vec<(&TaskId, &TaskSpec)> {
         self.elementary_below(0)
     }
 
-    /// The same of the part of the tree whose root is this task.
+    /// Returns the same for the subtree of a task.
     pub fn elementary_below(&self, root: usize) -> Vec<(&TaskId, &TaskSpec)> {
         let mut found = Vec::new();
         let mut seen = vec![false; self.tasks.len()];
@@ -200,7 +204,7 @@ impl Mission {
         found
     }
 
-    /// The names of all tasks, those of alternatives included.
+    /// Returns the names of all tasks, including those of alternatives.
     pub fn task_names(&self) -> impl Iterator<Item = &TaskId> {
         self.tasks.iter().flat_map(|node| {
             let others: &[AlternativeMethod] = match &node.body {
@@ -212,7 +216,7 @@ impl Mission {
         })
     }
 
-    /// The roles that robots fill, in the order of their names.
+    /// Returns the roles that robots fill, in the order of their names.
     pub fn managed_roles(&self) -> impl Iterator<Item = &RoleId> {
         self.roles.iter().filter(|(_, role)| role.kind == RoleKind::Managed).map(|(id, _)| id)
     }

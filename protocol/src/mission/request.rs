@@ -1,13 +1,15 @@
-//! Mission files as requests bring them.
+//! Mission files in requests.
 
 use super::file::{Format, MissionFileError, MissionTemplate};
 use serde_json::Value;
 
 impl MissionTemplate {
-    /// A mission file as a request to the coordinator brings it: whole, as JSON, whatever it was written in.
+    /// Converts a mission file for a request to the coordinator: the whole file, as JSON, from any
+    /// format.
     ///
     /// # Errors
-    /// As [`parse`](MissionTemplate::parse): mistakes of form are told here, where the file is, and not by the coordinator.
+    /// Same as [`parse`](MissionTemplate::parse): errors of form are reported here, where the file
+    /// is, and not by the coordinator.
     pub fn request(text: &str, format: Format) -> Result<Value, MissionFileError> {
         MissionTemplate::parse(text, format)?;
         let syntax = |message: String| MissionFileError::Syntax { format, message };
@@ -20,7 +22,8 @@ impl MissionTemplate {
     }
 }
 
-/// Mission files hold texts only; YAML takes a bare `5` for a number.
+/// Converts scalars to text: mission files contain only texts, and YAML parses a bare `5` as a
+/// number.
 fn scalars_as_text(value: Value) -> Value {
     match value {
         Value::Array(list) => list.into_iter().map(scalars_as_text).collect(),

@@ -1,4 +1,4 @@
-//! The missions that come with the program.
+//! Missions that are shipped with the program.
 
 use super::file::{Format, MissionTemplate};
 use std::collections::BTreeMap;
@@ -13,9 +13,10 @@ const FILES: [&str; 6] = [
     include_str!("../../missions/vital-signs.yaml"),
 ];
 
-/// The shipped missions, by name: `lab-samples` (the exemplar of the thesis), `lab-samples-watched`
-/// (the same with a recovery branch), `bed-transfer` (two robots, a joint task), `ward-disinfection` (unordered methods),
-/// `food-logistics` (an item handed over between two robots) and `vital-signs` (rounds that two robots share out).
+/// Returns the shipped missions, by name: `lab-samples` (the exemplar of the thesis),
+/// `lab-samples-watched` (the same with a recovery branch), `bed-transfer` (two robots, a joint
+/// task), `ward-disinfection` (unordered methods), `food-logistics` (an item handed over between
+/// two robots) and `vital-signs` (rounds shared by two robots).
 pub fn shipped() -> &'static BTreeMap<String, MissionTemplate> {
     static TEMPLATES: OnceLock<BTreeMap<String, MissionTemplate>> = OnceLock::new();
     TEMPLATES.get_or_init(|| {

@@ -1,8 +1,8 @@
-//! Whether a mission can be carried out at all: checked for missions from files and off the wire alike.
+//! Validation of missions from files and from the network.
 //!
-//! Every problem is reported, not only the first, each with the path to the task. After a check that passed, the
-//! tree is a tree (every index in range, children after parents, one parent each, nothing left over), so that code
-//! which walks it needs no further care.
+//! Every problem is reported, not only the first, each with the path to the task. After successful
+//! validation the tree is well-formed (every index in range, children after parents, 1 parent each,
+//! no task left over), so that code that walks it needs no further checks.
 
 use super::diagnostic::{AllowedNames, MissionDiagnostic, MissionErrorKind, MissionErrors};
 use super::domain::{Domain, ValueKind};
@@ -11,58 +11,59 @@ use crate::ids::{RoleId, TaskId};
 use crate::plan::GlobalOrder;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Most tasks of a mission, abstract ones included. More of them cost memory on every robot and ledger; the largest
-/// published mission has 21.
+/// Maximum number of tasks of a mission, including abstract tasks. Raised: more memory on every
+/// robot and ledger; the largest published mission has 21 tasks.
 pub const TASKS_MAX: usize = 512;
-/// Most roles of a mission.
+/// Maximum number of roles of a mission.
 pub const ROLES_MAX: usize = 64;
-/// Most levels of the tree.
+/// Maximum number of levels of the tree.
 pub const DEPTH_MAX: usize = 32;
-/// Most roles of one joint task: each of them signals to each other one, so the messages grow with the square.
+/// Maximum number of roles of a joint task: each role signals to each other role, so the number of
+/// messages grows quadratically.
 pub const JOINT_MAX: usize = 8;
-/// Most parameters, and most reached states, of one task.
+/// Maximum number of parameters, and of reached states, of a task.
 pub const ENTRIES_MAX: usize = 32;
-/// Longest value of a parameter or of a reached state, and longest name of one, in characters.
+/// Maximum length of a name or value of a parameter or of a reached state, in characters.
 pub const VALUE_CHARS_MAX: usize = 256;
 
 impl Mission {
-    /// Checks everything: the tree, the roles, and each task against the domain.
+    /// Checks the tree, the roles, and each task against the domain.
     ///
     /// # Errors
     /// [`MissionErrors`] lists all problems.
     pub fn check(&self, domain: &Domain) -> Result<(), MissionErrors> {
-        let mut found = structure(self);
+        let mut found = check_tree_and_roles(self);
         if found.is_empty()
             && let Err(errors) = GlobalOrder::of(self)
         {
             found.extend(errors.diagnostics);
         }
-        // With a broken tree some paths are meaningless, but the tasks themselves can still be judged.
+        // In a malformed tree some paths are meaningless, but the tasks can still be checked.
         if self.tasks.len() <= TASKS_MAX && self.roles.len() <= ROLES_MAX {
             let paths = paths(self);
             for (node, path) in self.tasks.iter().zip(&paths) {
                 for (path, _, spec) in specs(&node.id, &node.body, path) {
-                    found.extend(task_faults(self, spec, domain).into_iter().map(|fault| at(&path, fault)));
+                    found.extend(check_task(self, spec, domain).into_iter().map(|kind| at(&path, kind)));
                 }
             }
         }
         MissionErrors::ok_if_empty(&self.name, found)
     }
 
-    /// Checks the tree and the roles alone, where no domain is at hand: enough to divide the mission.
+    /// Checks the tree and the roles without a domain: sufficient to divide the mission.
     ///
     /// # Errors
     /// [`MissionErrors`] lists all problems.
     pub fn check_structure(&self) -> Result<(), MissionErrors> {
-        MissionErrors::ok_if_empty(&self.name, structure(self))
+        MissionErrors::ok_if_empty(&self.name, check_tree_and_roles(self))
     }
 }
 
-fn at(path: &str, fault: MissionErrorKind) -> MissionDiagnostic {
-    MissionDiagnostic { path: path.to_owned(), kind: fault }
+fn at(path: &str, kind: MissionErrorKind) -> MissionDiagnostic {
+    MissionDiagnostic { path: path.to_owned(), kind }
 }
 
-/// The parent of each task: the first that claims it from before it.
+/// Returns the parent of each task: the first preceding task that lists it as a child.
 fn parents(mission: &Mission) -> Vec<Option<usize>> {
     let mut parents = vec![None; mission.tasks.len()];
     for (index, node) in mission.tasks.iter().enumerate() {
@@ -77,13 +78,14 @@ fn parents(mission: &Mission) -> Vec<Option<usize>> {
     parents
 }
 
-/// The path of each task.
+/// Returns the path of each task.
 fn paths(mission: &Mission) -> Vec<String> {
     let mut paths: Vec<String> = Vec::with_capacity(mission.tasks.len());
     for (index, (node, parent)) in mission.tasks.iter().zip(parents(mission)).enumerate() {
         paths.push(match parent {
             _ if index == 0 => "root".to_owned(),
-            // A path grows by at most 65 characters a level, and past the limit it would only be noise.
+            // A path grows by at most 65 characters per level; longer paths beyond the limit would
+            // not help.
             Some(parent) if paths[parent].len() < 65 * (DEPTH_MAX + 1) => format!("{}/{}", paths[parent], node.id),
             Some(_) => format!("…/{}", node.id),
             None => format!("tasks[{index}] ({})", node.id),
@@ -92,7 +94,7 @@ fn paths(mission: &Mission) -> Vec<String> {
     paths
 }
 
-fn structure(mission: &Mission) -> Vec<MissionDiagnostic> {
+fn check_tree_and_roles(mission: &Mission) -> Vec<MissionDiagnostic> {
     let mut found = Vec::new();
     if mission.tasks.is_empty() {
         found.push(at("root", MissionErrorKind::NoTask));
@@ -110,35 +112,36 @@ fn structure(mission: &Mission) -> Vec<MissionDiagnostic> {
         found.push(at("roles", MissionErrorKind::TooManyRoles { found: mission.roles.len(), max: ROLES_MAX }));
     }
     if !found.is_empty() {
-        return found; // the rest could take long, and would be more than anyone reads
+        return found; // further checks could take long, and their output would be too long to read
     }
     if mission.managed_roles().next().is_none() {
         found.push(at("roles", MissionErrorKind::NoManagedRole));
     }
     let parents = parents(mission);
     let paths = paths(mission);
-    tree_faults(mission, &parents, &paths, &mut found);
-    let mut busy: BTreeSet<&RoleId> = BTreeSet::new();
+    check_tree(mission, &parents, &paths, &mut found);
+    let mut roles_with_tasks: BTreeSet<&RoleId> = BTreeSet::new();
     for (node, path) in mission.tasks.iter().zip(&paths) {
         for (path, _, spec) in specs(&node.id, &node.body, path) {
-            busy.extend(&spec.roles);
-            found.extend(assignment_faults(mission, spec).into_iter().map(|fault| at(&path, fault)));
+            roles_with_tasks.extend(&spec.roles);
+            found.extend(check_assignment(mission, spec).into_iter().map(|kind| at(&path, kind)));
         }
     }
-    let idle = mission.roles.keys().filter(|role| !busy.contains(role));
-    found.extend(idle.map(|role| at(&format!("roles/{role}"), MissionErrorKind::UnusedRole)));
+    let unused = mission.roles.keys().filter(|role| !roles_with_tasks.contains(role));
+    found.extend(unused.map(|role| at(&format!("roles/{role}"), MissionErrorKind::UnusedRole)));
     if found.is_empty() {
-        // In a sound tree only: this walks it.
+        // Only in a well-formed tree, since this walks it.
         for (index, (node, path)) in mission.tasks.iter().zip(&paths).enumerate() {
             if let TaskBody::Abstract(method) = &node.body {
-                found.extend(locality_fault(mission, index, method).map(|fault| at(path, fault)));
+                found.extend(check_locality(mission, index, method).map(|kind| at(path, kind)));
             }
         }
     }
     found
 }
 
-/// The elementary tasks that a node holds itself, those of its alternatives included, with the path of each.
+/// Returns the elementary tasks of a node itself, including those of its alternatives, each with
+/// its path.
 fn specs<'a>(id: &'a TaskId, body: &'a TaskBody, path: &str) -> Vec<(String, &'a TaskId, &'a TaskSpec)> {
     match body {
         TaskBody::Elementary(spec) => vec![(path.to_owned(), id, spec)],
@@ -150,8 +153,8 @@ fn specs<'a>(id: &'a TaskId, body: &'a TaskBody, path: &str) -> Vec<(String, &'a
     }
 }
 
-/// Whether a method with alternatives is one managed role's own affair.
-fn locality_fault(mission: &Mission, index: usize, method: &Method) -> Option<MissionErrorKind> {
+/// Checks that a method with alternatives is local to a single managed role.
+fn check_locality(mission: &Mission, index: usize, method: &Method) -> Option<MissionErrorKind> {
     if method.alternatives.is_empty() {
         return None;
     }
@@ -162,9 +165,9 @@ fn locality_fault(mission: &Mission, index: usize, method: &Method) -> Option<Mi
     all.into_iter().find_map(|(task, spec)| {
         let problem = if spec.roles[..] != [role.clone()] {
             let roles: Vec<&str> = spec.roles.iter().map(RoleId::as_str).collect();
-            format!("is done by {}, where {role} does the first", roles.join(" and "))
+            format!("is executed by {}, and the first task by {role}", roles.join(" and "))
         } else if mission.roles.get(role).is_some_and(|role| role.kind == RoleKind::Unmanaged) {
-            format!("is done by {role}, which is unmanaged")
+            format!("is executed by {role}, which is unmanaged")
         } else if let Some(item) = spec.items().next() {
             format!("touches `{item}`")
         } else {
@@ -174,7 +177,7 @@ fn locality_fault(mission: &Mission, index: usize, method: &Method) -> Option<Mi
     })
 }
 
-fn tree_faults(mission: &Mission, parents: &[Option<usize>], paths: &[String], found: &mut Vec<MissionDiagnostic>) {
+fn check_tree(mission: &Mission, parents: &[Option<usize>], paths: &[String], found: &mut Vec<MissionDiagnostic>) {
     let tasks = mission.tasks.len();
     let mut named: BTreeMap<&TaskId, String> = BTreeMap::new();
     let mut claimed: BTreeSet<usize> = BTreeSet::new();
@@ -225,8 +228,8 @@ fn tree_faults(mission: &Mission, parents: &[Option<usize>], paths: &[String], f
     }
 }
 
-/// Who does it.
-fn assignment_faults(mission: &Mission, spec: &TaskSpec) -> Vec<MissionErrorKind> {
+/// Checks the roles, attempts and items of a task.
+fn check_assignment(mission: &Mission, spec: &TaskSpec) -> Vec<MissionErrorKind> {
     let mut found = Vec::new();
     if spec.roles.is_empty() {
         found.push(MissionErrorKind::NoRole { allowed: AllowedNames { names: role_names(mission), nearest: None } });
@@ -277,8 +280,8 @@ fn role_names(mission: &Mission) -> Vec<String> {
     mission.roles.keys().map(ToString::to_string).collect()
 }
 
-/// What it is told.
-fn task_faults(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<MissionErrorKind> {
+/// Checks the type and the parameters of a task.
+fn check_task(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<MissionErrorKind> {
     let Some(schema) = domain.get(&spec.task_type) else {
         let allowed = AllowedNames::suggest_for(spec.task_type.as_str(), domain.task_types());
         return vec![MissionErrorKind::UnknownType { task_type: spec.task_type.to_string(), allowed }];
@@ -344,7 +347,7 @@ mod tests {
 
     const R1: &[(&str, RoleKind)] = &[("r1", RoleKind::Managed)];
 
-    fn problems(mission: &Mission) -> Vec<String> {
+    fn diagnostics(mission: &Mission) -> Vec<String> {
         match mission.check(&Domain::hospital()) {
             Ok(()) => vec![],
             Err(errors) => errors.diagnostics.iter().map(ToString::to_string).collect(),
@@ -352,13 +355,13 @@ mod tests {
     }
 
     #[test]
-    fn a_sound_mission_passes() {
+    fn a_valid_mission_passes() {
         let tasks = vec![refined("top", &[1]), elementary("go", "navigation", &["r1"], &[("to", "Laboratory")])];
-        assert_eq!(problems(&mission(R1, tasks)), Vec::<String>::new());
+        assert_eq!(diagnostics(&mission(R1, tasks)), Vec::<String>::new());
     }
 
     #[test]
-    fn every_problem_is_told_with_its_path_and_what_is_allowed() {
+    fn every_problem_is_reported_with_its_path_and_allowed_names() {
         let tasks = vec![
             refined("top", &[1, 2, 3]),
             elementary("go", "navigatoin", &["r1"], &[]),
@@ -368,40 +371,40 @@ mod tests {
         ];
         let roles = &[("r1", RoleKind::Managed), ("nurse", RoleKind::Unmanaged)];
         assert_eq!(
-            problems(&mission(roles, tasks)),
+            diagnostics(&mission(roles, tasks)),
             [
                 "root/fetch: unknown role `r9`; allowed: nurse, r1; did you mean `r1`?",
                 "root/fetch: names the role `r1` twice",
-                "roles/nurse: has no task; give it one or leave it out",
+                "roles/nurse: has no task; add a task for it or remove it",
                 "root/go: unknown task type `navigatoin`; allowed: approach_person, approach_robot, \
                  authenticate_person, carry, deposit, disinfect, dock, follow_path, grasp, navigation, operate_door, \
                  operate_drawer, pick_up, undock, wait; did you mean `navigation`?",
                 "root/fetch: `pick_up` has no parameter `colour`; allowed: from_role, item",
-                "root/fetch: parameter `from_role` names the role `nurs`, which the mission does not have; allowed: \
+                "root/fetch: parameter `from_role` names the role `nurs`, which is not declared in the mission; allowed: \
                  nurse, r1; did you mean `nurse`?",
-                "root/more/shut: parameter `action` is \"slam\"; it should be one of close, open",
+                "root/more/shut: parameter `action` is \"slam\"; it must be one of close, open",
             ]
         );
     }
 
     #[test]
-    fn a_parameter_that_is_missing_is_named() {
+    fn a_missing_parameter_is_named() {
         let tasks = vec![elementary("go", "navigation", &["r1"], &[])];
-        assert_eq!(problems(&mission(R1, tasks)), ["root: `navigation` needs the parameter `to`: a place"]);
+        assert_eq!(diagnostics(&mission(R1, tasks)), ["root: `navigation` needs the parameter `to`: a place"]);
     }
 
     #[test]
-    fn what_no_tree_can_be_is_refused() {
+    fn a_malformed_tree_is_rejected() {
         let go = |id| elementary(id, "wait", &["r1"], &[("seconds", "1")]);
         let cases = [
-            (vec![], vec!["root: there is no task at all; the first task is the root"]),
+            (vec![], vec!["root: the mission has no task; the first task is the root"]),
             (
                 vec![refined("top", &[1, 7]), go("a")],
                 vec!["root: is refined into task number 7, but the mission has 2 tasks, counted from 0"],
             ),
             (
                 vec![refined("top", &[1, 2]), refined("loop", &[0]), go("a")],
-                vec!["root/loop: is refined into `top`, which does not stand after it: a cycle, or tasks out of order"],
+                vec!["root/loop: is refined into `top`, which is not listed after it: a cycle, or tasks out of order"],
             ),
             (
                 vec![refined("top", &[1, 2]), refined("x", &[2]), go("a")],
@@ -413,32 +416,32 @@ mod tests {
             ),
             (
                 vec![refined("top", &[1, 2]), refined("x", &[]), go("a")],
-                vec!["root/x: its method has no tasks; a method has at least one"],
+                vec!["root/x: its method has no tasks; a method needs at least 1 task"],
             ),
             (
                 vec![refined("top", &[1, 2]), go("a"), go("a")],
-                vec!["root/a: has the name of root/a; task names are unique in a mission"],
+                vec!["root/a: has the same name as root/a; task names must be unique in a mission"],
             ),
             (
                 vec![refined("top", &[1]), elementary("a", "wait", &[], &[("seconds", "1")])],
                 vec![
-                    "root/a: no role does it; name at least one, allowed: r1",
-                    "roles/r1: has no task; give it one or leave it out",
+                    "root/a: has no role; name at least 1 role, allowed: r1",
+                    "roles/r1: has no task; add a task for it or remove it",
                 ],
             ),
         ];
         for (tasks, expected) in cases {
-            assert_eq!(problems(&mission(R1, tasks)), expected);
+            assert_eq!(diagnostics(&mission(R1, tasks)), expected);
         }
     }
 
     #[test]
-    fn a_mission_of_people_alone_is_not_for_the_fleet() {
+    fn a_mission_without_managed_roles_is_rejected() {
         let tasks = vec![elementary("a", "wait", &["nurse"], &[("seconds", "1")])];
         let roles = &[("nurse", RoleKind::Unmanaged)];
         assert_eq!(
-            problems(&mission(roles, tasks)),
-            ["roles: no role is managed; a mission needs at least one role that a robot fills"]
+            diagnostics(&mission(roles, tasks)),
+            ["roles: no role is managed; a mission needs at least 1 role that a robot fills"]
         );
     }
 
@@ -447,15 +450,15 @@ mod tests {
         let many: Vec<u32> = (1..=TASKS_MAX as u32).collect();
         let mut tasks = vec![refined("top", &many)];
         tasks.extend(many.iter().map(|n| elementary(&format!("t{n}"), "wait", &["r1"], &[("seconds", "1")])));
-        assert_eq!(problems(&mission(R1, tasks.clone())), ["root: 513 tasks; at most 512 are allowed"]);
+        assert_eq!(diagnostics(&mission(R1, tasks.clone())), ["root: 513 tasks; at most 512 are allowed"]);
         tasks.pop();
         tasks[0] = refined("top", &many[..TASKS_MAX - 1]);
-        assert_eq!(problems(&mission(R1, tasks)), Vec::<String>::new());
+        assert_eq!(diagnostics(&mission(R1, tasks)), Vec::<String>::new());
 
         let mut chain: Vec<TaskNode> = (0..DEPTH_MAX as u32).map(|n| refined(&format!("d{n}"), &[n + 1])).collect();
         chain.push(elementary("end", "wait", &["r1"], &[("seconds", "1")]));
-        let found = problems(&mission(R1, chain));
+        let found = diagnostics(&mission(R1, chain));
         assert_eq!(found.len(), 1);
-        assert!(found[0].ends_with("stands 33 levels deep; at most 32 are allowed"), "{found:?}");
+        assert!(found[0].ends_with("is 33 levels deep; at most 32 are allowed"), "{found:?}");
     }
 }

@@ -1,24 +1,27 @@
-//! What a role may do instead of some of its tasks, without anybody else noticing.
+//! Alternatives of a role: replacement tasks that other roles cannot observe.
 //!
-//! A method with alternatives is one role's own affair: no task below it is another's, none is joint. In the tree-shaped
-//! order any other task then stands before all of these tasks, after all of them, or in no order with any of them: where
-//! the branches part is the same for all, and of the rule for joint tasks, which adds to that order, only what comes before
-//! or after all of them can follow, as none of them is joint. Hence no wait and no send stands *between* two of them:
+//! A method with alternatives is local to a single role: no task below it belongs to another role,
+//! and none is joint. In the tree-shaped order any other task then comes before all of these tasks,
+//! after all of them, or is unordered with all of them, since its branch separates from theirs at
+//! the same method. The rule for joint tasks adds only orders before or after all of them, since
+//! none of them is joint. Hence no wait and no send is *between* two of them:
 //!
-//! - a wait is for a task that comes before one of them, so before all, and it stands after no task of the role that such
-//!   a task does not also come after;
-//! - a send tells of one of them to somebody whose task comes after all, and nothing of this role stands after a send.
+//! - A wait is for a task that comes before any of them, so before all of them. It follows only
+//!   those tasks of the role that the awaited task also follows.
+//! - A send reports the end of any of them to a role with a task that comes after all of them. No
+//!   step of this role follows a send.
 //!
-//! So when one of them has begun, all that any of them waits for has been heard. Doing other tasks in their stead is, to
-//! all others, one of them taking longer; when they count as ended, their sends may go out, in any order. The check of a
-//! division proves the first part anew from the plan alone.
+//! So when the first of them has begun, all signals that any of them waits for have been received.
+//! To other roles, executing other tasks instead looks like a task that takes longer. When the
+//! replaced steps count as ended, their sends may go out in any order. The check of a division
+//! proves the first part again from the plan alone.
 
 use super::local::{Alternative, LocalPlan, StepAction, StepIndex};
 use crate::ids::{RoleId, TaskId};
 use crate::mission::{Mission, TaskBody};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The alternatives of a role's plan: innermost first, then in the order of the file.
+/// Returns the alternatives of a role's plan: innermost first, then in the order of the file.
 pub(super) fn alternatives(mission: &Mission, plan: &LocalPlan) -> Vec<Alternative> {
     let tasks = (0..).zip(&plan.steps).filter_map(|(index, step)| match &step.action {
         StepAction::Task { id, .. } => Some((id, index)),
@@ -39,7 +42,7 @@ pub(super) fn alternatives(mission: &Mission, plan: &LocalPlan) -> Vec<Alternati
         for other in &method.alternatives {
             let below = mission.elementary_below(index);
             if below.iter().any(|(_, spec)| spec.roles[..] != [plan.role.clone()]) {
-                continue; // another role's
+                continue; // belongs to another role
             }
             let replaces = below.iter().filter_map(|(id, _)| tasks.get(id).copied()).collect();
             found.push((depths[index], Alternative { replaces, tasks: other.tasks.clone() }));
@@ -49,7 +52,7 @@ pub(super) fn alternatives(mission: &Mission, plan: &LocalPlan) -> Vec<Alternati
     found.into_iter().map(|(_, alternative)| alternative).collect()
 }
 
-/// A step that stands between two that an alternative replaces and is not one of them.
+/// Returns a step that is between two replaced steps and is not itself replaced, if there is any.
 pub(super) fn step_between(plan: &LocalPlan, replaces: &BTreeSet<StepIndex>) -> Option<StepIndex> {
     let mut later: BTreeSet<StepIndex> = BTreeSet::new();
     for (index, step) in (0..).zip(&plan.steps) {
@@ -58,7 +61,8 @@ pub(super) fn step_between(plan: &LocalPlan, replaces: &BTreeSet<StepIndex>) -> 
             later.insert(index);
         }
     }
-    // What follows one of them and is itself none of them must not be followed by one.
+    // A step that follows a replaced step and is not replaced itself must not precede a replaced
+    // step.
     let outside: BTreeSet<StepIndex> = later.difference(replaces).copied().collect();
     let inside = |index: &StepIndex| {
         let step = plan.steps.get(*index as usize);
@@ -67,7 +71,7 @@ pub(super) fn step_between(plan: &LocalPlan, replaces: &BTreeSet<StepIndex>) -> 
     replaces.iter().find_map(inside)
 }
 
-/// Whose alternatives differ from the mission's: the role, if this one's do.
+/// Checks whether the alternatives of this role's plan differ from those of the mission.
 pub(super) fn alternatives_differ(mission: &Mission, role: &RoleId, plan: &LocalPlan) -> bool {
     plan.role == *role && plan.alternatives != alternatives(mission, plan)
 }

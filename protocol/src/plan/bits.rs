@@ -1,13 +1,13 @@
-//! A set of small numbers, for orders over a few hundred tasks.
+//! Set of small numbers, for orders over a few hundred tasks.
 
-/// A set of numbers below a bound that is fixed when the set is made.
+/// Set of numbers below a bound that is fixed at creation.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Bits {
     words: Vec<u64>,
 }
 
 impl Bits {
-    /// The empty set of numbers below `bound`.
+    /// Creates an empty set of numbers below `bound`.
     pub(super) fn below(bound: usize) -> Self {
         Self { words: vec![0; bound.div_ceil(64)] }
     }
@@ -20,12 +20,12 @@ impl Bits {
         self.words[number / 64] & (1 << (number % 64)) != 0
     }
 
-    /// Adds all of the other set, which has the same bound.
+    /// Adds all numbers of the other set, which has the same bound.
     pub(super) fn extend(&mut self, other: &Bits) {
         self.words.iter_mut().zip(&other.words).for_each(|(word, other)| *word |= other);
     }
 
-    /// The numbers in the set, from the largest down.
+    /// Returns the numbers in the set, in descending order.
     pub(super) fn descending(&self) -> impl Iterator<Item = usize> + '_ {
         self.words.iter().enumerate().rev().flat_map(|(at, &word)| {
             let mut rest = word;
@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_come_out_from_the_largest_down() {
+    fn numbers_are_returned_in_descending_order() {
         let mut bits = Bits::below(130);
         [0, 63, 64, 129].into_iter().for_each(|number| bits.insert(number));
         assert_eq!(bits.descending().collect::<Vec<_>>(), [129, 64, 63, 0]);

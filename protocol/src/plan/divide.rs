@@ -1,13 +1,15 @@
 //! Division of a mission into local plans (Lesire et al. 2016; thesis 2.1.1.1).
 //!
-//! For each task `D` of a role `s`, and each task `T` that the [`GlobalOrder`] puts before it, `s` must know that each
-//! role of `T` has ended its part before `s` begins `D`, or, where `D` is joint, before `s` says that it stands ready.
-//! It knows so
+//! For each task `D` of a role `s`, and each task `T` that the [`GlobalOrder`] puts before it, each
+//! role of `T` must have ended its part before `s` begins `D`. If `D` is joint, this must hold
+//! before `s` signals that it is ready. The plan of `s` ensures this as follows:
 //!
-//! - of its own part, since the step of `D` comes `after` the step of `T`;
-//! - of the others' parts, since they send `done`: but no signal is sent of what follows from another one, or from a
-//!   local order. Who has heard that a task has ended knows that all before it has.
-//! - of the parts of its partners in a joint `D` only when they in turn have said that they stand ready.
+//! - for its own part, since the step of `D` comes `after` the step of `T`;
+//! - for the parts of other roles, since they send `done`. A signal is omitted if another signal or
+//!   a local order implies it: when the end of a task is known, the end of all tasks before it is
+//!   known, too;
+//! - for the parts of its partners in a joint `D`, only when the partners have signalled in turn
+//!   that they are ready.
 //!
 //! ```text
 //! sequential: open (r1), deposit (nurse), close (r1)         sequential: walk (r1), open (r2), carry (r1, r2)
@@ -20,13 +22,14 @@
 //!   close
 //! ```
 //!
-//! Why nobody may stand ready while a third role's work is still awaited, although its partner's `ready` would imply
-//! it later: a role that stands ready does nothing else, and that third role might need it, or need somebody who is
-//! in turn waiting for it. The argument is in [`check`](super::check_division).
+//! A role may not signal `ready` while the work of a third role is still awaited, although the
+//! `ready` of its partner would imply that work later. A role that is ready does nothing else. The
+//! third role might need it, or need a role that is waiting for it. The proof is in
+//! [`check`](super::check_division).
 //!
-//! Tasks of one role that are in no order stay in none. The steps are listed in the order of the file: waits directly
-//! before the first task that needs them, sends directly after their task, so that a robot that takes whatever comes
-//! first in the list follows the file.
+//! Unordered tasks of a role stay unordered. The steps are listed in the order of the file: waits
+//! directly before the first task that needs them, sends directly after their task. So a robot that
+//! takes the first permitted step in the list follows the file.
 
 use super::alternatives::alternatives;
 use super::guards::guarded_steps;
@@ -36,20 +39,24 @@ use crate::ids::RoleId;
 use crate::mission::{Mission, MissionErrors};
 use std::collections::BTreeMap;
 
-/// Divides a mission into one plan for each of its roles, the unmanaged ones too.
+/// Divides a mission into 1 plan for each of its roles, including the unmanaged roles.
 ///
 /// # Errors
-/// [`MissionErrors`] if the mission's tree is none.
+/// [`MissionErrors`] if the mission's tree is invalid.
 pub fn divide(mission: &Mission) -> Result<Division, MissionErrors> {
     let order = GlobalOrder::of(mission)?;
-    let needs = Needs::of(&order);
-    let mut plans: BTreeMap<RoleId, Draft<'_>> =
-        mission.roles.keys().map(|role| (role.clone(), Draft::of(role, &order))).collect();
+    let preconditions = Preconditions::of(&order);
+    let mut plans: BTreeMap<RoleId, PlanDraft<'_>> =
+        mission.roles.keys().map(|role| (role.clone(), PlanDraft::of(role, &order))).collect();
     for task in 0..order.len() {
         for role in &order.spec(task).roles {
             let part = (task, role);
             let draft = plans.get_mut(role).expect("a checked mission has the roles of its tasks");
-            draft.write(task, &needs.of_part[&part], needs.told.get(&part).map_or(&[], Vec::as_slice));
+            draft.add_task(
+                task,
+                &preconditions.of_part[&part],
+                preconditions.signalled.get(&part).map_or(&[], Vec::as_slice),
+            );
         }
     }
     let plans = plans.into_iter().map(|(role, draft)| (role.clone(), LocalPlan::of(role, draft.steps)));
@@ -62,73 +69,75 @@ pub fn divide(mission: &Mission) -> Result<Division, MissionErrors> {
     Ok(division)
 }
 
-/// A role's part in a task.
+/// Part of a role in a task: task number and role.
 type Part<'m> = (usize, &'m RoleId);
 
-/// What a role must know before it begins a task.
+/// Preconditions of a part.
 #[derive(Default)]
-struct Need<'m> {
-    /// Its own latest tasks before it.
+struct Precondition<'m> {
+    /// Latest preceding tasks of the same role.
     own: Vec<usize>,
-    /// The others' parts that it must be told of.
-    told: Vec<Part<'m>>,
+    /// Parts of other roles that must be signalled to this role.
+    signalled: Vec<Part<'m>>,
 }
 
-struct Needs<'m> {
-    of_part: BTreeMap<Part<'m>, Need<'m>>,
-    /// Whom each part's end is told to, in the order in which they need it.
-    told: BTreeMap<Part<'m>, Vec<&'m RoleId>>,
+struct Preconditions<'m> {
+    of_part: BTreeMap<Part<'m>, Precondition<'m>>,
+    /// Receivers of the `done` signal of each part, in the order in which they need it.
+    signalled: BTreeMap<Part<'m>, Vec<&'m RoleId>>,
 }
 
-impl<'m> Needs<'m> {
+impl<'m> Preconditions<'m> {
     fn of(order: &GlobalOrder<'m>) -> Self {
-        let mut needs = Needs { of_part: BTreeMap::new(), told: BTreeMap::new() };
+        let mut preconditions = Preconditions { of_part: BTreeMap::new(), signalled: BTreeMap::new() };
         for task in 0..order.len() {
             for role in &order.spec(task).roles {
-                let need = need_of(order, task, role);
-                for part in &need.told {
-                    let told = needs.told.entry(*part).or_default();
-                    if !told.contains(&role) {
-                        told.push(role);
+                let precondition = precondition_of(order, task, role);
+                for part in &precondition.signalled {
+                    let signalled = preconditions.signalled.entry(*part).or_default();
+                    if !signalled.contains(&role) {
+                        signalled.push(role);
                     }
                 }
-                needs.of_part.insert((task, role), need);
+                preconditions.of_part.insert((task, role), precondition);
             }
         }
-        needs
+        preconditions
     }
 }
 
-/// From the latest task back, so that what a later one implies is known when an earlier one is looked at.
-fn need_of<'m>(order: &GlobalOrder<'m>, task: usize, role: &'m RoleId) -> Need<'m> {
-    let mut need = Need::default();
+/// Computes the preconditions from the latest task back, so that tasks implied by a later task are
+/// skipped.
+fn precondition_of<'m>(order: &GlobalOrder<'m>, task: usize, role: &'m RoleId) -> Precondition<'m> {
+    let mut precondition = Precondition::default();
     let partners = &order.spec(task).roles;
-    let mut known = super::bits::Bits::below(order.len()); // tasks that have ended in all roles, as far as is known
+    let mut known = super::bits::Bits::below(order.len()); // tasks known to have ended in all roles
     let own = order.before(task).descending().filter(|earlier| order.spec(*earlier).roles.contains(role));
     for earlier in own {
         if !known.contains(earlier) {
-            need.own.push(earlier);
+            precondition.own.push(earlier);
             known.extend(order.before(earlier));
         }
     }
-    // A role's own last task tells of all before it, but not yet of its partners' parts in that task itself.
+    // A preceding task of the role itself implies all tasks before it, but not the parts of its
+    // partners in that same task.
     for earlier in order.before(task).descending() {
         if known.contains(earlier) {
             continue;
         }
         let others = order.spec(earlier).roles.iter().filter(|other| *other != role && !partners.contains(other));
-        let count = need.told.len();
-        need.told.extend(others.map(|other| (earlier, other)));
-        if need.told.len() > count {
+        let count = precondition.signalled.len();
+        precondition.signalled.extend(others.map(|other| (earlier, other)));
+        if precondition.signalled.len() > count {
             known.extend(order.before(earlier));
         }
     }
-    need.told.sort_by_key(|(earlier, _)| *earlier);
-    need
+    precondition.signalled.sort_by_key(|(earlier, _)| *earlier);
+    precondition
 }
 
-/// A local plan being written, task by task in the order of the file.
-struct Draft<'m> {
+/// Local plan under construction, task by task in the order of the file.
+struct PlanDraft<'m> {
     role: &'m RoleId,
     order: &'m GlobalOrder<'m>,
     steps: Vec<Step>,
@@ -136,16 +145,16 @@ struct Draft<'m> {
     waits: BTreeMap<Part<'m>, StepIndex>,
 }
 
-impl<'m> Draft<'m> {
+impl<'m> PlanDraft<'m> {
     fn of(role: &'m RoleId, order: &'m GlobalOrder<'m>) -> Self {
         Self { role, order, steps: vec![], tasks: BTreeMap::new(), waits: BTreeMap::new() }
     }
 
-    fn write(&mut self, task: usize, need: &Need<'m>, told: &[&'m RoleId]) {
-        for &part in &need.told {
+    fn add_task(&mut self, task: usize, precondition: &Precondition<'m>, signalled: &[&'m RoleId]) {
+        for &part in &precondition.signalled {
             self.wait_for_end(part);
         }
-        let begin = self.known_by(need);
+        let begin = self.steps_meeting(precondition);
         let (id, spec) = (self.order.id(task).clone(), self.order.spec(task).clone());
         let partners: Vec<RoleId> = spec.roles.iter().filter(|role| *role != self.role).cloned().collect();
         let signal = |kind: SignalKind, from: &RoleId, to: &RoleId| {
@@ -156,13 +165,13 @@ impl<'m> Draft<'m> {
             .iter()
             .map(|other| (signal(SignalKind::Ready, self.role, other), signal(SignalKind::Ready, other, self.role)))
             .unzip();
-        let ends: Vec<Signal> = told.iter().map(|other| signal(SignalKind::Done, self.role, other)).collect();
+        let ends: Vec<Signal> = signalled.iter().map(|other| signal(SignalKind::Done, self.role, other)).collect();
 
-        let stands_ready: Vec<StepIndex> =
+        let ready_sent: Vec<StepIndex> =
             sends.into_iter().map(|ready| self.push(StepAction::Send(ready), begin.clone())).collect();
-        let all_ready: Vec<StepIndex> =
-            waits.into_iter().map(|ready| self.push(StepAction::Wait(ready), stands_ready.clone())).collect();
-        let after = if partners.is_empty() { begin } else { all_ready };
+        let ready_received: Vec<StepIndex> =
+            waits.into_iter().map(|ready| self.push(StepAction::Wait(ready), ready_sent.clone())).collect();
+        let after = if partners.is_empty() { begin } else { ready_received };
         let step = self.push(StepAction::Task { id, spec }, after);
         self.tasks.insert(task, step);
         for done in ends {
@@ -170,8 +179,8 @@ impl<'m> Draft<'m> {
         }
     }
 
-    /// Writes the wait for another role's end of a task, once. It comes after what of this role's own must have ended
-    /// before that signal can be on its way.
+    /// Adds the wait for another role's end of a task, once. The wait follows those tasks of this
+    /// role that must have ended before that signal can be sent.
     fn wait_for_end(&mut self, part: Part<'m>) {
         if self.waits.contains_key(&part) {
             return;
@@ -191,11 +200,13 @@ impl<'m> Draft<'m> {
         self.waits.insert(part, step);
     }
 
-    /// The steps after which a need is met, without those that another of them implies.
-    fn known_by(&self, need: &Need<'m>) -> Vec<StepIndex> {
-        let implied = |own: usize| need.told.iter().any(|(task, _)| own == *task || self.order.precedes(own, *task));
-        let own = need.own.iter().filter(|own| !implied(**own)).map(|own| self.tasks[own]);
-        let mut after: Vec<StepIndex> = own.chain(need.told.iter().map(|part| self.waits[part])).collect();
+    /// Returns the steps after which a precondition is met, without steps that are implied by
+    /// others.
+    fn steps_meeting(&self, precondition: &Precondition<'m>) -> Vec<StepIndex> {
+        let implied =
+            |own: usize| precondition.signalled.iter().any(|(task, _)| own == *task || self.order.precedes(own, *task));
+        let own = precondition.own.iter().filter(|own| !implied(**own)).map(|own| self.tasks[own]);
+        let mut after: Vec<StepIndex> = own.chain(precondition.signalled.iter().map(|part| self.waits[part])).collect();
         after.sort_unstable();
         after
     }

@@ -1,20 +1,27 @@
-//! Write-ahead of custody: which steps wait until the ledger knows what came before them.
+//! Write-ahead of custody: guarded steps, which wait until the ledger contains their predecessors.
 //!
-//! A robot may be lost at any moment, and with it all that it has not reported. So that nobody need guess whether it has
-//! the sample in its drawer, the task that moves an item cannot begin before the ledger is known to hold a step that
-//! comes before it. What the ledger does not hold of a guard's predecessors tells that the item was not moved.
+//! A robot may be lost at any moment, and with it all progress that it has not reported. It must
+//! still be certain whether the sample is in its drawer. So a task that moves an item cannot begin
+//! before the ledger is known to contain a preceding step, the predecessor of a *guard*. If the
+//! ledger lacks a predecessor of a guard, the item was not moved.
 //!
 //! ```text
 //!   r1                                   nurse                 deposit gives the sample to r1:
 //!   open ─ [ledger has `open`] ─ done ─► wait, deposit         the guard is r1's `done:open`
 //! ```
 //!
-//! The guard of a move stands with the role that gets the item. If that is nobody, or a person, it stands with the role
-//! that has it, and if that is nobody either, with the robots that do the task. A role that does the task itself is
-//! guarded at its own step, or, where the task is joint, at each `ready` that it sends for it, since its partners begin when
-//! they have heard it; another one at the sends by which those who do it learn, directly or through others, that they may
-//! begin. A task that waits for nothing of that role has no guard: it
-//! may have been done as soon as the role is held.
+//! The guard of a move belongs to the role that receives the item. If the receiver is a person, or
+//! outside the mission, the guard belongs to the role that has the item. If no managed role has it
+//! either, the guards belong to the robots that execute the task.
+//!
+//! - A role that executes the task itself is guarded at its own step. In a joint task it is guarded
+//!   at each `ready` that it sends for the task, since its partners begin when they have received
+//!   it.
+//! - Any other role is guarded at the sends after which, directly or through other roles, the
+//!   executing roles may begin.
+//!
+//! A task that waits for no step of that role has no guard: it may have been executed as soon as
+//! the role is held.
 
 use super::local::{Division, Signal, SignalKind, StepAction, StepIndex};
 use super::order::GlobalOrder;
@@ -22,23 +29,24 @@ use crate::ids::{ItemId, RoleId, TaskId};
 use crate::mission::{Mission, MissionErrors, RoleKind};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A task that moves an item.
+/// Task that moves an item.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ItemMove {
     /// The task.
     pub task: TaskId,
-    /// Who does it.
+    /// Roles that execute it.
     pub performers: Vec<RoleId>,
-    /// Who has the item afterwards; `None` for nobody of the mission.
+    /// Role that has the item afterwards; `None` if the item leaves the mission.
     pub receiver: Option<RoleId>,
-    /// It begins after each of these steps, which are performed only when the ledger holds all that ended before them.
+    /// Steps that precede the task. Each is performed only after the ledger contains all steps that
+    /// ended before it.
     pub guards: Vec<(RoleId, StepIndex)>,
 }
 
-/// How a divided mission moves its items: for each, the moves in their order.
+/// Returns the moves of each item of a divided mission, in their order.
 ///
 /// # Errors
-/// [`MissionErrors`] if the mission has no order, or moves an item in none.
+/// [`MissionErrors`] if the mission has no valid order, or if moves of an item are unordered.
 pub fn item_moves(mission: &Mission, division: &Division) -> Result<BTreeMap<ItemId, Vec<ItemMove>>, MissionErrors> {
     let order = GlobalOrder::of(mission)?;
     let sends = sends(division);
@@ -50,17 +58,18 @@ pub fn item_moves(mission: &Mission, division: &Division) -> Result<BTreeMap<Ite
         for task in tasks {
             let (id, spec) = (order.id(task), order.spec(task));
             let to = spec.acquires.get(item);
-            let keepers: Vec<&RoleId> = match to.filter(|to| managed(to)).or(holder.filter(|from| managed(from))) {
-                Some(keeper) => vec![keeper],
+            let guarded_roles: Vec<&RoleId> = match to.filter(|to| managed(to)).or(holder.filter(|from| managed(from)))
+            {
+                Some(guarded_role) => vec![guarded_role],
                 None => spec.roles.iter().filter(|role| managed(role)).collect(),
             };
             let mut guards: Vec<(RoleId, StepIndex)> = Vec::new();
-            for keeper in keepers {
-                let steps = match spec.roles.contains(keeper) {
-                    true => own_guards(division, keeper, id),
-                    false => told_by(division, &sends, keeper, id, &spec.roles),
+            for guarded_role in guarded_roles {
+                let steps = match spec.roles.contains(guarded_role) {
+                    true => own_guards(division, guarded_role, id),
+                    false => sends_leading_to(division, &sends, guarded_role, id, &spec.roles),
                 };
-                guards.extend(steps.into_iter().map(|step| (keeper.clone(), step)));
+                guards.extend(steps.into_iter().map(|step| (guarded_role.clone(), step)));
             }
             moves.push(ItemMove { task: id.clone(), performers: spec.roles.clone(), receiver: to.cloned(), guards });
             holder = to;
@@ -70,7 +79,7 @@ pub fn item_moves(mission: &Mission, division: &Division) -> Result<BTreeMap<Ite
     Ok(all)
 }
 
-/// For each role, its guarded steps.
+/// Returns the guarded steps of each role.
 pub(super) fn guarded_steps(
     mission: &Mission,
     division: &Division,
@@ -82,7 +91,7 @@ pub(super) fn guarded_steps(
     Ok(guarded)
 }
 
-/// Where each signal is sent.
+/// Returns the step that sends each signal.
 fn sends(division: &Division) -> BTreeMap<&Signal, StepIndex> {
     let steps = division.plans.values().flat_map(|plan| (0..).zip(&plan.steps));
     let sends = steps.filter_map(|(index, step)| match &step.action {
@@ -102,15 +111,16 @@ fn own_guards(division: &Division, role: &RoleId, task: &TaskId) -> Vec<StepInde
     (0..).zip(&plan.steps).filter(|(_, step)| of_task(&step.action)).map(|(index, _)| index).collect()
 }
 
-/// The last steps of `keeper` on every way to the task: from the task back, not beyond them.
-fn told_by(
+/// Returns the last steps of `guarded_role` on every path to the task, found by walking back from
+/// the task and stopping at them.
+fn sends_leading_to(
     division: &Division,
     sends: &BTreeMap<&Signal, StepIndex>,
-    keeper: &RoleId,
+    guarded_role: &RoleId,
     task: &TaskId,
     by: &[RoleId],
 ) -> Vec<StepIndex> {
-    let mut found = BTreeSet::new();
+    let mut guards = BTreeSet::new();
     let mut seen: BTreeSet<(&RoleId, StepIndex)> = BTreeSet::new();
     let mut open: Vec<(&RoleId, StepIndex)> = Vec::new();
     for role in by {
@@ -119,8 +129,8 @@ fn told_by(
         open.extend(own.map(|(index, _)| (role, index)));
     }
     while let Some((role, index)) = open.pop() {
-        if role == keeper {
-            found.insert(index);
+        if role == guarded_role {
+            guards.insert(index);
             continue;
         }
         let step = division.plans.get(role).and_then(|plan| plan.steps.get(index as usize));
@@ -130,5 +140,5 @@ fn told_by(
             open.extend(sends.get(signal).map(|send| (&signal.from, *send)));
         }
     }
-    found.into_iter().collect()
+    guards.into_iter().collect()
 }

@@ -6,88 +6,91 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-/// Position of a step in its local plan.
+/// Index of a step in its local plan.
 pub type StepIndex = u32;
 
-/// A mission divided: one plan for each role that has anything to do.
+/// Divided mission: 1 plan for each role that has any step.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Division {
-    /// Every role's plan.
+    /// Plans by role.
     pub plans: BTreeMap<RoleId, LocalPlan>,
 }
 
-/// What one role does.
+/// Plan of a single role.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LocalPlan {
-    /// Whose plan it is.
+    /// Role of the plan.
     pub role: RoleId,
-    /// The steps, in an order that respects every `after` (and is the order of the global plan where that leaves a choice).
+    /// Steps, in an order that respects every `after`; otherwise in the order of the global plan.
     pub steps: Vec<Step>,
-    /// What the role may do instead of some of its tasks when one of them has failed for good: innermost first, then in the
-    /// order of the file.
+    /// Alternatives to try when a task has failed permanently: innermost first, then in the order
+    /// of the file.
     #[serde(default)]
     pub alternatives: Vec<Alternative>,
-    /// Steps that may be performed only once the ledger is known to hold every step of this plan that has ended so far.
-    /// What a lost robot may have in its hands can be told from the ledger for this reason.
+    /// Steps that may be performed only after the ledger is known to contain all steps of this plan
+    /// that have ended so far. Due to these guards, the ledger shows which items a lost robot may
+    /// have.
     #[serde(default)]
     pub guarded: BTreeSet<StepIndex>,
 }
 
-/// Other tasks for some of a plan. Once they are done, in their order, the steps that they replace count as ended.
+/// Replacement tasks for some steps of a plan. When they are completed, in their order, the
+/// replaced steps count as ended.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Alternative {
-    /// Task steps of the plan, between which nothing is sent and nothing is awaited.
+    /// Task steps that are replaced. No step between them sends or waits for a signal.
     pub replaces: BTreeSet<StepIndex>,
-    /// What is done in their stead, one after the other. Never empty.
+    /// Replacement tasks, executed in sequence. Never empty.
     pub tasks: Vec<(TaskId, TaskSpec)>,
 }
 
-/// One step of a local plan.
+/// Step of a local plan.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Step {
-    /// What to do.
+    /// Action of the step.
     pub action: StepAction,
-    /// Steps of the same plan that must have ended before this one begins; only smaller indices, sorted, irredundant.
+    /// Steps of the same plan that must have ended before this step begins: only smaller indices,
+    /// sorted, without redundant entries.
     pub after: Vec<StepIndex>,
 }
 
-/// What a step comes down to.
+/// Action of a step.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StepAction {
-    /// Do a task with the skill of its type.
+    /// Executes a task with the skill of its type.
     Task {
-        /// Its name in the mission.
+        /// Name of the task in the mission.
         id: TaskId,
-        /// What is to be achieved.
+        /// Specification of the task.
         spec: TaskSpec,
     },
-    /// Tell another role.
+    /// Sends a signal to another role.
     Send(Signal),
-    /// Begin nothing after this before the other role has told.
+    /// Blocks the following steps until the signal is received.
     Wait(Signal),
 }
 
-/// A message between two roles of one mission. Sent once by `from`, awaited once by `to`; together with the mission's
-/// id its name is unique.
+/// Message between two roles of a mission. It is sent once by `from` and awaited once by `to`. Its
+/// name is unique together with the mission's id.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Signal {
-    /// What is being said.
+    /// Kind of signal.
     pub kind: SignalKind,
-    /// Of which task.
+    /// Task concerned.
     pub task: TaskId,
-    /// Who says it.
+    /// Sending role.
     pub from: RoleId,
-    /// Who awaits it.
+    /// Receiving role.
     pub to: RoleId,
 }
 
-/// What a signal says of its task.
+/// Meaning of a signal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum SignalKind {
-    /// The sender has ended its part.
+    /// The sender has ended its part in the task.
     Done,
-    /// The sender stands ready to begin a joint task and will begin nothing else before it.
+    /// The sender is ready to begin a joint task and will begin no other task before it.
     Ready,
 }
 
@@ -103,12 +106,13 @@ impl fmt::Display for Signal {
 }
 
 impl LocalPlan {
-    /// A plan of these steps, without alternatives or guards.
+    /// Creates a plan of these steps, without alternatives or guards.
     pub fn of(role: RoleId, steps: Vec<Step>) -> Self {
         LocalPlan { role, steps, alternatives: vec![], guarded: BTreeSet::new() }
     }
 
-    /// The tasks a robot would be asked to price, in the order of the plan: messages are steps that cost time too.
+    /// Returns the tasks of the plan, in order. Signals are steps that take time, too, but are not
+    /// included.
     pub fn tasks(&self) -> impl Iterator<Item = (&TaskId, &TaskSpec)> {
         self.steps.iter().filter_map(|step| match &step.action {
             StepAction::Task { id, spec } => Some((id, spec)),

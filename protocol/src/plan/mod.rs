@@ -1,13 +1,14 @@
-//! Local plans: what one role does, with the messages that keep it in step with the others.
+//! Local plans: the steps of each role, with the messages that synchronise it with other roles.
 //!
-//! A global plan is divided (Lesire et al. 2016; thesis 2.1.1.1) into one [`LocalPlan`] per role, the unmanaged ones
-//! too. Where a task of one role must follow a task of another, the first sends a [`Signal`] and the second waits for
-//! it; a joint task begins when all its roles have said that they are ready. Steps are partly ordered by `after`:
-//! a robot may begin any step whose predecessors are done, and a wait for a message that has not come holds up
-//! only what stands after it.
+//! A global plan is divided (Lesire et al. 2016; thesis 2.1.1.1) into 1 [`LocalPlan`] per role,
+//! including the unmanaged roles. Where a task of a role must follow a task of another role, the
+//! first role sends a [`Signal`] and the second role waits for it. A joint task begins when all its
+//! roles have signalled that they are ready. Steps are partially ordered by `after`: a robot may
+//! begin any step once its predecessors have ended. A wait for a missing message blocks only its
+//! successors.
 //!
 //! ```text
-//! Mission ─► GlobalOrder ─► divide ─► Division ─► check_division ─► PlanProgress, one a role
+//! Mission ─► GlobalOrder ─► divide ─► Division ─► check_division ─► PlanProgress, 1 per role
 //! ```
 
 mod alternatives;

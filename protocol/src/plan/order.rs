@@ -1,16 +1,17 @@
-//! The global plan: which elementary task comes before which.
+//! Global plan: the partial order of the elementary tasks.
 //!
-//! Two tasks are ordered if the method in which their branches part is sequential. To this one rule is added: of two
-//! joint tasks that share a role and are in no order, the one that stands first in the file comes first. Otherwise
-//! one robot could stand ready for the first and its partner for the second, and both would stand for ever.
+//! Two tasks are ordered if the method at which their branches separate is sequential. One rule is
+//! added: if two joint tasks share a role and are unordered, the task that is listed first in the
+//! file comes first. Otherwise a robot could wait, ready, for the first task while its partner
+//! waits for the second task: a deadlock.
 
 use super::bits::Bits;
 use crate::ids::{ItemId, TaskId};
 use crate::mission::{Mission, MissionDiagnostic, MissionErrorKind, MissionErrors, TaskBody, TaskOrder, TaskSpec};
 use std::collections::BTreeMap;
 
-/// The strict partial order of a mission's elementary tasks. Tasks are numbered in the order of the file, which is a
-/// linear extension of it.
+/// Strict partial order of a mission's elementary tasks. Tasks are numbered in the order of the
+/// file, which is a linear extension of this order.
 #[derive(Debug, Clone)]
 pub struct GlobalOrder<'m> {
     tasks: Vec<(&'m TaskId, &'m TaskSpec)>,
@@ -18,10 +19,11 @@ pub struct GlobalOrder<'m> {
 }
 
 impl<'m> GlobalOrder<'m> {
-    /// The order of a mission's tasks.
+    /// Computes the order of a mission's tasks.
     ///
     /// # Errors
-    /// [`MissionErrors`] if the mission's tree is none, or if two tasks that touch one item are in no order.
+    /// [`MissionErrors`] if the mission's tree is invalid, or if two tasks that touch the same item
+    /// are unordered.
     pub fn of(mission: &'m Mission) -> Result<Self, MissionErrors> {
         mission.check_structure()?;
         let tasks = mission.elementary();
@@ -29,15 +31,15 @@ impl<'m> GlobalOrder<'m> {
         order_by_methods(mission, &mut before);
         let mut order = Self { tasks, before };
         order.close_with_joint_tasks();
-        let problems = order.unordered_moves();
-        if problems.is_empty() {
+        let diagnostics = order.unordered_moves();
+        if diagnostics.is_empty() {
             Ok(order)
         } else {
-            Err(MissionErrors { mission: mission.name.to_string(), diagnostics: problems })
+            Err(MissionErrors { mission: mission.name.to_string(), diagnostics })
         }
     }
 
-    /// The tasks that move each item, in their order.
+    /// Returns the tasks that move each item, in their order.
     pub fn moves(&self) -> BTreeMap<&'m ItemId, Vec<usize>> {
         let mut moves: BTreeMap<&ItemId, Vec<usize>> = BTreeMap::new();
         for (task, (_, spec)) in self.tasks.iter().enumerate() {
@@ -48,32 +50,33 @@ impl<'m> GlobalOrder<'m> {
         moves
     }
 
-    /// Numbers extend the order, so it is enough to compare neighbours.
+    /// Finds unordered moves. Task numbers extend the order, so comparing neighbours is sufficient.
     fn unordered_moves(&self) -> Vec<MissionDiagnostic> {
-        let mut problems = Vec::new();
+        let mut diagnostics = Vec::new();
         for (item, tasks) in self.moves() {
             for pair in tasks.windows(2).filter(|pair| !self.precedes(pair[0], pair[1])) {
-                let fault = MissionErrorKind::ItemUnordered { item: item.clone(), other: self.id(pair[0]).clone() };
-                problems.push(MissionDiagnostic { path: self.id(pair[1]).to_string(), kind: fault });
+                let kind = MissionErrorKind::ItemUnordered { item: item.clone(), other: self.id(pair[0]).clone() };
+                diagnostics.push(MissionDiagnostic { path: self.id(pair[1]).to_string(), kind });
             }
         }
-        problems
+        diagnostics
     }
 
-    /// The elementary tasks by number.
+    /// Returns the elementary tasks by number.
     pub fn tasks(&self) -> &[(&'m TaskId, &'m TaskSpec)] {
         &self.tasks
     }
 
-    /// Whether the task numbered `first` must have ended in all its roles before any role of `second` begins.
+    /// Checks whether task `first` must have ended in all its roles before any role of task
+    /// `second` begins.
     ///
     /// # Panics
-    /// If there is no task of such a number.
+    /// If a task number is out of range.
     pub fn precedes(&self, first: usize, second: usize) -> bool {
         self.before[second].contains(first)
     }
 
-    /// The tasks before this one.
+    /// Returns the tasks before this task.
     pub(super) fn before(&self, task: usize) -> &Bits {
         &self.before[task]
     }
@@ -100,7 +103,7 @@ impl<'m> GlobalOrder<'m> {
                 };
                 (0..later).filter(shares).for_each(|earlier| before.insert(earlier));
             }
-            // All earlier sets are closed by now.
+            // The sets of all earlier tasks are already closed.
             for earlier in before.clone().descending() {
                 before.extend(&self.before[earlier]);
             }
@@ -109,12 +112,13 @@ impl<'m> GlobalOrder<'m> {
     }
 }
 
-/// Within a sequential method, all of a child comes after all of the children before it. Elementary tasks below one
-/// task have consecutive numbers.
+/// Orders the tasks of sequential methods: all tasks of a child come after all tasks of the
+/// preceding children. The elementary tasks below a task have consecutive numbers.
 fn order_by_methods(mission: &Mission, before: &mut [Bits]) {
     enum Visit {
         Enter(usize),
-        /// The sequential method whose first number is this; the child just left began at that.
+        /// End of a child. `start` is the first task number of the sequential method, `child_at`
+        /// that of the child.
         Leave {
             start: usize,
             child_at: usize,
@@ -122,7 +126,7 @@ fn order_by_methods(mission: &Mission, before: &mut [Bits]) {
     }
     let mut next = 0;
     let mut open = vec![(Visit::Enter(0), None::<usize>)];
-    // Each entry carries the first number of the sequential method it stands in, if it stands in one.
+    // Each entry contains the first task number of the enclosing sequential method, if any.
     while let Some((visit, sequence_from)) = open.pop() {
         match visit {
             Visit::Enter(index) => {

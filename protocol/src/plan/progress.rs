@@ -1,8 +1,8 @@
-//! How far a role has come in its local plan, and what it may do next.
+//! Progress of a role in its local plan, and the steps that are permitted next.
 //!
-//! A value that is told what has ended and what has been heard, and answers which steps may be performed. It keeps the
-//! contract of [`check_division`](super::check_division): whoever performs only what it allows, one step at a time,
-//! waits for nobody for ever.
+//! A value that records the ended steps and the received signals, and computes the permitted steps.
+//! It implements the contract of [`check_division`](super::check_division): a robot that performs
+//! only permitted steps, a single step at a time, never waits forever.
 
 use super::local::{Alternative, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
 use crate::count::count;
@@ -12,91 +12,92 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// A role's progress in its plan. Survives as text or bytes, and is checked when it is read back; cheap to clone.
+/// Progress of a role in its plan. Serializable, and checked when it is restored; cheap to clone.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "Kept", into = "Kept")]
+#[serde(try_from = "StoredProgress", into = "StoredProgress")]
 pub struct PlanProgress {
     plan: Arc<LocalPlan>,
     ended: BTreeSet<StepIndex>,
-    /// The waits whose signal has been heard.
-    heard: BTreeSet<StepIndex>,
+    /// Waits with a received signal.
+    received: BTreeSet<StepIndex>,
 }
 
-/// The form in which progress is kept.
+/// Serialized form of progress.
 #[derive(Serialize, Deserialize)]
-struct Kept {
+struct StoredProgress {
     plan: LocalPlan,
     ended: BTreeSet<StepIndex>,
-    heard: BTreeSet<Signal>,
+    received: BTreeSet<Signal>,
 }
 
-/// Why kept progress cannot be taken up. Nothing was taken over.
+/// Error: stored progress cannot be restored. Nothing was changed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProgressError {
-    /// Kept for another plan, perhaps.
-    #[error("step {step} is said to have ended, but the plan has {}", count(*steps, "step", "steps"))]
+    /// The progress may belong to another plan.
+    #[error("step {step} is recorded as ended, but the plan has {}", count(*steps, "step", "steps"))]
     NoSuchStep {
-        /// The step.
+        /// Index of the step.
         step: StepIndex,
-        /// How many there are.
+        /// Number of steps in the plan.
         steps: usize,
     },
-    /// Kept for another plan, perhaps.
-    #[error("step {step} is said to have ended, but not step {before}, which comes before it")]
+    /// The progress may belong to another plan.
+    #[error("step {step} is recorded as ended, but its predecessor {before} is not")]
     OutOfOrder {
         /// The step.
         step: StepIndex,
-        /// What should have ended first.
+        /// Predecessor that should have ended first.
         before: StepIndex,
     },
-    /// Kept for another plan, perhaps.
-    #[error("the signal {signal} is said to have been heard, but the plan does not wait for it")]
+    /// The progress may belong to another plan.
+    #[error("the signal {signal} is recorded as received, but the plan does not wait for it")]
     NotAwaited {
         /// The signal.
         signal: Signal,
     },
 }
 
-/// A step that was said to have ended and could not have. The progress is unchanged; ordinary when a report comes twice
-/// or after its mission was taken away.
+/// Error: a step was reported as ended and was not permitted. The progress is unchanged. Common
+/// when a report is repeated, or arrives after its mission was revoked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("step {step} cannot end now: {problem}")]
 pub struct StepNotPermitted {
     /// The step.
     pub step: StepIndex,
-    /// Why not.
+    /// Reason.
     pub problem: &'static str,
 }
 
-impl TryFrom<Kept> for PlanProgress {
+impl TryFrom<StoredProgress> for PlanProgress {
     type Error = ProgressError;
-    fn try_from(kept: Kept) -> Result<Self, ProgressError> {
-        PlanProgress::restore(kept.plan, kept.ended, kept.heard)
+    fn try_from(stored: StoredProgress) -> Result<Self, ProgressError> {
+        PlanProgress::restore(stored.plan, stored.ended, stored.received)
     }
 }
 
-impl From<PlanProgress> for Kept {
-    fn from(progress: PlanProgress) -> Kept {
-        let heard = waits(&progress.plan).filter(|(step, _)| progress.heard.contains(step));
-        let heard = heard.map(|(_, signal)| signal.clone()).collect();
-        Kept { plan: Arc::unwrap_or_clone(progress.plan), ended: progress.ended, heard }
+impl From<PlanProgress> for StoredProgress {
+    fn from(progress: PlanProgress) -> StoredProgress {
+        let received = waits(&progress.plan).filter(|(step, _)| progress.received.contains(step));
+        let received = received.map(|(_, signal)| signal.clone()).collect();
+        StoredProgress { plan: Arc::unwrap_or_clone(progress.plan), ended: progress.ended, received }
     }
 }
 
 impl PlanProgress {
-    /// Nothing has ended yet.
+    /// Creates progress without ended steps.
     pub fn new(plan: LocalPlan) -> Self {
-        Self { plan: Arc::new(plan), ended: BTreeSet::new(), heard: BTreeSet::new() }
+        Self { plan: Arc::new(plan), ended: BTreeSet::new(), received: BTreeSet::new() }
     }
 
-    /// Takes up where somebody left off. A wait that has ended counts as heard.
+    /// Restores progress. The signal of a wait that has ended counts as received.
     ///
     /// # Errors
-    /// [`ProgressError`] if the steps are not of this plan, or ended in an order that the plan does not allow.
+    /// [`ProgressError`] if the steps are not part of this plan, or ended in an order that the plan
+    /// does not allow.
     pub fn restore(
         plan: LocalPlan,
         ended: BTreeSet<StepIndex>,
-        heard: BTreeSet<Signal>,
+        received: BTreeSet<Signal>,
     ) -> Result<Self, ProgressError> {
         for &step in &ended {
             let Some(Step { after, .. }) = plan.steps.get(step as usize) else {
@@ -107,38 +108,38 @@ impl PlanProgress {
             }
         }
         let awaited: BTreeSet<&Signal> = waits(&plan).map(|(_, signal)| signal).collect();
-        if let Some(signal) = heard.iter().find(|signal| !awaited.contains(signal)) {
+        if let Some(signal) = received.iter().find(|signal| !awaited.contains(signal)) {
             return Err(ProgressError::NotAwaited { signal: signal.clone() });
         }
         let known = waits(&plan).filter(|(step, signal)| {
-            ended.contains(step) || heard.contains(signal) || mutants::is_active(Mutant::WaitSkipped)
+            ended.contains(step) || received.contains(signal) || mutants::is_active(Mutant::WaitSkipped)
         });
-        let heard = known.map(|(step, _)| step).collect();
-        Ok(Self { plan: Arc::new(plan), ended, heard })
+        let received = known.map(|(step, _)| step).collect();
+        Ok(Self { plan: Arc::new(plan), ended, received })
     }
 
-    /// The plan.
+    /// Returns the plan.
     pub fn plan(&self) -> &LocalPlan {
         &self.plan
     }
 
-    /// A step of the plan.
+    /// Returns a step of the plan.
     pub fn step(&self, step: StepIndex) -> Option<&Step> {
         self.plan.steps.get(step as usize)
     }
 
-    /// The steps that have ended.
+    /// Returns the steps that have ended.
     pub fn ended(&self) -> &BTreeSet<StepIndex> {
         &self.ended
     }
 
-    /// Whether all steps have ended.
+    /// Checks whether all steps have ended.
     pub fn is_complete(&self) -> bool {
         self.ended.len() == self.plan.steps.len()
     }
 
-    /// The joint task for which this role has said that it stands ready, until its part in it has ended. Until then
-    /// it does no other task.
+    /// Returns the joint task for which this role has signalled that it is ready, until its part in
+    /// it has ended. Until then it executes no other task.
     pub fn committed(&self) -> Option<&TaskId> {
         let mut ready = self.ended.iter().rev().filter_map(|step| match self.step(*step).map(|step| &step.action) {
             Some(StepAction::Send(signal)) if signal.kind == SignalKind::Ready => Some(&signal.task),
@@ -153,21 +154,23 @@ impl PlanProgress {
         ready.find(|task| unended(task))
     }
 
-    /// Every step that may be performed now by a robot that does no task at present, in the order of the plan.
+    /// Returns every step that may be performed now while the robot executes no task, in the order
+    /// of the plan.
     pub fn permitted(&self) -> Vec<StepIndex> {
         let committed = self.committed();
         let free = |task: &TaskId| committed.is_none_or(|joint| joint == task);
         let may = |index: StepIndex, step: &Step| match &step.action {
             StepAction::Task { id, .. } => free(id),
             StepAction::Send(signal) => signal.kind == SignalKind::Done || free(&signal.task),
-            StepAction::Wait(_) => self.heard.contains(&index),
+            StepAction::Wait(_) => self.received.contains(&index),
         };
         self.open().filter(|(index, step)| may(*index, step)).map(|(index, _)| index).collect()
     }
 
-    /// The step to perform next: what others may be waiting for, then what has been heard, then the first task in the order
-    /// of the plan, or the `ready` for it. To be asked while no task runs: what is heard meanwhile may let another one
-    /// come first.
+    /// Returns the step to perform next. Order of preference: sends of `done`, for which other
+    /// roles may be waiting; waits with a received signal; the first task in the order of the plan,
+    /// or the `ready` for it. Call this only while no task runs: signals received meanwhile may
+    /// change the order.
     pub fn next(&self) -> Option<(StepIndex, &Step)> {
         self.first_of(self.permitted().into_iter())
     }
@@ -182,58 +185,61 @@ impl PlanProgress {
         Some((index, &self.plan.steps[index as usize]))
     }
 
-    /// A step was performed: sent, done with success, or, of a wait, noticed.
+    /// Records that a step was performed: a signal was sent, a task succeeded, or the signal of a
+    /// wait was noticed.
     ///
     /// # Errors
-    /// [`NotPermitted`] if the step could not have been performed; nothing is changed.
+    /// [`StepNotPermitted`] if the step was not permitted; nothing is changed.
     pub fn end(&mut self, step: StepIndex) -> Result<(), StepNotPermitted> {
-        let refuse = |problem| Err(StepNotPermitted { step, problem });
+        let reject = |problem| Err(StepNotPermitted { step, problem });
         if step as usize >= self.plan.steps.len() {
-            return refuse("the plan has no such step");
+            return reject("the plan has no such step");
         }
         if self.ended.contains(&step) {
-            return refuse("it has ended already");
+            return reject("it has ended already");
         }
         if !self.permitted().contains(&step) {
-            return refuse(
-                "what comes before it has not ended, or its signal has not been heard, or a joint task is due",
-            );
+            return reject("a predecessor has not ended, or its signal has not been received, or a joint task is due");
         }
         self.ended.insert(step);
         Ok(())
     }
 
-    /// Whoever plays `role` now is not who spoke for it before: what was heard from it and not yet acted on no longer holds.
-    /// Returns whether there was any such thing.
+    /// Discards signals from `role` that were received but not yet used, since the role has a new
+    /// holder. Returns whether any signal was discarded.
     pub fn discard_signals_from(&mut self, role: &RoleId) -> bool {
-        let void = waits(&self.plan).filter(|(step, signal)| signal.from == *role && !self.ended.contains(step));
-        let void: BTreeSet<StepIndex> = void.map(|(step, _)| step).collect();
-        let heard = self.heard.len();
-        self.heard.retain(|step| !void.contains(step));
-        self.heard.len() < heard
+        let invalid = waits(&self.plan).filter(|(step, signal)| signal.from == *role && !self.ended.contains(step));
+        let invalid: BTreeSet<StepIndex> = invalid.map(|(step, _)| step).collect();
+        let before = self.received.len();
+        self.received.retain(|step| !invalid.contains(step));
+        self.received.len() < before
     }
 
-    /// Whether the step may be performed as far as the ledger is concerned: it is not guarded, or `known`, the steps that the
-    /// ledger is known to hold of this plan, has all that ended so far.
+    /// Checks whether the ledger permits the step: the step is not guarded, or `known` contains all
+    /// steps that have ended so far. `known` are the steps of this plan that the ledger is known to
+    /// contain.
     pub fn is_guard_met(&self, step: StepIndex, known: &BTreeSet<StepIndex>) -> bool {
         mutants::is_active(Mutant::GuardSkipped) || !self.plan.guarded.contains(&step) || self.ended.is_subset(known)
     }
 
-    /// As [`next`](Self::next), of the steps whose [guard is met](Self::guard_is_met). While a guarded step is held up,
-    /// others may go on.
+    /// Returns the same as [`next`](Self::next), restricted to steps with a [met
+    /// guard](Self::is_guard_met). While a guarded step is blocked, other steps may proceed.
     pub fn next_guarded(&self, known: &BTreeSet<StepIndex>) -> Option<(StepIndex, &Step)> {
         self.first_of(self.permitted().into_iter().filter(|step| self.is_guard_met(*step, known)))
     }
 
-    /// The alternatives, by their numbers, that could be tried when the task of this step has failed for good.
+    /// Returns the alternatives, with their numbers, that can be tried when the task of this step
+    /// has failed permanently.
     pub fn alternatives_for(&self, step: StepIndex) -> impl Iterator<Item = (usize, &Alternative)> {
         self.plan.alternatives.iter().enumerate().filter(move |(_, other)| other.replaces.contains(&step))
     }
 
-    /// All tasks of an alternative were done instead: the steps that it replaces have ended.
+    /// Records that all tasks of an alternative were completed: the steps that it replaces have
+    /// ended.
     ///
     /// # Errors
-    /// [`NotPermitted`] if there is no such alternative or none of its steps could be performed; nothing is changed.
+    /// [`StepNotPermitted`] if there is no such alternative or a replaced step is not permitted;
+    /// nothing is changed.
     pub fn apply_alternative(&mut self, alternative: usize) -> Result<(), StepNotPermitted> {
         let Some(Alternative { replaces, .. }) = self.plan.alternatives.get(alternative) else {
             return Err(StepNotPermitted { step: 0, problem: "the plan has no such alternative" });
@@ -246,24 +252,25 @@ impl PlanProgress {
         Ok(())
     }
 
-    /// A signal has arrived. Returns whether that is news: a signal that was heard before, or that is not for this plan,
-    /// changes nothing.
+    /// Records a received signal. Returns false if the signal was received before or is not awaited
+    /// by this plan; then nothing changes.
     pub fn receive(&mut self, signal: &Signal) -> bool {
         let wait = waits(&self.plan).find(|(_, awaited)| *awaited == signal).map(|(step, _)| step);
-        wait.is_some_and(|step| self.heard.insert(step))
+        wait.is_some_and(|step| self.received.insert(step))
     }
 
-    /// The signals whose time has come and which have not been heard: what to ask others for.
+    /// Returns the signals that are awaited now and have not been received: the signals to query
+    /// from other roles.
     pub fn awaited_signals(&self) -> Vec<&Signal> {
         self.open()
             .filter_map(|(index, step)| match &step.action {
-                StepAction::Wait(signal) if !self.heard.contains(&index) => Some(signal),
+                StepAction::Wait(signal) if !self.received.contains(&index) => Some(signal),
                 StepAction::Wait(_) | StepAction::Send(_) | StepAction::Task { .. } => None,
             })
             .collect()
     }
 
-    /// The steps that have not ended, of which all `after` have.
+    /// Returns the steps that have not ended and have no unended predecessor.
     fn open(&self) -> impl Iterator<Item = (StepIndex, &Step)> {
         self.plan.steps.iter().enumerate().map(|(index, step)| (index as StepIndex, step)).filter(|(index, step)| {
             !self.ended.contains(index) && step.after.iter().all(|before| self.ended.contains(before))

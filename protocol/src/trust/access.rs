@@ -1,40 +1,42 @@
-//! What a link lets through, by the certificate at its other end: the rules that every node gives to Zenoh.
+//! Access control of links by the certificate of the neighbour: the rules that every node gives to
+//! Zenoh.
 //!
-//! Zenoh knows a neighbour by the common name of its certificate and nothing else of it, so that name is the *kind* of
-//! bearer ([`common_name`]): rules then hold for bearers that do not exist yet, and no node needs a list of all others. Nodes
-//! relay for each other, so a node's link carries whatever the fleet says, and nothing outside the fleet's tree; that each
-//! speaks in its own name alone is what seals are for. A person's link carries views, requests within the
-//! scope, and what is to be heard.
+//! Zenoh identifies a neighbour by the common name of its certificate only, so that name is the
+//! *kind* of principal ([`common_name`]). So the rules also hold for principals that do not exist
+//! yet, and no node needs a list of all others. Nodes relay for each other, so the link of a node
+//! carries all traffic of the fleet's tree and nothing outside it. Envelopes ensure that each node
+//! publishes only in its own name. The link of a person carries views, requests within the scope,
+//! and subscriptions.
 
 use super::identity::{AccessScope, Identity, Principal};
 use crate::ids::FleetId;
 use crate::keys::{ApiCall, Key, Keys};
 
-/// What a message on a link is, as Zenoh tells them apart.
+/// Type of a message on a link, as distinguished by Zenoh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum LinkMessage {
-    /// Something published.
+    /// Publication.
     Put,
-    /// A key struck out.
+    /// Deletion of a key.
     Delete,
-    /// That somebody wants to hear.
+    /// Declaration of a subscriber.
     DeclareSubscriber,
-    /// A question.
+    /// Query.
     Query,
-    /// That somebody answers.
+    /// Declaration of a queryable.
     DeclareQueryable,
-    /// An answer.
+    /// Reply.
     Reply,
-    /// That somebody is there.
+    /// Presence token.
     LivelinessToken,
-    /// That somebody wants to hear who is there.
+    /// Declaration of a subscriber for presence tokens.
     DeclareLivelinessSubscriber,
-    /// A question who is there.
+    /// Query for presence tokens.
     LivelinessQuery,
 }
 
 impl LinkMessage {
-    /// All of them.
+    /// All types.
     pub const ALL: [LinkMessage; 9] = [
         LinkMessage::Put,
         LinkMessage::Delete,
@@ -47,7 +49,7 @@ impl LinkMessage {
         LinkMessage::LivelinessQuery,
     ];
 
-    /// Zenoh's word for it.
+    /// Returns Zenoh's name of the type.
     pub fn as_str(self) -> &'static str {
         match self {
             LinkMessage::Put => "put",
@@ -63,18 +65,18 @@ impl LinkMessage {
     }
 }
 
-/// What links to bearers of one common name let in.
+/// Messages that links to principals with a common name accept.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Grant {
-    /// The common name.
+    /// Common name.
     pub common_name: String,
-    /// What is let in, and on which key expressions. Everything else is not.
+    /// Accepted message types and their key expressions. All other messages are rejected.
     pub permits: Vec<(Vec<LinkMessage>, Vec<String>)>,
 }
 
-/// The common name of a bearer's certificate.
-pub fn common_name(who: &Identity) -> String {
-    match &who.principal {
+/// Returns the common name in a principal's certificate.
+pub fn common_name(identity: &Identity) -> String {
+    match &identity.principal {
         Principal::Node { .. } => "consort-node".to_owned(),
         Principal::Person { scope, .. } => person(*scope),
     }
@@ -84,40 +86,42 @@ fn person(scope: AccessScope) -> String {
     format!("consort-{scope}")
 }
 
-/// What the links of a fleet's node let in; `aside` are key expressions outside the fleet's tree on which neighbours speak.
-pub fn grants(fleet: &FleetId, aside: &[&str]) -> Vec<Grant> {
+/// Returns the messages that the links of a fleet's node accept. `extra` are key expressions
+/// outside the fleet's tree that neighbours use.
+pub fn grants(fleet: &FleetId, extra: &[&str]) -> Vec<Grant> {
     let keys = Keys::new(fleet);
     let mut all = vec![format!("consort/{fleet}/**")];
-    all.extend(aside.iter().map(|aside| (*aside).to_owned()));
+    all.extend(extra.iter().map(|extra| (*extra).to_owned()));
     let node = Grant { common_name: "consort-node".to_owned(), permits: vec![(LinkMessage::ALL.to_vec(), all)] };
     let persons = AccessScope::ALL.iter().map(|scope| Grant {
         common_name: person(*scope),
         permits: vec![
-            (vec![LinkMessage::Query], asked(&keys, *scope)),
-            (vec![LinkMessage::DeclareSubscriber], heard(&keys)),
+            (vec![LinkMessage::Query], queries(&keys, *scope)),
+            (vec![LinkMessage::DeclareSubscriber], subscriptions(&keys)),
             (vec![LinkMessage::DeclareLivelinessSubscriber, LinkMessage::LivelinessQuery], vec![keys.any_alive()]),
         ],
     });
     std::iter::once(node).chain(persons).collect()
 }
 
-/// What a person of this scope may ask.
-fn asked(keys: &Keys, scope: AccessScope) -> Vec<String> {
+/// Returns the keys that a person with this scope may query.
+fn queries(keys: &Keys, scope: AccessScope) -> Vec<String> {
     let calls = ApiCall::ALL.iter().filter(|call| required_scope(**call) <= scope);
-    let mut asked: Vec<String> = calls.map(|call| keys.write(&Key::Api(*call))).collect();
-    asked.extend([keys.any_view(), keys.any_seen_by_any(), keys.any_help(), keys.any_certificate()]);
+    let mut queries: Vec<String> = calls.map(|call| keys.write(&Key::Api(*call))).collect();
+    queries.extend([keys.any_view(), keys.any_seen_by_any(), keys.any_help(), keys.any_certificate()]);
     if scope >= AccessScope::Operate {
-        asked.push(keys.any_leave());
+        queries.push(keys.any_leave());
     }
-    asked
+    queries
 }
 
-/// What any person may listen to: events, and what pictures of a fleet are drawn of.
-fn heard(keys: &Keys) -> Vec<String> {
+/// Returns the keys that any person may subscribe to: events, and the data from which a fleet is
+/// drawn.
+fn subscriptions(keys: &Keys) -> Vec<String> {
     vec![keys.any_events(), keys.any_body_state(), keys.write(&Key::Beacon)]
 }
 
-/// Which scope a call needs.
+/// Returns the scope that a call requires.
 pub fn required_scope(call: ApiCall) -> AccessScope {
     match call {
         ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => AccessScope::Read,
@@ -142,26 +146,26 @@ mod tests {
     }
 
     #[test]
-    fn a_person_asks_what_the_scope_allows_and_says_nothing() {
+    fn a_person_queries_within_the_scope_and_publishes_nothing() {
         use LinkMessage::{DeclareSubscriber, Put, Query, Reply};
         for (scope, submits, operates) in
             [(AccessScope::Read, false, false), (AccessScope::Submit, true, false), (AccessScope::Operate, true, true)]
         {
             assert!(may(scope, Query, "consort/ward/view/**"));
             assert_eq!(may(scope, Query, "consort/ward/api/submit"), submits);
-            assert_eq!(may(scope, Query, "consort/ward/api/rescued"), operates);
+            assert_eq!(may(scope, Query, "consort/ward/api/resolve"), operates);
             assert_eq!(may(scope, Query, "consort/ward/api/leave/*"), operates);
             assert!(may(scope, DeclareSubscriber, "consort/ward/events/**"));
             let grants = grants(&ward(), &[]);
             let own = grants.iter().find(|grant| grant.common_name == person(scope)).unwrap();
-            let says =
+            let publishes =
                 own.permits.iter().flat_map(|(passings, _)| passings).any(|passing| [Put, Reply].contains(passing));
-            assert!(!says, "{scope}");
+            assert!(!publishes, "{scope}");
         }
     }
 
     #[test]
-    fn the_common_name_is_the_kind_of_bearer() {
+    fn the_common_name_is_the_kind_of_principal() {
         let named = |of: &str| common_name(&format!("consort://ward/{of}").parse().unwrap());
         assert_eq!(named("node/ada?roles=robot,voter"), "consort-node");
         assert_eq!(named("person/ada?scope=read"), "consort-read");
@@ -172,10 +176,10 @@ mod tests {
 
     #[test]
     fn a_nodes_link_carries_its_fleet_and_no_other() {
-        let grants = grants(&ward(), &["consort-hearing/*"]);
+        let grants = grants(&ward(), &["consort-link-check/*"]);
         assert_eq!(
             grants[0].permits,
-            [(LinkMessage::ALL.to_vec(), vec!["consort/ward/**".to_owned(), "consort-hearing/*".to_owned()])]
+            [(LinkMessage::ALL.to_vec(), vec!["consort/ward/**".to_owned(), "consort-link-check/*".to_owned()])]
         );
     }
 }

@@ -1,16 +1,17 @@
-//! A seal that stands beside a message, where the message itself is to stay what anybody's clients read.
+//! Signature as an attachment to a message, where the payload must remain readable for any client.
 //!
 //! ```text
-//!  beside a publication or an answer:  a seal as in `seal`, with its author's certificate in the place of the payload
-//!  beside a question:                  its head alone, unsigned: whose question it is, and its number
+//!  attachment to a publication or a reply:  an envelope as in `envelope`, with the author's certificate as its payload
+//!  attachment to a query:                   only the header, unsigned: the requester and the number of the query
 //! ```
 //!
-//! Whoever asks as the fleet's own do says whose question it is, and gets an answer that is signed for this one question; who says
-//! nothing gets the bare answer. The certificate is there since people's commands are over before they could ask for it.
+//! A requester that attaches its identity, as the fleet's own nodes do, gets a reply that is signed
+//! for this query. Any other requester gets the plain reply. The attachment contains the
+//! certificate, since a short-lived command ends before it could query for the certificate.
 
 use super::envelope::{Fingerprint, HEADER_BYTES, MessageKind, VERSION, decode_header, signed_part};
 
-/// What stands beside a question of this number, which the bearer of this certificate asks.
+/// Encodes the attachment of a query: the certificate of the requester and the number of the query.
 pub fn encode_requester(by: Fingerprint, number: u64) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(HEADER_BYTES);
     bytes.extend_from_slice(&[VERSION, MessageKind::Query.byte()]);
@@ -19,9 +20,10 @@ pub fn encode_requester(by: Fingerprint, number: u64) -> Vec<u8> {
     bytes
 }
 
-/// As what an answer is to be sealed, by what stands beside the question. Nothing if nobody says whose question it is.
-pub fn decode_requester(beside: &[u8]) -> Option<MessageKind> {
-    match decode_header(beside) {
+/// Decodes the attachment of a query into the kind of its reply. `None` if the attachment names no
+/// requester.
+pub fn decode_requester(attachment: &[u8]) -> Option<MessageKind> {
+    match decode_header(attachment) {
         Some(([VERSION, kind], by, number, [])) if kind == MessageKind::Query.byte() => {
             Some(MessageKind::Reply(by, number))
         }
@@ -29,18 +31,19 @@ pub fn decode_requester(beside: &[u8]) -> Option<MessageKind> {
     }
 }
 
-/// What is signed of a message beside which the seal stands; `asked` is the question that it answers, empty for a publication. So a
-/// relay cannot change what is asked without that being noticed.
+/// Returns the bytes to sign for a message with an attachment. `query` is the payload of the query
+/// that a reply answers; empty for a publication. So a relay cannot change a query without
+/// detection.
 pub fn signed_attachment(
     kind: MessageKind,
     by: Fingerprint,
     number: u64,
     key: &str,
-    asked: &[u8],
+    query: &[u8],
     payload: &[u8],
 ) -> Vec<u8> {
-    let length = (asked.len() as u64).to_be_bytes();
-    signed_part(kind, by, number, key, &[&length, asked, payload].concat())
+    let length = (query.len() as u64).to_be_bytes();
+    signed_part(kind, by, number, key, &[&length, query, payload].concat())
 }
 
 #[cfg(test)]
@@ -52,20 +55,20 @@ mod tests {
     const BY: Fingerprint = Fingerprint([7; 16]);
 
     #[test]
-    fn whose_question_it_is_reads_back() {
+    fn the_attachment_of_a_query_reads_back() {
         assert_eq!(decode_requester(&encode_requester(BY, 9)), Some(MessageKind::Reply(BY, 9)));
         assert_eq!(decode_requester(&[]), None);
-        assert_eq!(decode_requester(&[encode_requester(BY, 9), vec![0]].concat()), None, "there is more");
+        assert_eq!(decode_requester(&[encode_requester(BY, 9), vec![0]].concat()), None, "there are extra bytes");
         let mut answer = encode_requester(BY, 9);
         answer[1] = MessageKind::Reply(BY, 9).byte();
-        assert_eq!(decode_requester(&answer), None, "that is no question");
+        assert_eq!(decode_requester(&answer), None, "the kind is not a query");
         let mut later = encode_requester(BY, 9);
         later[0] = VERSION + 1;
-        assert_eq!(decode_requester(&later), None, "nobody knows what that says");
+        assert_eq!(decode_requester(&later), None, "the version is unknown");
     }
 
     #[test]
-    fn question_and_answer_are_told_apart_in_what_is_signed() {
+    fn query_and_reply_are_separated_in_the_signed_bytes() {
         let answer = MessageKind::Reply(BY, 3);
         let parts = [
             signed_attachment(answer, BY, 1, "a", b"", b"bc"),
@@ -80,7 +83,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_stands_beside_a_question_is_read_or_is_nothing(bytes in prop::collection::vec(any::<u8>(), 0..40)) {
+        fn any_attachment_of_a_query_decodes_or_is_none(bytes in prop::collection::vec(any::<u8>(), 0..40)) {
             if let Some(MessageKind::Reply(by, number)) = decode_requester(&bytes) {
                 prop_assert_eq!(encode_requester(by, number), bytes);
             }

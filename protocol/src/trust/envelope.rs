@@ -1,31 +1,33 @@
-//! The envelope by which a message proves who said it.
+//! Signed envelope, which proves the author of a message.
 //!
 //! ```text
 //!  1      1     16           8       64         …
 //!  version kind  fingerprint  number  signature  payload
 //! ```
 //!
-//! What is signed ([`signed_part`]) is the purpose, version, kind, fingerprint and number, the key that it is said on, for
-//! an answer the question that it answers, and the payload. So a relay can neither put a message on another key, nor pass an
-//! answer off as one to another question, nor a question as a publication.
+//! The signature ([`signed_part`]) covers the purpose, version, kind, fingerprint and number, the
+//! key that the message is sent on, the query that a reply answers, and the payload. So a relay can
+//! neither move a message to another key, nor present a reply as the reply to another query, nor a
+//! query as a publication.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
-/// First byte of every sealed message.
+/// First byte of every signed message.
 pub(super) const VERSION: u8 = 1;
 
-/// Bytes of an Ed25519 signature.
+/// Size of an Ed25519 signature, in bytes.
 pub const SIGNATURE_BYTES: usize = 64;
 
 const FINGERPRINT: usize = 16;
 pub(super) const HEADER_BYTES: usize = 2 + FINGERPRINT + 8;
 
-/// How many bytes a seal adds to a message.
+/// Bytes that an envelope adds to a message.
 pub const ENVELOPE_BYTES: usize = HEADER_BYTES + SIGNATURE_BYTES;
 
-/// Which certificate: the first half of the SHA-256 of its DER. Written as 32 hexadecimal digits.
+/// Fingerprint of a certificate: the first half of the SHA-256 of its DER. Written as 32
+/// hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Fingerprint(pub [u8; FINGERPRINT]);
 
@@ -45,22 +47,22 @@ impl FromStr for Fingerprint {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Fingerprint, String> {
-        let problem = || format!("{text:?} is no fingerprint: one is {} hexadecimal digits", 2 * FINGERPRINT);
-        let right =
+        let problem = || format!("{text:?} is not a fingerprint: it must have {} hexadecimal digits", 2 * FINGERPRINT);
+        let valid =
             text.len() == 2 * FINGERPRINT && text.bytes().all(|c| c.is_ascii_digit() || (b'a'..=b'f').contains(&c));
-        let number = right.then(|| u128::from_str_radix(text, 16).ok()).flatten();
+        let number = valid.then(|| u128::from_str_radix(text, 16).ok()).flatten();
         number.map(|number| Fingerprint(number.to_be_bytes())).ok_or_else(problem)
     }
 }
 
-/// What a message is.
+/// Kind of a signed message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MessageKind {
-    /// It is said to whoever listens.
+    /// Publication.
     Publication,
-    /// It asks.
+    /// Query.
     Query,
-    /// It answers the question of this number, which the bearer of this certificate asked.
+    /// Reply to the query with this number, sent by the principal with this certificate.
     Reply(Fingerprint, u64),
 }
 
@@ -74,46 +76,46 @@ impl MessageKind {
     }
 }
 
-/// A message as it was sealed; whether the signature is right is not said by its being one.
+/// Signed envelope as decoded; the signature is not verified yet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SignedEnvelope<'a> {
-    /// By the bearer of which certificate it claims to be.
+    /// Certificate of the claimed author.
     pub signer: Fingerprint,
-    /// Its number among all messages of its author, which only grow.
+    /// Number among all messages of the author; only grows.
     pub number: u64,
-    /// Over [`signed_part`].
+    /// Signature over [`signed_part`].
     pub signature: &'a [u8],
-    /// The message.
+    /// Payload of the message.
     pub payload: &'a [u8],
 }
 
-/// Why bytes are not a sealed message of the kind expected.
+/// Error: bytes are not a signed message of the expected kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum EnvelopeError {
-    /// Too short to be one: it comes from somebody who seals nothing.
-    #[error("it bears no seal")]
+    /// The bytes are too short: the sender signs nothing.
+    #[error("it is not signed")]
     Unsigned,
-    /// Sealed in another way.
-    #[error("its seal is of version {found}, where this node knows {VERSION}")]
+    /// The envelope has another version.
+    #[error("its envelope has version {found}; this node supports version {VERSION}")]
     Version {
-        /// The version found.
+        /// Version found.
         found: u8,
     },
-    /// A question where an answer was expected, or the like.
-    #[error("it was sealed as another kind of message")]
+    /// The kind differs, such as a query where a reply was expected.
+    #[error("it was signed as another kind of message")]
     Kind,
 }
 
-/// What is signed of a message.
+/// Returns the bytes to sign for a message.
 pub fn signed_part(kind: MessageKind, by: Fingerprint, number: u64, key: &str, payload: &[u8]) -> Vec<u8> {
     let mut signed = Vec::with_capacity(64 + HEADER_BYTES + key.len() + payload.len());
     signed.extend_from_slice(b"consort seal\0");
     signed.extend_from_slice(&[VERSION, kind.byte()]);
     signed.extend_from_slice(&by.0);
     signed.extend_from_slice(&number.to_be_bytes());
-    if let MessageKind::Reply(asker, question) = kind {
-        signed.extend_from_slice(&asker.0);
-        signed.extend_from_slice(&question.to_be_bytes());
+    if let MessageKind::Reply(requester, query) = kind {
+        signed.extend_from_slice(&requester.0);
+        signed.extend_from_slice(&query.to_be_bytes());
     }
     signed.extend_from_slice(&(key.len() as u64).to_be_bytes());
     signed.extend_from_slice(key.as_bytes());
@@ -121,9 +123,9 @@ pub fn signed_part(kind: MessageKind, by: Fingerprint, number: u64, key: &str, p
     signed
 }
 
-/// The sealed message as bytes.
-pub fn encode_envelope(kind: MessageKind, sealed: SignedEnvelope<'_>) -> Vec<u8> {
-    let SignedEnvelope { signer: by, number, signature, payload } = sealed;
+/// Encodes a signed envelope.
+pub fn encode_envelope(kind: MessageKind, envelope: SignedEnvelope<'_>) -> Vec<u8> {
+    let SignedEnvelope { signer: by, number, signature, payload } = envelope;
     let mut bytes = Vec::with_capacity(ENVELOPE_BYTES + payload.len());
     bytes.extend_from_slice(&[VERSION, kind.byte()]);
     bytes.extend_from_slice(&by.0);
@@ -133,10 +135,10 @@ pub fn encode_envelope(kind: MessageKind, sealed: SignedEnvelope<'_>) -> Vec<u8>
     bytes
 }
 
-/// The sealed message that bytes are.
+/// Decodes a signed envelope. The signature is not verified.
 ///
 /// # Errors
-/// [`SealError`]; whatever the bytes are, this does not panic.
+/// [`EnvelopeError`]; does not panic for any bytes.
 pub fn decode_envelope(kind: MessageKind, bytes: &[u8]) -> Result<SignedEnvelope<'_>, EnvelopeError> {
     let ([version, of_kind], by, number, rest) = decode_header(bytes).ok_or(EnvelopeError::Unsigned)?;
     let (signature, payload) = rest.split_at_checked(SIGNATURE_BYTES).ok_or(EnvelopeError::Unsigned)?;
@@ -147,7 +149,7 @@ pub fn decode_envelope(kind: MessageKind, bytes: &[u8]) -> Result<SignedEnvelope
     }
 }
 
-/// Version and kind, fingerprint and number, and whatever follows.
+/// Splits off version and kind, fingerprint and number; returns them with the remaining bytes.
 pub(super) fn decode_header(bytes: &[u8]) -> Option<([u8; 2], Fingerprint, u64, &[u8])> {
     let (first, rest) = bytes.split_first_chunk::<2>()?;
     let (by, rest) = rest.split_first_chunk::<FINGERPRINT>()?;
@@ -170,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn one_kind_is_not_taken_for_another() {
+    fn an_envelope_of_another_kind_is_rejected() {
         let answer = MessageKind::Reply(BY, 3);
         let bytes = encode_envelope(
             MessageKind::Query,
@@ -184,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_differs_is_signed_differently() {
+    fn every_signed_field_changes_the_signed_bytes() {
         let parts = [
             signed_part(MessageKind::Publication, BY, 1, "a/b", b"c"),
             signed_part(MessageKind::Query, BY, 1, "a/b", b"c"),
@@ -199,15 +201,15 @@ mod tests {
             signed_part(MessageKind::Reply(Fingerprint([8; FINGERPRINT]), 1), BY, 1, "a/b", b"c"),
         ];
         assert_eq!(parts.iter().collect::<std::collections::BTreeSet<_>>().len(), parts.len());
-        // The same key signs tokens and links: none of these is taken for a message.
+        // The same key signs tokens and links; their bytes cannot be confused with a message.
         assert!(parts.iter().all(|part| part.starts_with(&[&b"consort seal\0"[..], &[VERSION]].concat())));
     }
 
     proptest! {
         #[test]
-        fn whatever_is_heard_is_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
-            if let Ok(sealed) = decode_envelope(MessageKind::Publication, &bytes) {
-                prop_assert_eq!(encode_envelope(MessageKind::Publication, sealed), bytes);
+        fn any_bytes_decode_or_are_rejected(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+            if let Ok(envelope) = decode_envelope(MessageKind::Publication, &bytes) {
+                prop_assert_eq!(encode_envelope(MessageKind::Publication, envelope), bytes);
             }
         }
     }

@@ -1,4 +1,4 @@
-//! What a certificate says of its bearer.
+//! Identity of a principal, as contained in its certificate.
 
 use crate::ids::{FleetId, NameError, NodeId, PersonId};
 use crate::word_enum::words;
@@ -6,52 +6,53 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
-/// Whose certificate it is. Written as a URI into the certificate's subject alternative names, whence it is read:
+/// Identity in a certificate. Stored as a URI in the certificate's subject alternative names:
 /// `consort://ward/node/ada?roles=robot,voter`, `consort://ward/person/kim?scope=submit`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Identity {
-    /// Of which fleet.
+    /// Fleet of the principal.
     pub fleet: FleetId,
-    /// Of whom.
+    /// The principal.
     pub principal: Principal,
 }
 
-/// Whom a certificate is given to.
+/// Owner of a certificate.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Principal {
     /// A node.
     Node {
-        /// Its name.
+        /// Name of the node.
         name: NodeId,
-        /// What it may be in the fleet.
+        /// Roles that it may have in the fleet.
         roles: BTreeSet<NodeRole>,
     },
-    /// A person, or a program that a person answers for.
+    /// A person, or a program that a person is responsible for.
     Person {
-        /// Who.
+        /// Name of the person.
         name: PersonId,
-        /// What the person may do.
+        /// Permissions of the person.
         scope: AccessScope,
     },
 }
 
 words! {
-    /// What a node may be.
+    /// Role of a node in the fleet.
     NodeRole {
-        /// It bids, holds roles and drives a body.
+        /// The node bids, holds mission roles and drives a robot.
         Robot = "robot",
-        /// It may keep the ledger, and coordinate.
+        /// The node may be a voter of the ledger, and coordinate.
         Voter = "voter",
-        /// It hosts bodies and people: a world, or an adapter for robots of another make.
+        /// The node runs driver servers and human task proxies: a simulated world, or an adapter
+        /// for robots of another make.
         Host = "host",
     }
-    /// What a person may do. Each may do what the ones before it may.
+    /// Permissions of a person. Each scope includes the preceding scopes.
     AccessScope {
-        /// Look in.
+        /// Read views and events.
         Read = "read",
-        /// Ask for missions and withdraw them.
+        /// Submit and cancel missions.
         Submit = "submit",
-        /// Say that something was rescued, and make nodes leave.
+        /// Resolve interventions, and make nodes leave.
         Operate = "operate",
     }
 }
@@ -69,7 +70,7 @@ macro_rules! read {
             fn from_str(text: &str) -> Result<Self, IdentityError> {
                 $name::parse(text).ok_or_else(|| {
                     let allowed = $name::ALL.iter().map(|known| known.as_str()).collect::<Vec<_>>().join(", ");
-                    IdentityError(format!("{text:?} is no {}; allowed: {allowed}", $what))
+                    IdentityError(format!("{text:?} is not a {}; allowed: {allowed}", $what))
                 })
             }
         }
@@ -81,7 +82,7 @@ read! {
     AccessScope, "scope";
 }
 
-/// Why a text does not say whose certificate it is.
+/// Error: a text is not an identity.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct IdentityError(String);
@@ -93,7 +94,7 @@ impl From<NameError> for IdentityError {
 }
 
 impl fmt::Display for Principal {
-    /// For people: `node ada (robot, voter)`, `person kim (submit)`.
+    /// Writes the principal for people: `node ada (robot, voter)`, `person kim (submit)`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Principal::Node { name, roles } => write!(f, "node {name} ({})", listed(roles, ", ")),
@@ -110,7 +111,7 @@ fn listed(roles: &BTreeSet<NodeRole>, between: &str) -> String {
 }
 
 impl fmt::Display for Identity {
-    /// As it is written into a certificate.
+    /// Writes the identity as in a certificate.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.principal {
             Principal::Node { name, roles } => {
@@ -128,11 +129,11 @@ impl FromStr for Identity {
     fn from_str(text: &str) -> Result<Identity, IdentityError> {
         let form = || {
             let forms = "consort://FLEET/node/NAME?roles=robot,voter,host or consort://FLEET/person/NAME?scope=read";
-            IdentityError(format!("{text:?} names no bearer; the form is {forms}"))
+            IdentityError(format!("{text:?} is not an identity; the form is {forms}"))
         };
-        let (path, said) = text.strip_prefix("consort://").and_then(|rest| rest.split_once('?')).ok_or_else(form)?;
+        let (path, query) = text.strip_prefix("consort://").and_then(|rest| rest.split_once('?')).ok_or_else(form)?;
         let segments: Vec<&str> = path.split('/').collect();
-        let (fleet, bearer) = match (segments.as_slice(), said.split_once('=')) {
+        let (fleet, principal) = match (segments.as_slice(), query.split_once('=')) {
             (&[fleet, "node", name], Some(("roles", roles))) => {
                 let roles = roles.split(',').filter(|role| !role.is_empty());
                 let roles = roles.map(str::parse).collect::<Result<_, _>>()?;
@@ -143,7 +144,7 @@ impl FromStr for Identity {
             }
             _ => return Err(form()),
         };
-        Ok(Identity { fleet: fleet.parse()?, principal: bearer })
+        Ok(Identity { fleet: fleet.parse()?, principal })
     }
 }
 
@@ -163,17 +164,20 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said_with_what_is_allowed() {
-        let said = |text: &str| text.parse::<Identity>().unwrap_err().to_string();
-        assert!(said("spiffe://ward/node/ada?roles=robot").contains("the form is consort://FLEET/node/NAME"));
-        assert!(said("consort://ward/node/ada?scope=read").contains("the form is"));
-        assert!(said("consort://ward/person/ada?roles=voter").contains("the form is"));
-        assert!(said("consort://ward/node/a*a?roles=robot").contains("holds '*'"));
+    fn an_invalid_identity_is_rejected_with_the_allowed_forms() {
+        let error = |text: &str| text.parse::<Identity>().unwrap_err().to_string();
+        assert!(error("spiffe://ward/node/ada?roles=robot").contains("the form is consort://FLEET/node/NAME"));
+        assert!(error("consort://ward/node/ada?scope=read").contains("the form is"));
+        assert!(error("consort://ward/person/ada?roles=voter").contains("the form is"));
+        assert!(error("consort://ward/node/a*a?roles=robot").contains("contains '*'"));
         assert_eq!(
-            said("consort://ward/node/ada?roles=robot,boss"),
-            "\"boss\" is no role of a node; allowed: robot, voter, host"
+            error("consort://ward/node/ada?roles=robot,boss"),
+            "\"boss\" is not a role of a node; allowed: robot, voter, host"
         );
-        assert_eq!(said("consort://ward/person/kim?scope=all"), "\"all\" is no scope; allowed: read, submit, operate");
+        assert_eq!(
+            error("consort://ward/person/kim?scope=all"),
+            "\"all\" is not a scope; allowed: read, submit, operate"
+        );
     }
 
     #[test]

@@ -1,18 +1,20 @@
-//! Who may say what, decided in values: what a certificate says of its bearer, what such a bearer may do on which key, and
-//! the envelope by which a message proves who said it.
+//! Authorization as pure functions: the identity in a certificate, the operations that a principal
+//! may perform on each key, and the envelope that proves the author of a message.
 //!
 //! ```text
 //!  certificate ──▶ Identity ──┐
-//!  key, act, payload ─────────┴─▶ rights::check ──▶ may, or why not
-//!  message ──▶ seal ──▶ over any number of relays ──▶ unseal: sealed by whom, and for the first time?
+//!  key, operation, payload ───┴─▶ rights::authorize ──▶ permitted, or the reason
+//!  message ──▶ sign ──▶ over any number of relays ──▶ verify: author, and not a repetition
 //! ```
 //!
-//! Nodes relay for each other, so a link says who the neighbour is and nothing of who spoke: that a message bears its
-//! author's signature is what makes it its author's. Keys and signatures themselves are not here (`actors::trust`).
+//! Nodes relay for each other, so a link authenticates the neighbour and not the author of a
+//! message. Only the author's signature identifies the author. Keys and signatures themselves are
+//! not in this module (`actors::trust`).
 //!
-//! Below `view/`, `seen/`, `api/` and `events/` clients of any kind read and ask: there the seal stands [beside](write_asker) a
-//! message that is plain JSON, for those who look at it; who may ask is decided by the links (see [`access`]). Presence tokens
-//! (`alive/`) have no content to be sealed, and are hints.
+//! Any client can read and query below `view/`, `seen/`, `api/` and `events/`. There the signature
+//! is an [attachment](encode_requester) to a message in plain JSON, for clients that verify it. The
+//! links decide which clients may query (see [`access`]). Presence tokens (`alive/`) have no
+//! content to sign, and are hints.
 
 pub mod access;
 mod attachment;

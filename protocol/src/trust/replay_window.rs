@@ -1,36 +1,37 @@
-//! Whether a message is heard for the first time.
+//! Replay detection for numbered messages.
 
-/// How far behind the newest a message may be and still be heard: messages of one author may overtake each other on their
-/// ways, and not by a thousand.
+/// Maximum distance of a message behind the newest message. Messages of the same author may
+/// overtake each other, but not by a thousand.
 const WIDTH: u64 = 1024;
 
-/// What has been heard of one author's numbered messages at one place (RFC 4303, 3.4.3: a bitmap that slides).
+/// Sliding window over the numbered messages of a single author (RFC 4303, 3.4.3: a sliding
+/// bitmap).
 #[derive(Debug, Clone)]
 pub struct ReplayWindow {
     newest: u64,
-    /// Bit `n % WIDTH`: number `n` has been heard.
-    heard: [u64; (WIDTH / 64) as usize],
+    /// Bit `n % WIDTH` is set if number `n` was received.
+    received: [u64; (WIDTH / 64) as usize],
 }
 
-/// What a number is to whoever hears it.
+/// Freshness of a message number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Freshness {
-    /// It is heard for the first time.
+    /// The number is received for the first time.
     New,
-    /// It was heard before.
+    /// The number was received before.
     Repeated,
-    /// It is so far behind that nobody knows.
+    /// The number is too far behind to decide.
     Old,
 }
 
 impl Default for ReplayWindow {
     fn default() -> Self {
-        ReplayWindow { newest: 0, heard: [0; (WIDTH / 64) as usize] }
+        ReplayWindow { newest: 0, received: [0; (WIDTH / 64) as usize] }
     }
 }
 
 impl ReplayWindow {
-    /// Takes in a number; numbers begin at 1.
+    /// Records a number and returns its freshness; numbers begin at 1.
     pub fn accept(&mut self, number: u64) -> Freshness {
         if number > self.newest {
             let skipped = (number - self.newest).min(WIDTH);
@@ -51,19 +52,19 @@ impl ReplayWindow {
         Freshness::New
     }
 
-    fn mark(&mut self, number: u64, heard: bool) {
+    fn mark(&mut self, number: u64, received: bool) {
         let place = number % WIDTH;
         let (word, bit) = ((place / 64) as usize, 1 << (place % 64));
-        if heard {
-            self.heard[word] |= bit;
+        if received {
+            self.received[word] |= bit;
         } else {
-            self.heard[word] &= !bit;
+            self.received[word] &= !bit;
         }
     }
 
     fn is_marked(&self, number: u64) -> bool {
         let place = number % WIDTH;
-        self.heard[(place / 64) as usize] & (1 << (place % 64)) != 0
+        self.received[(place / 64) as usize] & (1 << (place % 64)) != 0
     }
 }
 
@@ -74,7 +75,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     #[test]
-    fn what_overtook_others_does_not_shut_them_out() {
+    fn a_number_that_overtakes_others_does_not_exclude_them() {
         let mut window = ReplayWindow::default();
         assert_eq!([5, 3, 4, 3, 5].map(|number| window.accept(number)), {
             use Freshness::{New, Repeated};
@@ -83,17 +84,17 @@ mod tests {
         assert_eq!(window.accept(5 + 10 * WIDTH), Freshness::New);
         assert_eq!(window.accept(6), Freshness::Old);
         assert_eq!(window.accept(0), Freshness::Old);
-        assert_eq!(ReplayWindow::default().accept(0), Freshness::Old, "nobody begins there");
-        assert_eq!(window.accept(u64::MAX), Freshness::New, "a number beyond all is one too");
+        assert_eq!(ReplayWindow::default().accept(0), Freshness::Old, "numbers begin at 1");
+        assert_eq!(window.accept(u64::MAX), Freshness::New, "the largest number is accepted");
     }
 
     proptest! {
         #[test]
-        fn nothing_is_heard_twice(numbers in prop::collection::vec(1u64..5000, 0..400)) {
-            let (mut window, mut heard) = (ReplayWindow::default(), BTreeSet::new());
+        fn no_number_is_accepted_twice(numbers in prop::collection::vec(1u64..5000, 0..400)) {
+            let (mut window, mut received) = (ReplayWindow::default(), BTreeSet::new());
             for number in numbers {
-                let newest = heard.last().copied().unwrap_or(0);
-                let expected = if heard.contains(&number) && newest - number < WIDTH {
+                let newest = received.last().copied().unwrap_or(0);
+                let expected = if received.contains(&number) && newest - number < WIDTH {
                     Freshness::Repeated
                 } else if number + WIDTH <= newest {
                     Freshness::Old
@@ -101,7 +102,7 @@ mod tests {
                     Freshness::New
                 };
                 prop_assert_eq!(window.accept(number), expected);
-                heard.insert(number);
+                received.insert(number);
             }
         }
     }

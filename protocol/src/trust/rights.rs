@@ -1,20 +1,20 @@
-//! What the bearer of a certificate may say on which key, and whether it says it in its own name.
+//! Permissions of a principal on each key, and the check that it publishes only in its own name.
 //!
-//! | key | publishes | asks | answers |
+//! | key | publishes | queries | replies |
 //! |---|---|---|---|
 //! | `wire/knowledge/{node}` | that node, of itself | – | – |
 //! | `wire/swim/{node}` | any node | – | – |
 //! | `wire/gossip/{node}` | – | any node | that node |
-//! | `wire/card/{fingerprint}` | – | (unsealed) | (unsealed: what is answered proves itself) |
+//! | `wire/certificate/{fingerprint}` | – | (unsigned) | (unsigned: the certificate proves itself) |
 //! | `wire/raft/{member}/{call}` | – | voters | voters |
-//! | `wire/found/{node}` | – | voters, in their own name | that node, if a voter |
+//! | `wire/bootstrap/{node}` | – | voters, in their own name | that node, if a voter |
 //! | `wire/beacon`, `wire/changed` | voters, in their own name | – | – |
 //! | `wire/bid/{robot}` | – | voters | that robot, in its own name |
 //! | `wire/award/{robot}` | – | voters | that robot |
 //! | `wire/report/{node}` | – | robots, of themselves; hosts, for people | that node, if a voter |
-//! | `wire/live/{node}` | – | any node | that node, if a voter |
+//! | `wire/active_missions/{node}` | – | any node | that node, if a voter |
 //! | `wire/signal/{mission}/{role}` | robots and hosts | – | – |
-//! | `wire/said/{mission}/{role}` | – | any node | robots and hosts |
+//! | `wire/signal_history/{mission}/{role}` | – | any node | robots and hosts |
 //! | `wire/body/{robot}/command` | – | that robot | hosts |
 //! | `wire/body/{robot}/state` | hosts | – | – |
 //! | `wire/people/ask` | – | hosts | hosts |
@@ -25,8 +25,10 @@
 //! | `seen/{node}/**`, `api/leave/{node}` | – | (by the links) | that node |
 //! | `api/{call}` of the coordinator's | – | (by the links) | voters |
 //!
-//! Persons publish and answer nothing. What this cannot tell: whether a robot holds the role for which it signals (hearers
-//! compare the epoch), whether a voter leads (terms and majorities do), and what a node hands on of a third one's knowledge.
+//! Persons publish nothing and reply to nothing. Three properties are not checked here: that a
+//! robot holds the role for which it signals (receivers compare the epoch); that a voter leads
+//! (terms and majorities ensure it); and the content of a third node's record that a node passes
+//! on.
 
 use super::identity::{Identity, NodeRole, Principal};
 use crate::auction::BidResponse;
@@ -41,102 +43,113 @@ use std::collections::BTreeSet;
 #[cfg(test)]
 mod tests;
 
-/// What is done on a key.
+/// Operation on a key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Operation {
-    /// Something is published.
+    /// Publication.
     Publish,
-    /// Something is asked.
+    /// Query.
     Query,
-    /// Something is answered.
+    /// Reply.
     Reply,
 }
 
 impl Operation {
-    fn word(self) -> &'static str {
+    fn as_str(self) -> &'static str {
         match self {
             Operation::Publish => "publish on",
-            Operation::Query => "ask",
-            Operation::Reply => "answer on",
+            Operation::Query => "query",
+            Operation::Reply => "reply on",
         }
     }
 }
 
-/// Why somebody may not say what was said. Whoever hears it takes no notice of the message.
+/// Error: a message is not permitted. The receiver ignores it.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum AccessDenied {
-    /// The bearer may not do this there at all.
-    #[error("{bearer} may not {act} {key}")]
+    /// The principal may not perform this operation on the key.
+    #[error("{principal} may not {operation} {key}")]
     Operation {
-        /// Who.
-        bearer: String,
-        /// What, in words.
-        act: &'static str,
-        /// Where, below the fleet's prefix.
+        /// Principal.
+        principal: String,
+        /// Operation, as text.
+        operation: &'static str,
+        /// Key, below the fleet's prefix.
         key: String,
     },
-    /// It was said in somebody else's name.
-    #[error("{bearer} speaks on {key} in the name of {name}")]
+    /// The message names another node as its author.
+    #[error("{principal} may not send on {key} in the name of {name}")]
     Impersonation {
-        /// Who.
-        bearer: String,
-        /// Where, below the fleet's prefix.
+        /// Principal.
+        principal: String,
+        /// Key, below the fleet's prefix.
         key: String,
-        /// Whose name it used.
+        /// Name of the author in the message.
         name: String,
     },
-    /// It cannot be read, so nobody knows in whose name it is.
-    #[error("what {bearer} says on {key} cannot be read: {problem}")]
+    /// The message cannot be decoded, so its author cannot be checked.
+    #[error("message of {principal} on {key} cannot be decoded: {problem}")]
     Unreadable {
-        /// Who.
-        bearer: String,
-        /// Where, below the fleet's prefix.
+        /// Principal.
+        principal: String,
+        /// Key, below the fleet's prefix.
         key: String,
-        /// What is wrong with it.
+        /// Error of the decoder.
         problem: String,
     },
 }
 
-/// Whether the bearer may do this on a key (below the fleet's prefix: `wire/bid/*`) and with this payload.
+/// Checks whether the principal may perform the operation on a key (below the fleet's prefix:
+/// `wire/bid/*`) with this payload.
 ///
 /// # Errors
-/// [`Denied`] says why not.
-pub fn authorize(who: &Identity, act: Operation, key: &str, payload: &[u8]) -> Result<(), AccessDenied> {
-    let claim = Claim { who, key, payload };
-    let Principal::Node { name, roles } = &who.principal else { return Err(claim.denied(act)) };
-    let bearer = Node { name, roles };
-    match claimed_name(&bearer, act, key) {
-        None => Err(claim.denied(act)),
-        Some(Says::Anything) => Ok(()),
-        Some(Says::Statement) => {
-            let said =
-                codec::decode_any_version(claim.payload).map_err(|problem| claim.unreadable(problem.to_string()))?;
-            claim.is_own(
+/// [`AccessDenied`] with the reason.
+pub fn authorize(identity: &Identity, operation: Operation, key: &str, payload: &[u8]) -> Result<(), AccessDenied> {
+    let request = Request { identity, key, payload };
+    let Principal::Node { name, roles } = &identity.principal else { return Err(request.denied(operation)) };
+    let node = Node { name, roles };
+    match permitted_content(&node, operation, key) {
+        None => Err(request.denied(operation)),
+        Some(NamedContent::None) => Ok(()),
+        Some(NamedContent::RecordUpdate) => {
+            let message = codec::decode_any_version(request.payload)
+                .map_err(|problem| request.unreadable(problem.to_string()))?;
+            request.is_own(
                 name,
-                match said {
+                match message {
                     RecordUpdate::Record(record) => Some(record.owner.to_string()),
                     RecordUpdate::Refresh { .. } => None,
                 },
             )
         }
-        Some(Says::Founder) => claim.named(name, |said: &BootstrapRequest| Some(said.node.to_string())),
-        Some(Says::Beacon) => claim.named_within(name, |said: &Beacon| Some(said.node.to_string())),
-        Some(Says::Changed) => claim.named_within(name, |said: &MissionsChanged| Some(said.node.to_string())),
-        Some(Says::Report) => claim.named_within(name, |said: &Report| Some(said.robot.to_string())),
-        Some(Says::Event) => claim.is_own(name, Some(claim.teller()?.to_string())),
-        Some(Says::Tender) => claim.named(name, |said: &BidResponse| Some(said.robot.to_string())),
+        Some(NamedContent::BootstrapRequest) => {
+            request.check_author(name, |message: &BootstrapRequest| Some(message.node.to_string()))
+        }
+        Some(NamedContent::Beacon) => {
+            request.check_author_in_envelope(name, |message: &Beacon| Some(message.node.to_string()))
+        }
+        Some(NamedContent::MissionsChanged) => {
+            request.check_author_in_envelope(name, |message: &MissionsChanged| Some(message.node.to_string()))
+        }
+        Some(NamedContent::Report) => {
+            request.check_author_in_envelope(name, |message: &Report| Some(message.robot.to_string()))
+        }
+        Some(NamedContent::Event) => request.is_own(name, Some(request.event_author()?.to_string())),
+        Some(NamedContent::BidResponse) => {
+            request.check_author(name, |message: &BidResponse| Some(message.robot.to_string()))
+        }
     }
 }
 
-/// What is said there, as far as it names its author.
-enum Says {
-    Anything,
-    Statement,
-    Founder,
+/// Content of a message, as far as it names its author.
+enum NamedContent {
+    None,
+    RecordUpdate,
+    BootstrapRequest,
     Beacon,
-    Changed,
+    MissionsChanged,
     Report,
-    Tender,
+    BidResponse,
     Event,
 }
 
@@ -150,105 +163,112 @@ impl Node<'_> {
         self.roles.contains(&role)
     }
 
-    fn called(&self, name: &str) -> bool {
+    fn is_named(&self, name: &str) -> bool {
         self.name.as_str() == name
     }
 }
 
-/// What the node may say there, if anything.
-fn claimed_name(node: &Node<'_>, act: Operation, key: &str) -> Option<Says> {
+/// Returns the content that the node may send with this operation on the key, or `None` if it may
+/// not.
+fn permitted_content(node: &Node<'_>, operation: Operation, key: &str) -> Option<NamedContent> {
     use NodeRole::{Host, Robot, Voter};
     use Operation::{Publish, Query, Reply};
     let segments: Vec<&str> = key.split('/').collect();
-    let anything = |may: bool| may.then_some(Says::Anything);
-    match (segments.as_slice(), act) {
-        (&["wire", "knowledge", name], Publish) => node.called(name).then_some(Says::Statement),
-        (&["wire", "swim", _], Publish) => anything(true),
-        (&["wire", "gossip", _], Ask) => anything(true),
-        (&["wire", "gossip", name], Answer) => anything(node.called(name)),
-        (&["wire", "raft", _, _], Query | Reply) => anything(node.is(Voter)),
-        (&["wire", "found", _], Ask) => node.is(Voter).then_some(Says::Founder),
-        (&["wire", "found", name], Answer) => anything(node.is(Voter) && node.called(name)),
-        (&["wire", "beacon"], Publish) => node.is(Voter).then_some(Says::Beacon),
-        (&["wire", "changed"], Publish) => node.is(Voter).then_some(Says::Changed),
-        (&["wire", "bid" | "award", _], Ask) => anything(node.is(Voter)),
-        (&["wire", "bid", name], Answer) => (node.is(Robot) && node.called(name)).then_some(Says::Tender),
-        (&["wire", "award", name], Answer) => anything(node.is(Robot) && node.called(name)),
-        (&["wire", "report", _], Ask) if node.is(Host) => anything(true),
-        (&["wire", "report", _], Ask) => node.is(Robot).then_some(Says::Report),
-        (&["wire", "report" | "live", name], Answer) => anything(node.is(Voter) && node.called(name)),
-        (&["wire", "live", _] | &["wire", "said", _, _] | &["wire", "world"], Ask) => anything(true),
-        (&["wire", "signal", _, _], Publish) | (&["wire", "said", _, _], Reply) => {
-            anything(node.is(Robot) || node.is(Host))
+    let unnamed = |permitted: bool| permitted.then_some(NamedContent::None);
+    match (segments.as_slice(), operation) {
+        (&["wire", "knowledge", name], Publish) => node.is_named(name).then_some(NamedContent::RecordUpdate),
+        (&["wire", "swim", _], Publish) => unnamed(true),
+        (&["wire", "gossip", _], Query) => unnamed(true),
+        (&["wire", "gossip", name], Reply) => unnamed(node.is_named(name)),
+        (&["wire", "raft", _, _], Query | Reply) => unnamed(node.is(Voter)),
+        (&["wire", "bootstrap", _], Query) => node.is(Voter).then_some(NamedContent::BootstrapRequest),
+        (&["wire", "bootstrap", name], Reply) => unnamed(node.is(Voter) && node.is_named(name)),
+        (&["wire", "beacon"], Publish) => node.is(Voter).then_some(NamedContent::Beacon),
+        (&["wire", "changed"], Publish) => node.is(Voter).then_some(NamedContent::MissionsChanged),
+        (&["wire", "bid" | "award", _], Query) => unnamed(node.is(Voter)),
+        (&["wire", "bid", name], Reply) => (node.is(Robot) && node.is_named(name)).then_some(NamedContent::BidResponse),
+        (&["wire", "award", name], Reply) => unnamed(node.is(Robot) && node.is_named(name)),
+        (&["wire", "report", _], Query) if node.is(Host) => unnamed(true),
+        (&["wire", "report", _], Query) => node.is(Robot).then_some(NamedContent::Report),
+        (&["wire", "report" | "active_missions", name], Reply) => unnamed(node.is(Voter) && node.is_named(name)),
+        (&["wire", "active_missions", _] | &["wire", "signal_history", _, _] | &["wire", "world"], Query) => {
+            unnamed(true)
         }
-        (&["wire", "body", name, "command"], Ask) => anything(node.is(Robot) && node.called(name)),
-        (&["wire", "body", _, "command"] | &["wire", "world"], Answer) => anything(node.is(Host)),
-        (&["wire", "body", _, "state"] | &["wire", "people", "done"], Publish) => anything(node.is(Host)),
-        (&["wire", "people", "ask"], Query | Reply) => anything(node.is(Host)),
-        (&["events", name], Publish) => node.called(name).then_some(Says::Event),
-        (&["view", ..] | &["api", _, "help"], Answer) => anything(true),
-        (&["seen", name, ..] | &["api", "leave", name], Answer) => anything(node.called(name)),
-        (&["api", call], Answer) => anything(ApiCall::parse(call)?.is_read_only() || node.is(Voter)),
+        (&["wire", "signal", _, _], Publish) | (&["wire", "signal_history", _, _], Reply) => {
+            unnamed(node.is(Robot) || node.is(Host))
+        }
+        (&["wire", "body", name, "command"], Query) => unnamed(node.is(Robot) && node.is_named(name)),
+        (&["wire", "body", _, "command"] | &["wire", "world"], Reply) => unnamed(node.is(Host)),
+        (&["wire", "body", _, "state"] | &["wire", "people", "done"], Publish) => unnamed(node.is(Host)),
+        (&["wire", "people", "ask"], Query | Reply) => unnamed(node.is(Host)),
+        (&["events", name], Publish) => node.is_named(name).then_some(NamedContent::Event),
+        (&["view", ..] | &["api", _, "help"], Reply) => unnamed(true),
+        (&["seen", name, ..] | &["api", "leave", name], Reply) => unnamed(node.is_named(name)),
+        (&["api", call], Reply) => unnamed(ApiCall::parse(call)?.is_read_only() || node.is(Voter)),
         _ => None,
     }
 }
 
-/// An event, as far as it says where it happened.
+/// Author of an event.
 #[derive(Deserialize)]
-struct Teller {
+struct EventAuthor {
     node: NodeId,
 }
 
-/// Something said by somebody.
-struct Claim<'a> {
-    who: &'a Identity,
+/// Message of a principal on a key.
+struct Request<'a> {
+    identity: &'a Identity,
     key: &'a str,
     payload: &'a [u8],
 }
 
-impl Claim<'_> {
-    fn denied(&self, act: Operation) -> AccessDenied {
-        AccessDenied::Operation { bearer: self.who.principal.to_string(), act: act.word(), key: self.key.to_owned() }
+impl Request<'_> {
+    fn denied(&self, operation: Operation) -> AccessDenied {
+        AccessDenied::Operation {
+            principal: self.identity.principal.to_string(),
+            operation: operation.as_str(),
+            key: self.key.to_owned(),
+        }
     }
 
-    fn named<T: DeserializeOwned>(
+    fn check_author<T: DeserializeOwned>(
         &self,
         own: &NodeId,
         name: impl FnOnce(&T) -> Option<String>,
     ) -> Result<(), AccessDenied> {
-        let said: T = self.read(self.payload)?;
-        self.is_own(own, name(&said))
+        let message: T = self.read(self.payload)?;
+        self.is_own(own, name(&message))
     }
 
-    /// The same of what is said within a cluster.
-    fn named_within<T: DeserializeOwned>(
+    /// Does the same for a message in a cluster envelope.
+    fn check_author_in_envelope<T: DeserializeOwned>(
         &self,
         own: &NodeId,
         name: impl FnOnce(&T) -> Option<String>,
     ) -> Result<(), AccessDenied> {
         let within: ClusterEnvelope = self.read(self.payload)?;
-        let said: T = self.read(&within.payload)?;
-        self.is_own(own, name(&said))
+        let message: T = self.read(&within.payload)?;
+        self.is_own(own, name(&message))
     }
 
     fn read<T: DeserializeOwned>(&self, bytes: &[u8]) -> Result<T, AccessDenied> {
         codec::decode(bytes).map_err(|problem| self.unreadable(problem.to_string()))
     }
 
-    /// Where an event says that it happened.
-    fn teller(&self) -> Result<NodeId, AccessDenied> {
-        let told = serde_json::from_slice::<Teller>(self.payload);
-        told.map(|told| told.node).map_err(|problem| self.unreadable(problem.to_string()))
+    /// Returns the node that an event names as its author.
+    fn event_author(&self) -> Result<NodeId, AccessDenied> {
+        let event = serde_json::from_slice::<EventAuthor>(self.payload);
+        event.map(|event| event.node).map_err(|problem| self.unreadable(problem.to_string()))
     }
 
     fn unreadable(&self, problem: String) -> AccessDenied {
-        AccessDenied::Unreadable { bearer: self.who.principal.to_string(), key: self.key.to_owned(), problem }
+        AccessDenied::Unreadable { principal: self.identity.principal.to_string(), key: self.key.to_owned(), problem }
     }
 
     fn is_own(&self, own: &NodeId, name: Option<String>) -> Result<(), AccessDenied> {
         match name {
             Some(name) if name != own.as_str() => Err(AccessDenied::Impersonation {
-                bearer: self.who.principal.to_string(),
+                principal: self.identity.principal.to_string(),
                 key: self.key.to_owned(),
                 name,
             }),

@@ -1,4 +1,4 @@
-//! Random missions whose roles may do some things in another way: nobody else notices.
+//! Random missions with alternatives: other roles are not affected.
 
 use crate::properties::{run_from, small_trees, trees};
 use crate::support::{Explored, Team, Tree, explore_from, mission, reference_order};
@@ -7,7 +7,8 @@ use consort_protocol::mission::{AlternativeMethod, Domain, Mission, RoleKind, Ta
 use consort_protocol::plan::{DivisionError, DivisionViolation, check_division, divide_and_check};
 use proptest::prelude::*;
 
-/// The mission of a tree, with two alternatives to every method that is one managed role's own affair.
+/// Creates the mission of a tree, with two alternatives for every method that is local to a single
+/// managed role.
 fn with_alternatives(tree: &Tree) -> Mission {
     let mut mission = mission(tree);
     for index in 0..mission.tasks.len() {
@@ -33,7 +34,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn a_role_that_goes_over_to_an_alternative_holds_nobody_up(tree in trees(3, 30), seed: u64) {
+    fn a_role_that_switches_to_an_alternative_blocks_no_role(tree in trees(3, 30), seed: u64) {
         let before = reference_order(&tree);
         let division = divide_and_check(&with_alternatives(&tree))
             .map_err(|error| TestCaseError::fail(error.to_string()))?;
@@ -64,7 +65,7 @@ proptest! {
 }
 
 #[test]
-fn alternatives_that_are_not_the_missions_are_refused() {
+fn alternatives_that_differ_from_the_mission_are_rejected() {
     let tree =
         Tree::Sequence(vec![Tree::Sequence(vec![Tree::Task(vec![1]), Tree::Task(vec![1])]), Tree::Task(vec![2])]);
     let mission = with_alternatives(&tree);
@@ -72,21 +73,23 @@ fn alternatives_that_are_not_the_missions_are_refused() {
     let mut division = divide_and_check(&mission).unwrap();
     assert_eq!(division.plans[&role].alternatives.len(), 2);
     division.plans.get_mut(&role).unwrap().alternatives[0].replaces.clear();
-    let Err(DivisionError::Unsound(faults)) = check_division(&mission, &division) else { panic!("it passed") };
-    assert_eq!(faults.violations, [DivisionViolation::AlternativeMismatch { role }]);
+    let Err(DivisionError::Unsound(violations)) = check_division(&mission, &division) else {
+        panic!("the check must fail")
+    };
+    assert_eq!(violations.violations, [DivisionViolation::AlternativeMismatch { role }]);
 }
 
 #[test]
-fn only_what_is_one_robots_own_affair_has_alternatives() {
+fn only_local_methods_may_have_alternatives() {
     let tree = Tree::Sequence(vec![Tree::Task(vec![1]), Tree::Task(vec![2])]);
     let mut mission = mission(&tree);
     let TaskBody::Elementary(other) = mission.tasks[1].body.clone() else { panic!("a task") };
     let TaskBody::Abstract(method) = &mut mission.tasks[0].body else { panic!("the root") };
     method.alternatives = vec![AlternativeMethod { tasks: vec![(TaskId::new("other").unwrap(), other)] }];
-    let said = mission.check(&Domain::hospital()).unwrap_err().diagnostics[0].to_string();
+    let diagnostic = mission.check(&Domain::hospital()).unwrap_err().diagnostics[0].to_string();
     assert_eq!(
-        said,
-        "root: has alternatives, so its tasks and theirs are done by one managed role alone and touch no item; but t1 is \
-         done by r2, where r1 does the first"
+        diagnostic,
+        "root: has alternatives, so a single managed role must execute its tasks and theirs, and none may touch an item; but t1 is \
+         executed by r2, and the first task by r1"
     );
 }

@@ -1,4 +1,4 @@
-//! Local plans of missions that people know, and of some that are hard to divide.
+//! Local plans of the shipped and published missions, and of missions that are hard to divide.
 
 use crate::support::{
     Explored, Sequence, Task, Unordered, explore_all_states, mission, reference_order, without_signal,
@@ -23,8 +23,9 @@ fn role(name: &str) -> RoleId {
     RoleId::new(name).unwrap()
 }
 
-/// `open_drawer`, `!done:…` for a send, `?done:…` for a wait; with the steps that it comes after.
-fn told(plan: &LocalPlan) -> Vec<String> {
+/// Formats the steps: `open_drawer`, `!done:…` for a send, `?done:…` for a wait, each with its
+/// predecessors.
+fn steps_text(plan: &LocalPlan) -> Vec<String> {
     let line = |step: &consort_protocol::plan::Step| match &step.action {
         StepAction::Task { id, .. } => format!("{id} {:?}", step.after),
         StepAction::Send(signal) => format!("!{signal} {:?}", step.after),
@@ -37,7 +38,7 @@ fn told(plan: &LocalPlan) -> Vec<String> {
 fn the_robot_of_lab_samples_has_thirteen_steps() {
     let division = divide_and_check(&instance("lab-samples", &[])).unwrap();
     assert_eq!(
-        told(&division.plans[&role("r1")]),
+        steps_text(&division.plans[&role("r1")]),
         [
             "navto_room []",
             "approach_nurse [0]",
@@ -55,31 +56,31 @@ fn the_robot_of_lab_samples_has_thirteen_steps() {
         ]
     );
     assert_eq!(
-        told(&division.plans[&role("nurse")]),
+        steps_text(&division.plans[&role("nurse")]),
         ["?done:open_drawer_for_nurse:r1:nurse []", "deposit [0]", "!done:deposit:nurse:r1 [1]"]
     );
     assert_eq!(
-        told(&division.plans[&role("lab_arm")]),
+        steps_text(&division.plans[&role("lab_arm")]),
         ["?done:open_drawer_lab:r1:lab_arm []", "pick_up_sample [0]", "!done:pick_up_sample:lab_arm:r1 [1]"]
     );
 }
 
 #[test]
-fn lab_samples_guard_what_moves_the_sample() {
+fn lab_samples_guards_the_moves_of_the_sample() {
     let division = divide_and_check(&instance("lab-samples", &[])).unwrap();
     let guarded = |name| Vec::from_iter(division.plans[&role(name)].guarded.iter().copied());
-    // The carrier tells the nurse that its drawer is open, and the arm takes the sample, only once the ledger knows
-    // what came before.
+    // Both the carrier's signal to the nurse that its drawer is open and the pick-up by the arm
+    // require that the ledger contains the preceding steps.
     assert_eq!(guarded("r1"), [4]);
     assert_eq!(guarded("lab_arm"), [1]);
     assert_eq!(guarded("nurse"), [0; 0]);
 }
 
 #[test]
-fn two_robots_meet_before_they_carry_together() {
+fn two_robots_synchronise_before_they_carry_together() {
     let division = divide_and_check(&instance("bed-transfer", &[])).unwrap();
     assert_eq!(
-        told(&division.plans[&role("foot")]),
+        steps_text(&division.plans[&role("foot")]),
         [
             "foot_navto_bed []",
             "!done:foot_navto_bed:foot:nurse [0]",
@@ -98,7 +99,7 @@ fn two_robots_meet_before_they_carry_together() {
 fn unordered_tasks_of_one_robot_stay_unordered() {
     let division = divide_and_check(&instance("ward-disinfection", &[])).unwrap();
     assert_eq!(
-        told(&division.plans[&role("left")]),
+        steps_text(&division.plans[&role("left")]),
         [
             "navto_a []",
             "disinfect_a [0]",
@@ -117,7 +118,7 @@ fn unordered_tasks_of_one_robot_stay_unordered() {
 }
 
 #[test]
-fn the_shipped_missions_end_in_order_however_they_run() {
+fn the_shipped_missions_end_in_order_in_every_run() {
     for name in shipped().keys() {
         let mut mission = instance(name, &[]);
         let ids: Vec<TaskId> = mission.elementary().iter().map(|(id, _)| (*id).clone()).collect();
@@ -138,17 +139,17 @@ fn the_shipped_missions_end_in_order_however_they_run() {
 }
 
 #[test]
-fn joint_tasks_in_no_order_are_taken_in_the_order_of_the_file() {
+fn unordered_joint_tasks_follow_the_order_of_the_file() {
     let tree = Unordered(vec![Task(vec![0, 1]), Task(vec![1, 2]), Task(vec![2, 0])]);
     let (mission, before) = (mission(&tree), reference_order(&tree));
     let division = divide_and_check(&mission).unwrap();
     assert_eq!(explore_all_states(&division, &before, 50_000), Explored::Sound);
 }
 
-/// The example in the check's own words: without hearing of third roles' work before standing ready, four robots wait
-/// for one another although every order is kept.
+/// Example from the documentation of the check: if roles are ready before they have received the
+/// end of a third role's work, four robots wait for each other although every order is kept.
 #[test]
-fn nobody_stands_ready_while_a_third_role_is_at_work() {
+fn no_role_is_ready_while_a_third_role_is_at_work() {
     let (r, s, x, y) = (0, 1, 2, 3);
     let tree = Unordered(vec![
         Sequence(vec![Task(vec![r]), Task(vec![s, x])]),
@@ -164,14 +165,16 @@ fn nobody_stands_ready_while_a_third_role_is_at_work() {
         from: crate::support::role(from),
         to: crate::support::role(to),
     };
-    let bare = without_signal(&without_signal(&division, &done("t0", r, s)), &done("t2", s, r));
-    assert!(matches!(explore_all_states(&bare, &before, 50_000), Explored::Wrong(_)));
-    let Err(DivisionError::Unsound(error)) = check_division(&mission, &bare) else { panic!("it is refused") };
+    let without_signals = without_signal(&without_signal(&division, &done("t0", r, s)), &done("t2", s, r));
+    assert!(matches!(explore_all_states(&without_signals, &before, 50_000), Explored::Wrong(_)));
+    let Err(DivisionError::Unsound(error)) = check_division(&mission, &without_signals) else {
+        panic!("the check must fail")
+    };
     assert_eq!(
         error.to_string(),
-        "the local plans of mission trial do not carry it out:\n  \
-         role r1 may stand ready for t1 before it knows that role r0 has ended t0\n  \
-         role r0 may stand ready for t3 before it knows that role r1 has ended t2"
+        "the local plans of mission trial do not execute it:\n  \
+         role r1 may signal `ready` for t1 before role r0 has ended t0\n  \
+         role r0 may signal `ready` for t3 before role r1 has ended t2"
     );
 }
 
@@ -179,7 +182,7 @@ fn nobody_stands_ready_while_a_third_role_is_at_work() {
 fn the_checker_names_mission_task_and_role() {
     let mission = instance("lab-samples", &[]);
     let sound = divide(&mission).unwrap();
-    let faults = |change: &dyn Fn(&mut Division)| {
+    let violations = |change: &dyn Fn(&mut Division)| {
         let mut division = sound.clone();
         change(&mut division);
         match check_division(&mission, &division) {
@@ -188,33 +191,34 @@ fn the_checker_names_mission_task_and_role() {
         }
     };
     let r1 = |division: &mut Division| division.plans.remove(&role("r1")).unwrap();
-    assert_eq!(faults(&|division| drop(r1(division)))[0], "role r1 has no plan",);
+    assert_eq!(violations(&|division| drop(r1(division)))[0], "role r1 has no plan",);
     assert_eq!(
-        faults(&|division| drop(division.plans.get_mut(&role("nurse")).unwrap().steps.pop())),
+        violations(&|division| drop(division.plans.get_mut(&role("nurse")).unwrap().steps.pop())),
         ["role r1 waits for done:deposit:nurse:r1, and role nurse never sends it"]
     );
     assert_eq!(
-        faults(&|division| division.plans.get_mut(&role("r1")).unwrap().steps[1].after.clear()),
+        violations(&|division| division.plans.get_mut(&role("r1")).unwrap().steps[1].after.clear()),
         ["role r1 may begin approach_nurse before role r1 has ended navto_room"]
     );
     assert_eq!(
-        faults(&|division| division.plans.get_mut(&role("r1")).unwrap().steps[1].after = vec![7]),
-        ["role r1: step 1 says it comes after [7]; these are smaller numbers, in order, each once"]
+        violations(&|division| division.plans.get_mut(&role("r1")).unwrap().steps[1].after = vec![7]),
+        ["role r1: step 1 lists the predecessors [7]; they must be smaller numbers, in order, without repetition"]
     );
     assert_eq!(
-        faults(&|division| drop(division.plans.get_mut(&role("r1")).unwrap().steps.pop())),
+        violations(&|division| drop(division.plans.get_mut(&role("r1")).unwrap().steps.pop())),
         ["role r1: its plan lacks the task close_drawer_lab"]
     );
     assert_eq!(
-        faults(&|division| division.plans.get_mut(&role("nurse")).unwrap().steps[2].after.clear()),
+        violations(&|division| division.plans.get_mut(&role("nurse")).unwrap().steps[2].after.clear()),
         [
             "role nurse may send done:deposit:nurse:r1 before it has ended that task",
             "role r1 may begin close_drawer_nurse before role nurse has ended deposit",
         ]
     );
-    // The nurse waits for the drawer to be open, and the robot opens it when it has heard of the deposit.
+    // The nurse waits for the open drawer, and the robot opens it after it has received the
+    // deposit.
     assert_eq!(
-        faults(&|division| {
+        violations(&|division| {
             let plan = division.plans.get_mut(&role("r1")).unwrap();
             let wait = plan.steps.remove(5);
             plan.steps.insert(3, wait);
@@ -223,25 +227,26 @@ fn the_checker_names_mission_task_and_role() {
             plan.steps[5].after = vec![4];
             plan.steps[6].after = vec![4];
         }),
-        ["these tasks wait for one another: open_drawer_for_nurse, deposit"]
+        ["these tasks wait for each other: open_drawer_for_nurse, deposit"]
     );
 }
 
 #[test]
-fn a_joint_task_without_its_rendezvous_is_refused() {
+fn a_joint_task_without_its_rendezvous_is_rejected() {
     let mission = instance("bed-transfer", &[]);
     let mut division = divide(&mission).unwrap();
-    // The foot end would lift as soon as it has told the head end, without having heard from it.
+    // The foot end would lift as soon as it has sent `ready` to the head end, without having
+    // received `ready`.
     division.plans.get_mut(&role("foot")).unwrap().steps[5].after = vec![3];
     assert_eq!(
         check_division(&mission, &division).unwrap_err().to_string(),
-        "the local plans of mission bed-transfer do not carry it out:\n  role foot may begin the joint task carry_bed \
-         before it has told head and heard from it"
+        "the local plans of mission bed-transfer do not execute it:\n  role foot may begin the joint task carry_bed \
+         before it has exchanged `ready` with head"
     );
 }
 
 #[test]
-fn missions_and_plans_survive_their_way_over_the_wire() {
+fn missions_and_plans_survive_encoding_and_decoding() {
     for name in shipped().keys() {
         let mission = instance(name, &[]);
         let bytes = codec::encode(&mission).unwrap();
@@ -255,7 +260,7 @@ fn missions_and_plans_survive_their_way_over_the_wire() {
 }
 
 #[test]
-fn progress_is_kept_and_checked_when_it_is_taken_up() {
+fn progress_is_stored_and_checked_when_it_is_restored() {
     let division = divide(&instance("bed-transfer", &[])).unwrap();
     let mut progress = PlanProgress::new(division.plans[&role("foot")].clone());
     progress.end(0).unwrap();
@@ -272,17 +277,17 @@ fn progress_is_kept_and_checked_when_it_is_taken_up() {
     let forged = text.replace("\"ended\":[0,1]", "\"ended\":[1]");
     assert_ne!(forged, text);
     let error = serde_json::from_str::<PlanProgress>(&forged).unwrap_err().to_string();
-    assert!(error.contains("step 1 is said to have ended, but not step 0"), "{error}");
-    assert!(progress.clone().end(5).is_err(), "carrying needs both");
+    assert!(error.contains("step 1 is recorded as ended, but its predecessor 0 is not"), "{error}");
+    assert!(progress.clone().end(5).is_err(), "the joint task needs both roles");
     assert!(progress.clone().end(0).is_err(), "a step ends once");
 }
 
 #[test]
-fn a_robot_that_stands_ready_does_nothing_else() {
+fn a_robot_that_is_ready_executes_no_other_task() {
     let tree = Unordered(vec![Task(vec![1, 2]), Task(vec![1])]);
     let division = divide_and_check(&mission(&tree)).unwrap();
     let mut progress = PlanProgress::new(division.plans[&crate::support::role(1)].clone());
-    assert_eq!(told(progress.plan()), ["!ready:t0:r1:r2 []", "?ready:t0:r2:r1 [0]", "t0 [1]", "t1 []"]);
+    assert_eq!(steps_text(progress.plan()), ["!ready:t0:r1:r2 []", "?ready:t0:r2:r1 [0]", "t0 [1]", "t1 []"]);
     assert_eq!(progress.permitted(), [0, 3]);
     progress.end(0).unwrap();
     assert_eq!(progress.committed().map(TaskId::as_str), Some("t0"));
@@ -298,13 +303,13 @@ fn a_robot_that_stands_ready_does_nothing_else() {
 #[test]
 fn the_largest_missions_are_divided_in_time() {
     let all: Vec<usize> = (0..64).collect();
-    let everybody = || all.iter().map(|role| Task(vec![*role])).collect::<Vec<_>>();
+    let tasks_of_all_roles = || all.iter().map(|role| Task(vec![*role])).collect::<Vec<_>>();
     let trees = [
-        // Four rounds in which everybody waits for everybody.
-        Sequence((0..7).map(|_| Unordered(everybody())).collect()),
-        // Two halves of which every task of the second follows every task of the first.
-        Sequence((0..2).map(|_| Unordered((0..3).flat_map(|_| everybody()).collect())).collect()),
-        // Joint tasks of eight, in no order.
+        // Rounds in which every role waits for every other role.
+        Sequence((0..7).map(|_| Unordered(tasks_of_all_roles())).collect()),
+        // Two halves: every task of the second half follows every task of the first half.
+        Sequence((0..2).map(|_| Unordered((0..3).flat_map(|_| tasks_of_all_roles()).collect())).collect()),
+        // Unordered joint tasks of 8 roles.
         Unordered((0..500).map(|n| Task((0..8).map(|k| (n * 5 + k * 8) % 64).collect())).collect()),
         Sequence((0..500).map(|n| Task(vec![n % 3])).collect()),
         Unordered((0..500).map(|n| Task(vec![n % 64])).collect()),
@@ -316,25 +321,26 @@ fn the_largest_missions_are_divided_in_time() {
         let divided = started.elapsed();
         divide_and_check(&mission).unwrap();
         let checked = started.elapsed() - divided;
-        // Without optimisation, and with another test beside it.
+        // Without optimisation, and with another test running in parallel.
         assert!(divided < Duration::from_secs(5) && checked < Duration::from_secs(10), "{divided:?} {checked:?}");
     }
 }
 
-/// The published iHTNs, read from outside; `None`, with a message, where they are not at hand.
-#[expect(clippy::print_stderr, reason = "a check that did not take place says so")]
+/// Reads a published iHTN from outside the repository; `None`, with a message, if the file is
+/// missing.
+#[expect(clippy::print_stderr, reason = "a skipped check must be visible")]
 fn published(file: &str) -> Option<String> {
-    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/reference");
-    let folder = std::env::var_os("CONSORT_REFERENCE").map_or(beside, PathBuf::from);
+    let default_folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/reference");
+    let folder = std::env::var_os("CONSORT_REFERENCE").map_or(default_folder, PathBuf::from);
     let path = folder.join("mission_control").join(file);
     let text = std::fs::read_to_string(&path).ok();
     if text.is_none() {
-        eprintln!("skipped: there is no {}; set CONSORT_REFERENCE to the folder that has it", path.display());
+        eprintln!("skipped: there is no {}; set CONSORT_REFERENCE to the folder that contains it", path.display());
     }
     text
 }
 
-fn reading(unmanaged: &[&str], aliases: &[(&str, &str)]) -> IhtnOptions {
+fn options(unmanaged: &[&str], aliases: &[(&str, &str)]) -> IhtnOptions {
     IhtnOptions {
         name: TaskId::new("published").unwrap(),
         unmanaged: unmanaged.iter().map(|name| role(name)).collect(),
@@ -345,21 +351,21 @@ fn reading(unmanaged: &[&str], aliases: &[(&str, &str)]) -> IhtnOptions {
 #[test]
 fn the_published_lab_samples_give_the_robot_the_same_plan_as_ours() {
     let Some(text) = published("ihtn_lsl.json") else { return };
-    let theirs = import_ihtn(&text, &reading(&["nurse"], &[]), &Domain::hospital()).unwrap();
+    let theirs = import_ihtn(&text, &options(&["nurse"], &[]), &Domain::hospital()).unwrap();
     let ours = instance("lab-samples", &[("room", "PC Room 2")]);
     let plan = |mission: &Mission| -> Vec<String> {
         let types: BTreeMap<String, String> =
             mission.elementary().iter().map(|(id, spec)| (id.to_string(), spec.task_type.to_string())).collect();
         let plans = divide_and_check(mission).unwrap().plans;
-        let said = |signal: &Signal| {
+        let signal_text = |signal: &Signal| {
             format!("{:?} {} {} {}", signal.kind, types[signal.task.as_str()], signal.from, signal.to)
         };
         let steps = plans[&role("r1")].steps.iter();
         steps
             .map(|step| match &step.action {
                 StepAction::Task { spec, .. } => format!("{} {:?} {:?}", spec.task_type, spec.parameters, step.after),
-                StepAction::Send(signal) => format!("send {} {:?}", said(signal), step.after),
-                StepAction::Wait(signal) => format!("wait {} {:?}", said(signal), step.after),
+                StepAction::Send(signal) => format!("send {} {:?}", signal_text(signal), step.after),
+                StepAction::Wait(signal) => format!("wait {} {:?}", signal_text(signal), step.after),
             })
             .collect()
     };
@@ -379,11 +385,11 @@ fn the_other_published_missions_can_be_divided() {
     let people: &[&[&str]] = &[&["Delivery1", "Patient1"], &["Patient1"]];
     for (file, people) in ["ihtn_fld.json", "ihtn_flp.json"].into_iter().zip(people) {
         let Some(text) = published(file) else { return };
-        let reading = reading(people, &[("navto", "navigation")]);
-        let mission = import_ihtn(&text, &reading, &domain).unwrap_or_else(|error| panic!("{file}: {error}"));
+        let options = options(people, &[("navto", "navigation")]);
+        let mission = import_ihtn(&text, &options, &domain).unwrap_or_else(|error| panic!("{file}: {error}"));
         let division = divide_and_check(&mission).unwrap();
         if file == "ihtn_flp.json" {
-            let plan = told(&division.plans[&role("r1")]);
+            let plan = steps_text(&division.plans[&role("r1")]);
             assert_eq!(
                 plan,
                 [

@@ -1,4 +1,4 @@
-//! Division of missions into local plans, and what comes of it when the plans are carried out.
+//! Division of missions into local plans, and the execution of these plans.
 
 mod alternative_methods;
 mod known_missions;

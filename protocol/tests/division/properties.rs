@@ -1,4 +1,4 @@
-//! Random missions, divided: whatever happens in whatever order, the mission is carried out.
+//! Random missions: the divided mission is executed correctly in any order of events.
 
 use crate::support::{
     Explored, Sequence, Task, Team, Tree, Unordered, explore_all_states, leaves, mission, reference_order, signals,
@@ -12,7 +12,8 @@ use proptest::prelude::*;
 use proptest::sample::subsequence;
 use std::collections::BTreeSet;
 
-/// Trees of up to about `size` tasks, of `roles` roles, jointly done by up to three.
+/// Generates trees of up to about `size` tasks, of `roles` roles, with joint tasks of up to 3
+/// roles.
 pub(crate) fn trees(roles: usize, size: u32) -> impl Strategy<Value = Tree> {
     let one = (0..roles).prop_map(|role| Task(vec![role]));
     let joint = subsequence((0..roles).collect::<Vec<_>>(), 2..=3.min(roles)).prop_shuffle().prop_map(Task);
@@ -22,13 +23,13 @@ pub(crate) fn trees(roles: usize, size: u32) -> impl Strategy<Value = Tree> {
     })
 }
 
-/// Trees small enough that every state can be visited.
+/// Generates trees that are small enough to visit every state.
 pub(crate) fn small_trees() -> impl Strategy<Value = Tree> {
     let parts = |tree: &Tree| leaves(tree).iter().map(Vec::len).sum::<usize>();
     trees(4, 6).prop_filter("few parts", move |tree| (2..=8).contains(&parts(tree)))
 }
 
-/// Numbers without pattern, from a seed.
+/// Pseudo-random numbers from a seed.
 pub(crate) struct SeededRng(pub(crate) u64);
 
 impl SeededRng {
@@ -38,22 +39,22 @@ impl SeededRng {
     }
 }
 
-/// One run to its end; `advised` robots follow `next`.
+/// Executes a run to its end; `advised` robots follow `next`.
 fn run(division: &Division, before: &[Vec<bool>], seed: u64, advised: bool) -> Result<(), String> {
     run_from(Team::of(division, before), seed, advised)
 }
 
-/// The same from a given state.
+/// Does the same from a given state.
 pub(crate) fn run_from(mut team: Team<'_>, seed: u64, advised: bool) -> Result<(), String> {
-    let mut dice = SeededRng(seed);
+    let mut rng = SeededRng(seed);
     loop {
         let events = if advised { team.advised() } else { team.events() };
         if events.is_empty() {
             return if team.is_complete() { Ok(()) } else { Err(format!("stuck: {:?}", team.key())) };
         }
-        team.apply(events[dice.below(events.len())])?;
-        if dice.below(16) == 0 {
-            // Somebody restarts from what it had kept.
+        team.apply(events[rng.below(events.len())])?;
+        if rng.below(16) == 0 {
+            // The robots restart from their stored progress.
             for robot in team.robots_mut() {
                 let text = serde_json::to_string(robot).unwrap();
                 *robot = serde_json::from_str::<PlanProgress>(&text).map_err(|error| error.to_string())?;
@@ -62,7 +63,7 @@ pub(crate) fn run_from(mut team: Team<'_>, seed: u64, advised: bool) -> Result<(
     }
 }
 
-fn refused(tree: &Tree, division: &Division) -> Option<Vec<DivisionViolation>> {
+fn violations_of(tree: &Tree, division: &Division) -> Option<Vec<DivisionViolation>> {
     match check_division(&mission(tree), division) {
         Ok(()) => None,
         Err(DivisionError::Unsound(error)) => Some(error.violations),
@@ -74,7 +75,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn the_global_order_is_the_slow_one(tree in trees(5, 40)) {
+    fn the_global_order_equals_the_slow_order(tree in trees(5, 40)) {
         let mission = mission(&tree);
         let (order, slow) = (GlobalOrder::of(&mission).unwrap(), reference_order(&tree));
         for (first, row) in slow.iter().enumerate() {
@@ -89,7 +90,7 @@ proptest! {
         let mission = mission(&tree);
         let division = divide_and_check(&mission).map_err(|error| TestCaseError::fail(error.to_string()))?;
         prop_assert_eq!(divide(&mission).unwrap(), division.clone(), "the same mission has the same division");
-        // `after` is sorted and says nothing twice.
+        // `after` is sorted and not redundant.
         for plan in division.plans.values() {
             let mut before: Vec<BTreeSet<StepIndex>> = Vec::new();
             for step in &plan.steps {
@@ -103,7 +104,7 @@ proptest! {
     }
 
     #[test]
-    fn nothing_is_ordered_that_the_mission_leaves_open(tree in trees(4, 20)) {
+    fn a_division_adds_no_order_to_the_mission(tree in trees(4, 20)) {
         let (mission, slow) = (mission(&tree), reference_order(&tree));
         let division = divide(&mission).unwrap();
         for plan in division.plans.values() {
@@ -126,7 +127,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn large_missions_end_in_order_however_they_run(tree in trees(6, 40), seed: u64) {
+    fn large_missions_end_in_order_in_every_run(tree in trees(6, 40), seed: u64) {
         let before = reference_order(&tree);
         let division = divide_and_check(&mission(&tree)).unwrap();
         for walk in 0..4 {
@@ -144,49 +145,49 @@ proptest! {
     }
 
     #[test]
-    fn no_signal_can_be_left_out(tree in trees(5, 16)) {
+    fn no_signal_can_be_removed(tree in trees(5, 16)) {
         let division = divide(&mission(&tree)).unwrap();
         let joint = leaves(&tree).iter().any(|roles| roles.len() > 1);
         for (signal, ..) in signals(&division) {
-            let Some(faults) = refused(&tree, &without_signal(&division, &signal)) else {
-                return Err(TestCaseError::fail(format!("{signal} says nothing new")));
+            let Some(violations) = violations_of(&tree, &without_signal(&division, &signal)) else {
+                return Err(TestCaseError::fail(format!("{signal} is redundant")));
             };
-            let breaks_order = |fault: &DivisionViolation| matches!(fault, DivisionViolation::OutOfOrder { .. });
-            prop_assert!(joint || faults.iter().any(breaks_order), "{:?}", faults);
+            let violates_order = |violation: &DivisionViolation| matches!(violation, DivisionViolation::OutOfOrder { .. });
+            prop_assert!(joint || violations.iter().any(violates_order), "{:?}", violations);
         }
     }
 
     #[test]
-    fn half_a_signal_is_refused(tree in trees(5, 16)) {
+    fn a_send_or_wait_alone_is_rejected(tree in trees(5, 16)) {
         let division = divide(&mission(&tree)).unwrap();
         for (signal, send, wait) in signals(&division) {
-            let faults = refused(&tree, &without_step(&division, &send.0, send.1)).unwrap();
+            let violations = violations_of(&tree, &without_step(&division, &send.0, send.1)).unwrap();
             let signal_of_fault = DivisionViolation::UnmatchedWait { signal: signal.clone() };
-            prop_assert_eq!(faults, vec![signal_of_fault]);
-            let faults = refused(&tree, &without_step(&division, &wait.0, wait.1)).unwrap();
-            prop_assert_eq!(faults, vec![DivisionViolation::UnmatchedSend { signal: signal.clone() }]);
+            prop_assert_eq!(violations, vec![signal_of_fault]);
+            let violations = violations_of(&tree, &without_step(&division, &wait.0, wait.1)).unwrap();
+            prop_assert_eq!(violations, vec![DivisionViolation::UnmatchedSend { signal: signal.clone() }]);
 
             for other in division.plans.keys().filter(|other| **other != signal.to) {
                 let mut retargeted = division.clone();
                 let step = &mut retargeted.plans.get_mut(&send.0).unwrap().steps[send.1];
                 step.action = StepAction::Send(consort_protocol::plan::Signal { to: other.clone(), ..signal.clone() });
-                prop_assert!(refused(&tree, &retargeted).is_some(), "{} to {}", signal, other);
+                prop_assert!(violations_of(&tree, &retargeted).is_some(), "{} to {}", signal, other);
             }
         }
     }
 
-    /// The check is worth what it accepts: of plans spoilt at random, all that pass run soundly to their end.
+    /// All randomly damaged plans that pass the check execute correctly.
     #[test]
-    fn what_passes_the_check_runs_soundly(tree in small_trees(), seed: u64) {
+    fn plans_that_pass_the_check_execute_correctly(tree in small_trees(), seed: u64) {
         let before = reference_order(&tree);
         let sound = divide(&mission(&tree)).unwrap();
-        let mut dice = SeededRng(seed);
+        let mut rng = SeededRng(seed);
         for _ in 0..8 {
             let mut division = sound.clone();
-            for _ in 0..=dice.below(2) {
-                spoil(&mut division, &mut dice);
+            for _ in 0..=rng.below(2) {
+                damage(&mut division, &mut rng);
             }
-            if division != sound && refused(&tree, &division).is_none() {
+            if division != sound && violations_of(&tree, &division).is_none() {
                 let explored = explore_all_states(&division, &before, 1_000);
                 prop_assert!(!matches!(explored, Explored::Wrong(_)), "{:?}\n{:#?}", explored, division);
             }
@@ -194,24 +195,24 @@ proptest! {
     }
 }
 
-/// Takes an order or a signal away from some plan, or adds an order.
-fn spoil(division: &mut Division, dice: &mut SeededRng) {
+/// Removes an order or a signal from a plan, or adds an order.
+fn damage(division: &mut Division, rng: &mut SeededRng) {
     let plans = division.plans.len();
-    let role = division.plans.keys().nth(dice.below(plans)).unwrap().clone();
+    let role = division.plans.keys().nth(rng.below(plans)).unwrap().clone();
     let plan = division.plans.get_mut(&role).unwrap();
-    let index = dice.below(plan.steps.len());
-    match dice.below(3) {
+    let index = rng.below(plan.steps.len());
+    match rng.below(3) {
         0 if !plan.steps[index].after.is_empty() => {
-            let gone = dice.below(plan.steps[index].after.len());
-            let gone = plan.steps[index].after.remove(gone);
-            if dice.below(2) == 0 {
+            let removed = rng.below(plan.steps[index].after.len());
+            let removed = plan.steps[index].after.remove(removed);
+            if rng.below(2) == 0 {
                 let mut after: BTreeSet<StepIndex> = plan.steps[index].after.iter().copied().collect();
-                after.extend(&plan.steps[gone as usize].after);
+                after.extend(&plan.steps[removed as usize].after);
                 plan.steps[index].after = after.into_iter().collect();
             }
         }
         1 if index > 0 => {
-            let more = dice.below(index) as StepIndex;
+            let more = rng.below(index) as StepIndex;
             if !plan.steps[index].after.contains(&more) {
                 plan.steps[index].after.push(more);
                 plan.steps[index].after.sort_unstable();
@@ -221,7 +222,7 @@ fn spoil(division: &mut Division, dice: &mut SeededRng) {
             let signals = signals(division);
             let done: Vec<_> = signals.iter().filter(|(signal, ..)| signal.kind == SignalKind::Done).collect();
             if !done.is_empty() {
-                *division = without_signal(division, &done[dice.below(done.len())].0);
+                *division = without_signal(division, &done[rng.below(done.len())].0);
             }
         }
     }

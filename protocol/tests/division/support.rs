@@ -1,18 +1,18 @@
-//! Missions made of little, and a robot for every role that does whatever its progress permits.
+//! Generated missions, and robots that perform any permitted step.
 
 use consort_protocol::ids::{RoleId, TaskId, TaskType};
 use consort_protocol::mission::{Method, Mission, Role, RoleKind, TaskBody, TaskIndex, TaskNode, TaskOrder, TaskSpec};
 use consort_protocol::plan::{Division, ItemMove, PlanProgress, Signal, StepAction, StepIndex};
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
-/// A tree of tasks: what the order of a mission is, said once more in its plainest form.
+/// Tree of tasks: the order of a mission in its simplest form.
 #[derive(Debug, Clone)]
 pub(crate) enum Tree {
-    /// A task of these roles, by number.
+    /// Task of these roles, by number.
     Task(Vec<usize>),
-    /// One after the other.
+    /// Subtrees in sequence.
     Sequence(Vec<Tree>),
-    /// In no order.
+    /// Unordered subtrees.
     Unordered(Vec<Tree>),
 }
 
@@ -22,8 +22,8 @@ pub(crate) fn role(number: usize) -> RoleId {
     RoleId::new(format!("r{number}")).unwrap()
 }
 
-/// The mission of a tree. Elementary tasks are called `t0`, `t1`, … in the order of the tree; roles whose number is a
-/// multiple of three are people, unless nobody else takes part.
+/// Creates the mission of a tree. Elementary tasks are named `t0`, `t1`, … in the order of the
+/// tree. Roles with a number divisible by 3 are people, unless only people take part.
 pub(crate) fn mission(tree: &Tree) -> Mission {
     fn add(tree: &Tree, tasks: &mut Vec<TaskNode>, leaves: &mut usize) -> TaskIndex {
         let index = tasks.len();
@@ -61,7 +61,7 @@ pub(crate) fn mission(tree: &Tree) -> Mission {
     Mission { name: TaskId::new("trial").unwrap(), roles, tasks }
 }
 
-/// The roles of each elementary task.
+/// Returns the roles of each elementary task.
 pub(crate) fn leaves(tree: &Tree) -> Vec<Vec<usize>> {
     match tree {
         Task(roles) => vec![roles.clone()],
@@ -69,7 +69,8 @@ pub(crate) fn leaves(tree: &Tree) -> Vec<Vec<usize>> {
     }
 }
 
-/// Which task comes before which, computed slowly: parting branches, then joint tasks by file order, then the closure.
+/// Computes the order of tasks slowly: separating branches, then joint tasks by file order, then
+/// the transitive closure.
 pub(crate) fn reference_order(tree: &Tree) -> Vec<Vec<bool>> {
     fn mark(tree: &Tree, first: usize, before: &mut Vec<Vec<bool>>) -> usize {
         let (below, sequential) = match tree {
@@ -107,69 +108,70 @@ pub(crate) fn reference_order(tree: &Tree) -> Vec<Vec<bool>> {
     before
 }
 
-/// The number of a task that [`mission`] named.
+/// Returns the number of a task named by [`mission`].
 pub(crate) fn number(id: &TaskId) -> usize {
     id.as_str()[1..].parse().unwrap()
 }
 
-/// Everything that can happen next.
+/// Event that can happen next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Event<'d> {
-    /// The robot performs a step; a task it only begins.
+    /// The robot performs a step; a task only begins.
     Perform(usize, StepIndex),
-    /// The robot ends the task it does.
+    /// The robot ends its current task.
     Finish(usize),
-    /// The robot hears a signal that was sent.
+    /// The robot receives a signal that was sent.
     Receive(usize, &'d Signal),
-    /// The task it does fails; it does an alternative to its end.
+    /// The current task fails; the robot completes an alternative.
     Replace(usize, usize),
-    /// The ledger hears of all that the robot has ended.
+    /// The robot reports all ended steps to the ledger.
     Report(usize),
 }
 
-/// One robot a role, in some state of a mission.
+/// A robot for each role, in some state of a mission.
 #[derive(Debug, Clone)]
 pub(crate) struct Team<'d> {
     before: &'d [Vec<bool>],
     robots: Vec<PlanProgress>,
-    doing: Vec<Option<StepIndex>>,
-    /// What the ledger holds of each robot, where its plan has guards.
+    current: Vec<Option<StepIndex>>,
+    /// Steps of each robot that the ledger contains, for plans with guards.
     known: Vec<BTreeSet<StepIndex>>,
-    /// The moves of items, whose guards are watched.
+    /// Moves of items with checked guards.
     moves: &'d [ItemMove],
-    on_the_way: BTreeSet<(usize, &'d Signal)>,
+    in_transit: BTreeSet<(usize, &'d Signal)>,
     division: &'d Division,
 }
 
-/// What tells one state from another.
+/// Identity of a state.
 pub(crate) type Key<'d> = (Vec<(BTreeSet<StepIndex>, Option<StepIndex>, BTreeSet<StepIndex>)>, Sent<'d>);
 
-/// Signals that were sent and not heard, with the robots that await them.
+/// Signals sent and not yet received, with their receivers.
 pub(crate) type Sent<'d> = BTreeSet<(usize, &'d Signal)>;
 
 impl<'d> Team<'d> {
     pub(crate) fn of(division: &'d Division, before: &'d [Vec<bool>]) -> Self {
         let robots: Vec<PlanProgress> = division.plans.values().cloned().map(PlanProgress::new).collect();
-        let (doing, known) = (vec![None; robots.len()], vec![BTreeSet::new(); robots.len()]);
-        Team { before, doing, known, moves: &[], robots, on_the_way: BTreeSet::new(), division }
+        let (current, known) = (vec![None; robots.len()], vec![BTreeSet::new(); robots.len()]);
+        Team { before, current, known, moves: &[], robots, in_transit: BTreeSet::new(), division }
     }
 
-    /// The same team, which breaks off as soon as an item moves before its guards were met.
-    pub(crate) fn watching(self, moves: &'d [ItemMove]) -> Self {
+    /// Returns the same team, which reports an error as soon as an item moves before its guards are
+    /// met.
+    pub(crate) fn checking_guards(self, moves: &'d [ItemMove]) -> Self {
         Team { moves, ..self }
     }
 
     pub(crate) fn key(&self) -> Key<'d> {
-        let robots = self.robots.iter().zip(&self.doing).zip(&self.known);
-        let robots = robots.map(|((robot, doing), known)| (robot.ended().clone(), *doing, known.clone()));
-        (robots.collect(), self.on_the_way.clone())
+        let robots = self.robots.iter().zip(&self.current).zip(&self.known);
+        let robots = robots.map(|((robot, current), known)| (robot.ended().clone(), *current, known.clone()));
+        (robots.collect(), self.in_transit.clone())
     }
 
     pub(crate) fn events(&self) -> Vec<Event<'d>> {
         let mut events: Vec<Event<'d>> =
-            self.on_the_way.iter().map(|(to, signal)| Event::Receive(*to, signal)).collect();
+            self.in_transit.iter().map(|(to, signal)| Event::Receive(*to, signal)).collect();
         for (robot, progress) in self.robots.iter().enumerate() {
-            match self.doing[robot] {
+            match self.current[robot] {
                 Some(step) => {
                     events.push(Event::Finish(robot));
                     events.extend(progress.alternatives_for(step).map(|(other, _)| Event::Replace(robot, other)));
@@ -187,7 +189,7 @@ impl<'d> Team<'d> {
         events
     }
 
-    /// What happens if everybody follows `next`.
+    /// Returns the events if every robot follows `next`.
     pub(crate) fn advised(&self) -> Vec<Event<'d>> {
         let next = |robot: &usize| self.robots[*robot].next_guarded(&self.known[*robot]).map(|(step, _)| step);
         let advised = |event: &Event<'d>| match event {
@@ -201,21 +203,21 @@ impl<'d> Team<'d> {
         self.robots.iter().all(PlanProgress::is_complete)
     }
 
-    /// Lets it happen; an error says which order was broken.
+    /// Applies an event; the error names the violated order.
     pub(crate) fn apply(&mut self, event: Event<'d>) -> Result<(), String> {
         match event {
             Event::Receive(to, signal) => {
-                assert!(self.robots[to].receive(signal), "{signal} was awaited and is news");
-                assert!(!self.robots[to].receive(signal), "{signal} is news once");
-                self.on_the_way.remove(&(to, signal));
+                assert!(self.robots[to].receive(signal), "{signal} was awaited and not received before");
+                assert!(!self.robots[to].receive(signal), "{signal} is received once");
+                self.in_transit.remove(&(to, signal));
             }
             Event::Report(robot) => self.known[robot] = self.robots[robot].ended().clone(),
             Event::Replace(robot, other) => {
-                self.doing[robot] = None;
+                self.current[robot] = None;
                 let progress = &self.robots[robot];
                 for step in &progress.plan().alternatives[other].replaces {
                     let StepAction::Task { id, spec } = &progress.step(*step).unwrap().action else {
-                        return Err(format!("step {step} is replaced and is no task"));
+                        return Err(format!("step {step} is replaced and is not a task"));
                     };
                     let of_it = |earlier: &TaskId| {
                         let replaced = progress.plan().alternatives[other].replaces.iter();
@@ -224,12 +226,12 @@ impl<'d> Team<'d> {
                             StepAction::Send(_) | StepAction::Wait(_) => false,
                         })
                     };
-                    self.may_begin(id, spec, of_it)?;
+                    self.check_begin(id, spec, of_it)?;
                 }
                 self.robots[robot].apply_alternative(other).map_err(|error| error.to_string())?;
             }
             Event::Finish(robot) => {
-                let step = self.doing[robot].take().expect("it does a task");
+                let step = self.current[robot].take().expect("the robot executes a task");
                 self.robots[robot].end(step).map_err(|error| error.to_string())?;
             }
             Event::Perform(robot, step) => {
@@ -237,13 +239,13 @@ impl<'d> Team<'d> {
                 let (_, plan) = division.plans.iter().nth(robot).unwrap();
                 match &plan.steps[step as usize].action {
                     StepAction::Task { id, spec } => {
-                        self.may_begin(id, spec, |_| false)?;
-                        self.doing[robot] = Some(step);
+                        self.check_begin(id, spec, |_| false)?;
+                        self.current[robot] = Some(step);
                         return Ok(());
                     }
                     StepAction::Send(signal) => {
                         let to = self.index(&signal.to);
-                        self.on_the_way.insert((to, signal));
+                        self.in_transit.insert((to, signal));
                     }
                     StepAction::Wait(_) => {}
                 }
@@ -253,15 +255,16 @@ impl<'d> Team<'d> {
         Ok(())
     }
 
-    /// What the mission demands of the moment at which somebody begins a task; some need not have ended.
-    fn may_begin(&self, id: &TaskId, spec: &TaskSpec, aside: impl Fn(&TaskId) -> bool) -> Result<(), String> {
+    /// Checks the conditions of the mission for the begin of a task; tasks in `ignored` need not
+    /// have ended.
+    fn check_begin(&self, id: &TaskId, spec: &TaskSpec, ignored: impl Fn(&TaskId) -> bool) -> Result<(), String> {
         for (role, guard) in self.moves.iter().filter(|moved| moved.task == *id).flat_map(|moved| &moved.guards) {
             let robot = self.index(role);
             let plan = self.robots[robot].plan();
             let mut open: Vec<StepIndex> = plan.steps[*guard as usize].after.clone();
             while let Some(step) = open.pop() {
                 if !self.known[robot].contains(&step) {
-                    return Err(format!("{id} begins before the ledger knows of step {step} of {role}"));
+                    return Err(format!("{id} begins before the ledger contains step {step} of {role}"));
                 }
                 open.extend(&plan.steps[step as usize].after);
             }
@@ -269,7 +272,7 @@ impl<'d> Team<'d> {
         for progress in &self.robots {
             for (index, step) in progress.plan().steps.iter().enumerate() {
                 let StepAction::Task { id: earlier, .. } = &step.action else { continue };
-                let due = self.before[number(earlier)][number(id)] && !aside(earlier);
+                let due = self.before[number(earlier)][number(id)] && !ignored(earlier);
                 if due && !progress.ended().contains(&(index as StepIndex)) {
                     return Err(format!("{id} begins before {} has ended {earlier}", progress.plan().role));
                 }
@@ -283,9 +286,9 @@ impl<'d> Team<'d> {
                 StepAction::Send(_) | StepAction::Wait(_) => false,
             };
             let ended = progress.ended().iter().any(|step| of_it(*step));
-            let ready = progress.committed() == Some(id) && self.doing[robot].is_none_or(of_it);
+            let ready = progress.committed() == Some(id) && self.current[robot].is_none_or(of_it);
             if !(ended || ready) {
-                return Err(format!("{id} begins while {partner} does not stand ready"));
+                return Err(format!("{id} begins while {partner} is not ready"));
             }
         }
         Ok(())
@@ -295,19 +298,19 @@ impl<'d> Team<'d> {
         self.division.plans.keys().position(|other| other == role).unwrap()
     }
 
-    /// What the ledger holds of a robot.
+    /// Returns the steps of a robot that the ledger contains.
     pub(crate) fn known(&self, robot: usize) -> &BTreeSet<StepIndex> {
         &self.known[robot]
     }
 
-    /// Whether anybody has begun the task, and whether all have ended it.
+    /// Returns whether any robot has begun the task, and whether all have ended it.
     pub(crate) fn begun_and_ended(&self, task: &TaskId) -> (bool, bool) {
         let (mut begun, mut all) = (false, true);
-        for (progress, doing) in self.robots.iter().zip(&self.doing) {
+        for (progress, current) in self.robots.iter().zip(&self.current) {
             for (index, step) in (0..).zip(&progress.plan().steps) {
                 if matches!(&step.action, StepAction::Task { id, .. } if id == task) {
                     let ended = progress.ended().contains(&index);
-                    begun |= ended || *doing == Some(index);
+                    begun |= ended || *current == Some(index);
                     all &= ended;
                 }
             }
@@ -320,30 +323,30 @@ impl<'d> Team<'d> {
     }
 }
 
-/// What a search over all states found.
+/// Result of a search over all states.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Explored {
     /// Every run keeps the order and ends.
     Sound,
-    /// There are more states than were asked for; none of those seen is wrong.
+    /// There are more states than the limit; no visited state is wrong.
     TooMany,
-    /// Some run is wrong.
+    /// A run is wrong.
     Wrong(String),
 }
 
-/// Visits every state that can be reached, up to a number of them.
+/// Visits every reachable state, up to a limit.
 pub(crate) fn explore_all_states(division: &Division, before: &[Vec<bool>], most: usize) -> Explored {
     explore_from(Team::of(division, before), most)
 }
 
-/// The same from a given state.
+/// Does the same from a given state.
 pub(crate) fn explore_from(start: Team<'_>, most: usize) -> Explored {
     let mut seen: HashSet<Key<'_>> = [start.key()].into();
     let mut open = vec![start];
     while let Some(team) = open.pop() {
         let events = team.events();
         if events.is_empty() && !team.is_complete() {
-            return Explored::Wrong(format!("nothing can happen any more: {:?}", team.key()));
+            return Explored::Wrong(format!("deadlock: {:?}", team.key()));
         }
         for event in events {
             let mut then = team.clone();
@@ -361,31 +364,31 @@ pub(crate) fn explore_from(start: Team<'_>, most: usize) -> Explored {
     Explored::Sound
 }
 
-/// The division without one step: what stood after it stands after what it stood after.
+/// Removes a step from the division; its successors get its predecessors.
 pub(crate) fn without_step(division: &Division, role: &RoleId, step: usize) -> Division {
     let mut division = division.clone();
     let plan = division.plans.get_mut(role).unwrap();
-    let gone = plan.steps.remove(step);
+    let removed = plan.steps.remove(step);
     for later in &mut plan.steps[step..] {
-        let stood_after = later.after.contains(&(step as StepIndex));
+        let was_after = later.after.contains(&(step as StepIndex));
         let mut after: BTreeSet<StepIndex> = later
             .after
             .iter()
             .filter(|index| **index as usize != step)
             .map(|index| if *index as usize > step { index - 1 } else { *index })
             .collect();
-        if stood_after {
-            after.extend(&gone.after);
+        if was_after {
+            after.extend(&removed.after);
         }
         later.after = after.into_iter().collect();
     }
     division
 }
 
-/// Where a step stands: whose, and its number.
+/// Position of a step: role and index.
 pub(crate) type StepPlace = (RoleId, usize);
 
-/// Every signal, with the places of its send and its wait.
+/// Returns every signal, with the positions of its send and its wait.
 pub(crate) fn signals(division: &Division) -> Vec<(Signal, StepPlace, StepPlace)> {
     let mut places: BTreeMap<Signal, [Option<StepPlace>; 2]> = BTreeMap::new();
     for (role, plan) in &division.plans {
@@ -401,7 +404,7 @@ pub(crate) fn signals(division: &Division) -> Vec<(Signal, StepPlace, StepPlace)
     places.into_iter().map(|(signal, [send, wait])| (signal, send.unwrap(), wait.unwrap())).collect()
 }
 
-/// The division without one signal.
+/// Removes a signal from the division.
 pub(crate) fn without_signal(division: &Division, signal: &Signal) -> Division {
     let (_, send, wait) = signals(division).into_iter().find(|(other, ..)| other == signal).unwrap();
     without_step(&without_step(division, &send.0, send.1), &wait.0, wait.1)

@@ -1,7 +1,8 @@
-//! One `NavigateToPose` action client: goals are sent one after the other, and how they go is told as it comes.
+//! A `NavigateToPose` action client: goals are sent one after another, and feedback is forwarded as
+//! it arrives.
 
-use crate::goals::{Status, Uuid};
-use crate::messages::{Goal, NavigateToPose, Outcome, Progress};
+use crate::goals::{GoalUuid, Status};
+use crate::messages::{Goal, NavigateResult, NavigateToPose, Progress};
 use crate::ros::{self, RosError};
 use hiroz::Builder;
 use hiroz::action::messages::{
@@ -21,43 +22,43 @@ use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 use tokio::time::{Instant, sleep};
 use tracing::debug;
 
-/// How long a server may take to accept or reject a goal, or to answer a wish to cancel.
-const ANSWER: Duration = Duration::from_secs(5);
+/// Time limit for a server to accept or reject a goal, or to reply to a cancel request.
+const REPLY_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How long a server may be absent from the graph, or know nothing of a result, until its goal counts as lost: longer than a
-/// router takes to start anew.
-const ABSENCE: Duration = Duration::from_secs(3);
+/// Time for which a server may be absent from the graph, or without the result, until its goal is
+/// lost: longer than the restart of a router.
+const SERVER_LOST_AFTER: Duration = Duration::from_secs(3);
 
-/// How soon a result is asked for again whose query has come to nothing.
-const ASK_AGAIN: Duration = Duration::from_millis(200);
+/// Interval at which a failed result query is repeated.
+const RESULT_RETRY_INTERVAL: Duration = Duration::from_millis(200);
 
-/// What came of asking for something to be done.
+/// Reply to a goal or a cancel request.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Answer {
-    /// It was accepted.
+pub enum RequestResult {
+    /// The request was accepted.
     Accepted,
-    /// The server will not.
+    /// The server rejected the request.
     Rejected,
-    /// Nobody has answered.
-    Nobody,
+    /// No server replied.
+    NoReply,
 }
 
-/// How a goal ended.
+/// Result of a drive.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum End {
-    /// As asked.
+pub enum DriveResult {
+    /// The goal was reached.
     Succeeded,
-    /// Stopped because somebody asked for that.
+    /// The goal was canceled by request.
     Canceled,
-    /// Otherwise, and what the server says of it.
-    Aborted(Outcome),
-    /// The server is gone, or no longer knows of it.
+    /// The goal ended otherwise, with the result of the server.
+    Aborted(NavigateResult),
+    /// The server is gone, or the goal is unknown to it.
     Lost(String),
 }
 
 type Feedback = FeedbackMessage<NavigateToPose>;
 
-/// An action client on the ROS 2 graph; it leaves the graph when this is dropped.
+/// An action client on the ROS 2 graph. Dropping it removes it from the graph.
 pub struct ActionClient {
     name: String,
     graph: Arc<Graph>,
@@ -74,14 +75,14 @@ impl std::fmt::Debug for ActionClient {
 }
 
 impl ActionClient {
-    /// A client of the action with a fully qualified name, as `/navigate_to_pose`, and what servers say of goals, whosever they
-    /// are.
+    /// Creates a client of the action with a fully qualified name, for example `/navigate_to_pose`.
+    /// The receiver returns the feedback for all goals, including those of other clients.
     ///
     /// # Errors
-    /// [`RosError`] if the name is none, or the session is closed.
-    pub fn of(node: &ZNode, name: &str) -> Result<(ActionClient, UnboundedReceiver<(Uuid, Progress)>), RosError> {
+    /// [`RosError`] if the name is invalid, or the session is closed.
+    pub fn of(node: &ZNode, name: &str) -> Result<(ActionClient, UnboundedReceiver<(GoalUuid, Progress)>), RosError> {
         let part = |part: &str| format!("{name}/_action/{part}");
-        let failed = |problem| RosError::of(format!("be a client of {name}"), problem);
+        let failed = |problem| RosError::of(format!("create a client of {name}"), problem);
         let goal = node
             .create_client::<GoalService<NavigateToPose>>(&part("send_goal"))
             .with_qos(ros::services())
@@ -97,75 +98,78 @@ impl ActionClient {
             .with_qos(ros::services())
             .build()
             .map_err(failed)?;
-        let (told, heard) = unbounded_channel();
+        let (feedback_sender, feedback_receiver) = unbounded_channel();
         let feedback = node
             .create_sub_impl::<Feedback>(&part("feedback"), Some(NavigateToPose::feedback_type_info()))
             .with_qos(ros::feedback())
             .build_with_callback(move |message: Feedback| {
-                // Nobody listens any more: the subscription is about to end.
-                let _ = told.send((*message.goal_id.as_bytes(), message.feedback));
+                // Without a receiver the subscription is about to end.
+                let _ = feedback_sender.send((*message.goal_id.as_bytes(), message.feedback));
             })
             .map_err(failed)?;
         let graph = Arc::clone(node.graph());
-        Ok((ActionClient { name: name.to_owned(), graph, goal, cancel, result, _feedback: feedback }, heard))
+        Ok((
+            ActionClient { name: name.to_owned(), graph, goal, cancel, result, _feedback: feedback },
+            feedback_receiver,
+        ))
     }
 
-    /// Whether a server of the action is on the graph.
+    /// Checks whether a server of the action is on the graph.
     pub fn is_served(&self) -> bool {
         self.graph.count_by_service(EndpointKind::Service, format!("{}/_action/send_goal", self.name)) > 0
     }
 
-    /// Sends a goal under a name that was never used.
-    pub async fn send(&self, id: Uuid, goal: Goal) -> Answer {
+    /// Sends a goal with a new id.
+    pub async fn send(&self, id: GoalUuid, goal: Goal) -> RequestResult {
         let request = SendGoalRequest { goal_id: GoalId::from_bytes(id), goal };
-        match self.goal.call_with_timeout(&request, ANSWER).await {
-            Ok(response) if response.accepted => Answer::Accepted,
-            Ok(_) => Answer::Rejected,
+        match self.goal.call_with_timeout(&request, REPLY_TIMEOUT).await {
+            Ok(response) if response.accepted => RequestResult::Accepted,
+            Ok(_) => RequestResult::Rejected,
             Err(problem) => {
-                debug!(action = self.name, %problem, "a goal was not answered");
-                Answer::Nobody
+                debug!(action = self.name, %problem, "no reply to a goal");
+                RequestResult::NoReply
             }
         }
     }
 
-    /// Wishes a goal ended. That it has ended is another matter: see [`result`](Self::result).
-    pub async fn cancel(&self, id: Uuid) -> Answer {
+    /// Requests the cancellation of a goal. [`result`](Self::result) returns when it has ended.
+    pub async fn cancel(&self, id: GoalUuid) -> RequestResult {
         let goal_info = GoalInfo { goal_id: GoalId::from_bytes(id), stamp: Time::zero() };
-        match self.cancel.call_with_timeout(&CancelGoalServiceRequest { goal_info }, ANSWER).await {
-            Ok(response) if response.return_code == 0 => Answer::Accepted,
-            Ok(_) => Answer::Rejected,
+        match self.cancel.call_with_timeout(&CancelGoalServiceRequest { goal_info }, REPLY_TIMEOUT).await {
+            Ok(response) if response.return_code == 0 => RequestResult::Accepted,
+            Ok(_) => RequestResult::Rejected,
             Err(problem) => {
-                debug!(action = self.name, %problem, "a wish to cancel was not answered");
-                Answer::Nobody
+                debug!(action = self.name, %problem, "no reply to a cancel request");
+                RequestResult::NoReply
             }
         }
     }
 
-    /// Waits until a goal that was accepted has ended, for as long as its server is on the graph.
-    pub async fn result(&self, id: Uuid) -> End {
+    /// Waits until an accepted goal has ended, for as long as its server is on the graph.
+    pub async fn result(&self, id: GoalUuid) -> DriveResult {
         let request = GetResultRequest { goal_id: GoalId::from_bytes(id) };
         let mut absent: Option<Instant> = None;
         loop {
-            // A query comes to nothing when its time is up, and at once when its server is gone.
+            // A query fails when its time limit passes, and at once when its server is gone.
             match self.result.call(&request).await {
-                Ok(response) => return end(response.status, response.result),
-                Err(problem) => debug!(action = self.name, %problem, "a result was not answered"),
+                Ok(response) => return drive_result(response.status, response.result),
+                Err(problem) => debug!(action = self.name, %problem, "no reply to a result query"),
             }
             if self.is_served() {
                 absent = None;
-            } else if absent.get_or_insert_with(Instant::now).elapsed() >= ABSENCE {
-                return End::Lost(format!("there is no server of {} any more", self.name));
+            } else if absent.get_or_insert_with(Instant::now).elapsed() >= SERVER_LOST_AFTER {
+                return DriveResult::Lost(format!("the server of {} is gone", self.name));
             }
-            sleep(ASK_AGAIN).await;
+            sleep(RESULT_RETRY_INTERVAL).await;
         }
     }
 }
 
-fn end(status: i8, outcome: Outcome) -> End {
+fn drive_result(status: i8, outcome: NavigateResult) -> DriveResult {
     match status {
-        status if status == Status::Succeeded as i8 => End::Succeeded,
-        status if status == Status::Canceled as i8 => End::Canceled,
-        status if status == Status::Aborted as i8 => End::Aborted(outcome),
-        other => End::Lost(format!("the server knows nothing of the goal: its status is {other}")),
+        status if status == Status::Succeeded as i8 => DriveResult::Succeeded,
+        status if status == Status::Canceled as i8 => DriveResult::Canceled,
+        status if status == Status::Aborted as i8 => DriveResult::Aborted(outcome),
+        other => DriveResult::Lost(format!("the server does not have the goal: its status is {other}")),
     }
 }

@@ -1,12 +1,13 @@
-//! One `NavigateToPose` action server: three services and two topics on the ROS 2 graph around [`Goals`], which decide.
+//! A `NavigateToPose` action server: three services and two topics on the ROS 2 graph, controlled
+//! by [`GoalTable`].
 //!
-//! hiroz has action servers, too. Theirs answers a successful cancel with "rejected" or, with a handler, hears no wish to cancel
-//! while a result is awaited, which a client of ROS 2 does from the first moment; and a query without attachment ends it. So
-//! only its services and topics are used.
+//! hiroz has action servers as well. They reply "rejected" to a successful cancel request or, with
+//! a handler, process no cancel request while a result is awaited, which a ROS 2 client does from
+//! the start; and a query without attachment stops them. So only its services and topics are used.
 
-use crate::goals::{Ending, Goals, Status, Uuid};
+use crate::goals::{EndState, GoalTable, GoalUuid, Status};
 use crate::mapping;
-use crate::messages::{Goal, NavigateToPose, Outcome, Progress, Time};
+use crate::messages::{Goal, NavigateResult, NavigateToPose, Progress, Time};
 use crate::ros::{self, RosError};
 use hiroz::Builder;
 use hiroz::action::messages::{
@@ -25,32 +26,32 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior};
 use tracing::{debug, info, warn};
 
-/// How long a result can be asked for: the default of `rcl_action`.
+/// Time for which a result remains available: the default of `rcl_action`.
 const RESULTS_KEPT: Duration = Duration::from_secs(10);
 
-/// What a client wants.
+/// Request of a client.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Wish {
-    /// A goal was accepted: it is to be pursued.
-    Pursue(Uuid, Goal),
-    /// A goal is to be ended early. Asked again for as long as clients ask.
-    Cancel(Uuid),
+pub enum ClientRequest {
+    /// A goal was accepted and must be executed.
+    Execute(GoalUuid, Goal),
+    /// A goal must be canceled. Repeated as often as clients request it.
+    Cancel(GoalUuid),
 }
 
-/// What becomes of goals, as whoever pursues them says.
+/// Update of a goal by its executor.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Word {
-    /// How a goal goes.
-    Progress(Uuid, Progress),
-    /// How it has ended. The first end counts.
-    Ended(Uuid, Ending, Outcome),
+pub enum GoalUpdate {
+    /// Feedback of a goal.
+    Progress(GoalUuid, Progress),
+    /// The goal has ended. Only the first end counts.
+    Ended(GoalUuid, EndState, NavigateResult),
 }
 
-/// An action server on the ROS 2 graph; it leaves the graph when this is dropped.
+/// An action server on the ROS 2 graph. Dropping it removes it from the graph.
 #[derive(Debug)]
 pub struct ActionServer {
-    words: UnboundedSender<Word>,
-    wishes: UnboundedReceiver<Wish>,
+    updates: UnboundedSender<GoalUpdate>,
+    requests_to_executor: UnboundedReceiver<ClientRequest>,
     _tasks: JoinSet<()>,
 }
 
@@ -66,20 +67,20 @@ enum Request {
 }
 
 struct State {
-    goals: Goals<Outcome>,
+    goals: GoalTable<NavigateResult>,
     feedback: ZPub<Feedback, <Feedback as ZMessage>::Serdes>,
     status: ZPub<StatusMessage, <StatusMessage as ZMessage>::Serdes>,
-    /// Who asked for results that are not there yet.
-    awaiting: BTreeMap<Uuid, Vec<ServiceReply<ResultService<NavigateToPose>>>>,
-    wishes: UnboundedSender<Wish>,
+    /// Pending requests for results.
+    awaiting: BTreeMap<GoalUuid, Vec<ServiceReply<ResultService<NavigateToPose>>>>,
+    requests_to_executor: UnboundedSender<ClientRequest>,
     since: Instant,
 }
 
 impl ActionServer {
-    /// Offers the action under a fully qualified name, as `/ada/navigate_to_pose`.
+    /// Offers the action under a fully qualified name, for example `/ada/navigate_to_pose`.
     ///
     /// # Errors
-    /// [`RosError`] if the name is none, or the session is closed.
+    /// [`RosError`] if the name is invalid, or the session is closed.
     pub fn offer(node: &ZNode, name: &str) -> Result<ActionServer, RosError> {
         let part = |part: &str| format!("{name}/_action/{part}");
         let failed = |problem| RosError::of(format!("offer {name}"), problem);
@@ -118,34 +119,41 @@ impl ActionServer {
             .build()
             .map_err(failed)?;
 
-        let (wish, wishes) = unbounded_channel();
-        let (words, word) = unbounded_channel();
+        let (next_request, requests_to_executor) = unbounded_channel();
+        let (updates, update) = unbounded_channel();
         let (requests, request) = unbounded_channel();
         let mut tasks = JoinSet::new();
-        tasks.spawn(hear(goal, requests.clone(), Request::Goal));
-        tasks.spawn(hear(cancel, requests.clone(), Request::Cancel));
-        tasks.spawn(hear(result, requests, Request::Result));
-        let goals = Goals::new(RESULTS_KEPT);
-        let state = State { goals, feedback, status, awaiting: BTreeMap::new(), wishes: wish, since: Instant::now() };
-        tasks.spawn(state.run(request, word));
-        info!(action = name, "offered");
-        Ok(ActionServer { words, wishes, _tasks: tasks })
+        tasks.spawn(forward_requests(goal, requests.clone(), Request::Goal));
+        tasks.spawn(forward_requests(cancel, requests.clone(), Request::Cancel));
+        tasks.spawn(forward_requests(result, requests, Request::Result));
+        let goals = GoalTable::new(RESULTS_KEPT);
+        let state = State {
+            goals,
+            feedback,
+            status,
+            awaiting: BTreeMap::new(),
+            requests_to_executor: next_request,
+            since: Instant::now(),
+        };
+        tasks.spawn(state.run(request, update));
+        info!(action = name, "action offered");
+        Ok(ActionServer { updates, requests_to_executor, _tasks: tasks })
     }
 
-    /// The next wish of a client.
-    pub async fn wish(&mut self) -> Option<Wish> {
-        self.wishes.recv().await
+    /// Returns the next request of a client.
+    pub async fn next_request(&mut self) -> Option<ClientRequest> {
+        self.requests_to_executor.recv().await
     }
 
-    /// Says what becomes of a goal.
-    pub fn say(&self, word: Word) {
-        // Without its task the server is being dropped: nobody is there to be told.
-        let _ = self.words.send(word);
+    /// Applies an update of a goal.
+    pub fn apply(&self, update: GoalUpdate) {
+        // Without its task the server is being dropped, and the update is not needed.
+        let _ = self.updates.send(update);
     }
 }
 
-/// Hands on requests as they come; what cannot be read is dropped, and its client told nothing, as ROS 2 has it.
-async fn hear<S: ZService>(
+/// Forwards requests. Unreadable requests are dropped without a reply, as ROS 2 does.
+async fn forward_requests<S: ZService>(
     mut server: ZServer<S>,
     requests: UnboundedSender<Request>,
     wrap: fn(ServiceRequest<S>) -> Request,
@@ -160,15 +168,15 @@ async fn hear<S: ZService>(
                     return;
                 }
             }
-            Err(problem) => warn!(?server, %problem, "a request that cannot be read"),
+            Err(problem) => warn!(?server, %problem, "unreadable request"),
         }
     }
 }
 
 impl State {
-    async fn run(mut self, mut requests: UnboundedReceiver<Request>, mut words: UnboundedReceiver<Word>) {
-        let mut beat = tokio::time::interval(Duration::from_secs(1));
-        beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    async fn run(mut self, mut requests: UnboundedReceiver<Request>, mut updates: UnboundedReceiver<GoalUpdate>) {
+        let mut tick = tokio::time::interval(Duration::from_secs(1));
+        tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
                 Some(request) = requests.recv() => match request {
@@ -176,13 +184,13 @@ impl State {
                     Request::Cancel(request) => self.cancel(request).await,
                     Request::Result(request) => self.result(request).await,
                 },
-                word = words.recv() => match word {
-                    Some(Word::Progress(goal, progress)) => self.tell(goal, progress).await,
-                    Some(Word::Ended(goal, how, outcome)) => self.end(goal, how, outcome).await,
+                update = updates.recv() => match update {
+                    Some(GoalUpdate::Progress(goal, progress)) => self.publish_feedback(goal, progress).await,
+                    Some(GoalUpdate::Ended(goal, status_of_end, outcome)) => self.end(goal, status_of_end, outcome).await,
                     None => return,
                 },
-                _ = beat.tick() => {
-                    if self.goals.forget(self.since.elapsed()) {
+                _ = tick.tick() => {
+                    if self.goals.remove_expired(self.since.elapsed()) {
                         self.publish_status().await;
                     }
                 }
@@ -196,11 +204,11 @@ impl State {
         let accepted = self.goals.accept(goal, stamp);
         let response = SendGoalResponse { accepted, stamp_sec: stamp.sec, stamp_nanosec: stamp.nanosec };
         if let Err(problem) = reply.reply(&response).await {
-            debug!(%problem, "an answer to a goal was not sent");
+            debug!(%problem, "the reply to a goal was not sent");
         }
         if accepted {
             self.publish_status().await;
-            let _ = self.wishes.send(Wish::Pursue(goal, message.goal));
+            let _ = self.requests_to_executor.send(ClientRequest::Execute(goal, message.goal));
         }
     }
 
@@ -212,13 +220,13 @@ impl State {
         let goals_canceling = stopping.iter().map(|(goal, accepted)| goal_info(*goal, *accepted)).collect();
         let response = CancelGoalServiceResponse { return_code: code as i8, goals_canceling };
         if let Err(problem) = reply.reply(&response).await {
-            debug!(%problem, "an answer to a wish to cancel was not sent");
+            debug!(%problem, "the reply to a cancel request was not sent");
         }
         if !stopping.is_empty() {
             self.publish_status().await;
         }
         for (goal, _) in stopping {
-            let _ = self.wishes.send(Wish::Cancel(goal));
+            let _ = self.requests_to_executor.send(ClientRequest::Cancel(goal));
         }
     }
 
@@ -226,13 +234,13 @@ impl State {
         let (message, reply) = request.into_parts();
         let goal = *message.goal_id.as_bytes();
         match self.goals.result(goal) {
-            Some((status, outcome)) => answer(reply, status, outcome).await,
+            Some((status, outcome)) => send_result(reply, status, outcome).await,
             None => self.awaiting.entry(goal).or_default().push(reply),
         }
     }
 
-    async fn tell(&self, goal: Uuid, progress: Progress) {
-        if !self.goals.is_under_way(goal) {
+    async fn publish_feedback(&self, goal: GoalUuid, progress: Progress) {
+        if !self.goals.is_in_progress(goal) {
             return;
         }
         let message = FeedbackMessage { goal_id: GoalId::from_bytes(goal), feedback: progress };
@@ -241,20 +249,22 @@ impl State {
         }
     }
 
-    async fn end(&mut self, goal: Uuid, how: Ending, outcome: Outcome) {
-        if !self.goals.end(goal, how, outcome, self.since.elapsed()) {
+    async fn end(&mut self, goal: GoalUuid, status_of_end: EndState, outcome: NavigateResult) {
+        if !self.goals.end(goal, status_of_end, outcome, self.since.elapsed()) {
             return;
         }
         self.publish_status().await;
         let Some((status, outcome)) = self.goals.result(goal) else { return };
         for reply in self.awaiting.remove(&goal).unwrap_or_default() {
-            answer(reply, status, outcome.clone()).await;
+            send_result(reply, status, outcome.clone()).await;
         }
     }
 
     async fn publish_status(&self) {
-        let info =
-            |(goal, accepted, status)| GoalStatusInfo { goal_info: goal_info(goal, accepted), status: wire(status) };
+        let info = |(goal, accepted, status)| GoalStatusInfo {
+            goal_info: goal_info(goal, accepted),
+            status: to_ros_status(status),
+        };
         let message = StatusMessage { status_list: self.goals.statuses().map(info).collect() };
         if let Err(problem) = self.status.async_publish(&message).await {
             warn!(%problem, "the status of goals was not published");
@@ -262,19 +272,19 @@ impl State {
     }
 }
 
-async fn answer(reply: ServiceReply<ResultService<NavigateToPose>>, status: Status, result: Outcome) {
-    // Whoever asked may be gone, or have asked again.
+async fn send_result(reply: ServiceReply<ResultService<NavigateToPose>>, status: Status, result: NavigateResult) {
+    // The client may be gone, or may have repeated its request.
     if let Err(problem) = reply.reply(&GetResultResponse { status: status as i8, result }).await {
         debug!(%problem, "a result was not sent");
     }
 }
 
-fn goal_info(goal: Uuid, accepted: Time) -> GoalInfo {
+fn goal_info(goal: GoalUuid, accepted: Time) -> GoalInfo {
     let stamp = hiroz::action::Time { sec: accepted.sec, nanosec: accepted.nanosec };
     GoalInfo { goal_id: GoalId::from_bytes(goal), stamp }
 }
 
-fn wire(status: Status) -> GoalStatus {
+fn to_ros_status(status: Status) -> GoalStatus {
     match status {
         Status::Unknown => GoalStatus::Unknown,
         Status::Executing => GoalStatus::Executing,

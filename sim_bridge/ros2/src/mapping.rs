@@ -1,35 +1,36 @@
-//! Between our words and those of `nav2_msgs`: poses, times, errors, names. Pure.
+//! Conversion between the types of this project and `nav2_msgs`: poses, times, errors, names. Pure
+//! functions.
 
-use crate::messages::{Duration, Header, Outcome, Point, Pose as RosPose, PoseStamped, Quaternion, Time};
+use crate::messages::{Duration, Header, NavigateResult, Point, Pose as RosPose, PoseStamped, Quaternion, Time};
 use consort_protocol::ids::RobotId;
 use consort_protocol::pose::Pose;
 use consort_skills::actions::{ActionError, ErrorCode, Goal};
 
-/// The frame of coordinates of Nav2's maps, and of ours.
+/// Coordinate frame of Nav2's maps, and of the fleet's map.
 pub const FRAME: &str = "map";
 
-/// Why a pose of ROS is none of ours. Nothing was sent to the robot.
+/// A ROS pose cannot be converted. Nothing was sent to the robot.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum PoseProblem {
-    /// It is in other coordinates, and there is nobody here to transform it.
-    #[error("the pose is in the frame {0:?}; allowed is {FRAME:?}")]
+pub enum PoseError {
+    /// The pose is in another frame, and this program has no transforms.
+    #[error("the pose is in the frame {0:?}; allowed: {FRAME:?}")]
     Frame(String),
-    /// A number of it is infinite or none, or the orientation is no rotation.
-    #[error("the pose is not made of finite numbers and a rotation")]
+    /// A number is not finite, or the orientation is not a rotation.
+    #[error("the pose contains a number that is not finite, or the orientation is not a rotation")]
     Numbers,
 }
 
-impl PoseProblem {
-    /// `error_code` of `NavigateToPose`.
+impl PoseError {
+    /// Returns the `error_code` of `NavigateToPose`.
     pub fn code(&self) -> u16 {
         match self {
-            PoseProblem::Frame(_) => 9002, // TF_ERROR
-            PoseProblem::Numbers => 9000,  // UNKNOWN
+            PoseError::Frame(_) => 9002, // TF_ERROR
+            PoseError::Numbers => 9000,  // UNKNOWN
         }
     }
 }
 
-/// A pose of ours, for ROS.
+/// Converts a pose to ROS.
 pub fn to_ros(pose: Pose, stamp: Time) -> PoseStamped {
     let (z, w) = (pose.yaw / 2.0).sin_cos();
     PoseStamped {
@@ -41,54 +42,54 @@ pub fn to_ros(pose: Pose, stamp: Time) -> PoseStamped {
     }
 }
 
-/// A pose of ROS on our floor: height, roll and pitch have no meaning here.
+/// Converts a ROS pose to a pose on the map: height, roll and pitch are ignored.
 ///
 /// # Errors
-/// [`PoseProblem`] where it means nothing here.
-pub fn from_ros(stamped: &PoseStamped) -> Result<Pose, PoseProblem> {
+/// [`PoseError`] if the pose cannot be converted.
+pub fn from_ros(stamped: &PoseStamped) -> Result<Pose, PoseError> {
     let frame = &stamped.header.frame_id;
     if !frame.is_empty() && frame != FRAME {
-        return Err(PoseProblem::Frame(frame.clone()));
+        return Err(PoseError::Frame(frame.clone()));
     }
     let RosPose { position, orientation: Quaternion { x, y, z, w } } = stamped.pose;
     let length = x * x + y * y + z * z + w * w;
-    // Half a unit: what is that far from a rotation was never meant to be one.
+    // At least half a unit of length: a quaternion this far from a rotation is not a rotation.
     if ![position.x, position.y, length].iter().all(|number| number.is_finite()) || length < 0.5 {
-        return Err(PoseProblem::Numbers);
+        return Err(PoseError::Numbers);
     }
     let yaw = (2.0 * (w * z + x * y)).atan2(w * w + x * x - y * y - z * z);
     Ok(Pose::new(position.x, position.y, yaw))
 }
 
-/// Seconds as ROS has them; what is not a time is none, and what is too long the longest.
+/// Converts seconds to a ROS duration. Invalid values become 0, too great values the maximum.
 pub fn duration(seconds: f64) -> Duration {
     let whole = seconds.clamp(0.0, f64::from(i32::MAX)).floor();
     let sec = whole as i32; // NaN is 0
-    let beyond = ((seconds - f64::from(sec)) * 1e9).clamp(0.0, 999_999_999.0);
-    Duration { sec, nanosec: beyond as u32 }
+    let nanoseconds = ((seconds - f64::from(sec)) * 1e9).clamp(0.0, 999_999_999.0);
+    Duration { sec, nanosec: nanoseconds as u32 }
 }
 
-/// A time since 1970, for ROS.
+/// Converts a time since 1970 to ROS.
 pub fn time(since_1970: std::time::Duration) -> Time {
     let sec = i32::try_from(since_1970.as_secs()).unwrap_or(i32::MAX);
     Time { sec, nanosec: since_1970.subsec_nanos() }
 }
 
-/// The time on this machine.
+/// Returns the time of this machine.
 pub fn now() -> Time {
     time(std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default())
 }
 
-/// What Nav2 would say of a drive that failed.
-pub fn failure(error: &ActionError) -> Outcome {
+/// Converts the error of a failed drive to a Nav2 result.
+pub fn to_nav2_result(error: &ActionError) -> NavigateResult {
     let drive = Goal::NavigateToPose { pose: Pose::default(), place: None };
     let error_code = drive.nav2_code(error.code).expect("Nav2 has this goal");
-    Outcome { error_code, error_msg: error.to_string() }
+    NavigateResult { error_code, error_msg: error.to_string() }
 }
 
-/// What we would say of a drive that failed so in Nav2, by the codes of ROS 2 Jazzy: 1xx are those of `FollowPath`, 2xx of
-/// `ComputePathToPose`, 90xx of `NavigateToPose` itself.
-pub fn error(outcome: &Outcome) -> ActionError {
+/// Converts the Nav2 result of a failed drive to an error, by the codes of ROS 2 Jazzy: 1xx belong
+/// to `FollowPath`, 2xx to `ComputePathToPose`, 90xx to `NavigateToPose`.
+pub fn error(outcome: &NavigateResult) -> ActionError {
     let code = match outcome.error_code {
         // PATIENCE_EXCEEDED, FAILED_TO_MAKE_PROGRESS, NO_VALID_CONTROL; GOAL_OCCUPIED
         104..=106 | 206 => ErrorCode::Blocked,
@@ -98,11 +99,12 @@ pub fn error(outcome: &Outcome) -> ActionError {
         203 | 204 | 208 => ErrorCode::NoRoute,
         _ => ErrorCode::Unknown,
     };
-    let words = if outcome.error_msg.is_empty() { "no more is said" } else { outcome.error_msg.as_str() };
-    ActionError { code, message: format!("Nav2 error {}: {words}", outcome.error_code) }
+    let message = if outcome.error_msg.is_empty() { "without a message" } else { outcome.error_msg.as_str() };
+    ActionError { code, message: format!("Nav2 error {}: {message}", outcome.error_code) }
 }
 
-/// A robot's name as part of a name in ROS, which knows letters, digits and `_`, and no digit at the beginning.
+/// Converts a robot's name to a part of a ROS name: letters, digits and `_`, with no digit at the
+/// beginning.
 pub fn ros_name(robot: &RobotId) -> String {
     let letters = robot.as_str().chars().map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '_' });
     let name: String = letters.collect();
@@ -115,7 +117,7 @@ mod tests {
     use std::f64::consts::{FRAC_PI_2, PI};
 
     #[test]
-    fn a_pose_comes_back_as_it_went() {
+    fn a_pose_survives_the_round_trip() {
         for yaw in [0.0, 1.0, FRAC_PI_2, -FRAC_PI_2, 3.1, -3.1] {
             let pose = Pose::new(1.5, -2.25, yaw);
             let back = from_ros(&to_ros(pose, Time::default())).unwrap();
@@ -124,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quarter_turn_to_the_left_is_the_quaternion_that_ros_writes() {
+    fn a_quarter_turn_to_the_left_gives_the_quaternion_of_ros() {
         let orientation = to_ros(Pose::new(0.0, 0.0, FRAC_PI_2), Time::default()).pose.orientation;
         let half = std::f64::consts::FRAC_1_SQRT_2;
         assert!((orientation.z - half).abs() < 1e-15 && (orientation.w - half).abs() < 1e-15, "{orientation:?}");
@@ -138,26 +140,26 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_on_its_side_still_has_a_heading() {
+    fn a_rolled_pose_keeps_its_heading() {
         let mut stamped = to_ros(Pose::default(), Time::default());
-        // Rolled by 0.2 about its own axis, after a turn of 1.0 to the left.
+        // Rolled by 0.2 about its own axis, after a rotation of 1.0 to the left.
         let ((sz, cz), (sx, cx)) = (0.5_f64.sin_cos(), 0.1_f64.sin_cos());
         stamped.pose.orientation = Quaternion { x: cz * sx, y: sz * sx, z: sz * cx, w: cz * cx };
         assert!((from_ros(&stamped).unwrap().yaw - 1.0).abs() < 1e-12);
     }
 
     #[test]
-    fn poses_that_mean_nothing_here_are_refused_by_code() {
+    fn invalid_poses_are_rejected_with_a_code() {
         let stamped = to_ros(Pose::default(), Time::default());
         let elsewhere =
             PoseStamped { header: Header { frame_id: "odom".to_owned(), ..stamped.header.clone() }, ..stamped.clone() };
         let problem = from_ros(&elsewhere).unwrap_err();
         assert_eq!(
             (problem.code(), problem.to_string().as_str()),
-            (9002, "the pose is in the frame \"odom\"; allowed is \"map\"")
+            (9002, "the pose is in the frame \"odom\"; allowed: \"map\"")
         );
         let unset = PoseStamped { header: Header::default(), ..stamped.clone() };
-        assert_eq!(from_ros(&unset), Ok(Pose::default()), "no frame is ours");
+        assert_eq!(from_ros(&unset), Ok(Pose::default()), "an empty frame counts as the map frame");
         for (x, w) in [(f64::NAN, 1.0), (f64::INFINITY, 1.0), (0.0, 0.0), (0.0, f64::NAN)] {
             let mut broken = stamped.clone();
             (broken.pose.position.x, broken.pose.orientation.w) = (x, w);
@@ -166,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_whole_seconds_and_what_is_beyond() {
+    fn durations_are_split_into_seconds_and_nanoseconds() {
         assert_eq!(duration(2.5), Duration { sec: 2, nanosec: 500_000_000 });
         assert_eq!(duration(0.0), Duration::default());
         for none in [-1.0, f64::NAN, f64::NEG_INFINITY] {
@@ -177,25 +179,25 @@ mod tests {
     }
 
     #[test]
-    fn errors_have_the_codes_of_nav2_and_come_back_as_the_same_kind() {
-        let of = |code| failure(&ActionError { code, message: "why".to_owned() });
+    fn errors_keep_their_kind_over_the_codes_of_nav2() {
+        let of = |code| to_nav2_result(&ActionError { code, message: "why".to_owned() });
         let cases = [
             (ErrorCode::NoRoute, 208, ErrorCode::NoRoute),
             (ErrorCode::Blocked, 105, ErrorCode::Blocked),
             (ErrorCode::TimedOut, 9003, ErrorCode::TimedOut),
-            (ErrorCode::BatteryLow, 9000, ErrorCode::Unknown), // Nav2 has no word for it
+            (ErrorCode::BatteryLow, 9000, ErrorCode::Unknown), // Nav2 has no code for it
         ];
         for (ours, theirs, back) in cases {
             let outcome = of(ours);
             assert_eq!((outcome.error_code, error(&outcome).code), (theirs, back), "{ours}");
         }
         assert_eq!(of(ErrorCode::NoRoute).error_msg, "no route: why");
-        let silent = Outcome { error_code: 205, error_msg: String::new() };
-        assert_eq!(error(&silent).to_string(), "unknown: Nav2 error 205: no more is said");
+        let silent = NavigateResult { error_code: 205, error_msg: String::new() };
+        assert_eq!(error(&silent).to_string(), "unknown: Nav2 error 205: without a message");
     }
 
     #[test]
-    fn names_become_what_ros_allows() {
+    fn names_are_converted_to_ros_names() {
         let name = |text: &str| ros_name(&RobotId::new(text).unwrap());
         assert_eq!([name("ada"), name("lab-arm.2"), name("7of9")], ["ada", "lab_arm_2", "robot_7of9"]);
     }

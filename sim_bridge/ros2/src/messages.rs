@@ -1,6 +1,6 @@
-//! `nav2_msgs/action/NavigateToPose` as ROS 2 Jazzy and Kilted have it, with the messages it is made of.
+//! `nav2_msgs/action/NavigateToPose` of ROS 2 Jazzy and Kilted, with the messages it contains.
 //!
-//! The definition is Nav2's `nav2_msgs/action/NavigateToPose.action`:
+//! The definition is `nav2_msgs/action/NavigateToPose.action` of Nav2:
 //!
 //! ```text
 //! geometry_msgs/PoseStamped pose
@@ -16,24 +16,25 @@
 //! float32 distance_remaining
 //! ```
 //!
-//! Fields stand in the order of the definition: CDR writes them so. A type's hash (RIHS01, REP-2016) is part of every key, so
-//! that a ROS 2 system with another definition neither sees nor misreads ours; `tests/type_hashes.rs` works them out again.
+//! The order of the fields is that of the definition, because CDR writes them in this order. The
+//! hash of a type (RIHS01, REP-2016) is part of every key: a ROS 2 system with another definition
+//! neither finds nor misreads these messages. `tests/type_hashes.rs` computes the hashes again.
 
 use hiroz::action::ZAction;
 use hiroz::entity::{TypeHash, TypeInfo};
 use hiroz::msg::{SerdeCdrSerdes, ZMessage};
 use serde::{Deserialize, Serialize};
 
-/// The action, as hiroz knows actions.
+/// The action type for hiroz.
 #[derive(Debug, Clone, Copy)]
 pub struct NavigateToPose;
 
-/// `builtin_interfaces/Time`: since 1970, or since whatever the ROS clock counts from.
+/// `builtin_interfaces/Time`: since 1970, or since the zero of the ROS clock.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Time {
     /// Whole seconds.
     pub sec: i32,
-    /// Nanoseconds beyond them.
+    /// Additional nanoseconds.
     pub nanosec: u32,
 }
 
@@ -42,16 +43,16 @@ pub struct Time {
 pub struct Duration {
     /// Whole seconds.
     pub sec: i32,
-    /// Nanoseconds beyond them.
+    /// Additional nanoseconds.
     pub nanosec: u32,
 }
 
 /// `std_msgs/Header`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Header {
-    /// When what follows was so.
+    /// Time of the data.
     pub stamp: Time,
-    /// In which frame of coordinates.
+    /// Coordinate frame.
     pub frame_id: String,
 }
 
@@ -69,18 +70,18 @@ pub struct Point {
 /// `geometry_msgs/Quaternion`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Quaternion {
-    /// The part along x.
+    /// Component along x.
     pub x: f64,
-    /// The part along y.
+    /// Component along y.
     pub y: f64,
-    /// The part along z.
+    /// Component along z.
     pub z: f64,
-    /// The real part.
+    /// Real component.
     pub w: f64,
 }
 
 impl Default for Quaternion {
-    /// No rotation, as `geometry_msgs` has it.
+    /// No rotation, the default of `geometry_msgs`.
     fn default() -> Self {
         Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
     }
@@ -89,51 +90,51 @@ impl Default for Quaternion {
 /// `geometry_msgs/Pose`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
-    /// Where.
+    /// Position.
     pub position: Point,
-    /// Turned how.
+    /// Orientation.
     pub orientation: Quaternion,
 }
 
 /// `geometry_msgs/PoseStamped`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseStamped {
-    /// When, and in which frame.
+    /// Time and frame.
     pub header: Header,
     /// The pose.
     pub pose: Pose,
 }
 
-/// What a robot is asked to do.
+/// Goal of the action.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Goal {
-    /// Where to.
+    /// Target pose.
     pub pose: PoseStamped,
-    /// The file of a behavior tree; empty for the server's own.
+    /// File of a behavior tree; empty for the server's default.
     pub behavior_tree: String,
 }
 
-/// What came of it.
+/// Result of the action.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Outcome {
-    /// 0 when all is well; else the code of the first server under the navigator that failed.
+pub struct NavigateResult {
+    /// 0 for success; else the code of the first failed server under the navigator.
     pub error_code: u16,
-    /// The error in words; empty when all is well.
+    /// The error in words; empty for success.
     pub error_msg: String,
 }
 
-/// How it goes.
+/// Feedback of the action.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
-    /// Where the robot is.
+    /// Pose of the robot.
     pub current_pose: PoseStamped,
-    /// Since the goal was accepted.
+    /// Time since the acceptance of the goal.
     pub navigation_time: Duration,
-    /// As far as the robot can tell.
+    /// Estimate of the robot.
     pub estimated_time_remaining: Duration,
-    /// How often it had to begin anew.
+    /// Number of recoveries.
     pub number_of_recoveries: i16,
-    /// Way left, in metres.
+    /// Remaining distance in metres.
     pub distance_remaining: f32,
 }
 
@@ -141,8 +142,8 @@ impl ZMessage for Goal {
     type Serdes = SerdeCdrSerdes<Goal>;
 }
 
-impl ZMessage for Outcome {
-    type Serdes = SerdeCdrSerdes<Outcome>;
+impl ZMessage for NavigateResult {
+    type Serdes = SerdeCdrSerdes<NavigateResult>;
 }
 
 impl ZMessage for Progress {
@@ -155,7 +156,7 @@ fn typed(name: &str, hash: &str) -> TypeInfo {
 
 impl ZAction for NavigateToPose {
     type Goal = Goal;
-    type Result = Outcome;
+    type Result = NavigateResult;
     type Feedback = Progress;
 
     fn name() -> &'static str {

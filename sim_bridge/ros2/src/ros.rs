@@ -1,35 +1,35 @@
-//! Our place on a ROS 2 graph over Zenoh.
+//! A session on a ROS 2 graph over Zenoh.
 
 use hiroz::Builder;
 use hiroz::context::{ZContext, ZContextBuilder};
 use hiroz::node::ZNode;
 use hiroz::qos::{QosDurability, QosHistory, QosProfile, QosReliability};
 
-/// Why something could not be done on the ROS 2 graph. Nothing was declared there.
+/// An operation on the ROS 2 graph failed. Nothing was declared there.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("ROS 2 over Zenoh: cannot {what}: {problem}")]
+#[error("ROS 2 over Zenoh: cannot {operation}: {problem}")]
 pub struct RosError {
-    /// What was attempted.
-    pub what: String,
-    /// What Zenoh or hiroz said.
+    /// The attempted operation.
+    pub operation: String,
+    /// The error of Zenoh or hiroz.
     pub problem: String,
 }
 
 impl RosError {
-    pub(crate) fn of(what: impl Into<String>, problem: impl std::fmt::Display) -> RosError {
-        RosError { what: what.into(), problem: problem.to_string() }
+    pub(crate) fn of(operation: impl Into<String>, problem: impl std::fmt::Display) -> RosError {
+        RosError { operation: operation.into(), problem: problem.to_string() }
     }
 }
 
-/// Where a ROS 2 graph is.
+/// Settings of a ROS 2 graph.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RosSettings {
-    /// The routers of `rmw_zenoh` to connect to, as `tcp/localhost:7447`: its own default. They are tried again until they can
-    /// be reached.
+    /// Routers of `rmw_zenoh` to connect to; the default is its own default `tcp/localhost:7447`.
+    /// Connections are retried until they succeed.
     pub routers: Vec<String>,
-    /// `ROS_DOMAIN_ID`: graphs with different numbers do not see one another. Default 0.
+    /// `ROS_DOMAIN_ID`: graphs with different numbers are separate. Default 0.
     pub domain: usize,
-    /// The name of our node.
+    /// Name of the own node.
     pub node: String,
 }
 
@@ -39,7 +39,8 @@ impl Default for RosSettings {
     }
 }
 
-/// A session on a ROS 2 graph, with one node. What is declared on the node vanishes from the graph with it.
+/// A session on a ROS 2 graph, with a single node. Declarations of the node are removed from the
+/// graph with it.
 pub struct Ros {
     /// The node.
     pub node: ZNode,
@@ -53,8 +54,8 @@ impl std::fmt::Debug for Ros {
 }
 
 impl Ros {
-    /// Joins a graph, as a node of `rmw_zenoh` does: as a Zenoh peer that listens on loopback and finds the others through
-    /// the router. Called within a multi-threaded tokio runtime.
+    /// Joins a graph like a node of `rmw_zenoh`: as a Zenoh peer that listens on loopback and finds
+    /// the others through the router. Must be called within a multi-threaded tokio runtime.
     ///
     /// # Errors
     /// [`RosError`] if the session cannot be opened.
@@ -66,15 +67,15 @@ impl Ros {
             .with_listen_endpoints(["tcp/127.0.0.1:0"])
             .build()
             .map_err(failed)?;
-        // Parameters are half a dozen services that nobody needs here.
+        // Parameters would add six services without use here.
         let node = context.create_node(&settings.node).without_parameters().build().map_err(failed)?;
         Ok(Ros { node, context })
     }
 
-    /// Leaves the graph: everybody there is told at once.
+    /// Leaves the graph; the other nodes are notified at once.
     ///
     /// # Errors
-    /// [`RosError`] if Zenoh says so; the session is of no further use in either case.
+    /// [`RosError`] of Zenoh; the session is unusable in either case.
     pub fn leave(&self) -> Result<(), RosError> {
         self.context.shutdown().map_err(|problem| RosError::of("leave the graph", problem))
     }
@@ -90,12 +91,12 @@ pub(crate) fn services() -> QosProfile {
     reliable(QosDurability::Volatile, 10)
 }
 
-/// `rmw_qos_profile_default`, which actions have for feedback.
+/// `rmw_qos_profile_default`, used by actions for feedback.
 pub(crate) fn feedback() -> QosProfile {
     reliable(QosDurability::Volatile, 10)
 }
 
-/// `rcl_action_qos_profile_status_default`: who comes late is told the latest.
+/// `rcl_action_qos_profile_status_default`: a late subscriber receives the latest message.
 pub(crate) fn status() -> QosProfile {
     reliable(QosDurability::TransientLocal, 1)
 }

@@ -1,9 +1,11 @@
-//! What trials teach about estimates: how long tasks really take, by skill and by leg, with how much uncertainty.
+//! Calibration of estimates from trials: the actual duration of tasks by skill and by leg, and its
+//! uncertainty.
 //!
-//! A factor is how many times as long as estimated something took. A calibrated descriptor multiplies its estimates of time and
-//! energy by the mean factor and says, by its standard deviation, how far off they still may be. The robot then keeps a
-//! reserve: a bid is viable only if the battery lasts for an upper quantile of what the whole plan takes, and not just for the
-//! mean. Legs that were driven too rarely are judged by all drives to or from the same place, and failing that by all drives.
+//! A factor is the ratio of actual to estimated duration. A calibrated descriptor multiplies its
+//! estimates of time and energy by the mean factor, and uses its standard deviation as the
+//! uncertainty. The robot then keeps a reserve: a bid is viable only if the battery lasts for an
+//! upper quantile of the energy of the whole plan, not only for the mean. A leg with too few drives
+//! uses all drives to or from the same place, and failing that all drives.
 
 use super::stats::{mean, quantile, variance};
 use consort_protocol::ids::{PlaceId, TaskType};
@@ -19,41 +21,42 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Fewer observations than this say nothing by themselves: with five, the upper quantile lies between the two largest.
+/// Least number of observations for a factor: with five, the upper quantile lies between the two
+/// greatest values.
 pub const MIN_OBSERVATIONS: usize = 5;
 
-/// The share of cases in which the battery is to last. Default of `consort experiment calibrate`.
+/// Share of cases in which the battery is to last. Default of `consort experiment calibrate`.
 pub const DEFAULT_QUANTILE: f64 = 0.9;
 
-/// The one skill whose tasks lead from place to place.
+/// The only skill with tasks that drive from place to place.
 const NAVIGATION: &str = "navigation";
 
-/// One task, as it was estimated and as it came to pass.
+/// A task with its estimated and its actual time and energy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Observation {
     /// The kind of task.
     pub skill: TaskType,
-    /// Where a drive began.
+    /// Start of a drive.
     pub from: Option<PlaceId>,
-    /// Where it led.
+    /// Destination of a drive.
     pub to: Option<PlaceId>,
     /// Estimated time in seconds.
     pub predicted_s: f64,
-    /// What it took.
+    /// Actual time in seconds.
     pub actual_s: f64,
     /// Estimated energy, as a share of a full battery.
     pub predicted_share: f64,
-    /// What was used, as a share of a full battery.
+    /// Actual energy, as a share of a full battery.
     pub actual_share: f64,
-    /// The energy with which it was reckoned to be safe: the estimate, and the reserve for this task alone.
+    /// Energy considered safe: the estimate and the reserve for this task alone.
     pub budget_share: f64,
 }
 
-/// How many times as long as estimated.
+/// Ratio of actual to estimated duration.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TimeFactor {
-    /// How many observations it comes from.
+    /// Number of observations.
     pub count: usize,
     /// Their mean.
     pub mean: f64,
@@ -73,55 +76,56 @@ impl TimeFactor {
     }
 }
 
-/// A factor of drives between two places.
+/// The factor of drives between two places.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LegFactor {
-    /// Where they begin.
+    /// Start of the drives.
     pub from: PlaceId,
-    /// Where they lead.
+    /// Destination of the drives.
     pub to: PlaceId,
     /// The factor.
     pub factor: TimeFactor,
 }
 
-/// What was learned.
+/// Factors computed from observations.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
-    /// The share of cases that upper quantiles hold for, and in which the battery is to last: 0.5 to below 1.
+    /// Share of cases for which the upper quantiles hold, and in which the battery is to last: 0.5
+    /// to below 1.
     pub quantile: f64,
-    /// By skill.
+    /// Factors by skill.
     #[serde(default)]
     pub skills: BTreeMap<TaskType, TimeFactor>,
-    /// Drives that lead to a place.
+    /// Factors of drives to a place.
     #[serde(default)]
     pub to: BTreeMap<PlaceId, TimeFactor>,
-    /// Drives that begin at a place.
+    /// Factors of drives from a place.
     #[serde(default)]
     pub from: BTreeMap<PlaceId, TimeFactor>,
-    /// Drives between two places.
+    /// Factors of drives between two places.
     #[serde(default)]
     pub legs: Vec<LegFactor>,
 }
 
 impl Calibration {
-    /// What observations teach. Tasks that were estimated to take no time teach nothing.
+    /// Computes the factors from observations. Tasks with an estimated time of zero are ignored.
     pub fn of(observations: &[Observation], quantile: f64) -> Calibration {
         let mut skills: BTreeMap<TaskType, Vec<f64>> = BTreeMap::new();
         let (mut to, mut from) = (BTreeMap::<PlaceId, Vec<f64>>::new(), BTreeMap::<PlaceId, Vec<f64>>::new());
         let mut legs: BTreeMap<(PlaceId, PlaceId), Vec<f64>> = BTreeMap::new();
-        for seen in observations.iter().filter(|seen| seen.predicted_s > 0.0) {
-            let factor = seen.actual_s / seen.predicted_s;
-            skills.entry(seen.skill.clone()).or_default().push(factor);
-            if let (Some(start), Some(end)) = (&seen.from, &seen.to) {
+        for observed in observations.iter().filter(|observed| observed.predicted_s > 0.0) {
+            let factor = observed.actual_s / observed.predicted_s;
+            skills.entry(observed.skill.clone()).or_default().push(factor);
+            if let (Some(start), Some(end)) = (&observed.from, &observed.to) {
                 to.entry(end.clone()).or_default().push(factor);
                 from.entry(start.clone()).or_default().push(factor);
                 legs.entry((start.clone(), end.clone())).or_default().push(factor);
             }
         }
-        fn fit<K: Ord>(seen: BTreeMap<K, Vec<f64>>, quantile: f64) -> impl Iterator<Item = (K, TimeFactor)> {
-            seen.into_iter().filter_map(move |(key, factors)| Some((key, TimeFactor::of(&factors, quantile)?)))
+        fn fit<K: Ord>(observed: BTreeMap<K, Vec<f64>>, quantile: f64) -> impl Iterator<Item = (K, TimeFactor)> {
+            observed.into_iter().filter_map(move |(key, factors)| Some((key, TimeFactor::of(&factors, quantile)?)))
         }
         Calibration {
             quantile,
@@ -132,10 +136,10 @@ impl Calibration {
         }
     }
 
-    /// What is known of a drive; `None` if no drives were seen at all.
+    /// Returns the factor of a drive; `None` without any observed drives.
     pub fn leg_factor(&self, from: &PlaceId, to: &PlaceId) -> Option<TimeFactor> {
         let leg = self.legs.iter().find(|leg| leg.from == *from && leg.to == *to).map(|leg| leg.factor);
-        // Of the two ends the slower makes itself felt.
+        // Of the two ends the slower determines the factor.
         let ends = [self.to.get(to), self.from.get(from)].into_iter().flatten();
         let end = ends.max_by(|a, b| a.mean.total_cmp(&b.mean)).copied();
         leg.or(end).or_else(|| self.skill(NAVIGATION))
@@ -145,32 +149,33 @@ impl Calibration {
         self.skills.iter().find(|(skill, _)| skill.as_str() == name).map(|(_, factor)| *factor)
     }
 
-    /// How many standard deviations above the mean the quantile lies, where a plan takes a normal amount of energy.
+    /// Returns the distance of the quantile from the mean in standard deviations, for plans with
+    /// normally distributed energy.
     pub fn margin_sds(&self) -> f64 {
         use statrs::distribution::{ContinuousCDF, Normal};
         Normal::standard().inverse_cdf(self.quantile.clamp(0.5, 0.9999))
     }
 
-    /// The standard descriptors with what was learned, and with a reserve for the quantile.
+    /// Returns the standard descriptors with these factors, and with a reserve for the quantile.
     pub fn descriptors(self: &Arc<Calibration>) -> DescriptorRegistry {
-        let name = |name: &str| TaskType::new(name).expect("a skill's own name");
+        let name = |name: &str| TaskType::new(name).expect("the name of a skill is valid");
         let drives = Calibrated { inner: NavigationDescriptor::new(name(NAVIGATION)), calibration: Arc::clone(self) };
         let registry = DescriptorRegistry::standard().with(drives).with_energy_margin(self.margin_sds());
-        // Tasks of stated length are left as they are stated.
+        // Tasks with a given duration are not corrected.
         let fixed = self.skills.keys().filter(|skill| ![NAVIGATION, "wait"].contains(&skill.as_str()));
-        let time = Seconds::new(STEP_DURATION_S).expect("two seconds are a duration");
+        let time = Seconds::new(STEP_DURATION_S).expect("two seconds are a valid duration");
         fixed.fold(registry, |registry, skill| {
             registry.with(Calibrated { inner: FixedDuration::new(skill.clone(), time), calibration: Arc::clone(self) })
         })
     }
 }
 
-/// A descriptor whose estimates are corrected by what was learned.
+/// A descriptor with estimates corrected by a calibration.
 #[derive(Debug, Clone)]
 pub struct Calibrated<D> {
-    /// The descriptor.
+    /// The corrected descriptor.
     pub inner: D,
-    /// What was learned.
+    /// The calibration.
     pub calibration: Arc<Calibration>,
 }
 
@@ -189,16 +194,16 @@ impl<D: SkillDescriptor> SkillDescriptor for Calibrated<D> {
         context: &EstimateContext,
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
-        let plain = self.inner.estimate(task, context, environment)?;
+        let uncorrected = self.inner.estimate(task, context, environment)?;
         let factor = if self.task_type().as_str() == NAVIGATION {
-            self.calibration.leg_factor(&context.place, &plain.ends_at)
+            self.calibration.leg_factor(&context.place, &uncorrected.ends_at)
         } else {
             self.calibration.skill(self.task_type().as_str())
         };
-        let Some(factor) = factor else { return Ok(plain) };
-        let time = Seconds::new(plain.time.get() * factor.mean).unwrap_or(plain.time);
-        let (energy, energy_sd) = (plain.energy * factor.mean, plain.energy * factor.sd);
-        Ok(Estimate { time, energy, energy_sd, ends_at: plain.ends_at })
+        let Some(factor) = factor else { return Ok(uncorrected) };
+        let time = Seconds::new(uncorrected.time.get() * factor.mean).unwrap_or(uncorrected.time);
+        let (energy, energy_sd) = (uncorrected.energy * factor.mean, uncorrected.energy * factor.sd);
+        Ok(Estimate { time, energy, energy_sd, ends_at: uncorrected.ends_at })
     }
 }
 
@@ -227,14 +232,15 @@ mod tests {
     }
 
     fn learned() -> Arc<Calibration> {
-        let mut seen: Vec<Observation> = (0..11).map(|step| drive("A", "B", 1.5 + f64::from(step) / 10.0)).collect();
-        seen.extend((0..5).map(|_| drive("C", "B", 1.0)));
-        seen.push(drive("A", "C", 9.0));
-        Arc::new(Calibration::of(&seen, 0.9))
+        let mut observed: Vec<Observation> =
+            (0..11).map(|step| drive("A", "B", 1.5 + f64::from(step) / 10.0)).collect();
+        observed.extend((0..5).map(|_| drive("C", "B", 1.0)));
+        observed.push(drive("A", "C", 9.0));
+        Arc::new(Calibration::of(&observed, 0.9))
     }
 
     #[test]
-    fn a_leg_is_judged_by_itself_then_by_its_slower_end_then_by_all_drives() {
+    fn a_rare_leg_uses_its_slower_end_or_all_drives() {
         let learned = learned();
         let close = |found: f64, wanted: f64| assert!((found - wanted).abs() < 1e-9, "{found}, not {wanted}");
         let leg = learned.leg_factor(&place("A"), &place("B")).unwrap();
@@ -242,14 +248,14 @@ mod tests {
         close(leg.upper, 2.4);
         assert_eq!(leg.count, 11);
         close(learned.leg_factor(&place("C"), &place("B")).unwrap().upper, 1.0);
-        // Too few drives from A to C: those from A count, with the one to C among them.
+        // Too few drives from A to C: the drives from A are used, including the drive to C.
         close(learned.leg_factor(&place("A"), &place("C")).unwrap().mean, 31.0 / 12.0);
         close(learned.leg_factor(&place("X"), &place("Y")).unwrap().mean, 36.0 / 17.0);
         assert_eq!(Calibration::of(&[], 0.9).leg_factor(&place("A"), &place("B")), None);
     }
 
     #[test]
-    fn time_and_energy_are_corrected_by_the_mean_and_the_reserve_is_for_the_quantile() {
+    fn estimates_use_the_mean_and_the_reserve_uses_the_quantile() {
         let map = TopologicalMap {
             places: ["A", "B"].map(|name| (place(name), Pose::default())).into(),
             edges: vec![Edge { a: place("A"), b: place("B"), length_m: 10.0, one_way: false }],
@@ -270,13 +276,14 @@ mod tests {
             |found: f64, wanted: f64| assert!((found - wanted).abs() < 1e-6, "{found}, not {wanted}: {estimate:?}");
         close(estimate.time.get(), 40.0);
         close(estimate.energy, 0.04);
-        // The standard deviation of 1.5, 1.6, … 2.5, and the 90 % quantile of a normal distribution.
+        // The standard deviation of 1.5, 1.6, … 2.5, and the 90 % quantile of a normal
+        // distribution.
         close(estimate.energy_sd, 0.02 * 0.11_f64.sqrt());
         close(estimator.margin_sds(), 1.281_552);
     }
 
     #[test]
-    fn what_was_learned_reads_back() {
+    fn a_calibration_is_read_back_unchanged() {
         let learned = learned();
         let text = toml::to_string(&*learned).unwrap();
         assert_eq!(toml::from_str::<Calibration>(&text).unwrap(), *learned);

@@ -1,5 +1,5 @@
-//! The evaluation of thesis chapter 4 as values: what is decided about an experiment and what is concluded from it. No fleets
-//! run here and nothing waits.
+//! The evaluation of thesis chapter 4 as values: the design of an experiment and the conclusions
+//! from its results. This module runs no fleets and never blocks.
 
 pub mod calibration;
 pub mod design;

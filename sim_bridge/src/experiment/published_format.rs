@@ -1,4 +1,5 @@
-//! Scenarios and maps in the form of the published evaluation (replication package of the JSS 2022 article).
+//! Scenarios and maps in the format of the published evaluation (replication package of the JSS
+//! 2022 article).
 
 use super::design::{Design, FactorLevels, Scenario, ScenarioRobot};
 use crate::map::{LaneEntry, Map, MapError, MapFile, PlaceEntry, PlaceKind};
@@ -7,41 +8,42 @@ use consort_skills::environment::{ReferenceMapError, TopologicalMap};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Why there are no scenarios.
+/// The published scenarios could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum PublishedScenarioError {
-    /// Not JSON, or of another form; the message names line and column.
-    #[error("these are not scenarios of the published form: {0}")]
+    /// The text is not JSON, or has another form; the message contains line and column.
+    #[error("these are not scenarios of the published format: {0}")]
     Json(#[from] serde_json::Error),
-    /// A list of none.
-    #[error("there are no scenarios in it")]
+    /// The list is empty.
+    #[error("the file contains no scenarios")]
     Empty,
-    /// Two of one code.
-    #[error("scenario {0} stands more than once")]
+    /// Two scenarios have the same code.
+    #[error("scenario {0} occurs more than once")]
     Duplicate(String),
-    /// A number that makes no sense.
-    #[error("scenario {code}, {robot}: {field} is {value}, allowed is {allowed}")]
+    /// A number is out of range.
+    #[error("scenario {code}, {robot}: {field} is {value}, allowed: {allowed}")]
     Number {
-        /// Which scenario.
+        /// Code of the scenario.
         code: String,
-        /// Which robot.
+        /// Name of the robot.
         robot: RobotId,
         /// The field.
         field: &'static str,
         /// The number.
         value: f64,
-        /// The range, in words.
+        /// Allowed range, in words.
         allowed: &'static str,
     },
-    /// The design has another number of sites than a scenario of this form can place: its nurse's.
-    #[error("scenario {code} places one nurse, and the design has the sites {sites}: allowed is one")]
+    /// The design has more or less than a single site. A scenario of this format places a single
+    /// site: that of its nurse.
+    #[error("scenario {code} places a single nurse, but the design has the sites {sites}; allowed: a single site")]
     Sites {
-        /// Which scenario.
+        /// Code of the scenario.
         code: String,
-        /// The design's sites, in words.
+        /// The sites of the design, in words.
         sites: String,
     },
-    /// Nobody who asks.
+    /// The scenario has no nurse.
     #[error("scenario {0} has no nurse")]
     NoNurse(String),
 }
@@ -80,10 +82,11 @@ struct RobotEntry {
     skills: BTreeSet<TaskType>,
 }
 
-/// Reads scenarios for a design: the nurse's place is its one site, and the robots are of its first kind.
+/// Reads scenarios for a design: the place of the nurse is the single site, and the robots belong
+/// to the first group of the design.
 ///
 /// # Errors
-/// [`ScenariosError`] names the first mistake.
+/// [`PublishedScenarioError`] of the first error.
 pub fn scenarios(text: &str, design: &Design) -> Result<Vec<Scenario>, PublishedScenarioError> {
     let read: Vec<ScenarioEntry> = serde_json::from_str(text)?;
     let mut seen = BTreeSet::new();
@@ -140,21 +143,21 @@ fn scenario(entry: ScenarioEntry, design: &Design) -> Result<Scenario, Published
     Ok(Scenario { code, levels, sites: BTreeMap::from([(site, nurse.location)]), robots })
 }
 
-/// Why there is no floor.
+/// The published map could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum PublishedMapError {
-    /// Not a map of the published form.
+    /// The text has another form.
     #[error(transparent)]
     Form(#[from] ReferenceMapError),
-    /// Nobody could drive on it.
+    /// The map is invalid.
     #[error(transparent)]
     Map(#[from] MapError),
 }
 
-/// The floor of a map of the published form, without walls; `file` names it in errors.
+/// Reads a map of the published format, which has no walls. `file` names the file in errors.
 ///
 /// # Errors
-/// [`FloorError`] with what is wrong.
+/// [`PublishedMapError`] with all errors.
 pub fn published_map(text: &str, file: &str) -> Result<Map, PublishedMapError> {
     let topology = TopologicalMap::from_reference_json(text)?;
     let kind = |place: &PlaceId| match place.as_str() {
@@ -174,7 +177,8 @@ pub fn published_map(text: &str, file: &str) -> Result<Map, PublishedMapError> {
     let straight = |a: &PlaceId, b: &PlaceId| topology.places[a].distance(topology.places[b]).get();
     let lanes = topology.edges.iter().map(|edge| LaneEntry {
         between: (edge.a.to_string(), edge.b.to_string()),
-        // The published lengths are rounded to centimetres, and a lane is never shorter than the straight line.
+        // The published lengths are rounded to centimetres, and a lane is never shorter than the
+        // straight line.
         length_m: Some(edge.length_m).filter(|length| *length >= straight(&edge.a, &edge.b)),
         one_way: edge.one_way,
         ..LaneEntry::default()
@@ -197,7 +201,7 @@ mod tests {
         shipped("published").unwrap().unwrap()
     }
 
-    fn one(robot: &str) -> String {
+    fn scenario_json(robot: &str) -> String {
         format!(
             r#"[{{"code": "aaaaap", "factors": {{"location": "a"}}, "nurses": [{{"location": "IC Room 6"}}],
                 "robots": [{{"name": "r1", "avg_speed": 0.15, "battery_charge": 0.5, "battery_discharge_rate": 0.0004,
@@ -207,7 +211,7 @@ mod tests {
 
     #[test]
     fn a_published_scenario_is_read() {
-        let read = scenarios(&one(r#", "id": 1"#), &design()).unwrap();
+        let read = scenarios(&scenario_json(r#", "id": 1"#), &design()).unwrap();
         assert_eq!((read.len(), read[0].code.as_str(), read[0].levels.location.as_str()), (1, "aaaaap", "a"));
         assert_eq!(read[0].sites["room"].as_str(), "IC Room 6");
         let robot = &read[0].robots[0];
@@ -215,21 +219,24 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
-        let said = |text: &str| scenarios(text, &design()).unwrap_err().to_string();
-        assert_eq!(said("[]"), "there are no scenarios in it");
+    fn errors_are_reported_with_scenario_and_field() {
+        let error_of = |text: &str| scenarios(text, &design()).unwrap_err().to_string();
+        assert_eq!(error_of("[]"), "the file contains no scenarios");
         assert_eq!(
-            said(&one("").replace("0.5", "1.5")),
-            "scenario aaaaap, r1: battery_charge is 1.5, allowed is 0 to 1"
+            error_of(&scenario_json("").replace("0.5", "1.5")),
+            "scenario aaaaap, r1: battery_charge is 1.5, allowed: 0 to 1"
         );
-        assert_eq!(said(&one("").replace(r#"{"location": "IC Room 6"}"#, "")), "scenario aaaaap has no nurse");
-        assert!(said("{}").starts_with("these are not scenarios of the published form: "));
-        let twice = one("").trim().trim_start_matches('[').trim_end_matches(']').to_owned();
-        assert_eq!(said(&format!("[{twice}, {twice}]")), "scenario aaaaap stands more than once");
+        assert_eq!(
+            error_of(&scenario_json("").replace(r#"{"location": "IC Room 6"}"#, "")),
+            "scenario aaaaap has no nurse"
+        );
+        assert!(error_of("{}").starts_with("these are not scenarios of the published format: "));
+        let twice = scenario_json("").trim().trim_start_matches('[').trim_end_matches(']').to_owned();
+        assert_eq!(error_of(&format!("[{twice}, {twice}]")), "scenario aaaaap occurs more than once");
     }
 
     #[test]
-    fn a_published_map_becomes_a_floor() {
+    fn a_published_map_is_read() {
         let text = r#"{"nodes": [{"label": "IC Room 1", "x": 0, "y": 0, "yaw": null}, {"label": "IC Corridor 1", "x": 3, "y": 4.001, "yaw": 1}],
             "edges": [{"a": "IC Room 1", "b": "IC Corridor 1", "length_m": 5.0}]}"#;
         let map = published_map(text, "m.json").unwrap();

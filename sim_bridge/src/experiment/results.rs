@@ -1,4 +1,4 @@
-//! Results as tidy rows: one for each trial, in CSV.
+//! Results as CSV: a row for each trial.
 
 use super::calibration::Observation;
 use super::outcome::EndState;
@@ -6,21 +6,21 @@ use super::policy::Policy;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Whether something is done to the fleet during a trial.
+/// Fault injected into the fleet during a trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Treatment {
-    /// Nothing.
+    /// No fault.
     Calm,
     /// The coordinator is killed at a random moment.
     CoordinatorKilled,
 }
 
 impl Treatment {
-    /// All of them.
+    /// All treatments.
     pub const ALL: [Treatment; 2] = [Treatment::Calm, Treatment::CoordinatorKilled];
 
-    /// As in files.
+    /// Returns the name used in files.
     pub const fn as_str(self) -> &'static str {
         match self {
             Treatment::Calm => "calm",
@@ -29,17 +29,17 @@ impl Treatment {
     }
 }
 
-/// One trial. The names of the fields are the header, in this order; what is not known is empty.
+/// A trial. The names of the fields are the CSV header, in this order; unknown values are empty.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrialRow {
-    /// The trial's name, unique in the design.
+    /// Name of the trial, unique in the design.
     pub trial: String,
     /// The mission.
     pub mission: String,
     /// The scenario.
     pub scenario: String,
-    /// Level of the factor speed; empty in scenarios without.
+    /// Level of the factor speed; empty in scenarios without levels.
     pub speed: String,
     /// Level of the factor charge.
     pub charge: String,
@@ -51,28 +51,28 @@ pub struct TrialRow {
     pub skills: String,
     /// The policy.
     pub policy: Policy,
-    /// What was done to the fleet.
+    /// The injected fault.
     pub treatment: Treatment,
-    /// Counted from 1.
+    /// Number of the repetition, from 1.
     pub repetition: u32,
-    /// How it ended.
+    /// The end state.
     pub end_state: EndState,
-    /// Time to conclude in seconds of world time; of successes only.
+    /// Time to conclude in seconds of world time; successes only.
     pub ttc_s: Option<f64>,
-    /// What the chosen robots' bids promised, in seconds: the longest of them.
+    /// Longest time of the accepted bids, in seconds.
     pub predicted_s: Option<f64>,
-    /// Least charge of an assigned mobile robot, as a share of a full battery.
+    /// Lowest charge of an assigned mobile robot, as a share of a full battery.
     pub lowest_share: Option<f64>,
-    /// The robots that were chosen, by role: `r1=ada lab_arm=arm`.
+    /// The chosen robots by role: `r1=ada lab_arm=arm`.
     pub robots: String,
-    /// What else there is to say.
+    /// Further remarks.
     pub note: String,
 }
 
-/// Writes rows with their header.
+/// Writes rows with a header.
 ///
 /// # Errors
-/// The writer's.
+/// [`csv::Error`] of the writer.
 pub fn write(rows: &[TrialRow], to: impl std::io::Write) -> Result<(), csv::Error> {
     let mut writer = csv::Writer::from_writer(to);
     for row in rows {
@@ -82,10 +82,10 @@ pub fn write(rows: &[TrialRow], to: impl std::io::Write) -> Result<(), csv::Erro
     Ok(())
 }
 
-/// Writes what tasks took beside what was estimated, a row for each, with their header.
+/// Writes observations with a header: the actual and the estimated time and energy of each task.
 ///
 /// # Errors
-/// The writer's.
+/// [`csv::Error`] of the writer.
 pub fn write_observations(observations: &[Observation], to: impl std::io::Write) -> Result<(), csv::Error> {
     let mut writer = csv::Writer::from_writer(to);
     for observation in observations {
@@ -95,10 +95,10 @@ pub fn write_observations(observations: &[Observation], to: impl std::io::Write)
     Ok(())
 }
 
-/// Reads what [`write()`] wrote.
+/// Reads the output of [`write()`].
 ///
 /// # Errors
-/// [`csv::Error`] names the line and the field that is not as it should be, an unknown or missing column among them.
+/// [`csv::Error`] with line and field, also for an unknown or missing column.
 pub fn read(from: impl std::io::Read) -> Result<Vec<TrialRow>, csv::Error> {
     csv::Reader::from_reader(from).into_deserialize().collect()
 }
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_reads_back_to_the_bit() {
+    fn written_rows_are_read_back_exactly() {
         let rows = [row(), TrialRow { end_state: EndState::TimeoutSim, ttc_s: None, ..row() }];
         let mut text = vec![];
         write(&rows, &mut text).unwrap();
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn another_form_is_refused_with_its_line() {
+    fn an_invalid_row_is_rejected_with_its_line() {
         let mut text = vec![];
         write(&[row()], &mut text).unwrap();
         let text = String::from_utf8(text).unwrap();

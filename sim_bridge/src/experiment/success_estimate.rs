@@ -1,4 +1,4 @@
-//! What would come of giving a role to a robot, by trying it many times on paper: the knowledge of the oracle.
+//! Monte Carlo estimate of the success of a robot in a role, for the oracle policy.
 
 use super::design::ScenarioRobot;
 use super::outcome::TrialLimits;
@@ -10,7 +10,7 @@ use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_skills::descriptor::{EstimateContext, Estimator};
 use rand_chacha::ChaCha8Rng;
 
-/// The robot as an estimator sees it, where it starts.
+/// Returns the estimator's context of a robot at its start.
 pub fn start_context(robot: &ScenarioRobot) -> EstimateContext {
     EstimateContext {
         place: robot.place.clone(),
@@ -21,8 +21,10 @@ pub fn start_context(robot: &ScenarioRobot) -> EstimateContext {
     }
 }
 
-/// How often a robot would carry a plan out before its battery or the time ends, and how long it would take, over so many
-/// draws of the travel model. Waiting for others is taken to last as long as estimated. A robot that lacks a skill never would.
+/// Estimates the probability that a robot carries a plan out before its battery is empty or the
+/// time limit passes, and the mean duration, from `draws` draws of the travel model. A wait for
+/// other robots is assumed to last as long as estimated. A robot without a required skill never
+/// succeeds.
 pub fn estimate_success(
     plan: &LocalPlan,
     robot: &ScenarioRobot,
@@ -32,13 +34,13 @@ pub fn estimate_success(
     draws: u32,
     rng: &mut ChaCha8Rng,
 ) -> SuccessEstimate {
-    let hopeless = SuccessEstimate { success: 0.0, time_s: limits.sim_s };
+    let failure = SuccessEstimate { success: 0.0, time_s: limits.sim_s };
     if plan.tasks().any(|(_, spec)| !robot.skills.contains(&spec.task_type)) {
-        return hopeless;
+        return failure;
     }
-    let Ok(parts) = estimator.price(plan, &start_context(robot)) else { return hopeless };
+    let Ok(parts) = estimator.price(plan, &start_context(robot)) else { return failure };
     let mut place = robot.place.clone();
-    // Each step's estimated time, and between which places it drives.
+    // The estimated time of each step, and the places between which it drives.
     let steps = parts.iter().zip(&plan.steps).map(|(part, step)| {
         let to = match &step.action {
             StepAction::Task { spec, .. } if spec.task_type.as_str() == "navigation" => spec.parameters.get("to"),
@@ -51,18 +53,18 @@ pub fn estimate_success(
     let steps: Vec<_> = steps.collect();
     let (mut successes, mut time_s) = (0_u32, 0.0);
     for _ in 0..draws {
-        let takes: f64 = steps
+        let duration_s: f64 = steps
             .iter()
             .map(|(time, leg)| leg.as_ref().map_or(*time, |(from, to)| time * travel.factor(from, to, rng)))
             .sum();
-        let left = robot.charge - takes * robot.discharge;
-        if left >= limits.battery_share && takes <= limits.sim_s {
+        let charge_left = robot.charge - duration_s * robot.discharge;
+        if charge_left >= limits.battery_share && duration_s <= limits.sim_s {
             successes += 1;
-            time_s += takes;
+            time_s += duration_s;
         }
     }
     match successes {
-        0 => hopeless,
+        0 => failure,
         _ => SuccessEstimate {
             success: f64::from(successes) / f64::from(draws.max(1)),
             time_s: time_s / f64::from(successes),
@@ -83,7 +85,7 @@ mod tests {
     use consort_skills::environment::{Environment, Routes};
 
     #[test]
-    fn a_robot_succeeds_as_often_as_its_battery_lasts_on_the_drives_that_are_drawn() {
+    fn success_depends_on_battery_skills_and_drawn_drives() {
         let design = shipped("published").unwrap().unwrap();
         let scenario = scenarios(&design).remove(0);
         let parameters = scenario.parameters(&design.mission).unwrap();
@@ -96,19 +98,19 @@ mod tests {
         let skills = design.robots[0].skills.clone();
         let able = ScenarioRobot { skills, charge: 0.9, discharge: 0.0004, ..scenario.robots[0].clone() };
         let limits = TrialLimits::default();
-        let try_it = |robot: &ScenarioRobot, spread: f64| {
+        let estimate = |robot: &ScenarioRobot, spread: f64| {
             let travel = TravelModel::Kinematic(TravelSettings { spread, ..TravelSettings::default() });
             estimate_success(&plan, robot, &estimator, &travel, &limits, 400, &mut generator(7, &["fate"]))
         };
-        let sure = try_it(&able, 0.0);
+        let certain = estimate(&able, 0.0);
         let time: f64 = estimator.price(&plan, &start_context(&able)).unwrap().iter().map(|part| part.time.get()).sum();
-        assert_eq!((sure.success, (sure.time_s - time).abs() < 1e-6), (1.0, true));
-        // A battery that lasts exactly as long as estimated fails about every other time.
+        assert_eq!((certain.success, (certain.time_s - time).abs() < 1e-6), (1.0, true));
+        // A battery that lasts exactly as long as estimated fails in about half of the draws.
         let exact = ScenarioRobot { charge: 0.05 + time * able.discharge, ..able.clone() };
-        let even = try_it(&exact, 0.3);
+        let even = estimate(&exact, 0.3);
         assert!((0.35..0.65).contains(&even.success), "{even:?}");
         let mut unable = able.clone();
         unable.skills.remove(&TaskType::new("approach_robot").unwrap());
-        assert_eq!(try_it(&unable, 0.0).success, 0.0);
+        assert_eq!(estimate(&unable, 0.0).success, 0.0);
     }
 }

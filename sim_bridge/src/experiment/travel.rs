@@ -1,11 +1,13 @@
-//! How long drives take: reckoned, or drawn from what was measured.
+//! Duration of drives: computed, or drawn from measured drives.
 //!
-//! A robot's own speed and the length of the route give an estimate. What a drive takes in a trial is that estimate times
-//! a factor, which is drawn for each drive:
+//! The speed of a robot and the length of the route give an estimate. A drive in a trial takes the
+//! estimate times a factor, which is drawn for each drive:
 //!
-//! - *kinematic*: 1, times what the places at either end cost (`slow`), times a spread (`spread`);
-//! - *empirical*: one of the factors that were measured between these two places. Where none was, one of those measured
-//!   on drives to the same place, else from the same place, else on any drive: scaled by the estimate in each case.
+//! - *kinematic*: 1, times the factor of the places at either end (`slow`), times a random spread
+//!   (`spread`);
+//! - *empirical*: a factor measured between these two places. Without such a measurement it is
+//!   drawn from the drives to the same place, else from the same place, else from all drives. The
+//!   estimate scales it in each case.
 
 use consort_protocol::count::count;
 use consort_protocol::ids::PlaceId;
@@ -18,50 +20,51 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::path::PathBuf;
 
-/// What a factor is kept within: nobody flies, and what takes ten times as long is an accident and no drive.
+/// Range of a factor: a robot cannot drive much faster than estimated, and a drive that takes ten
+/// times as long is an accident.
 const FACTORS: (f64, f64) = (0.2, 10.0);
 
-/// The part of a design about drives.
+/// The settings of drives in a design.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TravelSettings {
-    /// How far drives differ from one another: the standard deviation of the factor's logarithm. 0.1: two of three drives
-    /// take between 0.9 and 1.1 times as long as in the middle. Default 0.
+    /// Variation of drives: the standard deviation of the factor's logarithm. With 0.1, two of
+    /// three drives take between 0.9 and 1.1 times the median duration. Default 0.
     pub spread: f64,
-    /// Places where a drive that begins or ends there takes so many times as long: doors that are hard to pass, say. Of two
-    /// such ends the slower counts.
+    /// Factors of slow places, for example with doors that are hard to pass: a drive that begins or
+    /// ends there takes this many times as long. If both ends are slow, the greater factor applies.
     pub slow: BTreeMap<PlaceId, f64>,
-    /// A file of measured drives, in place of the above.
+    /// A file of measured drives. It replaces the settings above.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub legs: Option<PathBuf>,
 }
 
 impl TravelSettings {
-    /// What is wrong with it, each with its key.
+    /// Returns all errors, each with its key.
     pub(super) fn validation_errors(&self) -> Vec<String> {
-        let mut problems = vec![];
+        let mut violations = vec![];
         if !(0.0..=1.0).contains(&self.spread) {
-            problems.push(format!("travel.spread: is {}, allowed is 0 to 1", self.spread));
+            violations.push(format!("travel.spread: is {}, allowed: 0 to 1", self.spread));
         }
         let (least, most) = FACTORS;
         for (place, factor) in self.slow.iter().filter(|(_, factor)| !(least..=most).contains(*factor)) {
-            problems.push(format!("travel.slow: {place} has {factor}, allowed is {least} to {most}"));
+            violations.push(format!("travel.slow: {place} has {factor}, allowed: {least} to {most}"));
         }
-        problems
+        violations
     }
 }
 
-/// What drives take.
+/// Model of the duration of drives.
 #[derive(Debug, Clone, PartialEq)]
 pub enum TravelModel {
-    /// Reckoned.
+    /// Computed.
     Kinematic(TravelSettings),
-    /// Measured.
+    /// Drawn from measured drives.
     Empirical(MeasuredLegs),
 }
 
 impl TravelModel {
-    /// How many times as long as estimated a drive takes.
+    /// Returns how many times as long as estimated a drive takes.
     pub fn factor(&self, from: &PlaceId, to: &PlaceId, rng: &mut ChaCha8Rng) -> f64 {
         let factor = match self {
             TravelModel::Kinematic(travel) => {
@@ -74,7 +77,7 @@ impl TravelModel {
         factor.clamp(FACTORS.0, FACTORS.1)
     }
 
-    /// In words, for reports.
+    /// Returns a description for reports.
     pub fn describe(&self) -> String {
         match self {
             TravelModel::Kinematic(travel) => {
@@ -89,13 +92,13 @@ impl TravelModel {
     }
 }
 
-/// A standard normal number (Box and Muller 1958).
+/// Returns a standard normal random number (Box and Muller 1958).
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let (u, v): (f64, f64) = (rng.random(), rng.random());
     (-2.0 * (1.0 - u).ln()).sqrt() * (2.0 * PI * v).cos()
 }
 
-/// Measured drives: how many times as long as estimated each took.
+/// Measured drives: the factors of actual to estimated duration.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MeasuredLegs {
     pairs: BTreeMap<(PlaceId, PlaceId), Vec<f64>>,
@@ -104,7 +107,7 @@ pub struct MeasuredLegs {
     any: Vec<f64>,
 }
 
-/// A measured drive as written; other columns are left aside.
+/// A measured drive as written; other columns are ignored.
 #[derive(Debug, Deserialize)]
 struct LegEntry {
     origin: PlaceId,
@@ -113,32 +116,33 @@ struct LegEntry {
     estimate_s: f64,
 }
 
-/// Why there are no legs.
+/// A file of measured drives could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum MeasuredLegsError {
-    /// Not a table with the columns wanted: the message names line and column.
-    #[error("{0}; a file of legs has the columns origin, dest, duration_s, estimate_s")]
+    /// The file is not a table with the required columns; the message contains line and column.
+    #[error("{0}; a file of measured drives needs the columns origin, dest, duration_s, estimate_s")]
     Form(#[from] csv::Error),
-    /// A time that is none.
-    #[error("line {line}: {field} is {value}, allowed is a number above 0")]
+    /// A time is not a positive number.
+    #[error("line {line}: {field} is {value}, allowed: a number above 0")]
     Time {
-        /// Which line, the header counted.
+        /// Number of the line, including the header.
         line: usize,
-        /// Its column.
+        /// Name of the column.
         field: &'static str,
         /// The number.
         value: f64,
     },
-    /// No drives.
-    #[error("there are no legs in it")]
+    /// The file contains no drives.
+    #[error("the file contains no drives")]
     Empty,
 }
 
 impl MeasuredLegs {
-    /// Reads them from a table with at least the columns `origin`, `dest`, `duration_s` and `estimate_s`.
+    /// Reads the drives from a CSV table with at least the columns `origin`, `dest`, `duration_s`
+    /// and `estimate_s`.
     ///
     /// # Errors
-    /// [`LegsError`] names the first line that is wrong.
+    /// [`MeasuredLegsError`] of the first invalid line.
     pub fn read(from: impl std::io::Read) -> Result<MeasuredLegs, MeasuredLegsError> {
         let mut legs = MeasuredLegs::default();
         for (index, entry) in csv::Reader::from_reader(from).into_deserialize::<LegEntry>().enumerate() {
@@ -158,9 +162,9 @@ impl MeasuredLegs {
     }
 
     fn draw(&self, from: &PlaceId, to: &PlaceId, rng: &mut ChaCha8Rng) -> f64 {
-        let known = self.pairs.get(&(from.clone(), to.clone())).or_else(|| self.to.get(to));
-        let known = known.or_else(|| self.from.get(from)).unwrap_or(&self.any);
-        known.choose(rng).copied().unwrap_or(1.0)
+        let candidates = self.pairs.get(&(from.clone(), to.clone())).or_else(|| self.to.get(to));
+        let candidates = candidates.or_else(|| self.from.get(from)).unwrap_or(&self.any);
+        candidates.choose(rng).copied().unwrap_or(1.0)
     }
 }
 
@@ -180,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn the_slower_end_and_the_spread_make_the_factor() {
+    fn the_slower_end_and_the_spread_determine_the_factor() {
         let travel = TravelSettings { spread: 0.1, slow: [(place("B"), 1.5), (place("C"), 1.2)].into(), legs: None };
         let model = TravelModel::Kinematic(travel);
         for (from, to, middle) in [("A", "D", 1.0), ("B", "C", 1.5), ("C", "B", 1.5), ("A", "C", 1.2)] {
@@ -195,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_leg_is_drawn_from_those_to_the_same_place_then_from_it_then_from_any() {
+    fn a_missing_leg_is_drawn_from_legs_to_or_from_the_place() {
         let text = "origin,dest,length_m,duration_s,estimate_s\nA,B,1,20,10\nC,B,1,30,10\nC,D,1,40,10\n";
         let model = TravelModel::Empirical(MeasuredLegs::read(text.as_bytes()).unwrap());
         let drawn = |from, to| {
@@ -211,18 +215,18 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_leg_is_told_with_its_line() {
-        let said = |text: &str| MeasuredLegs::read(text.as_bytes()).unwrap_err().to_string();
+    fn an_invalid_leg_is_reported_with_its_line() {
+        let error_of = |text: &str| MeasuredLegs::read(text.as_bytes()).unwrap_err().to_string();
         let header = "origin,dest,duration_s,estimate_s\n";
-        assert_eq!(said(header), "there are no legs in it");
+        assert_eq!(error_of(header), "the file contains no drives");
         assert_eq!(
-            said(&format!("{header}A,B,2,1\nA,B,0,1\n")),
-            "line 3: duration_s is 0, allowed is a number above 0"
+            error_of(&format!("{header}A,B,2,1\nA,B,0,1\n")),
+            "line 3: duration_s is 0, allowed: a number above 0"
         );
-        let form = said(&format!("{header}A,B,long,1\n"));
+        let form = error_of(&format!("{header}A,B,long,1\n"));
         assert!(
             form.contains("line: 2")
-                && form.ends_with("a file of legs has the columns origin, dest, duration_s, estimate_s"),
+                && form.ends_with("a file of measured drives needs the columns origin, dest, duration_s, estimate_s"),
             "{form}"
         );
     }

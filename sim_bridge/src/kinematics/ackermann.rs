@@ -1,4 +1,5 @@
-//! A car: it drives ahead or backs, never turns tighter than its wheels allow, and follows the shortest such way.
+//! An Ackermann-steered vehicle. It drives forward or in reverse, never turns tighter than its
+//! minimum turning radius, and follows the shortest such path.
 
 use super::dubins::DubinsPath;
 use super::motion_math::{drive_arc, step_toward_scalar, stopping_speed};
@@ -6,110 +7,121 @@ use super::settings::AckermannSettings;
 use nalgebra::{Isometry2, UnitComplex};
 use std::f64::consts::PI;
 
-/// It has arrived when it is this close and as good as stands.
+/// Position tolerance for arrival, in metres. The vehicle must also be almost at a standstill.
 const REACHED_M: f64 = 0.001;
 
 /// A chassis with steered wheels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ackermann {
     settings: AckermannSettings,
-    pub(super) top_mps: f64,
+    pub(super) max_mps: f64,
     pose: Isometry2<f64>,
     speed_mps: f64,
-    /// The way it is on: how far along, and whether to the end of it or only until it stands.
-    way: Option<Way>,
+    /// The path being driven, with the distance covered, and whether the vehicle drives it to its
+    /// end or only brakes on it.
+    path_progress: Option<PathProgress>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Way {
+struct PathProgress {
     path: DubinsPath,
     length_m: f64,
     along_m: f64,
-    to_the_end: bool,
-    /// Whether its back is in front: the path is then that of its back.
+    drive_to_end: bool,
+    /// True for reverse driving: the path is then that of the vehicle's rear.
     backward: bool,
 }
 
-/// What looks the other way.
-fn turned(pose: Isometry2<f64>) -> Isometry2<f64> {
+/// Returns the pose rotated by half a turn.
+fn reversed(pose: Isometry2<f64>) -> Isometry2<f64> {
     pose * UnitComplex::new(PI)
 }
 
 impl Ackermann {
-    /// A body that stands.
-    pub fn new(settings: AckermannSettings, top_mps: f64, pose: Isometry2<f64>) -> Ackermann {
-        Ackermann { settings, top_mps, pose, speed_mps: 0.0, way: None }
+    /// Creates a chassis at standstill.
+    pub fn new(settings: AckermannSettings, max_mps: f64, pose: Isometry2<f64>) -> Ackermann {
+        Ackermann { settings, max_mps, pose, speed_mps: 0.0, path_progress: None }
     }
 
-    /// Where it is.
+    /// Current pose.
     pub fn pose(&self) -> &Isometry2<f64> {
         &self.pose
     }
 
-    /// How fast it drives, be it ahead or back, in metres per second; never negative.
+    /// Current speed in metres per second, forward or in reverse; never negative.
     pub fn speed_mps(&self) -> f64 {
         self.speed_mps
     }
 
-    /// How far it still has to drive, in metres along its way.
+    /// Distance left along the path, in metres.
     pub fn remaining_m(&self) -> f64 {
-        self.way.filter(|way| way.to_the_end).map_or(0.0, |way| (way.length_m - way.along_m).max(0.0))
+        self.path_progress
+            .filter(|path_progress| path_progress.drive_to_end)
+            .map_or(0.0, |path_progress| (path_progress.length_m - path_progress.along_m).max(0.0))
     }
 
-    pub(super) fn aim(&mut self, target: Option<Isometry2<f64>>) {
+    pub(super) fn set_target(&mut self, target: Option<Isometry2<f64>>) {
         match target {
             Some(target) => {
                 let path = DubinsPath::shortest(self.pose, target, self.settings.turning_radius_m);
-                self.way =
-                    Some(Way { path, length_m: path.length_m(), along_m: 0.0, to_the_end: true, backward: false });
+                self.path_progress = Some(PathProgress {
+                    path,
+                    length_m: path.length_m(),
+                    along_m: 0.0,
+                    drive_to_end: true,
+                    backward: false,
+                });
             }
             None => {
-                if let Some(way) = &mut self.way {
-                    way.to_the_end = false;
+                if let Some(path_progress) = &mut self.path_progress {
+                    path_progress.drive_to_end = false;
                 }
             }
         }
     }
 
-    pub(super) fn back(&mut self, target: Isometry2<f64>) {
-        let path = DubinsPath::shortest(turned(self.pose), turned(target), self.settings.turning_radius_m);
-        self.way = Some(Way { path, length_m: path.length_m(), along_m: 0.0, to_the_end: true, backward: true });
+    pub(super) fn set_target_backward(&mut self, target: Isometry2<f64>) {
+        let path = DubinsPath::shortest(reversed(self.pose), reversed(target), self.settings.turning_radius_m);
+        self.path_progress =
+            Some(PathProgress { path, length_m: path.length_m(), along_m: 0.0, drive_to_end: true, backward: true });
     }
 
-    pub(super) fn turn_to(&mut self, yaw: f64) {
+    pub(super) fn set_heading(&mut self, yaw: f64) {
         self.pose.rotation = UnitComplex::new(yaw);
     }
 
-    pub(super) fn stop_dead(&mut self) {
-        (self.way, self.speed_mps) = (None, 0.0);
+    pub(super) fn stop_immediately(&mut self) {
+        (self.path_progress, self.speed_mps) = (None, 0.0);
     }
 
     pub(super) fn is_moving(&self) -> bool {
-        self.way.is_some()
+        self.path_progress.is_some()
     }
 
-    /// One turn of the control loop: sets the speed for the next period. True when it has just arrived.
-    pub(super) fn decide(&mut self, period: f64) -> bool {
-        let Some(way) = self.way else { return false };
-        let (limit, left) = (self.settings.acceleration_mps2, way.length_m - way.along_m);
-        let stands = self.speed_mps <= limit * period;
-        if stands && (left <= REACHED_M || !way.to_the_end) {
-            self.stop_dead();
-            return way.to_the_end;
+    /// Runs one control cycle: sets the speed for the next period. Returns true when the vehicle
+    /// has just arrived.
+    pub(super) fn control_step(&mut self, period: f64) -> bool {
+        let Some(path_progress) = self.path_progress else { return false };
+        let (limit, left) = (self.settings.acceleration_mps2, path_progress.length_m - path_progress.along_m);
+        let is_stopped = self.speed_mps <= limit * period;
+        if is_stopped && (left <= REACHED_M || !path_progress.drive_to_end) {
+            self.stop_immediately();
+            return path_progress.drive_to_end;
         }
-        let wanted = if way.to_the_end { stopping_speed(left, limit, period).min(self.top_mps) } else { 0.0 };
+        let wanted =
+            if path_progress.drive_to_end { stopping_speed(left, limit, period).min(self.max_mps) } else { 0.0 };
         self.speed_mps = step_toward_scalar(self.speed_mps, wanted, limit * period);
         false
     }
 
-    /// Lets time pass with the speed as it is. What is driven beyond the end of the way, by a body that was told to go
-    /// less far than it needs to brake, is driven straight ahead.
-    pub(super) fn coast(&mut self, dt_s: f64) {
-        if let Some(way) = &mut self.way {
-            way.along_m += self.speed_mps * dt_s;
-            let beyond = (way.along_m - way.length_m).max(0.0);
-            let front = drive_arc(&way.path.pose_at(way.along_m), beyond, 0.0, 1.0);
-            self.pose = if way.backward { turned(front) } else { front };
+    /// Integrates the motion over `dt_s` seconds at constant speed. If the target is closer than
+    /// the braking distance, the vehicle overshoots the end of the path straight ahead.
+    pub(super) fn integrate(&mut self, dt_s: f64) {
+        if let Some(path_progress) = &mut self.path_progress {
+            path_progress.along_m += self.speed_mps * dt_s;
+            let beyond = (path_progress.along_m - path_progress.length_m).max(0.0);
+            let front = drive_arc(&path_progress.path.pose_at(path_progress.along_m), beyond, 0.0, 1.0);
+            self.pose = if path_progress.backward { reversed(front) } else { front };
         }
     }
 }

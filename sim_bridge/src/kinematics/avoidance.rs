@@ -1,45 +1,49 @@
-//! Making way: each body keeps to its own half of the room between itself and every other, and can always stop within it.
+//! Collision avoidance: each body stays within its own half of the space between itself and every
+//! other body, and can always stop within it.
 //!
-//! After Zhou, Wang, Bandyopadhyay and Schwager, *Fast, on-line collision avoidance for dynamic vehicles using buffered
-//! Voronoi cells*, IEEE Robotics and Automation Letters 2 (2017): since both do so, none has to know what the other wants.
-//! Two that are in each other's way both give way to their right.
+//! After Zhou, Wang, Bandyopadhyay and Schwager, *Fast, on-line collision avoidance for dynamic
+//! vehicles using buffered Voronoi cells*, IEEE Robotics and Automation Letters 2 (2017). Both
+//! bodies apply the rule, so neither has to know the other's target. Two bodies that block each
+//! other both give way to their right.
 
 use nalgebra::Vector3;
 
-/// Somebody else, as seen from a body.
+/// Another body, relative to the body that avoids it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Neighbour {
-    /// From the body's middle to the other's, in metres.
+    /// Vector from the body's centre to the other body's centre, in metres.
     pub offset: Vector3<f64>,
-    /// From the other's middle to its outermost part, in metres.
+    /// Distance from the other body's centre to its outermost part, in metres.
     pub radius_m: f64,
 }
 
-/// What a body can do to get out of the way.
+/// Limits of a body's ability to avoid others.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct AvoidanceLimits {
-    /// How quickly it changes its velocity in any direction.
+    /// Greatest change of velocity per second, in any direction.
     pub(super) acceleration_mps2: f64,
-    /// Until it decides again.
+    /// Time until the next control cycle.
     pub(super) period_s: f64,
     pub(super) radius_m: f64,
-    /// Room it leaves beside that.
+    /// Clearance beyond the radius.
     pub(super) margin_m: f64,
 }
 
-/// How hard two that are closer than their margins move apart: metres per second for each metre that is missing.
+/// Separation speed of two bodies that are closer than their margins, in metres per second for each
+/// missing metre.
 const APART_PER_S: f64 = 2.0;
-/// The part of the margin that each of two may take up while it gets out of the way: without it, who stands as close as
-/// allowed could move nowhere.
+/// Fraction of the margin that each of two bodies may use while it gives way. Without it, a body at
+/// the minimum allowed distance could not move at all.
 const LEEWAY: f64 = 0.25;
 
 impl AvoidanceLimits {
-    /// How far it comes until it stands if it moves at `speed` until its next decision and brakes then.
+    /// Returns the distance covered until standstill if the body moves at `speed` until its next
+    /// control cycle and then brakes.
     pub(super) fn stopping_distance(&self, speed: f64) -> f64 {
         speed * self.period_s + speed * speed / (2.0 * self.acceleration_mps2)
     }
 
-    /// The fastest approach that leaves `room` metres to stop in.
+    /// Returns the fastest approach speed that leaves `room` metres to stop in.
     fn approach(&self, room: f64) -> f64 {
         if room <= 0.0 {
             return room * APART_PER_S;
@@ -48,11 +52,12 @@ impl AvoidanceLimits {
         a * ((t * t + 2.0 * room / a).sqrt() - t)
     }
 
-    /// Direction to a neighbour and this body's part of the room between the two.
+    /// Returns the direction to a neighbour, and this body's half of the free space between the
+    /// two.
     fn room(&self, neighbour: &Neighbour) -> (Vector3<f64>, f64) {
         let distance = neighbour.offset.norm();
         let room = (distance - self.radius_m - neighbour.radius_m - self.margin_m) / 2.0;
-        // Two in one point have no direction between them: any is as good.
+        // Two bodies at the same point have no direction between them: any direction will do.
         let direction = if distance > 0.0 { neighbour.offset / distance } else { Vector3::x() };
         (direction, room)
     }
@@ -68,8 +73,9 @@ impl AvoidanceLimits {
     }
 }
 
-/// The velocity for the next period that comes closest to what is wanted and leaves everybody their room. Both what is
-/// wanted and what is answered have passed through `within_limits`: what the body can do in one period.
+/// Returns the velocity for the next period that is closest to the wanted velocity and leaves every
+/// neighbour its space. Both the wanted and the returned velocity have passed through
+/// `within_limits`, which limits a velocity to what is reachable in a period.
 pub(super) fn avoid_neighbours(
     wanted: Vector3<f64>,
     now: Vector3<f64>,
@@ -92,7 +98,7 @@ pub(super) fn avoid_neighbours(
             }
         }
     }
-    // Giving way is no reason to go faster than one wanted to go.
+    // Giving way must not make the body faster than it wanted to be.
     let speed_2 = velocity.norm_squared();
     if speed_2 > top_2 {
         velocity *= (top_2 / speed_2).sqrt();

@@ -1,14 +1,15 @@
-//! The shortest way for a car: arcs of its tightest turn and straights between them.
+//! The shortest path of a car: arcs of its tightest turn, and straight lines between them.
 //!
-//! Dubins, *On curves of minimal length with a constraint on average curvature*, American Journal of Mathematics 79 (1957):
-//! it is one of six words of left turn, right turn and straight. The lengths of each are those of Shkel and Lumelsky,
-//! *Classification of the Dubins set*, Robotics and Autonomous Systems 34 (2001).
+//! Dubins, *On curves of minimal length with a constraint on average curvature*, American Journal
+//! of Mathematics 79 (1957): the shortest path is among six words of left turn, right turn and
+//! straight. The lengths are those of Shkel and Lumelsky, *Classification of the Dubins set*,
+//! Robotics and Autonomous Systems 34 (2001).
 
 use super::motion_math::drive_arc;
 use nalgebra::Isometry2;
 use std::f64::consts::TAU;
 
-/// What a stretch of the way does.
+/// Direction of a path segment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Turn {
     Left,
@@ -16,22 +17,22 @@ enum Turn {
     Straight,
 }
 
-/// A shortest way ahead from one pose to another that turns no tighter than a radius.
+/// A shortest forward path between two poses with a minimum turning radius.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DubinsPath {
     start: Isometry2<f64>,
     radius_m: f64,
-    /// Each with its length in metres.
+    /// Segments with their lengths in metres.
     stretches: [(Turn, f64); 3],
 }
 
 use Turn::{Left, Right, Straight};
 
 impl DubinsPath {
-    /// The shortest way.
+    /// Computes the shortest path.
     ///
     /// # Panics
-    /// If the radius is not above 0.
+    /// Panics if the radius is not above 0.
     pub fn shortest(start: Isometry2<f64>, end: Isometry2<f64>, radius_m: f64) -> DubinsPath {
         assert!(radius_m > 0.0, "a turning radius is above 0: {radius_m}");
         let relative = start.inverse() * end;
@@ -52,12 +53,12 @@ impl DubinsPath {
         DubinsPath { start, radius_m, stretches: stretches.map(|(turn, length)| (turn, length * radius_m)) }
     }
 
-    /// How long it is, in metres.
+    /// Length in metres.
     pub fn length_m(&self) -> f64 {
         self.stretches.iter().map(|(_, length)| length).sum()
     }
 
-    /// The pose `distance_m` metres along it, from its start to its end.
+    /// Returns the pose `distance_m` metres along the path, clamped to its start and end.
     pub fn pose_at(&self, distance_m: f64) -> Isometry2<f64> {
         let (mut pose, mut left) = (self.start, distance_m.max(0.0));
         for (turn, length) in self.stretches {
@@ -79,7 +80,7 @@ fn word(turns: [Turn; 3], lengths: Option<[f64; 3]>) -> Option<[(Turn, f64); 3]>
     Some([(turns[0], a), (turns[1], b), (turns[2], c)])
 }
 
-/// An angle as one from 0 to a full turn; a hair short of a full turn is none at all.
+/// Normalises an angle to 0..2π. An angle just short of a full turn becomes 0.
 fn turned(angle: f64) -> f64 {
     let turned = angle.rem_euclid(TAU);
     if TAU - turned < 1e-9 { 0.0 } else { turned }

@@ -1,4 +1,4 @@
-//! Any body that moves, with the clock of its control loop.
+//! Any kinematic model, with the clock of its control loop.
 
 use super::avoidance::Neighbour;
 use super::motion_math::TIME_EPSILON_S;
@@ -6,12 +6,12 @@ use super::settings::Kinematics;
 use super::{Ackermann, Aerial, Differential, Omnidirectional};
 use nalgebra::{Isometry2, Vector3};
 
-/// A body that moves. It is told where to be and how much time passes, and says when it is there.
+/// A moving robot. It takes a target and elapsed time, and reports its arrival.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KinematicModel {
     chassis: Chassis,
     period_s: f64,
-    /// Time until its control loop decides again.
+    /// Time until the next control cycle.
     decides_in_s: f64,
 }
 
@@ -23,7 +23,7 @@ enum Chassis {
     Aerial(Aerial),
 }
 
-/// Has whatever model it is do the same.
+/// Applies the same expression to whichever model it is.
 macro_rules! any {
     ($chassis:expr, $model:ident => $does:expr) => {
         match $chassis {
@@ -36,94 +36,95 @@ macro_rules! any {
 }
 
 impl KinematicModel {
-    /// A body that stands at a pose, drives at most `top_mps` metres per second, and is `radius_m` metres from its middle
-    /// to its outermost part.
-    pub fn new(kinematics: &Kinematics, top_mps: f64, radius_m: f64, pose: Isometry2<f64>) -> KinematicModel {
+    /// Creates a robot at standstill. `max_mps` is its top speed in metres per second, `radius_m`
+    /// the distance from its centre to its outermost part in metres.
+    pub fn new(kinematics: &Kinematics, max_mps: f64, radius_m: f64, pose: Isometry2<f64>) -> KinematicModel {
         let (chassis, period_s) = match *kinematics {
             Kinematics::Differential(settings) => {
-                (Chassis::Differential(Differential::new(settings, top_mps, pose)), settings.control_period_s)
+                (Chassis::Differential(Differential::new(settings, max_mps, pose)), settings.control_period_s)
             }
             Kinematics::Omnidirectional(settings) => {
-                (Chassis::Omnidirectional(Omnidirectional::new(settings, top_mps, pose)), settings.control_period_s)
+                (Chassis::Omnidirectional(Omnidirectional::new(settings, max_mps, pose)), settings.control_period_s)
             }
             Kinematics::Ackermann(settings) => {
-                (Chassis::Ackermann(Ackermann::new(settings, top_mps, pose)), settings.control_period_s)
+                (Chassis::Ackermann(Ackermann::new(settings, max_mps, pose)), settings.control_period_s)
             }
             Kinematics::Aerial(settings) => {
-                (Chassis::Aerial(Aerial::new(settings, top_mps, radius_m, &pose)), settings.control_period_s)
+                (Chassis::Aerial(Aerial::new(settings, max_mps, radius_m, &pose)), settings.control_period_s)
             }
         };
         KinematicModel { chassis, period_s, decides_in_s: 0.0 }
     }
 
-    /// Has it go to a pose, whatever it was about.
+    /// Sets a new target pose, replacing the previous target.
     pub fn set_target(&mut self, target: Isometry2<f64>) {
-        any!(&mut self.chassis, model => model.aim(Some(target)));
+        any!(&mut self.chassis, model => model.set_target(Some(target)));
     }
 
-    /// The same with its back in front, if it has one: what moves in every direction does not care.
+    /// Sets a new target pose to be reached in reverse. For models that move in every direction
+    /// this is the same as [`set_target`](KinematicModel::set_target).
     pub fn set_target_backward(&mut self, target: Isometry2<f64>) {
         match &mut self.chassis {
-            Chassis::Differential(model) => model.back(target),
-            Chassis::Ackermann(model) => model.back(target),
+            Chassis::Differential(model) => model.set_target_backward(target),
+            Chassis::Ackermann(model) => model.set_target_backward(target),
             Chassis::Omnidirectional(_) | Chassis::Aerial(_) => self.set_target(target),
         }
     }
 
-    /// From now on it drives at most so many metres per second.
-    pub fn set_max_speed(&mut self, top_mps: f64) {
-        any!(&mut self.chassis, model => model.top_mps = top_mps);
+    /// Limits the speed from now on, in metres per second.
+    pub fn set_max_speed(&mut self, max_mps: f64) {
+        any!(&mut self.chassis, model => model.max_mps = max_mps);
     }
 
-    /// It stands, and looks where it is told at once, in radians.
+    /// Sets the heading of a robot at standstill, in radians, at once.
     pub fn set_heading(&mut self, yaw: f64) {
-        any!(&mut self.chassis, model => model.turn_to(yaw));
+        any!(&mut self.chassis, model => model.set_heading(yaw));
     }
 
-    /// Has it come to a stop as soon as its brakes allow; in the air it hovers then.
+    /// Brakes to a standstill as fast as the brakes allow. A drone hovers afterwards.
     pub fn brake(&mut self) {
-        any!(&mut self.chassis, model => model.aim(None));
+        any!(&mut self.chassis, model => model.set_target(None));
     }
 
-    /// It stands from one instant to the next: it ran into something.
+    /// Stops instantly, after a collision.
     pub fn stop_immediately(&mut self) {
-        any!(&mut self.chassis, model => model.stop_dead());
+        any!(&mut self.chassis, model => model.stop_immediately());
     }
 
-    /// Lets `dt_s` seconds pass among others, as they are now. The answer is how many of them had passed when it arrived,
-    /// if it did. Only what flies makes way for others.
+    /// Advances time by `dt_s` seconds among other bodies at their current positions. Returns the
+    /// seconds that had passed on arrival, if the robot arrived. Only drones avoid other bodies.
     pub fn advance(&mut self, dt_s: f64, around: &[Neighbour]) -> Option<f64> {
-        let (mut passed, mut arrived) = (0.0, None);
-        while dt_s - passed > TIME_EPSILON_S {
+        let (mut elapsed, mut arrived) = (0.0, None);
+        while dt_s - elapsed > TIME_EPSILON_S {
             if self.decides_in_s <= TIME_EPSILON_S {
-                if self.decide(around) {
-                    arrived = Some(passed);
+                if self.control_step(around) {
+                    arrived = Some(elapsed);
                 }
                 self.decides_in_s = self.period_s;
             }
-            let slice = self.decides_in_s.min(dt_s - passed);
-            any!(&mut self.chassis, model => model.coast(slice));
+            let slice = self.decides_in_s.min(dt_s - elapsed);
+            any!(&mut self.chassis, model => model.integrate(slice));
             self.decides_in_s -= slice;
-            passed += slice;
+            elapsed += slice;
         }
         arrived
     }
 
-    fn decide(&mut self, around: &[Neighbour]) -> bool {
+    fn control_step(&mut self, around: &[Neighbour]) -> bool {
         match &mut self.chassis {
-            Chassis::Differential(model) => model.decide(self.period_s),
-            Chassis::Omnidirectional(model) => model.decide(self.period_s),
-            Chassis::Ackermann(model) => model.decide(self.period_s),
-            Chassis::Aerial(model) => model.decide(self.period_s, around),
+            Chassis::Differential(model) => model.control_step(self.period_s),
+            Chassis::Omnidirectional(model) => model.control_step(self.period_s),
+            Chassis::Ackermann(model) => model.control_step(self.period_s),
+            Chassis::Aerial(model) => model.control_step(self.period_s, around),
         }
     }
 
-    /// Whether it moves or is about to: if not, nothing comes of letting time pass.
+    /// Checks whether the robot moves or is about to. If not, advancing time has no effect.
     pub fn is_moving(&self) -> bool {
         any!(&self.chassis, model => model.is_moving())
     }
 
-    /// Where it is, seen from above.
+    /// Current pose, projected onto the floor.
     pub fn pose(&self) -> Isometry2<f64> {
         match &self.chassis {
             Chassis::Differential(model) => *model.pose(),
@@ -133,7 +134,7 @@ impl KinematicModel {
         }
     }
 
-    /// Where its middle is: x, y and height above the floor, in metres.
+    /// Position of the centre: x, y and height above the floor, in metres.
     pub fn position(&self) -> Vector3<f64> {
         match &self.chassis {
             Chassis::Aerial(model) => *model.position(),
@@ -144,48 +145,48 @@ impl KinematicModel {
         }
     }
 
-    /// How far it is to where it is to be, in metres; 0 if it is told to be nowhere else.
+    /// Distance to the target in metres; 0 without a target.
     pub fn remaining_m(&self) -> f64 {
         any!(&self.chassis, model => model.remaining_m())
     }
 
-    /// How far around it has to look for others, from middle to middle, if none is larger than `radius_m`; none if it
-    /// makes way for nobody.
+    /// Returns the distance, from centre to centre, within which the robot must consider other
+    /// bodies with a radius of at most `radius_m`; `None` if the model avoids no other bodies.
     pub fn neighbour_range_m(&self, radius_m: f64) -> Option<f64> {
         match &self.chassis {
-            Chassis::Aerial(model) => Some(model.looks_m(radius_m)),
+            Chassis::Aerial(model) => Some(model.neighbour_range_m(radius_m)),
             Chassis::Differential(_) | Chassis::Omnidirectional(_) | Chassis::Ackermann(_) => None,
         }
     }
 
-    /// A gust: a body in the air is pushed, one on the floor is not.
+    /// Applies a gust. It pushes a robot in the air, and has no effect on the floor.
     pub fn push(&mut self, by: Vector3<f64>) {
         if let Chassis::Aerial(model) = &mut self.chassis {
             model.push(by);
         }
     }
 
-    /// Whether it is in the air and holds its place there.
+    /// Checks whether the robot is in the air and holds its position there.
     pub fn is_hovering(&self) -> bool {
         matches!(&self.chassis, Chassis::Aerial(model) if model.is_holding())
     }
 
-    /// The differential drive that it is, if it is one.
+    /// The differential drive, if this model is a differential drive.
     pub fn as_differential(&self) -> Option<&Differential> {
         if let Chassis::Differential(model) = &self.chassis { Some(model) } else { None }
     }
 
-    /// The omnidirectional chassis that it is, if it is one.
+    /// The omnidirectional chassis, if this model is omnidirectional.
     pub fn as_omnidirectional(&self) -> Option<&Omnidirectional> {
         if let Chassis::Omnidirectional(model) = &self.chassis { Some(model) } else { None }
     }
 
-    /// The car that it is, if it is one.
+    /// The car, if this model is a car.
     pub fn as_ackermann(&self) -> Option<&Ackermann> {
         if let Chassis::Ackermann(model) = &self.chassis { Some(model) } else { None }
     }
 
-    /// The drone that it is, if it is one.
+    /// The drone, if this model is a drone.
     pub fn as_aerial(&self) -> Option<&Aerial> {
         if let Chassis::Aerial(model) = &self.chassis { Some(model) } else { None }
     }

@@ -1,17 +1,19 @@
-//! How bodies move: models of chassis, as plain values over nalgebra's poses, in metres, seconds and radians.
+//! Kinematic models of robots: plain values over nalgebra's poses, in metres, seconds and radians.
 //!
-//! | model | moves | limits |
+//! | model | motion | limits |
 //! |---|---|---|
 //! | [`Differential`] | forward and turning, by PID control of heading and speed (thesis Figure 5.2) | speed, acceleration, turn rate, turn acceleration |
-//! | [`Omnidirectional`] | in every direction, turning as it goes | the same |
-//! | [`Ackermann`] | ahead or back along arcs and straights, as a car does | speed, acceleration, turning radius |
+//! | [`Omnidirectional`] | in every direction, turning at the same time | the same |
+//! | [`Ackermann`] | forward or in reverse along arcs and straight lines, as a car does | speed, acceleration, turning radius |
 //! | [`Aerial`] | in space, climbing and sinking at its own rate | speed, acceleration, climb rate, climb acceleration, turn rate |
 //!
-//! A [`Mover`] is any of them with a clock. A model *decides* at the instants of its own control loop, as the computer on a
-//! robot does; between two decisions its speeds hold, and its motion has a closed form. So it makes no difference in which
-//! steps time is let pass: a course takes as long at 10 Hz as at 60.
+//! A [`KinematicModel`] is any of them with a clock. A model *decides* at the instants of its own
+//! control loop, as the computer of a robot does. Between two decisions its speeds are constant and
+//! its motion has a closed form. The size of the time steps therefore makes no difference: a drive
+//! takes as long at 10 Hz as at 60 Hz.
 //!
-//! A straight run needs no control at all: [`StraightRun`] says where it is at any time, and when it ends.
+//! A straight run needs no control at all: [`TrapezoidProfile`] gives its position at any time, and
+//! its end.
 
 mod ackermann;
 mod aerial;

@@ -1,10 +1,11 @@
-//! Wheels that roll in every direction: it drives straight to where it is to be, and turns meanwhile.
+//! A chassis with omnidirectional wheels. It drives straight to its target and turns at the same
+//! time.
 
 use super::motion_math::{next_turn_rate, step_toward, stopping_speed, wrap_angle};
 use super::settings::OmnidirectionalSettings;
 use nalgebra::{Isometry2, UnitComplex, Vector2};
 
-/// It has arrived when it is this close and as good as stands.
+/// Position tolerance for arrival, in metres. The chassis must also be almost at a standstill.
 const REACHED_M: f64 = 0.001;
 const REACHED_RAD: f64 = 0.001;
 
@@ -12,7 +13,7 @@ const REACHED_RAD: f64 = 0.001;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Omnidirectional {
     settings: OmnidirectionalSettings,
-    pub(super) top_mps: f64,
+    pub(super) max_mps: f64,
     pose: Isometry2<f64>,
     velocity: Vector2<f64>,
     turn_rps: f64,
@@ -20,35 +21,36 @@ pub struct Omnidirectional {
 }
 
 impl Omnidirectional {
-    /// A body that stands.
-    pub fn new(settings: OmnidirectionalSettings, top_mps: f64, pose: Isometry2<f64>) -> Omnidirectional {
-        Omnidirectional { settings, top_mps, pose, velocity: Vector2::zeros(), turn_rps: 0.0, target: None }
+    /// Creates a chassis at standstill.
+    pub fn new(settings: OmnidirectionalSettings, max_mps: f64, pose: Isometry2<f64>) -> Omnidirectional {
+        Omnidirectional { settings, max_mps, pose, velocity: Vector2::zeros(), turn_rps: 0.0, target: None }
     }
 
-    /// Where it is.
+    /// Current pose.
     pub fn pose(&self) -> &Isometry2<f64> {
         &self.pose
     }
 
-    /// How it moves over the floor, in metres per second, and turns to the left, in radians per second.
+    /// Velocity over the floor (metres per second) and turn rate (radians per second, positive to
+    /// the left).
     pub fn velocity(&self) -> (Vector2<f64>, f64) {
         (self.velocity, self.turn_rps)
     }
 
-    /// How far it is to its target, in metres.
+    /// Distance to the target in metres.
     pub fn remaining_m(&self) -> f64 {
         self.target.map_or(0.0, |target| (target.translation.vector - self.pose.translation.vector).norm())
     }
 
-    pub(super) fn aim(&mut self, target: Option<Isometry2<f64>>) {
+    pub(super) fn set_target(&mut self, target: Option<Isometry2<f64>>) {
         self.target = target;
     }
 
-    pub(super) fn turn_to(&mut self, yaw: f64) {
+    pub(super) fn set_heading(&mut self, yaw: f64) {
         self.pose.rotation = UnitComplex::new(yaw);
     }
 
-    pub(super) fn stop_dead(&mut self) {
+    pub(super) fn stop_immediately(&mut self) {
         (self.target, self.velocity, self.turn_rps) = (None, Vector2::zeros(), 0.0);
     }
 
@@ -56,8 +58,9 @@ impl Omnidirectional {
         self.target.is_some() || self.velocity != Vector2::zeros() || self.turn_rps != 0.0
     }
 
-    /// One turn of the control loop: sets the speeds for the next period. True when it has just arrived.
-    pub(super) fn decide(&mut self, period: f64) -> bool {
+    /// Runs one control cycle: sets the speeds for the next period. Returns true when the chassis
+    /// has just arrived.
+    pub(super) fn control_step(&mut self, period: f64) -> bool {
         let OmnidirectionalSettings { acceleration_mps2, turn_rate_rps, turn_acceleration_rps2, .. } = self.settings;
         let (notch, turn_notch) = (acceleration_mps2 * period, turn_acceleration_rps2 * period);
         let (to, error) = match self.target {
@@ -70,18 +73,18 @@ impl Omnidirectional {
         let distance = to.norm();
         let stands = self.velocity.norm() <= notch && self.turn_rps.abs() <= turn_notch;
         if self.target.is_some() && distance <= REACHED_M && error.abs() <= REACHED_RAD && stands {
-            self.stop_dead();
+            self.stop_immediately();
             return true;
         }
-        let speed = stopping_speed(distance, acceleration_mps2, period).min(self.top_mps);
+        let speed = stopping_speed(distance, acceleration_mps2, period).min(self.max_mps);
         let wanted = if distance > 0.0 { to * (speed / distance) } else { Vector2::zeros() };
         self.velocity = step_toward(self.velocity, wanted, notch);
         self.turn_rps = next_turn_rate(self.turn_rps, error, turn_rate_rps, turn_acceleration_rps2, period);
         false
     }
 
-    /// Lets time pass with the speeds as they are.
-    pub(super) fn coast(&mut self, dt_s: f64) {
+    /// Integrates the motion over `dt_s` seconds at constant speeds.
+    pub(super) fn integrate(&mut self, dt_s: f64) {
         self.pose.translation.vector += self.velocity * dt_s;
         if self.turn_rps != 0.0 {
             self.pose.rotation *= UnitComplex::new(self.turn_rps * dt_s);

@@ -3,13 +3,13 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What a controller makes of an error: its answer per unit of the error, of the error's integral, and of its rate.
+/// Gains of a PID controller: output per unit of the error, of its integral, and of its rate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PidGains {
     /// Per unit of the error; above 0.
     pub kp: f64,
-    /// Per unit and second of the error: removes what would stay.
+    /// Per unit and second of the error: removes a steady-state error.
     #[serde(default)]
     pub ki: f64,
     /// Per unit and 1/second of the error's rate: damps.
@@ -17,8 +17,8 @@ pub struct PidGains {
     pub kd: f64,
 }
 
-/// A controller with what it remembers. While its answer is at its limit the integral stands still, so that it has nothing
-/// to take back afterwards.
+/// A PID controller and its state. While the output is at its limit, the integral does not grow
+/// (anti-windup).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pid {
     gains: PidGains,
@@ -27,12 +27,13 @@ pub struct Pid {
 }
 
 impl Pid {
-    /// A controller that remembers nothing.
+    /// Creates a controller without history.
     pub fn new(gains: PidGains) -> Pid {
         Pid { gains, integral: 0.0, before: None }
     }
 
-    /// The answer to an error `dt_s` seconds after the last one, from `-limit` to `limit`.
+    /// Returns the output for an error `dt_s` seconds after the previous error, from `-limit` to
+    /// `limit`.
     pub fn output(&mut self, error: f64, dt_s: f64, limit: f64) -> f64 {
         let PidGains { kp, ki, kd } = self.gains;
         let rate = self.before.map_or(0.0, |before| (error - before) / dt_s);
@@ -45,7 +46,7 @@ impl Pid {
         answer.clamp(-limit, limit)
     }
 
-    /// Forgets what was.
+    /// Clears the history.
     pub fn reset(&mut self) {
         (self.integral, self.before) = (0.0, None);
     }

@@ -1,39 +1,41 @@
-//! What a chassis is set up with.
+//! Settings of the kinematic models.
 
 use super::pid::PidGains;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The chassis of a robot, as a setup names it: `kinematics = { kind = "differential", acceleration_mps2 = 0.8 }`. Top
-/// speed is the robot's own; what is left out is as in the defaults.
+/// Kinematics of a robot, as a setup names it:
+/// `kinematics = { kind = "differential", acceleration_mps2 = 0.8 }`. The top speed is the robot's
+/// own. Omitted fields have their default values.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Kinematics {
-    /// Two driven wheels: turns on the spot, drives ahead.
+    /// Two driven wheels: turns on the spot, drives forward.
     Differential(DifferentialSettings),
     /// Mecanum or omni wheels: drives in every direction.
     Omnidirectional(OmnidirectionalSettings),
-    /// A car: drives ahead and steers.
+    /// A car: drives forward and steers.
     Ackermann(AckermannSettings),
     /// A drone.
     Aerial(AerialSettings),
 }
 
-/// Settings of a [`Differential`](super::Differential) chassis. The defaults are those of a small hospital robot.
+/// Settings of a [`Differential`](super::Differential) chassis. The defaults are those of a small
+/// hospital robot.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DifferentialSettings {
-    /// How quickly it changes its speed, in metres per second squared.
+    /// Acceleration, in metres per second squared.
     pub acceleration_mps2: f64,
-    /// How fast it turns at most, in radians per second.
+    /// Greatest turn rate, in radians per second.
     pub turn_rate_rps: f64,
-    /// How quickly it changes its turn rate, in radians per second squared.
+    /// Turn acceleration, in radians per second squared.
     pub turn_acceleration_rps2: f64,
-    /// From an error of heading, in radians, to a turn rate.
+    /// Gains of the heading controller: from an error in radians to a turn rate.
     pub heading: PidGains,
-    /// From an error of speed, in metres per second, to an acceleration.
+    /// Gains of the speed controller: from an error in metres per second to an acceleration.
     pub speed: PidGains,
-    /// Time between two decisions of its controller, in seconds.
+    /// Period of the control loop, in seconds.
     pub control_period_s: f64,
 }
 
@@ -54,13 +56,13 @@ impl Default for DifferentialSettings {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct OmnidirectionalSettings {
-    /// How quickly it changes its velocity, in metres per second squared.
+    /// Acceleration, in metres per second squared.
     pub acceleration_mps2: f64,
-    /// How fast it turns at most, in radians per second.
+    /// Greatest turn rate, in radians per second.
     pub turn_rate_rps: f64,
-    /// How quickly it changes its turn rate, in radians per second squared.
+    /// Turn acceleration, in radians per second squared.
     pub turn_acceleration_rps2: f64,
-    /// Time between two decisions of its controller, in seconds.
+    /// Period of the control loop, in seconds.
     pub control_period_s: f64,
 }
 
@@ -74,11 +76,11 @@ impl Default for OmnidirectionalSettings {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AckermannSettings {
-    /// How quickly it changes its speed, in metres per second squared.
+    /// Acceleration, in metres per second squared.
     pub acceleration_mps2: f64,
-    /// Radius of its tightest turn, in metres.
+    /// Minimum turning radius, in metres.
     pub turning_radius_m: f64,
-    /// Time between two decisions of its controller, in seconds.
+    /// Period of the control loop, in seconds.
     pub control_period_s: f64,
 }
 
@@ -88,25 +90,25 @@ impl Default for AckermannSettings {
     }
 }
 
-/// Settings of an [`Aerial`](super::Aerial) body. The defaults are those of a small quadrotor.
+/// Settings of an [`Aerial`](super::Aerial) robot. The defaults are those of a small quadrotor.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AerialSettings {
-    /// How quickly it changes its velocity over ground, in metres per second squared.
+    /// Horizontal acceleration, in metres per second squared.
     pub acceleration_mps2: f64,
-    /// How fast it climbs and sinks at most, in metres per second.
+    /// Greatest climb and sink rate, in metres per second.
     pub climb_mps: f64,
-    /// How quickly it changes that, in metres per second squared.
+    /// Vertical acceleration, in metres per second squared.
     pub climb_acceleration_mps2: f64,
-    /// How fast it turns at most, in radians per second.
+    /// Greatest turn rate, in radians per second.
     pub turn_rate_rps: f64,
-    /// How quickly it changes its turn rate, in radians per second squared.
+    /// Turn acceleration, in radians per second squared.
     pub turn_acceleration_rps2: f64,
-    /// The height it flies at, in metres above the floor.
+    /// Flight height, in metres above the floor.
     pub height_m: f64,
-    /// Room it leaves between itself and other bodies, in metres.
+    /// Clearance to other bodies, in metres.
     pub margin_m: f64,
-    /// Time between two decisions of its controller, in seconds.
+    /// Period of the control loop, in seconds.
     pub control_period_s: f64,
 }
 
@@ -125,20 +127,20 @@ impl Default for AerialSettings {
     }
 }
 
-/// A number of a chassis that makes no sense.
+/// A kinematic setting is out of range.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error("{field} is {value}, allowed is {allowed}")]
 pub struct KinematicsError {
-    /// The field.
+    /// Name of the field.
     pub field: &'static str,
-    /// The number.
+    /// Value given.
     pub value: f64,
-    /// The range, in words.
+    /// Allowed range, as text.
     pub allowed: &'static str,
 }
 
 impl Kinematics {
-    /// How quickly it changes its speed over ground, in metres per second squared.
+    /// Acceleration over ground, in metres per second squared.
     pub fn acceleration_mps2(&self) -> f64 {
         match self {
             Kinematics::Differential(settings) => settings.acceleration_mps2,
@@ -148,10 +150,10 @@ impl Kinematics {
         }
     }
 
-    /// Looks whether all numbers make sense.
+    /// Checks that every number is in its range.
     ///
     /// # Errors
-    /// The first that does not.
+    /// [`KinematicsError`] for the first number out of range.
     pub fn check(&self) -> Result<(), KinematicsError> {
         let limit = |field, value| within(field, value, 0.001, 1_000.0, "a number from 0.001 to 1000");
         let gain = |field, value| within(field, value, 0.0, 1_000.0, "a number from 0 to 1000");

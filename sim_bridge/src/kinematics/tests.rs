@@ -1,10 +1,10 @@
-//! The models alone: arrival, limits, and that it does not matter in which steps time is let pass.
+//! Tests of the models alone: arrival, limits, and independence of the size of time steps.
 
 use super::*;
 use nalgebra::{Isometry2, Vector2, Vector3};
 use proptest::prelude::*;
 
-const TOP_MPS: f64 = 1.2;
+const MAX_MPS: f64 = 1.2;
 
 fn all() -> [(&'static str, Kinematics); 4] {
     [
@@ -20,10 +20,10 @@ fn pose(x: f64, y: f64, yaw: f64) -> Isometry2<f64> {
 }
 
 fn still(kinematics: &Kinematics) -> KinematicModel {
-    KinematicModel::new(kinematics, TOP_MPS, 0.25, Isometry2::identity())
+    KinematicModel::new(kinematics, MAX_MPS, 0.25, Isometry2::identity())
 }
 
-/// When it arrives at each of the poses, one after the other, if time passes in steps of `dt_s`.
+/// Drives to the poses in turn with time steps of `dt_s`; returns the arrival time at the last.
 fn course(mover: &mut KinematicModel, poses: &[Isometry2<f64>], dt_s: f64) -> f64 {
     let mut now = 0.0;
     for target in poses {
@@ -55,7 +55,7 @@ fn a_course_takes_as_long_at_10_hz_as_at_60() {
 }
 
 #[test]
-fn one_leg_ends_at_the_same_instant_and_place_however_time_is_cut() {
+fn a_leg_ends_alike_with_any_time_step() {
     for (name, kinematics) in all() {
         let run = |dt: f64| {
             let mut mover = still(&kinematics);
@@ -78,7 +78,7 @@ fn one_leg_ends_at_the_same_instant_and_place_however_time_is_cut() {
 }
 
 #[test]
-fn nothing_moves_before_it_is_told_to_and_halted_it_stands() {
+fn a_model_moves_only_with_a_target_and_brakes_to_standstill() {
     for (name, kinematics) in all() {
         let mut mover = still(&kinematics);
         assert!(!mover.is_moving());
@@ -90,7 +90,7 @@ fn nothing_moves_before_it_is_told_to_and_halted_it_stands() {
         let at = mover.pose().translation.vector;
         assert_eq!(mover.advance(20.0, &[]), None);
         let rolled = (mover.pose().translation.vector - at).norm();
-        assert!((0.01..TOP_MPS * TOP_MPS / 2.0 / 0.8 + 0.1).contains(&rolled), "{name} rolled {rolled} m");
+        assert!((0.01..MAX_MPS * MAX_MPS / 2.0 / 0.8 + 0.1).contains(&rolled), "{name} rolled {rolled} m");
         let there = mover.pose();
         mover.advance(1.0, &[]);
         assert_eq!((mover.pose(), mover.is_moving()), (there, false), "{name}");
@@ -98,8 +98,8 @@ fn nothing_moves_before_it_is_told_to_and_halted_it_stands() {
 }
 
 #[test]
-fn a_straight_drive_takes_what_the_closed_form_says() {
-    let (length, ramp) = (12.0, ProfileLimits { speed_mps: TOP_MPS, acceleration_mps2: 0.8, deceleration_mps2: 0.8 });
+fn a_straight_drive_takes_the_time_of_the_closed_form() {
+    let (length, ramp) = (12.0, ProfileLimits { speed_mps: MAX_MPS, acceleration_mps2: 0.8, deceleration_mps2: 0.8 });
     let closed = TrapezoidProfile::new(length, ramp).duration_s();
     for (name, kinematics) in all().into_iter().filter(|(name, _)| *name != "aerial") {
         let took = course(&mut still(&kinematics), &[pose(length, 0.0, 0.0)], 0.02);
@@ -109,7 +109,7 @@ fn a_straight_drive_takes_what_the_closed_form_says() {
 }
 
 #[test]
-fn a_drone_climbs_at_its_own_rate_and_holds_its_place_against_a_push() {
+fn a_drone_climbs_at_its_rate_and_holds_its_position() {
     let settings = AerialSettings { climb_mps: 0.5, height_m: 3.0, ..AerialSettings::default() };
     let mut mover = still(&Kinematics::Aerial(settings));
     let took = course(&mut mover, &[pose(1.0, 0.0, 0.0)], 0.05);
@@ -143,7 +143,7 @@ fn two_drones_pass_each_other_and_both_arrive() {
 }
 
 #[test]
-fn numbers_that_make_no_sense_are_named() {
+fn an_invalid_setting_is_named() {
     let settings = DifferentialSettings { acceleration_mps2: 0.0, ..DifferentialSettings::default() };
     let said = Kinematics::Differential(settings).check().unwrap_err().to_string();
     assert_eq!(said, "acceleration_mps2 is 0, allowed is a number from 0.001 to 1000");
@@ -151,8 +151,8 @@ fn numbers_that_make_no_sense_are_named() {
 }
 
 #[test]
-fn the_integral_removes_what_proportion_leaves() {
-    // A plant that drifts by 0.5 a second whatever it is told.
+fn the_integral_removes_the_steady_state_error() {
+    // A plant that drifts by 0.5 a second regardless of its input.
     let settles = |ki| {
         let (mut pid, mut value) = (Pid::new(PidGains { kp: 2.0, ki, kd: 0.0 }), 0.0);
         for _ in 0..2000 {
@@ -168,7 +168,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 48, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn speeds_and_accelerations_stay_within_limits_and_every_pose_is_reached(
+    fn models_respect_limits_and_reach_every_pose(
         x in -8.0..8.0, y in -8.0..8.0, yaw in -3.0..3.0, changed in 0.0..6.0,
     ) {
         for (name, kinematics) in all() {
@@ -203,16 +203,16 @@ proptest! {
     }
 
     #[test]
-    fn there_and_back_takes_an_omnidirectional_chassis_the_same_time(x in -8.0..8.0, y in -8.0..8.0, yaw in -3.0..3.0) {
+    fn an_omnidirectional_chassis_takes_equal_times_both_ways(x in -8.0..8.0, y in -8.0..8.0, yaw in -3.0..3.0) {
         let (kinematics, target) = (all()[1].1, pose(x, y, yaw));
         let there = course(&mut still(&kinematics), &[target], 0.02);
-        let mut back = KinematicModel::new(&kinematics, TOP_MPS, 0.25, target);
+        let mut back = KinematicModel::new(&kinematics, MAX_MPS, 0.25, target);
         let back = course(&mut back, &[Isometry2::identity()], 0.02);
         prop_assert!((there - back).abs() < 0.05, "{there} s there, {back} s back");
     }
 
     #[test]
-    fn the_shortest_way_of_a_car_leads_there_and_turns_no_tighter(
+    fn the_shortest_path_reaches_the_pose_within_the_radius(
         x in -6.0..6.0, y in -6.0..6.0, yaw in -3.1..3.1, radius in 0.3..2.0,
     ) {
         let end = pose(x, y, yaw);
@@ -235,16 +235,16 @@ proptest! {
         prop_assert!((run.distance_at(run.duration_s()) - length).abs() < 1e-9);
         prop_assert!(run.speed_at(time) <= speed + 1e-9);
         prop_assert!((run.distance_at(run.time_at(run.distance_at(time))) - run.distance_at(time)).abs() < 1e-6);
-        // Its distance is the integral of its speed.
+        // The distance is the integral of the speed.
         let parts = 2000;
         let sum: f64 = (0..parts).map(|n| run.speed_at((f64::from(n) + 0.5) * time / f64::from(parts))).sum();
         let driven = sum * time / f64::from(parts);
         prop_assert!((driven - run.distance_at(time)).abs() < 1e-3 * (1.0 + length), "{driven} m");
-        // Broken off, it stands later and further on, but not beyond the end.
+        // An interrupted run stops later and further on, but not beyond the end.
         let halt = run.stop_from(time);
         prop_assert!(halt.distance_m >= run.distance_at(time) && halt.distance_m <= length);
         prop_assert!(halt.stands_at_s >= time && halt.stands_at_s <= run.duration_s() + 1e-9);
-        // The other way round it is the same run backwards in time.
+        // With the limits swapped, it is the same run backwards in time.
         let back = TrapezoidProfile::new(length, ProfileLimits { speed_mps: speed, acceleration_mps2: down, deceleration_mps2: up });
         prop_assert!((back.duration_s() - run.duration_s()).abs() < 1e-9);
         prop_assert!((length - back.distance_at(run.duration_s() - time) - run.distance_at(time)).abs() < 1e-6);
@@ -255,19 +255,19 @@ fn check_limits(name: &str, before: &KinematicModel, after: &KinematicModel, per
     let hair = 1e-9;
     if let (Some(a), Some(b)) = (before.as_differential(), after.as_differential()) {
         let (settings, (v0, w0), (v1, w1)) = (DifferentialSettings::default(), a.speeds(), b.speeds());
-        prop_assert!(v1.abs() <= TOP_MPS + hair && w1.abs() <= settings.turn_rate_rps + hair, "{name}: {v1}, {w1}");
+        prop_assert!(v1.abs() <= MAX_MPS + hair && w1.abs() <= settings.turn_rate_rps + hair, "{name}: {v1}, {w1}");
         prop_assert!((v1 - v0).abs() <= settings.acceleration_mps2 * period + hair, "{name}: from {v0} to {v1}");
         prop_assert!((w1 - w0).abs() <= settings.turn_acceleration_rps2 * period + hair, "{name}: from {w0} to {w1}");
     }
     if let (Some(a), Some(b)) = (before.as_omnidirectional(), after.as_omnidirectional()) {
         let (settings, (v0, w0), (v1, w1)) = (OmnidirectionalSettings::default(), a.velocity(), b.velocity());
-        prop_assert!(v1.norm() <= TOP_MPS + hair && w1.abs() <= settings.turn_rate_rps + hair, "{name}: {v1}, {w1}");
+        prop_assert!(v1.norm() <= MAX_MPS + hair && w1.abs() <= settings.turn_rate_rps + hair, "{name}: {v1}, {w1}");
         prop_assert!((v1 - v0).norm() <= settings.acceleration_mps2 * period + hair, "{name}: from {v0} to {v1}");
         prop_assert!((w1 - w0).abs() <= settings.turn_acceleration_rps2 * period + hair, "{name}: from {w0} to {w1}");
     }
     if let (Some(a), Some(b)) = (before.as_ackermann(), after.as_ackermann()) {
         let settings = AckermannSettings::default();
-        prop_assert!((0.0..=TOP_MPS + hair).contains(&b.speed_mps()), "{name}: {}", b.speed_mps());
+        prop_assert!((0.0..=MAX_MPS + hair).contains(&b.speed_mps()), "{name}: {}", b.speed_mps());
         let change = (b.speed_mps() - a.speed_mps()).abs();
         prop_assert!(change <= settings.acceleration_mps2 * period + hair, "{name}: by {change}");
         let turned = (b.pose().rotation / a.pose().rotation).angle().abs();
@@ -275,7 +275,7 @@ fn check_limits(name: &str, before: &KinematicModel, after: &KinematicModel, per
     }
     if let (Some(a), Some(b)) = (before.as_aerial(), after.as_aerial()) {
         let (settings, v0, v1) = (AerialSettings::default(), a.velocity(), b.velocity());
-        prop_assert!(v1.xy().norm() <= TOP_MPS + hair && v1.z.abs() <= settings.climb_mps + hair, "{name}: {v1}");
+        prop_assert!(v1.xy().norm() <= MAX_MPS + hair && v1.z.abs() <= settings.climb_mps + hair, "{name}: {v1}");
         let (level, climb) = ((v1.xy() - v0.xy()).norm(), (v1.z - v0.z).abs());
         prop_assert!(level <= settings.acceleration_mps2 * period + hair, "{name}: from {v0} to {v1}");
         prop_assert!(climb <= settings.climb_acceleration_mps2 * period + hair, "{name}: from {v0} to {v1}");
@@ -284,7 +284,7 @@ fn check_limits(name: &str, before: &KinematicModel, after: &KinematicModel, per
 }
 
 #[test]
-fn a_steady_run_is_its_length_over_its_speed_all_the_way() {
+fn a_constant_speed_run_takes_length_over_speed() {
     let run = TrapezoidProfile::constant_speed(6.0, 0.5);
     assert_eq!((run.duration_s(), run.distance_at(3.0), run.time_at(4.5)), (12.0, 1.5, 9.0));
     assert_eq!((run.speed_at(0.1), run.speed_at(11.9), run.distance_at(99.0)), (0.5, 0.5, 6.0));

@@ -1,47 +1,49 @@
-//! A straight run from standstill to standstill: faster, steady, slower. All of it in closed form.
+//! Trapezoidal speed profile of a straight run from standstill to standstill: accelerate, keep the
+//! speed, brake. All in closed form.
 
-/// How fast a body may go on a straight run, and how quickly it may change that.
+/// Limits of a straight run: top speed, acceleration, deceleration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProfileLimits {
     /// Top speed, in metres per second; above 0.
     pub speed_mps: f64,
-    /// How quickly it gets faster, in metres per second squared; above 0, infinite for at once.
+    /// Acceleration, in metres per second squared; above 0, infinite for an instant change.
     pub acceleration_mps2: f64,
-    /// How quickly it gets slower; above 0, infinite for at once.
+    /// Deceleration, in metres per second squared; above 0, infinite for an instant change.
     pub deceleration_mps2: f64,
 }
 
-/// A straight run of a length: its speed over time is a trapezoid, or a triangle if it is too short for top speed.
+/// A straight run of a given length. Its speed over time is a trapezoid, or a triangle if the run
+/// is too short to reach the top speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrapezoidProfile {
     ramp: ProfileLimits,
     length_m: f64,
     peak_mps: f64,
-    /// When it has reached its peak, when it begins to brake, when it stands.
+    /// Ends of the accelerating, steady and braking phases.
     faster_until_s: f64,
     steady_until_s: f64,
     duration_s: f64,
 }
 
-/// Where a run ends that is broken off.
+/// The end of a run that is interrupted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StopPoint {
-    /// Seconds from the start of the run until the body stands.
+    /// Seconds from the start of the run until standstill.
     pub stands_at_s: f64,
-    /// Metres from the start of the run at which it stands.
+    /// Metres from the start of the run to the stopping point.
     pub distance_m: f64,
 }
 
 impl TrapezoidProfile {
-    /// A run over `length_m` metres.
+    /// Creates a run over `length_m` metres.
     ///
     /// # Panics
-    /// If the length is negative or a limit is not above 0.
+    /// Panics if the length is negative or a limit is not above 0.
     pub fn new(length_m: f64, ramp: ProfileLimits) -> TrapezoidProfile {
         let ProfileLimits { speed_mps, acceleration_mps2: up, deceleration_mps2: down } = ramp;
         assert!(length_m >= 0.0, "a length is not negative: {length_m}");
         assert!(speed_mps > 0.0 && up > 0.0 && down > 0.0, "limits are above 0: {ramp:?}");
-        // The speed at which speeding up and braking take up the whole length between them.
+        // The peak speed at which acceleration and braking together cover the whole length.
         let triangle_mps = (2.0 * length_m / (up.recip() + down.recip())).sqrt();
         let peak_mps = speed_mps.min(triangle_mps);
         let ramps_m = peak_mps * peak_mps / 2.0 * (up.recip() + down.recip());
@@ -58,10 +60,10 @@ impl TrapezoidProfile {
         }
     }
 
-    /// A run at the same speed all the way, above 0: as by a body that takes no time to speed up or to brake.
+    /// Creates a run at constant speed, above 0: without time to accelerate or to brake.
     ///
     /// # Panics
-    /// As [`StraightRun::new`].
+    /// Panics as [`TrapezoidProfile::new`] does.
     pub fn constant_speed(length_m: f64, speed_mps: f64) -> TrapezoidProfile {
         let at_once = f64::INFINITY;
         TrapezoidProfile::new(
@@ -70,17 +72,18 @@ impl TrapezoidProfile {
         )
     }
 
-    /// How long it is, in metres.
+    /// Length in metres.
     pub fn length_m(&self) -> f64 {
         self.length_m
     }
 
-    /// How long it takes, in seconds.
+    /// Duration in seconds.
     pub fn duration_s(&self) -> f64 {
         self.duration_s
     }
 
-    /// How fast it is `time_s` seconds after its start, in metres per second; 0 before the start and after the end.
+    /// Returns the speed `time_s` seconds after the start, in metres per second; 0 before the start
+    /// and after the end.
     pub fn speed_at(&self, time_s: f64) -> f64 {
         if time_s <= 0.0 || time_s >= self.duration_s {
             0.0
@@ -93,7 +96,8 @@ impl TrapezoidProfile {
         }
     }
 
-    /// How far it has come `time_s` seconds after its start, in metres; from 0 to its length.
+    /// Returns the distance covered `time_s` seconds after the start, in metres; from 0 to the
+    /// length.
     pub fn distance_at(&self, time_s: f64) -> f64 {
         let distance = if time_s <= 0.0 {
             0.0
@@ -110,7 +114,8 @@ impl TrapezoidProfile {
         distance.clamp(0.0, self.length_m)
     }
 
-    /// When it has come so far, in seconds after its start: 0 for no distance, its duration for its length or more.
+    /// Returns the time at which `distance_m` metres are covered, in seconds after the start: 0 for
+    /// no distance, the duration for the length or more.
     pub fn time_at(&self, distance_m: f64) -> f64 {
         let (faster_m, slower_m) = (self.peak_mps * self.faster_until_s / 2.0, self.distance_at(self.steady_until_s));
         if distance_m <= 0.0 {
@@ -126,7 +131,7 @@ impl TrapezoidProfile {
         }
     }
 
-    /// Where and when it stands if it begins to brake `time_s` seconds after its start.
+    /// Returns the stopping time and point if braking begins `time_s` seconds after the start.
     pub fn stop_from(&self, time_s: f64) -> StopPoint {
         let time_s = time_s.clamp(0.0, self.duration_s);
         let (speed, down) = (self.speed_at(time_s), self.ramp.deceleration_mps2);

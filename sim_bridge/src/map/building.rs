@@ -1,4 +1,4 @@
-//! What a building has beside places and lanes: levels, doors, lifts.
+//! Parts of a building besides places and lanes: levels, doors and lifts.
 
 use super::{Lane, Map, PlaceIndex};
 use consort_protocol::ids::PlaceId;
@@ -6,56 +6,58 @@ use consort_protocol::units::{MetresPerSecond, Seconds};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The level of a map that names none.
+/// Name of the only level of a map without levels.
 pub const DEFAULT_LEVEL: &str = "ground";
 
-/// Position of a level in [`Map::levels`]; the default is the first.
+/// Index of a level in [`Map::levels`]; the default is the first level.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LevelIndex(pub(crate) usize);
 
-/// A floor of the building.
+/// A level (storey) of the building.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapLevel {
     /// Its name, unique on the map.
     pub name: String,
-    /// Metres above the lowest level, or above whatever the map counts from.
+    /// Metres above the lowest level, or above the zero height of the map.
     pub elevation_m: f64,
 }
 
-/// An automatic door. It stands across at least one lane.
+/// An automatic door across its lanes (at least 1).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Door {
     /// Its name, unique among the doors.
     pub name: String,
-    /// The lanes that lead through it, each by its ends as the lane has them; all on one level.
+    /// The lanes through the door, each given by its ends in the order of the lane; all on the same
+    /// level.
     pub lanes: Vec<(PlaceId, PlaceId)>,
     /// Time from closed to open, and from open to closed.
     pub opening: Seconds,
-    /// The two posts, as (x, y) in metres; none if the map does not say, and then it stands in the middle of each lane.
+    /// The two posts, as (x, y) in metres. `None` if the map gives none; the door then stands in
+    /// the middle of each lane.
     pub span: Option<((f64, f64), (f64, f64))>,
 }
 
-/// A door on the way from one place to another.
+/// A door on a lane, with its position in driving direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LaneDoor<'a> {
     /// The door.
     pub door: &'a Door,
-    /// Where it stands, as the share of the way from 0 (the start) to 1 (the end).
+    /// Position on the lane, from 0 (start) to 1 (end).
     pub at: f64,
 }
 
-/// A lift that joins places on two levels or more.
+/// A lift that connects places on two or more levels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lift {
     /// Its name, unique among the lifts.
     pub name: String,
-    /// The places one steps in and out at; each belongs to this lift alone.
+    /// The places at its doors; each place belongs to a single lift.
     pub stops: Vec<PlaceId>,
-    /// How many robots fit in.
+    /// Number of robots in the cabin at the same time.
     pub capacity: u32,
     /// Time from closed to open of its doors, and from open to closed.
     pub opening: Seconds,
-    /// How fast the cabin goes up and down.
+    /// Vertical speed of the cabin.
     pub speed: MetresPerSecond,
 }
 
@@ -64,22 +66,22 @@ pub struct Lift {
 pub struct LiftRide<'a> {
     /// The lift.
     pub lift: &'a Lift,
-    /// How long it takes from the closing of the doors at one stop to their having opened at the other.
+    /// Time from the closing of the doors at the first stop until they are open at the second.
     pub time: Seconds,
 }
 
-/// Which way a robot faces on a lane.
+/// Heading of a robot on a lane, relative to the direction of the lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Facing {
-    /// To where the lane goes.
+    /// Robots face the direction of the lane.
     Forward,
-    /// To where it came from.
+    /// Robots face against the direction of the lane.
     Backward,
 }
 
 impl Facing {
-    /// The same heading, as seen by one who drives the lane the other way.
+    /// Returns the same heading relative to the opposite direction of the lane.
     pub fn reversed(self) -> Facing {
         match self {
             Facing::Forward => Facing::Backward,
@@ -89,52 +91,53 @@ impl Facing {
 }
 
 impl Map {
-    /// All levels, in the order of the file. Never empty: a map that names none has one, [`GROUND`].
+    /// Returns all levels, in the order of the file. Never empty: a map without levels has the
+    /// level [`DEFAULT_LEVEL`].
     pub fn levels(&self) -> &[MapLevel] {
         &self.levels
     }
 
-    /// A level by its index.
+    /// Returns a level by its index.
     ///
     /// # Panics
-    /// If the index is of another map.
+    /// If the index belongs to another map.
     pub fn level(&self, index: LevelIndex) -> &MapLevel {
         &self.levels[index.0]
     }
 
-    /// All levels with their indices.
+    /// Returns the indices of all levels.
     pub fn level_indices(&self) -> impl ExactSizeIterator<Item = LevelIndex> + use<> {
         (0..self.levels.len()).map(LevelIndex)
     }
 
-    /// The level of this name.
+    /// Returns the level with this name.
     pub fn level_named(&self, name: &str) -> Option<LevelIndex> {
         self.levels.iter().position(|level| level.name == name).map(LevelIndex)
     }
 
-    /// The level of a place.
+    /// Returns the level of a place.
     pub fn level_of(&self, place: &PlaceId) -> Option<LevelIndex> {
         self.place(place).map(|place| place.level)
     }
 
-    /// The walls of one level, as polylines of (x, y) in metres.
+    /// Returns the walls of a level, as polylines of (x, y) in metres.
     pub fn walls_on(&self, level: LevelIndex) -> impl Iterator<Item = &[(f64, f64)]> {
         let walls = self.walls.iter().zip(&self.wall_levels);
         walls.filter(move |(_, at)| **at == level).map(|(wall, _)| wall.as_slice())
     }
 
-    /// The lanes of one level, in the order of the file.
+    /// Returns the lanes of a level, in the order of the file.
     pub fn lanes_on(&self, level: LevelIndex) -> impl Iterator<Item = &Lane> {
         self.lanes.iter().filter(move |lane| self.level_of(&lane.from) == Some(level))
     }
 
-    /// All doors, in the order of the file.
+    /// Returns all doors, in the order of the file.
     pub fn doors(&self) -> &[Door] {
         &self.doors
     }
 
-    /// Where a door stands: its posts, as (x, y) in metres, for each place where it stands. Without a span it is a metre wide,
-    /// across the middle of each of its lanes.
+    /// Returns the posts of a door, as (x, y) in metres, a pair for each position of the door. A
+    /// door without a span is 1 m wide and stands across the middle of each of its lanes.
     pub fn door_posts(&self, door: &Door) -> Vec<((f64, f64), (f64, f64))> {
         if let Some(span) = door.span {
             return vec![span];
@@ -149,40 +152,41 @@ impl Map {
         door.lanes.iter().filter_map(across).collect()
     }
 
-    /// The door of this name.
+    /// Returns the door with this name.
     pub fn door(&self, name: &str) -> Option<&Door> {
         self.doors.iter().find(|door| door.name == name)
     }
 
-    /// The doors one meets on the lane from one place to the other, in that order. None if no lane leads there.
+    /// Returns the doors on the lane from `from` to `to`, in driving order. Empty if no lane leads
+    /// there.
     pub fn doors_on(&self, from: &PlaceId, to: &PlaceId) -> Vec<LaneDoor<'_>> {
         let ends = self.index(from).zip(self.index(to));
         let Some(lane) = ends.and_then(|ends| self.by_ends.get(&ends)) else { return Vec::new() };
         let forward = self.lanes[*lane].from == *from;
-        let met = self.doors_by_lane.get(lane).into_iter().flatten();
-        let mut doors: Vec<_> = met
+        let doors_on_lane = self.doors_by_lane.get(lane).into_iter().flatten();
+        let mut doors: Vec<_> = doors_on_lane
             .map(|(door, share)| LaneDoor { door: &self.doors[*door], at: if forward { *share } else { 1.0 - *share } })
             .collect();
         doors.sort_by(|a, b| a.at.total_cmp(&b.at));
         doors
     }
 
-    /// All lifts, in the order of the file.
+    /// Returns all lifts, in the order of the file.
     pub fn lifts(&self) -> &[Lift] {
         &self.lifts
     }
 
-    /// The lift of this name.
+    /// Returns the lift with this name.
     pub fn lift(&self, name: &str) -> Option<&Lift> {
         self.lifts.iter().find(|lift| lift.name == name)
     }
 
-    /// The lift that has a stop at this place.
+    /// Returns the lift with a stop at this place.
     pub fn lift_at(&self, place: &PlaceId) -> Option<&Lift> {
         self.index(place).and_then(|index| self.lift_of.get(&index)).map(|lift| &self.lifts[*lift])
     }
 
-    /// The ride by lift from one place to the other; none if no lift stops at both.
+    /// Returns the ride by lift from `from` to `to`; `None` if no lift stops at both.
     pub fn ride(&self, from: &PlaceId, to: &PlaceId) -> Option<LiftRide<'_>> {
         let (a, b) = (self.index(from)?, self.index(to)?);
         let lift = *self.lift_of.get(&a).filter(|lift| a != b && self.lift_of.get(&b) == Some(*lift))?;
@@ -190,12 +194,12 @@ impl Map {
         let height = |place: PlaceIndex| self.level(self.place_at(place).level).elevation_m;
         let doors = 2.0 * lift.opening.get();
         let time = Seconds::new(doors + (height(a) - height(b)).abs() / lift.speed.get());
-        Some(LiftRide { lift, time: time.expect("elevations, speeds and opening times of a sound map are finite") })
+        Some(LiftRide { lift, time: time.expect("elevations, speeds and opening times of a valid map are finite") })
     }
 }
 
-/// Where the straight line from `a` to `b` meets that from `c` to `d`, as the share of the way from `a` to `b`.
-/// Parallel lines never meet.
+/// Returns the intersection of the segment from `a` to `b` with the segment from `c` to `d`, as a
+/// fraction of the way from `a` to `b`. `None` for parallel segments.
 pub(crate) fn intersection(a: (f64, f64), b: (f64, f64), c: (f64, f64), d: (f64, f64)) -> Option<f64> {
     let (along, across) = ((b.0 - a.0, b.1 - a.1), (d.0 - c.0, d.1 - c.1));
     let turn = along.0 * across.1 - along.1 * across.0;

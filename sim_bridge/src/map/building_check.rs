@@ -1,4 +1,4 @@
-//! Whether levels, doors and lifts are as they should be.
+//! Checks levels, doors and lifts.
 
 use super::building::{DEFAULT_LEVEL, Door, LevelIndex, Lift, MapLevel, intersection};
 use super::file::{DoorEntry, LevelEntry, LiftEntry, MapFile, limits};
@@ -8,12 +8,12 @@ use consort_protocol::ids::PlaceId;
 use consort_protocol::units::{MetresPerSecond, Seconds};
 use std::collections::BTreeSet;
 
-/// One thing that is wrong with a level, a door or a lift.
+/// An error in a level, a door or a lift.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BuildingDiagnostic {
-    /// The name of a level, door or lift is not one.
+    /// The name of a level, door or lift is not allowed.
     #[error(
-        "{text:?} cannot name a {what}: allowed are 1 to 64 characters, none of them a control character, without space at either end"
+        "{text:?} is not a name for a {what}: allowed are 1 to 64 characters, no control characters, no space at either end"
     )]
     Name {
         /// `level`, `door` or `lift`.
@@ -21,16 +21,16 @@ pub enum BuildingDiagnostic {
         /// The name as given.
         text: String,
     },
-    /// Two of one name.
-    #[error("{what} {name:?} stands more than once")]
+    /// Two levels, doors or lifts have the same name.
+    #[error("{what} {name:?} occurs more than once")]
     Duplicate {
         /// `level`, `door` or `lift`.
         what: &'static str,
         /// Its name.
         name: String,
     },
-    /// A number that is infinite, not a number, or out of bounds.
-    #[error("{what} {name:?}: {field} is {value}, allowed is a number from {min} to {max}")]
+    /// A number is infinite, not a number, or out of range.
+    #[error("{what} {name:?}: {field} is {value}, allowed: a number from {min} to {max}")]
     Number {
         /// `level`, `door` or `lift`.
         what: &'static str,
@@ -40,117 +40,117 @@ pub enum BuildingDiagnostic {
         field: &'static str,
         /// The number.
         value: f64,
-        /// The least allowed.
+        /// Smallest allowed value.
         min: f64,
-        /// The greatest allowed.
+        /// Greatest allowed value.
         max: f64,
     },
-    /// A level that is not on the map.
+    /// The level of a place does not exist.
     #[error("place {place:?}: there is no level {level:?}{hint}")]
     UnknownLevel {
-        /// The place that names it.
+        /// The place with this level.
         place: String,
         /// The name as written.
         level: String,
-        /// The level probably meant, in words; may be empty.
+        /// Suggestion of a level name, in words; may be empty.
         hint: String,
     },
-    /// A lane that leaves its level.
-    #[error("lane {lane}: its ends are on levels {from:?} and {to:?}; only a lift joins levels")]
+    /// A lane connects two levels.
+    #[error("lane {lane}: its ends are on levels {from:?} and {to:?}; only lifts connect levels")]
     LaneAcrossLevels {
         /// The lane.
         lane: LaneName,
-        /// The level of its first end.
+        /// Level of the first end.
         from: String,
-        /// The level of the other.
+        /// Level of the second end.
         to: String,
     },
-    /// A speed limit that is none.
-    #[error("lane {lane}: speed limit is {value} m/s, allowed is a number above 0")]
+    /// A speed limit is not allowed.
+    #[error("lane {lane}: speed limit is {value} m/s, allowed: a number above 0")]
     SpeedLimit {
         /// The lane.
         lane: LaneName,
         /// The number.
         value: f64,
     },
-    /// A door that stands across nothing.
-    #[error("door {door:?} is on no lane")]
+    /// A door has no lanes.
+    #[error("door {door:?} has no lanes: add the lanes through it")]
     DoorOnNoLane {
         /// The door.
         door: String,
     },
-    /// A door on a lane that is not on the map.
+    /// A lane of a door does not exist.
     #[error("door {door:?}: there is no lane {lane}{hint}")]
     UnknownLane {
         /// The door.
         door: String,
         /// The lane as written.
         lane: LaneName,
-        /// What was probably meant, in words; may be empty.
+        /// Suggestion, in words; may be empty.
         hint: String,
     },
-    /// A door on lanes of several levels.
-    #[error("door {door:?} is on lanes of several levels")]
+    /// The lanes of a door are on several levels.
+    #[error("door {door:?} has lanes on several levels; allowed: lanes on the same level")]
     DoorAcrossLevels {
         /// The door.
         door: String,
     },
-    /// A door beside a lane that is said to lead through it.
-    #[error("door {door:?}: lane {lane} does not lead between its posts")]
+    /// A lane of a door does not pass between its posts.
+    #[error("door {door:?}: lane {lane} does not pass between its posts")]
     DoorMissesLane {
         /// The door.
         door: String,
         /// The lane.
         lane: LaneName,
     },
-    /// A lift to a place that is not on the map.
+    /// A stop of a lift does not exist.
     #[error("lift {lift:?}: there is no place {place:?}{hint}")]
     UnknownStop {
         /// The lift.
         lift: String,
         /// The name as written.
         place: String,
-        /// The place probably meant, in words; may be empty.
+        /// Suggestion of a place name, in words; may be empty.
         hint: String,
     },
-    /// A place that is a stop of two lifts, or twice of one.
+    /// A place is a stop of two lifts, or twice a stop of the same lift.
     #[error("lift {lift:?}: place {place:?} is a stop of lift {other:?} already")]
     StopOfAnotherLift {
         /// The lift.
         lift: String,
         /// The place.
         place: String,
-        /// The lift that has it.
+        /// The other lift with this stop.
         other: String,
     },
-    /// A lift without stops on two levels.
-    #[error("lift {lift:?} has stops on {levels} level(s) only, needed are two or more")]
+    /// All stops of a lift are on the same level.
+    #[error("lift {lift:?} has stops on {levels} level(s), needed: 2 or more")]
     SingleLevelLift {
         /// The lift.
         lift: String,
-        /// On how many levels it stops.
+        /// Number of levels with a stop.
         levels: usize,
     },
-    /// A lift for nobody.
-    #[error("lift {lift:?}: capacity is 0, allowed is a number of robots from 1")]
+    /// A lift has room for no robot.
+    #[error("lift {lift:?}: capacity is 0, allowed: a number of robots from 1")]
     ZeroCapacity {
         /// The lift.
         lift: String,
     },
 }
 
-type Problems = Vec<MapDiagnostic>;
+type Diagnostics = Vec<MapDiagnostic>;
 
-fn say(problems: &mut Problems, problem: BuildingDiagnostic) {
-    problems.push(problem.into());
+fn report(diagnostics: &mut Diagnostics, error: BuildingDiagnostic) {
+    diagnostics.push(error.into());
 }
 
-fn named(what: &'static str, name: &str, seen: &mut BTreeSet<String>, problems: &mut Problems) {
-    // Levels, doors and lifts are named as places are.
+fn check_name(what: &'static str, name: &str, names_seen: &mut BTreeSet<String>, diagnostics: &mut Diagnostics) {
+    // The rules for names of places apply to levels, doors and lifts, too.
     if PlaceId::new(name).is_err() {
-        say(problems, BuildingDiagnostic::Name { what, text: name.to_owned() });
-    } else if !seen.insert(name.to_owned()) {
-        say(problems, BuildingDiagnostic::Duplicate { what, name: name.to_owned() });
+        report(diagnostics, BuildingDiagnostic::Name { what, text: name.to_owned() });
+    } else if !names_seen.insert(name.to_owned()) {
+        report(diagnostics, BuildingDiagnostic::Duplicate { what, name: name.to_owned() });
     }
 }
 
@@ -163,91 +163,94 @@ const EXTENT: Bounds = Bounds { min: -limits::EXTENT_M, max: limits::EXTENT_M };
 const OPENING: Bounds = Bounds { min: 0.0, max: 3600.0 };
 const SPEED: Bounds = Bounds { min: 0.01, max: 100.0 };
 
-fn number(
+fn check_number(
     (what, name): (&'static str, &str),
     field: &'static str,
     value: f64,
     Bounds { min, max }: Bounds,
-    problems: &mut Problems,
+    diagnostics: &mut Diagnostics,
 ) {
     if !(min..=max).contains(&value) {
-        say(problems, BuildingDiagnostic::Number { what, name: name.to_owned(), field, value, min, max });
+        report(diagnostics, BuildingDiagnostic::Number { what, name: name.to_owned(), field, value, min, max });
     }
 }
 
-/// The levels of a map, and the walls of each with its level.
-pub(super) fn check_levels(written: &MapFile, map: &mut Map, problems: &mut Problems) {
+/// Adds the levels to the map, and the walls with their levels.
+pub(super) fn check_levels(file: &MapFile, map: &mut Map, diagnostics: &mut Diagnostics) {
     let ground = [LevelEntry { name: DEFAULT_LEVEL.to_owned(), ..LevelEntry::default() }];
-    let entries = if written.levels.is_empty() { &ground[..] } else { &written.levels };
-    let mut seen = BTreeSet::new();
+    let entries = if file.levels.is_empty() { &ground[..] } else { &file.levels };
+    let mut names_seen = BTreeSet::new();
     for (index, entry) in entries.iter().enumerate() {
-        named("level", &entry.name, &mut seen, problems);
-        number(("level", &entry.name), "elevation_m", entry.elevation_m, EXTENT, problems);
+        check_name("level", &entry.name, &mut names_seen, diagnostics);
+        check_number(("level", &entry.name), "elevation_m", entry.elevation_m, EXTENT, diagnostics);
         map.levels.push(MapLevel { name: entry.name.clone(), elevation_m: entry.elevation_m });
-        let first = if index == 0 { written.walls.as_slice() } else { &[] };
+        let first = if index == 0 { file.walls.as_slice() } else { &[] };
         map.walls.extend(first.iter().chain(&entry.walls).cloned());
         map.wall_levels.resize(map.walls.len(), LevelIndex(index));
     }
 }
 
-/// The level that a place says it is on.
-pub(super) fn check_level_of(place: &str, level: Option<&str>, map: &Map, problems: &mut Problems) -> LevelIndex {
+/// Returns the level of a place.
+pub(super) fn check_level_of(place: &str, level: Option<&str>, map: &Map, diagnostics: &mut Diagnostics) -> LevelIndex {
     let Some(level) = level else { return LevelIndex::default() };
     map.level_named(level).unwrap_or_else(|| {
         let hint = did_you_mean(level, map.levels.iter().map(|level| level.name.as_str()));
-        say(problems, BuildingDiagnostic::UnknownLevel { place: place.to_owned(), level: level.to_owned(), hint });
+        report(
+            diagnostics,
+            BuildingDiagnostic::UnknownLevel { place: place.to_owned(), level: level.to_owned(), hint },
+        );
         LevelIndex::default()
     })
 }
 
-/// Doors and lifts. All lanes have been taken before.
-pub(super) fn check_doors_and_lifts(written: &MapFile, map: &mut Map, problems: &mut Problems) {
-    let mut seen = BTreeSet::new();
-    for entry in &written.doors {
-        named("door", &entry.name, &mut seen, problems);
-        door(entry, map, written, problems);
+/// Adds doors and lifts to the map. All lanes must have been added before.
+pub(super) fn check_doors_and_lifts(file: &MapFile, map: &mut Map, diagnostics: &mut Diagnostics) {
+    let mut names_seen = BTreeSet::new();
+    for entry in &file.doors {
+        check_name("door", &entry.name, &mut names_seen, diagnostics);
+        add_door(entry, map, file, diagnostics);
     }
-    let mut seen = BTreeSet::new();
-    for entry in &written.lifts {
-        named("lift", &entry.name, &mut seen, problems);
-        lift(entry, map, written, problems);
+    let mut names_seen = BTreeSet::new();
+    for entry in &file.lifts {
+        check_name("lift", &entry.name, &mut names_seen, diagnostics);
+        add_lift(entry, map, file, diagnostics);
     }
 }
 
-fn door(entry: &DoorEntry, map: &mut Map, written: &MapFile, problems: &mut Problems) {
-    let before = problems.len();
-    let me = ("door", entry.name.as_str());
-    number(me, "opening_s", entry.opening_s, OPENING, problems);
+fn add_door(entry: &DoorEntry, map: &mut Map, file: &MapFile, diagnostics: &mut Diagnostics) {
+    let before = diagnostics.len();
+    let subject = ("door", entry.name.as_str());
+    check_number(subject, "opening_s", entry.opening_s, OPENING, diagnostics);
     if let Some(((ax, ay), (bx, by))) = entry.span {
         for corner in [ax, ay, bx, by] {
-            number(me, "a corner of span", corner, EXTENT, problems);
+            check_number(subject, "a corner of span", corner, EXTENT, diagnostics);
         }
     }
     if entry.on.is_empty() {
-        say(problems, BuildingDiagnostic::DoorOnNoLane { door: entry.name.clone() });
+        report(diagnostics, BuildingDiagnostic::DoorOnNoLane { door: entry.name.clone() });
     }
-    let (mut met, mut seen) = (Vec::new(), BTreeSet::new());
+    let (mut lanes_through_door, mut lanes_seen) = (Vec::new(), BTreeSet::new());
     for ends in &entry.on {
         match lane_of(map, ends) {
-            Some(lane) if seen.insert(lane) => met.push((lane, ends)),
-            Some(_) => {}                       // named once more, perhaps from its other end
-            None if stands(written, ends) => {} // said of the lane already
+            Some(lane) if lanes_seen.insert(lane) => lanes_through_door.push((lane, ends)),
+            Some(_) => {}                        // repeated, or with the ends exchanged
+            None if is_in_file(file, ends) => {} // the error of the lane is reported already
             None => {
                 let (door, lane) = (entry.name.clone(), LaneName(ends.0.clone(), ends.1.clone()));
-                let hint = lane_meant(map, ends);
-                say(problems, BuildingDiagnostic::UnknownLane { door, lane, hint });
+                let hint = lane_hint(map, ends);
+                report(diagnostics, BuildingDiagnostic::UnknownLane { door, lane, hint });
             }
         }
     }
     let level = |lane: usize| map.level_of(&map.lanes[lane].from);
-    if met.windows(2).any(|pair| level(pair[0].0) != level(pair[1].0)) {
-        say(problems, BuildingDiagnostic::DoorAcrossLevels { door: entry.name.clone() });
+    if lanes_through_door.windows(2).any(|pair| level(pair[0].0) != level(pair[1].0)) {
+        report(diagnostics, BuildingDiagnostic::DoorAcrossLevels { door: entry.name.clone() });
     }
-    if problems.len() > before {
+    if diagnostics.len() > before {
         return;
     }
     let (index, mut lanes) = (map.doors.len(), Vec::new());
-    for (lane, ends) in met {
+    for (lane, ends) in lanes_through_door {
         let (from, to) = (map.lanes[lane].from.clone(), map.lanes[lane].to.clone());
         let share = entry.span.map_or(Some(0.5), |(a, b)| {
             let [start, end] = [&from, &to].map(|id| map.place(id).map_or((0.0, 0.0), |p| (p.pose.x, p.pose.y)));
@@ -257,28 +260,28 @@ fn door(entry: &DoorEntry, map: &mut Map, written: &MapFile, problems: &mut Prob
             Some(share) => map.doors_by_lane.entry(lane).or_default().push((index, share)),
             None => {
                 let (door, lane) = (entry.name.clone(), LaneName(ends.0.clone(), ends.1.clone()));
-                say(problems, BuildingDiagnostic::DoorMissesLane { door, lane });
+                report(diagnostics, BuildingDiagnostic::DoorMissesLane { door, lane });
             }
         }
         lanes.push((from, to));
     }
-    let opening = Seconds::new(entry.opening_s).expect("within bounds, or said above");
+    let opening = Seconds::new(entry.opening_s).expect("checked above");
     map.doors.push(Door { name: entry.name.clone(), lanes, opening, span: entry.span });
 }
 
-/// Whether the file has this lane, right or wrong.
-fn stands(written: &MapFile, ends: &(String, String)) -> bool {
-    written.lanes.iter().any(|lane| lane.between == *ends || (&lane.between.1, &lane.between.0) == (&ends.0, &ends.1))
+/// Checks whether the file contains this lane, valid or not.
+fn is_in_file(file: &MapFile, ends: &(String, String)) -> bool {
+    file.lanes.iter().any(|lane| lane.between == *ends || (&lane.between.1, &lane.between.0) == (&ends.0, &ends.1))
 }
 
-/// The lane between two places, whichever end is named first.
+/// Returns the lane between two places, in either order of the ends.
 fn lane_of(map: &Map, ends: &(String, String)) -> Option<usize> {
     let index = |text: &String| PlaceId::new(text.as_str()).ok().and_then(|id| map.index(&id));
     let (a, b) = (index(&ends.0)?, index(&ends.1)?);
     map.by_ends.get(&(a, b)).or_else(|| map.by_ends.get(&(b, a))).copied()
 }
 
-fn lane_meant(map: &Map, ends: &(String, String)) -> String {
+fn lane_hint(map: &Map, ends: &(String, String)) -> String {
     let known = || map.places.iter().map(|place| place.id.as_str());
     for end in [&ends.0, &ends.1] {
         if !known().any(|name| name == end) {
@@ -295,39 +298,42 @@ fn lane_meant(map: &Map, ends: &(String, String)) -> String {
     format!("; lanes from {:?} lead to {}", ends.0, others.join(", "))
 }
 
-fn lift(entry: &LiftEntry, map: &mut Map, written: &MapFile, problems: &mut Problems) {
-    let before = problems.len();
-    let me = ("lift", entry.name.as_str());
-    number(me, "opening_s", entry.opening_s, OPENING, problems);
-    number(me, "speed_mps", entry.speed_mps, SPEED, problems);
+fn add_lift(entry: &LiftEntry, map: &mut Map, file: &MapFile, diagnostics: &mut Diagnostics) {
+    let before = diagnostics.len();
+    let subject = ("lift", entry.name.as_str());
+    check_number(subject, "opening_s", entry.opening_s, OPENING, diagnostics);
+    check_number(subject, "speed_mps", entry.speed_mps, SPEED, diagnostics);
     if entry.capacity == 0 {
-        say(problems, BuildingDiagnostic::ZeroCapacity { lift: entry.name.clone() });
+        report(diagnostics, BuildingDiagnostic::ZeroCapacity { lift: entry.name.clone() });
     }
     let (index, mut stops): (usize, Vec<PlaceIndex>) = (map.lifts.len(), Vec::new());
     for text in &entry.stops {
         let Some(place) = PlaceId::new(text.as_str()).ok().and_then(|id| map.index(&id)) else {
-            if written.places.iter().any(|place| place.name == *text) {
-                return; // said of the place already
+            if file.places.iter().any(|place| place.name == *text) {
+                return; // the error of the place is reported already
             }
             let hint = did_you_mean(text, map.places.iter().map(|place| place.id.as_str()));
-            say(problems, BuildingDiagnostic::UnknownStop { lift: entry.name.clone(), place: text.clone(), hint });
+            report(
+                diagnostics,
+                BuildingDiagnostic::UnknownStop { lift: entry.name.clone(), place: text.clone(), hint },
+            );
             continue;
         };
-        let taken = map.lift_of.get(&place).map(|lift| map.lifts[*lift].name.clone());
-        let taken = taken.or_else(|| stops.contains(&place).then(|| entry.name.clone()));
-        match taken {
+        let other_lift = map.lift_of.get(&place).map(|lift| map.lifts[*lift].name.clone());
+        let other_lift = other_lift.or_else(|| stops.contains(&place).then(|| entry.name.clone()));
+        match other_lift {
             Some(other) => {
                 let (lift, place) = (entry.name.clone(), text.clone());
-                say(problems, BuildingDiagnostic::StopOfAnotherLift { lift, place, other });
+                report(diagnostics, BuildingDiagnostic::StopOfAnotherLift { lift, place, other });
             }
             None => stops.push(place),
         }
     }
     let levels: BTreeSet<_> = stops.iter().map(|stop| map.place_at(*stop).level).collect();
-    if levels.len() < 2 && problems.len() == before {
-        say(problems, BuildingDiagnostic::SingleLevelLift { lift: entry.name.clone(), levels: levels.len() });
+    if levels.len() < 2 && diagnostics.len() == before {
+        report(diagnostics, BuildingDiagnostic::SingleLevelLift { lift: entry.name.clone(), levels: levels.len() });
     }
-    if problems.len() > before {
+    if diagnostics.len() > before {
         return;
     }
     map.lift_of.extend(stops.iter().map(|stop| (*stop, index)));
@@ -335,7 +341,7 @@ fn lift(entry: &LiftEntry, map: &mut Map, written: &MapFile, problems: &mut Prob
         name: entry.name.clone(),
         stops: stops.iter().map(|stop| map.place_at(*stop).id.clone()).collect(),
         capacity: entry.capacity,
-        opening: Seconds::new(entry.opening_s).expect("within bounds, or said above"),
-        speed: MetresPerSecond::new(entry.speed_mps).expect("within bounds, or said above"),
+        opening: Seconds::new(entry.opening_s).expect("checked above"),
+        speed: MetresPerSecond::new(entry.speed_mps).expect("checked above"),
     });
 }

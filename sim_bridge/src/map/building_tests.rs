@@ -1,4 +1,4 @@
-//! Levels, doors and lifts: sound ones, and all that can be wrong with others.
+//! Tests of levels, doors and lifts: valid files, and every error of invalid files.
 
 use super::*;
 use consort_protocol::units::Seconds;
@@ -38,12 +38,12 @@ fn seconds(value: f64) -> Seconds {
     Seconds::new(value).unwrap()
 }
 
-fn problems(text: &str) -> Vec<String> {
+fn diagnostics(text: &str) -> Vec<String> {
     read(text, "bad.yaml").unwrap_err().to_string().lines().map(str::to_owned).collect()
 }
 
 #[test]
-fn places_and_walls_are_on_the_levels_they_say_and_else_on_the_first() {
+fn places_and_walls_are_on_their_level_or_on_the_first() {
     let map = clinic();
     let level = |name| map.level_named(name).unwrap();
     assert_eq!(map.levels()[1], MapLevel { name: "first".into(), elevation_m: 4.0 });
@@ -58,30 +58,30 @@ fn places_and_walls_are_on_the_levels_they_say_and_else_on_the_first() {
 }
 
 #[test]
-fn a_map_without_levels_is_one_ground_floor() {
+fn a_map_without_levels_has_a_ground_level() {
     let map = shipped("hospital").unwrap();
     assert_eq!(map.levels(), [MapLevel { name: DEFAULT_LEVEL.into(), elevation_m: 0.0 }]);
     assert_eq!(map.walls_on(LevelIndex::default()).count(), map.walls().len());
 }
 
 #[test]
-fn doors_are_met_in_the_order_of_the_way() {
+fn doors_are_listed_in_driving_order() {
     let map = clinic();
-    let met = |from, to| -> Vec<(String, f64)> {
+    let doors_on_lane = |from, to| -> Vec<(String, f64)> {
         let doors = map.doors_on(&place(from), &place(to));
-        doors.iter().map(|met| (met.door.name.clone(), met.at)).collect()
+        doors.iter().map(|doors_on_lane| (doors_on_lane.door.name.clone(), doors_on_lane.at)).collect()
     };
-    assert_eq!(met("Hall", "Ward"), [("Near".to_owned(), 0.25), ("Middle".to_owned(), 0.5)]);
-    assert_eq!(met("Ward", "Hall"), [("Middle".to_owned(), 0.5), ("Near".to_owned(), 0.75)]);
-    assert_eq!(met("Hall", "Lift 0"), []);
-    assert_eq!(met("Hall", "Station"), []);
+    assert_eq!(doors_on_lane("Hall", "Ward"), [("Near".to_owned(), 0.25), ("Middle".to_owned(), 0.5)]);
+    assert_eq!(doors_on_lane("Ward", "Hall"), [("Middle".to_owned(), 0.5), ("Near".to_owned(), 0.75)]);
+    assert_eq!(doors_on_lane("Hall", "Lift 0"), []);
+    assert_eq!(doors_on_lane("Hall", "Station"), []);
     let near = map.door("Near").unwrap();
     assert_eq!((near.opening, &near.lanes), (seconds(2.5), &vec![(place("Hall"), place("Ward"))]));
     assert_eq!(map.door("Middle").unwrap().opening, seconds(3.0));
 }
 
 #[test]
-fn a_door_on_a_lane_that_is_named_from_both_ends_is_met_once() {
+fn a_lane_named_from_both_ends_has_its_door_once() {
     let text = CLINIC.replace("on: [[Hall, Ward]]", "on: [[Hall, Ward], [Ward, Hall]]");
     let map = read(&text, "clinic.yaml").unwrap();
     assert_eq!(map.door("Middle").unwrap().lanes, [(place("Hall"), place("Ward"))]);
@@ -89,7 +89,7 @@ fn a_door_on_a_lane_that_is_named_from_both_ends_is_met_once() {
 }
 
 #[test]
-fn a_ride_takes_the_doors_twice_and_the_height_at_the_lifts_speed() {
+fn a_ride_takes_two_door_times_and_the_travel_time() {
     let map = clinic();
     let (low, high) = (place("Lift 0"), place("Lift 1"));
     let ride = map.ride(&high, &low).unwrap();
@@ -101,7 +101,7 @@ fn a_ride_takes_the_doors_twice_and_the_height_at_the_lifts_speed() {
 }
 
 #[test]
-fn a_lane_keeps_its_speed_limit_and_the_way_robots_face() {
+fn a_lane_keeps_its_speed_limit_and_heading() {
     let map = clinic();
     let lane = map.lane(&place("Ward"), &place("Hall")).unwrap();
     assert_eq!((lane.speed_limit, lane.facing), (MetresPerSecond::new(0.5).ok(), Some(Facing::Backward)));
@@ -109,26 +109,26 @@ fn a_lane_keeps_its_speed_limit_and_the_way_robots_face() {
 }
 
 #[test]
-fn what_is_written_is_read_back_the_same() {
+fn a_written_map_is_read_back_unchanged() {
     let written: MapFile = serde_saphyr::from_str(CLINIC).unwrap();
     let yaml = serde_saphyr::to_string(&written).unwrap();
     assert_eq!(read(&yaml, "again.yaml").unwrap(), clinic());
 }
 
 #[test]
-fn without_its_lift_a_level_is_cut_off() {
+fn a_level_without_its_lift_is_disconnected() {
     let without = CLINIC.split("lifts:").next().unwrap();
     assert_eq!(
-        problems(without),
+        diagnostics(without),
         [
-            "map bad.yaml: place \"Lift 1\" is cut off from the rest of the map",
-            "map bad.yaml: place \"Station\" is cut off from the rest of the map",
+            "map bad.yaml: place \"Lift 1\" is not connected with the rest of the map",
+            "map bad.yaml: place \"Station\" is not connected with the rest of the map",
         ]
     );
 }
 
 #[test]
-fn all_that_is_wrong_with_levels_doors_and_lifts_is_said() {
+fn every_error_in_levels_doors_and_lifts_is_reported() {
     let text = CLINIC
         .replace("  - { name: first,", "  - { name: ground }\n  - { name: first,")
         .replace("level: first }\nlanes", "level: firs }\nlanes")
@@ -153,27 +153,27 @@ lifts:
   - { name: Still, stops: [Hall, Lift 1], speed_mps: 0 }
 ";
     assert_eq!(
-        problems(&text),
+        diagnostics(&text),
         [
-            "level \"ground\" stands more than once",
+            "level \"ground\" occurs more than once",
             "place \"Station\": there is no level \"firs\"; did you mean \"first\"?",
-            "lane between \"Hall\" and \"Ward\": speed limit is 0 m/s, allowed is a number above 0",
-            "lane between \"Hall\" and \"Lift 1\": its ends are on levels \"ground\" and \"first\"; only a lift joins levels",
-            "\" x\" cannot name a door: allowed are 1 to 64 characters, none of them a control character, without space at either end",
-            "door \"None\" is on no lane",
-            "door \"Slow\": opening_s is -1, allowed is a number from 0 to 3600",
-            "door \"Slow\" stands more than once",
+            "lane between \"Hall\" and \"Ward\": speed limit is 0 m/s, allowed: a number above 0",
+            "lane between \"Hall\" and \"Lift 1\": its ends are on levels \"ground\" and \"first\"; only lifts connect levels",
+            "\" x\" is not a name for a door: allowed are 1 to 64 characters, no control characters, no space at either end",
+            "door \"None\" has no lanes: add the lanes through it",
+            "door \"Slow\": opening_s is -1, allowed: a number from 0 to 3600",
+            "door \"Slow\" occurs more than once",
             "door \"Lost\": there is no lane between \"Hall\" and \"Wart\"; there is no place \"Wart\"; did you mean \"Ward\"?",
             "door \"Astray\": there is no lane between \"Lift 0\" and \"Ward\"; lanes from \"Lift 0\" lead to \"Hall\"",
-            "door \"Beside\": lane between \"Hall\" and \"Lift 0\" does not lead between its posts",
-            "lift \"Low\" has stops on 1 level(s) only, needed are two or more",
+            "door \"Beside\": lane between \"Hall\" and \"Lift 0\" does not pass between its posts",
+            "lift \"Low\" has stops on 1 level(s), needed: 2 or more",
             "lift \"Lost\": there is no place \"Lift 9\"; did you mean \"Lift 0\"?",
-            "lift \"Nobody\": capacity is 0, allowed is a number of robots from 1",
+            "lift \"Nobody\": capacity is 0, allowed: a number of robots from 1",
             "lift \"Taken\": place \"Lift 0\" is a stop of lift \"Good\" already",
             "lift \"Taken\": place \"Lift 1\" is a stop of lift \"Good\" already",
-            "lift \"Still\": speed_mps is 0, allowed is a number from 0.01 to 100",
+            "lift \"Still\": speed_mps is 0, allowed: a number from 0.01 to 100",
             "lift \"Still\": place \"Lift 1\" is a stop of lift \"Good\" already",
         ]
-        .map(|problem| format!("map bad.yaml: {problem}"))
+        .map(|error| format!("map bad.yaml: {error}"))
     );
 }

@@ -1,4 +1,4 @@
-//! Whether what was written is a sound map.
+//! Checks a map file and builds the map.
 
 use super::building_check::{self, BuildingDiagnostic};
 use super::connectivity::disconnected_places;
@@ -10,19 +10,20 @@ use consort_protocol::pose::Pose;
 use consort_protocol::units::{Metres, MetresPerSecond};
 use std::collections::BTreeMap;
 
-/// A lane may be this much shorter than the straight line: hand-written lengths are rounded to a centimetre.
+/// Tolerance for lanes shorter than the straight line: lengths in hand-written files are rounded to
+/// a centimetre.
 const ROUNDING_M: f64 = 0.01;
 
-pub(super) fn check(written: &MapFile) -> Result<Map, Vec<MapDiagnostic>> {
-    let mut problems = too_many(written);
-    if !problems.is_empty() {
-        return Err(problems);
+pub(super) fn check(file: &MapFile) -> Result<Map, Vec<MapDiagnostic>> {
+    let mut diagnostics = too_many(file);
+    if !diagnostics.is_empty() {
+        return Err(diagnostics);
     }
-    if consort_protocol::ids::EnsembleId::new(written.name.as_str()).is_err() {
-        problems.push(MapDiagnostic::Name { text: written.name.clone() });
+    if consort_protocol::ids::EnsembleId::new(file.name.as_str()).is_err() {
+        diagnostics.push(MapDiagnostic::Name { text: file.name.clone() });
     }
     let mut map = Map {
-        name: written.name.clone(),
+        name: file.name.clone(),
         levels: Vec::new(),
         places: Vec::new(),
         lanes: Vec::new(),
@@ -35,34 +36,34 @@ pub(super) fn check(written: &MapFile) -> Result<Map, Vec<MapDiagnostic>> {
         doors_by_lane: BTreeMap::new(),
         lift_of: BTreeMap::new(),
     };
-    building_check::check_levels(written, &mut map, &mut problems);
-    corners(&map.walls, &mut problems);
-    for entry in &written.places {
-        place(entry, &mut map, &mut problems);
+    building_check::check_levels(file, &mut map, &mut diagnostics);
+    corners(&map.walls, &mut diagnostics);
+    for entry in &file.places {
+        place(entry, &mut map, &mut diagnostics);
     }
-    for entry in &written.lanes {
-        lane(entry, &mut map, written, &mut problems);
+    for entry in &file.lanes {
+        lane(entry, &mut map, file, &mut diagnostics);
     }
-    building_check::check_doors_and_lifts(written, &mut map, &mut problems);
-    if problems.is_empty() {
-        problems = disconnected_places(&map);
+    building_check::check_doors_and_lifts(file, &mut map, &mut diagnostics);
+    if diagnostics.is_empty() {
+        diagnostics = disconnected_places(&map);
     }
-    if problems.is_empty() { Ok(map) } else { Err(problems) }
+    if diagnostics.is_empty() { Ok(map) } else { Err(diagnostics) }
 }
 
-fn too_many(written: &MapFile) -> Vec<MapDiagnostic> {
-    if written.places.is_empty() {
+fn too_many(file: &MapFile) -> Vec<MapDiagnostic> {
+    if file.places.is_empty() {
         return vec![MapDiagnostic::Empty];
     }
     [
-        ("places", written.places.len(), limits::PLACES),
-        ("lanes", written.lanes.len(), limits::LANES),
-        ("wall corners", written.all_walls().map(Vec::len).sum(), limits::WALL_CORNERS),
-        ("levels", written.levels.len(), limits::LEVELS),
-        ("doors", written.doors.len(), limits::DOORS),
-        ("lanes with doors", written.doors.iter().map(|door| door.on.len()).sum(), limits::LANES),
-        ("lifts", written.lifts.len(), limits::LIFTS),
-        ("lift stops", written.lifts.iter().map(|lift| lift.stops.len()).sum(), limits::PLACES),
+        ("places", file.places.len(), limits::PLACES),
+        ("lanes", file.lanes.len(), limits::LANES),
+        ("wall corners", file.all_walls().map(Vec::len).sum(), limits::WALL_CORNERS),
+        ("levels", file.levels.len(), limits::LEVELS),
+        ("doors", file.doors.len(), limits::DOORS),
+        ("lanes with doors", file.doors.iter().map(|door| door.on.len()).sum(), limits::LANES),
+        ("lifts", file.lifts.len(), limits::LIFTS),
+        ("lift stops", file.lifts.iter().map(|lift| lift.stops.len()).sum(), limits::PLACES),
     ]
     .into_iter()
     .filter(|(_, count, max)| count > max)
@@ -70,82 +71,82 @@ fn too_many(written: &MapFile) -> Vec<MapDiagnostic> {
     .collect()
 }
 
-/// Whether it is a number on a floor; false for what is not a number at all.
-fn sane(value: f64) -> bool {
+/// Checks the range of a coordinate or length; false for NaN.
+fn is_in_range(value: f64) -> bool {
     value.abs() <= limits::EXTENT_M
 }
 
-fn corners(walls: &[Vec<(f64, f64)>], problems: &mut Vec<MapDiagnostic>) {
+fn corners(walls: &[Vec<(f64, f64)>], diagnostics: &mut Vec<MapDiagnostic>) {
     for (index, wall) in walls.iter().enumerate() {
-        if let Some(&(x, y)) = wall.iter().find(|(x, y)| !sane(*x) || !sane(*y)) {
-            problems.push(MapDiagnostic::Corner { wall: index + 1, x, y });
+        if let Some(&(x, y)) = wall.iter().find(|(x, y)| !is_in_range(*x) || !is_in_range(*y)) {
+            diagnostics.push(MapDiagnostic::Corner { wall: index + 1, x, y });
         }
     }
 }
 
-fn place(entry: &PlaceEntry, map: &mut Map, problems: &mut Vec<MapDiagnostic>) {
+fn place(entry: &PlaceEntry, map: &mut Map, diagnostics: &mut Vec<MapDiagnostic>) {
     for (field, value) in [("x_m", entry.x_m), ("y_m", entry.y_m), ("yaw_rad", entry.yaw_rad)] {
-        if !sane(value) {
-            problems.push(MapDiagnostic::Number { place: entry.name.clone(), field, value });
+        if !is_in_range(value) {
+            diagnostics.push(MapDiagnostic::Number { place: entry.name.clone(), field, value });
         }
     }
     match PlaceId::new(entry.name.as_str()) {
-        Err(error) => problems.push(error.into()),
-        Ok(id) if map.by_name.contains_key(&id) => problems.push(MapDiagnostic::Duplicate { place: id }),
+        Err(error) => diagnostics.push(error.into()),
+        Ok(id) if map.by_name.contains_key(&id) => diagnostics.push(MapDiagnostic::Duplicate { place: id }),
         Ok(id) => {
             map.by_name.insert(id.clone(), PlaceIndex(map.places.len()));
             let pose = Pose::new(entry.x_m, entry.y_m, entry.yaw_rad);
-            let level = building_check::check_level_of(&entry.name, entry.level.as_deref(), map, problems);
+            let level = building_check::check_level_of(&entry.name, entry.level.as_deref(), map, diagnostics);
             map.places.push(MapPlace { id, kind: entry.kind, pose, level });
         }
     }
 }
 
-fn lane(entry: &LaneEntry, map: &mut Map, written: &MapFile, problems: &mut Vec<MapDiagnostic>) {
+fn lane(entry: &LaneEntry, map: &mut Map, file: &MapFile, diagnostics: &mut Vec<MapDiagnostic>) {
     let name = || LaneName(entry.between.0.clone(), entry.between.1.clone());
     let mut end = |text: &String| {
         let found = PlaceId::new(text.as_str()).ok().and_then(|id| map.index(&id));
         if found.is_none() {
-            let hint = did_you_mean(text, written.places.iter().map(|place| place.name.as_str()));
-            problems.push(MapDiagnostic::UnknownPlace { lane: name(), place: text.clone(), hint });
+            let hint = did_you_mean(text, file.places.iter().map(|place| place.name.as_str()));
+            diagnostics.push(MapDiagnostic::UnknownPlace { lane: name(), place: text.clone(), hint });
         }
         found
     };
     let (Some(from), Some(to)) = (end(&entry.between.0), end(&entry.between.1)) else { return };
     if from == to {
-        problems.push(MapDiagnostic::Loop { lane: name() });
+        diagnostics.push(MapDiagnostic::Loop { lane: name() });
         return;
     }
     let [from_level, to_level] = [from, to].map(|end| map.place_at(end).level);
     if from_level != to_level {
         let [from, to] = [from_level, to_level].map(|level| map.level(level).name.clone());
-        problems.push(BuildingDiagnostic::LaneAcrossLevels { lane: name(), from, to }.into());
+        diagnostics.push(BuildingDiagnostic::LaneAcrossLevels { lane: name(), from, to }.into());
         return;
     }
     let speed_limit = entry.speed_limit_mps.map(MetresPerSecond::new);
     let Ok(speed_limit) = speed_limit.transpose() else {
         let value = entry.speed_limit_mps.unwrap_or_default();
-        problems.push(BuildingDiagnostic::SpeedLimit { lane: name(), value }.into());
+        diagnostics.push(BuildingDiagnostic::SpeedLimit { lane: name(), value }.into());
         return;
     };
     let (a, b) = (map.place_at(from).pose, map.place_at(to).pose);
-    if ![a.x, a.y, b.x, b.y].into_iter().all(sane) {
-        return; // said of the place already
+    if ![a.x, a.y, b.x, b.y].into_iter().all(is_in_range) {
+        return; // the error of the place is reported already
     }
     let straight_m = a.distance(b).get();
     let length_m = entry.length_m.unwrap_or(straight_m);
-    let Some(length) = Metres::new(length_m).ok().filter(|_| length_m > 0.0 && sane(length_m)) else {
-        problems.push(MapDiagnostic::Length { lane: name(), length_m });
+    let Some(length) = Metres::new(length_m).ok().filter(|_| length_m > 0.0 && is_in_range(length_m)) else {
+        diagnostics.push(MapDiagnostic::Length { lane: name(), length_m });
         return;
     };
     if length_m < straight_m - ROUNDING_M {
-        problems.push(MapDiagnostic::TooShort { lane: name(), length_m, straight_m });
+        diagnostics.push(MapDiagnostic::TooShort { lane: name(), length_m, straight_m });
         return;
     }
     let two_way = !entry.one_way;
-    let taken = map.by_ends.contains_key(&(from, to)) || (two_way && map.by_ends.contains_key(&(to, from)));
-    if taken {
-        problems.push(MapDiagnostic::DuplicateLane { lane: name() });
+    let exists = map.by_ends.contains_key(&(from, to)) || (two_way && map.by_ends.contains_key(&(to, from)));
+    if exists {
+        diagnostics.push(MapDiagnostic::DuplicateLane { lane: name() });
         return;
     }
     let index = map.lanes.len();

@@ -1,4 +1,4 @@
-//! What can be wrong with a map.
+//! Errors in a map.
 
 use super::building_check::BuildingDiagnostic;
 use super::file::limits;
@@ -6,39 +6,39 @@ use super::{drawio, rmf};
 use consort_protocol::ids::{NameError, PlaceId};
 use std::fmt;
 
-/// One thing that is wrong with a map.
+/// An error in a map.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MapDiagnostic {
-    /// The map's name is not one.
-    #[error("{text:?} cannot name a map: allowed are 1 to 64 characters of A-Z, a-z, 0-9, `_`, `.` and `-`")]
+    /// The name of the map is not allowed.
+    #[error("{text:?} is not a name for a map: allowed are 1 to 64 characters of A-Z, a-z, 0-9, `_`, `.` and `-`")]
     Name {
         /// The name as given.
         text: String,
     },
-    /// More than [`limits`] allow.
+    /// The map exceeds [`limits`].
     #[error("{count} {what} are more than the {max} allowed")]
     TooMany {
-        /// Of what.
+        /// Kind of the counted items.
         what: &'static str,
-        /// How many there are.
+        /// Number of items.
         count: usize,
-        /// How many there may be.
+        /// Greatest allowed number.
         max: usize,
     },
-    /// A map without places.
-    #[error("there are no places")]
+    /// The map has no places.
+    #[error("the map has no places")]
     Empty,
-    /// The name of a place is not one.
+    /// The name of a place is not allowed.
     #[error("{0}")]
     PlaceName(#[from] NameError),
-    /// Two places of one name.
-    #[error("place {:?} stands more than once", place.as_str())]
+    /// Two places have the same name.
+    #[error("place {:?} occurs more than once", place.as_str())]
     Duplicate {
         /// Its name.
         place: PlaceId,
     },
-    /// A number of a place is infinite, not a number, or absurdly large.
-    #[error("place {place:?}: {field} is {value}, allowed is a number from -{max} to {max}", max = limits::EXTENT_M)]
+    /// A number of a place is infinite, not a number, or too large.
+    #[error("place {place:?}: {field} is {value}, allowed: a number from -{max} to {max}", max = limits::EXTENT_M)]
     Number {
         /// The place as written.
         place: String,
@@ -47,76 +47,76 @@ pub enum MapDiagnostic {
         /// The number.
         value: f64,
     },
-    /// A corner of a wall is infinite, not a number, or absurdly large.
-    #[error("wall {wall}: a corner is at ({x}, {y}), allowed are numbers from -{max} to {max}", max = limits::EXTENT_M)]
+    /// A corner of a wall is infinite, not a number, or too large.
+    #[error("wall {wall}: a corner is at ({x}, {y}), allowed: numbers from -{max} to {max}", max = limits::EXTENT_M)]
     Corner {
-        /// Which wall, counted from 1.
+        /// Number of the wall, counted from 1.
         wall: usize,
         /// Metres to the east.
         x: f64,
         /// Metres to the north.
         y: f64,
     },
-    /// A lane to a place that is not on the map.
+    /// An end of a lane is not on the map.
     #[error("lane {lane}: there is no place {place:?}{hint}")]
     UnknownPlace {
         /// The lane.
         lane: LaneName,
         /// The name as written.
         place: String,
-        /// The place probably meant, in words; may be empty.
+        /// Suggestion of a place name, in words; may be empty.
         hint: String,
     },
-    /// A lane from a place to itself.
-    #[error("lane {lane}: both ends are one place")]
+    /// A lane connects a place with itself.
+    #[error("lane {lane}: both ends are the same place")]
     Loop {
         /// The lane.
         lane: LaneName,
     },
-    /// A lane without length, or with one that is no length.
-    #[error("lane {lane}: length is {length_m} m, allowed is a number above 0 and up to {max}", max = limits::EXTENT_M)]
+    /// The length of a lane is zero or not allowed.
+    #[error("lane {lane}: length is {length_m} m, allowed: a number above 0 and up to {max}", max = limits::EXTENT_M)]
     Length {
         /// The lane.
         lane: LaneName,
         /// Its length as written or measured.
         length_m: f64,
     },
-    /// A lane shorter than the straight line between its ends.
+    /// A lane is shorter than the straight line between its ends.
     #[error("lane {lane}: {length_m} m are less than the straight line of {straight_m:.3} m")]
     TooShort {
         /// The lane.
         lane: LaneName,
         /// Its length as written.
         length_m: f64,
-        /// The distance of its ends.
+        /// Distance of its ends.
         straight_m: f64,
     },
-    /// Two lanes for one way.
-    #[error("lane {lane} stands more than once")]
+    /// Two lanes connect the same places.
+    #[error("lane {lane} occurs more than once")]
     DuplicateLane {
         /// The lane.
         lane: LaneName,
     },
-    /// A place without a way to or from the rest of the map.
-    #[error("place {:?} {how} the rest of the map", place.as_str())]
-    CutOff {
+    /// A place is not connected with the rest of the map.
+    #[error("place {:?} {disconnection} the rest of the map", place.as_str())]
+    Disconnected {
         /// The place.
         place: PlaceId,
-        /// Which way is missing.
-        how: Disconnection,
+        /// The missing direction.
+        disconnection: Disconnection,
     },
-    /// A level, a door or a lift is not as it should be.
+    /// An error in a level, a door or a lift.
     #[error("{0}")]
     Structure(#[from] BuildingDiagnostic),
-    /// A drawing says what cannot be.
+    /// An error in a drawing.
     #[error("{0}")]
     Drawio(#[from] drawio::DrawioDiagnostic),
-    /// A building of Open-RMF says what cannot be.
+    /// An error in a building of Open-RMF.
     #[error("{0}")]
-    Building(#[from] rmf::RmfDiagnostic),
+    RmfBuilding(#[from] rmf::RmfDiagnostic),
 }
 
-/// A lane by its ends as written.
+/// The ends of a lane as written.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LaneName(pub String, pub String);
 
@@ -126,21 +126,21 @@ impl fmt::Display for LaneName {
     }
 }
 
-/// How a place is cut off from the others.
+/// Missing connection of a place with the rest of the map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Disconnection {
-    /// No way there and none back.
+    /// No lane leads to the place or away from it.
     Isolated,
-    /// One-way lanes lead away only.
+    /// All lanes of the place lead away from it.
     Unreachable,
-    /// One-way lanes lead there only.
+    /// All lanes of the place lead to it.
     DeadEnd,
 }
 
 impl fmt::Display for Disconnection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Disconnection::Isolated => "is cut off from",
+            Disconnection::Isolated => "is not connected with",
             Disconnection::Unreachable => "cannot be reached from",
             Disconnection::DeadEnd => "cannot be left for",
         })

@@ -1,4 +1,4 @@
-//! The file a map is read from.
+//! The map file: its entries, its limits, and reading it.
 
 use super::MapDiagnostic;
 use super::check::check;
@@ -9,9 +9,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// The most that a map file may hold. Ample for a hospital; they keep a wrong file from filling the memory.
+/// Upper limits of a map file. They are ample for a hospital; they keep a faulty file from filling
+/// the memory.
 pub mod limits {
-    /// Bytes in a file.
+    /// Bytes of a file.
     pub const FILE_BYTES: usize = 4 << 20;
     /// Places on a map.
     pub const PLACES: usize = 10_000;
@@ -25,21 +26,23 @@ pub mod limits {
     pub const DOORS: usize = 10_000;
     /// Lifts on a map.
     pub const LIFTS: usize = 1_000;
-    /// Bytes that the compressed pages of a drawing may come to, all together.
+    /// Total size of the compressed pages of a drawing after inflating.
     pub const INFLATED_BYTES: usize = 32 << 20;
-    /// Nodes of a page of a drawing: elements, and texts between them. Each takes some fifty bytes.
+    /// Nodes of a page of a drawing: elements, and the texts between them. Each node takes about 50
+    /// bytes.
     pub const XML_NODES: u32 = 1_000_000;
-    /// Coordinates and lengths, in metres either way.
+    /// Absolute value of coordinates and lengths, in metres.
     pub const EXTENT_M: f64 = 100_000.0;
 }
 
-/// A map as written, not yet checked. A program that makes maps of its own fills this and calls [`MapFile::check`].
+/// The content of a map file, not yet checked. A program that creates maps fills this and calls
+/// [`MapFile::check`].
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MapFile {
     /// The map's name.
     pub name: String,
-    /// Levels, from the lowest; one called [`super::GROUND`] if none are given.
+    /// Levels, from the lowest; default: a single level called [`super::DEFAULT_LEVEL`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub levels: Vec<LevelEntry>,
     /// Walls of the first level, as polylines of (x, y) in metres.
@@ -58,13 +61,13 @@ pub struct MapFile {
     pub lifts: Vec<LiftEntry>,
 }
 
-/// A level as written.
+/// A level in a map file.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LevelEntry {
     /// Its name.
     pub name: String,
-    /// How high it lies, in metres.
+    /// Elevation in metres.
     #[serde(default)]
     pub elevation_m: f64,
     /// Its walls, as polylines of (x, y) in metres.
@@ -72,58 +75,59 @@ pub struct LevelEntry {
     pub walls: Vec<Vec<(f64, f64)>>,
 }
 
-/// A place as written.
+/// A place in a map file.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlaceEntry {
     /// Its name.
     pub name: String,
-    /// What it is for.
+    /// Purpose of the place.
     pub kind: PlaceKind,
     /// Metres to the east.
     pub x_m: f64,
     /// Metres to the north.
     pub y_m: f64,
-    /// The heading a robot takes there, in radians.
+    /// Heading of a robot at the place, in radians.
     #[serde(default)]
     pub yaw_rad: f64,
-    /// Its level; the first if not given.
+    /// Its level; default: the first level.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub level: Option<String>,
 }
 
-/// A lane as written.
+/// A lane in a map file.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LaneEntry {
     /// Its two ends.
     pub between: (String, String),
-    /// How far it is to drive; the straight line if not given.
+    /// Driving distance in metres; default: the straight line.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub length_m: Option<f64>,
-    /// Whether it may only be driven from the first end to the second.
+    /// True if robots may drive only from the first end to the second.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub one_way: bool,
-    /// The fastest that is allowed there, in metres per second.
+    /// Highest allowed speed, in metres per second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed_limit_mps: Option<f64>,
-    /// Which way a robot must face while it drives from the first end to the second; back, it keeps that heading.
+    /// Required heading of a robot that drives from the first end to the second. On the way back it
+    /// keeps that heading.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub facing: Option<Facing>,
 }
 
-/// An automatic door as written.
+/// An automatic door in a map file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DoorEntry {
     /// Its name.
     pub name: String,
-    /// The lanes through it, each by its two ends.
+    /// The lanes through the door, each given by its two ends.
     pub on: Vec<(String, String)>,
     /// Seconds from closed to open, and from open to closed.
     #[serde(default = "opening_s")]
     pub opening_s: f64,
-    /// Its two posts, as (x, y) in metres; across the middle of each lane if not given.
+    /// Its two posts, as (x, y) in metres; default: across the middle of each lane.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub span: Option<((f64, f64), (f64, f64))>,
 }
@@ -134,21 +138,21 @@ impl Default for DoorEntry {
     }
 }
 
-/// A lift as written.
+/// A lift in a map file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LiftEntry {
     /// Its name.
     pub name: String,
-    /// The places where one steps in and out, on two levels or more.
+    /// The places at its doors, on two or more levels.
     pub stops: Vec<String>,
-    /// How many robots fit in.
+    /// Number of robots in the cabin at the same time.
     #[serde(default = "capacity")]
     pub capacity: u32,
     /// Seconds from closed to open of its doors, and from open to closed.
     #[serde(default = "opening_s")]
     pub opening_s: f64,
-    /// How fast the cabin moves, in metres per second.
+    /// Speed of the cabin, in metres per second.
     #[serde(default = "speed_mps")]
     pub speed_mps: f64,
 }
@@ -165,22 +169,22 @@ impl Default for LiftEntry {
     }
 }
 
-/// A guess: sliding doors of hospitals take two to four seconds.
+/// Estimate: sliding doors of hospitals take 2 to 4 seconds.
 fn opening_s() -> f64 {
     3.0
 }
 
-/// A robot rides alone unless told otherwise.
+/// Default: a robot rides alone.
 fn capacity() -> u32 {
     1
 }
 
-/// A guess: lifts of low buildings go at 0.6 to 1 m/s.
+/// Estimate: lifts of low buildings move at 0.6 to 1 m/s.
 fn speed_mps() -> f64 {
     1.0
 }
 
-/// Why there is no map. Ordinary with hand-written files.
+/// A map could not be read. Common with files written by hand.
 #[derive(Debug, thiserror::Error)]
 pub enum MapError {
     /// The file cannot be read.
@@ -188,7 +192,7 @@ pub enum MapError {
     Unreadable {
         /// The file as named.
         file: String,
-        /// What the system says.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// The file is larger than [`limits::FILE_BYTES`].
@@ -199,23 +203,23 @@ pub enum MapError {
         /// Its size.
         bytes: u64,
     },
-    /// The text is not of the map format.
+    /// The text has another format.
     #[error("map {file}: {message}")]
     Syntax {
         /// The file as named.
         file: String,
-        /// What the parser says, with line and column.
+        /// The message of the parser, with line and column.
         message: String,
     },
-    /// The text is of the format, and describes no sound map.
-    #[error("{}", join(file, problems))]
+    /// The text has the right format but describes an invalid map.
+    #[error("{}", join(file, diagnostics))]
     Invalid {
         /// The file as named.
         file: String,
-        /// All that is wrong, in the order of the file.
-        problems: Vec<MapDiagnostic>,
+        /// All errors, in the order of the file.
+        diagnostics: Vec<MapDiagnostic>,
     },
-    /// There is no map of this name in the program.
+    /// No shipped map has this name.
     #[error("no map {name:?} is shipped; there are: {known}", known = super::SHIPPED.join(", "))]
     NotShipped {
         /// The name as given.
@@ -223,24 +227,25 @@ pub enum MapError {
     },
 }
 
-fn join(file: &str, problems: &[MapDiagnostic]) -> String {
-    problems.iter().map(|problem| format!("map {file}: {problem}")).collect::<Vec<_>>().join("\n")
+fn join(file: &str, diagnostics: &[MapDiagnostic]) -> String {
+    diagnostics.iter().map(|error| format!("map {file}: {error}")).collect::<Vec<_>>().join("\n")
 }
 
-/// Reads a map from the text of a file; `file` names it in errors, and tells by its ending what it is ([`MapForm`]).
+/// Reads a map from the text of a file. `file` names the file in errors; its ending gives the
+/// format ([`MapFormat`]).
 ///
 /// # Errors
-/// [`MapError`] with all that is wrong.
+/// [`MapError`] with all errors of the file.
 pub fn read(text: &str, file: &str) -> Result<Map, MapError> {
     parse_drawing(text, file, &ImportOptions::default())?.map.check(file)
 }
 
-/// What a map file is, told by the ending of its name.
+/// Format of a map file, given by the ending of its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MapFormat {
-    /// Our own form as YAML: whatever has no other ending.
+    /// The map format of this module as YAML: every other ending.
     Yaml,
-    /// Our own form as JSON: `.json`.
+    /// The map format of this module as JSON: `.json`.
     Json,
     /// A drawing of diagrams.net: `.drawio`, `.xml`.
     Drawing,
@@ -249,7 +254,7 @@ pub enum MapFormat {
 }
 
 impl MapFormat {
-    /// The form of a file of this name.
+    /// Returns the format of a file with this name.
     pub fn of(file: &str) -> MapFormat {
         let name = file.to_ascii_lowercase();
         let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
@@ -264,26 +269,29 @@ impl MapFormat {
         }
     }
 
-    /// Whether it is none of our own forms.
+    /// Checks whether the format is a drawing or an Open-RMF building.
     pub fn is_foreign(self) -> bool {
         matches!(self, MapFormat::Drawing | MapFormat::Building)
     }
 }
 
-/// How to read what a file leaves open.
+/// Settings for content that a file does not define.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ImportOptions {
-    /// How many metres a unit of a drawing stands for, or a pixel of an Open-RMF building: a number above 0. Else the file
-    /// says, or for a drawing it is [`drawio::METRES_PER_UNIT`].
+    /// Metres per unit of a drawing, or per pixel of an Open-RMF building; above 0. Default: the
+    /// scale in the file, and for a drawing without scale [`drawio::METRES_PER_UNIT`].
     pub scale_m: Option<f64>,
-    /// Which of the navigation graphs of an Open-RMF building is meant; else the one of the lowest number.
+    /// Navigation graph to read from an Open-RMF building. Default: the graph with the lowest
+    /// number.
     pub graph: Option<i64>,
 }
 
-/// Reads a map, not yet checked, and what is drawn beside it; by the same endings as [`read`].
+/// Reads a map and the items drawn on it from the text of a file. The map is not checked. The
+/// ending of `file` gives the format, as in [`read`].
 ///
 /// # Errors
-/// [`MapError::TooLarge`] and [`MapError::Syntax`].
+/// [`MapError::TooLarge`] and [`MapError::Syntax`]; [`MapError::Invalid`] for errors in a drawing
+/// or a building.
 pub fn parse_drawing(text: &str, file: &str, options: &ImportOptions) -> Result<Drawing, MapError> {
     if text.len() > limits::FILE_BYTES {
         return Err(MapError::TooLarge { file: file.to_owned(), bytes: text.len() as u64 });
@@ -305,15 +313,15 @@ pub fn parse_drawing(text: &str, file: &str, options: &ImportOptions) -> Result<
 /// Reads a map file.
 ///
 /// # Errors
-/// [`MapError`] with all that is wrong.
+/// [`MapError`] with all errors of the file.
 pub fn load(path: &Path) -> Result<Map, MapError> {
     load_drawing(path, &ImportOptions::default())?.map.check(&path.display().to_string())
 }
 
-/// Reads a map file, not yet checked, and what is drawn beside the map.
+/// Reads a map file and the items drawn on the map. The map is not checked.
 ///
 /// # Errors
-/// [`MapError::Unreadable`], [`MapError::TooLarge`] and [`MapError::Syntax`].
+/// [`MapError::Unreadable`] and those of [`parse_drawing`].
 pub fn load_drawing(path: &Path, options: &ImportOptions) -> Result<Drawing, MapError> {
     let file = path.display().to_string();
     let unreadable = |source| MapError::Unreadable { file: file.clone(), source };
@@ -325,15 +333,15 @@ pub fn load_drawing(path: &Path, options: &ImportOptions) -> Result<Drawing, Map
 }
 
 impl MapFile {
-    /// Checks what was written and makes a map of it; `file` names it in errors.
+    /// Checks the content of the file and builds the map. `file` names the file in errors.
     ///
     /// # Errors
-    /// [`MapError::Unsound`] with all that is wrong.
+    /// [`MapError::Invalid`] with all errors.
     pub fn check(&self, file: &str) -> Result<Map, MapError> {
-        check(self).map_err(|problems| MapError::Invalid { file: file.to_owned(), problems })
+        check(self).map_err(|diagnostics| MapError::Invalid { file: file.to_owned(), diagnostics })
     }
 
-    /// The walls of all levels.
+    /// Returns the walls of all levels.
     pub(super) fn all_walls(&self) -> impl Iterator<Item = &Vec<(f64, f64)>> {
         self.walls.iter().chain(self.levels.iter().flat_map(|level| &level.walls))
     }

@@ -1,13 +1,13 @@
-//! What the readers of foreign formats share.
+//! Shared functions of the readers of foreign formats.
 
 use super::{MapDiagnostic, MapError};
 
-/// Why a file of a foreign format is not read.
+/// A file of a foreign format could not be read.
 pub(super) enum ImportError {
-    /// It is not of the format.
+    /// The text has another format.
     Syntax(String),
-    /// It says what cannot be.
-    Problems(Vec<MapDiagnostic>),
+    /// The content is invalid.
+    Invalid(Vec<MapDiagnostic>),
 }
 
 impl ImportError {
@@ -15,25 +15,25 @@ impl ImportError {
         let file = file.to_owned();
         match self {
             ImportError::Syntax(message) => MapError::Syntax { file, message },
-            ImportError::Problems(problems) => MapError::Invalid { file, problems },
+            ImportError::Invalid(diagnostics) => MapError::Invalid { file, diagnostics },
         }
     }
 }
 
-/// A text as the name of a map: what may not stand in one becomes `-`.
+/// Returns a text as a map name: characters that are not allowed become `-`.
 pub(super) fn to_map_name(text: &str) -> String {
-    let known = |letter: char| letter.is_ascii_alphanumeric() || matches!(letter, '_' | '.' | '-');
-    let name: String = text.trim().chars().map(|letter| if known(letter) { letter } else { '-' }).take(64).collect();
+    let allowed = |letter: char| letter.is_ascii_alphanumeric() || matches!(letter, '_' | '.' | '-');
+    let name: String = text.trim().chars().map(|letter| if allowed(letter) { letter } else { '-' }).take(64).collect();
     if name.is_empty() { "map".to_owned() } else { name }
 }
 
-/// The name of a map of which only the file's name is known.
+/// Returns a map name made from the name of the file.
 pub(super) fn map_name_from_path(file: &str) -> String {
     let last = file.rsplit(['/', '\\']).next().unwrap_or(file);
     to_map_name(last.split('.').next().unwrap_or(last))
 }
 
-/// To a tenth of a millimetre: no drawing is finer, and files stay legible. Never a negative zero.
+/// Rounds to 0.1 mm: no drawing is finer, and files stay readable. Never returns a negative zero.
 pub(super) fn round(value: f64) -> f64 {
     (value * 1e4).round() / 1e4 + 0.0
 }

@@ -1,23 +1,23 @@
-//! A map in JSON, for programs that draw it; and such a map taken up again, by one who was told of it.
+//! Maps as JSON: written for programs that draw a map, and read back from such JSON.
 
 use super::{DoorEntry, Lane, LaneEntry, LevelEntry, LevelIndex, LiftEntry, Map, MapError, MapFile, PlaceEntry};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-/// What [`Map::show`] says, with what else may stand beside it.
+/// The JSON of [`Map::to_json`]. Additional fields are ignored.
 #[derive(Deserialize)]
-struct Shown {
+struct MapJson {
     name: String,
     levels: Vec<LevelEntry>,
     places: Vec<PlaceEntry>,
     lanes: Vec<LaneEntry>,
-    doors: Vec<ShownDoor>,
+    doors: Vec<DoorJson>,
     lifts: Vec<LiftEntry>,
-    walls: Vec<ShownWall>,
+    walls: Vec<WallJson>,
 }
 
 #[derive(Deserialize)]
-struct ShownDoor {
+struct DoorJson {
     name: String,
     on: Vec<(String, String)>,
     opening_s: f64,
@@ -25,29 +25,28 @@ struct ShownDoor {
 }
 
 #[derive(Deserialize)]
-struct ShownWall {
+struct WallJson {
     level: String,
     line: Vec<(f64, f64)>,
 }
 
 impl Map {
-    /// The map of which [`show`](Self::show) was told; `from` names it in errors. Which way robots must face on lanes is not
-    /// told.
+    /// Builds a map from the JSON of [`to_json`](Self::to_json); `from` names the source in errors.
+    /// The JSON does not contain the required headings on lanes, so the map has none.
     ///
     /// # Errors
-    /// [`MapError`] if it is none, or of no sound map.
-    pub fn from_json(shown: &Value, from: &str) -> Result<Map, MapError> {
-        let syntax =
-            |problem: serde_json::Error| MapError::Syntax { file: from.to_owned(), message: problem.to_string() };
-        let Shown { name, mut levels, places, lanes, doors, lifts, walls } =
-            Shown::deserialize(shown).map_err(syntax)?;
-        for ShownWall { level, line } in walls {
+    /// [`MapError`] if the JSON has another form or describes an invalid map.
+    pub fn from_json(json: &Value, from: &str) -> Result<Map, MapError> {
+        let syntax = |error: serde_json::Error| MapError::Syntax { file: from.to_owned(), message: error.to_string() };
+        let MapJson { name, mut levels, places, lanes, doors, lifts, walls } =
+            MapJson::deserialize(json).map_err(syntax)?;
+        for WallJson { level, line } in walls {
             if let Some(level) = levels.iter_mut().find(|known| known.name == level) {
                 level.walls.push(line);
             }
         }
-        let door = |ShownDoor { name, on, opening_s, posts }: ShownDoor| {
-            // One that stands in several places has no posts of its own.
+        let door = |DoorJson { name, on, opening_s, posts }: DoorJson| {
+            // A door at several positions has no posts of its own.
             let span = posts.first().copied().filter(|_| posts.len() == 1);
             DoorEntry { name, on, opening_s, span }
         };
@@ -55,8 +54,9 @@ impl Map {
         MapFile { name, levels, walls: vec![], places, lanes, doors, lifts }.check(from)
     }
 
-    /// All that is on it: levels, places, lanes, doors (with the posts between which they stand), lifts and walls, under the
-    /// names that a map file has for them; metres, x to the east and y to the north.
+    /// Returns the whole map as JSON: levels, places, lanes, doors (with their posts), lifts and
+    /// walls, under the names used in map files. Positions are in metres, x to the east and y to
+    /// the north.
     pub fn to_json(&self) -> Value {
         let name = |level: LevelIndex| &self.level(level).name;
         let levels = self.levels().iter().map(|level| json!({ "name": level.name, "elevation_m": level.elevation_m }));
@@ -119,25 +119,24 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn a_map_that_was_shown_can_be_taken_up_again() {
+    fn a_map_read_back_from_its_json_is_equal() {
         for name in SHIPPED {
-            let mut shown = shipped(name).unwrap().to_json();
-            let told = Map::from_json(&shown, "view/map").unwrap();
-            assert_eq!(told.to_json(), shown, "{name}");
-            // As any node marks it.
-            shown["seen_by"] = json!("station-1");
-            assert_eq!(Map::from_json(&shown, "view/map").unwrap(), told, "{name}");
+            let mut json = shipped(name).unwrap().to_json();
+            let read_back = Map::from_json(&json, "view/map").unwrap();
+            assert_eq!(read_back.to_json(), json, "{name}");
+            json["seen_by"] = json!("station-1");
+            assert_eq!(Map::from_json(&json, "view/map").unwrap(), read_back, "{name}");
         }
-        let problem = Map::from_json(&json!({ "error": "s1 was given no map" }), "view/map").unwrap_err().to_string();
-        assert_eq!(problem, "map view/map: missing field `name`");
+        let error = Map::from_json(&json!({ "error": "s1 was given no map" }), "view/map").unwrap_err().to_string();
+        assert_eq!(error, "map view/map: missing field `name`");
     }
 
     #[test]
-    fn everything_on_a_map_is_shown_with_its_place() {
+    fn the_json_of_a_map_contains_everything_with_its_position() {
         for name in SHIPPED {
             let map = shipped(name).unwrap();
-            let shown = map.to_json();
-            let of = |list: &str| shown[list].as_array().unwrap().clone();
+            let json = map.to_json();
+            let of = |list: &str| json[list].as_array().unwrap().clone();
             assert_eq!(of("places").len(), map.places().len(), "{name}");
             assert_eq!(of("lanes").len(), map.lanes().len(), "{name}");
             assert_eq!(of("doors").len(), map.doors().len(), "{name}");

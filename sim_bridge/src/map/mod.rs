@@ -1,35 +1,37 @@
-//! The floor: places, the lanes between them, doors, lifts, levels, and walls.
+//! The map of a building: places, the lanes between them, doors, lifts, levels and walls.
 //!
-//! A map file is YAML, or JSON where its name ends in `.json`; unknown fields are refused.
+//! A map file is YAML, or JSON if its name ends in `.json`. Unknown fields are rejected.
 //!
 //! ```yaml
 //! name: ward                    # 1 to 64 characters of A-Z a-z 0-9 _ . -
-//! levels:                       # optional; one level called ground if there are none
-//!   - { name: ground }          # elevation_m is 0 unless told otherwise
+//! levels:                       # optional; default: a single level called ground
+//!   - { name: ground }          # elevation_m defaults to 0
 //!   - { name: first, elevation_m: 4.0, walls: [[[0, 0], [12, 0]]] }
 //! walls:                        # optional, of the first level: open polylines of [x, y] in metres
 //!   - [[0, 0], [12, 0], [12, 6]]
-//! places:                       # x east, y north, in metres; yaw counter-clockwise from east; on the first level
+//! places:                       # x east, y north, in metres; yaw counter-clockwise from east; default level: the first
 //!   - { name: Ward Corridor, kind: corridor, x_m: 2.0, y_m: 3.0 }
 //!   - { name: Room 1, kind: room, x_m: 2.0, y_m: 5.0, yaw_rad: 1.57 }
 //!   - { name: Hall, kind: corridor, x_m: 2.0, y_m: 3.0, level: first }
-//! lanes:                        # where one may drive; two-way and as long as the straight line unless told otherwise
+//! lanes:                        # where robots may drive; default: two-way, as long as the straight line
 //!   - { between: [Ward Corridor, Room 1] }
 //!   # - { between: [A, B], length_m: 3.5, one_way: true }            (only from A to B)
-//!   # - { between: [A, B], speed_limit_mps: 0.5, facing: backward }  (facing: while going from A to B)
-//! doors:                        # optional: automatic doors, by the lanes through them
+//!   # - { between: [A, B], speed_limit_mps: 0.5, facing: backward }  (facing: while driving from A to B)
+//! doors:                        # optional: automatic doors, with the lanes through them
 //!   - { name: Door 1, on: [[Ward Corridor, Room 1]], opening_s: 3.0 }
-//!   # span: [[x, y], [x, y]] gives the posts; without it the door stands in the middle of its lane
-//! lifts:                        # optional: who steps in at one stop steps out at another
+//!   # span: [[x, y], [x, y]] gives the two posts; without it the door stands in the middle of its lane
+//! lifts:                        # optional: a robot that enters at a stop may leave at any other stop
 //!   - { name: Lift A, stops: [Ward Corridor, Hall], capacity: 1, opening_s: 3.0, speed_mps: 1.0 }
 //! ```
 //!
-//! Kinds of place are `room`, `lab`, `corridor`, `dock`, `charger` and `other`. Opening times, capacity and speed of a
-//! lift are those above unless given. Reading a file reports *all* that is wrong with it, with the file and the place;
-//! a [`Map`] that exists is sound: every place can be reached from every other, by lanes and lifts.
+//! The kinds of place are `room`, `lab`, `corridor`, `dock`, `charger` and `other`. The opening
+//! times, the capacity and the speed in the example are the defaults. Reading a file reports *all*
+//! its errors, each with the file and the position; an existing [`Map`] is valid: every place can
+//! be reached from every other place, by lanes and lifts.
 //!
-//! Drawings (`.drawio`, `.xml`: see [`drawio`]) and buildings of Open-RMF (`.building.yaml`: see [`rmf`]) are read too;
-//! what they hold beside a map is in [`Drawing`]. [`show`] draws any of them.
+//! Two foreign formats are read as well: drawings (`.drawio`, `.xml`: see [`drawio`]) and buildings
+//! of Open-RMF (`.building.yaml`: see [`rmf`]). [`Drawing`] holds their content that is not part of
+//! a map. [`render`] draws a map of any format.
 
 mod building;
 mod building_check;
@@ -69,21 +71,21 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What a place is for.
+/// Purpose of a place.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PlaceKind {
-    /// Where patients and nurses are.
+    /// A room with patients and nurses.
     Room,
-    /// Where samples are brought.
+    /// A laboratory, the destination of samples.
     Lab,
-    /// On the way.
+    /// A point on the way.
     Corridor,
-    /// Where robots rest.
+    /// A resting position of a robot.
     Dock,
-    /// Where robots fill their batteries.
+    /// A charging station.
     Charger,
-    /// Anything else.
+    /// Any other purpose.
     #[default]
     Other,
 }
@@ -93,7 +95,7 @@ impl PlaceKind {
     pub const ALL: [PlaceKind; 6] =
         [PlaceKind::Room, PlaceKind::Lab, PlaceKind::Corridor, PlaceKind::Dock, PlaceKind::Charger, PlaceKind::Other];
 
-    /// Its name in files.
+    /// Returns the name used in files.
     pub fn as_str(self) -> &'static str {
         match self {
             PlaceKind::Room => "room",
@@ -105,40 +107,40 @@ impl PlaceKind {
         }
     }
 
-    /// The kind of this name.
+    /// Returns the kind with this name.
     pub fn named(name: &str) -> Option<PlaceKind> {
         PlaceKind::ALL.into_iter().find(|kind| kind.as_str() == name)
     }
 }
 
-/// A named pose on the floor.
+/// A named pose on a level.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapPlace {
     /// Its name, unique on the map.
     pub id: PlaceId,
-    /// What it is for.
+    /// Purpose of the place.
     pub kind: PlaceKind,
-    /// Where it is, and the heading a robot takes there.
+    /// Position, and the heading that a robot takes there.
     pub pose: Pose,
-    /// The level it is on.
+    /// Level of the place.
     pub level: LevelIndex,
 }
 
-/// A stretch of floor between two places that robots drive in a straight line.
+/// A straight connection of two places on which robots drive.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lane {
-    /// One end.
+    /// First end.
     pub from: PlaceId,
-    /// The other end.
+    /// Second end.
     pub to: PlaceId,
-    /// How far it is to drive; never zero, never less than the straight line.
+    /// Driving distance; never zero, never less than the straight line.
     pub length: Metres,
-    /// Whether it may also be driven from `to` to `from`.
+    /// True if robots may also drive from `to` to `from`.
     pub two_way: bool,
-    /// The fastest that is allowed there; none if robots may drive as they can.
+    /// Highest allowed speed; `None`: limited by the robot only.
     pub speed_limit: Option<MetresPerSecond>,
-    /// Which way a robot must face while it drives from `from` to `to`, if that matters; from `to` to `from` it is
-    /// [`Facing::reversed`].
+    /// Required heading of a robot that drives from `from` to `to`, if any. From `to` to `from` it
+    /// is [`Facing::reversed`].
     pub facing: Option<Facing>,
 }
 
@@ -146,7 +148,7 @@ pub struct Lane {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct PlaceIndex(pub(crate) usize);
 
-/// A sound map. Made by [`read`], [`load`], [`shipped`] or [`MapFile::check`].
+/// A valid map. Built by [`read`], [`load`], [`shipped`] or [`MapFile::check`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Map {
     name: String,
@@ -154,52 +156,54 @@ pub struct Map {
     places: Vec<MapPlace>,
     lanes: Vec<Lane>,
     walls: Vec<Vec<(f64, f64)>>,
-    /// For each wall its level.
+    /// Level of each wall.
     wall_levels: Vec<LevelIndex>,
     doors: Vec<Door>,
     lifts: Vec<Lift>,
     by_name: BTreeMap<PlaceId, PlaceIndex>,
-    /// By start and end, each two-way lane twice.
+    /// Lanes by start and end; a two-way lane has two entries.
     by_ends: BTreeMap<(PlaceIndex, PlaceIndex), usize>,
-    /// For each lane its doors, each with the share of the lane, from its `from`, at which it stands.
+    /// The doors of each lane, each with its position on the lane: 0 is the end `from`, 1 the end
+    /// `to`.
     doors_by_lane: BTreeMap<usize, Vec<(usize, f64)>>,
-    /// For each stop its lift.
+    /// Lift of each stop.
     lift_of: BTreeMap<PlaceIndex, usize>,
 }
 
 impl Map {
-    /// The map's name.
+    /// Returns the name of the map.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// All places, in the order of the file. Never empty.
+    /// Returns all places, in the order of the file. Never empty.
     pub fn places(&self) -> &[MapPlace] {
         &self.places
     }
 
-    /// All lanes, in the order of the file.
+    /// Returns all lanes, in the order of the file.
     pub fn lanes(&self) -> &[Lane] {
         &self.lanes
     }
 
-    /// Walls of all levels as polylines of (x, y) in metres.
+    /// Returns the walls of all levels as polylines of (x, y) in metres.
     pub fn walls(&self) -> &[Vec<(f64, f64)>] {
         &self.walls
     }
 
-    /// The place of this name.
+    /// Returns the place with this name.
     pub fn place(&self, id: &PlaceId) -> Option<&MapPlace> {
         self.by_name.get(id).map(|index| &self.places[index.0])
     }
 
-    /// The lane that may be driven from one place to the other.
+    /// Returns the lane on which a robot may drive from `from` to `to`.
     pub fn lane(&self, from: &PlaceId, to: &PlaceId) -> Option<&Lane> {
         let ends = (self.index(from)?, self.index(to)?);
         self.by_ends.get(&ends).map(|lane| &self.lanes[*lane])
     }
 
-    /// The smallest rectangle that holds places and walls: (least x, least y) and (greatest x, greatest y) in metres.
+    /// Returns the smallest rectangle around all places and walls: (least x, least y) and (greatest
+    /// x, greatest y) in metres.
     pub fn bounds(&self) -> ((f64, f64), (f64, f64)) {
         let places = self.places.iter().map(|place| (place.pose.x, place.pose.y));
         let corners = self.walls.iter().flatten().copied();
@@ -221,7 +225,7 @@ impl Map {
         self.by_ends.get(&(from, to)).map(|lane| &self.lanes[*lane])
     }
 
-    /// `; did you mean "…"?` for a place that is not here.
+    /// Returns `; did you mean "…"?` for a place name that is not on the map.
     pub(crate) fn suggest(&self, id: &PlaceId) -> String {
         crate::suggest::did_you_mean(id.as_str(), self.places.iter().map(|place| place.id.as_str()))
     }

@@ -1,4 +1,4 @@
-//! Map files: sound ones, and all that can be wrong with others.
+//! Tests of map files: valid files, and every error of invalid files.
 
 use super::*;
 
@@ -15,12 +15,12 @@ fn place(name: &str) -> PlaceId {
     PlaceId::new(name).unwrap()
 }
 
-fn problems(text: &str) -> Vec<String> {
+fn diagnostics(text: &str) -> Vec<String> {
     read(text, "bad.yaml").unwrap_err().to_string().lines().map(str::to_owned).collect()
 }
 
 #[test]
-fn a_lane_is_two_way_and_as_long_as_the_straight_line_unless_told_otherwise() {
+fn a_lane_is_two_way_and_straight_by_default() {
     let map = read(WARD, "ward.yaml").unwrap();
     let length = Metres::new(5.0).unwrap();
     let lane = Lane { from: place("A"), to: place("B"), length, two_way: true, speed_limit: None, facing: None };
@@ -31,14 +31,14 @@ fn a_lane_is_two_way_and_as_long_as_the_straight_line_unless_told_otherwise() {
 }
 
 #[test]
-fn json_is_read_too_and_gives_the_same_map() {
+fn a_json_file_gives_the_same_map() {
     let written: MapFile = serde_saphyr::from_str(WARD).unwrap();
     let json = serde_json::to_string(&written).unwrap();
     assert_eq!(read(&json, "ward.json").unwrap(), read(WARD, "ward.yaml").unwrap());
 }
 
 #[test]
-fn the_shipped_hospital_is_as_described() {
+fn the_shipped_hospital_has_its_rooms_and_bounds() {
     let map = shipped("hospital").unwrap();
     let of = |kind| map.places().iter().filter(|place| place.kind == kind).count();
     assert_eq!([PlaceKind::Room, PlaceKind::Lab, PlaceKind::Dock].map(of), [14, 1, 1]);
@@ -66,7 +66,7 @@ fn no_lane_of_the_shipped_hospital_runs_through_a_wall() {
 }
 
 #[test]
-fn all_that_is_wrong_is_said_with_file_and_place() {
+fn every_error_is_reported_with_file_and_position() {
     let text = "
 name: bad map
 walls: [[[0, 0], [.nan, 1]]]
@@ -87,25 +87,25 @@ lanes:
   - { between: [Room 1, Hall] }
 ";
     assert_eq!(
-        problems(text),
+        diagnostics(text),
         [
-            "map bad.yaml: \"bad map\" cannot name a map: allowed are 1 to 64 characters of A-Z, a-z, 0-9, `_`, `.` and `-`",
-            "map bad.yaml: wall 1: a corner is at (NaN, 1), allowed are numbers from -100000 to 100000",
-            "map bad.yaml: place \"Room 1\" stands more than once",
-            "map bad.yaml: place \"Room 2\": x_m is inf, allowed is a number from -100000 to 100000",
-            "map bad.yaml: \" x\" cannot name a place: it begins or ends with space; allowed are 1 to 64 characters, none of them a control character, without space at either end",
+            "map bad.yaml: \"bad map\" is not a name for a map: allowed are 1 to 64 characters of A-Z, a-z, 0-9, `_`, `.` and `-`",
+            "map bad.yaml: wall 1: a corner is at (NaN, 1), allowed: numbers from -100000 to 100000",
+            "map bad.yaml: place \"Room 1\" occurs more than once",
+            "map bad.yaml: place \"Room 2\": x_m is inf, allowed: a number from -100000 to 100000",
+            "map bad.yaml: \" x\" cannot name a place: it begins or ends with space; allowed are 1 to 64 characters except control characters, without space at either end",
             "map bad.yaml: lane between \"Room 1\" and \"Hal\": there is no place \"Hal\"; did you mean \"Hall\"?",
-            "map bad.yaml: lane between \"Room 1\" and \"Room 1\": both ends are one place",
-            "map bad.yaml: lane between \"Room 1\" and \"Hall\": length is -3 m, allowed is a number above 0 and up to 100000",
+            "map bad.yaml: lane between \"Room 1\" and \"Room 1\": both ends are the same place",
+            "map bad.yaml: lane between \"Room 1\" and \"Hall\": length is -3 m, allowed: a number above 0 and up to 100000",
             "map bad.yaml: lane between \"Room 1\" and \"Hall\": 5 m are less than the straight line of 6.000 m",
-            "map bad.yaml: lane between \"Hall\" and \"Hatch\": length is 0 m, allowed is a number above 0 and up to 100000",
-            "map bad.yaml: lane between \"Room 1\" and \"Hall\" stands more than once",
+            "map bad.yaml: lane between \"Hall\" and \"Hatch\": length is 0 m, allowed: a number above 0 and up to 100000",
+            "map bad.yaml: lane between \"Room 1\" and \"Hall\" occurs more than once",
         ]
     );
 }
 
 #[test]
-fn a_place_without_a_way_there_or_back_is_said() {
+fn a_place_without_a_route_there_or_back_is_reported() {
     let text = "
 name: islands
 places:
@@ -120,9 +120,9 @@ lanes:
   - { between: [Source, B], one_way: true }
 ";
     assert_eq!(
-        problems(text),
+        diagnostics(text),
         [
-            "map bad.yaml: place \"Alone\" is cut off from the rest of the map",
+            "map bad.yaml: place \"Alone\" is not connected with the rest of the map",
             "map bad.yaml: place \"Trap\" cannot be left for the rest of the map",
             "map bad.yaml: place \"Source\" cannot be reached from the rest of the map",
         ]
@@ -130,16 +130,16 @@ lanes:
 }
 
 #[test]
-fn unknown_fields_and_kinds_are_refused_where_they_stand() {
+fn unknown_fields_and_kinds_are_rejected() {
     let error = read(&WARD.replace("kind: room", "kind: cellar"), "w.yaml").unwrap_err().to_string();
     assert!(error.starts_with("map w.yaml: ") && error.contains("cellar") && error.contains("dock"), "{error}");
     let error = read(&WARD.replace("y_m: 4", "y_m: 4, floor: 2"), "w.yaml").unwrap_err().to_string();
     assert!(error.contains("floor"), "{error}");
-    assert_eq!(problems("{name: none, places: []}"), ["map bad.yaml: there are no places"]);
+    assert_eq!(diagnostics("{name: none, places: []}"), ["map bad.yaml: the map has no places"]);
 }
 
 #[test]
-fn a_file_that_is_too_large_is_not_read() {
+fn a_file_that_is_too_large_is_rejected() {
     let text = "#".repeat(limits::FILE_BYTES + 1);
     assert!(matches!(read(&text, "big.yaml"), Err(MapError::TooLarge { .. })));
 }

@@ -1,19 +1,21 @@
-//! The map as estimators and skills see it: places, the ways between neighbours, and what costs time there.
+//! The map as estimators and skills use it: places, connections of neighbours, and the time that
+//! they cost.
 
 use super::{Lane, Map};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::Seconds;
 use consort_skills::environment::{Edge, Environment, MapError, Passage, Passages, Routes, TopologicalMap};
 
-/// Where a ride by lift competes with other ways, it counts as the way that a robot drives meanwhile at this speed, in metres
-/// per second: routes are the shortest by length. What the ride costs is in [`Map::passages`].
+/// Speed, in metres per second, that converts the time of a lift ride into a length. Routes are the
+/// shortest by length; a ride counts as the distance that a robot drives at this speed during the
+/// ride. The cost of a ride in time is in [`Map::passages`].
 const RIDE_MPS: f64 = 0.5;
 
-/// A ride that takes no time is still a way: a millimetre.
+/// Least length of a ride in metres: a ride that takes no time is still an edge.
 const RIDE_MIN_M: f64 = 0.001;
 
 impl Map {
-    /// Its places, its lanes and, where no lane leads there, the rides by lift.
+    /// Returns the places, the lanes and, between places without a lane, the rides by lift.
     pub fn topology(&self) -> TopologicalMap {
         let places = self.places.iter().map(|place| (place.id.clone(), place.pose)).collect();
         let lane = |lane: &Lane| Edge {
@@ -26,8 +28,8 @@ impl Map {
         TopologicalMap { places, edges: edges.collect() }
     }
 
-    /// What costs time between neighbours beside the length of the way: doors, taken to be closed; lifts, taken to be wherever
-    /// they stop with the same chance; limits of speed.
+    /// Returns additional times and speed limits between neighbours: doors (assumed closed), lifts
+    /// (assumed to be at any of their stops with the same probability) and speed limits.
     pub fn passages(&self) -> Passages {
         let mut passages = Passages::default();
         for lane in &self.lanes {
@@ -35,8 +37,9 @@ impl Map {
             if doors.is_empty() && lane.speed_limit.is_none() {
                 continue;
             }
-            let stands = doors.iter().fold(Seconds::ZERO, |stands, met| stands + met.door.opening);
-            let passage = Passage::Drive { speed_limit: lane.speed_limit, stands };
+            let expected_wait =
+                doors.iter().fold(Seconds::ZERO, |expected_wait, lane_door| expected_wait + lane_door.door.opening);
+            let passage = Passage::Drive { speed_limit: lane.speed_limit, expected_wait };
             passages = passages.with(lane.from.clone(), lane.to.clone(), passage);
             if lane.two_way {
                 passages = passages.with(lane.to.clone(), lane.from.clone(), passage);
@@ -54,21 +57,22 @@ impl Map {
         passages
     }
 
-    /// What skills and estimators know of the place.
+    /// Returns the environment for skills and estimators.
     ///
     /// # Errors
-    /// [`MapError`] never, for a sound map.
+    /// [`MapError`] never, for a valid map.
     pub fn environment(&self) -> Result<Environment, MapError> {
         Ok(Environment::new().with(Routes::new(&self.topology())?).with(self.passages()))
     }
 
-    /// How long a ride takes with the wait for the lift: it comes from any of its stops, and opens.
+    /// Returns the time of a ride with the expected wait: the lift comes from any of its stops, and
+    /// opens.
     fn expected_ride(&self, from: &PlaceId, to: &PlaceId) -> Option<Seconds> {
         let ride = self.ride(from, to)?;
         let height = |place: &PlaceId| self.place(place).map_or(0.0, |place| self.level(place.level).elevation_m);
-        let away: f64 = ride.lift.stops.iter().map(|stop| (height(stop) - height(from)).abs()).sum();
-        let comes_s = away / ride.lift.stops.len() as f64 / ride.lift.speed.get();
-        Some(Seconds::new(comes_s).ok()? + ride.lift.opening + ride.time)
+        let total_height: f64 = ride.lift.stops.iter().map(|stop| (height(stop) - height(from)).abs()).sum();
+        let wait_s = total_height / ride.lift.stops.len() as f64 / ride.lift.speed.get();
+        Some(Seconds::new(wait_s).ok()? + ride.lift.opening + ride.time)
     }
 
     fn rides(&self) -> impl Iterator<Item = Edge> {
@@ -98,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn routes_lead_over_lifts_where_no_lane_does() {
+    fn routes_use_lifts_between_places_without_a_lane() {
         let text = "{name: tower, levels: [{name: low}, {name: top, elevation_m: 4}], \
             places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: L0, kind: other, x_m: 5, y_m: 0}, \
             {name: L1, kind: other, x_m: 5, y_m: 0, level: top}, {name: B, kind: other, x_m: 9, y_m: 0, level: top}], \
@@ -113,14 +117,14 @@ mod tests {
     }
 
     #[test]
-    fn where_a_lane_leads_nobody_rides() {
+    fn a_lane_between_two_stops_replaces_the_ride() {
         let text = "{name: loop, levels: [{name: low}, {name: top, elevation_m: 4}], \
             places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 5, y_m: 0}, \
             {name: C, kind: other, x_m: 5, y_m: 0, level: top}], \
             lanes: [{between: [A, B], one_way: true}], lifts: [{name: Lift, stops: [A, B, C]}]}";
         let topology = crate::map::read(text, "loop.yaml").unwrap().topology();
-        let ways: Vec<_> = topology.edges.iter().map(|e| (e.a.as_str(), e.b.as_str(), e.one_way)).collect();
-        assert_eq!(ways, [("A", "B", true), ("B", "A", true), ("A", "C", false), ("B", "C", false)]);
+        let edges: Vec<_> = topology.edges.iter().map(|e| (e.a.as_str(), e.b.as_str(), e.one_way)).collect();
+        assert_eq!(edges, [("A", "B", true), ("B", "A", true), ("A", "C", false), ("B", "C", false)]);
         topology.check().unwrap();
     }
 }

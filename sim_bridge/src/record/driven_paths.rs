@@ -1,4 +1,4 @@
-//! The paths that robots drive, drawn over the map when the recording ends.
+//! The paths of robots, drawn over the map when the recording ends.
 
 use super::{RecordError, RecordingSink, WorldChanges};
 use crate::map::render::{Trail, svg_with_trails};
@@ -10,14 +10,14 @@ use consort_skills::actions::RobotBackend;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 
-/// A path is drawn this close to where the robot was, in metres.
+/// Greatest distance between a drawn path and the robot's position, in metres.
 const TOLERANCE_M: f64 = 0.02;
 
-/// So many points on one line are looked at together: more on a long straight are kept than are needed, and no more work is
-/// done for each.
+/// Number of points checked together for lying on a line. A long straight keeps more corners than
+/// necessary, but the work per point stays bounded.
 const RUN: usize = 64;
 
-/// Corners kept of one robot's path, about a day of driving up and down a ward; what is older is not drawn.
+/// Corners kept of a robot's path, about a day of driving in a ward. Older corners are dropped.
 const CORNERS_MAX: usize = 20_000;
 
 /// See the [module](self).
@@ -28,9 +28,9 @@ pub(super) struct DrivenPathsSink {
 
 #[derive(Default)]
 struct DrivenPath {
-    /// What was driven without a ride by lift.
-    stretches: VecDeque<(LevelIndex, VecDeque<(f64, f64)>)>,
-    /// Where it was since the last corner.
+    /// Parts of the path between lift rides.
+    sections: VecDeque<(LevelIndex, VecDeque<(f64, f64)>)>,
+    /// Positions since the last corner.
     since: Vec<(f64, f64)>,
     corners: usize,
     length_m: f64,
@@ -38,30 +38,30 @@ struct DrivenPath {
 
 impl DrivenPathsSink {
     pub(super) fn create(file: &Path) -> Result<DrivenPathsSink, RecordError> {
-        // It is better to know now than in the end.
+        // Fail now rather than at the end.
         std::fs::write(file, "").map_err(RecordError::of(file))?;
         Ok(DrivenPathsSink { file: file.to_owned(), paths: BTreeMap::new() })
     }
 
-    /// Takes all paths out.
+    /// Returns all paths and clears them.
     pub(super) fn trails(&mut self) -> Vec<Trail> {
         let paths = std::mem::take(&mut self.paths);
         paths.into_iter().filter_map(|(robot, path)| path.into_trail(&robot)).collect()
     }
 
-    fn extend(&mut self, stances: impl Iterator<Item = MotionState>) {
-        for stance in stances {
-            let point = (stance.pose.x, stance.pose.y);
-            self.paths.entry(stance.robot).or_default().drive_to(stance.level, point);
+    fn extend(&mut self, positions: impl Iterator<Item = MotionState>) {
+        for position in positions {
+            let point = (position.pose.x, position.pose.y);
+            self.paths.entry(position.robot).or_default().drive_to(position.level, point);
         }
     }
 }
 
 impl DrivenPath {
     fn drive_to(&mut self, level: LevelIndex, to: (f64, f64)) {
-        let Some((_, corners)) = self.stretches.back_mut().filter(|(here, _)| *here == level) else {
+        let Some((_, corners)) = self.sections.back_mut().filter(|(here, _)| *here == level) else {
             self.corner();
-            self.stretches.push_back((level, [to].into()));
+            self.sections.push_back((level, [to].into()));
             self.corners += 1;
             return;
         };
@@ -78,29 +78,29 @@ impl DrivenPath {
         self.since.push(to);
     }
 
-    /// What was last reached is a corner.
+    /// Makes the last position a corner.
     fn corner(&mut self) {
         let Some(last) = self.since.last().copied() else { return };
         self.since.clear();
-        if let Some((_, corners)) = self.stretches.back_mut() {
+        if let Some((_, corners)) = self.sections.back_mut() {
             corners.push_back(last);
             self.corners += 1;
         }
         while self.corners > CORNERS_MAX
-            && let Some((_, oldest)) = self.stretches.front_mut()
+            && let Some((_, oldest)) = self.sections.front_mut()
         {
             oldest.pop_front();
             self.corners -= 1;
             if oldest.is_empty() {
-                self.stretches.pop_front();
+                self.sections.pop_front();
             }
         }
     }
 
     fn into_trail(mut self, robot: &RobotId) -> Option<Trail> {
         self.corner();
-        let stretches = self.stretches.into_iter().map(|(level, corners)| (level, corners.into())).collect();
-        (self.length_m > 0.0).then(|| Trail { name: robot.to_string(), segments: stretches, length_m: self.length_m })
+        let sections = self.sections.into_iter().map(|(level, corners)| (level, corners.into())).collect();
+        (self.length_m > 0.0).then(|| Trail { name: robot.to_string(), segments: sections, length_m: self.length_m })
     }
 }
 
@@ -110,8 +110,8 @@ impl RecordingSink for DrivenPathsSink {
         Ok(())
     }
 
-    fn write_changes(&mut self, _: &World, moment: &WorldChanges<'_>) -> Result<(), RecordError> {
-        self.extend(moment.moved.iter().cloned());
+    fn write_changes(&mut self, _: &World, changes: &WorldChanges<'_>) -> Result<(), RecordError> {
+        self.extend(changes.moved.iter().cloned());
         Ok(())
     }
 
@@ -131,18 +131,18 @@ impl RecordingSink for DrivenPathsSink {
     }
 }
 
-/// Robots and people as they stand now.
+/// Robots and people at their current positions.
 fn bodies(world: &World) -> Vec<DrawnItem> {
     let map = world.map();
-    let robots = world.motion_states().map(|stance| {
-        let wide = world.robot_setup(&stance.robot).map_or(0.0, |body| 2.0 * body.radius_m);
+    let robots = world.motion_states().map(|position| {
+        let wide = world.robot_setup(&position.robot).map_or(0.0, |body| 2.0 * body.radius_m);
         DrawnItem {
             kind: "robot".to_owned(),
-            name: stance.robot.to_string(),
-            level: Some(map.level(stance.level).name.clone()),
-            x_m: stance.pose.x,
-            y_m: stance.pose.y,
-            yaw_rad: stance.pose.yaw,
+            name: position.robot.to_string(),
+            level: Some(map.level(position.level).name.clone()),
+            x_m: position.pose.x,
+            y_m: position.pose.y,
+            yaw_rad: position.pose.yaw,
             size_m: (wide, wide),
             ..DrawnItem::default()
         }
@@ -159,7 +159,7 @@ fn bodies(world: &World) -> Vec<DrawnItem> {
             ..DrawnItem::default()
         })
     });
-    // Robots last: they are drawn over the people beside whom they stand.
+    // Robots last: they are drawn over the people next to them.
     people.chain(robots).collect()
 }
 
@@ -167,7 +167,7 @@ fn apart(a: (f64, f64), b: (f64, f64)) -> f64 {
     (b.0 - a.0).hypot(b.1 - a.1)
 }
 
-/// How far a point is from the line between two others.
+/// Distance of a point from the line between two others.
 fn off_line(point: (f64, f64), a: (f64, f64), b: (f64, f64)) -> f64 {
     let (dx, dy) = (b.0 - a.0, b.1 - a.1);
     let square = dx * dx + dy * dy;

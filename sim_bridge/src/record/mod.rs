@@ -1,22 +1,25 @@
-//! What happens in a world, written down while it happens: for Foxglove, and as a picture of the paths driven.
+//! Recordings of a world while it runs: for Foxglove, and as a picture of the paths driven.
 //!
 //! ```text
 //!  SharedWorld::advance ──▶ Recorder ──▶ World::advance, from one instant to the next
-//!                               │ what happened, and who is somewhere else now
-//!                               ├──▶ foxglove   an MCAP file, chunk by chunk
-//!                               └──▶ paths      an SVG, when the recording ends
+//!                               │ events, and robots that have moved
+//!                               ├──▶ foxglove       an MCAP file, chunk by chunk
+//!                               └──▶ driven_paths   an SVG, when the recording ends
 //! ```
 //!
-//! A world that is not recorded has no recorder, and nothing is asked of it. One that is takes the same course to the last
-//! bit: its time passes in smaller steps while anything moves, which makes no difference to it, and the recorder only looks.
-//! While nothing moves and nothing happens, nothing is written.
+//! A world without a recording has no recorder and no extra cost. A recorded world runs exactly the
+//! same, to the last bit: its time advances in smaller steps while a robot moves, which makes no
+//! difference to it, and the recorder only reads. While nothing moves and no event occurs, nothing
+//! is written.
 //!
-//! **Time** in a recording is world time, from 0: the same seed and the same requests give the same file.
+//! **Time** in a recording is world time, from 0: the same seed and the same requests give the same
+//! file.
 //!
-//! **Ends.** [`SharedWorld::end_recording`](crate::world::SharedWorld::end_recording) completes both files. Of a process
-//! that is killed, the SVG is empty, and the MCAP file lacks its index and what happened in the last [`foxglove::CHUNK_S`]
-//! seconds of world time (or since time was last let pass, if that is longer ago); what is there can be read from its beginning
-//! on, and the command line tool of MCAP makes a whole file of it (`mcap recover`).
+//! **End.** [`SharedWorld::end_recording`](crate::world::SharedWorld::end_recording) completes both
+//! files. If the process is killed, the SVG is empty, and the MCAP file lacks its index and the
+//! events of the last [`foxglove::CHUNK_S`] seconds of world time (or since time was last advanced,
+//! if that is longer ago). The rest can be read from the beginning, and the command line tool of
+//! MCAP repairs the file (`mcap recover`).
 
 mod driven_paths;
 pub mod foxglove;
@@ -28,10 +31,10 @@ use consort_skills::actions::{BackendEvent, RobotBackend};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// How often it is written where robots are while any of them moves, in times per second of world time.
+/// Rate at which positions are written while a robot moves, in hertz of world time.
 pub const RATE_HZ: f64 = 10.0;
 
-/// Where recordings go.
+/// Output files of a recording.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RecordingOutputs {
     /// An MCAP file for Foxglove.
@@ -40,34 +43,34 @@ pub struct RecordingOutputs {
     pub svg: Option<PathBuf>,
 }
 
-/// Why something was not recorded. The world itself is not affected.
+/// A recording cannot be written. The world itself is not affected.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: the recording cannot be written: {reason}", file.display())]
 pub struct RecordError {
-    /// The file.
+    /// Output file.
     pub file: PathBuf,
-    /// What the system says.
+    /// Error text of the operating system or the encoder.
     pub reason: String,
 }
 
 impl RecordError {
     fn of<E: std::fmt::Display>(file: &Path) -> impl FnOnce(E) -> RecordError {
-        move |problem| RecordError { file: file.to_owned(), reason: problem.to_string() }
+        move |error| RecordError { file: file.to_owned(), reason: error.to_string() }
     }
 }
 
-/// Something that recordings are made on.
+/// A destination of recordings.
 trait RecordingSink: Send {
-    /// The world as it is when the recording begins.
+    /// Writes the state of the world at the start of the recording.
     fn begin(&mut self, world: &World) -> Result<(), RecordError>;
 
-    /// What happened by now that was not yet told, and who is somewhere else than last told.
-    fn write_changes(&mut self, world: &World, moment: &WorldChanges<'_>) -> Result<(), RecordError>;
+    /// Writes the events since the last call, and the robots that have moved since.
+    fn write_changes(&mut self, world: &World, changes: &WorldChanges<'_>) -> Result<(), RecordError>;
 
-    /// So much world time has passed, whatever happened.
+    /// Notifies the sink that world time has advanced to `now_s`, whether or not events occurred.
     fn on_time_advanced(&mut self, now_s: f64) -> Result<(), RecordError>;
 
-    /// The recording is over. What there is of it, in words.
+    /// Completes the recording. Returns a summary as text.
     fn end(&mut self, world: &World) -> Result<String, RecordError>;
 }
 
@@ -77,48 +80,53 @@ struct WorldChanges<'a> {
     moved: &'a [MotionState],
 }
 
-/// Writes down what happens in a world. It is handed to [`SharedWorld::record`](crate::world::SharedWorld::record).
+/// Records a world. Pass it to [`SharedWorld::record`](crate::world::SharedWorld::record).
 pub struct Recorder {
-    tapes: Vec<Box<dyn RecordingSink>>,
+    sinks: Vec<Box<dyn RecordingSink>>,
     failed: Vec<RecordError>,
-    /// How many happenings of the world were told.
-    told: u64,
-    /// Where each robot was when that was last told.
-    stances: BTreeMap<RobotId, MotionState>,
+    /// Number of world events already written.
+    written: u64,
+    /// Position of each robot as last written.
+    positions: BTreeMap<RobotId, MotionState>,
     motion: MotionSummary,
 }
 
 impl Recorder {
-    /// Makes the files ready; `None` if there are to be none. Files that are there are replaced.
+    /// Creates the files, replacing existing files; `None` if no output is configured.
     ///
     /// # Errors
     /// [`RecordError`] if a file cannot be written.
     pub fn open(outputs: &RecordingOutputs) -> Result<Option<Recorder>, RecordError> {
-        let mut tapes: Vec<Box<dyn RecordingSink>> = vec![];
+        let mut sinks: Vec<Box<dyn RecordingSink>> = vec![];
         if let Some(file) = &outputs.mcap {
-            tapes.push(Box::new(foxglove::FoxgloveSink::create(file)?));
+            sinks.push(Box::new(foxglove::FoxgloveSink::create(file)?));
         }
         if let Some(file) = &outputs.svg {
-            tapes.push(Box::new(driven_paths::DrivenPathsSink::create(file)?));
+            sinks.push(Box::new(driven_paths::DrivenPathsSink::create(file)?));
         }
-        let recorder =
-            Recorder { tapes, failed: vec![], told: 0, stances: BTreeMap::new(), motion: MotionSummary::default() };
-        Ok((!recorder.tapes.is_empty()).then_some(recorder))
+        let recorder = Recorder {
+            sinks,
+            failed: vec![],
+            written: 0,
+            positions: BTreeMap::new(),
+            motion: MotionSummary::default(),
+        };
+        Ok((!recorder.sinks.is_empty()).then_some(recorder))
     }
 
-    /// Begins: all that is in the world is told.
+    /// Starts the recording with the full state of the world.
     pub(crate) fn begin(&mut self, world: &World) {
-        self.told = world.events_after(0).1;
-        self.stances = world.motion_states().map(|stance| (stance.robot.clone(), stance)).collect();
+        self.written = world.events_after(0).1;
+        self.positions = world.motion_states().map(|position| (position.robot.clone(), position)).collect();
         self.motion = world.motion_summary();
-        self.each_tape(|tape| tape.begin(world));
+        self.for_each_sink(|sink| sink.begin(world));
     }
 
-    /// Lets the world's time pass as [`World::advance`] does, and tells what happens meanwhile.
+    /// Advances the world as [`World::advance`] does, and records its events.
     pub(crate) fn advance(&mut self, world: &mut World, to: WorldTime) -> Vec<BackendEvent> {
         let to_s = to.as_secs().max(world.now().as_secs());
         let mut events = vec![];
-        self.look(world, false);
+        self.record_changes(world, false);
         loop {
             let mut until_s = to_s;
             let sample_s = if self.motion.any_moving { next_sample_s(world.now().as_secs()) } else { f64::INFINITY };
@@ -127,59 +135,59 @@ impl Recorder {
                 until_s = until_s.min(due.as_secs());
             }
             events.extend(world.advance(WorldTime::from_secs(until_s)));
-            self.look(world, until_s >= sample_s);
+            self.record_changes(world, until_s >= sample_s);
             if until_s >= to_s {
                 break;
             }
         }
-        self.each_tape(|tape| tape.on_time_advanced(to_s));
+        self.for_each_sink(|sink| sink.on_time_advanced(to_s));
         events
     }
 
-    /// Completes what is being recorded: what each file holds, in words, or why it does not hold all.
+    /// Completes the recording. Returns a summary of each file, or the error that interrupted it.
     pub(crate) fn end(mut self, world: &World) -> Vec<Result<String, RecordError>> {
-        self.look(world, true);
-        let ended = self.tapes.iter_mut().map(|tape| tape.end(world));
-        let mut said: Vec<_> = ended.collect();
-        said.extend(self.failed.into_iter().map(Err));
-        said
+        self.record_changes(world, true);
+        let ended = self.sinks.iter_mut().map(|sink| sink.end(world));
+        let mut summaries: Vec<_> = ended.collect();
+        summaries.extend(self.failed.into_iter().map(Err));
+        summaries
     }
 
-    /// Tells what has happened, if anything has or if it is time to.
-    fn look(&mut self, world: &World, sample: bool) {
-        let (news, told) = world.events_after(self.told);
-        let news: Vec<LoggedEvent> = news.cloned().collect();
-        self.told = told;
+    /// Writes the changes since the last call, if there are events or a sample is due.
+    fn record_changes(&mut self, world: &World, sample: bool) {
+        let (events, written) = world.events_after(self.written);
+        let events: Vec<LoggedEvent> = events.cloned().collect();
+        self.written = written;
         let before = std::mem::replace(&mut self.motion, world.motion_summary());
-        if !sample && news.is_empty() && before == self.motion {
+        if !sample && events.is_empty() && before == self.motion {
             return;
         }
         let moved: Vec<MotionState> =
-            world.motion_states().filter(|stance| self.stances.get(&stance.robot) != Some(stance)).collect();
-        if news.is_empty() && moved.is_empty() {
+            world.motion_states().filter(|position| self.positions.get(&position.robot) != Some(position)).collect();
+        if events.is_empty() && moved.is_empty() {
             return;
         }
-        let moment = WorldChanges { now_s: world.now().as_secs(), events: &news, moved: &moved };
-        self.each_tape(|tape| tape.write_changes(world, &moment));
-        self.stances.extend(moved.into_iter().map(|stance| (stance.robot.clone(), stance)));
+        let changes = WorldChanges { now_s: world.now().as_secs(), events: &events, moved: &moved };
+        self.for_each_sink(|sink| sink.write_changes(world, &changes));
+        self.positions.extend(moved.into_iter().map(|position| (position.robot.clone(), position)));
     }
 
-    /// A tape that fails is told of once, and left alone from then on: the world goes on.
-    fn each_tape(&mut self, mut work: impl FnMut(&mut dyn RecordingSink) -> Result<(), RecordError>) {
+    /// A sink that fails is logged once and removed. The world continues.
+    fn for_each_sink(&mut self, mut work: impl FnMut(&mut dyn RecordingSink) -> Result<(), RecordError>) {
         let failed = &mut self.failed;
-        self.tapes.retain_mut(|tape| match work(&mut **tape) {
+        self.sinks.retain_mut(|sink| match work(&mut **sink) {
             Ok(()) => true,
-            Err(problem) => {
-                tracing::warn!(%problem, "recording ends here; the world goes on");
-                failed.push(problem);
+            Err(error) => {
+                tracing::warn!(%error, "recording failed and ends; the world continues");
+                failed.push(error);
                 false
             }
         });
     }
 }
 
-/// The next instant at which it is told where moving robots are.
+/// Next instant at which the positions of moving robots are sampled.
 fn next_sample_s(now_s: f64) -> f64 {
-    // An instant that is a hair away is the one that has just been.
+    // An instant closer than the rounding error is the previous sample.
     ((now_s * RATE_HZ + 1e-6).floor() + 1.0) / RATE_HZ
 }

@@ -1,44 +1,45 @@
-//! Bodies by where they are.
+//! Spatial index of bodies.
 
 use nalgebra::Vector3;
 
-/// What a body takes up: seen from above a disc, in space a ball around its middle.
+/// Space that a body occupies: a disc seen from above, a ball in space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Disc {
-    /// Its middle: x, y, and height above the floor of its level, in metres.
+    /// Centre: x, y, and height above the floor of its level, in metres.
     pub at: Vector3<f64>,
-    /// From there to its outermost part, in metres.
+    /// Distance from the centre to the outermost part, in metres.
     pub radius_m: f64,
-    /// The level that it is on: bodies on two levels are never near one another.
+    /// Level of the body. Bodies on different levels are never near each other.
     pub level: usize,
 }
 
-/// Bodies in a grid of square cells, those of a cell side by side. Names them by their position in the list it was made of.
+/// Bodies in a grid of square cells; the bodies of a cell are stored together. A body's index is
+/// its position in the list given to [`rebuild`](BodyGrid::rebuild).
 #[derive(Debug, Default)]
 pub struct BodyGrid {
     discs: Vec<Disc>,
-    /// The same, ordered by cell, with their names.
+    /// The discs ordered by cell, with their indices.
     sorted: Vec<(Disc, usize)>,
-    /// For each cell where its bodies begin among the sorted; one entry more than there are cells.
+    /// Start of each cell in `sorted`, with an extra entry at the end.
     begins: Vec<u32>,
     origin: (f64, f64),
     cell_m: f64,
     columns: usize,
     rows: usize,
     largest_m: f64,
-    /// Room to sort in, kept from one layout to the next.
+    /// Scratch space for sorting, reused between rebuilds.
     cells: Vec<u32>,
 }
 
-/// Cells per body at most: where bodies are scattered the cells grow instead.
+/// Greatest number of cells per body. If bodies are scattered, the cells grow instead.
 const CELLS_PER_BODY: f64 = 4.0;
 
 impl BodyGrid {
-    /// Takes the place of whatever was there before: `discs`, in cells of `cell_m` metres or somewhat more. Best is about
-    /// the distance that is asked about most.
+    /// Replaces the content with `discs`, in cells of at least `cell_m` metres. The best cell size
+    /// is about the usual query distance.
     ///
     /// # Panics
-    /// If a body is nowhere (not a number), or the cells have no size.
+    /// Panics if a position is not finite, or the cell size is not above 0.
     pub fn rebuild(&mut self, discs: impl IntoIterator<Item = Disc>, cell_m: f64) {
         assert!(cell_m > 0.0, "cells have a size, not {cell_m}");
         self.discs.clear();
@@ -46,7 +47,7 @@ impl BodyGrid {
         let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
         self.largest_m = 0.0;
         for disc in &self.discs {
-            assert!(disc.at.iter().all(|part| part.is_finite()), "a body is somewhere: {:?}", disc.at);
+            assert!(disc.at.iter().all(|part| part.is_finite()), "the position of a body is finite: {:?}", disc.at);
             low = (low.0.min(disc.at.x), low.1.min(disc.at.y));
             high = (high.0.max(disc.at.x), high.1.max(disc.at.y));
             self.largest_m = self.largest_m.max(disc.radius_m);
@@ -56,14 +57,14 @@ impl BodyGrid {
         }
         let (width, height) = (high.0 - low.0, high.1 - low.1);
         let most = CELLS_PER_BODY * self.discs.len().max(16) as f64;
-        // Long rows of cells and square fields of them both have to stay below the most.
+        // Both a long row of cells and a square field of cells must stay below the limit.
         let cell_m = cell_m.max((width * height / most).sqrt() * 2.0).max((width + height) / most * 2.0);
         (self.origin, self.cell_m) = (low, cell_m);
         (self.columns, self.rows) = ((width / cell_m) as usize + 1, (height / cell_m) as usize + 1);
         self.sort();
     }
 
-    /// A counting sort: bodies of one cell stay in the order in which they came.
+    /// Counting sort: bodies of a cell keep their order.
     fn sort(&mut self) {
         self.begins.clear();
         self.begins.resize(self.columns * self.rows + 1, 0);
@@ -80,13 +81,13 @@ impl BodyGrid {
         let nowhere = (Disc { at: Vector3::zeros(), radius_m: 0.0, level: 0 }, 0);
         self.sorted.clear();
         self.sorted.resize(self.discs.len(), nowhere);
-        // From the last to the first, each to the end of what is left of its cell.
+        // From the last to the first, each to the end of the rest of its cell.
         for (name, disc) in self.discs.iter().enumerate().rev() {
             let end = &mut self.begins[self.cells[name] as usize + 1];
             *end -= 1;
             self.sorted[*end as usize] = (*disc, name);
         }
-        // What stood at `cell + 1` as an end stands there as the beginning of `cell` now.
+        // The end stored at `cell + 1` is now the start of `cell`.
         self.begins.rotate_left(1);
         if let Some(last) = self.begins.last_mut() {
             *last = u32::try_from(self.discs.len()).expect("fewer bodies than cells are numbered for");
@@ -94,34 +95,34 @@ impl BodyGrid {
     }
 
     fn cell(&self, x: f64, y: f64) -> (usize, usize) {
-        // Casts of what is negative or too large end at the edge of the grid.
+        // A cast of a negative or too large number saturates at the edge of the grid.
         let column = ((x - self.origin.0) / self.cell_m) as usize;
         let row = ((y - self.origin.1) / self.cell_m) as usize;
         (column.min(self.columns - 1), row.min(self.rows - 1))
     }
 
-    /// How many there are.
+    /// Number of bodies.
     pub fn len(&self) -> usize {
         self.discs.len()
     }
 
-    /// Whether there are none.
+    /// Checks whether there are no bodies.
     pub fn is_empty(&self) -> bool {
         self.discs.is_empty()
     }
 
-    /// A body by its name.
+    /// Returns a body by its index.
     pub fn disc(&self, name: usize) -> &Disc {
         &self.discs[name]
     }
 
-    /// The largest radius of any, in metres.
+    /// Largest radius of all bodies, in metres.
     pub fn max_radius_m(&self) -> f64 {
         self.largest_m
     }
 
-    /// Shows every body whose middle is at most `reach_m` metres from a point of its level, always in the same order. The
-    /// answer is how many bodies were looked at for it.
+    /// Calls `show` for every body whose centre is at most `reach_m` metres from a point of its
+    /// level, in a fixed order. Returns the number of bodies examined.
     pub fn for_each_near(
         &self,
         at: &Vector3<f64>,
@@ -148,7 +149,8 @@ impl BodyGrid {
         looked_at
     }
 
-    /// Shows the pairs of bodies that touch, the lesser name first. The answer is how many pairs were looked at.
+    /// Calls `show` for each pair of touching bodies, the smaller index first. Returns the number
+    /// of pairs examined.
     pub fn touching(&self, mut show: impl FnMut(usize, usize)) -> usize {
         let mut looked_at = 0;
         for (name, disc) in self.discs.iter().enumerate() {
@@ -186,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn those_of_another_level_are_not_near() {
+    fn bodies_on_another_level_are_not_near() {
         let bodies = laid_out(vec![disc(0.0, 0.0), Disc { level: 1, ..disc(0.1, 0.0) }, disc(0.2, 0.0)], 1.0);
         assert_eq!(near(&bodies, 0.0, 0.0, 5.0), [0, 2]);
         let mut pairs = Vec::new();
@@ -208,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_is_far_away_costs_no_memory() {
+    fn a_distant_body_costs_no_memory() {
         let bodies = laid_out(vec![disc(0.0, 0.0), disc(0.3, 0.0), disc(1e9, 1e9)], 0.5);
         assert!(bodies.begins.len() < 200, "{} cells", bodies.begins.len());
         assert_eq!(near(&bodies, 0.0, 0.0, 1.0), [0, 1]);
@@ -220,7 +222,7 @@ mod tests {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
         #[test]
-        fn it_finds_what_looking_at_all_finds(
+        fn a_query_agrees_with_an_exhaustive_search(
             spots in prop::collection::vec((-20.0..20.0, -20.0..20.0, 0.05..1.5), 0..60),
             (x, y, reach, cell) in (-25.0..25.0, -25.0..25.0, 0.0..10.0, 0.2..5.0),
         ) {

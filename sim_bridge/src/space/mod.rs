@@ -1,7 +1,8 @@
-//! Where things are, for whoever asks what is near: bodies and walls in grids, rays between them.
+//! Spatial queries: bodies and walls in grids, and rays between them.
 //!
-//! Both indexes are uniform grids; that of bodies is laid out anew whenever they have moved. Each question looks only at
-//! the cells that it touches, so that the work for all bodies together grows with their number and not with its square.
+//! Both indexes are uniform grids. The index of bodies is rebuilt whenever they have moved. Each
+//! query examines only the cells that it touches, so the total work grows with the number of bodies
+//! and not with its square.
 
 mod body_grid;
 mod rays;

@@ -1,44 +1,45 @@
-//! Rays, and what they hit.
+//! Rays and their intersections.
 
 use nalgebra::Vector2;
 
-/// A line from a point in a direction.
+/// A half-line from a point in a direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ray {
-    /// Where it begins, in metres.
+    /// Start, in metres.
     pub from: Vector2<f64>,
-    /// Where to: of length 1.
+    /// Direction, of length 1.
     pub direction: Vector2<f64>,
 }
 
-/// A straight piece of wall.
+/// A straight wall segment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Segment {
-    /// One end, in metres.
+    /// First end, in metres.
     pub a: Vector2<f64>,
-    /// The other end.
+    /// Second end, in metres.
     pub b: Vector2<f64>,
 }
 
 impl Ray {
-    /// A ray at an angle, in radians counter-clockwise from the x axis.
+    /// Creates a ray at an angle, in radians counter-clockwise from the x axis.
     pub fn at_angle(from: Vector2<f64>, angle: f64) -> Ray {
         let (sin, cos) = angle.sin_cos();
         Ray { from, direction: Vector2::new(cos, sin) }
     }
 
-    /// From one point towards another, and how far that is; none for two points in one place.
+    /// Creates the ray from a point towards another, with their distance; `None` for equal points.
     pub fn towards(from: Vector2<f64>, to: Vector2<f64>) -> Option<(Ray, f64)> {
         let length = (to - from).norm();
         (length > 0.0).then(|| (Ray { from, direction: (to - from) / length }, length))
     }
 
-    /// The point so many metres along it.
+    /// Returns the point `distance_m` metres along the ray.
     pub fn at(&self, distance_m: f64) -> Vector2<f64> {
         self.from + self.direction * distance_m
     }
 
-    /// How far along it meets a wall; none if it does not, or runs along it.
+    /// Returns the distance to the intersection with a wall; `None` if there is none, or the ray is
+    /// parallel.
     pub fn intersect_wall(&self, wall: &Segment) -> Option<f64> {
         let along = wall.b - wall.a;
         let across = self.direction.perp(&along);
@@ -50,7 +51,8 @@ impl Ray {
         (distance >= 0.0 && (0.0..=1.0).contains(&share)).then_some(distance)
     }
 
-    /// How far along it enters a disc: 0 if it begins in it, none if it misses it.
+    /// Returns the distance at which the ray enters a disc: 0 if it starts inside, `None` if it
+    /// misses.
     pub fn intersect_disc(&self, middle: Vector2<f64>, radius_m: f64) -> Option<f64> {
         let to = middle - self.from;
         if to.norm_squared() <= radius_m * radius_m {
@@ -63,7 +65,7 @@ impl Ray {
 }
 
 impl Segment {
-    /// The point of it that is closest to a point.
+    /// Returns the point of the segment that is closest to a point.
     pub fn closest_point(&self, to: Vector2<f64>) -> Vector2<f64> {
         let along = self.b - self.a;
         let length_2 = along.norm_squared();
@@ -83,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ray_meets_what_is_ahead_and_nothing_behind() {
+    fn a_ray_intersects_only_objects_ahead() {
         let east = Ray::at_angle(Vector2::new(1.0, 1.0), 0.0);
         assert_eq!(east.intersect_wall(&wall(3.0, 0.0, 3.0, 2.0)), Some(2.0));
         assert_eq!(east.intersect_wall(&wall(3.0, 2.0, 3.0, 3.0)), None);
@@ -96,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn the_closest_point_of_a_wall_is_on_it() {
+    fn the_closest_point_of_a_wall_is_on_the_wall() {
         let wall = wall(0.0, 0.0, 4.0, 0.0);
         let closest = |x, y| wall.closest_point(Vector2::new(x, y));
         assert_eq!(closest(1.0, 3.0), Vector2::new(1.0, 0.0));

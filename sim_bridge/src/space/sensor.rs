@@ -1,57 +1,57 @@
-//! What sensors perceive: geometry alone.
+//! Geometry of sensors.
 
 use super::{BodyGrid, Disc, Ray, WallGrid};
 use nalgebra::{Isometry2, Vector2, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Something that a robot perceives with: `sensors = [{ kind = "camera", opening_rad = 1.2, reach_m = 8 }]`.
+/// A sensor of a robot: `sensors = [{ kind = "camera", field_of_view_rad = 1.2, reach_m = 8 }]`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Sensor {
-    /// A ray: how far it is to the first wall or body.
+    /// A range finder: the distance to the first wall or body along a ray.
     Range {
-        /// Where it points, in radians to the left of ahead.
+        /// Direction, in radians to the left of ahead.
         #[serde(default)]
         bearing_rad: f64,
-        /// How far it reaches, in metres.
+        /// Range, in metres.
         reach_m: f64,
     },
-    /// A camera: who is within its cone, with no wall between.
+    /// A camera: detects robots and people within its field of view that no wall hides.
     Camera {
-        /// Where its middle points, in radians to the left of ahead.
+        /// Direction of the centre, in radians to the left of ahead.
         #[serde(default)]
         bearing_rad: f64,
-        /// How wide it sees, in radians from edge to edge.
-        opening_rad: f64,
-        /// How far it sees, in metres.
+        /// Field of view from edge to edge, in radians.
+        field_of_view_rad: f64,
+        /// Range, in metres.
         reach_m: f64,
     },
-    /// A feeler all around: who is near, whatever stands between.
+    /// A proximity sensor: detects robots and people nearby in every direction, also through walls.
     Proximity {
-        /// How near, in metres from edge to edge.
+        /// Range from edge to edge, in metres.
         reach_m: f64,
     },
 }
 
 impl Sensor {
-    /// How far it reaches, in metres.
+    /// Range, in metres.
     pub fn reach_m(&self) -> f64 {
         match self {
             Sensor::Range { reach_m, .. } | Sensor::Camera { reach_m, .. } | Sensor::Proximity { reach_m } => *reach_m,
         }
     }
 
-    /// How wide it perceives, in radians: 0 along a ray, a full turn all around.
-    pub fn opening_rad(&self) -> f64 {
+    /// Field of view, in radians: 0 for a ray, a full turn for a proximity sensor.
+    pub fn field_of_view_rad(&self) -> f64 {
         match self {
             Sensor::Range { .. } => 0.0,
-            Sensor::Camera { opening_rad, .. } => *opening_rad,
+            Sensor::Camera { field_of_view_rad, .. } => *field_of_view_rad,
             Sensor::Proximity { .. } => std::f64::consts::TAU,
         }
     }
 
-    /// Where it points, in radians to the left of ahead; one that perceives all around points ahead.
+    /// Direction, in radians to the left of ahead. A proximity sensor points ahead.
     pub fn bearing_rad(&self) -> f64 {
         match self {
             Sensor::Range { bearing_rad, .. } | Sensor::Camera { bearing_rad, .. } => *bearing_rad,
@@ -59,13 +59,14 @@ impl Sensor {
         }
     }
 
-    /// The ray along the middle of what it perceives.
+    /// Returns the ray along the centre of the field of view.
     fn axis(&self, pose: &Isometry2<f64>) -> Ray {
         Ray::at_angle(pose.translation.vector, pose.rotation.angle() + self.bearing_rad())
     }
 
-    /// The distance from the middle of `own`, which looks where `pose` does, to the first wall or body along the middle of
-    /// what it perceives, in metres; none if that is free for as far as it reaches.
+    /// Returns the distance in metres from the centre of body `own`, with the heading of `pose`, to
+    /// the first wall or body along the centre of the field of view; `None` if the path is free
+    /// within the range.
     pub fn measure_range_m(
         &self,
         pose: &Isometry2<f64>,
@@ -77,7 +78,7 @@ impl Sensor {
         let mut first = walls.first_hit(&ray, reach_m);
         let half_way = ray.at(reach_m / 2.0);
         let around = Vector3::new(half_way.x, half_way.y, own_disc.at.z);
-        // Beyond either end by a radius, and above or below by as much.
+        // Extended by a radius beyond either end, and by as much above and below.
         let around_m = (reach_m / 2.0 + bodies.max_radius_m()).hypot(bodies.max_radius_m());
         bodies.for_each_near(&around, own_disc.level, around_m, |name, disc| {
             let level_with = (disc.at.z - own_disc.at.z).abs() <= disc.radius_m;
@@ -89,8 +90,9 @@ impl Sensor {
         first
     }
 
-    /// Shows each body that a camera or feeler of `own` perceives: its name, how far it is from middle to middle (metres)
-    /// and in which direction (radians to the left of ahead).
+    /// Calls `show` for each body that the camera or proximity sensor of `own` detects, with its
+    /// index, its distance from centre to centre (metres) and its direction (radians to the left of
+    /// ahead).
     pub fn for_each_detection(
         &self,
         pose: &Isometry2<f64>,
@@ -122,17 +124,17 @@ impl Sensor {
 
     fn has_in_cone(&self, direction: f64, distance_m: f64) -> bool {
         let aside = nalgebra::UnitComplex::new(direction - self.bearing_rad()).angle();
-        distance_m <= self.reach_m() && aside.abs() <= self.opening_rad() / 2.0
+        distance_m <= self.reach_m() && aside.abs() <= self.field_of_view_rad() / 2.0
     }
 }
 
-/// Radians to the left of where a pose looks.
+/// Angle of a vector relative to the heading of a pose, in radians to the left.
 fn direction(pose: &Isometry2<f64>, to: Vector2<f64>) -> f64 {
     let seen = pose.rotation.inverse() * to;
     seen.y.atan2(seen.x)
 }
 
-/// Whether any of a body's middle and its two edges can be seen.
+/// Checks whether the centre of a body, or either of its two edges, is visible.
 fn is_in_sight(from: Vector2<f64>, disc: &Disc, walls: &WallGrid) -> bool {
     let middle = disc.at.xy();
     let Some((ray, _)) = Ray::towards(from, middle) else { return true };

@@ -1,13 +1,14 @@
-//! Walls by where they are.
+//! Spatial index of walls.
 
 use super::rays::{Ray, Segment};
 use nalgebra::Vector2;
 
-/// The walls of one level in a grid of square cells; a wall stands in every cell that its bounding box touches.
+/// The walls of a level in a grid of square cells. A wall is stored in every cell that its bounding
+/// box touches.
 #[derive(Debug, Clone, Default)]
 pub struct WallGrid {
     segments: Vec<Segment>,
-    /// Row by row.
+    /// Cells, row by row.
     cells: Vec<Vec<u32>>,
     origin: Vector2<f64>,
     cell_m: f64,
@@ -15,16 +16,16 @@ pub struct WallGrid {
     rows: usize,
 }
 
-/// Cells that a grid has at most: large floors have larger ones.
+/// Greatest number of cells of a grid. Large levels have larger cells.
 const CELLS_MAX: f64 = 65_536.0;
-/// How wide a cell is where there is no reason for it to be wider: about a corridor.
+/// Default width of a cell, in metres: about a corridor.
 const CELL_M: f64 = 2.0;
 
 impl WallGrid {
-    /// Walls from polylines of (x, y) in metres.
+    /// Creates the index from polylines of (x, y) in metres.
     ///
     /// # Panics
-    /// If a corner is nowhere (not a number).
+    /// Panics if a coordinate is not finite.
     pub fn new<'a>(polylines: impl IntoIterator<Item = &'a [(f64, f64)]>) -> WallGrid {
         let corner = |(x, y): (f64, f64)| Vector2::new(x, y);
         let pieces = polylines.into_iter().flat_map(|line| line.windows(2));
@@ -32,7 +33,7 @@ impl WallGrid {
         let Some(first) = segments.first() else { return WallGrid::default() };
         let (mut low, mut high) = (first.a, first.a);
         for corner in segments.iter().flat_map(|wall| [wall.a, wall.b]) {
-            assert!(corner.iter().all(|part| part.is_finite()), "a wall is somewhere: {corner}");
+            assert!(corner.iter().all(|part| part.is_finite()), "the coordinates of a wall are finite: {corner}");
             (low, high) = (low.inf(&corner), high.sup(&corner));
         }
         let size = high - low;
@@ -51,7 +52,7 @@ impl WallGrid {
         walls
     }
 
-    /// Whether there are none.
+    /// Checks whether there are no walls.
     pub fn is_empty(&self) -> bool {
         self.segments.is_empty()
     }
@@ -61,7 +62,7 @@ impl WallGrid {
         ((part.x as usize).min(self.columns - 1), (part.y as usize).min(self.rows - 1))
     }
 
-    /// How far it is from a point to the nearest wall, in metres, if one is at most `reach_m` away.
+    /// Returns the distance from a point to the nearest wall in metres, if it is at most `reach_m`.
     pub fn nearest_distance(&self, at: Vector2<f64>, reach_m: f64) -> Option<f64> {
         if self.is_empty() {
             return None;
@@ -74,12 +75,13 @@ impl WallGrid {
         names.map(distance).filter(|distance| *distance <= reach_m).min_by(f64::total_cmp)
     }
 
-    /// How far along a ray the first wall is, in metres, if one is at most `reach_m` away.
+    /// Returns the distance along a ray to the first wall in metres, if it is at most `reach_m`.
     pub fn first_hit(&self, ray: &Ray, reach_m: f64) -> Option<f64> {
         if self.is_empty() {
             return None;
         }
-        // Piece by piece, each shorter than a cell is wide: a hit within the pieces seen so far is the first.
+        // Section by section, each no longer than a cell is wide: the first section with a hit
+        // contains the first hit.
         let mut from_m = 0.0;
         let mut best: Option<f64> = None;
         while from_m < reach_m && best.is_none() {
@@ -97,7 +99,7 @@ impl WallGrid {
         best
     }
 
-    /// Whether no wall stands between two points.
+    /// Checks whether no wall stands between two points.
     pub fn is_clear(&self, a: Vector2<f64>, b: Vector2<f64>) -> bool {
         Ray::towards(a, b).is_none_or(|(ray, length)| self.first_hit(&ray, length).is_none())
     }
@@ -109,7 +111,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn a_room_is_seen_from_within_and_closed_to_the_outside() {
+    fn a_room_is_visible_inside_and_closed_to_the_outside() {
         let room = [(0.0, 0.0), (10.0, 0.0), (10.0, 6.0), (0.0, 6.0), (0.0, 0.0)];
         let walls = WallGrid::new([room.as_slice()]);
         let middle = Vector2::new(5.0, 3.0);
@@ -126,7 +128,7 @@ mod tests {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
         #[test]
-        fn it_finds_what_looking_at_all_walls_finds(
+        fn a_query_agrees_with_an_exhaustive_search_of_walls(
             lines in prop::collection::vec(((-20.0..20.0, -20.0..20.0), (-20.0..20.0, -20.0..20.0)), 0..30),
             (x, y, angle, reach) in (-25.0..25.0, -25.0..25.0, -3.2..3.2, 0.0..40.0),
         ) {

@@ -1,4 +1,4 @@
-//! The controller of a swarm, and the clock beside it.
+//! The controller of a swarm, and its clock.
 
 use super::formation::{Swarm, assign, circles, robot};
 use super::table::SwarmResult;
@@ -10,22 +10,22 @@ use consort_skills::actions::{BackendEvent, Goal, GoalId, GoalStatus, RobotBacke
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// How long the controller waits for the next answer, in seconds.
+/// Time for which the controller waits for the next result, in seconds.
 pub const RESULT_TIMEOUT_S: f64 = 15.0;
 
-/// A swarm that cannot be: none at all, or more drones than a map has places.
+/// A swarm is impossible: it has no drones, or more than a map has places.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct SwarmError(pub(super) String);
 
-/// Has a swarm take off and fly to its circles. `clock` tells how much time has passed outside the simulation: it is asked
-/// once for each second within.
+/// Lets a swarm take off and fly to its circles. `clock` returns the time elapsed outside the
+/// simulation. It is called once for each simulated second.
 ///
 /// # Errors
-/// [`SwarmError`] if there can be no such swarm.
+/// [`SwarmError`] if the swarm is impossible.
 pub fn run_swarm(swarm: Swarm, mut clock: impl FnMut() -> Duration) -> Result<SwarmResult, SwarmError> {
     if swarm.drones == 0 {
-        return Err(SwarmError("a swarm has 1 drone or more".to_owned()));
+        return Err(SwarmError("a swarm needs at least 1 drone".to_owned()));
     }
     let mut flight = Flight::prepare(swarm)?;
     let (mut seconds, mut before) = (Vec::new(), clock());
@@ -37,19 +37,19 @@ pub fn run_swarm(swarm: Swarm, mut clock: impl FnMut() -> Duration) -> Result<Sw
         (before, until) = (now, until + 1.0);
     }
     let rest = (clock() - before).as_secs_f64();
-    Ok(flight.row(&seconds, rest))
+    Ok(flight.result(&seconds, rest))
 }
 
-/// A swarm under way, as its controller sees it.
+/// A flying swarm, from the view of its controller.
 struct Flight {
     world: World,
-    /// Where each is to be.
+    /// Target of each drone.
     targets: Vec<(RobotId, Pose)>,
-    waits_for: BTreeSet<RobotId>,
+    pending: BTreeSet<RobotId>,
     arrived: usize,
     crashed: BTreeSet<RobotId>,
-    /// When somebody answered last.
-    answered_s: f64,
+    /// Time of the latest result.
+    last_result_s: f64,
 }
 
 impl Flight {
@@ -60,25 +60,25 @@ impl Flight {
         let chosen = assign(&places, &stand);
         let targets = chosen.into_iter().zip(places);
         let targets = targets.map(|(drone, (x, y))| (robot(drone), Pose::new(x, y, 0.0))).collect();
-        let (waits_for, crashed) = (BTreeSet::new(), BTreeSet::new());
-        Ok(Flight { world, targets, waits_for, arrived: 0, crashed, answered_s: 0.0 })
+        let (pending, crashed) = (BTreeSet::new(), BTreeSet::new());
+        Ok(Flight { world, targets, pending, arrived: 0, crashed, last_result_s: 0.0 })
     }
 
     fn send(&mut self) {
         for (drone, pose) in &self.targets {
             self.world.start(drone, GoalId(1), Goal::NavigateToPose { pose: *pose, place: None });
-            self.waits_for.insert(drone.clone());
+            self.pending.insert(drone.clone());
         }
     }
 
-    /// Lets time pass until so many seconds have, or until it is over: whether it is.
+    /// Advances time until `until_s` or until the flight is over. Returns whether it is over.
     fn fly_until(&mut self, until_s: f64) -> bool {
-        let until_s = until_s.min(self.answered_s + RESULT_TIMEOUT_S);
-        while !self.waits_for.is_empty() {
+        let until_s = until_s.min(self.last_result_s + RESULT_TIMEOUT_S);
+        while !self.pending.is_empty() {
             let due = self.world.next_due().map_or(f64::INFINITY, WorldTime::as_secs);
             let over = due > until_s;
             for event in self.world.advance(WorldTime::from_secs(due.min(until_s))) {
-                self.hear(event);
+                self.on_event(event);
             }
             if over {
                 break;
@@ -89,15 +89,15 @@ impl Flight {
                 self.crashed.insert(robot);
             }
         }
-        self.waits_for.is_empty() || self.now() >= self.answered_s + RESULT_TIMEOUT_S
+        self.pending.is_empty() || self.now() >= self.last_result_s + RESULT_TIMEOUT_S
     }
 
-    fn hear(&mut self, event: BackendEvent) {
+    fn on_event(&mut self, event: BackendEvent) {
         if let BackendEvent::GoalEnded { robot, status, .. } = event
-            && self.waits_for.remove(&robot)
+            && self.pending.remove(&robot)
         {
             self.arrived += usize::from(status == GoalStatus::Succeeded);
-            self.answered_s = self.now();
+            self.last_result_s = self.now();
         }
     }
 
@@ -105,8 +105,8 @@ impl Flight {
         self.world.now().as_secs()
     }
 
-    /// What is to be told of it: from how long each whole second took outside, and the rest.
-    fn row(&self, seconds: &[f64], rest: f64) -> SwarmResult {
+    /// Computes the result from the real duration of each whole simulated second, and of the rest.
+    fn result(&self, seconds: &[f64], rest: f64) -> SwarmResult {
         let simulated_s = self.now();
         let sum = seconds.iter().sum::<f64>() + rest;
         let whole = || seconds.iter().copied();
@@ -133,22 +133,22 @@ mod tests {
     #[test]
     fn no_drone_of_two_hundred_crashes_and_all_arrive() {
         for seed in 1..=3 {
-            let row = flown(200, seed);
-            assert_eq!((row.arrived, row.crashed), (200, 0), "seed {seed}: {row:?}");
-            assert!(row.simulated_s < 40.0, "seed {seed}: {row:?}");
+            let result = flown(200, seed);
+            assert_eq!((result.arrived, result.crashed), (200, 0), "seed {seed}: {result:?}");
+            assert!(result.simulated_s < 40.0, "seed {seed}: {result:?}");
         }
     }
 
     #[test]
     fn small_swarms_do_as_well() {
         for (drones, seed) in [(1, 7), (2, 7), (20, 7), (40, 1), (60, 1), (80, 7), (80, 8), (100, 1)] {
-            let row = flown(drones, seed);
-            assert_eq!((row.arrived, row.crashed), (drones, 0), "seed {seed}: {row:?}");
+            let result = flown(drones, seed);
+            assert_eq!((result.arrived, result.crashed), (drones, 0), "seed {seed}: {result:?}");
         }
     }
 
     #[test]
-    fn the_same_seed_flies_the_same_way_and_another_does_not() {
+    fn equal_seeds_fly_alike_and_others_do_not() {
         let poses = |seed| {
             let mut flight = Flight::prepare(Swarm { drones: 60, seed }).unwrap();
             flight.send();
@@ -162,23 +162,23 @@ mod tests {
     }
 
     #[test]
-    fn impossible_swarms_are_refused() {
+    fn impossible_swarms_are_rejected() {
         let refused = |drones| run_swarm(Swarm { drones, seed: 1 }, || Duration::ZERO).unwrap_err().to_string();
-        assert_eq!(refused(0), "a swarm has 1 drone or more");
+        assert_eq!(refused(0), "a swarm needs at least 1 drone");
         assert!(refused(10_001).contains("10000"), "{}", refused(10_001));
     }
 
     #[test]
-    fn whoever_does_not_answer_is_waited_for_fifteen_seconds() {
+    fn a_missing_result_ends_the_flight_after_fifteen_seconds() {
         let mut flight = Flight::prepare(Swarm { drones: 2, seed: 1 }).unwrap();
         flight.send();
         let stranger = RobotId::new("nobody").unwrap();
-        flight.waits_for.insert(stranger);
-        assert!(!flight.fly_until(flight.answered_s + 10.0));
+        flight.pending.insert(stranger);
+        assert!(!flight.fly_until(flight.last_result_s + 10.0));
         assert_eq!((flight.arrived, flight.now()), (2, 10.0));
-        let answered = flight.answered_s;
-        assert!((1.0..10.0).contains(&answered), "{answered}");
+        let last_result = flight.last_result_s;
+        assert!((1.0..10.0).contains(&last_result), "{last_result}");
         assert!(flight.fly_until(100.0));
-        assert!((flight.now() - answered - RESULT_TIMEOUT_S).abs() < 1e-9);
+        assert!((flight.now() - last_result - RESULT_TIMEOUT_S).abs() < 1e-9);
     }
 }

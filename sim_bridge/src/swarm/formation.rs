@@ -1,4 +1,4 @@
-//! Where drones stand at first, and where they are to be.
+//! Start and target positions of drones.
 
 use super::controller::SwarmError;
 use crate::kinematics::{AerialSettings, Kinematics};
@@ -10,35 +10,36 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-/// From the middle of a drone to its outermost part. The distances below are to it as those of the published scenario.
+/// Radius of a drone. The distances below are in the same proportion to it as in the published
+/// scenario.
 const RADIUS_M: f64 = 0.25;
-/// From one drone on the field to the next.
+/// Distance between neighbouring drones on the field.
 const FIELD_M: f64 = 2.0;
-/// By how much each may stand beside its place on the field.
+/// Greatest random offset from the position on the field.
 const ASIDE_M: f64 = 0.2;
-/// From one circle to the next, and the radius of the innermost.
+/// Distance between circles, and radius of the innermost circle.
 const CIRCLE_M: f64 = 2.5;
-/// From one place on a circle to the next, at least.
+/// Least distance between positions on a circle.
 const ALONG_M: f64 = 1.5;
-/// How fast a drone flies: a guess at a small quadrotor among others.
+/// Speed of a drone: a guess for a small quadrotor in company.
 const SPEED_MPS: f64 = 3.0;
 
-/// A swarm before it takes off.
+/// Configuration of a swarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Swarm {
-    /// How many drones.
+    /// Number of drones.
     pub drones: usize,
-    /// What chance comes from: where exactly they stand, and the gusts.
+    /// Seed of the random offsets and of the gusts.
     pub seed: u64,
 }
 
 impl Swarm {
-    /// The world with all drones on the ground.
+    /// Creates the world with all drones on the ground.
     ///
     /// # Errors
-    /// [`SwarmError`] for none, or more than a map has places.
+    /// [`SwarmError`] if there are no drones, or more than a map has places.
     pub(super) fn world(&self) -> Result<World, SwarmError> {
-        let map = self.field().check("field").map_err(|problem| SwarmError(problem.to_string()))?;
+        let map = self.field().check("field").map_err(|error| SwarmError(error.to_string()))?;
         let mut setup = WorldSetup::new(map, self.seed);
         let kinematics = Some(Kinematics::Aerial(AerialSettings::default()));
         for n in 0..self.drones {
@@ -47,13 +48,13 @@ impl Swarm {
             let drone = RobotSetup::carrier(robot(n), pad(n), speed, BatteryShare::FULL, discharge);
             setup.robots.push(RobotSetup { has_drawer: false, radius_m: RADIUS_M, kinematics, ..drone });
         }
-        setup.systems = ["steering", "driving", "collisions", "gusts"].map(str::to_owned).to_vec();
-        setup.gusts = Some(WindSettings::default());
+        setup.systems = ["steering", "driving", "collisions", "wind"].map(str::to_owned).to_vec();
+        setup.wind = Some(WindSettings::default());
         setup.limits = WorldLimits { history_kept: 4 * self.drones.max(1_000), ..WorldLimits::default() };
-        World::new(setup).map_err(|problems| SwarmError(problems.to_string()))
+        World::new(setup).map_err(|errors| SwarmError(errors.to_string()))
     }
 
-    /// A field with a pad for each drone, side by side in a square around the origin.
+    /// A field with a pad for each drone, in a square around the origin.
     fn field(&self) -> MapFile {
         let mut chance = ChaCha8Rng::seed_from_u64(self.seed);
         let side = (self.drones as f64).sqrt().ceil().max(1.0);
@@ -73,7 +74,7 @@ impl Swarm {
     }
 }
 
-/// A drone's name.
+/// Name of a drone.
 pub(super) fn robot(n: usize) -> RobotId {
     RobotId::new(format!("d{n}")).expect("a letter and a number are a name")
 }
@@ -82,7 +83,8 @@ fn pad(n: usize) -> PlaceId {
     PlaceId::new(format!("pad {n}")).expect("a word and a number are a name")
 }
 
-/// So many places on circles around the origin, in metres: from the innermost outwards, on each at equal distances.
+/// Returns positions on circles around the origin, in metres: from the innermost circle outwards,
+/// equally spaced on each.
 pub fn circles(places: usize) -> Vec<(f64, f64)> {
     let mut found = Vec::with_capacity(places);
     let mut circle = 1.0;
@@ -99,7 +101,7 @@ pub fn circles(places: usize) -> Vec<(f64, f64)> {
     found
 }
 
-/// For each place, in their order, the drone that is nearest of those that are left: by their positions in the two lists.
+/// Assigns to each place, in order, the nearest remaining drone. Returns positions in `drones`.
 pub(super) fn assign(places: &[(f64, f64)], drones: &[(f64, f64)]) -> Vec<usize> {
     let mut left: Vec<usize> = (0..drones.len()).collect();
     let distance_2 = |a: (f64, f64), b: (f64, f64)| (a.0 - b.0).powi(2) + (a.1 - b.1).powi(2);

@@ -1,11 +1,14 @@
-//! The drone swarm of thesis 5.6.1: how long a second of simulation takes, for so many drones.
+//! The drone swarm of thesis 5.6.1: measures how long a simulated second takes for a number of
+//! drones.
 //!
-//! Drones stand on a field. A controller sends each to a place of its own on circles around the middle of the field, and
-//! each answers when it is there, or when it has crashed. Who has arrived hovers, pushed by gusts. It is over when all have
-//! answered, or when for 15 s nobody has.
+//! The drones stand on a field. A controller sends each to its own position on circles around the
+//! centre of the field. Each drone reports a result on arrival or after a crash. Drones that have
+//! arrived hover, pushed by gusts. The flight is over when all drones have reported, or when no
+//! result has arrived for 15 s.
 //!
-//! It all happens in an ordinary [`World`](crate::world::World): drones are robots with
-//! [aerial kinematics](crate::kinematics::Aerial), the controller sends goals and listens to what comes of them.
+//! All this runs in an ordinary [`World`](crate::world::World): drones are robots with [aerial
+//! kinematics](crate::kinematics::Aerial), and the controller sends goals and receives their
+//! results.
 
 mod controller;
 mod formation;

@@ -1,28 +1,28 @@
-//! A line of thesis Table 5.1.
+//! A row of thesis Table 5.1.
 
 use serde::Serialize;
 use std::fmt;
 
-/// What is told of one swarm. Equal for equal seeds but for the three times outside.
+/// Measurements of a swarm. Equal seeds give equal results, except for the three real times.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SwarmResult {
-    /// How many drones.
+    /// Number of drones.
     pub drones: usize,
-    /// How long it took within the simulation until all had answered, in seconds.
+    /// Simulated time until all drones had reported, in seconds.
     pub simulated_s: f64,
-    /// The least time outside that a second within took, in seconds.
+    /// Least real time for a simulated second, in seconds.
     pub min_s: f64,
-    /// The most.
+    /// Greatest real time for a simulated second, in seconds.
     pub max_s: f64,
-    /// The mean.
+    /// Mean real time for a simulated second, in seconds.
     pub average_s: f64,
-    /// How many drones are where they were sent.
+    /// Number of drones that reached their targets.
     pub arrived: usize,
-    /// How many drones ran into another.
+    /// Number of drones that collided.
     pub crashed: usize,
 }
 
-/// What stands above the rows.
+/// Heading of the table.
 pub const TABLE_HEADER: &str = "Swarm size  Simulation time  Min. time 1s  Max. time 1s  Average    Arrived  Crashed";
 
 impl fmt::Display for SwarmResult {

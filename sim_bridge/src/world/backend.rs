@@ -1,4 +1,4 @@
-//! The world as a host of bodies.
+//! The world as a robot backend.
 
 use super::World;
 use super::location::RobotLocation;
@@ -13,7 +13,7 @@ use consort_skills::actions::{
 };
 
 impl World {
-    fn fall_due(&mut self, due: ScheduledEvent) {
+    fn handle_scheduled(&mut self, due: ScheduledEvent) {
         match due {
             ScheduledEvent::Emit(event) => self.state.emit(*event),
             ScheduledEvent::GoalEnds(robot) => {
@@ -23,43 +23,43 @@ impl World {
             }
             ScheduledEvent::Step => self.step(),
             ScheduledEvent::SystemTimer(place, wake) => {
-                self.run_system(super::SystemIndex(place), |system, floor| system.on_timer(floor, wake))
+                self.run_system(super::SystemIndex(place), |system, state| system.on_timer(state, wake))
             }
         }
     }
 
-    /// Lets all systems step, and arranges the next time if any has to go on.
+    /// Lets all systems step, and schedules the next step if any system needs it.
     fn step(&mut self) {
         self.state.clear_step();
         let mut goes_on = false;
-        self.for_each_system(|system, floor| goes_on |= system.step(floor));
+        self.for_each_system(|system, state| goes_on |= system.step(state));
         if goes_on {
             self.state.start_stepping();
         }
     }
 
-    /// Shows what happened to all systems and carries out what they ask, until there is nothing more; what is to be told the
-    /// outside comes in order.
+    /// Shows new events to all systems and executes their commands, until none are left. Returns
+    /// the events to emit, in order.
     pub(super) fn process_commands(&mut self) -> Vec<BackendEvent> {
-        let mut told = Vec::new();
+        let mut events = Vec::new();
         loop {
-            if let Some(what) = self.state.unobserved_events.pop_front() {
-                self.for_each_system(|system, floor| system.on_event(floor, &what));
+            if let Some(event) = self.state.unobserved_events.pop_front() {
+                self.for_each_system(|system, state| system.on_event(state, &event));
                 continue;
             }
             match self.state.commands.pop_front() {
-                Some(SimCommand::Emit(event)) => told.push(event),
-                Some(SimCommand::Log(what)) => self.state.log_event(what),
-                Some(SimCommand::AbortGoal(robot, why)) => {
-                    told.extend(self.interrupt_goal(robot, GoalStatus::Aborted(why)))
+                Some(SimCommand::Emit(event)) => events.push(event),
+                Some(SimCommand::Log(event)) => self.state.log_event(event),
+                Some(SimCommand::AbortGoal(robot, error)) => {
+                    events.extend(self.interrupt_goal(robot, GoalStatus::Aborted(error)))
                 }
-                Some(SimCommand::CompleteGoal(robot)) => told.extend(self.complete_goal(robot)),
-                None => return told,
+                Some(SimCommand::CompleteGoal(robot)) => events.extend(self.complete_goal(robot)),
+                None => return events,
             }
         }
     }
 
-    /// The same after something from outside: what is to be told is told by the next `advance`.
+    /// The same after a call from outside: the next `advance` returns the events.
     pub(super) fn process_commands_and_defer(&mut self) {
         for event in self.process_commands() {
             self.state.queue.schedule(self.state.now, ScheduledEvent::Emit(Box::new(event)));
@@ -88,17 +88,17 @@ impl RobotBackend for World {
     }
 
     fn request_person(&mut self, id: GoalId, ask: PersonRequest) {
-        let mut taken = false;
-        self.for_each_system(|system, floor| taken |= system.request_person(floor, id, &ask));
-        if !taken {
-            let why = action_error(ErrorCode::Unknown, "there are no people in this world".to_owned());
-            self.state.emit(BackendEvent::PersonRequestEnded { ask: id, result: Err(why) });
+        let mut accepted = false;
+        self.for_each_system(|system, state| accepted |= system.request_person(state, id, &ask));
+        if !accepted {
+            let error = action_error(ErrorCode::Unknown, "there are no people in this world".to_owned());
+            self.state.emit(BackendEvent::PersonRequestEnded { request: id, result: Err(error) });
         }
         self.process_commands_and_defer();
     }
 
     fn cancel_person_request(&mut self, id: GoalId) {
-        self.for_each_system(|system, floor| system.cancel_person_request(floor, id));
+        self.for_each_system(|system, state| system.cancel_person_request(state, id));
         self.process_commands_and_defer();
     }
 
@@ -115,7 +115,7 @@ impl RobotBackend for World {
         let mut events = Vec::new();
         while let Some((time, due)) = self.state.queue.pop_due(to) {
             self.state.now = time;
-            self.fall_due(due);
+            self.handle_scheduled(due);
             events.extend(self.process_commands());
         }
         self.state.now = to;
@@ -156,16 +156,16 @@ impl RobotBackend for World {
 
     fn telemetry(&self, robot: &RobotId) -> Option<Telemetry> {
         let robot = *self.state.robots.get(robot)?;
-        let floor = &self.state;
-        let whereabouts = floor.get::<RobotLocation>(robot);
-        let battery = floor.find::<Battery>(robot);
+        let state = &self.state;
+        let location = state.get::<RobotLocation>(robot);
+        let battery = state.find::<Battery>(robot);
         Some(Telemetry {
             time: self.now(),
-            pose: whereabouts.pose(floor.now),
-            place: floor.map.place_at(whereabouts.map_position(floor.now).last_place()).id.clone(),
-            battery: battery.as_ref().map_or(BatteryShare::FULL, |battery| battery.at(floor.now)),
+            pose: location.pose(state.now),
+            place: state.map.place_at(location.map_position(state.now).last_place()).id.clone(),
+            battery: battery.as_ref().map_or(BatteryShare::FULL, |battery| battery.at(state.now)),
             able: battery.is_none_or(|battery| battery.able),
-            closed: floor.known_closures(robot),
+            closed: state.known_closures(robot),
         })
     }
 

@@ -1,4 +1,4 @@
-//! What entities are made of, where no system has a file of its own for it.
+//! Components that belong to no single system.
 
 use super::names::{PersonName, SampleId};
 use super::setup::RobotSetup;
@@ -7,10 +7,10 @@ use consort_protocol::ids::RoleId;
 use hecs::Entity;
 use rand_chacha::ChaCha8Rng;
 
-/// A robot: what it was set up with. Its discharge rate here is the only one there is.
+/// A robot: its setup. Its discharge rate here is the only rate used.
 pub(crate) struct SimRobot(pub(crate) RobotSetup);
 
-/// Who a robot is beside, and has come within reach of.
+/// The person or robot that a robot has approached.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum CoPresence {
     None,
@@ -20,28 +20,29 @@ pub(crate) enum CoPresence {
     },
     Robot {
         robot: Entity,
-        /// How often that robot had departed by then: once it leaves, the two are no longer beside one another.
+        /// Departure count of that robot at the approach. Once it departs, the two are no longer
+        /// next to each other.
         departures: u64,
     },
 }
 
-/// How often a robot has left where it stood.
+/// Number of times a robot has departed from its position.
 pub(crate) struct DepartureCount(pub(crate) u64);
 
-/// Whether a robot's drawer stands open. What is in it is known by the samples.
+/// True while a robot's drawer is open. Its content is stored with the samples.
 pub(crate) struct DrawerOpen(pub(crate) bool);
 
-/// A person: who they are and where they stay.
+/// A person: identity and place.
 pub(crate) struct PersonInfo {
     pub(crate) name: PersonName,
     pub(crate) role: RoleId,
     pub(crate) place: PlaceIndex,
 }
 
-/// A person's hands are at work for an ask.
+/// True while a person hands something over.
 pub(crate) struct HandsBusy(pub(crate) bool);
 
-/// A person's own source of chance.
+/// Random generator for a person's handover times.
 pub(crate) struct HandoverRng(pub(crate) ChaCha8Rng);
 
 /// A sample's label.

@@ -1,49 +1,50 @@
-//! A drive and what is on the way: doors to pass, things in the way.
+//! Progress of a drive, and its doors and obstacles.
 
 use super::location::{LanePart, StraightDrive};
 use super::sim_state::SimState;
 use hecs::Entity;
 
-/// A robot waits this far before a door, and has passed it as far behind: room for the leaf and for who comes out.
+/// Distance before a door at which a robot waits, and behind a door at which it has passed: room
+/// for the door leaf and for robots coming out.
 const CLEARANCE_M: f64 = 0.5;
 
-/// A robot sees from this far that something stands in its way, and stops.
+/// Distance at which a robot detects an obstacle, and stops.
 pub(crate) const OBSTACLE_DETECTION_M: f64 = 1.0;
 
-/// Lengths that differ by less are the same: a micrometre.
+/// Lengths that differ by less are equal: a micrometre.
 pub(crate) const LENGTH_EPSILON_M: f64 = 1e-6;
 
-/// A drive under way.
+/// A drive in progress.
 #[derive(Debug, Clone)]
 pub(crate) struct DriveProgress {
-    /// The drive as it would be if nothing was in the way.
+    /// The whole drive, as if it were free.
     pub(crate) drive: StraightDrive,
     pub(crate) speed_mps: f64,
-    /// How far it has come when the part under way began.
+    /// Distance covered at the start of the current part.
     pub(crate) done_m: f64,
-    /// How far it has come when the part under way ends.
+    /// Distance covered at the end of the current part.
     pub(crate) until_m: f64,
-    /// Where there is something to do about doors, by how far it is: first things first.
+    /// Doors to enter and leave, by distance from the start, in order.
     stops: Vec<(f64, DoorStop)>,
     next: usize,
 }
 
-/// Something to do on the way.
+/// A door action on the way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum DoorStop {
-    /// Wait until the door lets one in.
+    /// Wait until the door admits the robot.
     Enter(Entity),
     /// The door has been passed.
     Leave(Entity),
 }
 
 impl DriveProgress {
-    pub(crate) fn new(whole: StraightDrive, speed_mps: f64, floor: &SimState) -> DriveProgress {
-        let stops = whole.lane.map_or(vec![], |stretch| stops(floor, stretch, whole.length_m()));
-        DriveProgress { drive: whole, speed_mps, done_m: 0.0, until_m: 0.0, stops, next: 0 }
+    pub(crate) fn new(drive: StraightDrive, speed_mps: f64, state: &SimState) -> DriveProgress {
+        let stops = drive.lane.map_or(vec![], |stretch| stops(state, stretch, drive.length_m()));
+        DriveProgress { drive: drive, speed_mps, done_m: 0.0, until_m: 0.0, stops, next: 0 }
     }
 
-    /// What there is to do where the robot is now.
+    /// Returns the door action at the robot's current position.
     pub(crate) fn current_stop(&self) -> Option<DoorStop> {
         self.stops.get(self.next).filter(|(at, _)| *at <= self.done_m + LENGTH_EPSILON_M).map(|(_, stop)| *stop)
     }
@@ -52,26 +53,27 @@ impl DriveProgress {
         self.next += 1;
     }
 
-    /// How far it has come at the next stop, or at the end.
+    /// Distance from the start to the next door action, or to the end.
     pub(crate) fn next_stop_m(&self) -> f64 {
         self.stops.get(self.next).map_or(self.drive.length_m(), |(at, _)| at.min(self.drive.length_m()))
     }
 
-    /// How far it has come where it next has to stand, unless it may go on at once, or at the end.
+    /// Distance from the start to the next point at which the robot may have to wait, or to the
+    /// end.
     pub(crate) fn next_wait_m(&self) -> f64 {
         let ahead = self.stops.iter().skip(self.next);
         let halt = ahead.filter(|(_, stop)| matches!(stop, DoorStop::Enter(_))).map(|(at, _)| *at).next();
         halt.map_or(self.drive.length_m(), |at| at.min(self.drive.length_m()))
     }
 
-    /// Has it come past the next door, if it is in one: which.
+    /// If the next action is to leave a door, completes it and returns the door.
     pub(crate) fn leave_door(&mut self) -> Option<Entity> {
         let Some((_, DoorStop::Leave(door))) = self.stops.get(self.next) else { return None };
         self.next += 1;
         Some(*door)
     }
 
-    /// Whether a door is on the way.
+    /// Checks whether a door is on the way.
     pub(crate) fn passes_door(&self, door: Entity) -> bool {
         self.stops.iter().any(|(_, stop)| *stop == DoorStop::Leave(door))
     }
@@ -81,16 +83,19 @@ impl DriveProgress {
     }
 }
 
-/// Where doors on part of a lane are to be entered and left, as distances from the part's beginning.
-fn stops(floor: &SimState, (from, to, first, last): LanePart, length_m: f64) -> Vec<(f64, DoorStop)> {
-    let lane_m = floor.map.lane_between(from, to).map_or(0.0, |lane| lane.length.get());
-    let met = floor.map.doors_on(&floor.map.place_at(from).id, &floor.map.place_at(to).id);
-    let doors: Vec<(f64, Entity)> =
-        met.iter().filter_map(|met| Some((met.at, floor.door_entity(&met.door.name)?))).collect();
+/// Returns the door actions on a lane part, as distances from the start of the part.
+fn stops(state: &SimState, (from, to, first, last): LanePart, length_m: f64) -> Vec<(f64, DoorStop)> {
+    let lane_m = state.map.lane_between(from, to).map_or(0.0, |lane| lane.length.get());
+    let doors_met = state.map.doors_on(&state.map.place_at(from).id, &state.map.place_at(to).id);
+    let doors: Vec<(f64, Entity)> = doors_met
+        .iter()
+        .filter_map(|doors_met| Some((doors_met.at, state.door_entity(&doors_met.door.name)?)))
+        .collect();
     let reach = CLEARANCE_M / lane_m.max(LENGTH_EPSILON_M);
     let mut stops = Vec::new();
     for (index, (at, door)) in doors.iter().enumerate() {
-        // Neither beyond the ends of the lane nor beyond half the way to the next door: nobody is in two doorways at once.
+        // Neither beyond the ends of the lane nor beyond half the distance to the next door: a
+        // robot is never in two doorways at once.
         let before = index.checked_sub(1).map_or(0.0, |before| (doors[before].0 + at) / 2.0);
         let behind = doors.get(index + 1).map_or(1.0, |behind| (behind.0 + at) / 2.0);
         let (begins, ends) = ((at - reach).max(before), (at + reach).min(behind));
@@ -104,7 +109,7 @@ fn stops(floor: &SimState, (from, to, first, last): LanePart, length_m: f64) -> 
         }
     }
     if last < first {
-        // The doors came in the order of the lane, each entered before it is left.
+        // The doors are in the order of the lane, each entered before it is left.
         stops.reverse();
         stops.chunks_mut(2).for_each(|pair| pair.reverse());
     }

@@ -1,4 +1,4 @@
-//! What a setup says of doors, of what stands in the way, and of what lies about.
+//! Setup of doors, obstacles and objects.
 
 use super::names::SampleId;
 use super::setup::SetupError;
@@ -9,19 +9,19 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
-/// Seconds that something may take or wait.
+/// Allowed durations, in seconds.
 const SECONDS: std::ops::RangeInclusive<f64> = 0.0..=86_400.0;
 
-/// How an automatic door of the map behaves, where it is not as usual.
+/// Settings of an automatic door of the map, if they differ from the defaults.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DoorSetup {
-    /// Its name on the map.
+    /// Name of the door on the map.
     pub name: String,
-    /// How many robots may be in the doorway at once. By default 1: it is narrow.
+    /// Number of robots allowed in the doorway at once. Default: 1, a narrow door.
     #[serde(default = "one")]
     pub capacity: usize,
-    /// Seconds that it stays open behind the last one. By default 2, a guess.
+    /// Seconds for which the door stays open behind the last robot. Default: 2, a guess.
     #[serde(default = "two_seconds")]
     pub open_for_s: f64,
 }
@@ -35,44 +35,44 @@ fn two_seconds() -> f64 {
 }
 
 impl DoorSetup {
-    /// A door as usual.
+    /// A door with default settings.
     pub fn named(name: String) -> DoorSetup {
         DoorSetup { name, capacity: one(), open_for_s: two_seconds() }
     }
 
-    fn check(&self, map: &Map, problems: &mut Vec<SetupError>) {
-        let who = format!("door {}", self.name);
+    fn check(&self, map: &Map, errors: &mut Vec<SetupError>) {
+        let subject = format!("door {}", self.name);
         if map.door(&self.name).is_none() {
             let hint = did_you_mean(&self.name, map.doors().iter().map(|door| door.name.as_str()));
-            problems.push(SetupError::UnknownDoor { name: self.name.clone(), map: map.name().to_owned(), hint });
+            errors.push(SetupError::UnknownDoor { name: self.name.clone(), map: map.name().to_owned(), hint });
         }
         if self.capacity == 0 {
-            problems.push(SetupError::InvalidNumber {
-                who: who.clone(),
+            errors.push(SetupError::InvalidNumber {
+                subject: subject.clone(),
                 field: "capacity",
                 value: 0.0,
                 allowed: "1 or more",
             });
         }
-        seconds(who, "open_for_s", self.open_for_s, problems);
+        seconds(subject, "open_for_s", self.open_for_s, errors);
     }
 }
 
-/// Something that stands in a lane for a while: no robot passes it, in either direction.
+/// An obstacle in a lane for some time. No robot passes it, in either direction.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Obstacle {
-    /// What it is called.
+    /// Name of the obstacle.
     pub name: String,
-    /// The lane it stands in, by its two ends.
+    /// The blocked lane, by its two ends.
     pub on: (PlaceId, PlaceId),
-    /// Where: the share of the way from the first end to the second. By default in the middle.
+    /// Position as a share of the lane from the first end to the second. Default: the middle.
     #[serde(default = "half")]
     pub at: f64,
-    /// When it comes, in seconds of world time. By default it is there from the first.
+    /// Time at which the obstacle appears, in seconds of world time. Default: from the start.
     #[serde(default)]
     pub from_s: f64,
-    /// When it goes. By default never.
+    /// Time at which the obstacle disappears, in seconds of world time. Default: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until_s: Option<f64>,
 }
@@ -82,28 +82,29 @@ fn half() -> f64 {
 }
 
 impl Obstacle {
-    /// Something in the middle of the lane between two places, that does not go away by itself.
+    /// A permanent obstacle in the middle of the lane between two places.
     pub fn between(name: &str, a: PlaceId, b: PlaceId) -> Obstacle {
         Obstacle { name: name.to_owned(), on: (a, b), at: half(), from_s: 0.0, until_s: None }
     }
 
-    /// Whether it stands in a lane of a map, and its numbers make sense.
+    /// Checks that the obstacle is on a lane of the map, and that its numbers are valid.
     ///
     /// # Errors
-    /// [`SetupError`] names the first thing that is wrong.
+    /// [`SetupError`] for the first mistake.
     pub fn check(&self, map: &Map) -> Result<(), SetupError> {
-        let who = format!("obstacle {}", self.name);
+        let subject = format!("obstacle {}", self.name);
         let (a, b) = &self.on;
         for place in [a, b] {
             if map.place(place).is_none() {
                 let (map, hint) = (map.name().to_owned(), map.suggest(place));
-                return Err(SetupError::UnknownPlace { who, place: place.clone(), map, hint });
+                return Err(SetupError::UnknownPlace { subject, place: place.clone(), map, hint });
             }
         }
         if map.lane(a, b).or_else(|| map.lane(b, a)).is_none() {
-            return Err(SetupError::UnknownLane { who, a: a.clone(), b: b.clone(), map: map.name().to_owned() });
+            return Err(SetupError::UnknownLane { subject, a: a.clone(), b: b.clone(), map: map.name().to_owned() });
         }
-        let number = |field, value, allowed| Err(SetupError::InvalidNumber { who: who.clone(), field, value, allowed });
+        let number =
+            |field, value, allowed| Err(SetupError::InvalidNumber { subject: subject.clone(), field, value, allowed });
         if !(0.0..=1.0).contains(&self.at) {
             return number("at", self.at, "a number from 0 to 1");
         }
@@ -119,67 +120,67 @@ impl Obstacle {
     }
 }
 
-/// A thing that arms take, carry and put down.
+/// An object that arms can grasp, carry and put down.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ObjectSetup {
-    /// What it is called; no sample has the same name.
+    /// Name of the object; no sample has the same name.
     pub name: SampleId,
-    /// On the table of which place it lies.
+    /// Place with the table on which the object lies.
     pub place: PlaceId,
-    /// What it weighs, in kilograms. By default as much as a sample, 0.1.
+    /// Weight in kilograms. Default: 0.1, as much as a sample.
     #[serde(default = "sample_kg")]
     pub weight_kg: f64,
-    /// How far from where robots stand at that place it lies, in metres. By default right there. What an arm puts down lies
-    /// within everybody's reach.
+    /// Distance in metres from the position of robots at that place. Default: 0. An object that an
+    /// arm has put down is within reach of every robot.
     #[serde(default)]
     pub distance_m: f64,
 }
 
-/// What a sample weighs, in kilograms: a tube in its bag.
+/// Weight of a sample in kilograms: a tube in its bag.
 pub(super) fn sample_kg() -> f64 {
     0.1
 }
 
 impl ObjectSetup {
-    /// All that is wrong with its numbers.
-    pub(super) fn check(&self, problems: &mut Vec<SetupError>) {
-        let who = format!("object {}", self.name);
+    /// Checks the numbers.
+    pub(super) fn check(&self, errors: &mut Vec<SetupError>) {
+        let subject = format!("object {}", self.name);
         for (field, value) in [("weight_kg", self.weight_kg), ("distance_m", self.distance_m)] {
-            check_non_negative(&who, field, value, problems);
+            check_non_negative(&subject, field, value, errors);
         }
     }
 }
 
-/// A number that may be anything from 0 to a thousand.
-pub(super) fn check_non_negative(who: &str, field: &'static str, value: f64, problems: &mut Vec<SetupError>) {
+/// Checks that a number is from 0 to 1000.
+pub(super) fn check_non_negative(subject: &str, field: &'static str, value: f64, errors: &mut Vec<SetupError>) {
     if !(0.0..=1_000.0).contains(&value) {
         let allowed = "a number from 0 to 1000";
-        problems.push(SetupError::InvalidNumber { who: who.to_owned(), field, value, allowed });
+        errors.push(SetupError::InvalidNumber { subject: subject.to_owned(), field, value, allowed });
     }
 }
 
-fn seconds(who: String, field: &'static str, value: f64, problems: &mut Vec<SetupError>) {
+fn seconds(subject: String, field: &'static str, value: f64, errors: &mut Vec<SetupError>) {
     if !SECONDS.contains(&value) {
         let allowed = "a number of seconds from 0 to 86400";
-        problems.push(SetupError::InvalidNumber { who, field, value, allowed });
+        errors.push(SetupError::InvalidNumber { subject, field, value, allowed });
     }
 }
 
-/// All that is wrong with them.
-pub(super) fn check(map: &Map, doors: &[DoorSetup], obstacles: &[Obstacle], problems: &mut Vec<SetupError>) {
+/// Checks doors and obstacles.
+pub(super) fn check(map: &Map, doors: &[DoorSetup], obstacles: &[Obstacle], errors: &mut Vec<SetupError>) {
     let mut seen = BTreeSet::new();
-    let mut twice = |who: String, problems: &mut Vec<SetupError>| {
-        if !seen.insert(who.clone()) {
-            problems.push(SetupError::Duplicate { who });
+    let mut check_unique = |subject: String, errors: &mut Vec<SetupError>| {
+        if !seen.insert(subject.clone()) {
+            errors.push(SetupError::Duplicate { subject });
         }
     };
     for door in doors {
-        door.check(map, problems);
-        twice(format!("door {}", door.name), problems);
+        door.check(map, errors);
+        check_unique(format!("door {}", door.name), errors);
     }
     for obstacle in obstacles {
-        problems.extend(obstacle.check(map).err());
-        twice(format!("obstacle {}", obstacle.name), problems);
+        errors.extend(obstacle.check(map).err());
+        check_unique(format!("obstacle {}", obstacle.name), errors);
     }
 }

@@ -1,4 +1,5 @@
-//! What happened, for displays and reports. Nobody has to read it: it is bounded, and the oldest entries go first.
+//! Log of world events, for displays and reports. It is bounded and drops the oldest entries, so
+//! reading it is optional.
 
 use super::World;
 use super::names::{PersonName, SampleId};
@@ -9,179 +10,179 @@ use consort_skills::actions::{Goal, GoalId, GoalStatus};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Something that happened, and when.
+/// A world event with its time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LoggedEvent {
-    /// When.
+    /// Time of the event.
     pub time: WorldTime,
-    /// What.
+    /// The event.
     pub event: WorldEvent,
 }
 
-/// Something that happened.
+/// An event in the world.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WorldEvent {
-    /// A robot began a goal.
+    /// A robot started a goal.
     GoalStarted {
-        /// Which robot.
+        /// Robot with the goal.
         robot: RobotId,
-        /// Its number.
+        /// Id of the goal.
         id: GoalId,
-        /// What is to be done.
+        /// The goal.
         goal: Goal,
     },
-    /// A goal ended, or was refused.
+    /// A goal ended, or was rejected.
     GoalEnded {
-        /// Whose.
+        /// Robot with the goal.
         robot: RobotId,
-        /// Its number.
+        /// Id of the goal.
         id: GoalId,
-        /// How.
+        /// Final status.
         status: GoalStatus,
     },
     /// A robot's drawer was opened or closed.
     DrawerMoved {
-        /// Whose.
+        /// Robot with the drawer.
         robot: RobotId,
-        /// Whether it stands open now.
+        /// True if the drawer is open now.
         open: bool,
     },
-    /// A robot has approached a person, or that person has proved who they are.
+    /// A robot has approached a person, or the person has authenticated.
     Approached {
-        /// Which robot.
+        /// Robot that approached.
         robot: RobotId,
-        /// Whom.
+        /// Person approached.
         person: PersonName,
-        /// Whether they have proved who they are.
+        /// True if the person has authenticated.
         authenticated: bool,
     },
-    /// A person has called off the mission for which a robot came.
+    /// A person canceled the mission for which a robot came.
     MissionCanceled {
-        /// Who.
+        /// Person.
         person: PersonName,
-        /// Which robot came.
+        /// Robot that came.
         robot: RobotId,
     },
-    /// A person does not do what a robot waits for.
+    /// A person declined the handover that a robot waits for.
     HandoverDeclined {
-        /// Who.
+        /// Person.
         person: PersonName,
-        /// Which robot waits.
+        /// Robot that waits.
         robot: RobotId,
     },
-    /// A person has left their place.
+    /// A person left their place.
     PersonLeft {
-        /// Who.
+        /// Person.
         person: PersonName,
     },
-    /// A person is back at their place.
+    /// A person returned to their place.
     PersonReturned {
-        /// Who.
+        /// Person.
         person: PersonName,
     },
-    /// A person began to hand a sample over.
+    /// A person started to hand over a sample.
     HandoverStarted {
-        /// Who.
+        /// Person.
         person: PersonName,
-        /// To which robot.
+        /// Receiving robot.
         robot: RobotId,
     },
     /// A sample changed hands.
     SampleMoved {
-        /// Which.
+        /// Sample.
         sample: SampleId,
-        /// Who had it.
+        /// Previous holder.
         from: SampleHolder,
-        /// Who has it.
+        /// New holder.
         to: SampleHolder,
     },
-    /// A robot stands before an automatic door that it wants to pass.
+    /// A robot waits before an automatic door.
     DoorRequested {
-        /// Which robot.
+        /// Robot.
         robot: RobotId,
-        /// Which door.
+        /// Door.
         door: String,
     },
-    /// A robot may pass an open door, and is on its way through it.
+    /// A door admitted a robot, which is now passing through it.
     DoorEntered {
-        /// Which robot.
+        /// Robot.
         robot: RobotId,
-        /// Which door.
+        /// Door.
         door: String,
     },
     /// A robot has passed a door, or no longer waits for it.
     DoorLeft {
-        /// Which robot.
+        /// Robot.
         robot: RobotId,
-        /// Which door.
+        /// Door.
         door: String,
     },
-    /// An automatic door stands open, or closed.
+    /// An automatic door finished opening or closing.
     DoorMoved {
-        /// Which door.
+        /// Door.
         door: String,
-        /// Whether it stands open now.
+        /// True if the door is open now.
         open: bool,
     },
-    /// A robot stands at a stop of a lift that it wants to ride.
+    /// A robot waits at a stop of a lift.
     LiftRequested {
-        /// Which robot.
+        /// Robot.
         robot: RobotId,
-        /// Which lift.
+        /// Lift.
         lift: String,
-        /// Where it stands.
+        /// Stop at which the robot waits.
         at: PlaceId,
-        /// Where it wants to go.
+        /// Destination.
         to: PlaceId,
     },
-    /// A robot has got into a lift.
+    /// A robot entered a lift.
     LiftEntered {
-        /// Which robot.
+        /// Robot.
         robot: RobotId,
-        /// Which lift.
+        /// Lift.
         lift: String,
     },
-    /// A robot has got out of a lift, or no longer waits for it.
+    /// A robot left a lift, or no longer waits for it.
     LiftLeft {
-        /// Which robot.
+        /// Robot.
         robot: RobotId,
-        /// Which lift.
+        /// Lift.
         lift: String,
-        /// Where it stands now.
+        /// Current place of the robot.
         at: PlaceId,
     },
-    /// Something stands in a way from now on.
+    /// An obstacle blocks a lane from now on.
     LaneBlocked {
-        /// What it is called.
+        /// Name of the obstacle.
         obstacle: String,
-        /// The way, by its two ends.
+        /// The lane, by its two ends.
         between: (PlaceId, PlaceId),
     },
-    /// It was taken away.
+    /// An obstacle was removed.
     LaneCleared {
-        /// What it is called.
+        /// Name of the obstacle.
         obstacle: String,
-        /// The way, by its two ends.
+        /// The lane, by its two ends.
         between: (PlaceId, PlaceId),
     },
-    /// A robot has connected to the charger at its place, or disconnected.
+    /// A robot connected to the charger at its place, or disconnected.
     Docked {
-        /// Which robot.
+        /// Robot.
         robot: RobotId,
-        /// Whether it is connected now.
+        /// True if the robot is connected now.
         docked: bool,
     },
-    /// A robot that is steered ran into something, and stands.
+    /// A steered robot collided, and stopped.
     Collided {
-        /// Which robot.
+        /// Robot.
         robot: RobotId,
-        /// The other robot; none for a wall.
+        /// The other robot; `None` for a wall.
         with: Option<RobotId>,
     },
     /// A robot's battery fell to the stopping share.
     Stranded {
-        /// Which robot.
+        /// Robot.
         robot: RobotId,
     },
 }
@@ -190,13 +191,13 @@ pub enum WorldEvent {
 #[derive(Default)]
 pub(super) struct EventLog {
     entries: VecDeque<LoggedEvent>,
-    /// How many were ever written.
+    /// Number of entries ever written.
     written: u64,
 }
 
 impl EventLog {
-    pub(super) fn write(&mut self, now: f64, what: WorldEvent, kept: usize) {
-        self.entries.push_back(LoggedEvent { time: WorldTime::from_secs(now), event: what });
+    pub(super) fn write(&mut self, now: f64, event: WorldEvent, kept: usize) {
+        self.entries.push_back(LoggedEvent { time: WorldTime::from_secs(now), event: event });
         self.written += 1;
         if self.entries.len() > kept {
             self.entries.pop_front();
@@ -205,13 +206,13 @@ impl EventLog {
 }
 
 impl World {
-    /// What happened since this was last asked for, oldest first.
+    /// Returns and removes the logged events, oldest first.
     pub fn drain_event_log(&mut self) -> Vec<LoggedEvent> {
         std::mem::take(&mut self.state.event_log.entries).into()
     }
 
-    /// What happened after the first `number` happenings of this world, as far as it is still in the journal, oldest first;
-    /// and how many there have been by now. It stays in the journal.
+    /// Returns the events after the first `number` events of this world that are still in the log,
+    /// oldest first, and the number of events so far. The entries stay in the log.
     pub(crate) fn events_after(&self, number: u64) -> (impl Iterator<Item = &LoggedEvent>, u64) {
         let EventLog { entries, written } = &self.state.event_log;
         let new = usize::try_from(written.saturating_sub(number)).unwrap_or(usize::MAX);

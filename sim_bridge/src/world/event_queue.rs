@@ -1,9 +1,10 @@
-//! What is due, and when.
+//! The event queue.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
-/// Names an entry, so that it can be taken back. Ordered by time, then by when it was arranged.
+/// Identifies a scheduled entry, so that it can be canceled. Ordered by time, then by the order of
+/// scheduling.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct TimerId {
     pub(crate) time: f64,
@@ -30,7 +31,7 @@ impl PartialEq for TimerId {
 
 impl Eq for TimerId {}
 
-/// Entries by time; those of one instant in the order in which they were arranged.
+/// Entries by time. Entries of the same instant keep the order of scheduling.
 pub(crate) struct EventQueue<T> {
     entries: BTreeMap<TimerId, T>,
     next: u64,
@@ -42,25 +43,25 @@ impl<T> EventQueue<T> {
     }
 
     pub(crate) fn schedule(&mut self, time: f64, entry: T) -> TimerId {
-        let ticket = TimerId { time, number: self.next };
+        let timer = TimerId { time, number: self.next };
         self.next += 1;
-        self.entries.insert(ticket, entry);
-        ticket
+        self.entries.insert(timer, entry);
+        timer
     }
 
-    pub(crate) fn cancel(&mut self, ticket: TimerId) {
-        self.entries.remove(&ticket);
+    pub(crate) fn cancel(&mut self, timer: TimerId) {
+        self.entries.remove(&timer);
     }
 
     pub(crate) fn next_time(&self) -> Option<f64> {
-        self.entries.first_key_value().map(|(ticket, _)| ticket.time)
+        self.entries.first_key_value().map(|(timer, _)| timer.time)
     }
 
-    /// The first entry due up to and including `to`, with its time.
+    /// Removes and returns the first entry due up to and including `to`, with its time.
     pub(crate) fn pop_due(&mut self, to: f64) -> Option<(f64, T)> {
         let first = self.entries.first_entry().filter(|first| first.key().time <= to)?;
-        let (ticket, entry) = first.remove_entry();
-        Some((ticket.time, entry))
+        let (timer, entry) = first.remove_entry();
+        Some((timer.time, entry))
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -73,19 +74,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn entries_of_one_instant_come_in_the_order_they_were_arranged() {
+    fn entries_of_an_instant_keep_the_order_of_scheduling() {
         let mut queue = EventQueue::new();
         queue.schedule(2.0, "third");
         queue.schedule(1.0, "first");
-        let gone = queue.schedule(1.0, "never");
+        let canceled = queue.schedule(1.0, "never");
         queue.schedule(1.0, "second");
-        queue.cancel(gone);
+        queue.cancel(canceled);
         let due: Vec<_> = std::iter::from_fn(|| queue.pop_due(2.0)).collect();
         assert_eq!(due, [(1.0, "first"), (1.0, "second"), (2.0, "third")]);
     }
 
     #[test]
-    fn what_is_due_later_stays() {
+    fn later_entries_stay_in_the_queue() {
         let mut queue = EventQueue::new();
         queue.schedule(2.0, ());
         assert_eq!(queue.pop_due(1.999), None);

@@ -1,4 +1,4 @@
-//! Where a body is, as a function of time.
+//! Locations of robots, as functions of time.
 
 use super::sim_state::SimState;
 use super::systems::steering::Steered;
@@ -8,54 +8,55 @@ use consort_protocol::pose::Pose;
 use consort_protocol::units::Metres;
 use hecs::Entity;
 
-/// What a robot's position means on the map.
+/// Position of a robot on the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum MapPosition {
     /// At a place.
     Place(PlaceIndex),
-    /// In the middle of a lane, after this share of its length from `from` to `to`.
+    /// On a lane, after this share of its length from `from` to `to`.
     Lane { from: PlaceIndex, to: PlaceIndex, share: f64 },
-    /// Anywhere on the floor, having last passed `near`.
+    /// Off the lanes, after passing `near`.
     Floor { near: PlaceIndex },
-    /// In a lift, on the way to one of its stops.
+    /// In a lift, on the way to a stop.
     Lift { to: PlaceIndex },
 }
 
-/// Where a robot is.
+/// Location of a robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum RobotLocation {
     Standing { position: MapPosition, pose: Pose },
     Driving(StraightDrive),
 }
 
-/// A straight line under way.
+/// A straight drive in progress.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct StraightDrive {
-    /// Where it stood when it began.
+    /// Position at the start.
     pub(crate) start_position: MapPosition,
     pub(crate) start_pose: Pose,
     pub(crate) start_time: f64,
-    /// Where it will stand.
+    /// Position at the end.
     pub(crate) end_position: MapPosition,
     pub(crate) end_pose: Pose,
-    /// How far it has come by when.
+    /// Distance covered over time.
     pub(crate) profile: TrapezoidProfile,
-    /// The part of a lane it follows, if it does.
+    /// The part of a lane that the drive follows, if any.
     pub(crate) lane: Option<LanePart>,
-    /// Whether it drives with its back in front.
+    /// True for driving backward.
     pub(crate) backward: bool,
 }
 
-/// Part of a lane: the lane's ends, and the shares of its length where the part begins and ends.
+/// Part of a lane: the lane's ends, and the shares of its length at the start and the end of the
+/// part.
 pub(crate) type LanePart = (PlaceIndex, PlaceIndex, f64, f64);
 
 impl StraightDrive {
-    /// Share of the drive done, from 0 to 1.
+    /// Share of the drive that is covered, from 0 to 1.
     fn share(&self, time: f64) -> f64 {
         if time >= self.end_time() { 1.0 } else { self.profile.distance_at(time - self.start_time) / self.length_m() }
     }
 
-    /// When it stands.
+    /// Arrival time.
     pub(crate) fn end_time(&self) -> f64 {
         self.start_time + self.profile.duration_s()
     }
@@ -79,7 +80,7 @@ impl StraightDrive {
         Pose::new(a.x + dx * share, a.y + dy * share, yaw)
     }
 
-    /// The part of it between two distances from its start, driven from `now` on.
+    /// Returns the section between two distances from the start, driven from `now` on.
     pub(crate) fn segment(&self, from_m: f64, to_m: f64, now: f64, speed_mps: f64) -> StraightDrive {
         let whole_m = self.length_m();
         let share = |m: f64| if whole_m > 0.0 { (m / whole_m).clamp(0.0, 1.0) } else { 1.0 };
@@ -102,7 +103,7 @@ impl StraightDrive {
         Metres::new(self.length_m() * (1.0 - self.share(time))).unwrap_or(Metres::ZERO)
     }
 
-    /// Where it stands if it stops now.
+    /// Position of the robot if it stops at this time.
     fn map_position(&self, time: f64) -> MapPosition {
         self.spot_after(self.share(time))
     }
@@ -118,7 +119,7 @@ impl StraightDrive {
 }
 
 impl MapPosition {
-    /// The place, or the last one passed.
+    /// The current place, or the last place passed.
     pub(crate) fn last_place(self) -> PlaceIndex {
         match self {
             MapPosition::Place(place) => place,
@@ -128,7 +129,7 @@ impl MapPosition {
         }
     }
 
-    /// For people: `at IC Room 1`, `between Dock and Crossing`.
+    /// Text for messages: `at IC Room 1`, `between Dock and Crossing`.
     pub(crate) fn describe(self, map: &Map) -> String {
         let name = |place| &map.place_at(place).id;
         match self {
@@ -160,7 +161,7 @@ impl RobotLocation {
 }
 
 impl SimState {
-    /// Whether a robot is somewhere else in a moment, if nothing happens meanwhile.
+    /// Checks whether a robot is moving now.
     pub(crate) fn is_moving(&self, robot: Entity) -> bool {
         let drives = match &*self.get::<RobotLocation>(robot) {
             RobotLocation::Standing { .. } => false,

@@ -1,42 +1,44 @@
-//! What happens on the floor.
+//! The simulated world.
 //!
-//! Bodies, people and samples are entities of an [entity-component store](hecs); what they are is in their components,
-//! what happens to them in *systems*, each a file. A setup says which systems a world has.
+//! Robots, people and samples are entities of an [entity-component store](hecs). Components hold
+//! their state, and *systems* change it, each in its own file. A setup lists the systems of a
+//! world.
 //!
 //! ```text
-//!            start, cancel, ask_person            advance(to)
-//!  skills ────────────▶ host ──▶ goals ──▶ queue ────────────▶ goals ──▶ events, in order
-//!                                  │                             │
-//!                               systems: steering, driving, doors, lifts, drawer, people, power …
-//!                                  └──▶ floor: components, clock, what is due ◀──┘
+//!            start, cancel, request_person        advance(to)
+//!  skills ────────────▶ backend ──▶ goals ──▶ queue ────────────▶ goals ──▶ events, in order
+//!                                     │                             │
+//!                                  systems: steering, driving, doors, lifts, drawer, people, power …
+//!                                     └──▶ SimState: components, clock, event queue ◀──┘
 //! ```
 //!
-//! **Time** only moves in [`advance`](consort_skills::actions::BodyHost::advance). Where it can be computed ahead, nothing
-//! ticks: where a robot is and what its battery holds are functions of the time since it last began or ended something, and
-//! the only entries in the queue are instants at which something ends. So an idle world costs nothing, and the outcome does
-//! not depend on the steps in which time is let pass. Two things due at one instant happen in the order in which they were
-//! arranged.
+//! **Time** only moves in [`advance`](consort_skills::actions::RobotBackend::advance). State that
+//! can be computed ahead is not ticked: a robot's position and charge are functions of the time
+//! since its last change, and the queue contains only the instants at which something ends. An idle
+//! world therefore costs nothing, and the result does not depend on the steps in which time is
+//! advanced. Two entries for the same instant are processed in the order in which they were
+//! scheduled.
 //!
-//! What cannot be computed ahead (a chassis under control, drones that make way for one another) *steps*: while any such
-//! thing moves, and no longer, the queue also holds the next instant of a fixed grid.
+//! State that cannot be computed ahead (a chassis under control, drones that avoid each other)
+//! *steps*: while such a robot moves, the queue also contains the next instant of a fixed grid.
 //!
-//! **Chance** (how long people take) comes from a generator per person, seeded by the world's seed and the person's
-//! position in the setup. Two worlds share nothing.
+//! **Randomness** (how long people take) comes from a generator per person, seeded by the world's
+//! seed and the person's position in the setup. Two worlds share nothing.
 //!
-//! **Preconditions** are checked when a goal begins and again when it ends: a drawer that was closed meanwhile, or a
-//! robot that left, aborts it, and nothing has changed.
+//! **Preconditions** are checked when a goal starts and again when it ends: if a drawer was closed
+//! in the meantime, or a robot left, the goal is aborted and nothing has changed.
 //!
 //! ```
 //! use consort_protocol::ids::RobotId;
 //! use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WorldTime};
 //! use consort_sim::map;
-//! use consort_sim::world::{RobotBody, World, WorldSetup};
-//! use consort_skills::actions::{BodyHost, Goal, GoalId, GoalStatus};
+//! use consort_sim::world::{RobotSetup, World, WorldSetup};
+//! use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotBackend};
 //!
 //! let ada = RobotId::new("ada")?;
 //! let (speed, discharge) = (MetresPerSecond::new(0.5)?, SharePerSecond::new(0.001)?);
-//! let body = RobotBody::carrier(ada.clone(), "Dock".parse()?, speed, BatteryShare::FULL, discharge);
-//! let mut world = World::new(WorldSetup::new(map::shipped("hospital")?, 7).robot(body))?;
+//! let robot = RobotSetup::carrier(ada.clone(), "Dock".parse()?, speed, BatteryShare::FULL, discharge);
+//! let mut world = World::new(WorldSetup::new(map::shipped("hospital")?, 7).robot(robot))?;
 //!
 //! let place = "Crossing".parse()?;
 //! let pose = world.map().topology().places[&place];
@@ -44,9 +46,9 @@
 //! while let Some(due) = world.next_due() {
 //!     world.advance(due);
 //! }
-//! let told = world.telemetry(&ada).expect("she is here");
-//! assert_eq!((world.status(&ada, GoalId(1)), told.place.as_str()), (Some(GoalStatus::Succeeded), "Crossing"));
-//! assert!(told.time > WorldTime::ZERO && told.battery < BatteryShare::FULL);
+//! let telemetry = world.telemetry(&ada).expect("ada is in this world");
+//! assert_eq!((world.status(&ada, GoalId(1)), telemetry.place.as_str()), (Some(GoalStatus::Succeeded), "Crossing"));
+//! assert!(telemetry.time > WorldTime::ZERO && telemetry.battery < BatteryShare::FULL);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -97,18 +99,19 @@ use crate::map::Map;
 use sim_state::SimState;
 use system::System;
 
-/// A world. Made by [`World::new`], driven through [`BodyHost`](consort_skills::actions::BodyHost).
+/// A simulated world. Created by [`World::new`], driven through
+/// [`RobotBackend`](consort_skills::actions::RobotBackend).
 pub struct World {
     state: SimState,
     systems: Vec<&'static dyn System>,
 }
 
-/// One of a world's systems, by its place among them.
+/// Index of a system in a world.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct SystemIndex(usize);
 
 impl World {
-    /// The floor.
+    /// The map.
     pub fn map(&self) -> &Map {
         &self.state.map
     }
@@ -117,23 +120,24 @@ impl World {
         (0..self.systems.len()).map(SystemIndex)
     }
 
-    /// Has one of the systems do something.
-    fn run_system<T>(&mut self, chosen: SystemIndex, work: impl FnOnce(&dyn System, &mut SimState) -> T) -> T {
-        let system = self.systems[chosen.0];
-        self.state.run_as_system(chosen.0, system, |floor| work(system, floor))
+    /// Runs `run` as the system with this index.
+    fn run_system<T>(&mut self, index: SystemIndex, run: impl FnOnce(&dyn System, &mut SimState) -> T) -> T {
+        let system = self.systems[index.0];
+        self.state.run_as_system(index.0, system, |state| run(system, state))
     }
 
-    /// Has all systems do something, one after the other.
-    fn for_each_system(&mut self, mut work: impl FnMut(&dyn System, &mut SimState)) {
-        for chosen in self.system_indices() {
-            self.run_system(chosen, &mut work);
+    /// Runs `run` as each of the systems in turn.
+    fn for_each_system(&mut self, mut run: impl FnMut(&dyn System, &mut SimState)) {
+        for index in self.system_indices() {
+            self.run_system(index, &mut run);
         }
     }
 
-    /// Has a system do something on behalf of the outside, if it is one of this world's.
-    fn run_as(&mut self, named: &dyn System, work: impl FnOnce(&mut SimState)) {
-        if let Some(place) = self.systems.iter().position(|system| system.name() == named.name()) {
-            self.run_system(SystemIndex(place), |_, floor| work(floor));
+    /// Runs `run` as a given system on behalf of a caller from outside, if the system is part of
+    /// this world.
+    fn run_as(&mut self, caller: &dyn System, run: impl FnOnce(&mut SimState)) {
+        if let Some(place) = self.systems.iter().position(|system| system.name() == caller.name()) {
+            self.run_system(SystemIndex(place), |_, state| run(state));
             self.process_commands_and_defer();
         }
     }

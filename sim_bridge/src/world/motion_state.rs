@@ -1,4 +1,4 @@
-//! Where robots are at this moment, for whoever draws them.
+//! Current positions of robots, for displays and recordings.
 
 use super::World;
 use super::components::DepartureCount;
@@ -7,48 +7,49 @@ use crate::map::LevelIndex;
 use consort_protocol::ids::RobotId;
 use consort_protocol::pose::Pose;
 
-/// Where a robot is.
+/// Position of a robot.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct MotionState {
     pub(crate) robot: RobotId,
-    /// The level it is on, or that of the stop to which a lift takes it.
+    /// Level of the robot. In a lift, the level of the destination.
     pub(crate) level: LevelIndex,
     pub(crate) pose: Pose,
-    /// How far above the floor it hovers, in metres.
+    /// Height above the floor, in metres.
     pub(crate) height_m: f64,
 }
 
-/// See [`World::motion`].
+/// See [`World::motion_summary`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct MotionSummary {
-    /// Whether any robot is under way, or still braking.
+    /// True if any robot moves or brakes.
     pub(crate) any_moving: bool,
-    /// How often robots have set off by now, all of them together: at each corner of their ways, too.
+    /// Number of departures of all robots so far, including those at each corner of a path.
     departures: u64,
 }
 
 impl World {
-    /// Where all robots are, in the order of their names.
+    /// Positions of all robots, in the order of their names.
     pub(crate) fn motion_states(&self) -> impl Iterator<Item = MotionState> {
         self.state.robots.iter().map(|(robot, entity)| {
-            let whereabouts = *self.state.get::<RobotLocation>(*entity);
+            let location = *self.state.get::<RobotLocation>(*entity);
             let now = self.state.now;
             MotionState {
                 robot: robot.clone(),
-                level: self.state.map.place_at(whereabouts.map_position(now).last_place()).level,
-                pose: whereabouts.pose(now),
+                level: self.state.map.place_at(location.map_position(now).last_place()).level,
+                pose: location.pose(now),
                 height_m: self.kinematic_model(robot).map_or(0.0, |mover| mover.position().z),
             }
         })
     }
 
-    /// What moves at this moment: equal for two instants between which no robot set off or came to rest.
+    /// Summary of all motion. It is equal at two instants if no robot departed or stopped between
+    /// them.
     pub(crate) fn motion_summary(&self) -> MotionSummary {
-        let mut motion = MotionSummary::default();
+        let mut summary = MotionSummary::default();
         for robot in self.state.robots.values() {
-            motion.any_moving |= self.state.is_moving(*robot);
-            motion.departures += self.state.find::<DepartureCount>(*robot).map_or(0, |departures| departures.0);
+            summary.any_moving |= self.state.is_moving(*robot);
+            summary.departures += self.state.find::<DepartureCount>(*robot).map_or(0, |departures| departures.0);
         }
-        motion
+        summary
     }
 }

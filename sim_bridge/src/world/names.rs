@@ -1,4 +1,4 @@
-//! Names of what only the world knows.
+//! Names that exist only in the world.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,7 @@ use std::fmt;
 macro_rules! names {
     ($($(#[$doc:meta])* $name:ident;)*) => {$(
         $(#[$doc])*
-        /// Checked where the world is set up: 1 to 64 characters, none of them a control character.
+        /// Checked when the world is created: 1 to 64 characters, without control characters.
         #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
         #[serde(transparent)]
         pub struct $name(pub String);
@@ -18,7 +18,7 @@ macro_rules! names {
                 &self.0
             }
 
-            pub(super) fn is_sound(&self) -> bool {
+            pub(super) fn is_valid(&self) -> bool {
                 let length = self.0.chars().count();
                 (1..=consort_protocol::ids::MAX_CHARS).contains(&length) && !self.0.contains(char::is_control)
             }
@@ -39,8 +39,8 @@ macro_rules! names {
 }
 
 names! {
-    /// A person, as colleagues call them.
+    /// Name of a person.
     PersonName;
-    /// A sample, as its label says.
+    /// Label of a sample.
     SampleId;
 }

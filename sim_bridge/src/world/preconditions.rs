@@ -1,4 +1,4 @@
-//! Words and conditions that systems share: who is where, who is beside whom, whose drawer can be reached into.
+//! Preconditions that systems share: positions, co-presence, access to drawers.
 
 use super::components::{CoPresence, DepartureCount, DrawerOpen, SampleLabel, SimRobot};
 use super::location::MapPosition;
@@ -10,12 +10,12 @@ use consort_protocol::ids::RobotId;
 use consort_skills::actions::{ActionError, ErrorCode, Goal};
 use hecs::Entity;
 
-/// An error for a robot that asked for what cannot be.
+/// Builds the error of a goal.
 pub(crate) fn action_error(code: ErrorCode, message: String) -> ActionError {
     ActionError { code, message }
 }
 
-/// A goal's name for people.
+/// Name of a goal type, for messages.
 pub(crate) fn goal_name(goal: &Goal) -> &'static str {
     match goal {
         Goal::NavigateToPose { .. } => "navigate_to_pose",
@@ -37,16 +37,16 @@ pub(crate) fn goal_name(goal: &Goal) -> &'static str {
 impl SimState {
     pub(crate) fn check_drawer_accessible(&self, robot: Entity, other: Entity) -> Result<(), ActionError> {
         self.check_same_place(robot, other)?;
-        let (name, others) = (self.robot_id(robot), self.robot_id(other));
-        if !self.is_beside(robot, other) && !self.is_beside(other, robot) {
-            let message = format!("neither of {name} and {others} has approached the other");
+        let (name, other_name) = (self.robot_id(robot), self.robot_id(other));
+        if !self.is_next_to(robot, other) && !self.is_next_to(other, robot) {
+            let message = format!("neither of {name} and {other_name} has approached the other");
             return Err(action_error(ErrorCode::OutOfReach, message));
         }
         if !self.get::<SimRobot>(other).0.has_drawer {
-            return Err(action_error(ErrorCode::DrawerState, format!("{others} has no drawer")));
+            return Err(action_error(ErrorCode::DrawerState, format!("{other_name} has no drawer")));
         }
         if !self.get::<DrawerOpen>(other).0 {
-            return Err(action_error(ErrorCode::DrawerState, format!("the drawer of {others} is closed")));
+            return Err(action_error(ErrorCode::DrawerState, format!("the drawer of {other_name} is closed")));
         }
         Ok(())
     }
@@ -61,27 +61,28 @@ impl SimState {
         Err(action_error(ErrorCode::DrawerState, message))
     }
 
-    pub(crate) fn is_beside(&self, robot: Entity, other: Entity) -> bool {
+    pub(crate) fn is_next_to(&self, robot: Entity, other: Entity) -> bool {
         let departures = self.get::<DepartureCount>(other).0;
         *self.get::<CoPresence>(robot) == CoPresence::Robot { robot: other, departures }
     }
 
     pub(crate) fn check_same_place(&self, robot: Entity, other: Entity) -> Result<(), ActionError> {
         let place = self.require_place(robot)?;
-        let spot = self.map_position(other);
-        if spot == MapPosition::Place(place) {
+        let position = self.map_position(other);
+        if position == MapPosition::Place(place) {
             return Ok(());
         }
-        let (name, others) = (self.robot_id(robot), self.robot_id(other));
-        let message = format!("{name} is at {}, {others} {}", self.map.place_at(place).id, spot.describe(&self.map));
+        let (name, other_name) = (self.robot_id(robot), self.robot_id(other));
+        let message =
+            format!("{name} is at {}, {other_name} {}", self.map.place_at(place).id, position.describe(&self.map));
         Err(action_error(ErrorCode::OutOfReach, message))
     }
 
     pub(crate) fn require_place(&self, robot: Entity) -> Result<PlaceIndex, ActionError> {
         match self.map_position(robot) {
             MapPosition::Place(place) => Ok(place),
-            spot @ (MapPosition::Lane { .. } | MapPosition::Floor { .. } | MapPosition::Lift { .. }) => {
-                let message = format!("{} is {}, at no place", self.robot_id(robot), spot.describe(&self.map));
+            position @ (MapPosition::Lane { .. } | MapPosition::Floor { .. } | MapPosition::Lift { .. }) => {
+                let message = format!("{} is {}, not at a place", self.robot_id(robot), position.describe(&self.map));
                 Err(action_error(ErrorCode::OutOfReach, message))
             }
         }

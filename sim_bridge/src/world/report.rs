@@ -1,4 +1,4 @@
-//! Bodies and people, for displays and checks.
+//! Reports on robots, people and doors, for displays and checks.
 
 use super::components::{CoPresence, DrawerOpen, PersonInfo, SimRobot};
 use super::names::{PersonName, SampleId};
@@ -7,54 +7,54 @@ use super::{RobotSetup, World};
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use serde::{Deserialize, Serialize};
 
-/// What a robot's telemetry does not say of it.
+/// State of a robot that its telemetry does not contain.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotReport {
-    /// Whether its drawer stands open.
+    /// True if the drawer is open.
     pub drawer_open: bool,
-    /// What lies in its drawer, first come first.
+    /// Samples in the drawer, in the order of arrival.
     pub in_drawer: Vec<SampleId>,
-    /// What its arm holds.
+    /// Sample in the arm.
     pub in_arm: Option<SampleId>,
-    /// The person it has approached.
+    /// The approached person.
     pub beside_person: Option<PersonName>,
-    /// Whether that person has proved who they are.
+    /// True if that person has authenticated.
     pub authenticated: bool,
-    /// The robot it has approached.
+    /// The robot that this robot has approached.
     pub beside_robot: Option<RobotId>,
 }
 
-/// A person as they are now.
+/// Current state of a person.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PersonReport {
-    /// Who.
+    /// Name.
     pub name: PersonName,
-    /// The role they play.
+    /// Role in missions.
     pub role: RoleId,
-    /// Where they stay.
+    /// Usual place.
     pub place: PlaceId,
-    /// Whether they have left it.
+    /// True if the person has left the place.
     pub away: bool,
-    /// What they have to hand over, first come first.
+    /// Samples to hand over, in order.
     pub samples: Vec<SampleId>,
 }
 
-/// An automatic door as it is now.
+/// Current state of an automatic door.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DoorReport {
-    /// Its name on the map.
+    /// Name on the map.
     pub name: String,
-    /// How its leaf is: `closed`, `opening`, `open` or `closing`.
+    /// `closed`, `opening`, `open` or `closing`.
     pub state: String,
 }
 
 impl World {
-    /// What a robot was set up with, its discharge rate among it; `None` for one that is not here.
+    /// Returns the setup of a robot, with its current speed; `None` for an unknown robot.
     pub fn robot_setup(&self, robot: &RobotId) -> Option<RobotSetup> {
         self.state.robots.get(robot).map(|robot| self.state.get::<SimRobot>(*robot).0.clone())
     }
 
-    /// A robot's drawer, arm and company; `None` for one that is not here.
+    /// Returns the drawer, arm and co-presence of a robot; `None` for an unknown robot.
     pub fn robot_report(&self, robot: &RobotId) -> Option<RobotReport> {
         let robot = *self.state.robots.get(robot)?;
         let (beside_person, authenticated, beside_robot) = match *self.state.get::<CoPresence>(robot) {
@@ -80,12 +80,12 @@ impl World {
     /// All people, in the order of their names.
     pub fn people(&self) -> Vec<PersonReport> {
         let report = |person: &hecs::Entity| {
-            let who = self.state.get::<PersonInfo>(*person);
+            let info = self.state.get::<PersonInfo>(*person);
             PersonReport {
-                name: who.name.clone(),
-                role: who.role.clone(),
-                place: self.state.map.place_at(who.place).id.clone(),
-                away: !self.state.is_present(&who.name),
+                name: info.name.clone(),
+                role: info.role.clone(),
+                place: self.state.map.place_at(info.place).id.clone(),
+                away: !self.state.is_present(&info.name),
                 samples: self.state.held_labels(HolderEntity::Hands(*person)),
             }
         };

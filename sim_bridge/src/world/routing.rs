@@ -1,4 +1,5 @@
-//! How a robot gets from where it stands to a pose or a place: along a lane, over the floor, or by a lift. Nothing moves yet.
+//! Routing: from a robot's position to a pose or a place, along a lane, over the floor, or by a
+//! lift. Nothing moves yet.
 
 use crate::kinematics::TrapezoidProfile;
 use crate::map::{Facing, PlaceIndex, limits};
@@ -11,10 +12,11 @@ use consort_protocol::pose::Pose;
 use consort_skills::actions::{ActionError, ErrorCode, Waypoint};
 use hecs::Entity;
 
-/// A pose given for a place must be this close to where the map has it; more is a robot with another map.
+/// Greatest distance between a given pose and the map's pose of the place. More means that the
+/// robot uses another map.
 const SAME_SPOT_M: f64 = 0.1;
 
-/// Where a robot is to go.
+/// Target of a drive.
 #[derive(Debug, Clone)]
 pub(crate) struct DriveTarget {
     pub(crate) pose: Pose,
@@ -27,16 +29,16 @@ impl From<&Waypoint> for DriveTarget {
     }
 }
 
-/// How one gets to where one wants to go.
+/// Plan of a leg.
 pub(crate) enum LegPlan {
-    /// By a drive, at a speed in metres per second.
+    /// A drive, with its speed in metres per second.
     Drive(StraightDrive, f64),
-    /// By a lift.
+    /// A ride by lift.
     Ride { lift: String, from: PlaceIndex, to: PlaceIndex },
 }
 
 impl SimState {
-    /// Finds the way to a pose or place; nothing moves yet.
+    /// Plans the leg to a pose or place. Nothing moves yet.
     pub(crate) fn plan_leg(
         &self,
         robot: Entity,
@@ -46,61 +48,62 @@ impl SimState {
         if !body.mobile {
             return Err(action_error(ErrorCode::NoRoute, format!("{} cannot drive", body.id)));
         }
-        let sane = |value: f64| value.abs() <= limits::EXTENT_M;
-        if ![pose.x, pose.y, pose.yaw].into_iter().all(sane) {
+        let in_bounds = |value: f64| value.abs() <= limits::EXTENT_M;
+        if ![pose.x, pose.y, pose.yaw].into_iter().all(in_bounds) {
             let message = format!("({}, {}, {}) is not a pose on a floor", pose.x, pose.y, pose.yaw);
             return Err(action_error(ErrorCode::Unknown, message));
         }
-        let whereabouts = *self.get::<RobotLocation>(robot);
-        let (start_pose, start_spot) = (whereabouts.pose(self.now), whereabouts.map_position(self.now));
-        let (end_spot, end_pose, length_m, lane) = match place {
+        let location = *self.get::<RobotLocation>(robot);
+        let (start_pose, start_position) = (location.pose(self.now), location.map_position(self.now));
+        let (end_position, end_pose, length_m, lane) = match place {
             Some(place) => {
                 let (place, end_pose) = self.destination(place, *pose)?;
-                if let Some((from, lift)) = self.lift_from(start_spot, place) {
+                if let Some((from, lift)) = self.lift_from(start_position, place) {
                     return Ok(LegPlan::Ride { lift, from, to: place });
                 }
-                let (length_m, lane) = self.leg(start_spot, start_pose, place)?;
+                let (length_m, lane) = self.leg(start_position, start_pose, place)?;
                 (MapPosition::Place(place), end_pose, length_m, lane)
             }
             None => {
-                let near = start_spot.last_place();
-                let there = self.map.place_at(near).pose.distance(*pose).get() <= SAME_SPOT_M;
-                let spot = if there { MapPosition::Place(near) } else { MapPosition::Floor { near } };
-                (spot, *pose, start_pose.distance(*pose).get(), None)
+                let near = start_position.last_place();
+                let is_at_place = self.map.place_at(near).pose.distance(*pose).get() <= SAME_SPOT_M;
+                let position = if is_at_place { MapPosition::Place(near) } else { MapPosition::Floor { near } };
+                (position, *pose, start_pose.distance(*pose).get(), None)
             }
         };
-        let (limit, backward) = lane.map_or((None, false), |stretch| self.rules(stretch));
+        let (limit, backward) = lane.map_or((None, false), |stretch| self.lane_rules(stretch));
         let speed_mps = limit.map_or(body.speed.get(), |limit| body.speed.get().min(limit));
-        let (began, run) = (self.now, TrapezoidProfile::constant_speed(length_m, speed_mps));
+        let (start_time, profile) = (self.now, TrapezoidProfile::constant_speed(length_m, speed_mps));
         let drive = StraightDrive {
-            start_position: start_spot,
+            start_position: start_position,
             start_pose,
-            start_time: began,
-            end_position: end_spot,
+            start_time: start_time,
+            end_position: end_position,
             end_pose,
-            profile: run,
+            profile: profile,
             lane,
             backward,
         };
         Ok(LegPlan::Drive(drive, speed_mps))
     }
 
-    /// The lift to take from where a robot stands, if no lane leads there.
+    /// Returns the lift to the place, if no lane leads there.
     fn lift_from(&self, start: MapPosition, to: PlaceIndex) -> Option<(PlaceIndex, String)> {
         let MapPosition::Place(from) = start else { return None };
         let lift = self.lift_between(&self.map.place_at(from).id, &self.map.place_at(to).id)?;
         self.map.lane_between(from, to).is_none().then_some((from, lift))
     }
 
-    /// How fast one may drive on a part of a lane, in metres per second, and whether one drives backward there.
-    fn rules(&self, (from, to, first, last): LanePart) -> (Option<f64>, bool) {
+    /// Returns the speed limit on a part of a lane, in metres per second, and whether robots drive
+    /// backward there.
+    fn lane_rules(&self, (from, to, first, last): LanePart) -> (Option<f64>, bool) {
         let Some(lane) = self.map.lane_between(from, to) else { return (None, false) };
         let along = (lane.from == self.map.place_at(from).id) == (last >= first);
         let facing = lane.facing.map(|facing| if along { facing } else { facing.reversed() });
         (lane.speed_limit.map(|limit| limit.get()), facing == Some(Facing::Backward))
     }
 
-    /// Where a place is, for a robot that believes it to be at a pose.
+    /// Returns a place and its pose, if the map of the robot agrees with it.
     pub(crate) fn destination(&self, place: &PlaceId, pose: Pose) -> Result<(PlaceIndex, Pose), ActionError> {
         let Some(index) = self.map.index(place) else {
             let message = format!("there is no place {:?} here{}", place.as_str(), self.map.suggest(place));
@@ -115,7 +118,7 @@ impl SimState {
         Ok((index, Pose { yaw: pose.yaw, ..known }))
     }
 
-    /// How far it is along the map from where a robot stands, and along which part of which lane.
+    /// Returns the length of a leg along the map, and the part of the lane it uses.
     fn leg(&self, start: MapPosition, pose: Pose, to: PlaceIndex) -> Result<(f64, Option<LanePart>), ActionError> {
         let name = |place| &self.map.place_at(place).id;
         let no_lane = |message| Err(action_error(ErrorCode::NoRoute, message));

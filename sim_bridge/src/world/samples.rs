@@ -1,7 +1,7 @@
-//! Who has what.
+//! Location of samples.
 //!
-//! Each sample knows its holder, and that is the only record: what is in a drawer, in a hand or on a table is asked of
-//! the samples, so nothing can be in two places.
+//! Each sample stores its holder, and there is no other record. The content of a drawer, a hand or
+//! a table is derived from the samples, so a sample is never in two places.
 
 use super::World;
 use super::components::{PersonInfo, SampleLabel, SimRobot};
@@ -16,34 +16,34 @@ use hecs::Entity;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Who or what has a sample.
+/// Holder of a sample.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SampleHolder {
-    /// It lies on the table of a place.
+    /// The table of a place.
     Table(PlaceId),
-    /// It lies in a robot's drawer.
+    /// A robot's drawer.
     Drawer(RobotId),
-    /// A robot's arm holds it.
+    /// A robot's arm.
     Arm(RobotId),
-    /// A person holds it.
+    /// A person.
     Person(PersonName),
 }
 
-/// Where a sample is, and where it was.
+/// Current and earlier holders of a sample.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SampleReport {
-    /// Which sample.
+    /// Sample.
     pub id: SampleId,
-    /// Who or what has it.
-    pub keeper: SampleHolder,
-    /// The place it is at, or the last one passed by the robot that carries it.
+    /// Current holder.
+    pub holder: SampleHolder,
+    /// Current place, or the last place passed by the robot that carries the sample.
     pub place: PlaceId,
-    /// Each change of hands: when, and who had it before. Oldest first.
+    /// Transfers: time and previous holder. Oldest first.
     pub history: Vec<(WorldTime, SampleHolder)>,
 }
 
-/// Who or what has a sample, as entities.
+/// Holder of a sample, as entities.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum HolderEntity {
     Table(PlaceIndex),
@@ -52,46 +52,46 @@ pub(crate) enum HolderEntity {
     Hands(Entity),
 }
 
-/// A sample's holder, now and before.
+/// Current and earlier holders of a sample.
 pub(crate) struct Custody {
     holder: HolderEntity,
-    /// Running number of the latest change of hands: what came first goes first.
+    /// Sequence number of the latest transfer: samples leave in the order of arrival.
     since: u64,
-    before: VecDeque<(f64, HolderEntity)>,
+    earlier: VecDeque<(f64, HolderEntity)>,
 }
 
-/// What a thing asks of an arm.
+/// Properties of an object that limit an arm.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PayloadData {
     pub(crate) weight_kg: f64,
-    /// How far from where robots stand it lies; 0 once somebody has had it in hand.
+    /// Distance from the position of robots; 0 after the first transfer.
     pub(crate) distance_m: f64,
 }
 
-/// Running number of changes of hands, of the floor.
+/// Sequence number of transfers in this world.
 #[derive(Default)]
 pub(crate) struct HandoverCount(u64);
 
 impl World {
-    /// Where each sample is.
+    /// Returns the holder of every sample.
     pub fn samples(&self) -> Vec<SampleReport> {
         self.state.samples.iter().map(|(id, sample)| self.state.sample_report(id, *sample)).collect()
     }
 
-    /// Where one sample is; `None` if there is none of this name.
+    /// Returns the holder of a sample; `None` for an unknown sample.
     pub fn sample(&self, id: &SampleId) -> Option<SampleReport> {
         self.state.samples.get(id).map(|sample| self.state.sample_report(id, *sample))
     }
 }
 
 impl SimState {
-    /// A new thing, which somebody has from the first.
+    /// Creates a sample with its first holder.
     pub(crate) fn spawn_sample(&mut self, id: SampleId, holder: HolderEntity, load: PayloadData) {
         let since = self.next_handover();
         let sample = self.spawn();
         self.insert(sample, SampleLabel(id.clone()));
         self.insert(sample, load);
-        self.insert(sample, Custody { holder, since, before: VecDeque::new() });
+        self.insert(sample, Custody { holder, since, earlier: VecDeque::new() });
         self.samples.insert(id, sample);
     }
 
@@ -103,16 +103,16 @@ impl SimState {
 
     fn sample_report(&self, id: &SampleId, sample: Entity) -> SampleReport {
         let custody = self.get::<Custody>(sample);
-        let before = custody.before.iter();
+        let earlier = custody.earlier.iter();
         SampleReport {
             id: id.clone(),
-            keeper: self.keeper(custody.holder),
+            holder: self.sample_holder(custody.holder),
             place: self.map.place_at(self.place_of(custody.holder)).id.clone(),
-            history: before.map(|(time, holder)| (WorldTime::from_secs(*time), self.keeper(*holder))).collect(),
+            history: earlier.map(|(time, holder)| (WorldTime::from_secs(*time), self.sample_holder(*holder))).collect(),
         }
     }
 
-    fn keeper(&self, holder: HolderEntity) -> SampleHolder {
+    fn sample_holder(&self, holder: HolderEntity) -> SampleHolder {
         match holder {
             HolderEntity::Table(place) => SampleHolder::Table(self.map.place_at(place).id.clone()),
             HolderEntity::Drawer(robot) => SampleHolder::Drawer(self.get::<SimRobot>(robot).0.id.clone()),
@@ -131,7 +131,7 @@ impl SimState {
         }
     }
 
-    /// What a holder has, what it got first standing first.
+    /// Returns the samples of a holder, in the order of arrival.
     pub(crate) fn held(&self, holder: HolderEntity) -> Vec<Entity> {
         let mut held: Vec<(u64, Entity)> = Vec::new();
         for sample in self.samples.values() {
@@ -144,7 +144,7 @@ impl SimState {
         held.into_iter().map(|(_, sample)| sample).collect()
     }
 
-    /// The names of what a holder has.
+    /// Returns the labels of a holder's samples.
     pub(crate) fn held_labels(&self, holder: HolderEntity) -> Vec<SampleId> {
         self.held(holder).into_iter().map(|sample| self.get::<SampleLabel>(sample).0.clone()).collect()
     }
@@ -155,14 +155,14 @@ impl SimState {
             let mut custody = self.get_mut::<Custody>(sample);
             let from = custody.holder;
             (custody.holder, custody.since) = (to, since);
-            custody.before.push_back((self.now, from));
-            if custody.before.len() > self.limits.history_kept {
-                custody.before.pop_front();
+            custody.earlier.push_back((self.now, from));
+            if custody.earlier.len() > self.limits.history_kept {
+                custody.earlier.pop_front();
             }
             from
         };
         let id = self.get::<SampleLabel>(sample).0.clone();
-        let (from, to) = (self.keeper(from), self.keeper(to));
+        let (from, to) = (self.sample_holder(from), self.sample_holder(to));
         self.log_event(WorldEvent::SampleMoved { sample: id, from, to });
     }
 }

@@ -1,4 +1,4 @@
-//! How a world is set up.
+//! Setup of a world.
 
 use super::environment_setup::{DoorSetup, ObjectSetup, Obstacle};
 use super::names::{PersonName, SampleId};
@@ -13,79 +13,81 @@ use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// All that a world begins with. Equal setups run alike.
+/// Initial state of a world. Equal setups run alike.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WorldSetup {
-    /// The floor.
+    /// The map.
     pub map: Map,
-    /// The robots on it.
+    /// Robots.
     pub robots: Vec<RobotSetup>,
-    /// The people on it.
+    /// People.
     pub people: Vec<PersonSetup>,
-    /// Things that lie on tables at first.
+    /// Objects on tables at the start.
     pub objects: Vec<ObjectSetup>,
-    /// Doors of the map that are not as usual.
+    /// Doors with settings other than the defaults.
     pub doors: Vec<DoorSetup>,
-    /// What stands in the way, and when.
+    /// Obstacles, with their times.
     pub obstacles: Vec<Obstacle>,
-    /// What chance comes from.
+    /// Seed of all random generators.
     pub seed: u64,
-    /// How long things take.
+    /// Durations of actions.
     pub durations: Durations,
-    /// How much the world remembers and holds.
+    /// Limits of memory and numbers.
     pub limits: WorldLimits,
-    /// What happens there: the names of the systems, in the order in which they hear of things.
+    /// Names of the systems, in the order in which they receive events.
     pub systems: Vec<String>,
-    /// Time between two instants at which what cannot be computed ahead is brought up to date, in seconds; see
+    /// Step of the time grid for state that cannot be computed ahead, in seconds; see
     /// [`default_step_s`].
     pub step_s: f64,
-    /// Gusts that push at what hovers; none in a hall.
-    pub gusts: Option<WindSettings>,
+    /// Gusts that push hovering drones; `None` indoors.
+    pub wind: Option<WindSettings>,
 }
 
-/// Between two steps of a world: 0.05 s. Longer steps are quicker to compute, and collisions are seen later.
+/// Default time between two steps of a world: 0.05 s. Longer steps are quicker to compute, but
+/// detect collisions later.
 pub const fn default_step_s() -> f64 {
     0.05
 }
 
-/// Gusts: at equal intervals each hovering body may be pushed.
+/// Gusts: at equal intervals each hovering drone may be pushed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct WindSettings {
-    /// From one to the next, in seconds.
-    pub every_s: f64,
-    /// How likely it is that a body is pushed, from 0 to 1.
-    pub chance: f64,
-    /// By how much its velocity changes at most, in metres per second.
-    pub strength_mps: f64,
+    /// Interval, in seconds.
+    pub interval_s: f64,
+    /// Probability that a drone is pushed, from 0 to 1.
+    pub probability: f64,
+    /// Greatest change of velocity, in metres per second.
+    pub max_speed_change_mps: f64,
 }
 
 impl Default for WindSettings {
-    /// Those of the published swarm: every second one in five is pushed by up to 0.5 m/s.
+    /// The gusts of the published swarm: every second, a fifth of the drones is pushed by up to 0.5
+    /// m/s.
     fn default() -> Self {
-        Self { every_s: 1.0, chance: 0.2, strength_mps: 0.5 }
+        Self { interval_s: 1.0, probability: 0.2, max_speed_change_mps: 0.5 }
     }
 }
 
 impl WorldSetup {
-    /// An empty floor with default durations and limits.
+    /// An empty world with default durations and limits.
     pub fn new(map: Map, seed: u64) -> Self {
         let (durations, limits) = (Durations::default(), WorldLimits::default());
         let systems = systems::system_names().map(str::to_owned).collect();
         let (robots, people, objects) = (Vec::new(), Vec::new(), Vec::new());
         let (doors, obstacles) = (Vec::new(), Vec::new());
-        let (step_s, gusts) = (default_step_s(), None);
-        Self { map, robots, people, objects, doors, obstacles, seed, durations, limits, systems, step_s, gusts }
+        let (step_s, wind) = (default_step_s(), None);
+        Self { map, robots, people, objects, doors, obstacles, seed, durations, limits, systems, step_s, wind }
     }
 
-    /// The same with one more robot.
+    /// Adds a robot.
     #[must_use]
     pub fn robot(mut self, robot: RobotSetup) -> Self {
         self.robots.push(robot);
         self
     }
 
-    /// The same with one more person.
+    /// Adds a person.
     #[must_use]
     pub fn person(mut self, person: PersonSetup) -> Self {
         self.people.push(person);
@@ -93,57 +95,59 @@ impl WorldSetup {
     }
 }
 
-/// A robot's body.
+/// Setup of a robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RobotSetup {
-    /// Its name.
+    /// Name.
     pub id: RobotId,
-    /// Where it stands at first.
+    /// Place at the start.
     pub place: PlaceId,
-    /// How fast it drives, in metres per second.
+    /// Driving speed, in metres per second.
     #[serde(rename = "speed_mps")]
     pub speed: MetresPerSecond,
-    /// Charge it has at first, as a share.
+    /// State of charge at the start, 0 to 1.
     pub battery: BatteryShare,
-    /// What it loses in a second while a goal is under way, as a share: the rate that its estimator is to reckon with too.
+    /// Discharge per second while a goal is active, as a share. The robot's estimator must use the
+    /// same rate.
     #[serde(rename = "discharge_share_per_s")]
     pub discharge: SharePerSecond,
-    /// What it loses otherwise, as a part of `discharge`: 0 to 1, by default 0.1 as in the published rig.
+    /// Discharge without an active goal, as a fraction of `discharge`: 0 to 1, default 0.1 as in
+    /// the published rig.
     #[serde(default = "default_idle_factor")]
     pub idle_factor: f64,
-    /// What it gains in a second while it is docked at a charger; what it loses meanwhile goes off that. By default 0.0005 /s, a guess:
-    /// full in somewhat more than half an hour.
+    /// Charge per second while docked at a charger; the discharge is subtracted from it. Default:
+    /// 0.0005 /s, a guess: full in somewhat more than half an hour.
     #[serde(rename = "charging_share_per_s", default = "default_charging")]
     pub charging: SharePerSecond,
-    /// Whether it can drive.
+    /// True if the robot can drive.
     #[serde(default = "yes")]
     pub mobile: bool,
-    /// Whether it has a drawer that people and arms reach into.
+    /// True if the robot has a drawer that people and arms can reach into.
     #[serde(default)]
     pub has_drawer: bool,
-    /// Whether it has an arm that holds one thing at a time.
+    /// True if the robot has an arm, which holds a single object.
     #[serde(default)]
     pub has_arm: bool,
-    /// What the arm lifts, in kilograms. By default 2, a guess.
+    /// Greatest payload of the arm, in kilograms. Default: 2, a guess.
     #[serde(default = "two_kilograms")]
     pub payload_max_kg: f64,
-    /// How far the arm reaches from where the robot stands, in metres. By default 1, a guess.
+    /// Reach of the arm from the robot's position, in metres. Default: 1, a guess.
     #[serde(default = "one_metre")]
     pub reach_m: f64,
-    /// From its middle to its outermost part, in metres.
+    /// Distance from the centre to the outermost part, in metres.
     #[serde(default = "default_radius_m")]
     pub radius_m: f64,
-    /// How it moves. Without this it drives in straight lines that are computed ahead, which costs nothing while it is under
-    /// way, and passes through whatever stands there.
+    /// Kinematics. Without it the robot drives in straight lines that are computed ahead, which
+    /// costs nothing while it drives, and passes through every body in its way.
     #[serde(default)]
     pub kinematics: Option<Kinematics>,
-    /// What it perceives with.
+    /// Sensors.
     #[serde(default)]
     pub sensors: Vec<Sensor>,
 }
 
-/// From the middle of a robot to its outermost part: 0.25 m, about that of a small hospital robot.
+/// Default radius of a robot: 0.25 m, about that of a small hospital robot.
 pub const fn default_radius_m() -> f64 {
     0.25
 }
@@ -192,7 +196,7 @@ impl RobotSetup {
         }
     }
 
-    /// An arm that stays where it is, on mains power.
+    /// A stationary arm on mains power.
     pub fn arm(id: RobotId, place: PlaceId) -> Self {
         let speed = MetresPerSecond::new(1.0).expect("1 m/s is a speed");
         let discharge = SharePerSecond::new(0.0).expect("0 /s is a rate");
@@ -200,7 +204,7 @@ impl RobotSetup {
         Self { mobile: false, has_drawer: false, has_arm: true, ..carrier }
     }
 
-    /// What its battery loses, at work or idle.
+    /// Returns the discharge rate with or without an active goal.
     pub fn rate(&self, working: bool) -> SharePerSecond {
         if working {
             return self.discharge;
@@ -209,51 +213,54 @@ impl RobotSetup {
     }
 }
 
-/// A person, who waits at her place for a robot.
+/// A person at a place.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PersonSetup {
-    /// Her name.
+    /// Name.
     pub name: PersonName,
-    /// The role she plays in missions.
+    /// Role in missions.
     pub role: RoleId,
-    /// Where she stays.
+    /// Place of the person.
     pub place: PlaceId,
-    /// What she has to hand over, in this order.
+    /// Samples to hand over, in order.
     #[serde(default)]
     pub samples: Vec<SampleId>,
-    /// What may come over her. By default nothing: she waits, and does what she is asked.
+    /// Unrequested actions of the person. Default: none, so the person waits and does every
+    /// requested task.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub mood: Vec<SpontaneousAction>,
+    pub spontaneous_actions: Vec<SpontaneousAction>,
 }
 
-/// How long things take, in seconds of world time. The defaults are those of the published estimates: 2 s for each
-/// step that is not driving. People take from 2 to 4 s; patience and memory of robots are guesses too.
+/// Durations of actions, in seconds of world time. The defaults are those of the published
+/// estimates: 2 s for each step that is not a drive. People take from 2 to 4 s. The timeouts and
+/// the memory of robots are guesses too.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Durations {
-    /// Coming within reach of a person.
+    /// Approaching a person.
     pub approach_person_s: f64,
-    /// Having a person prove who they are.
+    /// Authenticating a person.
     pub authenticate_person_s: f64,
     /// Opening or closing a drawer.
     pub operate_drawer_s: f64,
-    /// Coming within reach of a robot.
+    /// Approaching a robot.
     pub approach_robot_s: f64,
-    /// Taking from a drawer.
+    /// Taking an object from a drawer.
     pub pick_up_s: f64,
-    /// Putting down.
+    /// Putting an object down.
     pub deposit_s: f64,
     /// Connecting to a charger, or disconnecting.
     pub dock_s: f64,
-    /// The quickest a person hands something over.
+    /// Shortest handover by a person.
     pub person_min_s: f64,
-    /// The slowest a person hands something over.
+    /// Longest handover by a person.
     pub person_max_s: f64,
-    /// How long a robot waits before a door that lets nobody in, until it takes the way to be blocked.
-    pub door_patience_s: f64,
-    /// How long a robot takes a way to be closed that it found closed, before it tries it again.
-    pub closure_remembered_s: f64,
+    /// Time for which a robot waits before a door that admits no robot. After it, the robot regards
+    /// the lane as blocked.
+    pub door_timeout_s: f64,
+    /// Time for which a robot remembers a blocked lane. After it, the robot tries the lane again.
+    pub closure_memory_s: f64,
 }
 
 impl Default for Durations {
@@ -268,56 +275,64 @@ impl Default for Durations {
             dock_s: 2.0,
             person_min_s: 2.0,
             person_max_s: 4.0,
-            door_patience_s: 120.0,
-            closure_remembered_s: 300.0,
+            door_timeout_s: 120.0,
+            closure_memory_s: 300.0,
         }
     }
 }
 
-/// How much a world holds and remembers. More costs memory, nothing else.
+/// Limits of a world's memory and numbers. Larger limits cost only memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct WorldLimits {
-    /// Robots, and people, and samples.
+    /// Greatest number of robots, of people, and of samples.
     pub entities_max: usize,
-    /// Asks of people that have not ended. As many that have ended are told from new ones.
-    pub asks_max: usize,
-    /// Samples in one drawer.
+    /// Greatest number of open person requests. As many ended requests are kept to recognise
+    /// repetitions.
+    pub person_requests_max: usize,
+    /// Capacity of a drawer, in samples.
     pub drawer_slots: usize,
-    /// Ended goals of one robot whose status can still be asked for.
-    pub ended_kept: usize,
-    /// Changes of hands remembered of one sample, and entries of the journal until it is drained; the oldest go first.
+    /// Number of ended goals kept per robot, with their status.
+    pub ended_goals_kept: usize,
+    /// Number of transfers kept per sample, and of entries in the event log until it is drained.
+    /// The oldest are dropped first.
     pub history_kept: usize,
 }
 
 impl Default for WorldLimits {
     fn default() -> Self {
-        Self { entities_max: 10_000, asks_max: 10_000, drawer_slots: 1, ended_kept: 64, history_kept: 4_096 }
+        Self {
+            entities_max: 10_000,
+            person_requests_max: 10_000,
+            drawer_slots: 1,
+            ended_goals_kept: 64,
+            history_kept: 4_096,
+        }
     }
 }
 
-/// One thing that is wrong with a setup.
+/// A mistake in a setup.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SetupError {
-    /// A robot, a person or a thing at a place that is not on the map.
-    #[error("{who}: there is no place {place:?} on map {map}{hint}", place = place.as_str())]
+    /// The setup names a place that is not on the map.
+    #[error("{subject}: there is no place {place:?} on map {map}{hint}", place = place.as_str())]
     UnknownPlace {
         /// `robot r1`, `person Nia`, `object tray`, `obstacle trolley`.
-        who: String,
+        subject: String,
         /// The place as given.
         place: PlaceId,
         /// The map.
         map: String,
-        /// The place probably meant, in words; may be empty.
+        /// Suggestion, as text; may be empty.
         hint: String,
     },
-    /// Two of one name.
-    #[error("{who} stands more than once")]
+    /// Two items have the same name.
+    #[error("{subject} is defined more than once")]
     Duplicate {
         /// `robot r1`, `person Nia`, `sample s1`.
-        who: String,
+        subject: String,
     },
-    /// A person, object or sample whose name is not one.
+    /// The name of a person, object or sample is invalid.
     #[error("{what} {name:?}: a name has 1 to 64 characters, none of them a control character")]
     InvalidName {
         /// `person`, `object` or `sample`.
@@ -325,87 +340,87 @@ pub enum SetupError {
         /// The name as given.
         name: String,
     },
-    /// A number that makes no sense.
-    #[error("{who}: {field} is {value}, allowed is {allowed}")]
+    /// A number is out of range.
+    #[error("{subject}: {field} is {value}, allowed is {allowed}")]
     InvalidNumber {
         /// `robot r1`, `durations`, `limits`.
-        who: String,
+        subject: String,
         /// The field.
         field: &'static str,
         /// The number.
         value: f64,
-        /// The range, in words.
+        /// The allowed range, as text.
         allowed: &'static str,
     },
-    /// A number of a robot's kinematics that makes no sense.
-    #[error("{who}, kinematics: {problem}")]
+    /// A number of a robot's kinematics is out of range.
+    #[error("{subject}, kinematics: {error}")]
     Kinematics {
         /// `robot r1`.
-        who: String,
-        /// What is wrong.
-        problem: KinematicsError,
+        subject: String,
+        /// The invalid setting.
+        error: KinematicsError,
     },
-    /// A robot with kinematics in a world that does not know what to do with them.
-    #[error("{who} has kinematics, so the systems must name driving and steering; they are: {systems}")]
+    /// A robot has kinematics, but the world lacks the systems for it.
+    #[error("{subject} has kinematics, so the systems must include driving and steering; they are: {systems}")]
     MissingSystems {
         /// `robot r1`.
-        who: String,
+        subject: String,
         /// The world's systems.
         systems: String,
     },
-    /// A system that there is not.
+    /// The setup names an unknown system.
     #[error("there is no system {name:?}{hint}; there are: {known}")]
     UnknownSystem {
         /// The name as given.
         name: String,
-        /// Those that there are.
+        /// The known systems.
         known: String,
-        /// The one probably meant, in words; may be empty.
+        /// Suggestion, as text; may be empty.
         hint: String,
     },
-    /// Something that cannot come over a person at that moment.
-    #[error("{who}: it may come over her at {allowed}")]
+    /// A person's action does not fit its trigger.
+    #[error("{subject}: the trigger does not fit the action; allowed is {allowed}")]
     InvalidTrigger {
-        /// `person Nia: mood`.
-        who: String,
-        /// When it may, in words.
+        /// `person Nia: spontaneous action`.
+        subject: String,
+        /// The triggers that fit, as text.
         allowed: &'static str,
     },
-    /// A door that is not on the map.
+    /// The setup names a door that is not on the map.
     #[error("there is no door {name:?} on map {map}{hint}")]
     UnknownDoor {
         /// The name as given.
         name: String,
         /// The map.
         map: String,
-        /// The door probably meant, in words; may be empty.
+        /// Suggestion, as text; may be empty.
         hint: String,
     },
-    /// Something in a way that is none.
-    #[error("{who}: map {map} has no lane between {:?} and {:?}", a.as_str(), b.as_str())]
+    /// The setup names a lane that is not on the map.
+    #[error("{subject}: map {map} has no lane between {:?} and {:?}", a.as_str(), b.as_str())]
     UnknownLane {
         /// `obstacle trolley`.
-        who: String,
-        /// One end.
+        subject: String,
+        /// First end.
         a: PlaceId,
-        /// The other end.
+        /// Second end.
         b: PlaceId,
         /// The map.
         map: String,
     },
-    /// More than [`WorldLimits::entities_max`].
+    /// The setup exceeds [`WorldLimits::entities_max`].
     #[error("{count} {what} are more than the {max} allowed")]
     TooMany {
         /// `robots`, `people`, `samples`.
         what: &'static str,
-        /// How many there are.
+        /// The number in the setup.
         count: usize,
-        /// How many there may be.
+        /// The greatest allowed number.
         max: usize,
     },
 }
 
-/// All that is wrong with a setup, in its order. Ordinary with hand-written ones; there is no world.
+/// All mistakes in a setup, in its order. Common with hand-written setups. No world was created.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SetupErrors(pub Vec<SetupError>);
 

@@ -1,4 +1,4 @@
-//! A world that is hosted in one place and looked at from another.
+//! A world that is shared between its driver and its observers.
 
 use super::World;
 use crate::record::{RecordError, Recorder};
@@ -9,13 +9,13 @@ use consort_skills::actions::{
 };
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// A handle on a world; all clones are one world. It hosts bodies as the world itself does.
+/// A handle on a world. All clones share the world. It is a robot backend like the world itself.
 #[derive(Clone)]
 pub struct SharedWorld(Arc<Mutex<Shared>>);
 
 struct Shared {
     world: World,
-    /// Whoever writes down what happens, if anybody does.
+    /// The recorder, if the world is being recorded.
     recorder: Option<Recorder>,
 }
 
@@ -25,24 +25,25 @@ impl SharedWorld {
         SharedWorld(Arc::new(Mutex::new(Shared { world, recorder: None })))
     }
 
-    /// Looks at the world, or changes it. Nothing happens in it meanwhile.
-    pub fn with<T>(&self, look: impl FnOnce(&mut World) -> T) -> T {
-        look(&mut self.lock().world)
+    /// Runs `work` with exclusive access to the world. Time does not advance meanwhile.
+    pub fn with<T>(&self, work: impl FnOnce(&mut World) -> T) -> T {
+        work(&mut self.lock().world)
     }
 
-    /// Has all written down that happens from now on, in the place of any recorder before.
+    /// Starts a recording, replacing any earlier recorder.
     pub fn record(&self, mut recorder: Recorder) {
         let mut shared = self.lock();
         recorder.begin(&shared.world);
         shared.recorder = Some(recorder);
     }
 
-    /// Whether what happens is being written down.
+    /// Checks whether the world is being recorded.
     pub fn is_recorded(&self) -> bool {
         self.lock().recorder.is_some()
     }
 
-    /// Has nothing more written down: what each file holds, in words, or why it does not hold all. Empty if nothing was.
+    /// Ends the recording. Returns a summary of each file, or the error that interrupted it. Empty
+    /// without a recording.
     pub fn end_recording(&self) -> Vec<Result<String, RecordError>> {
         let mut shared = self.lock();
         let recorder = shared.recorder.take();
@@ -50,7 +51,7 @@ impl SharedWorld {
     }
 
     fn lock(&self) -> MutexGuard<'_, Shared> {
-        // The world's calls either happen or do not; a panic of whoever looked has left nothing half done.
+        // Calls of the world are atomic: after a caller's panic, no call is half done.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

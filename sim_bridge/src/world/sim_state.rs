@@ -1,7 +1,7 @@
-//! The floor: what there is, what time it is, and what is due.
+//! The simulation state: entities and resources, the clock, and the event queue.
 //!
-//! Systems act on it and on nothing else. What a system asks of another it says in orders, which are carried out in turn
-//! once it has ended; so no system calls another.
+//! Systems access the world only through it. A system requests effects by commands. The commands
+//! are executed in turn once the system has returned, so no system calls another.
 
 use super::event_log::{EventLog, WorldEvent};
 use super::event_queue::{EventQueue, TimerId};
@@ -16,33 +16,33 @@ use hecs::{Component, Entity, Fetch, Query, QueryMut, Ref, RefMut};
 use std::any::TypeId;
 use std::collections::{BTreeMap, VecDeque};
 
-/// What falls due at an instant.
+/// An entry of the event queue.
 pub(crate) enum ScheduledEvent {
-    /// Say what was decided earlier.
+    /// Emit an event that was decided earlier.
     Emit(Box<BackendEvent>),
-    /// A robot's goal reaches its end.
+    /// A robot's goal ends.
     GoalEnds(Entity),
-    /// A system, by its place among those of this world, wanted to be woken.
+    /// A timer of a system, given by its index in this world.
     SystemTimer(usize, SystemTimer),
-    /// An instant of the grid in which the world steps.
+    /// A grid instant, at which the world steps.
     Step,
 }
 
-/// What a system asks of the world.
+/// A command of a system to the world.
 pub(crate) enum SimCommand {
-    /// Say it.
+    /// Emit an event to the backend's client.
     Emit(BackendEvent),
-    /// Write it down.
+    /// Log an event.
     Log(WorldEvent),
-    /// The goal under way, if there is one, cannot go on.
+    /// Abort the active goal, if any.
     AbortGoal(Entity, ActionError),
-    /// The goal under way, if there is one, has come to its end.
+    /// Complete the active goal, if any.
     CompleteGoal(Entity),
 }
 
-/// A system at work: its place among those of this world, and what it may get at.
-struct AtWork {
-    place: usize,
+/// The system that is running: its index in this world, and the components it may access.
+struct RunningSystem {
+    index: usize,
     name: &'static str,
     reads: Vec<ComponentType>,
     writes: Vec<ComponentType>,
@@ -51,7 +51,7 @@ struct AtWork {
 /// See the [module](self).
 pub(crate) struct SimState {
     pub(crate) map: Map,
-    /// Its walls, by level.
+    /// Walls by level.
     pub(crate) walls: Vec<WallGrid>,
     /// Seconds since the world began.
     pub(crate) now: f64,
@@ -62,23 +62,23 @@ pub(crate) struct SimState {
     pub(crate) limits: WorldLimits,
     pub(crate) queue: EventQueue<ScheduledEvent>,
     pub(crate) commands: VecDeque<SimCommand>,
-    /// What happened and was not yet shown to the systems.
+    /// Events that the systems have not observed yet.
     pub(crate) unobserved_events: VecDeque<WorldEvent>,
     pub(super) event_log: EventLog,
     store: hecs::World,
-    /// The entity whose components belong to the floor as a whole.
-    here: Entity,
-    at_work: Option<AtWork>,
-    /// Time between two instants of the grid, in seconds.
+    /// The entity that holds the resources.
+    resource_entity: Entity,
+    running: Option<RunningSystem>,
+    /// Step of the time grid, in seconds.
     step_s: f64,
-    /// Whether an instant of the grid stands in the queue.
-    steps: bool,
+    /// True while a grid instant is in the queue.
+    step_scheduled: bool,
 }
 
 impl SimState {
     pub(super) fn new(map: Map, durations: Durations, limits: WorldLimits, step_s: f64) -> SimState {
         let mut store = hecs::World::new();
-        let here = store.spawn(());
+        let resource_entity = store.spawn(());
         let walls = map.level_indices().map(|level| WallGrid::new(map.walls_on(level))).collect();
         SimState {
             map,
@@ -94,47 +94,49 @@ impl SimState {
             unobserved_events: VecDeque::new(),
             event_log: EventLog::default(),
             store,
-            here,
-            at_work: None,
+            resource_entity,
+            running: None,
             step_s,
-            steps: false,
+            step_scheduled: false,
         }
     }
 
-    /// Lets a system, the one at `place`, do something; it is held to the components that it named.
+    /// Runs `work` as the system at index `index`. Only the components that the system declares can
+    /// be accessed.
     pub(super) fn run_as_system<T>(
         &mut self,
-        place: usize,
+        index: usize,
         system: &dyn System,
         work: impl FnOnce(&mut SimState) -> T,
     ) -> T {
-        // The lists are for the check alone.
+        // The lists are only needed for the check.
         let (reads, writes) = if cfg!(debug_assertions) { (system.reads(), system.writes()) } else { (vec![], vec![]) };
-        let before = self.at_work.replace(AtWork { place, name: system.name(), reads, writes });
+        let previous = self.running.replace(RunningSystem { index, name: system.name(), reads, writes });
         let done = work(self);
-        self.at_work = before;
+        self.running = previous;
         done
     }
 
-    /// An entity without components.
+    /// Creates an entity without components.
     pub(crate) fn spawn(&mut self) -> Entity {
         self.store.spawn(())
     }
 
-    /// Gives an entity a component, in the place of one of the same type if it has it.
+    /// Sets a component of an entity, replacing any of the same type.
     pub(crate) fn insert<T: Component>(&mut self, entity: Entity, component: T) {
         self.check(ComponentType::of::<T>(), true);
-        self.store.insert_one(entity, component).expect("entities stay");
+        self.store.insert_one(entity, component).expect("entities are never removed");
     }
 
-    /// Reads a component of an entity that has it by construction.
+    /// Reads a component that the entity always has.
     pub(crate) fn get<T: Component>(&self, entity: Entity) -> Ref<'_, T> {
-        self.find(entity).unwrap_or_else(|| panic!("an entity was given no {}", ComponentType::of::<T>().name()))
+        self.find(entity).unwrap_or_else(|| panic!("an entity has no component {}", ComponentType::of::<T>().name()))
     }
 
-    /// Writes a component of an entity that has it by construction.
+    /// Writes a component that the entity always has.
     pub(crate) fn get_mut<T: Component>(&self, entity: Entity) -> RefMut<'_, T> {
-        self.find_mut(entity).unwrap_or_else(|| panic!("an entity was given no {}", ComponentType::of::<T>().name()))
+        self.find_mut(entity)
+            .unwrap_or_else(|| panic!("an entity has no component {}", ComponentType::of::<T>().name()))
     }
 
     /// Reads a component, if the entity has it.
@@ -149,109 +151,110 @@ impl SimState {
         self.store.get::<&mut T>(entity).ok()
     }
 
-    /// Reads a component of the floor itself.
+    /// Reads a resource.
     pub(crate) fn resource<T: Component>(&self) -> Ref<'_, T> {
-        self.get(self.here)
+        self.get(self.resource_entity)
     }
 
-    /// Writes a component of the floor itself.
+    /// Writes a resource.
     pub(crate) fn resource_mut<T: Component>(&self) -> RefMut<'_, T> {
-        self.get_mut(self.here)
+        self.get_mut(self.resource_entity)
     }
 
-    /// Gives the floor itself a component.
+    /// Adds a resource.
     pub(crate) fn insert_resource<T: Component>(&mut self, component: T) {
-        self.insert(self.here, component);
+        self.insert(self.resource_entity, component);
     }
 
-    /// Whether the floor itself has a component: whether the system that brings it is one of this world's.
+    /// Checks whether a resource exists, that is, whether the system that adds it is part of this
+    /// world.
     pub(crate) fn has_resource<T: Component>(&self) -> bool {
-        self.store.satisfies::<&T>(self.here)
+        self.store.satisfies::<&T>(self.resource_entity)
     }
 
-    /// The entity that stands for the floor itself.
+    /// The entity that holds the resources.
     pub(crate) fn resource_entity(&self) -> Entity {
-        self.here
+        self.resource_entity
     }
 
-    /// Has the system at work woken at an instant.
+    /// Schedules a timer of the running system.
     pub(crate) fn schedule(&mut self, time: f64, about: Entity, number: u64) -> TimerId {
-        let place = self.at_work.as_ref().expect("only systems arrange things").place;
-        self.queue.schedule(time, ScheduledEvent::SystemTimer(place, SystemTimer { entity: about, number }))
+        let index = self.running.as_ref().expect("only systems schedule timers").index;
+        self.queue.schedule(time, ScheduledEvent::SystemTimer(index, SystemTimer { entity: about, number }))
     }
 
-    /// Has the world step from the next instant of its grid on, until no system has anything more to step.
+    /// Lets the world step from the next grid instant on, until no system needs another step.
     pub(crate) fn start_stepping(&mut self) {
-        if !std::mem::replace(&mut self.steps, true) {
-            // An instant that is a hair away is the one that has just been.
+        if !std::mem::replace(&mut self.step_scheduled, true) {
+            // An instant closer than the rounding error is the previous instant.
             let next = (self.now / self.step_s + 1e-6).floor() + 1.0;
             self.queue.schedule(next * self.step_s, ScheduledEvent::Step);
         }
     }
 
-    /// Whether the world steps.
+    /// Checks whether the world steps.
     pub(crate) fn is_stepping(&self) -> bool {
-        self.steps
+        self.step_scheduled
     }
 
-    /// The instant of the grid has come that stood in the queue.
+    /// Notes that the grid instant in the queue has come.
     pub(super) fn clear_step(&mut self) {
-        self.steps = false;
+        self.step_scheduled = false;
     }
 
-    /// All entities that have what is asked for, always in the same order.
+    /// Returns all entities that match a query, always in the same order.
     pub(crate) fn query<Q: Query>(&mut self) -> QueryMut<'_, Q> {
-        if let Some(at_work) = self.at_work.as_ref().filter(|_| cfg!(debug_assertions)) {
-            <Q::Fetch as Fetch>::for_each_borrow(|id, writes| at_work.check_id(id, writes));
+        if let Some(running) = self.running.as_ref().filter(|_| cfg!(debug_assertions)) {
+            <Q::Fetch as Fetch>::for_each_borrow(|id, writes| running.check_id(id, writes));
         }
         self.store.query_mut::<Q>()
     }
 
-    /// The goal that a robot has under way, if any, cannot go on.
-    pub(crate) fn abort_goal(&mut self, robot: Entity, why: ActionError) {
-        self.commands.push_back(SimCommand::AbortGoal(robot, why));
+    /// Aborts the active goal of a robot, if any.
+    pub(crate) fn abort_goal(&mut self, robot: Entity, error: ActionError) {
+        self.commands.push_back(SimCommand::AbortGoal(robot, error));
     }
 
-    /// The goal that a robot has under way, if any, has come to its end: for goals that began without one.
+    /// Completes the active goal of a robot, if any: for goals that began without a known end.
     pub(crate) fn complete_goal(&mut self, robot: Entity) {
         self.commands.push_back(SimCommand::CompleteGoal(robot));
     }
 
-    /// Notes what happened once what was ordered before has been done.
-    pub(crate) fn log_after_commands(&mut self, what: WorldEvent) {
-        self.commands.push_back(SimCommand::Log(what));
+    /// Logs an event after the commands issued before it have been executed.
+    pub(crate) fn log_after_commands(&mut self, event: WorldEvent) {
+        self.commands.push_back(SimCommand::Log(event));
     }
 
-    /// Tells the outside.
+    /// Emits an event to the backend's client.
     pub(crate) fn emit(&mut self, event: BackendEvent) {
         self.commands.push_back(SimCommand::Emit(event));
     }
 
-    /// Writes down what happened, and shows it to all systems.
-    pub(crate) fn log_event(&mut self, what: WorldEvent) {
-        self.event_log.write(self.now, what.clone(), self.limits.history_kept);
-        self.unobserved_events.push_back(what);
+    /// Logs an event, and shows it to all systems.
+    pub(crate) fn log_event(&mut self, event: WorldEvent) {
+        self.event_log.write(self.now, event.clone(), self.limits.history_kept);
+        self.unobserved_events.push_back(event);
     }
 
     fn check(&self, kind: ComponentType, writes: bool) {
-        if let Some(at_work) = self.at_work.as_ref().filter(|_| cfg!(debug_assertions)) {
-            at_work.check(kind, writes);
+        if let Some(running) = self.running.as_ref().filter(|_| cfg!(debug_assertions)) {
+            running.check(kind, writes);
         }
     }
 }
 
-impl AtWork {
+impl RunningSystem {
     fn check(&self, kind: ComponentType, writes: bool) {
         let allowed = self.writes.contains(&kind) || !writes && self.reads.contains(&kind);
         let does = if writes { "writes" } else { "reads" };
-        assert!(allowed, "system {} {does} {}, which it does not name", self.name, kind.name());
+        assert!(allowed, "system {} {does} {}, which it does not declare", self.name, kind.name());
     }
 
-    /// The same where only the type's number is known.
+    /// The same as [`check`](Self::check) where only the type's id is known.
     fn check_id(&self, id: TypeId, writes: bool) {
-        let named = |kinds: &[ComponentType]| kinds.iter().any(|kind| kind.is(id));
+        let named = |component_types: &[ComponentType]| component_types.iter().any(|kind| kind.is(id));
         let does = if writes { "writes" } else { "reads" };
         let allowed = named(&self.writes) || !writes && named(&self.reads);
-        assert!(allowed, "system {} {does} one of the components it asks for without naming it", self.name);
+        assert!(allowed, "system {} {does} a component of its query without declaring it", self.name);
     }
 }

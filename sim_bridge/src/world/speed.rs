@@ -1,4 +1,5 @@
-//! How fast a robot drives, changed from outside: a crowd in the corridor, a worn tyre, a trial of an evaluation.
+//! Changes of a robot's speed from outside: a crowd in the corridor, a worn tyre, a trial of an
+//! evaluation.
 
 use super::World;
 use super::components::SimRobot;
@@ -6,8 +7,8 @@ use consort_protocol::ids::RobotId;
 use consort_protocol::units::MetresPerSecond;
 
 impl World {
-    /// From its next drive on a robot drives so fast; one under way is not affected. Of a robot that is not here nothing is
-    /// said.
+    /// Sets the speed of a robot from its next drive on. The current drive is not affected. An
+    /// unknown robot is ignored.
     pub fn set_speed(&mut self, robot: &RobotId, speed: MetresPerSecond) {
         if let Some(robot) = self.state.robots.get(robot).copied() {
             self.state.get_mut::<SimRobot>(robot).0.speed = speed;

@@ -1,18 +1,19 @@
-//! What a system is: one thing that happens on the floor, in a file of its own.
+//! The interface of systems. A system simulates an aspect of the world, in its own file.
 //!
-//! A system has no state: all it knows is in components of entities, or in components of the floor itself. It says which
-//! it reads and which it writes, and can get at no others ([`Floor`] sees to that wherever debug assertions are on). A world
-//! is made of the systems that its setup names; a new one is a file in `systems/` and a line in [`systems::ALL`].
+//! A system has no state of its own: its state is in components of entities, or in resources. It
+//! declares the components that it reads and writes, and can access no others ([`SimState`]
+//! enforces this while debug assertions are on). A world consists of the systems that its setup
+//! names. A new system is a file in `systems/` and a line in [`systems::ALL`].
 //!
-//! | it is asked | when |
+//! | method | called when |
 //! |---|---|
-//! | [`furnish`](System::furnish), [`equip`](System::equip) | the floor, or a robot on it, comes to be |
-//! | [`permit`](System::permit) | any goal is to begin |
-//! | [`begin`](System::begin), [`finish`](System::finish), [`halt`](System::halt) | a goal that it carries out begins, reaches its end, is broken off |
-//! | [`ask`](System::ask), [`dismiss`](System::dismiss) | somebody asks a person for something, or no longer does |
-//! | [`wake`](System::wake) | an instant has come that it arranged |
-//! | [`step`](System::step) | an instant of the world's grid has come, while anything steps |
-//! | [`observe`](System::observe) | something happened, by whatever system |
+//! | [`init_world`](System::init_world), [`init_robot`](System::init_robot) | the world, or a robot in it, is created |
+//! | [`check_goal_allowed`](System::check_goal_allowed) | any goal is about to start |
+//! | [`begin_goal`](System::begin_goal), [`finish_goal`](System::finish_goal), [`halt_goal`](System::halt_goal) | a goal of this system starts, reaches its end, is interrupted |
+//! | [`request_person`](System::request_person), [`cancel_person_request`](System::cancel_person_request) | a person request arrives, or is canceled |
+//! | [`on_timer`](System::on_timer) | a timer of this system is due |
+//! | [`step`](System::step) | a grid instant has come, while any system steps |
+//! | [`on_event`](System::on_event) | any system logged an event |
 //!
 //! [`systems::ALL`]: super::systems::ALL
 
@@ -23,7 +24,7 @@ use consort_skills::actions::{ActionError, Feedback, Goal, GoalId, PersonRequest
 use hecs::{Component, Entity};
 use std::any::TypeId;
 
-/// A type of component.
+/// Type of a component.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct ComponentType {
     id: TypeId,
@@ -31,104 +32,106 @@ pub(crate) struct ComponentType {
 }
 
 impl ComponentType {
-    /// The type of `T`.
+    /// Returns the component type of `T`.
     pub(crate) fn of<T: Component>() -> ComponentType {
         ComponentType { id: TypeId::of::<T>(), name: std::any::type_name::<T>() }
     }
 
-    /// Whether it is the type of this number.
+    /// Checks whether this is the type with the given id.
     pub(crate) fn is(self, id: TypeId) -> bool {
         self.id == id
     }
 
-    /// Its name, without its path.
+    /// Name of the type, without its path.
     pub(crate) fn name(self) -> &'static str {
         self.name.rsplit("::").next().unwrap_or(self.name)
     }
 }
 
-/// The types named, as [`Kind`]s.
-macro_rules! kinds {
+/// Expands to a list of [`ComponentType`]s.
+macro_rules! component_types {
     ($($component:ty),* $(,)?) => { vec![$($crate::world::system::ComponentType::of::<$component>()),*] };
 }
-pub(crate) use kinds;
+pub(crate) use component_types;
 
-/// When a goal ends whose end is not known beforehand.
+/// End time of a goal with an unknown end.
 pub(crate) const END_UNKNOWN: f64 = f64::INFINITY;
 
-/// What a system arranged for an instant to come, for itself.
+/// A timer that a system scheduled for itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct SystemTimer {
-    /// The entity it is about.
+    /// The entity concerned.
     pub(crate) entity: Entity,
-    /// Whatever the system tells its wakes apart by.
+    /// Number by which the system distinguishes its timers.
     pub(crate) number: u64,
 }
 
-/// One thing that happens on the floor.
+/// One aspect of the world.
 pub(crate) trait System: Sync {
-    /// What setups call it.
+    /// Name of the system in setups.
     fn name(&self) -> &'static str;
 
-    /// The components it looks at, beside those that it writes.
+    /// Components that the system reads, apart from those it writes.
     fn reads(&self) -> Vec<ComponentType>;
 
-    /// The components it changes.
+    /// Components that the system writes.
     fn writes(&self) -> Vec<ComponentType>;
 
-    /// Gives the floor itself what the system needs.
-    fn init_world(&self, _floor: &mut SimState, _setup: &WorldSetup) {}
+    /// Adds the system's resources.
+    fn init_world(&self, _state: &mut SimState, _setup: &WorldSetup) {}
 
-    /// Gives a new robot what the system needs.
-    fn init_robot(&self, _floor: &mut SimState, _robot: Entity, _body: &RobotSetup) {}
+    /// Adds the system's components to a new robot.
+    fn init_robot(&self, _state: &mut SimState, _robot: Entity, _body: &RobotSetup) {}
 
-    /// Whether a robot may begin a goal as far as this system is concerned, whoever carries it out.
+    /// Checks whether this system allows a robot to start a goal, whichever system executes it.
     ///
     /// # Errors
-    /// Why it may not.
-    fn check_goal_allowed(&self, _floor: &SimState, _robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+    /// Reason for the rejection.
+    fn check_goal_allowed(&self, _state: &SimState, _robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
         Ok(())
     }
 
-    /// Begins a goal: when it will end, or why it cannot begin; `None` if this system does not carry out such goals. A goal
-    /// whose end is not known beforehand ends at [`LATER`], that is, when the system says [`Floor::achieve`].
-    fn begin_goal(&self, _floor: &mut SimState, _robot: Entity, _goal: &Goal) -> Option<Result<f64, ActionError>> {
+    /// Starts a goal. Returns its end time, or the reason why it cannot start; `None` if this
+    /// system does not execute such goals. A goal with an unknown end returns [`END_UNKNOWN`]. It
+    /// ends when the system calls [`SimState::complete_goal`].
+    fn begin_goal(&self, _state: &mut SimState, _robot: Entity, _goal: &Goal) -> Option<Result<f64, ActionError>> {
         None
     }
 
-    /// The goal has come to its end: brings about what it is for, if it still can.
+    /// Applies the effect of a goal at its end, if that is still possible.
     ///
     /// # Errors
-    /// Why it cannot: nothing has changed then.
-    fn finish_goal(&self, _floor: &mut SimState, _robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+    /// Reason why it is not. Nothing has changed then.
+    fn finish_goal(&self, _state: &mut SimState, _robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
         Ok(())
     }
 
-    /// The goal under way is broken off: leaves everything as it is now.
-    fn halt_goal(&self, _floor: &mut SimState, _robot: Entity, _goal: &Goal) {}
+    /// Interrupts the active goal and leaves everything as it is now.
+    fn halt_goal(&self, _state: &mut SimState, _robot: Entity, _goal: &Goal) {}
 
-    /// How far a goal under way has come: `usual` is what is known of any goal.
-    fn feedback(&self, _floor: &SimState, _robot: Entity, _goal: &Goal, usual: Feedback) -> Feedback {
+    /// Returns the feedback of the active goal. `usual` is the feedback common to all goals.
+    fn feedback(&self, _state: &SimState, _robot: Entity, _goal: &Goal, usual: Feedback) -> Feedback {
         usual
     }
 
-    /// Takes an ask of a person; false if this system knows nothing of people.
-    fn request_person(&self, _floor: &mut SimState, _id: GoalId, _ask: &PersonRequest) -> bool {
+    /// Accepts a person request. Returns false if this system does not simulate people.
+    fn request_person(&self, _state: &mut SimState, _id: GoalId, _ask: &PersonRequest) -> bool {
         false
     }
 
-    /// Withdraws an ask.
-    fn cancel_person_request(&self, _floor: &mut SimState, _id: GoalId) {}
+    /// Cancels a person request.
+    fn cancel_person_request(&self, _state: &mut SimState, _id: GoalId) {}
 
-    /// An instant of the grid: brings up to now what cannot be computed ahead. Whether it has anything more to step; while
-    /// no system has, the world has no grid, and nothing to do. [`Floor::step_on`] begins it.
-    fn step(&self, _floor: &mut SimState) -> bool {
+    /// Brings state that cannot be computed ahead up to the current grid instant. Returns whether
+    /// the system needs another step. While no system does, the world has no grid.
+    /// [`SimState::start_stepping`] starts it.
+    fn step(&self, _state: &mut SimState) -> bool {
         false
     }
 
-    /// An instant that it arranged with [`Floor::arrange`].
-    fn on_timer(&self, _floor: &mut SimState, _wake: SystemTimer) {}
+    /// Handles a timer scheduled with [`SimState::schedule`].
+    fn on_timer(&self, _state: &mut SimState, _wake: SystemTimer) {}
 
-    /// Something happened.
-    fn on_event(&self, _floor: &mut SimState, _what: &WorldEvent) {}
+    /// Observes an event.
+    fn on_event(&self, _state: &mut SimState, _what: &WorldEvent) {}
 }

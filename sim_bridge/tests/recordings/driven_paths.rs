@@ -18,7 +18,7 @@ fn the_picture_shows_the_paths_driven() {
         let class = class.to_owned();
         document.descendants().filter(move |node| node.attribute("class") == Some(&class))
     };
-    // Where places and corners are on the picture, in tenths of a pixel.
+    // Positions of places and corners in the picture, in tenths of a pixel.
     let pixel = |text: &str| (text.parse::<f64>().unwrap() * 10.0).round() as i64;
     let places: BTreeMap<&str, (i64, i64)> = of_class("place")
         .map(|dot| {
@@ -27,7 +27,7 @@ fn the_picture_shows_the_paths_driven() {
             (title.text().unwrap().trim(), (at[0], at[1]))
         })
         .collect();
-    let driven: Vec<Vec<(i64, i64)>> = of_class("driven")
+    let driven: Vec<Vec<(i64, i64)>> = of_class("trail-line")
         .map(|line| {
             let corners = line.attribute("points").unwrap().split(' ').filter_map(|point| point.split_once(','));
             corners.map(|(x, y)| (pixel(x), pixel(y))).collect()
@@ -39,10 +39,10 @@ fn the_picture_shows_the_paths_driven() {
         .filter_map(|corner| places.iter().find(|(_, at)| *at == corner).map(|(name, _)| *name))
         .collect();
     assert_eq!(visited, ["A", "B", "C", "B"]);
-    // The straights are drawn as such: corners where it turned, where it stood before the door, and few others.
+    // Straight parts have few points: corners at turns, at the door, and few others.
     assert!(driven[0].len() <= 12, "{:?}", driven[0]);
-    let bodies = of_class("body").count();
-    assert_eq!((of_class("began").count(), bodies), (1, 3), "a ring where Ada began; Ada, Bob and Nia");
+    let bodies = of_class("item").count();
+    assert_eq!((of_class("trail-start").count(), bodies), (1, 3), "a ring where Ada began; Ada, Bob and Nia");
     map::render::png(&svg).unwrap();
 }
 
@@ -51,7 +51,7 @@ fn a_curve_is_drawn_where_it_was_driven() {
     let file = TempFile::named("curve.svg");
     let mut world = hall();
     record(&world, &RecordingOutputs { mcap: None, svg: Some(file.0.clone()) });
-    // Round a circle of two metres about (2, 0), from where Ada stands, and back to there.
+    // A circle with a radius of two metres around (2, 0), from Ada's position and back.
     let point = |step: u32| {
         let angle = std::f64::consts::PI + std::f64::consts::TAU * f64::from(step) / 400.0;
         Waypoint { pose: Pose::new(2.0 + 2.0 * angle.cos(), 2.0 * angle.sin(), 0.0), place: None }
@@ -73,7 +73,7 @@ fn a_curve_is_drawn_where_it_was_driven() {
         .map(|dot| dot.attribute("cx").unwrap().parse().unwrap())
         .collect();
     let scale = (dots[1] - dots[0]) / 10.0;
-    let corners: Vec<(f64, f64)> = attribute("driven", "points")
+    let corners: Vec<(f64, f64)> = attribute("trail-line", "points")
         .split(' ')
         .map(|point| point.split_once(',').unwrap())
         .map(|(x, y)| (x.parse::<f64>().unwrap(), y.parse::<f64>().unwrap()))

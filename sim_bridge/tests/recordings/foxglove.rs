@@ -39,7 +39,7 @@ fn messages(bytes: &[u8]) -> Vec<Message> {
 }
 
 #[test]
-fn a_recording_has_foxgloves_topics_and_schemas_and_its_time_only_grows() {
+fn a_recording_has_foxglove_topics_in_order_of_time() {
     let file = TempFile::named("topics.mcap");
     let mut world = hall();
     record(&world, &onto(&file));
@@ -71,7 +71,7 @@ fn a_recording_has_foxgloves_topics_and_schemas_and_its_time_only_grows() {
 }
 
 #[test]
-fn every_message_is_as_its_schema_says() {
+fn every_message_conforms_to_its_schema() {
     let file = TempFile::named("schemas.mcap");
     let mut world = hall();
     record(&world, &onto(&file));
@@ -89,7 +89,7 @@ fn every_message_is_as_its_schema_says() {
     }
 }
 
-/// Each field that a schema names is there, of its type, and no other.
+/// Checks that a value has exactly the fields of its schema, with their types.
 fn conforms(value: &Value, schema: &Value, at: &str) {
     let fits = match schema["type"].as_str().unwrap() {
         "object" => value.is_object(),
@@ -112,7 +112,7 @@ fn conforms(value: &Value, schema: &Value, at: &str) {
 }
 
 #[test]
-fn recorded_poses_are_those_of_the_same_world_unrecorded() {
+fn recorded_poses_equal_those_of_an_unrecorded_world() {
     let file = TempFile::named("poses.mcap");
     let mut world = hall();
     record(&world, &onto(&file));
@@ -135,7 +135,7 @@ fn recorded_poses_are_those_of_the_same_world_unrecorded() {
 }
 
 #[test]
-fn nothing_is_written_while_nothing_happens() {
+fn nothing_is_written_without_events() {
     let file = TempFile::named("rest.mcap");
     let mut world = hall();
     record(&world, &onto(&file));
@@ -151,7 +151,7 @@ fn nothing_is_written_while_nothing_happens() {
 }
 
 #[test]
-fn of_a_world_that_was_killed_all_but_the_last_seconds_can_be_read() {
+fn a_killed_recording_lacks_only_its_last_seconds() {
     let file = TempFile::named("killed.mcap");
     let mut world = hall();
     record(&world, &onto(&file));
@@ -159,7 +159,7 @@ fn of_a_world_that_was_killed_all_but_the_last_seconds_can_be_read() {
     for step in 1..=40 {
         world.advance(at(f64::from(step) * 0.5));
     }
-    // As it lies on the disk while the process is still alive, or is no more.
+    // The file as it is on the disk if the process is killed now.
     let killed = fs::read(&file.0).unwrap();
     world.end_recording();
     let whole = messages(&fs::read(&file.0).unwrap());
@@ -184,7 +184,7 @@ fn the_same_run_gives_the_same_bytes() {
 }
 
 #[test]
-fn a_file_that_cannot_be_had_is_named_and_one_that_fails_later_leaves_the_world_alone() {
+fn a_failing_recording_names_its_file_and_leaves_the_world_alone() {
     let nowhere = RecordingOutputs { mcap: Some("/no/such/folder/run.mcap".into()), svg: None };
     let problem = Recorder::open(&nowhere).err().unwrap().to_string();
     assert!(problem.starts_with("/no/such/folder/run.mcap: the recording cannot be written: "), "{problem}");

@@ -34,7 +34,7 @@ pub(crate) fn carrier(name: &str, at: &str) -> RobotSetup {
     RobotSetup::carrier(robot(name), place(at), speed, BatteryShare::FULL, discharge)
 }
 
-/// A file of its own for each test, that is gone when the test is over.
+/// A file for a single test, removed at its end.
 pub(crate) struct TempFile(pub(crate) PathBuf);
 
 impl TempFile {
@@ -49,7 +49,7 @@ impl Drop for TempFile {
     }
 }
 
-/// Ada is to drive from A by B to C and back to B, and Bob stands at C.
+/// Ada drives from A via B to C and back to B; Bob stands at C.
 pub(crate) fn hall() -> SharedWorld {
     let setup = WorldSetup::new(map::read(HALL, "hall.yaml").unwrap(), 1);
     let nia = PersonSetup {
@@ -57,7 +57,7 @@ pub(crate) fn hall() -> SharedWorld {
         role: "nurse".parse().unwrap(),
         place: place("B"),
         samples: vec!["blood".into()],
-        mood: vec![],
+        spontaneous_actions: vec![],
     };
     let setup = setup.robot(carrier("ada", "A")).robot(carrier("bob", "C")).person(nia);
     SharedWorld::new(World::new(setup).unwrap())
@@ -75,7 +75,7 @@ pub(crate) fn record(world: &SharedWorld, outputs: &RecordingOutputs) {
     world.record(Recorder::open(outputs).unwrap().unwrap());
 }
 
-/// A minute of the hall, let pass in steps that have nothing to do with what happens.
+/// Advances the hall by a minute, in steps that are independent of its events.
 pub(crate) fn run_one_minute(world: &mut SharedWorld) {
     there_and_back(world);
     for step in 1..=120 {
@@ -84,12 +84,12 @@ pub(crate) fn run_one_minute(world: &mut SharedWorld) {
 }
 
 #[test]
-fn who_asks_for_no_files_gets_no_recorder() {
+fn no_outputs_give_no_recorder() {
     assert!(Recorder::open(&RecordingOutputs::default()).unwrap().is_none());
 }
 
 #[test]
-fn a_world_that_is_recorded_takes_the_same_course() {
+fn a_recorded_world_runs_exactly_the_same() {
     let (mcap, svg) = (TempFile::named("course.mcap"), TempFile::named("course.svg"));
     let course = |recorded: bool| {
         let mut world = hall();

@@ -1,13 +1,13 @@
-//! The blackboard: typed entries that the ports of one tree share.
+//! The blackboard: typed entries that the ports of a tree share.
 //!
-//! Every tree of a description has a scope of its own: its keys are its own unless a `SubTree` node remaps them to
-//! keys of the tree around it. Scopes are resolved when a tree is checked, so a port holds the entry's number, and two
-//! remapped keys are one entry.
+//! Every tree of a description has its own scope. A key belongs to its tree, unless a `SubTree`
+//! node remaps it to a key of the enclosing tree. Scopes are resolved when a tree is checked. A
+//! port then holds the index of its entry, and two remapped keys share an entry.
 
 use super::ports::PortConstraint;
 use super::value::{PortType, PortValue, Value, ValueError};
 
-/// Position of an entry on its blackboard.
+/// Index of an entry in its blackboard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct EntryId(pub(crate) usize);
 
@@ -25,41 +25,42 @@ struct Entry {
     value: Option<Value>,
 }
 
-/// Why an entry cannot be read or written. The blackboard is unchanged.
+/// An entry cannot be read or written. The blackboard is unchanged.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum BlackboardError {
-    /// No port of the tree names this key.
+    /// No port of the tree uses this key.
     #[error("no port uses the key {{{key}}}; used are {known}")]
     UnknownKey {
-        /// The key asked for.
+        /// The requested key.
         key: String,
-        /// The keys of the main tree, in words.
+        /// The keys of the main tree, as text.
         known: String,
     },
-    /// Read before anything was written.
-    #[error("{{{key}}} holds nothing yet")]
+    /// The entry was read before it was written.
+    #[error("{{{key}}} is empty")]
     Empty {
-        /// The key, with the sub-tree it belongs to.
+        /// The key, with its sub-tree.
         key: String,
     },
-    /// The value is not what the key's ports take.
+    /// The value does not fit the type or the constraints of the key's ports.
     #[error("{{{key}}}: {source}")]
     Type {
-        /// The key, with the sub-tree it belongs to.
+        /// The key, with its sub-tree.
         key: String,
-        /// What is wrong.
+        /// Cause.
         source: ValueError,
     },
 }
 
 impl Blackboard {
-    /// Adds an empty entry. `key` is for messages; it need not be unique.
+    /// Adds an empty entry. `key` is for messages and need not be unique.
     pub(crate) fn add(&mut self, key: String) -> EntryId {
         self.entries.push(Entry { key, port_type: PortType::Any, constraints: Vec::new(), value: None });
         EntryId(self.entries.len() - 1)
     }
 
-    /// Narrows an entry to what one more port takes; `Err` with the type it already has if they do not go together.
+    /// Restricts an entry to the type and constraint of another port. `Err` contains the entry's
+    /// type if the types conflict.
     pub(crate) fn restrict(
         &mut self,
         id: EntryId,
@@ -101,7 +102,7 @@ impl Blackboard {
         self.entries[id.0].port_type
     }
 
-    /// Converts a value written before the entry's type was known.
+    /// Converts a value that was written before the entry's type was known.
     pub(crate) fn convert_to_entry_type(&mut self, id: EntryId) -> Result<(), BlackboardError> {
         match self.entries[id.0].value.clone() {
             Some(value) => self.write(id, value),

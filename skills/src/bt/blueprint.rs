@@ -1,4 +1,4 @@
-//! A checked description: sub-trees put in their places, ports bound to entries, every name known.
+//! A checked description: sub-trees expanded, ports bound to entries, all names resolved.
 
 use super::blackboard::{Blackboard, EntryId};
 use super::builtin::Builtin;
@@ -14,14 +14,16 @@ use super::tree::Tree;
 use super::value::PortType;
 use std::collections::BTreeMap;
 
-/// Deepest nesting of nodes, sub-trees included, in a file as in a tree: what ticks and reads a tree calls itself once
-/// a level, and a stack must hold that. A guess, several times what people draw.
+/// Greatest nesting depth of nodes, sub-trees included, in a file and in a tree. Ticking and
+/// reading recurse once per level, which the stack must hold. A guess, several times the depth of
+/// usual trees.
 pub const MAX_DEPTH: usize = 100;
 
-/// Most nodes of one tree with its sub-trees expanded: ten sub-trees of two each are a thousand nodes already.
+/// Greatest number of nodes of a tree with its sub-trees expanded: ten nested sub-trees, each used
+/// twice, make a thousand nodes.
 pub const MAX_NODES: usize = 10_000;
 
-/// A checked tree, from which any number of trees can be started.
+/// A checked tree, from which any number of trees can be created.
 pub struct Blueprint<C = ()> {
     root: CheckedNode<C>,
     blackboard: Blackboard,
@@ -29,18 +31,19 @@ pub struct Blueprint<C = ()> {
     inputs: Vec<TreeInput>,
 }
 
-/// A key of the main tree that is read and that no node writes: whoever starts the tree sets it.
+/// A key of the main tree that is read but that no node writes. The caller sets it after creating
+/// the tree.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TreeInput {
     /// The key.
     pub key: String,
-    /// What it takes.
+    /// Type of the value.
     pub port_type: PortType,
-    /// Whether the tree cannot do without.
+    /// True if the tree needs a value.
     pub required: bool,
 }
 
-/// A node, checked.
+/// A checked node.
 pub(crate) struct CheckedNode<C> {
     pub(crate) name: String,
     pub(crate) implementation: NodeImpl<C>,
@@ -54,7 +57,7 @@ pub(crate) enum NodeImpl<C> {
 }
 
 impl<C> Blueprint<C> {
-    /// Checks a description: [`Registry::check`].
+    /// Checks a description: see [`Registry::check`].
     pub(crate) fn check(spec: &TreeSpec, registry: &Registry<C>) -> Result<Blueprint<C>, TreeError> {
         let Some(root) = spec.trees.get(&spec.main) else {
             let known = super::ports::join_names(spec.trees.keys().map(String::as_str));
@@ -67,12 +70,12 @@ impl<C> Blueprint<C> {
         Ok(Blueprint { root, blackboard, keys, inputs })
     }
 
-    /// What must or may be set before the first tick, in the order of the keys.
+    /// The keys to set before the first tick, required or optional, in order.
     pub fn inputs(&self) -> &[TreeInput] {
         &self.inputs
     }
 
-    /// Puts a tree to work, with leaves made from `context`.
+    /// Creates a tree. Its leaves are made from `context`.
     pub fn instantiate(&self, context: &C) -> Tree {
         Tree {
             root: self.root.slot(context),

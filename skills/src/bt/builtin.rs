@@ -1,4 +1,4 @@
-//! The nodes that every tree may use, by the names of BehaviorTree.CPP 4.
+//! The nodes that are built into the engine, with the names of BehaviorTree.CPP 4.
 
 use super::control::{MemoryControl, Parallel, ReactiveControl};
 use super::decorator::{ForEach, LoopNode, MapResult, Timeout};
@@ -8,7 +8,7 @@ use super::ports::{NodeKind, NodeManifest, PortSpec, Ports};
 use super::status::NodeStatus;
 use super::value::PortType;
 
-/// A node that comes with the engine.
+/// A built-in node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Builtin {
     Sequence,
@@ -28,9 +28,9 @@ pub(crate) enum Builtin {
     Sleep,
 }
 
-/// Longest limit in milliseconds: some 49 days.
+/// Greatest time limit in milliseconds: about 49 days.
 const MAX_MSEC: f64 = u32::MAX as f64;
-/// Most turns of a loop.
+/// Greatest number of iterations of a loop.
 const MAX_COUNT: f64 = i32::MAX as f64;
 
 impl Builtin {
@@ -92,9 +92,9 @@ impl Builtin {
         Builtin::ALL.into_iter().find(|builtin| builtin.manifest().id == id)
     }
 
-    /// Puts a node to work. The number of children has been checked.
+    /// Creates the node. The number of children has been checked.
     pub(crate) fn instantiate(self, name: &str, ports: Ports, mut children: Vec<ChildNode>) -> Box<dyn Node> {
-        let mut only = || children.pop().expect("a decorator was checked to have one child");
+        let mut only = || children.pop().expect("decorators have a single child (checked)");
         match self {
             Builtin::Sequence => Box::new(MemoryControl::sequence(children)),
             Builtin::Fallback => Box::new(MemoryControl::fallback(children)),

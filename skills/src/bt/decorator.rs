@@ -1,4 +1,4 @@
-//! Decorators: one child, and a change to what it answers or how often it is asked.
+//! Decorators: nodes with a single child that change its status or the number of its executions.
 
 use super::node::{ChildNode, Node};
 use super::ports::{PortError, Ports};
@@ -8,7 +8,7 @@ use super::value::Value;
 use consort_protocol::units::{Seconds, WorldTime};
 use std::collections::VecDeque;
 
-/// `Inverter`, `ForceSuccess`, `ForceFailure`: the child's final answer, mapped.
+/// `Inverter`, `ForceSuccess`, `ForceFailure`: map the child's final status.
 pub(crate) struct MapResult {
     child: ChildNode,
     map: fn(NodeStatus) -> NodeStatus,
@@ -43,29 +43,30 @@ impl Node for MapResult {
     }
 }
 
-/// `RetryUntilSuccessful` and `Repeat`: the child again and again while it answers `again`, up to a number of times of
-/// which -1 is without end. All turns may fall into one tick; one without end takes one turn a tick.
+/// `RetryUntilSuccessful` and `Repeat`: execute the child again while it returns `repeat_on`, up to
+/// a number of times; -1 means without limit. A limited loop may run all iterations in a single
+/// tick. An unlimited loop runs an iteration per tick.
 pub(crate) struct LoopNode {
     child: ChildNode,
     ports: Ports,
     count: &'static str,
-    again: NodeStatus,
-    turns: i64,
+    repeat_on: NodeStatus,
+    iterations: i64,
 }
 
 impl LoopNode {
-    /// Until the child succeeds; fails when `num_attempts` have failed.
+    /// Retries until the child succeeds; fails after `num_attempts` failures.
     pub(crate) fn retry(ports: Ports, child: ChildNode) -> LoopNode {
-        LoopNode { child, ports, count: "num_attempts", again: NodeStatus::Failure, turns: 0 }
+        LoopNode { child, ports, count: "num_attempts", repeat_on: NodeStatus::Failure, iterations: 0 }
     }
 
-    /// Succeeds when the child did `num_cycles` times; fails when it fails.
+    /// Succeeds after `num_cycles` successes of the child; fails when the child fails.
     pub(crate) fn repeat(ports: Ports, child: ChildNode) -> LoopNode {
-        LoopNode { child, ports, count: "num_cycles", again: NodeStatus::Success, turns: 0 }
+        LoopNode { child, ports, count: "num_cycles", repeat_on: NodeStatus::Success, iterations: 0 }
     }
 
     fn end(&mut self, status: NodeStatus) -> NodeStatus {
-        self.turns = 0;
+        self.iterations = 0;
         status
     }
 }
@@ -74,15 +75,15 @@ impl Node for LoopNode {
     fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
         let limit: i64 = match self.ports.read(tick.blackboard, self.count) {
             Ok(limit) => limit,
-            Err(error) => return self.refuse(tick, error),
+            Err(error) => return self.reject(tick, error),
         };
-        while limit < 0 || self.turns < limit {
+        while limit < 0 || self.iterations < limit {
             if !self.child.is_running() && !tick.take_iteration() {
                 return NodeStatus::Running;
             }
             match self.child.tick(tick) {
                 NodeStatus::Running => return NodeStatus::Running,
-                status if status == self.again => self.turns = self.turns.saturating_add(1),
+                status if status == self.repeat_on => self.iterations = self.iterations.saturating_add(1),
                 status => return self.end(status),
             }
             if limit < 0 {
@@ -90,52 +91,52 @@ impl Node for LoopNode {
                 return NodeStatus::Running;
             }
         }
-        self.end(self.again)
+        self.end(self.repeat_on)
     }
 
     fn halt(&mut self, tick: &mut Tick<'_>) {
         self.child.halt(tick);
-        self.turns = 0;
+        self.iterations = 0;
     }
 }
 
 impl LoopNode {
-    fn refuse(&mut self, tick: &mut Tick<'_>, error: PortError) -> NodeStatus {
+    fn reject(&mut self, tick: &mut Tick<'_>, error: PortError) -> NodeStatus {
         self.child.halt(tick);
         tick.set_cause(
-            if self.again == NodeStatus::Failure { "RetryUntilSuccessful" } else { "Repeat" },
+            if self.repeat_on == NodeStatus::Failure { "RetryUntilSuccessful" } else { "Repeat" },
             Cause::from(error),
         );
         self.end(NodeStatus::Failure)
     }
 }
 
-/// `Timeout`: fails, and halts its child, when the child is still running `msec` milliseconds of world time after it
-/// began; 0 is no limit.
+/// `Timeout`: halts the child and fails if the child is still running `msec` milliseconds of world
+/// time after its start; 0 means no limit.
 pub(crate) struct Timeout {
     child: ChildNode,
     ports: Ports,
     deadline: Option<WorldTime>,
-    began: bool,
+    is_started: bool,
 }
 
 impl Timeout {
     pub(crate) fn new(ports: Ports, child: ChildNode) -> Timeout {
-        Timeout { child, ports, deadline: None, began: false }
+        Timeout { child, ports, deadline: None, is_started: false }
     }
 
     fn begin(&mut self, tick: &Tick<'_>) -> Result<(), PortError> {
         let msec: i64 = self.ports.read(tick.blackboard, "msec")?;
         let time = Seconds::new(msec as f64 / 1000.0).unwrap_or(Seconds::ZERO);
         self.deadline = (msec > 0).then(|| tick.now + time);
-        self.began = true;
+        self.is_started = true;
         Ok(())
     }
 }
 
 impl Node for Timeout {
     fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
-        if !self.began
+        if !self.is_started
             && let Err(error) = self.begin(tick)
         {
             tick.set_cause("Timeout", Cause::from(error));
@@ -146,59 +147,60 @@ impl Node for Timeout {
         {
             self.halt(tick);
             let at = deadline.as_secs();
-            tick.set_cause("Timeout", Cause::new(format!("not done by {at} s of world time, when its limit ended")));
+            tick.set_cause("Timeout", Cause::new(format!("not complete at {at} s of world time, its time limit")));
             return NodeStatus::Failure;
         }
         let status = self.child.tick(tick);
         match (status, self.deadline) {
             (NodeStatus::Running, Some(deadline)) => tick.wake_at(deadline),
             (NodeStatus::Running, None) => {}
-            _ => self.began = false,
+            _ => self.is_started = false,
         }
         status
     }
 
     fn halt(&mut self, tick: &mut Tick<'_>) {
         self.child.halt(tick);
-        self.began = false;
+        self.is_started = false;
     }
 }
 
-/// `LoopString`: the child once for each element of the list in `queue`, which it finds in `value`. Fails when the
-/// child fails; answers `if_empty` when there is nothing in the list. Named as in BehaviorTree.CPP so that editors know
-/// it, it takes elements of any type. Unlike there, the list is read once, at the start, and is left as it is.
+/// `LoopString`: executes the child once for each element of the list in `queue`, with the element
+/// in `value`. Fails when the child fails. Returns `if_empty` for an empty list. It is named as in
+/// BehaviorTree.CPP, so that editors accept it, but takes elements of any type. Unlike in
+/// BehaviorTree.CPP, the list is read once at the start and is not modified.
 pub(crate) struct ForEach {
     child: ChildNode,
     ports: Ports,
-    left: Option<VecDeque<Value>>,
+    remaining: Option<VecDeque<Value>>,
 }
 
 impl ForEach {
     pub(crate) fn new(ports: Ports, child: ChildNode) -> ForEach {
-        ForEach { child, ports, left: None }
+        ForEach { child, ports, remaining: None }
     }
 
-    /// Takes the next element onto the blackboard; `None` after the last.
+    /// Writes the next element to the blackboard; `None` after the last.
     fn next(&mut self, tick: &mut Tick<'_>) -> Result<Option<()>, PortError> {
-        let Some(value) = self.left.as_mut().and_then(VecDeque::pop_front) else { return Ok(None) };
+        let Some(value) = self.remaining.as_mut().and_then(VecDeque::pop_front) else { return Ok(None) };
         self.ports.write(tick.blackboard, "value", value).map(Some)
     }
 
     fn begin(&mut self, tick: &Tick<'_>) -> Result<Option<NodeStatus>, PortError> {
         let queue: Vec<Value> = self.ports.read(tick.blackboard, "queue")?;
         if queue.is_empty() {
-            let answer: String = self.ports.read(tick.blackboard, "if_empty")?;
-            return Ok(Some(if answer == "SUCCESS" { NodeStatus::Success } else { NodeStatus::Failure }));
+            let result: String = self.ports.read(tick.blackboard, "if_empty")?;
+            return Ok(Some(if result == "SUCCESS" { NodeStatus::Success } else { NodeStatus::Failure }));
         }
-        self.left = Some(queue.into());
+        self.remaining = Some(queue.into());
         Ok(None)
     }
 
     fn step(&mut self, tick: &mut Tick<'_>) -> Result<NodeStatus, PortError> {
-        if self.left.is_none()
-            && let Some(answer) = self.begin(tick)?
+        if self.remaining.is_none()
+            && let Some(result) = self.begin(tick)?
         {
-            return Ok(answer);
+            return Ok(result);
         }
         loop {
             if !self.child.is_running() {
@@ -224,13 +226,13 @@ impl Node for ForEach {
             NodeStatus::Failure
         });
         if status.is_final() {
-            self.left = None;
+            self.remaining = None;
         }
         status
     }
 
     fn halt(&mut self, tick: &mut Tick<'_>) {
         self.child.halt(tick);
-        self.left = None;
+        self.remaining = None;
     }
 }

@@ -1,19 +1,19 @@
-//! Why a description is not a tree.
+//! Errors in tree descriptions.
 
 use super::blackboard::BlackboardError;
 use super::value::{PortType, ValueError};
 use std::fmt;
 
-/// What is wrong with a description, and where. Ordinary in hand-edited files; nothing was built.
+/// An error in a description, with its position. Common in hand-edited files. No tree was built.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TreeError {
     /// The file, or the name given instead.
     pub source: String,
-    /// The line, counted from 1, where it was read from a file.
+    /// The line in the file, from 1.
     pub line: Option<u32>,
-    /// The tree and the node, where it is about one.
+    /// The tree and the node, if the error concerns a node.
     pub node: Option<String>,
-    /// What is wrong, and what is allowed.
+    /// The error, and the allowed values.
     pub kind: Box<TreeErrorKind>,
 }
 
@@ -32,66 +32,66 @@ impl fmt::Display for TreeError {
 
 impl std::error::Error for TreeError {}
 
-/// The kinds of mistake in a description.
+/// Kind of error in a description.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum TreeErrorKind {
     /// The text is not XML, or not a tree file.
     #[error("{0}")]
     Syntax(String),
-    /// No such kind of node.
+    /// The kind of node is unknown.
     #[error("there is no node `{id}`; known are {known}")]
     UnknownNode {
         /// The kind as written.
         id: String,
-        /// What there is, in words.
+        /// The known kinds, as text.
         known: String,
     },
-    /// The explicit form names another kind than the node is.
+    /// The explicit form names another kind than the node's.
     #[error("`{id}` is written as <{written}>, but is of kind <{is}>")]
     WrongKind {
         /// The node.
         id: String,
         /// The tag in the file.
         written: &'static str,
-        /// What the registry says.
+        /// The kind in the registry.
         is: &'static str,
     },
-    /// No such tree.
+    /// The tree is unknown.
     #[error("there is no tree `{tree}` in this file; there are {known}")]
     UnknownTree {
         /// The tree as named.
         tree: String,
-        /// What there is, in words.
+        /// The known trees, as text.
         known: String,
     },
-    /// A tree is part of itself.
-    #[error("the sub-trees go round in a circle: {path}")]
+    /// A tree contains itself.
+    #[error("the sub-trees form a cycle: {path}")]
     Recursion {
         /// Tree names joined by arrows.
         path: String,
     },
-    /// A port that must be bound is not.
+    /// A required port is not bound.
     #[error("port `{port}` ({wanted}) is missing")]
     MissingPort {
         /// The port.
         port: String,
-        /// What it takes.
+        /// Type of the port.
         wanted: PortType,
     },
-    /// No such port.
+    /// The node has no such port.
     #[error("there is no port `{port}`; allowed are {allowed}")]
     UnknownPort {
         /// The port as written.
         port: String,
-        /// What there is, in words.
+        /// The allowed ports, as text.
         allowed: String,
     },
-    /// The fixed value is not what the port takes.
+    /// The fixed value does not fit the port.
     #[error("port `{port}`: {source}")]
     PortValue {
         /// The port.
         port: String,
-        /// What is wrong, and what is allowed.
+        /// Cause, and the allowed values.
         source: ValueError,
     },
     /// An output port must be bound to a key.
@@ -102,44 +102,44 @@ pub enum TreeErrorKind {
         /// The fixed value.
         value: String,
     },
-    /// Two ports share a key but not a type.
+    /// Two ports share a key but differ in type.
     #[error("port `{port}` takes {wanted}, but its key {{{key}}} is {is} elsewhere")]
     KeyType {
         /// The port.
         port: String,
-        /// Its type.
+        /// Type of the port.
         wanted: PortType,
-        /// The key, with the sub-tree it belongs to.
+        /// The key, with its sub-tree.
         key: String,
-        /// The type that the key has from other ports.
+        /// Type of the key from other ports.
         is: PortType,
     },
-    /// A fixed value handed to a sub-tree is not what its key takes.
+    /// A fixed value passed to a sub-tree does not fit its key.
     #[error(transparent)]
     KeyValue(BlackboardError),
-    /// A sub-tree reads what nobody gives it.
-    #[error("port `{port}` reads {{{key}}}, which nothing writes and the sub-tree is not given")]
+    /// A sub-tree reads a key that is never written.
+    #[error("port `{port}` reads {{{key}}}, which is neither written nor passed to the sub-tree")]
     NeverWritten {
         /// The port.
         port: String,
         /// The key.
         key: String,
     },
-    /// A wrong number of children.
+    /// The number of children is wrong.
     #[error("it has {found} children; allowed is {allowed}")]
     Children {
-        /// How many it has.
+        /// Number of children.
         found: usize,
-        /// How many are allowed, in words.
+        /// Allowed number, as text.
         allowed: String,
     },
-    /// Deeper than trees may be.
-    #[error("it stands deeper than {limit} levels, sub-trees included")]
+    /// The nesting exceeds the limit.
+    #[error("it is nested deeper than {limit} levels, sub-trees included")]
     TooDeep {
         /// The limit.
         limit: usize,
     },
-    /// Larger than trees may be.
+    /// The number of nodes exceeds the limit.
     #[error("the tree has more than {limit} nodes, sub-trees included")]
     TooLarge {
         /// The limit.

@@ -1,4 +1,4 @@
-//! Checking a description node by node, and putting sub-trees in their places.
+//! Checks a description node by node, and expands its sub-trees.
 
 use super::blackboard::{Blackboard, EntryId};
 use super::blueprint::{CheckedNode, MAX_DEPTH, MAX_NODES, NodeImpl, TreeInput};
@@ -10,29 +10,29 @@ use super::spec::{NodeSpec, TreeSpec};
 use super::value::Value;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The check under way.
+/// State of a check.
 pub(crate) struct Expansion<'a, C> {
     spec: &'a TreeSpec,
     registry: &'a Registry<C>,
     blackboard: Blackboard,
-    /// By entry.
+    /// Use of each entry, by its index.
     uses: Vec<Use>,
-    /// From the main tree down to the one at hand.
+    /// From the main tree down to the current tree.
     scopes: Vec<Scope>,
     nodes: usize,
 }
 
-/// How an entry is used.
+/// Use of an entry.
 #[derive(Default)]
 struct Use {
-    /// Some node or fixed value fills it.
-    filled: bool,
-    /// Where it is read by a port that cannot do without, for the message if nothing fills it.
-    needed: Option<TreeError>,
+    /// A node or a fixed value writes the entry.
+    is_written: bool,
+    /// Error to report if the entry is never written: a required port reads it.
+    missing_error: Option<TreeError>,
     read: bool,
 }
 
-/// The keys of one tree in one place.
+/// Keys of an instance of a tree.
 struct Scope {
     tree: String,
     autoremap: bool,
@@ -40,7 +40,7 @@ struct Scope {
     used: BTreeSet<String>,
 }
 
-/// What [`Expansion::finish`] leaves: the blackboard, the main tree's keys and its inputs.
+/// Result of [`Expansion::finish`]: the blackboard, the main tree's keys and its inputs.
 pub(crate) type Layout = (Blackboard, BTreeMap<String, EntryId>, Vec<TreeInput>);
 
 impl<'a, C> Expansion<'a, C> {
@@ -54,7 +54,7 @@ impl<'a, C> Expansion<'a, C> {
         self.node(root, 1)
     }
 
-    /// Settles what only the whole tree shows.
+    /// Performs the checks that need the whole tree.
     pub(crate) fn finish(mut self) -> Result<Layout, TreeError> {
         for index in 0..self.uses.len() {
             self.blackboard.convert_to_entry_type(EntryId(index)).map_err(|error| TreeError {
@@ -67,17 +67,18 @@ impl<'a, C> Expansion<'a, C> {
         let keys = self.scopes.swap_remove(0).keys;
         let given: BTreeSet<EntryId> = keys.values().copied().collect();
         for (index, entry) in self.uses.iter_mut().enumerate() {
-            if !entry.filled
+            if !entry.is_written
                 && !given.contains(&EntryId(index))
-                && let Some(error) = entry.needed.take()
+                && let Some(error) = entry.missing_error.take()
             {
                 return Err(error);
             }
         }
-        let inputs = keys.iter().filter(|(_, id)| self.uses[id.0].read && !self.uses[id.0].filled).map(|(key, id)| {
-            let required = self.uses[id.0].needed.is_some();
-            TreeInput { key: key.clone(), port_type: self.blackboard.port_type(*id), required }
-        });
+        let inputs =
+            keys.iter().filter(|(_, id)| self.uses[id.0].read && !self.uses[id.0].is_written).map(|(key, id)| {
+                let required = self.uses[id.0].missing_error.is_some();
+                TreeInput { key: key.clone(), port_type: self.blackboard.port_type(*id), required }
+            });
         let inputs = inputs.collect();
         Ok((self.blackboard, keys, inputs))
     }
@@ -94,7 +95,7 @@ impl<'a, C> Expansion<'a, C> {
             return self.subtree(node, depth);
         }
         let builtin = Builtin::by_id(&node.id);
-        let (manifest, what) = match (builtin, self.registry.leaf(&node.id)) {
+        let (manifest, implementation) = match (builtin, self.registry.leaf(&node.id)) {
             (Some(builtin), _) => (builtin.manifest(), NodeImpl::Builtin(builtin)),
             (None, Some(leaf)) => (leaf.manifest.clone(), NodeImpl::Leaf(leaf.make.clone())),
             (None, None) => {
@@ -114,7 +115,7 @@ impl<'a, C> Expansion<'a, C> {
             self.check_counts(node, &ports)?;
         }
         let children = node.children.iter().map(|child| self.node(child, depth + 1)).collect::<Result<_, _>>()?;
-        Ok(CheckedNode { name: node.label().to_owned(), implementation: what, ports, children })
+        Ok(CheckedNode { name: node.label().to_owned(), implementation: implementation, ports, children })
     }
 
     fn subtree(&mut self, node: &NodeSpec, depth: usize) -> Result<CheckedNode<C>, TreeError> {
@@ -133,7 +134,7 @@ impl<'a, C> Expansion<'a, C> {
                 Some(key) => self.entry(self.scopes.len() - 1, key),
                 None => {
                     let id = self.add_entry(format!("{}/{port}", node.id));
-                    self.uses[id.0].filled = true;
+                    self.uses[id.0].is_written = true;
                     let written = self.blackboard.write(id, Value::Text(text.clone()));
                     written.map_err(|error| self.error(node, TreeErrorKind::KeyValue(error)))?;
                     id
@@ -143,7 +144,7 @@ impl<'a, C> Expansion<'a, C> {
         }
         self.scopes.push(scope);
         let plan = self.node(root, depth + 1);
-        let scope = self.scopes.pop().expect("the scope pushed above is still there");
+        let scope = self.scopes.pop().expect("the scope was pushed above");
         let plan = plan?;
         match node.ports.keys().find(|port| !scope.used.contains(*port)) {
             None => Ok(plan),
@@ -165,7 +166,7 @@ impl<'a, C> Expansion<'a, C> {
         Err(self.error(node, TreeErrorKind::Children { found, allowed: allowed.to_owned() }))
     }
 
-    /// A `Parallel` cannot wait for more children than it has.
+    /// A `Parallel` cannot require more children than it has.
     fn check_counts(&self, node: &NodeSpec, ports: &Ports) -> Result<(), TreeError> {
         let found = node.children.len();
         for port in ["success_count", "failure_count"] {
@@ -209,7 +210,7 @@ impl<'a, C> Expansion<'a, C> {
         Ok(ports)
     }
 
-    /// Binds a port to a key of the tree at hand.
+    /// Binds a port to a key of the current tree.
     fn bind(&mut self, node: &NodeSpec, port: &PortSpec, key: &str) -> Result<EntryId, TreeError> {
         let id = self.entry(self.scopes.len() - 1, key);
         if let Err(is) = self.blackboard.restrict(id, port.port_type, &port.constraint) {
@@ -217,20 +218,22 @@ impl<'a, C> Expansion<'a, C> {
             let key = self.blackboard.key(id).to_owned();
             return Err(self.error(node, TreeErrorKind::KeyType { port, wanted, key, is }));
         }
-        let needed = || self.error(node, TreeErrorKind::NeverWritten { port: port.name.clone(), key: key.to_owned() });
-        let needed = (port.direction == PortDirection::Input && port.presence != PortPresence::Optional).then(needed);
+        let missing_error =
+            || self.error(node, TreeErrorKind::NeverWritten { port: port.name.clone(), key: key.to_owned() });
+        let missing_error =
+            (port.direction == PortDirection::Input && port.presence != PortPresence::Optional).then(missing_error);
         let entry = &mut self.uses[id.0];
         match port.direction {
             PortDirection::Input => entry.read = true,
-            PortDirection::Output => entry.filled = true,
+            PortDirection::Output => entry.is_written = true,
         }
-        if entry.needed.is_none() {
-            entry.needed = needed;
+        if entry.missing_error.is_none() {
+            entry.missing_error = missing_error;
         }
         Ok(id)
     }
 
-    /// The entry behind a key as the tree at `depth` names it.
+    /// Returns the entry of a key in the tree at `depth`.
     fn entry(&mut self, depth: usize, key: &str) -> EntryId {
         let scope = &mut self.scopes[depth];
         scope.used.insert(key.to_owned());
@@ -252,11 +255,16 @@ impl<'a, C> Expansion<'a, C> {
 
     fn error(&self, node: &NodeSpec, problem: TreeErrorKind) -> TreeError {
         let tree = self.scopes.last().map_or("", |scope| &scope.tree);
-        let what = match &node.name {
+        let implementation = match &node.name {
             Some(name) => format!("{tree}/{} ({name})", node.id),
             None => format!("{tree}/{}", node.id),
         };
-        TreeError { source: self.spec.source.clone(), line: node.line, node: Some(what), kind: Box::new(problem) }
+        TreeError {
+            source: self.spec.source.clone(),
+            line: node.line,
+            node: Some(implementation),
+            kind: Box::new(problem),
+        }
     }
 }
 
@@ -266,7 +274,8 @@ impl Scope {
     }
 }
 
-/// The key that a binding names: `{key}`, or `{=}` for the port's own name. `None` for a fixed value.
+/// Returns the key of a binding: `{key}`, or `{=}` for the port's own name. `None` for a fixed
+/// value.
 fn key_of<'t>(port: &'t str, text: &'t str) -> Option<&'t str> {
     match text.trim().strip_prefix('{')?.strip_suffix('}')? {
         "=" => Some(port),

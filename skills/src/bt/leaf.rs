@@ -1,4 +1,5 @@
-//! Leaves: where a tree meets the body. The trait that users implement, and the few leaves that every tree has.
+//! Leaves: the nodes that interact with the robot. Contains the trait for custom leaves, and the
+//! built-in leaves.
 
 use super::node::Node;
 use super::ports::Ports;
@@ -6,19 +7,20 @@ use super::status::NodeStatus;
 use super::tick::{Cause, LeafContext, Tick};
 use consort_protocol::units::{Seconds, WorldTime};
 
-/// A leaf of a user's making. It starts afresh at the first tick after it ended or was halted.
+/// A custom leaf. It starts from the beginning at the first tick after it ended or was halted.
 pub trait Leaf: Send {
-    /// Goes on, and says how far it came. Never waits: what takes time answers [`Status::Running`].
+    /// Continues the execution and returns its status. Never blocks: a leaf that takes time returns
+    /// [`NodeStatus::Running`].
     ///
     /// # Errors
-    /// `Err` is a failure too, with its cause.
+    /// `Err` is a failure, too, with its cause.
     fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause>;
 
-    /// Stops what is under way. Called only while the leaf is running.
+    /// Stops the execution. Called only while the leaf is running.
     fn halt(&mut self, context: &mut LeafContext<'_, '_>);
 }
 
-/// A leaf made of a function that answers at once, and so has nothing to halt.
+/// A leaf made of a function that completes at once, and so needs no halt (a synchronous action).
 pub struct SyncLeaf<F>(pub F);
 
 impl<F> Leaf for SyncLeaf<F>
@@ -32,7 +34,7 @@ where
     fn halt(&mut self, _: &mut LeafContext<'_, '_>) {}
 }
 
-/// A leaf in its tree, with the ports it is bound to there.
+/// A leaf in its tree, with its bound ports.
 pub(crate) struct LeafNode {
     pub(crate) name: String,
     pub(crate) leaf: Box<dyn Leaf>,
@@ -41,8 +43,8 @@ pub(crate) struct LeafNode {
 
 impl Node for LeafNode {
     fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
-        let answer = self.leaf.tick(&mut LeafContext { tick, ports: &self.ports });
-        match answer {
+        let result = self.leaf.tick(&mut LeafContext { tick, ports: &self.ports });
+        match result {
             Ok(NodeStatus::Failure) => tick.set_cause(&self.name, Cause::new("it failed")),
             Ok(status) => return status,
             Err(cause) => tick.set_cause(&self.name, cause),
@@ -55,7 +57,8 @@ impl Node for LeafNode {
     }
 }
 
-/// `AlwaysSuccess` and `AlwaysFailure`. The latter names no cause of its own: what failed before it still counts.
+/// `AlwaysSuccess` and `AlwaysFailure`. The latter sets no cause: the cause of an earlier failure
+/// remains.
 pub(crate) struct ConstantNode(pub(crate) NodeStatus);
 
 impl Node for ConstantNode {

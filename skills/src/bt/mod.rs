@@ -1,15 +1,16 @@
 //! Behavior trees: a small engine of our own.
 //!
 //! ```text
-//!  XML ──read_xml──▶ TreeSpec ──Registry::check──▶ Blueprint ──start──▶ Tree ──tick──▶ Status
-//!  Rust builder ────────▲                             │                   │
-//!                                    every mistake shows here          RobotActions
+//!  XML ──read_xml──▶ TreeSpec ──Registry::check──▶ Blueprint ──instantiate──▶ Tree ──tick──▶ NodeStatus
+//!  Rust builder ────────▲                             │                         │
+//!                                           reports every mistake         RobotActions
 //! ```
 //!
-//! Names and rules are those of BehaviorTree.CPP 4, so that trees can be drawn in Groot2; scripts (`_skipIf` and the
-//! like) are not supported and are refused. Where we differ: loops that can turn within one tick stop after
-//! [`MAX_TURNS`] and go on at the next, and times are world time. See Colledanchise & Ögren, *Behavior Trees in Robotics
-//! and AI* (2018), for the theory.
+//! Names and rules are those of BehaviorTree.CPP 4, so that trees can be drawn in Groot2. Scripts
+//! (`_skipIf` and similar attributes) are not supported and are rejected. Differences: loops that
+//! can iterate within a tick stop after [`MAX_LOOP_ITERATIONS_PER_TICK`] and continue at the next
+//! tick, and times are world time. See Colledanchise & Ögren, *Behavior Trees in Robotics and AI*
+//! (2018), for the theory.
 //!
 //! ```
 //! use consort_skills::bt::Registry;
@@ -18,9 +19,9 @@
 //! let tree = read_xml("wait.xml", r#"<root BTCPP_format="4"><BehaviorTree ID="wait">
 //!     <Sequence><AlwaysSuccess/><Wiat seconds="1"/></Sequence>
 //!     </BehaviorTree></root>"#)?;
-//! // A mistake shows before anything moves, with file and line.
-//! let wrong = Registry::<()>::new().check(&tree).err().map(|error| error.to_string()).unwrap_or_default();
-//! assert!(wrong.starts_with("wait.xml:2: ") && wrong.contains("Wiat"), "{wrong}");
+//! // A mistake is reported before anything moves, with file and line.
+//! let error = Registry::<()>::new().check(&tree).err().map(|error| error.to_string()).unwrap_or_default();
+//! assert!(error.starts_with("wait.xml:2: ") && error.contains("Wiat"), "{error}");
 //! # Ok::<(), consort_skills::bt::TreeError>(())
 //! ```
 

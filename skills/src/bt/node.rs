@@ -1,18 +1,19 @@
-//! What every node of a running tree is, and the slot in which its parent keeps it.
+//! The interface of nodes in a running tree, and the wrapper in which a parent stores a child.
 
 use super::status::NodeStatus;
 use super::tick::Tick;
 
-/// A node at work. It starts afresh at the first tick after it ended or was halted.
+/// A node of a running tree. It starts from the beginning at the first tick after it ended or was
+/// halted.
 pub(crate) trait Node: Send {
-    /// Goes on, and says how far it came.
+    /// Continues the execution and returns its status.
     fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus;
 
-    /// Stops what is under way, children included. Called only while the node is running.
+    /// Stops the execution, children included. Called only while the node is running.
     fn halt(&mut self, tick: &mut Tick<'_>);
 }
 
-/// A child in its parent: knows whether it is running, so that nothing idle is ever halted.
+/// A child node. It records whether the child is running, so that an idle child is never halted.
 pub(crate) struct ChildNode {
     node: Box<dyn Node>,
     running: bool,
@@ -40,7 +41,7 @@ impl ChildNode {
     }
 }
 
-/// Halts every child that is running, first to last.
+/// Halts every running child, first to last.
 pub(crate) fn halt_all(children: &mut [ChildNode], tick: &mut Tick<'_>) {
     for child in children {
         child.halt(tick);

@@ -1,10 +1,10 @@
-//! Ports: what a node reads and writes, as declared where the node is defined and as bound where it is used.
+//! Ports: inputs and outputs of a node, as declared in its manifest and as bound in a tree.
 
 use super::blackboard::{Blackboard, BlackboardError, EntryId};
 use super::value::{PortType, PortValue, Value, ValueError};
 use std::collections::BTreeMap;
 
-/// Which way values pass through a port.
+/// Direction of a port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PortDirection {
     /// Read by the node.
@@ -13,21 +13,21 @@ pub enum PortDirection {
     Output,
 }
 
-/// Whether a port must be bound.
+/// Presence requirement of a port.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PortPresence {
-    /// A tree that leaves it out is refused.
+    /// A tree that omits the port is rejected.
     Required,
-    /// It may be left out, or bound to a key that nobody has written.
+    /// The port may be omitted, or bound to a key that has not been written.
     Optional,
-    /// This text stands in when it is left out.
+    /// This text is used if the port is omitted.
     Default(String),
 }
 
-/// What a port allows beyond its type.
+/// Constraint of a port beyond its type.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PortConstraint {
-    /// Nothing.
+    /// No constraint.
     None,
     /// One of these texts.
     OneOf(Vec<String>),
@@ -37,68 +37,68 @@ pub enum PortConstraint {
 
 impl PortConstraint {
     pub(crate) fn check(&self, value: &Value) -> Result<(), ValueError> {
-        let refuse = |allowed| Err(ValueError::NotAllowed { value: value.to_string(), allowed });
+        let reject = |allowed| Err(ValueError::NotAllowed { value: value.to_string(), allowed });
         match self {
             PortConstraint::None => Ok(()),
             PortConstraint::OneOf(texts) if texts.contains(&value.to_string()) => Ok(()),
-            PortConstraint::OneOf(texts) => refuse(format!("allowed are {}", texts.join(", "))),
+            PortConstraint::OneOf(texts) => reject(format!("allowed are {}", texts.join(", "))),
             PortConstraint::Range(low, high) => match value {
                 Value::Integer(n) if (*low..=*high).contains(&(*n as f64)) => Ok(()),
                 Value::Number(n) if (*low..=*high).contains(n) => Ok(()),
-                _ => refuse(format!("allowed is {low} to {high}")),
+                _ => reject(format!("allowed is {low} to {high}")),
             },
         }
     }
 }
 
-/// A port as its node declares it.
+/// A port as declared by its node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PortSpec {
-    /// Its name, which is the attribute in XML.
+    /// Name, which is also the attribute in XML.
     pub name: String,
-    /// Which way values pass.
+    /// Direction.
     pub direction: PortDirection,
-    /// What passes.
+    /// Type of the value.
     pub port_type: PortType,
-    /// Whether it must be bound.
+    /// Presence requirement.
     pub presence: PortPresence,
-    /// What is allowed beyond the type.
+    /// Constraint beyond the type.
     pub constraint: PortConstraint,
 }
 
 impl PortSpec {
-    /// A port that the node reads and that must be bound.
+    /// A required input port.
     pub fn input(name: &str, port_type: PortType) -> PortSpec {
         let (direction, presence) = (PortDirection::Input, PortPresence::Required);
         PortSpec { name: name.to_owned(), direction, port_type, presence, constraint: PortConstraint::None }
     }
 
-    /// A port that the node writes and that must be bound to a key.
+    /// A required output port, which must be bound to a key.
     pub fn output(name: &str, port_type: PortType) -> PortSpec {
         PortSpec { direction: PortDirection::Output, ..PortSpec::input(name, port_type) }
     }
 
-    /// The same port, which may be left out.
+    /// Makes the port optional.
     pub fn optional(self) -> PortSpec {
         PortSpec { presence: PortPresence::Optional, ..self }
     }
 
-    /// The same port with a value for when it is left out.
+    /// Sets the value for an omitted port.
     pub fn with_default(self, default: &str) -> PortSpec {
         PortSpec { presence: PortPresence::Default(default.to_owned()), ..self }
     }
 
-    /// The same port, for these texts alone.
+    /// Restricts the port to these texts.
     pub fn one_of(self, texts: &[&str]) -> PortSpec {
         PortSpec { constraint: PortConstraint::OneOf(texts.iter().map(|&t| t.to_owned()).collect()), ..self }
     }
 
-    /// The same port, for numbers in this range alone, ends included.
+    /// Restricts the port to numbers in this range, ends included.
     pub fn in_range(self, low: f64, high: f64) -> PortSpec {
         PortSpec { constraint: PortConstraint::Range(low, high), ..self }
     }
 
-    /// Takes the text of a literal binding.
+    /// Parses the text of a fixed value.
     pub(crate) fn parse(&self, text: &str) -> Result<Value, ValueError> {
         let value = self.port_type.parse(text)?;
         self.constraint.check(&value)?;
@@ -106,23 +106,23 @@ impl PortSpec {
     }
 }
 
-/// What a node does with its children, which is also its tag in explicit XML.
+/// Kind of a node, which is also its tag in explicit XML.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NodeKind {
     /// A leaf that acts and may stay running.
     Action,
-    /// A leaf that looks and never stays running.
+    /// A leaf that checks a condition and never stays running.
     Condition,
-    /// Has children and decides which to tick.
+    /// A node with children that decides which of them to tick.
     Control,
-    /// Has one child and changes what it answers.
+    /// A node that changes the status or the execution of its single child.
     Decorator,
-    /// Stands for another tree of the description.
+    /// A reference to another tree of the description.
     SubTree,
 }
 
 impl NodeKind {
-    /// The tag of the explicit XML form.
+    /// The tag in explicit XML.
     pub const fn tag(self) -> &'static str {
         match self {
             NodeKind::Action => "Action",
@@ -134,19 +134,19 @@ impl NodeKind {
     }
 }
 
-/// What a kind of node is called, is and passes.
+/// Declaration of a node type: name, kind and ports.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeManifest {
-    /// Its name in trees (`NavigateToPose`).
+    /// Name in trees (`NavigateToPose`).
     pub id: String,
-    /// What it does with children.
+    /// Kind of the node.
     pub kind: NodeKind,
-    /// Its ports, in the order shown to people.
+    /// Ports, in the order of display.
     pub ports: Vec<PortSpec>,
 }
 
 impl NodeManifest {
-    /// The manifest of a node.
+    /// Creates the manifest of a node.
     pub fn new(id: &str, kind: NodeKind, ports: impl IntoIterator<Item = PortSpec>) -> NodeManifest {
         NodeManifest { id: id.to_owned(), kind, ports: ports.into_iter().collect() }
     }
@@ -160,13 +160,13 @@ impl NodeManifest {
     }
 }
 
-/// Names in words, for messages.
+/// Joins names for messages.
 pub(crate) fn join_names<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
     let names: Vec<&str> = names.into_iter().collect();
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-/// The ports of one node as bound in its tree.
+/// The ports of a node as bound in its tree.
 #[derive(Debug, Clone, Default)]
 pub struct Ports {
     pub(crate) bound: BTreeMap<String, PortBinding>,
@@ -178,10 +178,10 @@ pub(crate) enum PortBinding {
     Entry(EntryId),
 }
 
-/// Why a port cannot be read or written. The blackboard is unchanged.
+/// A port cannot be read or written. The blackboard is unchanged.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PortError {
-    /// The tree does not bind the port, or the node has none of that name.
+    /// The tree does not bind the port, or the node has no such port.
     #[error("port `{port}` is not bound")]
     Unbound {
         /// The port.
@@ -193,20 +193,20 @@ pub enum PortError {
         /// The port.
         port: String,
     },
-    /// The fixed value is not what was asked for.
+    /// The fixed value has another type than requested.
     #[error("port `{port}`: {source}")]
     Value {
         /// The port.
         port: String,
-        /// What is wrong.
+        /// Cause.
         source: ValueError,
     },
-    /// The key behind the port refuses.
+    /// The entry cannot be read or written.
     #[error("port `{port}`: {source}")]
     Blackboard {
         /// The port.
         port: String,
-        /// What is wrong.
+        /// Cause.
         source: BlackboardError,
     },
 }
@@ -215,7 +215,7 @@ impl Ports {
     /// Reads a port.
     ///
     /// # Errors
-    /// [`PortError`] where it is not bound, holds nothing, or holds something else than `T`.
+    /// [`PortError`] if the port is not bound, is empty, or contains another type than `T`.
     pub fn read<T: PortValue>(&self, blackboard: &Blackboard, port: &str) -> Result<T, PortError> {
         if let Some(value) = self.read_optional(blackboard, port)? {
             return Ok(value);
@@ -229,10 +229,10 @@ impl Ports {
         })
     }
 
-    /// Reads a port; `None` where it is not bound or holds nothing.
+    /// Reads a port; `None` if it is not bound or empty.
     ///
     /// # Errors
-    /// [`PortError`] where it holds something else than `T`.
+    /// [`PortError`] if the port contains another type than `T`.
     pub fn read_optional<T: PortValue>(&self, blackboard: &Blackboard, port: &str) -> Result<Option<T>, PortError> {
         match self.bound.get(port) {
             None => Ok(None),
@@ -246,10 +246,10 @@ impl Ports {
         }
     }
 
-    /// Writes a port; one that the tree leaves out takes the value and drops it.
+    /// Writes a port. A value for a port that the tree omits is dropped.
     ///
     /// # Errors
-    /// [`PortError`] where it is bound to a fixed value, or its key takes another type.
+    /// [`PortError`] if the port is bound to a fixed value, or its key has another type.
     pub fn write(&self, blackboard: &mut Blackboard, port: &str, value: Value) -> Result<(), PortError> {
         match self.bound.get(port) {
             None => Ok(()),

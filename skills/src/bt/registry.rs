@@ -1,4 +1,4 @@
-//! The leaves that trees may be made of.
+//! The registry of leaves for trees.
 
 use super::blueprint::Blueprint;
 use super::builtin::Builtin;
@@ -12,7 +12,8 @@ use std::sync::Arc;
 
 pub(crate) type MakeLeaf<C> = Arc<dyn Fn(&C) -> Box<dyn Leaf> + Send + Sync>;
 
-/// Kinds of leaf by name, each with a factory. `C` is what factories may look at when a tree is put to work.
+/// Leaf types by name, each with a factory. `C` is the context that factories receive when a tree
+/// is created.
 pub struct Registry<C = ()> {
     leaves: BTreeMap<String, Registered<C>>,
 }
@@ -22,11 +23,11 @@ pub(crate) struct Registered<C> {
     pub(crate) make: MakeLeaf<C>,
 }
 
-/// Why a kind of leaf was not taken. The registry is unchanged.
+/// A leaf type was rejected. The registry is unchanged.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RegistryError {
-    /// Two kinds of node cannot share a name.
-    #[error("a node `{id}` is there already")]
+    /// The name is already in use.
+    #[error("a node `{id}` is already registered")]
     DuplicateName {
         /// The name.
         id: String,
@@ -36,7 +37,7 @@ pub enum RegistryError {
     NotALeaf {
         /// The name.
         id: String,
-        /// What its manifest says.
+        /// The kind in the manifest.
         kind: &'static str,
     },
 }
@@ -48,15 +49,15 @@ impl<C> Default for Registry<C> {
 }
 
 impl<C> Registry<C> {
-    /// A registry with the engine's own nodes alone.
+    /// Creates a registry that contains only the built-in nodes.
     pub fn new() -> Registry<C> {
         Registry::default()
     }
 
-    /// Adds a kind of leaf.
+    /// Registers a leaf type.
     ///
     /// # Errors
-    /// [`RegistryError`] where the name is taken or the manifest is not a leaf's.
+    /// [`RegistryError`] if the name is in use or the manifest is not that of a leaf.
     pub fn register(
         &mut self,
         manifest: NodeManifest,
@@ -73,10 +74,10 @@ impl<C> Registry<C> {
         Ok(())
     }
 
-    /// Adds a condition made of a function.
+    /// Registers a condition made of a function.
     ///
     /// # Errors
-    /// [`RegistryError`] where the name is taken.
+    /// [`RegistryError`] if the name is in use.
     pub fn register_condition(
         &mut self,
         id: &str,
@@ -87,15 +88,15 @@ impl<C> Registry<C> {
         self.register(manifest, move |_| Box::new(SyncLeaf(check.clone())))
     }
 
-    /// Checks a description against the nodes there are.
+    /// Checks a description against the registered nodes.
     ///
     /// # Errors
-    /// [`TreeError`] names the first mistake, its place and what is allowed.
+    /// [`TreeError`] for the first mistake, with its position and the allowed values.
     pub fn check(&self, spec: &TreeSpec) -> Result<Blueprint<C>, TreeError> {
         Blueprint::check(spec, self)
     }
 
-    /// What the leaves are called and pass, the engine's own nodes aside.
+    /// Manifests of the registered leaves, without the built-in nodes.
     pub fn manifests(&self) -> impl Iterator<Item = &NodeManifest> {
         self.leaves.values().map(|leaf| &leaf.manifest)
     }
@@ -104,7 +105,7 @@ impl<C> Registry<C> {
         self.leaves.get(id)
     }
 
-    /// Every name there is, in words.
+    /// All node names, as text.
     pub(crate) fn node_names(&self) -> String {
         let builtin: Vec<String> = Builtin::ALL.iter().map(|builtin| builtin.manifest().id).collect();
         join_names(builtin.iter().map(String::as_str).chain(self.leaves.keys().map(String::as_str)))

@@ -1,45 +1,46 @@
-//! A tree as a description: what stands in a file, or is put together in Rust. Not yet checked.
+//! Tree descriptions, read from a file or built in Rust. Not yet checked.
 
 use super::ports::NodeKind;
 use std::collections::BTreeMap;
 
-/// One or more trees, of which one is the main one and the others are its sub-trees.
+/// A main tree and its sub-trees.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TreeSpec {
-    /// Where it was read from, for messages.
+    /// Origin of the description, for messages.
     pub source: String,
-    /// The name of the main tree.
+    /// Name of the main tree.
     pub main: String,
-    /// Every tree by name.
+    /// All trees by name.
     pub trees: BTreeMap<String, NodeSpec>,
 }
 
 /// A node of a description.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NodeSpec {
-    /// The kind of node (`Sequence`, `NavigateToPose`), or the name of the tree for a sub-tree.
+    /// The node type (`Sequence`, `NavigateToPose`), or the name of the tree for a sub-tree.
     pub id: String,
-    /// What the description says it is; `None` where it leaves that to the registry (compact XML).
+    /// The kind in the description; `None` for compact XML, where the registry determines it.
     pub kind: Option<NodeKind>,
-    /// The name that people gave to this use of it.
+    /// A display name for this use of the node.
     pub name: Option<String>,
-    /// What its ports are bound to: `{key}` is a key of the blackboard, anything else a fixed value.
+    /// Bindings of the ports: `{key}` is a key of the blackboard, any other text a fixed value.
     pub ports: BTreeMap<String, String>,
-    /// For a sub-tree: whether keys that are not remapped stand for the same keys of the tree around it.
+    /// For a sub-tree: true if keys that are not remapped refer to the same keys of the enclosing
+    /// tree.
     pub autoremap: bool,
-    /// Its children, in order.
+    /// Children, in order.
     pub children: Vec<NodeSpec>,
-    /// The line it was read from, counted from 1.
+    /// Line in the file, from 1.
     pub line: Option<u32>,
 }
 
 impl TreeSpec {
-    /// A description with one tree.
+    /// Creates a description with a single tree.
     pub fn single(name: &str, root: NodeSpec) -> TreeSpec {
         TreeSpec { source: name.to_owned(), main: name.to_owned(), trees: BTreeMap::from([(name.to_owned(), root)]) }
     }
 
-    /// The same description with one more tree, for sub-trees to name.
+    /// Adds a tree, for sub-trees to refer to.
     pub fn with(mut self, name: &str, root: NodeSpec) -> TreeSpec {
         self.trees.insert(name.to_owned(), root);
         self
@@ -47,7 +48,7 @@ impl TreeSpec {
 }
 
 impl NodeSpec {
-    /// A node without ports and children.
+    /// Creates a node without ports and children.
     pub fn new(id: &str) -> NodeSpec {
         NodeSpec {
             id: id.to_owned(),
@@ -60,89 +61,91 @@ impl NodeSpec {
         }
     }
 
-    /// A sub-tree: another tree of the same description, with a scope of its own.
+    /// Creates a sub-tree node: a reference to another tree of the same description, with its own
+    /// scope.
     pub fn subtree(tree: &str) -> NodeSpec {
         NodeSpec { kind: Some(NodeKind::SubTree), ..NodeSpec::new(tree) }
     }
 
-    /// The same node with a port bound to `{key}` or to a fixed value.
+    /// Binds a port to `{key}` or to a fixed value.
     pub fn port(mut self, port: &str, binding: &str) -> NodeSpec {
         self.ports.insert(port.to_owned(), binding.to_owned());
         self
     }
 
-    /// The same node with one more child.
+    /// Adds a child.
     pub fn child(mut self, child: NodeSpec) -> NodeSpec {
         self.children.push(child);
         self
     }
 
-    /// The same node with more children.
+    /// Adds children.
     pub fn children(mut self, children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
         self.children.extend(children);
         self
     }
 
-    /// The same node with a name for people.
+    /// Sets the display name.
     pub fn named(mut self, name: &str) -> NodeSpec {
         self.name = Some(name.to_owned());
         self
     }
 
-    /// The same sub-tree with its keys standing for those of the tree around it.
+    /// Maps the keys of the sub-tree to those of the enclosing tree.
     pub fn autoremap(mut self) -> NodeSpec {
         self.autoremap = true;
         self
     }
 
-    /// The name for people, else the kind of node.
+    /// Returns the display name, or else the node type.
     pub fn label(&self) -> &str {
         self.name.as_deref().unwrap_or(&self.id)
     }
 }
 
-/// All of the children, in order.
+/// Executes all children in order.
 pub fn sequence(children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
     NodeSpec::new("Sequence").children(children)
 }
 
-/// The first child that succeeds.
+/// Executes children in order until a child succeeds.
 pub fn fallback(children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
     NodeSpec::new("Fallback").children(children)
 }
 
-/// All of the children, asked anew at every tick.
+/// Executes all children, starting with the first at every tick.
 pub fn reactive_sequence(children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
     NodeSpec::new("ReactiveSequence").children(children)
 }
 
-/// The first child that succeeds, asked anew at every tick.
+/// Executes children until a child succeeds, starting with the first at every tick.
 pub fn reactive_fallback(children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
     NodeSpec::new("ReactiveFallback").children(children)
 }
 
-/// Children side by side: success when `enough` of them succeed, failure once that is out of reach.
+/// Executes children in parallel: succeeds when `enough` of them succeed, fails once that is out of
+/// reach.
 pub fn parallel(enough: u32, children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
     let node = NodeSpec::new("Parallel").children(children);
     node.port("success_count", &enough.to_string()).port("failure_count", "-1")
 }
 
-/// The child's answer turned round.
+/// Inverts the child's status.
 pub fn inverter(child: NodeSpec) -> NodeSpec {
     NodeSpec::new("Inverter").child(child)
 }
 
-/// The child up to `attempts` times, until it succeeds.
+/// Executes the child up to `attempts` times, until it succeeds.
 pub fn retry(attempts: u32, child: NodeSpec) -> NodeSpec {
     NodeSpec::new("RetryUntilSuccessful").port("num_attempts", &attempts.to_string()).child(child)
 }
 
-/// The child `cycles` times, while it succeeds.
+/// Executes the child `cycles` times, while it succeeds.
 pub fn repeat(cycles: u32, child: NodeSpec) -> NodeSpec {
     NodeSpec::new("Repeat").port("num_cycles", &cycles.to_string()).child(child)
 }
 
-/// The child for at most `msec` milliseconds of world time.
+/// Executes the child for at most `msec` milliseconds of world time.
 pub fn timeout(msec: u32, child: NodeSpec) -> NodeSpec {
     NodeSpec::new("Timeout").port("msec", &msec.to_string()).child(child)
 }

@@ -1,18 +1,18 @@
-//! What a tick of a node comes to.
+//! Status of a node after a tick.
 
-/// The answer of a ticked node.
+/// Status that a tick returns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NodeStatus {
-    /// Not done yet: tick again.
+    /// Not complete: tick again.
     Running,
-    /// Done, as intended.
+    /// Complete, with success.
     Success,
-    /// Done, without success.
+    /// Complete, without success.
     Failure,
 }
 
 impl NodeStatus {
-    /// Whether the node has ended and will start afresh at its next tick.
+    /// Checks whether the node has ended and will start from the beginning at its next tick.
     pub fn is_final(self) -> bool {
         self != NodeStatus::Running
     }

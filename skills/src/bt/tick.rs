@@ -1,4 +1,5 @@
-//! What a tick hands down the tree: the body, the time, the blackboard, and notes for whoever ticks.
+//! State that a tick passes down the tree: the robot, the time, the blackboard, and notes for the
+//! caller.
 
 use super::blackboard::Blackboard;
 use super::ports::{PortError, Ports};
@@ -8,11 +9,12 @@ use consort_protocol::units::WorldTime;
 use std::collections::BTreeSet;
 use std::fmt;
 
-/// How often loops (repeat, retry, for-each) may turn within one tick before they leave the rest to the next. A guess:
-/// far above what a sound tree needs, and small enough that a tick stays below a few milliseconds.
+/// Greatest number of loop iterations (repeat, retry, for-each) within a tick. The loop continues
+/// at the next tick. A guess: far above the need of a sound tree, and small enough that a tick
+/// takes at most a few milliseconds.
 pub const MAX_LOOP_ITERATIONS_PER_TICK: u32 = 1000;
 
-/// One tick under way.
+/// A tick in progress.
 pub struct Tick<'a> {
     pub(crate) actions: &'a mut (dyn RobotActions + 'a),
     pub(crate) now: WorldTime,
@@ -21,23 +23,23 @@ pub struct Tick<'a> {
     pub(crate) iterations_left: u32,
 }
 
-/// What a tree keeps from tick to tick beside its nodes.
+/// State that a tree keeps between ticks, apart from its nodes.
 #[derive(Debug, Default)]
 pub(crate) struct TreeState {
-    /// Why the last leaf that failed did.
+    /// Cause of the latest failure of a leaf.
     pub(crate) cause: Option<Cause>,
-    /// When the tree wants to be ticked even if nothing happens.
+    /// Time at which the tree requests its next tick, even without other events.
     pub(crate) wake_at: Option<WorldTime>,
-    /// Goals canceled, of which the body may not have let go yet.
+    /// Canceled goals that the robot may not have ended yet.
     pub(crate) canceling: BTreeSet<GoalId>,
 }
 
-/// Why a leaf failed, for people; with the body's own error where there is one.
+/// Cause of a leaf's failure, with the robot's error, if any.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cause {
-    /// Names who and which.
+    /// Text for people. It names the objects involved.
     pub text: String,
-    /// The error behind it, for programs.
+    /// The underlying error, for programs.
     pub error: Option<ActionError>,
 }
 
@@ -47,13 +49,14 @@ impl Tick<'_> {
         self.now
     }
 
-    /// Asks to be ticked at `time` at the latest.
+    /// Requests a tick at `time` at the latest.
     pub(crate) fn wake_at(&mut self, time: WorldTime) {
         let earliest = self.state.wake_at.map_or(time, |set| if time < set { time } else { set });
         self.state.wake_at = Some(earliest);
     }
 
-    /// Takes one turn of a loop; `false` when the tick has had enough, and the loop has to go on at the next.
+    /// Counts a loop iteration. Returns `false` at the limit, so that the loop has to continue at
+    /// the next tick.
     pub(crate) fn take_iteration(&mut self) -> bool {
         if self.iterations_left == 0 {
             self.wake_at(self.now);
@@ -68,7 +71,7 @@ impl Tick<'_> {
     }
 }
 
-/// One tick as a leaf sees it: its own ports, the body and the time.
+/// A leaf's view of a tick: its own ports, the robot and the time.
 pub struct LeafContext<'l, 't> {
     pub(crate) tick: &'l mut Tick<'t>,
     pub(crate) ports: &'l Ports,
@@ -80,7 +83,7 @@ impl LeafContext<'_, '_> {
         self.tick.now
     }
 
-    /// The body.
+    /// The robot.
     pub fn actions(&mut self) -> &mut dyn RobotActions {
         self.tick.actions
     }
@@ -88,39 +91,40 @@ impl LeafContext<'_, '_> {
     /// Reads an input port.
     ///
     /// # Errors
-    /// [`PortError`] where it is not bound, holds nothing, or holds something else than `T`.
+    /// [`PortError`] if the port is not bound, is empty, or contains another type than `T`.
     pub fn read<T: PortValue>(&self, port: &str) -> Result<T, PortError> {
         self.ports.read(self.tick.blackboard, port)
     }
 
-    /// Reads an input port that may be left out or empty.
+    /// Reads an input port that may be omitted or empty.
     ///
     /// # Errors
-    /// [`PortError`] where it holds something else than `T`.
+    /// [`PortError`] if the port contains another type than `T`.
     pub fn read_optional<T: PortValue>(&self, port: &str) -> Result<Option<T>, PortError> {
         self.ports.read_optional(self.tick.blackboard, port)
     }
 
-    /// Writes an output port; one that the tree leaves out takes the value and drops it.
+    /// Writes an output port. A value for a port that the tree omits is dropped.
     ///
     /// # Errors
-    /// [`PortError`] where it is bound to a fixed value, or its key takes another type.
+    /// [`PortError`] if the port is bound to a fixed value, or its key has another type.
     pub fn write(&mut self, port: &str, value: impl Into<Value>) -> Result<(), PortError> {
         self.ports.write(self.tick.blackboard, port, value.into())
     }
 
-    /// Asks to be ticked at `time` at the latest, even if nothing happens before.
+    /// Requests a tick at `time` at the latest, even without other events.
     pub fn wake_at(&mut self, time: WorldTime) {
         self.tick.wake_at(time);
     }
 
-    /// Cancels a goal, and remembers it until the body has let go of it.
+    /// Cancels a goal, and tracks it until the robot has ended it.
     pub fn cancel(&mut self, goal: GoalId) {
         self.tick.actions.cancel(goal);
         self.tick.state.canceling.insert(goal);
     }
 
-    /// Whether the body has let go of every goal that this tree canceled: before that it would refuse another as busy.
+    /// Checks whether the robot has ended every goal that this tree canceled. Before that it would
+    /// reject another goal as busy.
     pub fn cancels_complete(&mut self) -> bool {
         let Tick { actions, state: notes, .. } = &mut *self.tick;
         notes.canceling.retain(|goal| actions.status(*goal).is_some_and(|status| !status.is_final()));
@@ -129,7 +133,7 @@ impl LeafContext<'_, '_> {
 }
 
 impl Cause {
-    /// A cause in words.
+    /// Creates a cause from a text.
     pub fn new(text: impl Into<String>) -> Cause {
         Cause { text: text.into(), error: None }
     }

@@ -1,4 +1,4 @@
-//! A tree at work.
+//! A running tree.
 
 use super::blackboard::{Blackboard, BlackboardError, EntryId};
 use super::node::ChildNode;
@@ -10,7 +10,7 @@ use crate::actions::RobotActions;
 use consort_protocol::units::WorldTime;
 use std::collections::BTreeMap;
 
-/// A tree at work, with its blackboard.
+/// A running tree with its blackboard.
 pub struct Tree {
     pub(crate) root: ChildNode,
     pub(crate) blackboard: Blackboard,
@@ -30,46 +30,49 @@ impl Tree {
         root.tick(&mut Tick { actions, now, blackboard, state: notes, iterations_left: MAX_LOOP_ITERATIONS_PER_TICK })
     }
 
-    /// Halts whatever is running; the next tick starts afresh. The blackboard stays as it is.
+    /// Halts every running node; the next tick starts from the beginning. The blackboard is
+    /// unchanged.
     pub fn halt(&mut self, actions: &mut dyn RobotActions, now: WorldTime) {
         self.state.wake_at = None;
         let Tree { root, blackboard, state: notes, .. } = self;
         root.halt(&mut Tick { actions, now, blackboard, state: notes, iterations_left: MAX_LOOP_ITERATIONS_PER_TICK });
     }
 
-    /// Whether a tick would go on rather than start afresh.
+    /// Checks whether a tick would continue the execution rather than start it.
     pub fn is_running(&self) -> bool {
         self.root.is_running()
     }
 
-    /// Why the leaf that failed last did, in the present run or the one that ended last.
+    /// Returns the cause of the latest failure of a leaf, in the current run or the last run that
+    /// ended.
     pub fn cause(&self) -> Option<&Cause> {
         self.state.cause.as_ref()
     }
 
-    /// When the tree asks to be ticked even if nothing happens to the body before; set by the latest tick.
+    /// Returns the time at which the tree requests its next tick, even without events of the robot;
+    /// set by the latest tick.
     pub fn wake_at(&self) -> Option<WorldTime> {
         self.state.wake_at
     }
 
-    /// Writes a key of the main tree; text is taken as the key's type.
+    /// Writes a key of the main tree; text is converted to the key's type.
     ///
     /// # Errors
-    /// [`BlackboardError`] where no port uses the key, or it takes something else.
+    /// [`BlackboardError`] if no port uses the key, or its type differs.
     pub fn set(&mut self, key: &str, value: impl Into<Value>) -> Result<(), BlackboardError> {
         let id = self.entry(key)?;
         self.blackboard.write(id, value.into())
     }
 
-    /// Reads a key of the main tree; `None` while it holds nothing.
+    /// Reads a key of the main tree; `None` while it is empty.
     ///
     /// # Errors
-    /// [`BlackboardError`] where no port uses the key, or it holds something else.
+    /// [`BlackboardError`] if no port uses the key, or its type differs.
     pub fn get<T: PortValue>(&self, key: &str) -> Result<Option<T>, BlackboardError> {
         self.blackboard.read(self.entry(key)?)
     }
 
-    /// Whether the body has let go of every goal that this tree canceled.
+    /// Checks whether the robot has ended every goal that this tree canceled.
     pub fn cancels_complete(&self, actions: &dyn RobotActions) -> bool {
         let held = |goal| actions.status(goal).is_some_and(|status| !status.is_final());
         !self.state.canceling.iter().any(|goal| held(*goal))

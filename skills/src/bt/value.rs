@@ -1,11 +1,11 @@
-//! Values on the blackboard, their types, and how text becomes one.
+//! Values on the blackboard, their types, and conversion from text.
 
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Seconds;
 use std::fmt;
 
-/// A value that passes through a port.
+/// A value of a port.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
     /// Any text.
@@ -14,7 +14,7 @@ pub enum Value {
     Number(f64),
     /// A whole number.
     Integer(i64),
-    /// Yes or no.
+    /// True or false.
     Bool(bool),
     /// A place on the map.
     Place(PlaceId),
@@ -24,16 +24,16 @@ pub enum Value {
     Role(RoleId),
     /// A pose on the floor; as text `x;y;yaw` in metres and radians.
     Pose(Pose),
-    /// A duration of world time; as text the bare number of seconds.
+    /// A duration of world time; as text the number of seconds without a unit.
     Seconds(Seconds),
     /// Several values in order; as text separated by `;`.
     List(Vec<Value>),
 }
 
-/// The type of a port or of a blackboard entry.
+/// Type of a port or of a blackboard entry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum PortType {
-    /// Whatever it is.
+    /// Any type.
     Any,
     /// [`Value::Text`].
     Text,
@@ -57,31 +57,31 @@ pub enum PortType {
     List,
 }
 
-/// Why a value will not do. Nothing was changed.
+/// A value was rejected. Nothing was changed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ValueError {
-    /// It is not of the type asked for.
+    /// The value is not of the requested type.
     #[error("{value:?} is not {wanted}: {problem}")]
     Type {
         /// The value, as text.
         value: String,
-        /// The type asked for.
+        /// The requested type.
         wanted: PortType,
-        /// What is wrong, or what is allowed.
+        /// Cause, or the allowed values.
         problem: String,
     },
-    /// It is of the right type, but not one of those allowed.
-    #[error("{value:?} will not do: {allowed}")]
+    /// The value has the right type, but is not allowed.
+    #[error("{value:?} is rejected: {allowed}")]
     NotAllowed {
         /// The value, as text.
         value: String,
-        /// What is allowed, in words.
+        /// The allowed values, as text.
         allowed: String,
     },
 }
 
 impl PortType {
-    /// The name as in a written model (`type="place"`).
+    /// Name in a written model (`type="place"`).
     pub const fn name(self) -> &'static str {
         match self {
             PortType::Any => "any",
@@ -98,46 +98,47 @@ impl PortType {
         }
     }
 
-    /// Takes `text` as a value of this type; [`PortType::Any`] keeps it as text.
+    /// Parses `text` as a value of this type; [`PortType::Any`] keeps it as text.
     ///
     /// # Errors
-    /// [`ValueError`] names the text and what is allowed.
+    /// [`ValueError`] with the text and the allowed values.
     pub fn parse(self, text: &str) -> Result<Value, ValueError> {
-        let refuse = |problem: String| ValueError::Type { value: text.to_owned(), wanted: self, problem };
+        let reject = |problem: String| ValueError::Type { value: text.to_owned(), wanted: self, problem };
         let number = |text: &str| match text.trim().parse::<f64>() {
             Ok(number) if number.is_finite() => Ok(number),
-            _ => Err(refuse("allowed is a finite number such as 2.5".to_owned())),
+            _ => Err(reject("allowed is a finite number such as 2.5".to_owned())),
         };
         Ok(match self {
             PortType::Any | PortType::Text => Value::Text(text.to_owned()),
             PortType::Number => Value::Number(number(text)?),
             PortType::Integer => {
                 let parsed = text.trim().parse();
-                Value::Integer(parsed.map_err(|_| refuse("allowed is a whole number such as 3".to_owned()))?)
+                Value::Integer(parsed.map_err(|_| reject("allowed is a whole number such as 3".to_owned()))?)
             }
             PortType::Bool => match text.trim() {
                 "true" | "1" => Value::Bool(true),
                 "false" | "0" => Value::Bool(false),
-                _ => return Err(refuse("allowed are true and false".to_owned())),
+                _ => return Err(reject("allowed are true and false".to_owned())),
             },
-            PortType::Place => Value::Place(PlaceId::new(text).map_err(|e| refuse(e.to_string()))?),
-            PortType::Robot => Value::Robot(RobotId::new(text).map_err(|e| refuse(e.to_string()))?),
-            PortType::Role => Value::Role(RoleId::new(text).map_err(|e| refuse(e.to_string()))?),
+            PortType::Place => Value::Place(PlaceId::new(text).map_err(|e| reject(e.to_string()))?),
+            PortType::Robot => Value::Robot(RobotId::new(text).map_err(|e| reject(e.to_string()))?),
+            PortType::Role => Value::Role(RoleId::new(text).map_err(|e| reject(e.to_string()))?),
             PortType::Pose => {
                 let parts: Vec<f64> = text.split(';').map(number).collect::<Result<_, _>>()?;
                 let [x, y, yaw] = parts[..] else {
-                    return Err(refuse("allowed is `x;y;yaw` in metres and radians".to_owned()));
+                    return Err(reject("allowed is `x;y;yaw` in metres and radians".to_owned()));
                 };
                 Value::Pose(Pose::new(x, y, yaw))
             }
-            PortType::Seconds => Value::Seconds(Seconds::new(number(text)?).map_err(|e| refuse(e.to_string()))?),
+            PortType::Seconds => Value::Seconds(Seconds::new(number(text)?).map_err(|e| reject(e.to_string()))?),
             PortType::List if text.is_empty() => Value::List(Vec::new()),
             PortType::List => Value::List(text.split(';').map(|part| Value::Text(part.to_owned())).collect()),
         })
     }
 
-    /// The type of an entry that ports of both types share: text joins with anything (it is parsed or printed on the
-    /// way), and so does [`PortType::Any`]. `None` where the two do not go together.
+    /// Returns the type of an entry that ports of both types share. Text joins with any type (it is
+    /// parsed or printed on conversion), and so does [`PortType::Any`]. `None` if the types
+    /// conflict.
     pub(crate) fn join(self, other: PortType) -> Option<PortType> {
         match (self, other) {
             (PortType::Any, ty) | (ty, PortType::Any) | (PortType::Text, ty) | (ty, PortType::Text) => Some(ty),
@@ -166,7 +167,7 @@ impl fmt::Display for PortType {
 }
 
 impl Value {
-    /// Its type.
+    /// Type of the value.
     pub fn port_type(&self) -> PortType {
         match self {
             Value::Text(_) => PortType::Text,
@@ -182,17 +183,18 @@ impl Value {
         }
     }
 
-    /// This value as `wanted`: text is parsed, anything can be printed as text, a whole number is a number too.
+    /// Converts the value: text is parsed, every value can be printed as text, an integer is also a
+    /// number.
     ///
     /// # Errors
-    /// [`ValueError`] where the value is of another type or its text does not parse.
+    /// [`ValueError`] if the value is of another type or its text does not parse.
     pub fn convert(self, wanted: PortType) -> Result<Value, ValueError> {
         match (self, wanted) {
             (value, PortType::Any) => Ok(value),
             (value, wanted) if value.port_type() == wanted => Ok(value),
             (Value::Text(text), wanted) => wanted.parse(&text),
             (value, PortType::Text) => Ok(Value::Text(value.to_string())),
-            // Exact up to 2^53, far above any count a tree holds.
+            // Exact up to 2^53, far above any count in a tree.
             (Value::Integer(n), PortType::Number) => Ok(Value::Number(n as f64)),
             (value, wanted) => {
                 let problem = format!("it is {}", value.port_type());
@@ -226,10 +228,10 @@ impl fmt::Display for Value {
 
 /// A Rust type that a port can be read as.
 pub trait PortValue: Sized {
-    /// The port type it stands for.
+    /// The corresponding port type.
     const TYPE: PortType;
 
-    /// Takes a value that is of [`Self::TYPE`]; `None` for any other.
+    /// Extracts a value of type [`Self::TYPE`]; `None` for any other.
     fn from_value(value: Value) -> Option<Self>;
 }
 
@@ -284,7 +286,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_type_reads_back_what_it_writes() {
+    fn every_type_round_trips_through_text() {
         let values = [
             Value::from("a b"),
             Value::Number(-2.5),
@@ -304,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn text_that_is_not_of_the_type_says_what_is_allowed() {
+    fn invalid_text_is_reported_with_the_allowed_form() {
         let error = PortType::Pose.parse("1;2").unwrap_err().to_string();
         assert_eq!(error, "\"1;2\" is not a pose: allowed is `x;y;yaw` in metres and radians");
         for (ty, text) in [
@@ -321,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_of_another_type_is_refused_but_prints_as_text() {
+    fn a_value_of_another_type_is_rejected_but_prints_as_text() {
         let pose = Value::Pose(Pose::new(1.0, 2.0, 0.0));
         assert_eq!(pose.clone().convert(PortType::Text).unwrap(), Value::from("1;2;0"));
         assert_eq!(pose.convert(PortType::Place).unwrap_err().to_string(), "\"1;2;0\" is not a place: it is a pose");

@@ -1,4 +1,4 @@
-//! Tasks whose time does not depend on where the robot is.
+//! Tasks with a duration that does not depend on the robot's position.
 
 use super::{Estimate, EstimateContext, EstimateError, SkillDescriptor, parsed};
 use crate::environment::Environment;
@@ -6,11 +6,11 @@ use consort_protocol::ids::TaskType;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::Seconds;
 
-/// Seconds for any step that is not a drive, messages included: the figure of the published evaluation (replication
-/// package of the JSS 2022 article; thesis 4).
+/// Duration in seconds of any step that is not a drive, messages included: the figure of the
+/// published evaluation (replication package of the JSS 2022 article; thesis 4).
 pub const STEP_DURATION_S: f64 = 2.0;
 
-/// A task that always takes the same time, where the robot stands.
+/// A task with a fixed duration, at the robot's position.
 #[derive(Debug, Clone)]
 pub struct FixedDuration {
     task_type: TaskType,
@@ -18,7 +18,7 @@ pub struct FixedDuration {
 }
 
 impl FixedDuration {
-    /// Every task of this type takes this long.
+    /// Creates the descriptor of a task type.
     pub fn new(task_type: TaskType, time: Seconds) -> FixedDuration {
         FixedDuration { task_type, time }
     }
@@ -38,14 +38,14 @@ impl SkillDescriptor for FixedDuration {
     }
 }
 
-/// A task that takes as long as its parameter `seconds` says, where the robot stands.
+/// A task with the duration in its parameter `seconds`, at the robot's position.
 #[derive(Debug, Clone)]
 pub struct RequestedDuration {
     task_type: TaskType,
 }
 
 impl RequestedDuration {
-    /// Tasks of this type say how long they take.
+    /// Creates the descriptor of a task type.
     pub fn new(task_type: TaskType) -> RequestedDuration {
         RequestedDuration { task_type }
     }

@@ -1,22 +1,24 @@
-//! Skill descriptors: what a task would cost a robot, estimated by the robot itself (thesis 3.5.1).
+//! Skill descriptors: a robot's own estimates of the cost of tasks (thesis 3.5.1).
 //!
 //! ```text
-//!  DescriptorRegistry ──resolve(Environment)──▶ Estimator ──price(LocalPlan, Context)──▶ one BidPart per step
+//!  DescriptorRegistry ──resolve(Environment)──▶ Estimator ──price(LocalPlan, EstimateContext)──▶ a BidPart per step
 //! ```
 //!
-//! Tasks are chained: where one ends, the next begins. A descriptor may say how far off its estimate of energy may be; a
-//! [cautious](DescriptorRegistry::cautious) robot then bids only if its battery lasts in all but the worst cases.
+//! Tasks are chained: a task begins where the previous task ends. A descriptor may state the
+//! uncertainty of its energy estimate. A robot with an [energy
+//! margin](DescriptorRegistry::with_energy_margin) then bids only if its battery lasts in all but
+//! the worst cases.
 //!
 //! ```
 //! use consort_protocol::mission::TaskSpec;
 //! use consort_protocol::units::{MetresPerSecond, Seconds, SharePerSecond};
-//! use consort_skills::descriptor::{Context, DescriptorRegistry, FixedTime};
+//! use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, FixedDuration};
 //! use consort_skills::environment::Environment;
 //!
 //! let estimator = DescriptorRegistry::new()
-//!     .with(FixedTime::new("wave".parse()?, Seconds::new(4.0)?))
+//!     .with(FixedDuration::new("wave".parse()?, Seconds::new(4.0)?))
 //!     .resolve(Environment::new())?;
-//! let robot = Context {
+//! let robot = EstimateContext {
 //!     place: "Dock".parse()?,
 //!     pose: None,
 //!     speed: MetresPerSecond::new(0.5)?,
@@ -44,94 +46,95 @@ use consort_protocol::mission::TaskSpec;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{MetresPerSecond, Seconds, SharePerSecond};
 
-/// The robot that estimates, as it is when the task begins.
+/// State of the estimating robot at the start of the task.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EstimateContext {
-    /// Where it is, or the place it passed last.
+    /// Current place, or the last place passed.
     pub place: PlaceId,
-    /// Where exactly, for one that may be between two places; `None` at the place.
+    /// Exact pose, if the robot may be between two places; `None` at the place.
     pub pose: Option<Pose>,
-    /// How fast it drives on average.
+    /// Average speed.
     pub speed: MetresPerSecond,
-    /// How fast it empties its battery at work.
+    /// Discharge rate with an active goal.
     pub discharge: SharePerSecond,
-    /// The ways that it knows to be closed, each by its two ends.
+    /// Known closed lanes, each by its two ends.
     pub closed: Vec<(PlaceId, PlaceId)>,
 }
 
-/// What a task would cost.
+/// Estimated cost of a task.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
-    /// How long it takes.
+    /// Duration.
     pub time: Seconds,
-    /// Charge it uses, as a share of a full battery. It may exceed 1.
+    /// Energy, as a share of a full battery. It may exceed 1.
     pub energy: f64,
-    /// How far that may be off: the standard deviation of what it turns out to be; 0 where nobody has looked.
+    /// Standard deviation of the energy; 0 if it is not known.
     pub energy_sd: f64,
-    /// Where it ends.
+    /// Place at the end of the task.
     pub ends_at: PlaceId,
 }
 
 impl Estimate {
-    /// A task that takes this long at the robot's usual discharge, and ends at `place`.
+    /// Creates an estimate from a duration at the robot's usual discharge rate, ending at `place`.
     pub fn of_duration(time: Seconds, context: &EstimateContext, place: PlaceId) -> Estimate {
         Estimate { time, energy: context.discharge.over(time), energy_sd: 0.0, ends_at: place }
     }
 }
 
-/// Why a task cannot be estimated: the robot cannot bid for its role.
+/// A task cannot be estimated, so the robot cannot bid for its role.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum EstimateError {
-    /// The task does not say what the estimate needs to know.
+    /// The task lacks a parameter that the estimate needs.
     #[error("the {task_type} task has no parameter `{parameter}`")]
     MissingParameter {
-        /// The kind of task.
+        /// The type of the task.
         task_type: TaskType,
-        /// What it lacks.
+        /// The missing parameter.
         parameter: &'static str,
     },
-    /// What the task says makes no sense.
+    /// A parameter of the task is invalid.
     #[error("the {task_type} task has `{parameter}` = {value:?}: {problem}")]
     Parameter {
-        /// The kind of task.
+        /// The type of the task.
         task_type: TaskType,
         /// The parameter.
         parameter: &'static str,
         /// Its value.
         value: String,
-        /// What is wrong with it.
+        /// Cause.
         problem: String,
     },
-    /// There is no way to where the task is.
+    /// There is no route to the place of the task.
     #[error(transparent)]
     Route(#[from] RouteError),
-    /// The environment lacks what the estimate needs.
+    /// The environment lacks a descriptor that the estimate needs.
     #[error(transparent)]
     Environment(#[from] MissingDescriptor),
-    /// Nobody can estimate such a task.
-    #[error("no skill descriptor for {task_type}; there are some for {known}")]
+    /// No skill descriptor exists for the task type.
+    #[error("no skill descriptor for {task_type}; descriptors exist for {known}")]
     NoDescriptor {
-        /// The kind of task.
+        /// The type of the task.
         task_type: TaskType,
-        /// What there is, in words.
+        /// The task types with descriptors, as text.
         known: String,
     },
 }
 
-/// Estimates tasks of one type.
+/// Estimates the tasks of a type.
 pub trait SkillDescriptor: Send + Sync {
-    /// The type of task it estimates, which is also the skill's name.
+    /// The estimated task type, which is also the skill's name.
     fn task_type(&self) -> &TaskType;
 
-    /// The kinds of environment descriptor it needs: [`EnvironmentDescriptor::KIND`].
+    /// The required kinds of environment descriptor: [`EnvironmentDescriptor::KIND`].
     ///
     /// [`EnvironmentDescriptor::KIND`]: crate::environment::EnvironmentDescriptor::KIND
     fn required_descriptors(&self) -> Vec<&'static str>;
 
-    /// What `task` would cost the robot of `context`.
+    /// Estimates the cost of `task` for the robot of `context`.
     ///
     /// # Errors
-    /// [`EstimateError`] when it cannot be done or told; never a price of nothing.
+    /// [`EstimateError`] if the task is impossible or cannot be estimated; never an estimate of
+    /// zero instead.
     fn estimate(
         &self,
         task: &TaskSpec,
@@ -140,13 +143,13 @@ pub trait SkillDescriptor: Send + Sync {
     ) -> Result<Estimate, EstimateError>;
 }
 
-/// A parameter that the estimate cannot do without.
+/// Returns a required parameter.
 fn parameter<'t>(task: &'t TaskSpec, name: &'static str) -> Result<&'t str, EstimateError> {
     let missing = || EstimateError::MissingParameter { task_type: task.task_type.clone(), parameter: name };
     task.parameters.get(name).map(String::as_str).ok_or_else(missing)
 }
 
-/// A parameter taken as something else than text.
+/// Parses a required parameter.
 fn parsed<T, E: ToString>(
     task: &TaskSpec,
     name: &'static str,

@@ -1,5 +1,5 @@
-//! Drives: the length of the shortest route over the average speed, with what else costs time on the way as far as the
-//! environment tells of it.
+//! Drives: the length of the shortest route over the average speed, with delays on the route as far
+//! as the environment describes them.
 
 use super::{Estimate, EstimateContext, EstimateError, SkillDescriptor, parsed};
 use crate::environment::{Environment, EnvironmentDescriptor, Passages, Routes};
@@ -13,7 +13,7 @@ pub struct NavigationDescriptor {
 }
 
 impl NavigationDescriptor {
-    /// Tasks of this type are drives.
+    /// Creates the descriptor of a task type.
     pub fn new(task_type: TaskType) -> NavigationDescriptor {
         NavigationDescriptor { task_type }
     }
@@ -36,7 +36,8 @@ impl SkillDescriptor for NavigationDescriptor {
     ) -> Result<Estimate, EstimateError> {
         let to = parsed(task, "to", str::parse::<PlaceId>)?;
         let routes = environment.get::<Routes>()?.without_closed(&context.closed);
-        // Most maps have no doors, lifts or limits; then one look at a table of lengths tells all.
+        // Most maps have no doors, lifts or limits. For them a look-up in the table of lengths is
+        // enough.
         let time = match (environment.find::<Passages>().filter(|passages| !passages.is_empty()), context.pose) {
             (None, Some(pose)) => routes.distance_left(&context.place, pose, &to)?.at(context.speed),
             (None, None) => routes.distance(&context.place, &to)?.at(context.speed),

@@ -8,14 +8,14 @@ use consort_protocol::mission::TaskSpec;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Metres;
 
-/// A drive over the points in parameter `waypoints`, in straight lines from where the robot is.
+/// A drive over the points in parameter `waypoints`, in straight lines from the robot's position.
 #[derive(Debug, Clone)]
 pub struct PathDescriptor {
     task_type: TaskType,
 }
 
 impl PathDescriptor {
-    /// Tasks of this type are such drives.
+    /// Creates the descriptor of a task type.
     pub fn new(task_type: TaskType) -> PathDescriptor {
         PathDescriptor { task_type }
     }
@@ -42,7 +42,7 @@ impl SkillDescriptor for PathDescriptor {
         let poses = start.into_iter().chain(points.into_iter().map(|(x, y)| Pose::new(x, y, 0.0)));
         let poses: Vec<Pose> = poses.collect();
         let length = poses.windows(2).fold(Metres::ZERO, |length, leg| length + leg[0].distance(leg[1]));
-        // It is off the lanes then, with the way back to where it left them.
+        // The robot is then off the lanes, and has to return to the place where it left them.
         Ok(Estimate::of_duration(length.at(context.speed), context, context.place.clone()))
     }
 }

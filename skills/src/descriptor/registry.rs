@@ -1,4 +1,4 @@
-//! The descriptors that a robot has, and pricing a whole local plan with them.
+//! The descriptors of a robot, and the pricing of local plans with them.
 
 use super::{
     EstimateContext, EstimateError, FixedDuration, NavigationDescriptor, PathDescriptor, RequestedDuration,
@@ -12,14 +12,14 @@ use consort_protocol::plan::{LocalPlan, Signal, StepAction, StepIndex};
 use consort_protocol::units::Seconds;
 use std::collections::BTreeMap;
 
-/// Skill descriptors by task type, not yet put into a place.
+/// Skill descriptors by task type, before they are combined with an environment.
 #[derive(Default)]
 pub struct DescriptorRegistry {
     descriptors: BTreeMap<TaskType, Box<dyn SkillDescriptor>>,
     margin_sds: f64,
 }
 
-/// Prices local plans, in a place it knows.
+/// Prices local plans in an environment.
 pub struct Estimator {
     descriptors: BTreeMap<TaskType, Box<dyn SkillDescriptor>>,
     margin_sds: f64,
@@ -28,17 +28,17 @@ pub struct Estimator {
     wait: TaskType,
 }
 
-/// What a whole plan takes.
+/// Cost of a whole plan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanBudget {
     /// The price of every step, messages included, in the order of the plan.
     pub parts: Vec<BidPart>,
-    /// The charge to have for all of it, as a share of a full battery: what the steps use by estimate, and as many standard
-    /// deviations of that sum more as [`DescriptorRegistry::cautious`] asked for.
+    /// Required charge as a share of a full battery: the estimated energy of all steps, plus the
+    /// standard deviations of that sum that [`DescriptorRegistry::with_energy_margin`] sets.
     pub energy: f64,
 }
 
-/// What one skill's descriptor lacks.
+/// An environment descriptor that a skill lacks.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MissingRequirement {
     /// The skill.
@@ -47,41 +47,42 @@ pub struct MissingRequirement {
     pub requires: &'static str,
 }
 
-/// The environment lacks what descriptors need. The node cannot start like this.
+/// The environment lacks descriptors. The node cannot start.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ResolveError {
-    /// Every lack, in the order of the skills' names.
+    /// All missing descriptors, in the order of the skills' names.
     pub missing: Vec<MissingRequirement>,
-    /// What the environment has, in words.
+    /// The descriptors of the environment, as text.
     pub known: String,
 }
 
 impl std::fmt::Display for ResolveError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let lacks = self.missing.iter().map(|lack| format!("{} needs `{}`", lack.skill, lack.requires));
-        let lacks: Vec<String> = lacks.collect();
-        write!(f, "the environment lacks descriptors: {}; it has {}", lacks.join(", "), self.known)
+        let missing_descriptors =
+            self.missing.iter().map(|missing| format!("{} needs `{}`", missing.skill, missing.requires));
+        let missing_descriptors: Vec<String> = missing_descriptors.collect();
+        write!(f, "the environment lacks descriptors: {}; it has {}", missing_descriptors.join(", "), self.known)
     }
 }
 
 impl std::error::Error for ResolveError {}
 
-/// Why a plan cannot be priced.
+/// A plan cannot be priced.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("step {step} ({task}): {source}")]
 pub struct PriceError {
-    /// Which step of the plan.
+    /// The step of the plan.
     pub step: StepIndex,
-    /// Its task, or the task that its message is about.
+    /// Its task, or the task of its message.
     pub task: TaskId,
-    /// What is wrong.
+    /// Cause.
     pub source: EstimateError,
 }
 
 const SEND: &str = "send_message";
 const WAIT: &str = "wait_message";
 
-/// The skills of the standard set that take [`STEP_TIME_S`].
+/// The skills of the standard set with a duration of [`STEP_DURATION_S`].
 const FIXED: [&str; 11] = [
     "approach_person",
     "authenticate_person",
@@ -96,52 +97,62 @@ const FIXED: [&str; 11] = [
     WAIT,
 ];
 
-fn own(name: &str) -> TaskType {
-    TaskType::new(name).expect("the names of our own skills are slugs")
+fn task_type_named(name: &str) -> TaskType {
+    TaskType::new(name).expect("names of standard skills are slugs")
 }
 
 impl DescriptorRegistry {
-    /// No descriptors.
+    /// Creates an empty registry.
     pub fn new() -> DescriptorRegistry {
         DescriptorRegistry::default()
     }
 
-    /// The descriptors of the skills that come with the library, and of the two messages.
+    /// Creates the descriptors of the standard skills, and of the two message steps.
     pub fn standard() -> DescriptorRegistry {
         let time = Seconds::new(STEP_DURATION_S).expect("two seconds are a duration");
         let registry = DescriptorRegistry::new()
-            .with(NavigationDescriptor::new(own("navigation")))
-            .with(PathDescriptor::new(own("follow_path")))
-            .with(RequestedDuration::new(own("wait")));
-        FIXED.into_iter().fold(registry, |registry, name| registry.with(FixedDuration::new(own(name), time)))
+            .with(NavigationDescriptor::new(task_type_named("navigation")))
+            .with(PathDescriptor::new(task_type_named("follow_path")))
+            .with(RequestedDuration::new(task_type_named("wait")));
+        FIXED
+            .into_iter()
+            .fold(registry, |registry, name| registry.with(FixedDuration::new(task_type_named(name), time)))
     }
 
-    /// The same descriptors with one more, in place of any for the same task type.
+    /// Adds a descriptor, replacing any for the same task type.
     pub fn with(mut self, descriptor: impl SkillDescriptor + 'static) -> DescriptorRegistry {
         self.descriptors.insert(descriptor.task_type().clone(), Box::new(descriptor));
         self
     }
 
-    /// The same descriptors, with so many standard deviations of a plan's energy kept in reserve. The steps of a plan are
-    /// taken to be off independently of one another, so that a long plan needs less of a reserve than its steps one by one.
-    /// 1.28 is the 90 % quantile of what a plan takes, where that is about normal. Default 0: the mean.
+    /// Sets an energy reserve in standard deviations of a plan's energy. The errors of a plan's
+    /// steps are assumed to be independent, so a long plan needs less reserve than its steps
+    /// separately. 1.28 is the 90 % quantile of a plan's energy if it is about normally
+    /// distributed. Default: 0, the mean.
     pub fn with_energy_margin(self, margin_sds: f64) -> DescriptorRegistry {
         DescriptorRegistry { margin_sds, ..self }
     }
 
-    /// Puts the descriptors into a place, when the node starts.
+    /// Combines the descriptors with an environment, when the node starts.
     ///
     /// # Errors
-    /// [`ResolveError`] names every skill and every kind of environment descriptor that it lacks.
+    /// [`ResolveError`] with every skill and every kind of environment descriptor that is missing.
     pub fn resolve(self, environment: Environment) -> Result<Estimator, ResolveError> {
-        let lacks = self.descriptors.iter().flat_map(|(skill, descriptor)| {
-            let lacking = descriptor.required_descriptors().into_iter().filter(|kind| !environment.contains(kind));
-            lacking.map(|needs| MissingRequirement { skill: skill.clone(), requires: needs }).collect::<Vec<_>>()
+        let missing_descriptors = self.descriptors.iter().flat_map(|(skill, descriptor)| {
+            let missing_kinds =
+                descriptor.required_descriptors().into_iter().filter(|kind| !environment.contains(kind));
+            missing_kinds.map(|needs| MissingRequirement { skill: skill.clone(), requires: needs }).collect::<Vec<_>>()
         });
-        let missing: Vec<MissingRequirement> = lacks.collect();
+        let missing: Vec<MissingRequirement> = missing_descriptors.collect();
         if missing.is_empty() {
             let DescriptorRegistry { descriptors, margin_sds } = self;
-            Ok(Estimator { descriptors, margin_sds, environment, send: own(SEND), wait: own(WAIT) })
+            Ok(Estimator {
+                descriptors,
+                margin_sds,
+                environment,
+                send: task_type_named(SEND),
+                wait: task_type_named(WAIT),
+            })
         } else {
             Err(ResolveError { missing, known: crate::bt::join_names(environment.kinds()) })
         }
@@ -149,18 +160,20 @@ impl DescriptorRegistry {
 }
 
 impl Estimator {
-    /// Prices every step of a plan, messages included, in the order of the plan: a robot does one thing at a time.
+    /// Prices every step of a plan, messages included, in the order of the plan: a robot executes a
+    /// single step at a time.
     ///
     /// # Errors
-    /// [`PriceError`] names the first step that cannot be done, and why.
+    /// [`PriceError`] for the first impossible step.
     pub fn price(&self, plan: &LocalPlan, context: &EstimateContext) -> Result<Vec<BidPart>, PriceError> {
         Ok(self.budget(plan, context)?.parts)
     }
 
-    /// The same, and the charge that a robot should have before it promises to carry the plan out.
+    /// Prices every step of a plan, and computes the charge that a robot should have before it
+    /// commits to the plan.
     ///
     /// # Errors
-    /// [`PriceError`] names the first step that cannot be done, and why.
+    /// [`PriceError`] for the first impossible step.
     pub fn budget(&self, plan: &LocalPlan, context: &EstimateContext) -> Result<PlanBudget, PriceError> {
         let mut context = context.clone();
         let mut parts = Vec::with_capacity(plan.steps.len());
@@ -176,7 +189,7 @@ impl Estimator {
             let estimate = estimate.map_err(|source| PriceError { step, task: task.clone(), source })?;
             parts.push(BidPart { step, label, skill, time: estimate.time, energy: estimate.energy });
             variance += estimate.energy_sd * estimate.energy_sd;
-            // Whoever has been driven stands at a place.
+            // After a drive the robot stands at a place.
             context.pose = context.pose.filter(|_| estimate.ends_at == context.place);
             context.place = estimate.ends_at;
         }
@@ -184,15 +197,15 @@ impl Estimator {
         Ok(PlanBudget { parts, energy: mean + self.margin_sds * variance.sqrt() })
     }
 
-    /// How many standard deviations of a plan's energy are kept in reserve.
+    /// Energy reserve in standard deviations of a plan's energy.
     pub fn margin_sds(&self) -> f64 {
         self.margin_sds
     }
 
-    /// Estimates one task.
+    /// Estimates a task.
     ///
     /// # Errors
-    /// [`EstimateError`] when it cannot be done or told, or has no descriptor.
+    /// [`EstimateError`] if the task is impossible, cannot be estimated, or has no descriptor.
     pub fn estimate(&self, task: &TaskSpec, context: &EstimateContext) -> Result<super::Estimate, EstimateError> {
         match self.descriptors.get(&task.task_type) {
             Some(descriptor) => descriptor.estimate(task, context, &self.environment),
@@ -203,12 +216,12 @@ impl Estimator {
         }
     }
 
-    /// What it can price, in the order of names.
+    /// The task types with descriptors, in the order of their names.
     pub fn skills(&self) -> impl Iterator<Item = &TaskType> {
         self.descriptors.keys()
     }
 
-    /// The place it knows.
+    /// The environment.
     pub fn environment(&self) -> &Environment {
         &self.environment
     }

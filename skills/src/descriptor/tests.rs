@@ -1,4 +1,4 @@
-//! Pricing on a small map of our own; the published evaluation is repeated in `tests/published_bids.rs`.
+//! Pricing on a small map; `tests/published_bids.rs` repeats the published evaluation.
 
 use super::*;
 use crate::environment::{Edge, Routes, TopologicalMap};
@@ -57,7 +57,7 @@ fn robot(at: &str) -> EstimateContext {
 }
 
 #[test]
-fn each_step_is_priced_from_where_the_one_before_it_ended() {
+fn each_step_is_priced_from_the_end_of_the_previous_step() {
     let plan = plan(vec![
         doing("to_b", task("navigation", &[("to", "B")])),
         doing("open", task("operate_drawer", &[("action", "open")])),
@@ -85,7 +85,7 @@ fn each_step_is_priced_from_where_the_one_before_it_ended() {
 }
 
 #[test]
-fn an_unreachable_destination_is_no_bid_rather_than_a_bid_of_nothing() {
+fn an_unreachable_destination_gives_no_bid() {
     let plan = plan(vec![StepAction::Wait(signal()), doing("to_d", task("navigation", &[("to", "D")]))]);
     let error = estimator().price(&plan, &robot("A")).unwrap_err();
     assert_eq!((error.step, error.task.as_str()), (1, "to_d"));
@@ -93,7 +93,7 @@ fn an_unreachable_destination_is_no_bid_rather_than_a_bid_of_nothing() {
 }
 
 #[test]
-fn a_way_known_to_be_closed_is_priced_round_or_not_at_all() {
+fn a_closed_lane_is_priced_by_a_detour_or_rejected() {
     let to_c = plan(vec![doing("to_c", task("navigation", &[("to", "C")]))]);
     let closed = EstimateContext { closed: vec![(place("B"), place("A"))], ..robot("A") };
     let error = estimator().price(&to_c, &closed).unwrap_err();
@@ -103,12 +103,13 @@ fn a_way_known_to_be_closed_is_priced_round_or_not_at_all() {
 }
 
 #[test]
-fn what_a_task_does_not_say_is_named() {
+fn a_missing_parameter_is_named() {
     let price = |spec| estimator().price(&plan(vec![doing("t", spec)]), &robot("A")).unwrap_err().source.to_string();
     assert_eq!(price(task("navigation", &[])), "the navigation task has no parameter `to`");
     assert!(price(task("wait", &[("seconds", "-1")])).starts_with("the wait task has `seconds` = \"-1\": "));
     assert!(
-        price(task("juggle", &[])).starts_with("no skill descriptor for juggle; there are some for approach_person, ")
+        price(task("juggle", &[]))
+            .starts_with("no skill descriptor for juggle; descriptors exist for approach_person, ")
     );
 }
 
@@ -126,7 +127,7 @@ fn an_environment_without_routes_names_the_skills_that_need_them() {
     );
 }
 
-/// Knows that it is off by half of what it says.
+/// A descriptor with an uncertainty of half the energy.
 struct Rough(NavigationDescriptor);
 
 impl SkillDescriptor for Rough {
@@ -164,7 +165,8 @@ fn a_cautious_robot_keeps_a_reserve_for_the_plan_as_a_whole() {
         assert_eq!(budget.parts, estimator.price(&there_and_back, &robot("A")).unwrap());
         budget.energy
     };
-    // Two drives of 0.02 and a drawer of 0.002; each drive is off by 0.01, both together by less than 0.02.
+    // Two drives of 0.02 and a drawer of 0.002. Each drive has a deviation of 0.01, both together
+    // less than 0.02.
     assert!((budget(0.0) - 0.042).abs() < 1e-12);
     assert!((budget(2.0) - (0.042 + 2.0 * 0.01 * 2.0_f64.sqrt())).abs() < 1e-12);
     let sure = estimator().budget(&there_and_back, &robot("A")).unwrap();

@@ -1,78 +1,78 @@
-//! The topological map: places, and the ways between neighbours.
+//! The topological map: places, and the edges between neighbours.
 
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Shortest edge: a millimetre. Anything shorter is lost when added to a long route.
+/// Shortest edge: a millimetre. A shorter edge would be lost when added to a long route.
 const LENGTH_MIN_M: f64 = 0.001;
 /// Longest edge: a thousand kilometres.
 const LENGTH_MAX_M: f64 = 1.0e6;
 
-/// Places and the ways between them, as in a file; [`check`](TopologicalMap::check) says whether it makes sense.
+/// Places and edges, as in a file. [`check`](TopologicalMap::check) validates them.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TopologicalMap {
-    /// Where each place is.
+    /// Places with their poses.
     pub places: BTreeMap<PlaceId, Pose>,
-    /// The ways between neighbours.
+    /// Edges between neighbours.
     pub edges: Vec<Edge>,
 }
 
-/// A way between two neighbours.
+/// An edge between two neighbours.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Edge {
-    /// One end; the beginning of a one-way edge.
+    /// First end; the start of a directed edge.
     pub a: PlaceId,
-    /// The other end.
+    /// Second end.
     pub b: PlaceId,
-    /// Metres to drive, which may be more than the straight line.
+    /// Length in metres, which may exceed the straight line.
     pub length_m: f64,
-    /// Whether it may be driven from `a` to `b` only.
+    /// True if robots may drive only from `a` to `b`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub one_way: bool,
 }
 
-/// What is wrong with a map. Ordinary in hand-written files.
+/// A mistake in a map. Common in hand-written files.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MapError {
-    /// An edge ends nowhere.
+    /// An edge ends at an unknown place.
     #[error("the edge {a} – {b} names {place}, which is not among the places")]
     UnknownPlace {
-        /// One end.
+        /// First end.
         a: PlaceId,
-        /// The other end.
+        /// Second end.
         b: PlaceId,
         /// The end that is not on the map.
         place: PlaceId,
     },
-    /// An edge is of no sensible length.
+    /// The length of an edge is out of range.
     #[error("the edge {a} – {b} is {length_m} m long; allowed is {LENGTH_MIN_M} m to {LENGTH_MAX_M} m")]
     Length {
-        /// One end.
+        /// First end.
         a: PlaceId,
-        /// The other end.
+        /// Second end.
         b: PlaceId,
         /// Its length in metres.
         length_m: f64,
     },
-    /// An edge ends where it begins.
+    /// An edge connects a place to itself.
     #[error("the edge {a} – {a} joins a place to itself")]
     Loop {
         /// The place.
         a: PlaceId,
     },
-    /// Two edges lead the same way.
+    /// Two edges have the same start and end.
     #[error("there are two edges from {a} to {b}")]
     Duplicate {
-        /// Where both begin.
+        /// Common start.
         a: PlaceId,
-        /// Where both end.
+        /// Common end.
         b: PlaceId,
     },
-    /// A place is nowhere.
+    /// The pose of a place is not finite.
     #[error("{place} has a pose that is not made of finite numbers")]
     Pose {
         /// The place.
@@ -81,10 +81,10 @@ pub enum MapError {
 }
 
 impl TopologicalMap {
-    /// Whether the map makes sense.
+    /// Validates the map.
     ///
     /// # Errors
-    /// [`MapError`] names the first mistake.
+    /// [`MapError`] for the first mistake.
     pub fn check(&self) -> Result<(), MapError> {
         for (place, pose) in &self.places {
             if ![pose.x, pose.y, pose.yaw].into_iter().all(f64::is_finite) {
@@ -114,7 +114,7 @@ impl TopologicalMap {
 }
 
 impl Edge {
-    /// The ways it may be driven.
+    /// Returns the allowed directions.
     pub(super) fn directions(&self) -> impl Iterator<Item = (&PlaceId, &PlaceId)> {
         let back = (!self.one_way).then_some((&self.b, &self.a));
         [(&self.a, &self.b)].into_iter().chain(back)
@@ -150,14 +150,14 @@ mod tests {
     }
 
     #[test]
-    fn two_opposite_one_way_edges_are_no_duplicate() {
+    fn opposite_directed_edges_are_not_duplicates() {
         let places = ["A", "B"].map(|name| (place(name), Pose::default())).into();
         let edges = [("A", "B"), ("B", "A")].map(|(a, b)| Edge { one_way: true, ..edge(a, b, 1.0) }).into();
         TopologicalMap { places, edges }.check().unwrap();
     }
 
     #[test]
-    fn a_pose_that_is_nowhere_is_refused() {
+    fn a_pose_that_is_not_finite_is_rejected() {
         let places = [(place("A"), Pose::new(f64::NAN, 0.0, 0.0))].into();
         let error = TopologicalMap { places, edges: vec![] }.check().unwrap_err();
         assert_eq!(error, MapError::Pose { place: place("A") });

@@ -1,7 +1,9 @@
-//! Environment descriptors: knowledge of the place that estimators and skills need (thesis 3.5.1).
+//! Environment descriptors: knowledge about the site that estimators and skills need (thesis
+//! 3.5.1).
 //!
-//! The set is open: whoever writes a skill descriptor that needs to know of lifts or doors adds a type that implements
-//! [`EnvironmentDescriptor`] and puts a value of it into the [`Environment`] when the node starts.
+//! The set is open. A skill descriptor that needs further knowledge, for instance about lifts or
+//! doors, brings a type that implements [`EnvironmentDescriptor`]. A value of it is added to the
+//! [`Environment`] when the node starts.
 
 mod map;
 mod passages;
@@ -17,61 +19,61 @@ use std::any::Any;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// A kind of knowledge of the place.
+/// A kind of knowledge about the site.
 pub trait EnvironmentDescriptor: Any + Send + Sync {
-    /// Its name, for messages; two kinds never share one.
+    /// Name for messages, unique among all kinds.
     const KIND: &'static str;
 }
 
-/// The knowledge of the place that a node has: at most one descriptor of each kind. Cheap to clone: the descriptors
-/// are shared.
+/// A node's knowledge about the site: at most a single descriptor of each kind. Cheap to clone: the
+/// descriptors are shared.
 #[derive(Clone, Default)]
 pub struct Environment {
     descriptors: BTreeMap<&'static str, Arc<dyn Any + Send + Sync>>,
 }
 
-/// The environment lacks a descriptor that is needed.
+/// The environment lacks a required descriptor.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the environment has no descriptor of kind `{kind}`; it has {known}")]
 pub struct MissingDescriptor {
-    /// The kind needed.
+    /// The required kind.
     pub kind: &'static str,
-    /// What there is, in words.
+    /// The existing kinds, as text.
     pub known: String,
 }
 
 impl Environment {
-    /// Knowledge of nothing.
+    /// Creates an empty environment.
     pub fn new() -> Environment {
         Environment::default()
     }
 
-    /// The same environment with `descriptor`, in place of any of its kind.
+    /// Adds `descriptor`, replacing any of its kind.
     pub fn with<D: EnvironmentDescriptor>(mut self, descriptor: D) -> Environment {
         self.descriptors.insert(D::KIND, Arc::new(descriptor));
         self
     }
 
-    /// The descriptor of a kind.
+    /// Returns the descriptor of a kind.
     ///
     /// # Errors
-    /// [`MissingDescriptor`] names the kind and those there are.
+    /// [`MissingDescriptor`] with the kind and the existing kinds.
     pub fn get<D: EnvironmentDescriptor>(&self) -> Result<&D, MissingDescriptor> {
         let found = self.descriptors.get(D::KIND).and_then(|descriptor| descriptor.downcast_ref());
         found.ok_or_else(|| self.missing(D::KIND))
     }
 
-    /// The descriptor of a kind, for whoever can do without.
+    /// Returns the descriptor of a kind, if it exists.
     pub fn find<D: EnvironmentDescriptor>(&self) -> Option<&D> {
         self.get().ok()
     }
 
-    /// Whether there is a descriptor of a kind.
+    /// Checks whether a descriptor of a kind exists.
     pub fn contains(&self, kind: &str) -> bool {
         self.descriptors.contains_key(kind)
     }
 
-    /// The kinds there are, in the order of their names.
+    /// The existing kinds, in the order of their names.
     pub fn kinds(&self) -> impl Iterator<Item = &'static str> {
         self.descriptors.keys().copied()
     }
@@ -101,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn a_descriptor_is_found_by_its_type_and_a_missing_one_is_named() {
+    fn get_finds_a_descriptor_by_type_and_names_a_missing_kind() {
         let environment = Environment::new().with(Lifts(1)).with(Lifts(2));
         assert_eq!(environment.get::<Lifts>().unwrap().0, 2);
         let error = environment.get::<Doors>().err().unwrap().to_string();

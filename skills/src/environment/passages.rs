@@ -1,30 +1,30 @@
-//! What costs time on the way, beside its length: doors that open, lifts that come, limits of speed.
+//! Delays on the way: doors that open, lifts, speed limits.
 
 use super::EnvironmentDescriptor;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::{Metres, MetresPerSecond, Seconds};
 use std::collections::BTreeMap;
 
-/// What is known of the ways between neighbouring places, each in its own direction. Ways of which nothing is known are driven
-/// without a stop at the robot's own speed. Nobody can tell beforehand how long the queue will be at a door or a lift: it is
-/// reckoned with as if the robot was the only one there.
+/// Travel data of the edges between neighbouring places, by direction. An edge without data is
+/// driven without a stop at the robot's own speed. The length of a queue at a door or a lift cannot
+/// be predicted, so the times assume that the robot is alone.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Passages {
-    /// By where they lead from, and then to.
-    ways: BTreeMap<PlaceId, BTreeMap<PlaceId, Passage>>,
+    /// Data by start, then by end.
+    edges: BTreeMap<PlaceId, BTreeMap<PlaceId, Passage>>,
 }
 
-/// The way from one place to a neighbour.
+/// Travel data of an edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Passage {
-    /// It is driven.
+    /// The edge is driven.
     Drive {
-        /// The fastest that is allowed there.
+        /// Speed limit.
         speed_limit: Option<MetresPerSecond>,
-        /// How long a robot stands on the way, as it is to be expected.
-        stands: Seconds,
+        /// Expected waiting time on the edge.
+        expected_wait: Seconds,
     },
-    /// It is ridden, by lift: how long that takes with the wait for it, as it is to be expected.
+    /// The edge is a lift ride: the expected duration, including the wait for the lift.
     Lift(Seconds),
 }
 
@@ -33,25 +33,26 @@ impl EnvironmentDescriptor for Passages {
 }
 
 impl Passages {
-    /// The same with one more way, in place of what was known of it.
+    /// Adds the data of an edge, replacing earlier data.
     #[must_use]
     pub fn with(mut self, from: PlaceId, to: PlaceId, passage: Passage) -> Passages {
-        self.ways.entry(from).or_default().insert(to, passage);
+        self.edges.entry(from).or_default().insert(to, passage);
         self
     }
 
-    /// Whether nothing is known of any way.
+    /// Checks whether there are no data.
     pub fn is_empty(&self) -> bool {
-        self.ways.is_empty()
+        self.edges.is_empty()
     }
 
-    /// How long it takes from one place to its neighbour, over a way of this length, at this speed where it is allowed.
+    /// Returns the travel time from a place to its neighbour, over an edge of this length, at this
+    /// speed or the limit.
     pub fn time(&self, from: &PlaceId, to: &PlaceId, length: Metres, speed: MetresPerSecond) -> Seconds {
-        match self.ways.get(from).and_then(|ways| ways.get(to)) {
+        match self.edges.get(from).and_then(|edges| edges.get(to)) {
             None => length.at(speed),
-            Some(Passage::Drive { speed_limit, stands }) => {
-                let slower = speed_limit.filter(|limit| limit.get() < speed.get());
-                length.at(slower.unwrap_or(speed)) + *stands
+            Some(Passage::Drive { speed_limit, expected_wait }) => {
+                let limit = speed_limit.filter(|limit| limit.get() < speed.get());
+                length.at(limit.unwrap_or(speed)) + *expected_wait
             }
             Some(Passage::Lift(time)) => *time,
         }
@@ -63,19 +64,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_way_is_as_slow_as_its_limit_its_doors_and_its_lift() {
+    fn travel_time_includes_limits_doors_and_lifts() {
         let place = |name| PlaceId::new(name).unwrap();
         let speed = |speed| MetresPerSecond::new(speed).unwrap();
         let seconds = |seconds| Seconds::new(seconds).unwrap();
-        let limit = |limit| Passage::Drive { speed_limit: Some(speed(limit)), stands: seconds(3.0) };
+        let limit = |limit| Passage::Drive { speed_limit: Some(speed(limit)), expected_wait: seconds(3.0) };
         let passages = Passages::default()
             .with(place("A"), place("B"), limit(0.25))
             .with(place("B"), place("C"), limit(2.0))
             .with(place("C"), place("D"), Passage::Lift(seconds(12.0)));
-        let ways = ["A", "B", "C", "D", "A"].map(place);
+        let edges = ["A", "B", "C", "D", "A"].map(place);
         let times =
-            ways.windows(2).map(|way| passages.time(&way[0], &way[1], Metres::new(5.0).unwrap(), speed(0.5)).get());
-        // The last leads from D to A, of which nothing is known.
+            edges.windows(2).map(|way| passages.time(&way[0], &way[1], Metres::new(5.0).unwrap(), speed(0.5)).get());
+        // There are no data for the last edge, from D to A.
         assert_eq!(times.collect::<Vec<_>>(), [23.0, 13.0, 12.0, 10.0]);
         assert!(!passages.is_empty() && Passages::default().is_empty());
     }

@@ -1,20 +1,21 @@
-//! Reading the map published with MissionControl: `nodes` with label, x, y and yaw (or null), and `edges`.
+//! Reader for the map published with MissionControl: `nodes` with label, x, y and yaw (or null),
+//! and `edges`.
 
 use super::map::{Edge, MapError, TopologicalMap};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use serde::Deserialize;
 
-/// Why a text is not a map of the published form.
+/// A text is not a map in the published form.
 #[derive(Debug, thiserror::Error)]
 pub enum ReferenceMapError {
-    /// Not JSON, or of another form.
+    /// Not JSON, or in another form.
     #[error("this is not a map of the published form: {0}")]
     Json(#[from] serde_json::Error),
-    /// Two nodes bear one label.
+    /// Two nodes have the same label.
     #[error("there are two nodes {0}")]
     Duplicate(PlaceId),
-    /// The map makes no sense.
+    /// The map is invalid.
     #[error(transparent)]
     Map(#[from] MapError),
 }
@@ -41,10 +42,10 @@ struct ReferenceEdge {
 }
 
 impl TopologicalMap {
-    /// Reads a map of the published form; a heading that is null is 0.
+    /// Reads a map in the published form. A heading of null becomes 0.
     ///
     /// # Errors
-    /// [`ReferenceMapError`] where the text is not of that form or the map makes no sense.
+    /// [`ReferenceMapError`] if the text is not in that form or the map is invalid.
     pub fn from_reference_json(text: &str) -> Result<TopologicalMap, ReferenceMapError> {
         let read: ReferenceMap = serde_json::from_str(text)?;
         let mut map = TopologicalMap::default();
@@ -78,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn an_edge_to_nowhere_is_refused() {
+    fn an_edge_to_an_unknown_place_is_rejected() {
         let text = r#"{"nodes": [{"label": "A", "x": 1, "y": 2, "yaw": null}], "edges": [{"a": "A", "b": "B", "length_m": 1}]}"#;
         let error = TopologicalMap::from_reference_json(text).unwrap_err().to_string();
         assert_eq!(error, "the edge A – B names B, which is not among the places");

@@ -1,7 +1,8 @@
 //! Shortest routes on a topological map (Dijkstra 1959).
 //!
-//! Distances are kept by destination: the first question about one runs one search over the map, and every later one,
-//! from wherever, is a look-up. A thousand robots that price a drive to the same room cost one search.
+//! Distances are stored by destination. The first query for a destination runs a search over the
+//! map; every later query, from any start, is a look-up. If a thousand robots price a drive to the
+//! same room, this costs a single search.
 
 use super::EnvironmentDescriptor;
 use super::map::{MapError, TopologicalMap};
@@ -16,7 +17,8 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::OnceLock;
 
-/// How far from a leg's straight line a body may be and still count as on it: Nav2's default goal tolerance.
+/// Greatest distance of a robot from the straight line of a leg to count as on the leg: Nav2's
+/// default goal tolerance.
 pub(crate) const TOLERANCE_M: f64 = 0.25;
 
 /// Routes between the places of a map.
@@ -24,48 +26,48 @@ pub(crate) const TOLERANCE_M: f64 = 0.25;
 pub struct Routes {
     graph: DiGraph<(PlaceId, Pose), f64>,
     index: BTreeMap<PlaceId, NodeIndex>,
-    /// By destination: metres from every node, infinite where there is no way.
+    /// Distances from every node in metres, by destination; infinite without a route.
     distances: Vec<OnceLock<Vec<f64>>>,
-    /// Whether ways of the map are left out because they are closed.
+    /// True if closed edges of the map are left out.
     reduced: bool,
 }
 
-/// A shortest way.
+/// A shortest route.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Route {
-    /// The places from the first to the last, both included.
+    /// Places from the first to the last, both included.
     pub places: Vec<PlaceId>,
-    /// How long it is.
+    /// Length.
     pub length: Metres,
 }
 
-/// Why there is no route. Never a reason to count 0 m.
+/// There is no route. This must never be treated as a distance of 0 m.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RouteError {
-    /// The place is not on the map.
+    /// A place is not on the map.
     #[error("no route from {from} to {to}: {place} is not on the map")]
     UnknownPlace {
-        /// From where.
+        /// Start.
         from: PlaceId,
-        /// To where.
+        /// Destination.
         to: PlaceId,
-        /// The one that is not on the map.
+        /// The place that is not on the map.
         place: PlaceId,
     },
-    /// Both are on the map, and all that leads from one to the other is closed, as far as is known.
+    /// Both places are on the map, but every connection between them is known to be closed.
     #[error("no route from {from} to {to}: the ways between them are closed")]
     Closed {
-        /// From where.
+        /// Start.
         from: PlaceId,
-        /// To where.
+        /// Destination.
         to: PlaceId,
     },
-    /// Both are on the map, and nothing leads from one to the other.
+    /// Both places are on the map, without a connection.
     #[error("no route from {from} to {to}: the map has no way between them")]
     Unreachable {
-        /// From where.
+        /// Start.
         from: PlaceId,
-        /// To where.
+        /// Destination.
         to: PlaceId,
     },
 }
@@ -75,10 +77,10 @@ impl EnvironmentDescriptor for Routes {
 }
 
 impl Routes {
-    /// Prepares a map for questions.
+    /// Prepares a map for queries.
     ///
     /// # Errors
-    /// [`MapError`] where the map makes no sense.
+    /// [`MapError`] if the map is invalid.
     pub fn new(map: &TopologicalMap) -> Result<Routes, MapError> {
         map.check()?;
         let mut graph = DiGraph::new();
@@ -93,8 +95,8 @@ impl Routes {
         Ok(Routes { graph, index, distances, reduced: false })
     }
 
-    /// The same routes without the ways between these places, whichever way they lead. Those that are not on the map make
-    /// no difference.
+    /// Returns the routes without the edges between these places, in either direction. Pairs that
+    /// are not on the map are ignored.
     pub fn without_closed(&self, closed: &[(PlaceId, PlaceId)]) -> Cow<'_, Routes> {
         let ends = closed.iter().filter_map(|(a, b)| Some((*self.index.get(a)?, *self.index.get(b)?)));
         let edges = ends.flat_map(|(a, b)| [self.graph.find_edge(a, b), self.graph.find_edge(b, a)]);
@@ -108,10 +110,10 @@ impl Routes {
         Cow::Owned(Routes { graph, index: self.index.clone(), distances, reduced: true })
     }
 
-    /// How long the shortest route is; 0 m from a place to itself.
+    /// Returns the length of the shortest route; 0 m from a place to itself.
     ///
     /// # Errors
-    /// [`RouteError`] names both ends.
+    /// [`RouteError`] with both ends.
     pub fn distance(&self, from: &PlaceId, to: &PlaceId) -> Result<Metres, RouteError> {
         let (start, end) = (self.node(from, from, to)?, self.node(to, from, to)?);
         let length = Metres::new(self.to(end)[start.index()]);
@@ -121,18 +123,19 @@ impl Routes {
         })
     }
 
-    /// The shortest route. Where several are equally short, the one whose places come first in the order of names.
+    /// Returns the shortest route. Of several equally short routes, the first in the order of the
+    /// places' names.
     ///
     /// # Errors
-    /// [`RouteError`] names both ends.
+    /// [`RouteError`] with both ends.
     pub fn route(&self, from: &PlaceId, to: &PlaceId) -> Result<Route, RouteError> {
         let length = self.distance(from, to)?;
         let (mut at, end) = (self.index[from], self.index[to]);
         let distances = self.to(end);
         let mut places = vec![from.clone()];
         while at != end {
-            // The search added the same two numbers, so the sum is equal to the last bit for at least one neighbour;
-            // edges have a length, so every step comes nearer.
+            // The search added the same two numbers, so the sum is equal to the last bit for at
+            // least one neighbour. Edges have a positive length, so every step comes nearer.
             let closer = |next: &NodeIndex| {
                 let edge = self.graph.find_edge(at, *next).expect("a neighbour has an edge");
                 distances[next.index()] + self.graph[edge] == distances[at.index()]
@@ -144,12 +147,12 @@ impl Routes {
         Ok(Route { places, length })
     }
 
-    /// The places to drive to, one after the other, for a body that stands at `pose` and last passed `passed`: on a leg
-    /// it goes on or turns back, whichever is shorter and allowed; anywhere else it returns to `passed` first. Empty
-    /// when it stands at `to`.
+    /// Returns the places to drive to, in order, for a robot at `pose` that last passed `passed`.
+    /// On a leg the robot continues or turns back, whichever is shorter and allowed. Anywhere else
+    /// it first returns to `passed`. Empty at `to`.
     ///
     /// # Errors
-    /// [`RouteError`] names both ends.
+    /// [`RouteError`] with both ends.
     pub fn legs(&self, passed: &PlaceId, pose: Pose, to: &PlaceId) -> Result<Vec<PlaceId>, RouteError> {
         let route = self.route(passed, to);
         let start = self.node(passed, passed, to)?;
@@ -157,7 +160,7 @@ impl Routes {
         if from_passed <= TOLERANCE_M {
             return Ok(route?.places.split_off(1));
         }
-        let Some((ahead, left)) = self.leg_under(start, pose) else { return Ok(route?.places) };
+        let Some((ahead, left)) = self.leg_at(start, pose) else { return Ok(route?.places) };
         let onward = self.route(&self.graph[ahead].0, to);
         let back = self.graph.find_edge(ahead, start).and(route.as_ref().ok());
         match (onward, back) {
@@ -170,10 +173,10 @@ impl Routes {
         }
     }
 
-    /// How far it is along those [`legs`](Routes::legs).
+    /// Returns the distance along these [`legs`](Routes::legs).
     ///
     /// # Errors
-    /// [`RouteError`] names both ends.
+    /// [`RouteError`] with both ends.
     pub fn distance_left(&self, passed: &PlaceId, pose: Pose, to: &PlaceId) -> Result<Metres, RouteError> {
         let legs = self.legs(passed, pose, to)?;
         let Some((first, start)) = legs.first().and_then(|first| Some((first, self.pose(first)?))) else {
@@ -182,11 +185,12 @@ impl Routes {
         Ok(pose.distance(start) + self.distance(first, to)?)
     }
 
-    /// How long it takes along those [`legs`](Routes::legs), at this speed where it is allowed; `passages` says what else costs
-    /// time. What is on the way to the first of the legs counts only for a body that stands at `passed`.
+    /// Returns the travel time along these [`legs`](Routes::legs), at this speed or the limits,
+    /// with the delays in `passages`. Delays on the way to the first of the legs count only for a
+    /// robot that stands at `passed`.
     ///
     /// # Errors
-    /// [`RouteError`] names both ends.
+    /// [`RouteError`] with both ends.
     pub fn time_left(
         &self,
         passed: &PlaceId,
@@ -209,18 +213,19 @@ impl Routes {
         Ok(time)
     }
 
-    /// Where a place is.
+    /// Returns the pose of a place.
     pub fn pose(&self, place: &PlaceId) -> Option<Pose> {
         self.index.get(place).map(|node| self.graph[*node].1)
     }
 
-    /// Every place, in the order of names.
+    /// All places, in the order of their names.
     pub fn places(&self) -> impl Iterator<Item = &PlaceId> {
         self.index.keys()
     }
 
-    /// The leg out of `start` on whose straight line `pose` lies: its other end, and the metres left to it.
-    fn leg_under(&self, start: NodeIndex, pose: Pose) -> Option<(NodeIndex, f64)> {
+    /// Returns the leg from `start` with `pose` on its straight line: its other end, and the
+    /// distance left in metres.
+    fn leg_at(&self, start: NodeIndex, pose: Pose) -> Option<(NodeIndex, f64)> {
         let begin = self.graph[start].1;
         let mut best: Option<(f64, NodeIndex, f64)> = None;
         let mut ends: Vec<NodeIndex> = self.graph.neighbors(start).collect();
@@ -239,7 +244,7 @@ impl Routes {
         self.index.get(place).copied().ok_or_else(unknown)
     }
 
-    /// Metres from every node to `end`.
+    /// Returns the distances from every node to `end`, in metres.
     fn to(&self, end: NodeIndex) -> &[f64] {
         self.distances[end.index()].get_or_init(|| {
             let mut metres = vec![f64::INFINITY; self.graph.node_count()];

@@ -1,5 +1,6 @@
-//! `approach_person`: within reach of the person in parameter `person_role`, who must be at the robot's place. One who is not
-//! there is waited for: for the seconds in parameter `patience`, or two minutes.
+//! `approach_person`: approaches the person in parameter `person_role`, who must be at the robot's
+//! place. If the person is absent, the skill waits for the seconds in parameter `patience`,
+//! or for two minutes.
 
 use super::{PersonGoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;

@@ -1,5 +1,5 @@
-//! `approach_robot`: within reach of the robot that holds the role in parameter `robot_role`. Tried three times, a
-//! second apart.
+//! `approach_robot`: approaches the robot that holds the role in parameter `robot_role`. Three
+//! attempts, a second apart.
 
 use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;

@@ -1,5 +1,6 @@
-//! `authenticate_person`: the approached person in parameter `person_role` proves who they are. Not tried twice: a no is
-//! a no. One who has stepped away meanwhile is waited for: for the seconds in parameter `patience`, or two minutes.
+//! `authenticate_person`: authenticates the approached person in parameter `person_role`. There is
+//! no second attempt after a rejection. If the person has stepped away, the skill waits for the
+//! seconds in parameter `patience`, or for two minutes.
 
 use super::{PersonGoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;

@@ -1,5 +1,5 @@
-//! `deposit`: what is held, into the open drawer of the robot that holds the role in parameter `into_role` or, without
-//! one, onto the place's table.
+//! `deposit`: puts the held object into the open drawer of the robot that holds the role in
+//! parameter `into_role` or, without the parameter, on the table of the place.
 
 use super::{GoalLeaf, StandardSkill, TaskContext, roles};
 use crate::actions::Goal;

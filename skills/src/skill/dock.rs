@@ -1,4 +1,5 @@
-//! `dock` and `undock`: the charger at the robot's place, which must be the one in parameter `charger` if there is one.
+//! `dock` and `undock`: connects to the charger at the robot's place, which must be the charger in
+//! parameter `charger` if it is given, and disconnects from it.
 
 use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;

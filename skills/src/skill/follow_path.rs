@@ -1,8 +1,8 @@
-//! `follow_path`: over the points in parameter `waypoints`, one after the other and in straight lines, off the lanes of the
-//! map too. The worked example for who writes skills: see `skills/README.md`.
+//! `follow_path`: drives over the points in parameter `waypoints` in turn and in straight lines,
+//! also off the lanes of the map. The worked example for writing skills: see `skills/README.md`.
 //!
-//! The points are `x,y` in metres, with `;` between: `6.0,2.5; 7.5,3.0`. The body faces where the path goes on. One that was
-//! halted on the way begins with the first point again.
+//! The points are `x,y` in metres, separated by `;`: `6.0,2.5; 7.5,3.0`. The robot faces along the
+//! path. After a halt, the skill starts again with the first point.
 
 use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::{Goal, Waypoint};
@@ -18,9 +18,9 @@ pub(super) const SKILL: StandardSkill = StandardSkill {
 };
 
 fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
-    // Points into poses: nothing the body is asked for, so it answers at once.
+    // Conversion of points to poses: no goal is sent, so the leaf completes at once.
     let ports = [PortSpec::input("points", PortType::List), PortSpec::output("poses", PortType::List)];
-    registry.register(NodeManifest::new("HeadAlong", NodeKind::Action, ports), |_: &TaskContext| {
+    registry.register(NodeManifest::new("ComputePathHeadings", NodeKind::Action, ports), |_: &TaskContext| {
         Box::new(SyncLeaf(|leaf: &mut LeafContext<'_, '_>| {
             let texts: Vec<String> = leaf.read::<Vec<Value>>("points")?.iter().map(Value::to_string).collect();
             let points = parse_points(texts.iter().map(String::as_str)).map_err(Cause::new)?;
@@ -29,7 +29,8 @@ fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
             Ok(true)
         }))
     })?;
-    // One goal for the whole path: the leaf only says which; sending, watching and canceling it is the same for all goals.
+    // A single goal for the whole path: the leaf only makes it. Sending, tracking and canceling are
+    // the same for all goals.
     let ports = [PortSpec::input("poses", PortType::List)];
     GoalLeaf::register(registry, "FollowWaypoints", ports, |_: &TaskContext, leaf| {
         let poses = leaf.read::<Vec<Value>>("poses")?.into_iter().map(|value| {
@@ -41,10 +42,10 @@ fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     })
 }
 
-/// Points as they are written: `x,y` in metres, at least one.
+/// Parses points: `x,y` in metres, at least a single point.
 ///
 /// # Errors
-/// What is wrong, and what is allowed.
+/// The cause and the allowed form, as text.
 pub(crate) fn parse_points<'t>(texts: impl Iterator<Item = &'t str>) -> Result<Vec<(f64, f64)>, String> {
     let point = |text: &str| {
         let (x, y) = text.split_once(',')?;
@@ -56,7 +57,8 @@ pub(crate) fn parse_points<'t>(texts: impl Iterator<Item = &'t str>) -> Result<V
     if points.is_empty() { Err("there are no waypoints to follow".to_owned()) } else { Ok(points) }
 }
 
-/// Poses at points, each facing the next; the last as one comes to it, from `here` if it is the only one.
+/// Returns poses at the points, each facing the next point. The last pose keeps the direction of
+/// arrival, from `here` if it is the only point.
 fn heading_along(points: &[(f64, f64)], here: Option<Pose>) -> Vec<Pose> {
     let pose = |(index, (x, y)): (usize, &(f64, f64))| {
         let before = index.checked_sub(1).map(|index| points[index]).or(here.map(|pose| (pose.x, pose.y)));

@@ -1,4 +1,4 @@
-//! The leaf that sends a goal, watches it, and cancels it when it is halted.
+//! The leaf that sends a goal, tracks it, and cancels it on halt.
 
 use crate::actions::{Goal, GoalId, GoalStatus};
 use crate::bt::{Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, Registry, RegistryError};
@@ -6,19 +6,20 @@ use std::sync::Arc;
 
 type MakeGoal = dyn Fn(&mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync;
 
-/// Sends a goal made from its ports; runs until the goal ends. One that must not be done twice, and which an earlier attempt
-/// at the task has done, counts as done. Before it sends, it waits until the body has let go of whatever the same tree
-/// canceled before, since a body at work refuses a second goal as busy.
+/// Sends a goal made from its ports; runs until the goal ends. A goal that must not be repeated,
+/// and which an earlier attempt at the task has completed, counts as completed. Before sending, the
+/// leaf waits until the robot has ended all goals that the same tree canceled, since a busy robot
+/// rejects a second goal.
 pub struct GoalLeaf {
     make: Arc<MakeGoal>,
     goal: Option<GoalId>,
 }
 
 impl GoalLeaf {
-    /// Adds a kind of action whose goal is made by `make` when it begins.
+    /// Registers an action; `make` creates its goal when it starts.
     ///
     /// # Errors
-    /// [`RegistryError`] where the name is taken.
+    /// [`RegistryError`] if the name is in use.
     pub fn register<C>(
         registry: &mut Registry<C>,
         id: &str,
@@ -34,7 +35,7 @@ impl GoalLeaf {
         })
     }
 
-    /// One whose goal is made like this, as a part of another leaf.
+    /// Creates a leaf as a part of another leaf.
     pub(super) fn new(
         make: impl Fn(&mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync + 'static,
     ) -> GoalLeaf {
@@ -77,7 +78,7 @@ impl Leaf for GoalLeaf {
             Some(status) => self.follow(status),
             None => {
                 self.goal = None;
-                Err(Cause::new(format!("the body no longer knows of goal {}", goal.0)))
+                Err(Cause::new(format!("the robot no longer reports goal {}", goal.0)))
             }
         }
     }

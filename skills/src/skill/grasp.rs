@@ -1,4 +1,4 @@
-//! `grasp`: the thing in parameter `object`, from the table of the robot's place.
+//! `grasp`: takes the object in parameter `object` from the table of the robot's place.
 
 use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;

@@ -1,8 +1,9 @@
-//! The skills that come with the library: trees in `trees/`, and here the leaves that they are made of, a skill a file.
+//! The standard skills: their trees are in `trees/`, their leaves here, a skill per file.
 //!
-//! Each leaf that asks the body for something is a [`GoalLeaf`]: it differs from the others only in how its goal is
-//! made. Those that take a person to be there have the patience of a `PatientLeaf` beside it. Drives alone (`navigation`)
-//! see to their goals themselves, since they look for another way where one is blocked.
+//! Each leaf that sends a goal to the robot is a [`GoalLeaf`]: it differs from the others only in
+//! the goal it makes. A leaf that requires a person to be present is a `PersonGoalLeaf`, which
+//! waits for an absent person. Only the leaf of `navigation` handles its goals itself, since it
+//! plans another route if a leg is blocked.
 
 mod approach_person;
 mod approach_robot;
@@ -28,22 +29,22 @@ use crate::environment::Environment;
 use crate::library::SkillContext;
 use consort_protocol::mission::TaskSpec;
 
-/// What the leaves of a skill may look at when it is started.
+/// Data available to the leaves of a skill when it starts.
 #[derive(Debug, Clone)]
 pub struct TaskContext {
     /// The task.
     pub task: TaskSpec,
-    /// Who takes part.
+    /// The role holders.
     pub skill: SkillContext,
-    /// The place.
+    /// The environment.
     pub environment: Environment,
 }
 
-/// A skill that comes with the library.
+/// A standard skill.
 pub(crate) struct StandardSkill {
     pub(crate) task_type: &'static str,
     pub(crate) xml: &'static str,
-    /// Adds the leaves that it brings; others may use them too.
+    /// Registers the leaves of the skill; other skills may use them too.
     pub(crate) register_leaves: fn(&mut Registry<TaskContext>) -> Result<(), RegistryError>,
 }
 
@@ -62,7 +63,7 @@ pub(crate) const STANDARD_SKILLS: [StandardSkill; 12] = [
     dock::UNDOCK,
 ];
 
-/// Leaves that several skills share.
+/// Registers the leaves that several skills share.
 pub(crate) fn register_shared_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     roles::register_leaves(registry)
 }

@@ -1,8 +1,9 @@
-//! `navigation`: to the place in parameter `to`, leg by leg along the shortest route from wherever the body is.
+//! `navigation`: drives to the place in parameter `to`, leg by leg along the shortest route from
+//! the robot's position.
 //!
-//! A drive that was halted between two places resumes from there: the route is planned afresh at each start. Where a leg
-//! is blocked the route is planned anew round all that the body knows to be closed; if there is no other way the drive fails
-//! with the body's own words.
+//! The route is planned at each start, so a drive that was halted between two places resumes from
+//! there. If a leg is blocked, the route is planned again without the lanes that the robot has
+//! found closed. Without another route the drive fails with the robot's own message.
 
 use super::{StandardSkill, TaskContext};
 use crate::actions::{ActionError, ErrorCode, Goal, GoalId, GoalStatus};
@@ -31,7 +32,8 @@ fn routes(environment: &Environment) -> Result<&Routes, Cause> {
     environment.get::<Routes>().map_err(|error| Cause::new(error.to_string()))
 }
 
-/// The places still to drive to, round all that the body knows to be closed; `None` before the body's first report.
+/// Returns the remaining places of the route, without the lanes that the robot has found closed;
+/// `None` before the robot's first report.
 fn legs(
     environment: &Environment,
     context: &mut LeafContext<'_, '_>,
@@ -42,8 +44,8 @@ fn legs(
     legs.map(Some).map_err(|error| Cause::new(error.to_string()))
 }
 
-/// Writes the places still to drive to; none where the body is there already. Waits for the body's first report, and
-/// for the body to stand still.
+/// Writes the remaining places of the route; an empty list at the destination. Waits for the
+/// robot's first report, and for the robot to stand still.
 struct PlanRoute {
     environment: Environment,
 }
@@ -62,38 +64,38 @@ impl Leaf for PlanRoute {
     fn halt(&mut self, _: &mut LeafContext<'_, '_>) {}
 }
 
-/// Drives to `place`, one leg of the route to `to`. If the leg is blocked, and the body has learned of a closed way that it
-/// did not know when it set off, drives round it, all the way to `to`; the legs that were still to come have nothing
-/// left to do then. Without `to` it goes no other way.
+/// Drives to `place`, a leg of the route to `to`. If the leg is blocked, and the robot has found a
+/// closed lane since the start of the leg, the leaf drives a detour all the way to `to`. The
+/// remaining legs then have nothing left to do. Without `to` there is no detour.
 struct NavigateToPose {
     environment: Environment,
     drive: Option<Drive>,
-    /// The legs still to come of a way round.
+    /// Remaining legs of a detour.
     detour: VecDeque<PlaceId>,
 }
 
 struct Drive {
     goal: GoalId,
-    /// What the body knew to be closed when it set off.
-    known: Vec<(PlaceId, PlaceId)>,
-    /// It was blocked, and the body's report of what it knows may be yet to come.
+    /// Closed lanes that the robot reported at the start of the leg.
+    known_closed: Vec<(PlaceId, PlaceId)>,
+    /// Error of a blocked leg, while the robot's next report may still add a closed lane.
     blocked: Option<ActionError>,
 }
 
 impl NavigateToPose {
-    fn set_off(&mut self, context: &mut LeafContext<'_, '_>, place: PlaceId) -> Result<NodeStatus, Cause> {
+    fn start_leg(&mut self, context: &mut LeafContext<'_, '_>, place: PlaceId) -> Result<NodeStatus, Cause> {
         let pose = routes(&self.environment)?.pose(&place);
         let pose = pose.ok_or_else(|| Cause::new(format!("{place} is not on the map")))?;
-        let known = closed(context);
+        let known_closed = closed(context);
         let goal = context.actions().send_goal(Goal::NavigateToPose { pose, place: Some(place) });
-        self.drive = Some(Drive { goal, known, blocked: None });
+        self.drive = Some(Drive { goal, known_closed, blocked: None });
         self.follow(context)
     }
 
     fn follow(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
         let Some(mut drive) = self.drive.take() else { return Ok(NodeStatus::Running) };
         if let Some(error) = drive.blocked {
-            return self.look_for_another_way(context, &drive.known, error);
+            return self.take_detour(context, &drive.known_closed, error);
         }
         match context.actions().status(drive.goal) {
             Some(GoalStatus::Sent | GoalStatus::Executing(_)) => {
@@ -101,39 +103,39 @@ impl NavigateToPose {
                 Ok(NodeStatus::Running)
             }
             Some(GoalStatus::Succeeded) => match self.detour.pop_front() {
-                Some(next) => self.set_off(context, next),
+                Some(next) => self.start_leg(context, next),
                 None => Ok(NodeStatus::Success),
             },
             Some(GoalStatus::Aborted(error)) if error.code == ErrorCode::Blocked => {
-                if closed(context).iter().any(|way| !drive.known.contains(way)) {
-                    return self.look_for_another_way(context, &drive.known, error);
+                if closed(context).iter().any(|lane| !drive.known_closed.contains(lane)) {
+                    return self.take_detour(context, &drive.known_closed, error);
                 }
-                // What it met may stand in the next report alone.
+                // The obstacle may appear only in the next report.
                 drive.blocked = Some(error);
                 self.drive = Some(drive);
                 Ok(NodeStatus::Running)
             }
             Some(GoalStatus::Aborted(error)) => self.fail(Cause::from(error)),
             Some(GoalStatus::Canceled) => self.fail(Cause::new("it was canceled from outside")),
-            None => self.fail(Cause::new(format!("the body no longer knows of goal {}", drive.goal.0))),
+            None => self.fail(Cause::new(format!("the robot no longer reports goal {}", drive.goal.0))),
         }
     }
 
-    fn look_for_another_way(
+    fn take_detour(
         &mut self,
         context: &mut LeafContext<'_, '_>,
-        known: &[(PlaceId, PlaceId)],
+        known_closed: &[(PlaceId, PlaceId)],
         error: ActionError,
     ) -> Result<NodeStatus, Cause> {
-        let learned = closed(context).iter().any(|way| !known.contains(way));
+        let has_new_closure = closed(context).iter().any(|lane| !known_closed.contains(lane));
         let to: Option<PlaceId> = context.read_optional("to")?;
-        let Some(to) = to.filter(|_| learned) else { return self.fail(Cause::from(error)) };
+        let Some(to) = to.filter(|_| has_new_closure) else { return self.fail(Cause::from(error)) };
         match legs(&self.environment, context, &to) {
-            Ok(Some(round)) => self.detour = round.into(),
+            Ok(Some(detour_legs)) => self.detour = detour_legs.into(),
             Ok(None) | Err(_) => return self.fail(Cause::from(error)),
         }
         match self.detour.pop_front() {
-            Some(next) => self.set_off(context, next),
+            Some(next) => self.start_leg(context, next),
             None => Ok(NodeStatus::Success),
         }
     }
@@ -156,9 +158,9 @@ impl Leaf for NavigateToPose {
         if let Some(to) = context.read_optional::<PlaceId>("to")?
             && legs(&self.environment, context, &to).is_ok_and(|legs| legs.is_some_and(|legs| legs.is_empty()))
         {
-            return Ok(NodeStatus::Success); // it went round, and is there
+            return Ok(NodeStatus::Success); // a detour has already reached the destination
         }
-        self.set_off(context, place)
+        self.start_leg(context, place)
     }
 
     fn halt(&mut self, context: &mut LeafContext<'_, '_>) {

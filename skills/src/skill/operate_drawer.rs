@@ -1,4 +1,4 @@
-//! `operate_drawer`: the robot's own drawer, opened or closed by parameter `action`.
+//! `operate_drawer`: opens or closes the robot's own drawer, by parameter `action`.
 
 use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;

@@ -1,4 +1,4 @@
-//! A leaf for what takes somebody to be there: who is not is waited for.
+//! A leaf for goals that require a person to be present. It waits for an absent person.
 
 use super::{GoalLeaf, TaskContext};
 use crate::actions::{ErrorCode, Goal, PERSON_TIMEOUT_S};
@@ -8,11 +8,13 @@ use crate::bt::{
 use consort_protocol::ids::RoleId;
 use consort_protocol::units::Seconds;
 
-/// How long to stand and wait before it is tried again, in seconds. Raised: fewer goals, and who comes back is noticed later.
+/// Pause between attempts, in seconds. A larger value sends fewer goals, and notices a returning
+/// person later.
 const PAUSE_S: f64 = 1.0;
 
-/// Sends a goal about the person of port `role`. While she is out of reach it waits, at most for port `patience`, or else for
-/// [`AWAY_S`], and tries again; then it fails as the goal did. Any other failure is one at once.
+/// Sends a goal about the person in port `role`. While the person is out of reach, the leaf waits
+/// and tries again, for at most the time in port `patience`, or else [`PERSON_TIMEOUT_S`].
+/// Then it fails with the goal's error. It fails at once on any other error.
 pub(super) struct PersonGoalLeaf {
     goal: GoalLeaf,
     pause: Option<GoalLeaf>,
@@ -20,7 +22,7 @@ pub(super) struct PersonGoalLeaf {
 }
 
 impl PersonGoalLeaf {
-    /// Adds a kind of action.
+    /// Registers an action.
     pub(super) fn register(
         registry: &mut Registry<TaskContext>,
         id: &str,
@@ -29,13 +31,13 @@ impl PersonGoalLeaf {
         let ports =
             [PortSpec::input("role", PortType::Role), PortSpec::input("patience", PortType::Seconds).optional()];
         registry.register(NodeManifest::new(id, NodeKind::Action, ports), move |_: &TaskContext| {
-            Box::new(PersonGoalLeaf { goal: asking(make), pause: None, waited_s: 0.0 })
+            Box::new(PersonGoalLeaf { goal: person_goal(make), pause: None, waited_s: 0.0 })
         })
     }
 
     fn wait_or_fail(&mut self, context: &mut LeafContext<'_, '_>, cause: Cause) -> Result<NodeStatus, Cause> {
-        let patience_s = context.read_optional::<Seconds>("patience")?.map_or(PERSON_TIMEOUT_S, Seconds::get);
-        if self.waited_s + PAUSE_S <= patience_s {
+        let timeout_s = context.read_optional::<Seconds>("patience")?.map_or(PERSON_TIMEOUT_S, Seconds::get);
+        if self.waited_s + PAUSE_S <= timeout_s {
             self.waited_s += PAUSE_S;
             let time = Seconds::new(PAUSE_S).expect("a duration");
             let mut pause = GoalLeaf::new(move |_| Ok(Goal::Wait { time }));
@@ -43,7 +45,7 @@ impl PersonGoalLeaf {
                 self.pause = Some(pause);
             } else {
                 let now = context.now();
-                context.wake_at(now); // the pause is over already: the next tick tries again
+                context.wake_at(now); // the pause has already ended: the next tick tries again
             }
             return Ok(NodeStatus::Running);
         }
@@ -52,7 +54,7 @@ impl PersonGoalLeaf {
         Err(Cause { text: format!("{}{waited}", cause.text), error: cause.error })
     }
 
-    fn go_on(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
+    fn advance(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
         if let Some(pause) = &mut self.pause {
             if pause.tick(context)? == NodeStatus::Running {
                 return Ok(NodeStatus::Running);
@@ -63,22 +65,22 @@ impl PersonGoalLeaf {
             Err(cause) if cause.error.as_ref().is_some_and(|error| error.code == ErrorCode::OutOfReach) => {
                 self.wait_or_fail(context, cause)
             }
-            answer => answer,
+            result => result,
         }
     }
 }
 
-fn asking(make: fn(RoleId) -> Goal) -> GoalLeaf {
+fn person_goal(make: fn(RoleId) -> Goal) -> GoalLeaf {
     GoalLeaf::new(move |leaf| Ok(make(leaf.read("role")?)))
 }
 
 impl Leaf for PersonGoalLeaf {
     fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
-        let answer = self.go_on(context);
-        if !matches!(answer, Ok(NodeStatus::Running)) {
+        let result = self.advance(context);
+        if !matches!(result, Ok(NodeStatus::Running)) {
             (self.pause, self.waited_s) = (None, 0.0);
         }
-        answer
+        result
     }
 
     fn halt(&mut self, context: &mut LeafContext<'_, '_>) {

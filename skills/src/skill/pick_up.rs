@@ -1,4 +1,5 @@
-//! `pick_up`: what lies in the open drawer of the robot that holds the role in parameter `from_role`.
+//! `pick_up`: takes an object from the open drawer of the robot that holds the role in parameter
+//! `from_role`.
 
 use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;

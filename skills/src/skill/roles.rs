@@ -1,4 +1,4 @@
-//! Who is meant: from the roles that a task names to robots and people.
+//! Resolution of the roles in a task to robots and people.
 
 use super::TaskContext;
 use crate::bt::{
@@ -8,7 +8,7 @@ use consort_protocol::ids::{RobotId, RoleId};
 
 pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     let ports = [PortSpec::input("role", PortType::Role), PortSpec::output("robot", PortType::Robot)];
-    registry.register(NodeManifest::new("FindHolder", NodeKind::Action, ports), |context: &TaskContext| {
+    registry.register(NodeManifest::new("FindRoleHolder", NodeKind::Action, ports), |context: &TaskContext| {
         let context = context.clone();
         Box::new(SyncLeaf(move |leaf: &mut LeafContext<'_, '_>| {
             let robot = role_holder(&context, &leaf.read("role")?)?;
@@ -30,7 +30,7 @@ pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<()
     })
 }
 
-/// The robot that holds a role.
+/// Returns the robot that holds a role.
 pub(super) fn role_holder(context: &TaskContext, role: &RoleId) -> Result<RobotId, Cause> {
     let holders = &context.skill.holders;
     holders.get(role).cloned().ok_or_else(|| {
@@ -39,13 +39,13 @@ pub(super) fn role_holder(context: &TaskContext, role: &RoleId) -> Result<RobotI
     })
 }
 
-/// The person who does the task jointly with the robot, where the task does not say whom it is about.
+/// Returns the person doing the task jointly with the robot, if the task names no person.
 fn person(context: &TaskContext) -> Result<RoleId, Cause> {
     let people = context.task.roles.iter().filter(|role| !context.skill.holders.contains_key(*role));
     match people.collect::<Vec<_>>()[..] {
         [role] => Ok(role.clone()),
-        _ => Err(Cause::new(
-            "the task does not say which person is meant: give `person_role`, or do it jointly with one person",
-        )),
+        _ => {
+            Err(Cause::new("the task names no person: set `person_role`, or do the task jointly with a single person"))
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! `wait`: stand still for the time in parameter `seconds`.
+//! `wait`: stands still for the time in parameter `seconds`.
 
 use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;

@@ -1,4 +1,4 @@
-//! Following a path, and the small skills about chargers and tables.
+//! Following a path, and the small skills for chargers and tables.
 
 use super::*;
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
@@ -10,42 +10,42 @@ fn follow(waypoints: &str) -> TaskSpec {
 }
 
 #[test]
-fn a_path_is_one_goal_whose_poses_face_where_it_goes_on() {
-    let mut body = ScriptedDriver::at("A");
-    assert_eq!(run(&mut skill(&follow("0,5; 3,5;3,1")), &mut body), SkillStatus::Succeeded);
+fn a_path_is_a_single_goal_with_poses_facing_along_the_path() {
+    let mut driver = ScriptedDriver::at("A");
+    assert_eq!(run(&mut skill(&follow("0,5; 3,5;3,1")), &mut driver), SkillStatus::Succeeded);
     let pose = |x, y, yaw| Waypoint { pose: Pose::new(x, y, yaw), place: None };
     let quarter = std::f64::consts::FRAC_PI_2;
     let waypoints = vec![pose(0.0, 5.0, 0.0), pose(3.0, 5.0, -quarter), pose(3.0, 1.0, -quarter)];
-    assert_eq!(body.goals(), [Goal::FollowWaypoints { waypoints }]);
-    // A single point is faced as one comes to it: north, from A at the origin.
-    let mut body = ScriptedDriver::at("A");
-    assert_eq!(run(&mut skill(&follow("0,5")), &mut body), SkillStatus::Succeeded);
-    assert_eq!(body.goals(), [Goal::FollowWaypoints { waypoints: vec![pose(0.0, 5.0, quarter)] }]);
+    assert_eq!(driver.goals(), [Goal::FollowWaypoints { waypoints }]);
+    // A single point keeps the direction of arrival: north, from A at the origin.
+    let mut driver = ScriptedDriver::at("A");
+    assert_eq!(run(&mut skill(&follow("0,5")), &mut driver), SkillStatus::Succeeded);
+    assert_eq!(driver.goals(), [Goal::FollowWaypoints { waypoints: vec![pose(0.0, 5.0, quarter)] }]);
 }
 
 #[test]
-fn a_path_that_is_none_is_told_before_the_body_moves() {
+fn an_invalid_path_fails_before_a_goal_is_sent() {
     for (waypoints, cause) in [
-        ("", "HeadAlong: there are no waypoints to follow"),
-        ("1,2; 3", "HeadAlong: \" 3\" is not a point: allowed is `x,y` in metres"),
-        ("1,2; 3,inf", "HeadAlong: \" 3,inf\" is not a point: allowed is `x,y` in metres"),
+        ("", "ComputePathHeadings: there are no waypoints to follow"),
+        ("1,2; 3", "ComputePathHeadings: \" 3\" is not a point: allowed is `x,y` in metres"),
+        ("1,2; 3,inf", "ComputePathHeadings: \" 3,inf\" is not a point: allowed is `x,y` in metres"),
     ] {
-        let mut body = ScriptedDriver::at("A");
-        assert_eq!(run(&mut skill(&follow(waypoints)), &mut body), failed(cause));
-        assert!(body.goals().is_empty());
+        let mut driver = ScriptedDriver::at("A");
+        assert_eq!(run(&mut skill(&follow(waypoints)), &mut driver), failed(cause));
+        assert!(driver.goals().is_empty());
     }
 }
 
 #[test]
-fn a_halted_path_is_canceled_and_begins_anew() {
-    let mut body = ScriptedDriver::at("A");
+fn a_halted_path_is_canceled_and_starts_again() {
+    let mut driver = ScriptedDriver::at("A");
     let mut skill = skill(&follow("0,5;3,5"));
-    assert_eq!(skill.tick(&mut body), SkillStatus::Running);
-    skill.halt(&mut body);
-    assert!(body.is_canceling());
-    body.complete_cancel();
-    assert_eq!(run(&mut skill, &mut body), SkillStatus::Succeeded);
-    assert_eq!(body.sent(), ["follow 2 waypoints", "follow 2 waypoints"]);
+    assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    skill.halt(&mut driver);
+    assert!(driver.is_canceling());
+    driver.complete_cancel();
+    assert_eq!(run(&mut skill, &mut driver), SkillStatus::Succeeded);
+    assert_eq!(driver.sent(), ["follow 2 waypoints", "follow 2 waypoints"]);
 }
 
 #[test]
@@ -67,7 +67,7 @@ fn a_path_is_priced_by_its_length_from_where_the_robot_is() {
 }
 
 #[test]
-fn docking_and_grasping_ask_the_body_for_what_the_task_says() {
+fn docking_and_grasping_send_the_goals_of_the_task() {
     let charger = Some(place("A"));
     for (task, goal) in [
         (task("dock", &[]), Goal::Dock { charger: None }),
@@ -75,13 +75,13 @@ fn docking_and_grasping_ask_the_body_for_what_the_task_says() {
         (task("undock", &[]), Goal::Undock),
         (task("grasp", &[("object", "tray-1")]), Goal::Grasp { object: "tray-1".to_owned() }),
     ] {
-        let mut body = ScriptedDriver::at("A");
-        assert_eq!(run(&mut skill(&task), &mut body), SkillStatus::Succeeded);
-        assert_eq!(body.goals(), [goal]);
+        let mut driver = ScriptedDriver::at("A");
+        assert_eq!(run(&mut skill(&task), &mut driver), SkillStatus::Succeeded);
+        assert_eq!(driver.goals(), [goal]);
     }
-    // A thing is taken once.
+    // An object is taken once.
     let object = "tray-1".to_owned();
-    let mut body = ScriptedDriver::at("A").with_completed(Goal::Grasp { object });
-    assert_eq!(run(&mut skill(&task("grasp", &[("object", "tray-1")])), &mut body), SkillStatus::Succeeded);
-    assert!(body.goals().is_empty());
+    let mut driver = ScriptedDriver::at("A").with_completed(Goal::Grasp { object });
+    assert_eq!(run(&mut skill(&task("grasp", &[("object", "tray-1")])), &mut driver), SkillStatus::Succeeded);
+    assert!(driver.goals().is_empty());
 }

@@ -1,4 +1,4 @@
-//! The library: what it holds, what it refuses, and how users extend it.
+//! The library: its content, its errors, and its extension by users.
 
 use super::*;
 use consort_protocol::mission::Domain;
@@ -10,7 +10,7 @@ fn library() -> SkillLibrary {
     SkillLibrary::standard(environment())
 }
 
-fn refusal(task: &TaskSpec) -> String {
+fn load_error(task: &TaskSpec) -> String {
     match library().load(task, &context()) {
         Ok(_) => panic!("it was loaded"),
         Err(error) => error.to_string(),
@@ -60,7 +60,7 @@ fn the_models_in_the_files_are_those_of_the_leaves() {
 }
 
 #[test]
-fn what_the_domain_requires_of_a_task_is_what_its_skill_requires() {
+fn domain_and_skills_require_the_same_parameters() {
     let (library, domain) = (library(), Domain::hospital());
     for skill in library.task_types() {
         let schema = domain.get(skill).unwrap_or_else(|| panic!("the domain lacks {skill}"));
@@ -73,10 +73,10 @@ fn what_the_domain_requires_of_a_task_is_what_its_skill_requires() {
 }
 
 #[test]
-fn a_missing_skill_names_those_there_are() {
+fn a_missing_skill_lists_the_known_skills() {
     assert_eq!(
-        refusal(&task("juggle", &[])),
-        "there is no skill for juggle; there are some for approach_person, approach_robot, authenticate_person, deposit, \
+        load_error(&task("juggle", &[])),
+        "there is no skill for juggle; skills exist for approach_person, approach_robot, authenticate_person, deposit, \
          dock, follow_path, grasp, navigation, operate_drawer, pick_up, undock, wait"
     );
 }
@@ -84,18 +84,20 @@ fn a_missing_skill_names_those_there_are() {
 #[test]
 fn parameters_are_checked_before_the_body_is_asked_for_anything() {
     assert_eq!(
-        refusal(&task("navigation", &[("too", "C"), ("via", "B")])),
+        load_error(&task("navigation", &[("too", "C"), ("via", "B")])),
         "navigation needs the parameter `to` (a place); the task gives too, via"
     );
     assert_eq!(
-        refusal(&task("operate_drawer", &[("action", "shut")])),
-        "operate_drawer: {action}: \"shut\" will not do: allowed are open, close"
+        load_error(&task("operate_drawer", &[("action", "shut")])),
+        "operate_drawer: {action}: \"shut\" is rejected: allowed are open, close"
     );
-    assert!(refusal(&task("wait", &[("seconds", "soon")])).starts_with("wait: {seconds}: \"soon\" is not a duration"));
-    assert!(refusal(&task("approach_robot", &[("robot_role", "a/b")])).contains("is not a role"));
+    assert!(
+        load_error(&task("wait", &[("seconds", "soon")])).starts_with("wait: {seconds}: \"soon\" is not a duration")
+    );
+    assert!(load_error(&task("approach_robot", &[("robot_role", "a/b")])).contains("is not a role"));
 }
 
-/// A leaf of a user's making.
+/// A custom leaf.
 struct Sing {
     verses: i64,
 }
@@ -125,23 +127,23 @@ fn singing(verses: i64) -> SkillLibrary {
 }
 
 #[test]
-fn users_add_skills_of_their_own_leaves_and_ours() {
+fn users_add_skills_of_custom_and_standard_leaves() {
     let library = singing(2);
     assert!(library.task_types().any(|known| known.as_str() == "serenade"));
     let mut skill = library.load(&task("serenade", &[("to", "nurse")]), &context()).unwrap_or_else(|e| panic!("{e}"));
-    let mut body = ScriptedDriver::at("A");
-    assert_eq!(run(&mut skill, &mut body), SkillStatus::Succeeded);
-    assert_eq!(body.sent(), ["approach person nurse"]);
+    let mut driver = ScriptedDriver::at("A");
+    assert_eq!(run(&mut skill, &mut driver), SkillStatus::Succeeded);
+    assert_eq!(driver.sent(), ["approach person nurse"]);
 }
 
 #[test]
-fn a_panic_in_a_users_leaf_unwinds_to_whoever_ticks() {
+fn a_panic_in_a_custom_leaf_unwinds_to_the_caller() {
     let mut skill =
         singing(0).load(&task("serenade", &[("to", "nurse")]), &context()).unwrap_or_else(|e| panic!("{e}"));
-    let mut body = ScriptedDriver::at("A");
-    assert_eq!(skill.tick(&mut body), SkillStatus::Running);
-    body.end_goal();
-    let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| skill.tick(&mut body)));
+    let mut driver = ScriptedDriver::at("A");
+    assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    driver.end_goal();
+    let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| skill.tick(&mut driver)));
     let message = caught.unwrap_err();
     assert_eq!(message.downcast_ref::<String>().unwrap(), "sang 1 verses too many at 0");
 }

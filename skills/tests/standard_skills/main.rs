@@ -1,4 +1,4 @@
-//! The skills that come with the library, on a body that plays a written script.
+//! The standard skills, with a robot that follows a script.
 
 mod follow_path;
 mod interactions;
@@ -51,15 +51,15 @@ fn skill(task: &TaskSpec) -> ActiveSkill {
     SkillLibrary::standard(environment()).load(task, &context()).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// Ticks, and lets the body end what it does, until the skill ends.
-fn run(skill: &mut ActiveSkill, body: &mut ScriptedDriver) -> SkillStatus {
+/// Ticks, and lets the robot end its goals, until the skill ends.
+fn run(skill: &mut ActiveSkill, driver: &mut ScriptedDriver) -> SkillStatus {
     for _ in 0..100 {
-        match skill.tick(body) {
-            SkillStatus::Running => body.end_goal(),
+        match skill.tick(driver) {
+            SkillStatus::Running => driver.end_goal(),
             ended => return ended,
         }
     }
-    panic!("it still runs after 100 ticks; sent {:?}", body.sent());
+    panic!("it still runs after 100 ticks; sent {:?}", driver.sent());
 }
 
 fn failed(cause: &str) -> SkillStatus {

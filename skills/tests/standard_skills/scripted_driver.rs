@@ -1,19 +1,20 @@
-//! A body that does what a script says, and otherwise what it is asked.
+//! A robot that follows a script, and otherwise completes every goal.
 
 use super::{PlaceId, Pose, place};
 use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
 use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalId, GoalStatus, RobotActions, Telemetry};
 use std::collections::VecDeque;
 
-/// Does one goal at a time, and is slow to stop: a canceled goal ends only when the test says so.
+/// Executes a single goal at a time, and is slow to stop: a canceled goal ends only when the test
+/// ends it.
 pub(crate) struct ScriptedDriver {
     telemetry: Telemetry,
-    /// How goals end, in order; those after the last succeed.
+    /// Results of goals, in order. Later goals succeed.
     script: VecDeque<Result<(), ActionError>>,
     goals: Vec<(Goal, GoalStatus)>,
     canceling: Option<GoalId>,
-    /// What an earlier attempt has done.
-    done: Vec<Goal>,
+    /// Goals completed in an earlier attempt.
+    completed: Vec<Goal>,
 }
 
 impl ScriptedDriver {
@@ -31,22 +32,22 @@ impl ScriptedDriver {
             able: true,
             closed: vec![],
         };
-        ScriptedDriver { telemetry, script: VecDeque::new(), goals: Vec::new(), canceling: None, done: vec![] }
+        ScriptedDriver { telemetry, script: VecDeque::new(), goals: Vec::new(), canceling: None, completed: vec![] }
     }
 
-    /// The same body, whose goals end like this.
+    /// Sets the results of the next goals.
     pub(crate) fn with_results(mut self, script: impl IntoIterator<Item = Result<(), ActionError>>) -> ScriptedDriver {
         self.script.extend(script);
         self
     }
 
-    /// The same body, which did this in an earlier attempt.
+    /// Adds a goal completed in an earlier attempt.
     pub(crate) fn with_completed(mut self, goal: Goal) -> ScriptedDriver {
-        self.done.push(goal);
+        self.completed.push(goal);
         self
     }
 
-    /// Everything it was asked for, places and robots by name.
+    /// All goals received, as text.
     pub(crate) fn sent(&self) -> Vec<String> {
         let shown = |(goal, _): &(Goal, GoalStatus)| match goal {
             Goal::NavigateToPose { place: Some(place), pose } => format!("drive {place} {}", pose.x),
@@ -68,12 +69,12 @@ impl ScriptedDriver {
         self.goals.iter().map(shown).collect()
     }
 
-    /// The same as they were asked for.
+    /// All goals received.
     pub(crate) fn goals(&self) -> Vec<Goal> {
         self.goals.iter().map(|(goal, _)| goal.clone()).collect()
     }
 
-    /// Ends the goal under way as the script says.
+    /// Ends the active goal with its result in the script.
     pub(crate) fn end_goal(&mut self) {
         let Some((goal, status)) = self.goals.last_mut().filter(|(_, status)| !status.is_final()) else { return };
         *status = match self.script.pop_front().unwrap_or(Ok(())) {
@@ -92,24 +93,24 @@ impl ScriptedDriver {
         };
     }
 
-    /// Puts it somewhere, on the way from `passed`.
+    /// Sets the position of the robot, after passing `passed`.
     pub(crate) fn set_position(&mut self, x: f64, passed: PlaceId) {
         self.telemetry.pose.x = x;
         self.telemetry.place = passed;
     }
 
-    /// Whether it was asked to cancel what it does.
+    /// Checks whether the active goal is being canceled.
     pub(crate) fn is_canceling(&self) -> bool {
         self.canceling.is_some()
     }
 
-    /// Comes to a stop after a cancel.
+    /// Completes a cancelation.
     pub(crate) fn complete_cancel(&mut self) {
         let goal = self.canceling.take().expect("it was asked to stop");
         self.goals[goal.0 as usize].1 = GoalStatus::Canceled;
     }
 
-    /// Forgets every goal, as a body that was started anew.
+    /// Drops all goals, as after a restart.
     pub(crate) fn forget_goals(&mut self) {
         self.goals.clear();
     }
@@ -141,7 +142,7 @@ impl RobotActions for ScriptedDriver {
     }
 
     fn take_completed(&mut self, goal: &Goal) -> bool {
-        let done = self.done.iter().position(|done| done == goal);
-        done.map(|index| self.done.remove(index)).is_some()
+        let completed = self.completed.iter().position(|completed| completed == goal);
+        completed.map(|index| self.completed.remove(index)).is_some()
     }
 }

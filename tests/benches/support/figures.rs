@@ -1,4 +1,4 @@
-//! What all benchmarks share that measure by themselves: figures as a line of JSON.
+//! Shared functions of all benchmarks with an own measurement: figures as a line of JSON.
 
 use serde_json::{Value, json};
 use std::future::Future;
@@ -6,15 +6,15 @@ use std::io::Write;
 use std::process::ExitCode;
 use tokio::time::Instant;
 
-/// Why there is no figure.
+/// Reason of a missing figure.
 pub(crate) type BenchError = String;
 
-/// Milliseconds from one instant to another.
+/// Returns the milliseconds between two instants.
 pub(crate) fn ms(from: Instant, to: Instant) -> f64 {
     to.saturating_duration_since(from).as_secs_f64() * 1000.0
 }
 
-/// Median and tail of some milliseconds, by nearest rank.
+/// Returns median and tail of durations in milliseconds, by nearest rank.
 pub(crate) fn figures(mut all: Vec<f64>) -> Value {
     all.sort_by(f64::total_cmp);
     let rank = |share: f64| {
@@ -24,20 +24,20 @@ pub(crate) fn figures(mut all: Vec<f64>) -> Value {
     json!({ "n": all.len(), "min": rank(0.0), "p50": rank(0.5), "p95": rank(0.95), "p99": rank(0.99), "max": rank(1.0) })
 }
 
-/// Runs a benchmark and prints what it found, and how busy the machine was, as one line of JSON.
+/// Runs a benchmark and prints its figures and the load of the machine as a line of JSON.
 pub(crate) fn main(name: &str, measure: impl Future<Output = Result<Value, BenchError>>) -> ExitCode {
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("the system gives threads");
-    let found = runtime.block_on(measure);
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("the runtime starts");
+    let result = runtime.block_on(measure);
     let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     let cores = std::thread::available_parallelism().map_or(0, usize::from);
-    let line = match &found {
+    let line = match &result {
         Ok(figures) => json!({
             "bench": name, "cores": cores, "load_1min": load.split(' ').next(), "ms": figures,
         }),
-        Err(problem) => json!({ "bench": name, "problem": problem }),
+        Err(error) => json!({ "bench": name, "error": error }),
     };
-    // Nobody reads it: then it need not be printed.
+    // A closed standard output is not an error.
     let _ = writeln!(std::io::stdout(), "{line}");
     runtime.shutdown_background();
-    if found.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    if result.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }

@@ -17,7 +17,7 @@ Feature: Batteries and chargers of the simulator
       | name  | place   | speed | charge | uses  |
       | amber | Charger | 0.5   | 100 %  | 0.1 % |
     When amber is told to drive to "Gate"
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     Then amber has less than 98.1 % of its charge
     And amber has more than 97.9 % of its charge
 
@@ -34,14 +34,14 @@ Feature: Batteries and chargers of the simulator
       | name  | place   | charge | uses  | charges |
       | amber | Charger | 50 %   | 0.1 % | 0.4 %   |
     When amber is told to dock
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     Then amber is docked
     And within 200 s amber has more than 99.9 % of its charge
 
   Scenario: There is no docking where there is no charger
     Given a robot amber at "Gate"
     When amber is told to dock
-    Then amber could not because "Gate is no charger"
+    Then the goal of amber was aborted because "Gate is not a charger"
 
   Scenario: A battery that runs down stops the robot on its way
     Given these robots:

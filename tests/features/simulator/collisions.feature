@@ -11,7 +11,7 @@ Feature: Collisions
     And birch is told to go to position "2, 5"
     And 60 s pass
     Then amber has run into birch
-    And it is not so that amber has done what it was told
+    And it is not true that the goal of amber has succeeded
 
   Scenario: A wall in the way
     Given this map:
@@ -30,7 +30,7 @@ Feature: Collisions
     When amber is told to drive to "B"
     And 60 s pass
     Then amber has run into a wall
-    And it is not so that amber is at "B"
+    And it is not true that amber is at "B"
 
   Scenario: Robots that pass with room between them
     Given a room of 20 by 10 metres
@@ -40,9 +40,9 @@ Feature: Collisions
       | birch | 18, 6 | 0.5   | differential |
     When amber is told to go to position "18, 4"
     And birch is told to go to position "2, 6"
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     Then no robot has run into anything
-    And within 10 s birch has done what it was told
+    And within 10 s the goal of birch has succeeded
 
   Scenario: Drones make way for one another
     Given a room of 20 by 20 metres
@@ -52,6 +52,6 @@ Feature: Collisions
       | birch | 18, 10 | 1    | aerial  |
     When amber is told to go to position "18, 10"
     And birch is told to go to position "2, 10"
-    And the fleet runs until amber has done what it was told
-    Then within 30 s birch has done what it was told
+    And the fleet runs until the goal of amber has succeeded
+    Then within 30 s the goal of birch has succeeded
     And no robot has run into anything

@@ -12,8 +12,8 @@ Feature: Automatic doors
     Then within 10 s amber waits at "Narrow"
     And door "Narrow" is closed
     And within 5 s door "Narrow" is open
-    And within 60 s amber has done what it was told
-    And amber did it in 23 s to 23 s
+    And within 60 s the goal of amber has succeeded
+    And the goal of amber took 23 s to 23 s
     And within 10 s door "Narrow" is closed
 
   Scenario: One at a time where it is narrow, first come first served
@@ -25,12 +25,12 @@ Feature: Automatic doors
     When cedar is told to drive to "B"
     And amber is told to drive to "B"
     And birch is told to drive to "A"
-    And the fleet runs until birch has done what it was told
+    And the fleet runs until the goal of birch has succeeded
     Then at most 1 robot was ever within "Narrow"
     And cedar passed "Narrow" before amber
     And amber passed "Narrow" before birch
-    And amber did it in 25 s to 25 s
-    And birch did it in 27 s to 27 s
+    And the goal of amber took 25 s to 25 s
+    And the goal of birch took 27 s to 27 s
 
   Scenario: As many at a time as there is room for
     Given these robots:
@@ -42,9 +42,9 @@ Feature: Automatic doors
     When amber is told to drive to "C"
     And birch is told to drive to "C"
     And cedar is told to drive to "B"
-    And the fleet runs until cedar has done what it was told
+    And the fleet runs until the goal of cedar has succeeded
     Then at most 2 robots were ever within "Wide"
-    And it is not so that at most 1 robot was ever within "Wide"
+    And it is not true that at most 1 robot was ever within "Wide"
 
   Scenario: A robot that is called off while it waits keeps nobody waiting
     Given these robots:
@@ -55,6 +55,6 @@ Feature: Automatic doors
     And birch is told to drive to "B"
     And 10 s pass
     And amber is told to stop
-    And the fleet runs until birch has done what it was told
-    Then birch did it in 23 s to 23 s
-    And it is not so that amber has passed "Wide"
+    And the fleet runs until the goal of birch has succeeded
+    Then the goal of birch took 23 s to 23 s
+    And it is not true that amber has passed "Wide"

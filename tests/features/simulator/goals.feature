@@ -9,7 +9,7 @@ Feature: Goals in the words of Nav2
       | name  | place | speed |
       | amber | A     | 0.5   |
     When amber is told to drive through "B, C, B"
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     Then amber is at "B"
     And amber has passed "Wide"
 
@@ -17,7 +17,7 @@ Feature: Goals in the words of Nav2
     Given a robot amber at "A"
     When amber is told to drive through "B, A, C"
     And 200 s pass
-    Then amber could not because "no lane from A to C"
+    Then the goal of amber was aborted because "no lane from A to C"
     And amber is at "A"
 
   Scenario: A corridor that is closed is found out when the robot is there
@@ -27,7 +27,7 @@ Feature: Goals in the words of Nav2
     And the corridor between "A" and "B" is closed
     When amber is told to drive to "B"
     And 60 s pass
-    Then amber could not because "barrier between A and B stands in it"
+    Then the goal of amber was aborted because "barrier between A and B is in the way"
 
   Scenario: A corridor that closes while a robot is under way, and opens again
     Given these robots:
@@ -36,15 +36,15 @@ Feature: Goals in the words of Nav2
     And the corridor between "B" and "C" closes after 5 s
     When amber is told to drive through "B, C"
     And 120 s pass
-    Then amber could not because "stands in it"
+    Then the goal of amber was aborted because "is in the way"
     When the corridor between "B" and "C" opens
     And amber is told to drive to "B"
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     And amber is told to drive to "C"
     Then within 60 s amber is at "C"
 
   Scenario: Standing still for a while
     Given a robot amber at "A"
     When amber is told to wait for 10 s
-    And the fleet runs until amber has done what it was told
-    Then amber did it in 10 s to 10 s
+    And the fleet runs until the goal of amber has succeeded
+    Then the goal of amber took 10 s to 10 s

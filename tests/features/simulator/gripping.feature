@@ -14,18 +14,18 @@ Feature: Arms, drawers and things
 
   Scenario: A thing is taken, carried and put down
     When amber is told to grasp "tray"
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     Then amber holds "tray"
     When amber is told to drive to "Laboratory Corridor"
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     And amber is told to put down what it holds
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     Then "tray" lies at "Laboratory Corridor"
 
   Scenario Outline: What cannot be taken, and why: <thing>
     When <robot> is told to grasp "<thing>"
-    Then <robot> could not because "<why>"
-    And it is not so that <robot> has done what it was told
+    Then the goal of <robot> was aborted because "<why>"
+    And it is not true that the goal of <robot> has succeeded
 
     Examples:
       | robot | thing | why                              |
@@ -36,14 +36,14 @@ Feature: Arms, drawers and things
 
   Scenario: A drawer opens and closes
     When birch is told to open its drawer
-    And the fleet runs until birch has done what it was told
+    And the fleet runs until the goal of birch has succeeded
     Then the drawer of birch is open
     When birch is told to close its drawer
-    And the fleet runs until birch has done what it was told
+    And the fleet runs until the goal of birch has succeeded
     Then the drawer of birch is closed
 
   Scenario: Nothing is taken out of a drawer that is closed
     When amber is told to approach robot birch
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     And amber is told to take from birch
-    Then amber could not because "the drawer of birch is closed"
+    Then the goal of amber was aborted because "the drawer of birch is closed"

@@ -5,7 +5,7 @@ Feature: Maps from elsewhere
     Given the map "../../../sim_bridge/maps/office.building.yaml"
     And a robot amber at "reception"
     When amber is told to drive to "meeting"
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     Then amber is at "meeting"
     And amber has passed "lift_1"
 
@@ -13,5 +13,5 @@ Feature: Maps from elsewhere
     Given the map "../../../sim_bridge/maps/clinic.drawio"
     And a robot amber at "Robot Home"
     When amber is told to drive to "Ward 2"
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     Then amber is at "Ward 2"

@@ -12,7 +12,7 @@ Feature: Robots that drive
     Given a room of 20 by 20 metres
     And a robot amber at "<initial position>"
     When amber is told to go to position "<position>"
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     Then amber is at "<position>"
 
     Examples:
@@ -26,8 +26,8 @@ Feature: Robots that drive
       | name  | place | speed   |
       | amber | 2, 2  | <speed> |
     When amber is told to go to position "12, 2"
-    And the fleet runs until amber has done what it was told
-    Then amber did it in <time> to <time>
+    And the fleet runs until the goal of amber has succeeded
+    Then the goal of amber took <time> to <time>
 
     Examples:
       | speed   | time |
@@ -42,9 +42,9 @@ Feature: Robots that drive
       | name  | place | speed | chassis   |
       | amber | 2, 10 | 1     | <chassis> |
     When amber is told to go to position "22, 10"
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     Then amber is at "22, 10"
-    And amber did it in 20 s to 23 s
+    And the goal of amber took 20 s to 23 s
     And no robot has run into anything
 
     Examples:
@@ -62,7 +62,7 @@ Feature: Robots that drive
     Given a room of 20 by 20 metres
     And a robot amber at "10, 10"
     When amber is told to turn by 90 degrees
-    And the fleet runs until amber has done what it was told
+    And the fleet runs until the goal of amber has succeeded
     Then amber looks 90 degrees
     And amber is at "10, 10"
 
@@ -74,5 +74,5 @@ Feature: Robots that drive
     When amber is told to go to position "12, 2"
     And 8 s pass
     And amber is told to stop
-    Then amber was stopped
+    Then the goal of amber was canceled
     And for 60 s amber is at "6, 2"

@@ -30,13 +30,13 @@ Feature: What robots perceive
     When 1 s pass
     Then amber measures 3.75 m ahead
     When east is told to drive to "C"
-    And the fleet runs until east has done what it was told
+    And the fleet runs until the goal of east has succeeded
     Then amber measures 8 m ahead
 
   Scenario: A camera sees nobody behind a wall
     When 1 s pass
     Then amber sees Nia and east
-    And it is not so that amber sees north
+    And it is not true that amber sees north
 
   Scenario: A feeler notices who is near through walls
     When 1 s pass
@@ -47,7 +47,7 @@ Feature: What robots perceive
       | name  | place | sensors                |
       | birch | D     | camera 60 degrees 10 m |
     When 1 s pass
-    Then it is not so that birch sees amber
+    Then it is not true that birch sees amber
     When birch is told to turn by 90 degrees
-    And the fleet runs until birch has done what it was told
+    And the fleet runs until the goal of birch has succeeded
     Then birch sees amber

@@ -22,4 +22,4 @@ Feature: Robots that are told nothing
     And stations aster and basil
     When the fleet runs for 60 s
     Then amber is at "Dock"
-    And somebody coordinates
+    And there is a coordinator

@@ -1,20 +1,21 @@
-//! The targets of `tests/untrusted/`, for cargo-fuzz.
+//! The targets of `tests/untrusted/` for cargo-fuzz.
 
 #[path = "../../untrusted/targets/mod.rs"]
 mod targets;
 
-/// To be called before anything else: a panic that the program itself catches is none of the target's.
+/// Installs a panic hook that does not abort. Must be called first: a panic that the program itself
+/// catches is no failure of the target.
 pub fn prepare() {
     let told = std::panic::take_hook();
     drop(told);
     std::panic::set_hook(Box::new(|problem| eprintln!("{problem}")));
 }
 
-/// Reads the bytes as the target of this name does.
+/// Reads the bytes with the target of this name.
 ///
 /// # Panics
-/// If what must hold does not, and if there is no such target.
+/// If a required property is violated, or if there is no such target.
 pub fn hit(name: &str, bytes: &[u8]) {
     let target = targets::ALL.iter().find(|target| target.name == name).expect("a target of that name");
-    (target.hit)(bytes);
+    (target.run)(bytes);
 }

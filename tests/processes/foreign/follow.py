@@ -106,7 +106,7 @@ with zenoh.open(config) as session:
         time.sleep(0.05)
     assert request("submit", **asked) == {"mission": mission, "again": True}
     assert request("get", mission=mission)["tree"]["state"] == "done"
-    for line in request("explain", mission=mission)["words"]:
+    for line in request("explain", mission=mission)["text"]:
         say("explain", line)
     assert elected, "nobody was elected in the place of the coordinator"
     assert slowest < 5.0, f"a view took {slowest} s"

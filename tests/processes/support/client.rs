@@ -1,4 +1,4 @@
-//! A client with Zenoh and nothing of ours: its own defaults, but for whom to connect to.
+//! A plain Zenoh client with default settings and the address of a node.
 
 use super::until;
 use serde_json::{Value, json};
@@ -12,7 +12,7 @@ use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::Sample;
 use zenoh::{Config, Session, Wait};
 
-/// A session in client mode, and the events that it has heard.
+/// A session in client mode with the received events.
 pub(crate) struct Client {
     session: Session,
     events: Subscriber<FifoChannelHandler<Sample>>,
@@ -20,7 +20,7 @@ pub(crate) struct Client {
     fleet: &'static str,
 }
 
-/// Zenoh's own settings for a client of a node, with somebody's certificate or with none.
+/// Returns the settings of a Zenoh client of a node, with or without a certificate.
 pub(crate) fn config(address: &str, certs: Option<&Path>) -> Config {
     let mut config = Config::default();
     let mut set = |path: &str, value: Value| {
@@ -39,25 +39,25 @@ pub(crate) fn config(address: &str, certs: Option<&Path>) -> Config {
 }
 
 impl Client {
-    /// Connects to a node, and follows the events of a fleet.
+    /// Connects to a node and subscribes to the events of a fleet.
     pub(crate) fn open(address: &str, fleet: &'static str) -> Client {
         Client::open_with(address, fleet, None)
     }
 
-    /// The same with somebody's certificate, if the fleet asks for one.
+    /// Same, with a certificate for a closed fleet.
     pub(crate) fn open_with(address: &str, fleet: &'static str, certs: Option<&Path>) -> Client {
         let config = config(address, certs);
         let session = until(&format!("a connection to {address}"), Duration::from_secs(20), || {
             zenoh::open(config.clone()).wait().ok()
         });
-        // Zenoh's own queue holds 256 and stops its sender when full.
+        // Zenoh's default queue holds 256 samples and blocks the sender when it is full.
         let events = session.declare_subscriber(format!("consort/{fleet}/events/**"));
         let events = events.with(zenoh::handlers::FifoChannel::new(8192)).wait().expect("events can be followed");
         Client { session, events, heard: vec![], fleet }
     }
 
-    /// All answers to a question on `consort/{fleet}/{key}`, by their keys without `consort/{fleet}/`: of a view as Zenoh
-    /// asks by itself, and of a request none left out.
+    /// Returns the replies on `consort/{fleet}/{key}` by their keys without `consort/{fleet}/`.
+    /// Views use the default query target of Zenoh; requests return the replies of all nodes.
     pub(crate) fn all(&self, key: &str, payload: &str) -> Vec<(String, Value)> {
         let prefix = format!("consort/{}/", self.fleet);
         let asked = self.session.get(format!("{prefix}{key}")).payload(payload).timeout(Duration::from_secs(5));
@@ -65,23 +65,28 @@ impl Client {
             true => asked,
             false => asked.target(QueryTarget::All).consolidation(ConsolidationMode::None),
         };
-        self.hear(key, asked.wait().expect("a question can be asked"))
+        self.hear(key, asked.wait().expect("a query can be sent"))
     }
 
-    /// What a client gets that has every node answer, and else leaves all settings as they are.
+    /// Queries all nodes with otherwise default settings.
     pub(crate) fn asked_of_all_nodes(&self, key: &str) -> Vec<(String, Value)> {
         let asked = self.session.get(format!("consort/{}/{key}", self.fleet)).target(QueryTarget::All);
-        self.hear(key, asked.wait().expect("a question can be asked"))
+        self.hear(key, asked.wait().expect("a query can be sent"))
     }
 
     fn hear(&self, key: &str, answers: FifoChannelHandler<Reply>) -> Vec<(String, Value)> {
         let prefix = format!("consort/{}/", self.fleet);
         let mut all = vec![];
         while let Ok(answer) = answers.recv() {
-            // Whoever is being killed just now may leave a question to its limit: that is no answer.
+            // A query to a node that is being killed may time out; this is no reply.
             let Ok(sample) = answer.into_result() else { continue };
-            assert_eq!(*sample.encoding(), Encoding::APPLICATION_JSON, "of the answer on {}", sample.key_expr());
-            let text = sample.payload().try_to_string().expect("an answer is text");
+            assert_eq!(
+                *sample.encoding(),
+                Encoding::APPLICATION_JSON,
+                "encoding of the reply on {}",
+                sample.key_expr()
+            );
+            let text = sample.payload().try_to_string().expect("a reply is text");
             let value = serde_json::from_str(&text).unwrap_or_else(|problem| panic!("{key}: {problem}: {text}"));
             let key = sample.key_expr().as_str().strip_prefix(&prefix).expect("a key of the fleet").to_owned();
             all.push((key, value));
@@ -89,43 +94,43 @@ impl Client {
         all
     }
 
-    /// The answer to a question, once there is one: exactly one, on the key that was asked for. While nobody coordinates there
-    /// is none but when to ask again.
+    /// Waits for the reply to a query: a single reply, on the same key. Replies that ask for a
+    /// retry are ignored.
     pub(crate) fn ask(&self, key: &str, payload: &str) -> Value {
-        let answers = until(&format!("an answer on {key}"), Duration::from_secs(20), || {
+        let answers = until(&format!("a reply on {key}"), Duration::from_secs(20), || {
             let mut all = self.all(key, payload);
             all.retain(|(_, value)| value.get("retry_after_ms").is_none());
             (!all.is_empty()).then_some(all)
         });
-        let [(from, value)] = &answers[..] else { panic!("{key} was answered more than once: {answers:#?}") };
+        let [(from, value)] = &answers[..] else { panic!("{key} has more than one reply: {answers:#?}") };
         assert_eq!(from, key);
         value.clone()
     }
 
-    /// A view.
+    /// Returns a view.
     pub(crate) fn view(&self, key: &str) -> Value {
         self.ask(&format!("view/{key}"), "")
     }
 
-    /// A view as a program gets it which leaves every setting of the question at Zenoh's default.
+    /// Returns a view with default query settings.
     pub(crate) fn view_by_default(&self, key: &str) -> Value {
         let answers = self.session.get(format!("consort/{}/view/{key}", self.fleet)).wait().expect("a question");
         let answers: Vec<_> = std::iter::from_fn(|| answers.recv().ok()).collect();
-        let [answer] = &answers[..] else { panic!("{} answers on view/{key}", answers.len()) };
+        let [answer] = &answers[..] else { panic!("{} replies on view/{key}", answers.len()) };
         let sample = answer.result().unwrap_or_else(|problem| panic!("view/{key}: {problem:?}"));
         serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON")
     }
 
-    /// Who is present: the keys below `alive/`.
+    /// Returns the presence tokens below `alive/`.
     pub(crate) fn present(&self) -> BTreeSet<String> {
         let prefix = format!("consort/{}/alive/", self.fleet);
         let tokens = self.session.liveliness().get(format!("{prefix}**")).timeout(Duration::from_secs(5)).wait();
-        let tokens = tokens.expect("presence can be asked for");
+        let tokens = tokens.expect("presence can be queried");
         let tokens = std::iter::from_fn(|| tokens.recv().ok()).filter_map(|token| token.into_result().ok());
         tokens.filter_map(|token| Some(token.key_expr().as_str().strip_prefix(&prefix)?.to_owned())).collect()
     }
 
-    /// Everything heard up to now, in the order in which it was heard.
+    /// Returns all events received so far, in order.
     pub(crate) fn events(&mut self) -> &[Value] {
         while let Ok(Some(sample)) = self.events.try_recv() {
             assert_eq!(*sample.encoding(), Encoding::APPLICATION_JSON, "of an event");
@@ -134,25 +139,25 @@ impl Client {
         &self.heard
     }
 
-    /// Waits for the first event of which something is true.
+    /// Waits for the first matching event.
     pub(crate) fn hears(&mut self, what: &str, limit: Duration, is_it: impl Fn(&Value) -> bool) -> Value {
         until(what, limit, || self.events().iter().find(|event| is_it(event)).cloned())
     }
 
-    /// How often each task of a mission was begun and ended, by `ROLE/TASK`.
+    /// Counts, by `ROLE/TASK`, how often each task of a mission began and ended.
     pub(crate) fn tasks(&mut self, mission: &str) -> BTreeMap<String, (u32, u32)> {
         tasks(self.events(), mission)
     }
 }
 
-/// A story that fails shows what was heard last, and what the fleet says of itself.
+/// Prints the last events and the views of the fleet if the test fails.
 impl Drop for Client {
-    #[expect(clippy::print_stderr, reason = "a failed test tells why")]
+    #[expect(clippy::print_stderr, reason = "a failed test prints the logs")]
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.events();
             let last = self.heard.iter().rev().take(40).rev().map(Value::to_string);
-            eprintln!("--- the last events heard\n{}", last.collect::<Vec<_>>().join("\n"));
+            eprintln!("--- the last events received\n{}", last.collect::<Vec<_>>().join("\n"));
             for (key, view) in self.all("view/**", "") {
                 eprintln!("--- {key}\n{view}");
             }
@@ -160,7 +165,7 @@ impl Drop for Client {
     }
 }
 
-/// How often each task of a mission was begun and ended, by `ROLE/TASK`.
+/// Counts, by `ROLE/TASK`, how often each task of a mission began and ended.
 pub(crate) fn tasks(events: &[Value], mission: &str) -> BTreeMap<String, (u32, u32)> {
     let mut tasks: BTreeMap<String, (u32, u32)> = BTreeMap::new();
     for event in events.iter().filter(|event| event["mission"] == mission) {

@@ -4,7 +4,7 @@ use super::{Fleet, example};
 use std::path::PathBuf;
 use toml::Table;
 
-/// A fleet with an authority, which runs nothing yet.
+/// A fleet with a certificate authority and no running nodes yet.
 pub(crate) struct Closed {
     pub(crate) fleet: Fleet,
     certs: PathBuf,
@@ -40,11 +40,11 @@ impl Closed {
         self.start_by(&[], kind, node, neighbours);
     }
 
-    /// The same by way of another program, which puts `consort` in its own place.
+    /// Same, through another program that replaces itself by `consort`.
     pub(crate) fn start_by(&mut self, by: &[&str], kind: &str, mut node: Table, neighbours: &[&str]) {
         let name = node["name"].as_str().expect("a name").to_owned();
         let certs = self.of(&name).display().to_string();
-        node["bus"].as_table_mut().expect("the examples say where nodes are").insert("certs".to_owned(), certs.into());
+        node["bus"].as_table_mut().expect("the examples contain bus settings").insert("certs".to_owned(), certs.into());
         self.fleet.start_by(by, kind, node, neighbours);
     }
 
@@ -53,7 +53,7 @@ impl Closed {
         self.start_others();
     }
 
-    /// All but the station.
+    /// Starts all nodes except the station.
     pub(crate) fn start_others(&mut self) {
         let mut world = example("world");
         world.insert("speed".to_owned(), 20.0.into());
@@ -62,16 +62,16 @@ impl Closed {
         self.start("robot", example("arm"), &["station-1", "world"]);
     }
 
-    /// Somebody's token.
+    /// Creates a token of a person.
     pub(crate) fn token(&mut self, of: &str, more: &[&str]) -> String {
         let certs = self.of(of).display().to_string();
         let made = self.fleet.tool(&[&["token", "--certs", &certs], more].concat()).expect(0);
         made.stdout.trim().to_owned()
     }
 
-    /// What a node has logged that it did not listen to.
+    /// Returns the lines about rejected messages in the log of a node.
     pub(crate) fn refused(&mut self, by: &str) -> String {
         let log = self.fleet.node(by).stderr();
-        log.lines().filter(|line| line.contains("not listened to")).collect::<Vec<_>>().join("\n")
+        log.lines().filter(|line| line.contains("rejected a message")).collect::<Vec<_>>().join("\n")
     }
 }

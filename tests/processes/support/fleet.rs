@@ -1,17 +1,17 @@
-//! A fleet started by hand: a process for each node, from the example files.
+//! A fleet with a process per node, from the example files.
 
 use super::{Ended, Folder, Program, until};
 use std::collections::BTreeMap;
 use std::time::Duration;
 use toml::Table;
 
-/// How long a node may take to open its port.
+/// Limit for a node to open its port.
 const OPEN_LIMIT: Duration = Duration::from_secs(30);
 
-/// How long a command that asks something may take.
+/// Limit for a command that queries a fleet.
 const ANSWER_LIMIT: Duration = Duration::from_secs(60);
 
-/// An example file, to be changed.
+/// Returns an example file for changes.
 pub(crate) fn example(kind: &str) -> Table {
     let text = match kind {
         "fleet" => include_str!("../../../nodes/examples/fleet.toml"),
@@ -22,34 +22,34 @@ pub(crate) fn example(kind: &str) -> Table {
         other => panic!("there is no example of a {other}"),
     };
     let mut table: Table = text.parse().expect("the examples are TOML");
-    // Stories count the samples that arrive: nothing else is to lie about.
+    // The tests count the delivered samples, so there must be no other items.
     table.remove("object");
-    // What the example has learned is in a file beside it, which is not beside the stories' own.
+    // The calibration of the example is in another file, which the test folder does not contain.
     table.remove("calibration");
     table
 }
 
-/// How long a node that was told to end may take to do so.
+/// Limit for a node to shut down.
 const END_LIMIT: Duration = Duration::from_secs(20);
 
-/// How a node is started: by way of which program, and with which arguments.
+/// Program prefix and arguments of a node.
 type Line = (Vec<String>, Vec<String>);
 
-/// Nodes in processes. Each listens on a port that the system gives it; nobody else can have taken it.
+/// Node processes. Each listens on a free port chosen by the system.
 pub(crate) struct Fleet {
     name: String,
     nodes: BTreeMap<String, Program>,
     addresses: BTreeMap<String, String>,
-    /// How each node was started.
+    /// Command line of each node.
     lines: BTreeMap<String, Line>,
     commands: u32,
-    /// Where each node connects to beside its neighbours.
+    /// Additional router of each node.
     router: Option<String>,
     folder: Folder,
 }
 
 impl Fleet {
-    /// A fleet without nodes yet.
+    /// Creates a fleet without nodes.
     pub(crate) fn new(fleet: &Table) -> Fleet {
         let folder = Folder::new();
         folder.write("fleet.toml", &fleet.to_string());
@@ -58,24 +58,24 @@ impl Fleet {
         Fleet { name, nodes, addresses, lines, commands: 0, router: None, folder }
     }
 
-    /// The same, each of whose nodes is linked with a router of somebody else's, too.
+    /// Same, with every node also linked to an external router.
     pub(crate) fn linked_with(router: &str, fleet: &Table) -> Fleet {
         let mut linked = Fleet::new(fleet);
         linked.router = Some(router.to_owned());
         linked
     }
 
-    /// Starts a node: `consort KIND --config FILE`, linked with nodes that run.
+    /// Starts a node with `consort KIND --config FILE`, linked to running nodes.
     pub(crate) fn start(&mut self, kind: &str, node: Table, neighbours: &[&str]) {
         self.start_by(&[], kind, node, neighbours);
     }
 
-    /// The same by way of another program, which puts `consort` in its own place.
+    /// Same, through another program that replaces itself by `consort`.
     pub(crate) fn start_by(&mut self, by: &[&str], kind: &str, mut node: Table, neighbours: &[&str]) {
         let name = node["name"].as_str().expect("a node has a name").to_owned();
         let mut connect: Vec<String> = neighbours.iter().map(|neighbour| self.address(neighbour)).collect();
         connect.extend(self.router.clone());
-        // A node with certificates says where they are.
+        // A node with certificates contains their path in its bus settings.
         let mut bus = node.get("bus").and_then(toml::Value::as_table).cloned().unwrap_or_default();
         bus.retain(|key, _| key == "certs");
         let listen = if bus.is_empty() { "tcp/127.0.0.1:0" } else { "tls/127.0.0.1:0" };
@@ -90,7 +90,7 @@ impl Fleet {
         self.start_again(&name);
     }
 
-    /// Starts a node that was started before and runs no more, just as then. It may listen elsewhere.
+    /// Restarts a stopped node with the same command line. It may listen on another port.
     pub(crate) fn start_again(&mut self, name: &str) {
         let (by, arguments) = self.lines.get(name).expect("a node of this fleet");
         let by: Vec<&str> = by.iter().map(String::as_str).collect();
@@ -100,28 +100,28 @@ impl Fleet {
         self.nodes.insert(name.to_owned(), program);
     }
 
-    /// A folder of this fleet's, for a node's data or whatever else.
+    /// Returns a path in the folder of the fleet, for the data of a node or other files.
     pub(crate) fn path(&self, name: &str) -> std::path::PathBuf {
         self.folder.path().join(name)
     }
 
-    /// A node that runs.
+    /// Returns a running node.
     pub(crate) fn node(&mut self, name: &str) -> &mut Program {
         self.nodes.get_mut(name).unwrap_or_else(|| panic!("{name} does not run"))
     }
 
-    /// Takes a node that ends by itself out of the fleet.
+    /// Removes a node that ends by itself.
     pub(crate) fn take(&mut self, name: &str) -> Program {
         self.nodes.remove(name).unwrap_or_else(|| panic!("{name} does not run"))
     }
 
-    /// Where a node listens, as it says itself.
+    /// Returns the address of a node from its log.
     pub(crate) fn address(&mut self, name: &str) -> String {
         if let Some(address) = self.addresses.get(name) {
             return address.clone();
         }
         let node = self.nodes.get_mut(name).expect("a node of this fleet");
-        let address = until(&format!("{name} says where it listens"), OPEN_LIMIT, || {
+        let address = until(&format!("{name} logs its address"), OPEN_LIMIT, || {
             let said = node.stderr();
             assert!(!node.has_ended(), "{name} has ended:\n{said}");
             let (_, rest) = said.split_once("listening=\"")?;
@@ -132,27 +132,27 @@ impl Fleet {
         address
     }
 
-    /// Takes a node that was told to end out of the fleet, and waits until it has ended, well.
+    /// Removes a node that was told to end, and waits for its clean shutdown.
     pub(crate) fn ends(&mut self, name: &str) -> Ended {
         well(self.take(name))
     }
 
-    /// Ends a node's process with SIGKILL.
+    /// Ends the process of a node with SIGKILL.
     pub(crate) fn kill(&mut self, name: &str) {
         self.nodes.remove(name).unwrap_or_else(|| panic!("{name} does not run")).kill();
     }
 
-    /// The names of the nodes that run.
+    /// Returns the names of the running nodes.
     pub(crate) fn names(&self) -> Vec<&str> {
         self.nodes.keys().map(String::as_str).collect()
     }
 
-    /// Starts a command that asks the fleet.
+    /// Starts a command that queries the fleet.
     pub(crate) fn begin(&mut self, arguments: &[&str], by: &str) -> Program {
         self.begin_by(&[], arguments, by)
     }
 
-    /// The same by way of another program, which puts `consort` in its own place.
+    /// Same, through another program that replaces itself by `consort`.
     pub(crate) fn begin_by(&mut self, program: &[&str], arguments: &[&str], by: &str) -> Program {
         self.commands += 1;
         let (address, fleet) = (self.address(by), self.name.clone());
@@ -161,20 +161,20 @@ impl Fleet {
         Program::start_by(program, &self.folder, &format!("command-{}", self.commands), &all)
     }
 
-    /// Runs a command that asks nobody, to its end.
+    /// Runs a command without a connection.
     pub(crate) fn tool(&mut self, arguments: &[&str]) -> Ended {
         self.commands += 1;
         Program::start(&self.folder, &format!("tool-{}", self.commands), arguments).end(ANSWER_LIMIT)
     }
 
-    /// Runs a command that asks the fleet, to its end.
+    /// Runs a command that queries the fleet.
     pub(crate) fn run(&mut self, arguments: &[&str], by: &str) -> Ended {
         self.begin(arguments, by).end(ANSWER_LIMIT)
     }
 
-    /// Asks every node to end, and waits until all have, well.
+    /// Stops all nodes and waits for their clean shutdown.
     pub(crate) fn stop(mut self) {
-        // Whoever was started a moment ago does not hear signals yet, and would die of this one.
+        // A node that has just started does not handle signals yet and would be killed by this one.
         for name in self.nodes.keys().cloned().collect::<Vec<_>>() {
             self.address(&name);
         }
@@ -187,15 +187,15 @@ impl Fleet {
         self.folder.await_no_process(Duration::from_secs(5));
     }
 
-    /// What all nodes have logged, for the message of a failed test.
+    /// Returns the logs of all nodes, for the message of a failed test.
     pub(crate) fn logs(&self) -> String {
         self.nodes.iter().map(|(name, node)| format!("--- {name}\n{}", node.stderr())).collect()
     }
 }
 
-/// A story that fails shows what its nodes had logged.
+/// Prints the logs of the nodes if the test fails.
 impl Drop for Fleet {
-    #[expect(clippy::print_stderr, reason = "a failed test tells why")]
+    #[expect(clippy::print_stderr, reason = "a failed test prints the logs")]
     fn drop(&mut self) {
         if std::thread::panicking() {
             eprintln!("{}", self.logs());
@@ -203,12 +203,12 @@ impl Drop for Fleet {
     }
 }
 
-/// Three stations keep the ledger, so that whoever coordinates has nothing else to do and can be killed for it.
+/// Starts three stations as voters, so that the coordinator has no other task and can be killed.
 pub(crate) fn hospital(name: &str) -> Fleet {
     opened(Fleet::new(&named(name)))
 }
 
-/// The same, each of its nodes linked with a router that is none of ours, too.
+/// Same, with every node also linked to an external router.
 pub(crate) fn hospital_by(name: &str, router: &str) -> Fleet {
     opened(Fleet::linked_with(router, &named(name)))
 }
@@ -236,13 +236,14 @@ fn opened(mut fleet: Fleet) -> Fleet {
     fleet
 }
 
-/// Waits until a node has ended with exit code 0, and checks that it had no trouble.
+/// Waits until a node has ended with exit code 0 and checks its log for problems.
 #[track_caller]
 fn well(node: Program) -> Ended {
     let ended = node.end(END_LIMIT).expect(0);
-    // Zenoh 1.10.2 itself is not at its best when neighbours leave at once: while a session is closed, a thread of its own
-    // may panic about what has gone already (like its issue 2624). All is said and done by then.
-    let (lived, goodbye) = ended.stderr.split_once(" stops node=").expect("it says that it stops");
+    // Zenoh 1.10.2 has a race when neighbours leave at once: while a session is closed, one of its
+    // threads may panic about a closed peer (similar to its issue 2624). Everything of ours has
+    // finished by then.
+    let (lived, goodbye) = ended.stderr.split_once(" stops node=").expect("it logs its stop");
     let trouble = |line: &&str| line.contains(" ERROR consort") || line.contains("panicked at");
     let ours = |line: &&str| trouble(line) && !line.contains("/zenoh-");
     let found = lived.lines().find(trouble).or_else(|| goodbye.lines().find(ours));

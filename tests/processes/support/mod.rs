@@ -1,4 +1,4 @@
-//! What the stories are told with.
+//! Support for tests with processes.
 
 mod client;
 mod closed;
@@ -16,19 +16,19 @@ pub(crate) use program::{Ended, Program};
 
 use std::time::{Duration, Instant};
 
-/// How often a condition is looked at.
+/// Interval between two checks of a condition.
 const LOOK: Duration = Duration::from_millis(30);
 
-/// Waits until a condition gives something.
+/// Waits until a condition returns a value.
 ///
 /// # Panics
-/// Saying what was awaited, if it does not come about within the limit.
+/// If the condition returns none within the limit.
 #[track_caller]
 pub(crate) fn until<T>(what: &str, limit: Duration, condition: impl FnMut() -> Option<T>) -> T {
-    within(limit, condition).unwrap_or_else(|| panic!("awaited for {limit:?} in vain: {what}"))
+    within(limit, condition).unwrap_or_else(|| panic!("not within {limit:?}: {what}"))
 }
 
-/// Waits until a condition gives something, at most for the limit.
+/// Waits at most `limit` until a condition returns a value.
 fn within<T>(limit: Duration, mut condition: impl FnMut() -> Option<T>) -> Option<T> {
     let deadline = Instant::now() + limit;
     loop {

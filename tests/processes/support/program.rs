@@ -1,4 +1,4 @@
-//! The program under test, as a process.
+//! Process of the program under test.
 
 use super::{Folder, within};
 use serde_json::Value;
@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
-/// A process of `consort`, which is killed when this is dropped.
+/// A process of `consort`, killed on drop.
 pub(crate) struct Program {
     child: Child,
     what: String,
@@ -16,7 +16,7 @@ pub(crate) struct Program {
     stderr: PathBuf,
 }
 
-/// How a process ended, and what it said.
+/// Exit status and output of a process.
 pub(crate) struct Ended {
     pub(crate) status: ExitStatus,
     pub(crate) stdout: String,
@@ -25,13 +25,13 @@ pub(crate) struct Ended {
 }
 
 impl Program {
-    /// Starts `consort` with these arguments; `name` is unique in the folder. Its standard input stays open for as long as
-    /// this lives.
+    /// Starts `consort` with these arguments; `name` is unique in the folder. Its standard input
+    /// stays open as long as this value lives.
     pub(crate) fn start(folder: &Folder, name: &str, arguments: &[&str]) -> Program {
         Program::start_by(&[], folder, name, arguments)
     }
 
-    /// The same by way of another program, which puts `consort` in its own place.
+    /// Same, through another program that replaces itself by `consort`.
     pub(crate) fn start_by(by: &[&str], folder: &Folder, name: &str, arguments: &[&str]) -> Program {
         let file = |end: &str| folder.path().join(format!("{name}.{end}"));
         let (stdout, stderr) = (file("out"), file("err"));
@@ -40,7 +40,7 @@ impl Program {
         let mut command = Command::new(line[0]);
         command.args(&line[1..]).env("TMPDIR", folder.temporary()).current_dir(folder.path());
         command.stdin(Stdio::piped()).stdout(create(&stdout)).stderr(create(&stderr));
-        // Whatever is set where the tests run is not meant for them.
+        // Settings in the environment of the tests must not reach the program.
         let foreign = std::env::vars_os().map(|(name, _)| name);
         for name in foreign.filter(|name| name.to_string_lossy().starts_with("CONSORT_") || name == "RUST_LOG") {
             command.env_remove(name);
@@ -53,37 +53,37 @@ impl Program {
         self.child.id()
     }
 
-    /// Sends it a signal, `INT` for one.
+    /// Sends a signal, for example `INT`.
     pub(crate) fn signal(&self, name: &str) {
         let kill = Command::new("kill").arg(format!("-{name}")).arg(self.id().to_string()).status();
-        assert!(kill.expect("there is a program `kill`").success(), "{} is gone already", self.what);
+        assert!(kill.expect("there is a program `kill`").success(), "{} has ended already", self.what);
     }
 
-    /// Ends it with SIGKILL, and waits for its end.
+    /// Ends the process with SIGKILL and waits for it.
     pub(crate) fn kill(&mut self) {
         self.child.kill().expect("a child can be killed");
         self.child.wait().expect("a child can be waited for");
     }
 
-    /// What it has said on its standard output up to now.
+    /// Returns its standard output so far.
     pub(crate) fn stdout(&self) -> String {
         fs::read_to_string(&self.stdout).unwrap_or_default()
     }
 
-    /// What it has said on its standard error up to now.
+    /// Returns its standard error so far.
     pub(crate) fn stderr(&self) -> String {
         fs::read_to_string(&self.stderr).unwrap_or_default()
     }
 
-    /// Whether it has ended.
+    /// Checks whether the process has ended.
     pub(crate) fn has_ended(&mut self) -> bool {
-        self.child.try_wait().expect("a child can be asked for").is_some()
+        self.child.try_wait().expect("a child can be polled").is_some()
     }
 
-    /// Waits until it ends by itself.
+    /// Waits until the process ends by itself.
     #[track_caller]
     pub(crate) fn end(mut self, limit: Duration) -> Ended {
-        let status = within(limit, || self.child.try_wait().expect("a child can be asked for"));
+        let status = within(limit, || self.child.try_wait().expect("a child can be polled"));
         let status = status.unwrap_or_else(|| {
             panic!("{} has not ended after {limit:?}\n{}\n{}", self.what, self.stdout(), self.stderr())
         });
@@ -93,14 +93,14 @@ impl Program {
 
 impl Drop for Program {
     fn drop(&mut self) {
-        // One that has ended already cannot be killed.
+        // The process may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
 impl Ended {
-    /// The exit code.
+    /// Returns the exit code.
     ///
     /// # Panics
     /// If a signal ended the process.
@@ -111,7 +111,7 @@ impl Ended {
         self.status.code().unwrap_or_else(|| panic!("{what} was ended by signal {signal:?}\n--- its errors\n{stderr}"))
     }
 
-    /// Checks the exit code, and tells what was said if it is another.
+    /// Checks the exit code; panics with the output if it differs.
     #[track_caller]
     pub(crate) fn expect(self, code: i32) -> Ended {
         let Ended { what, stdout, stderr, .. } = &self;
@@ -119,14 +119,14 @@ impl Ended {
         self
     }
 
-    /// Its output, which is one JSON value.
+    /// Parses the output as a JSON value.
     #[track_caller]
     pub(crate) fn json(&self) -> Value {
         serde_json::from_str(&self.stdout)
             .unwrap_or_else(|problem| panic!("{}: no JSON: {problem}\n{}", self.what, self.stdout))
     }
 
-    /// Its output, which is a JSON value a line.
+    /// Parses each line of the output as a JSON value.
     #[track_caller]
     pub(crate) fn json_lines(&self) -> Vec<Value> {
         let read = |line: &str| {

@@ -1,11 +1,12 @@
-//! What happened, in words, for whoever asks why a step failed.
+//! Text of events for the report of a failed step.
 
 use crate::Observation;
 use consort_protocol::event::EventKind;
 use consort_sim::world::{SampleHolder, WorldEvent as InWorld};
 use consort_skills::actions::GoalStatus;
 
-/// What a node told, or the scenario did to it; nothing of what is told too often to be read.
+/// Describes an event of a node or an action of the scenario; `None` for events that are too
+/// frequent for a report.
 pub(super) fn node_observation(entry: &Observation) -> Option<String> {
     let told = match entry {
         Observation::TestAction { action: what, .. } => format!("*** {what}"),
@@ -36,27 +37,27 @@ fn of(what: &EventKind) -> Option<String> {
         EventKind::TaskEnded { role, task, .. } => format!("{role} has ended {task}"),
         EventKind::TaskFailed { role, task, cause, .. } => format!("{role} failed at {task}: {cause}"),
         EventKind::TaskRetried { role, task, cause, .. } => format!("{role} tries {task} again: {cause}"),
-        EventKind::Alternative { role, task, .. } => format!("{role} does otherwise what {task} was for"),
+        EventKind::Alternative { role, task, .. } => format!("{role} takes an alternative to {task}"),
         EventKind::GaveUp { role, cause, .. } => format!("gives {role} up: {cause}"),
-        EventKind::Suspended { role, .. } => format!("{role} stands still: nobody renews its lease"),
+        EventKind::Suspended { role, .. } => format!("{role} suspends: its lease was not renewed"),
         EventKind::Resumed { role, .. } => format!("{role} goes on"),
         EventKind::Halted { role, reason, .. } => format!("puts {role} down: {reason:?}"),
-        EventKind::ChargeShort { role, cause, .. } => format!("{role} goes on although {cause}"),
+        EventKind::LowCharge { role, cause, .. } => format!("{role} goes on although {cause}"),
         EventKind::Foreign { .. }
         | EventKind::Voters { .. }
         | EventKind::Joined { .. }
         | EventKind::Left { .. }
-        | EventKind::Called { .. }
+        | EventKind::BidsRequested { .. }
         | EventKind::Bid { .. }
         | EventKind::Progress { .. }
         | EventKind::Started { .. }
         | EventKind::Sent { .. }
-        | EventKind::Heard { .. }
-        | EventKind::Outdated { .. } => return None,
+        | EventKind::Received { .. }
+        | EventKind::StaleSignal { .. } => return None,
     })
 }
 
-/// What happened in the world.
+/// Describes an event of the world.
 pub(super) fn world_event(what: &InWorld) -> Option<String> {
     let line = |who: &str, what: String| Some(format!("{who:<12} ({what})"));
     match what {
@@ -68,7 +69,7 @@ pub(super) fn world_event(what: &InWorld) -> Option<String> {
         | InWorld::DrawerMoved { .. }
         | InWorld::HandoverStarted { .. } => None,
         InWorld::Approached { robot, person, authenticated } => {
-            let how = if *authenticated { "knows who she is" } else { "has approached" };
+            let how = if *authenticated { "has authenticated" } else { "has approached" };
             line(robot.as_str(), format!("{how}: {}", person.as_str()))
         }
         InWorld::MissionCanceled { person, robot } => {
@@ -100,7 +101,7 @@ pub(super) fn world_event(what: &InWorld) -> Option<String> {
         InWorld::LiftEntered { robot, lift } => line(robot.as_str(), format!("is in lift {lift}")),
         InWorld::LiftLeft { robot, lift, at } => line(robot.as_str(), format!("is out of lift {lift}, at {at}")),
         InWorld::LaneBlocked { obstacle, .. } => line("building", format!("{obstacle} is there")),
-        InWorld::LaneCleared { obstacle, .. } => line("building", format!("{obstacle} is gone")),
+        InWorld::LaneCleared { obstacle, .. } => line("building", format!("{obstacle} is removed")),
         InWorld::Docked { robot, docked } => {
             line(robot.as_str(), if *docked { "is docked".to_owned() } else { "is not docked any more".to_owned() })
         }

@@ -1,4 +1,5 @@
-//! Feature files: found, read, outlines expanded, and every step looked up before anything is played.
+//! Feature files: found and read, outlines expanded, and every step resolved before any scenario
+//! runs.
 
 use super::step_registry::StepRegistry;
 use cucumber::feature::Ext;
@@ -8,24 +9,24 @@ use cucumber::tag::Ext as _;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// Feature files that can be played.
+/// Checked feature files.
 #[derive(Debug)]
 pub struct Features(pub(super) Vec<Feature>);
 
-/// Which scenarios are played.
+/// Filter for scenarios.
 #[derive(Debug, Default)]
 pub struct ScenarioFilter {
-    /// Those whose tags fit an expression: `@slow and not @nurse`.
+    /// Tag expression, such as `@slow and not @nurse`.
     pub tags: Option<TagOperation>,
-    /// Those whose names have this in them.
+    /// Text that the scenario name must contain.
     pub name: Option<String>,
 }
 
 impl ScenarioFilter {
-    /// Reads an expression over tags.
+    /// Parses a tag expression.
     ///
     /// # Errors
-    /// What is wrong with it, in words.
+    /// Description of the problem.
     pub fn tags(text: &str) -> Result<TagOperation, String> {
         text.parse().map_err(|_| format!("{text:?} is no expression over tags, as \"@nurse and not @slow\""))
     }
@@ -37,7 +38,7 @@ impl ScenarioFilter {
     }
 }
 
-/// What is wrong with feature files, a problem each, with file and line.
+/// Problems in feature files, each with file and line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FeatureErrors(pub Vec<String>);
 
@@ -48,11 +49,11 @@ impl fmt::Display for FeatureErrors {
 }
 
 impl Features {
-    /// Reads files, and all files ending with `.feature` in folders and the folders within.
+    /// Reads files, and all files that end with `.feature` in folders and their subfolders.
     ///
     /// # Errors
-    /// [`Bad`] with all that is wrong: files that cannot be read or are no features, steps that nobody knows, and that there
-    /// is nothing to be played.
+    /// [`FeatureErrors`] with all problems: unreadable files, files that are no features, unknown
+    /// steps, and an empty result.
     pub fn read(paths: &[PathBuf], filter: &ScenarioFilter) -> Result<Features, FeatureErrors> {
         let (mut files, mut bad, mut features) = (vec![], vec![], vec![]);
         for path in paths {
@@ -91,7 +92,7 @@ impl Features {
         Ok(Features(features))
     }
 
-    /// How many scenarios there are, each row of an outline for one.
+    /// Returns the number of scenarios. Each row of an outline counts.
     pub fn scenarios(&self) -> usize {
         self.0.iter().map(Ext::count_scenarios).sum()
     }
@@ -127,7 +128,7 @@ fn read(file: &Path) -> Result<Feature, String> {
     feature.expand_examples().map_err(|problem| format!("{shown}: {problem}"))
 }
 
-/// The steps that nobody knows, each once: all rows of an outline have theirs in one line.
+/// Returns the unknown steps. The rows of an outline share a line, so each line is reported once.
 fn check(file: &Path, feature: &Feature) -> Vec<String> {
     let backgrounds = feature.background.iter().chain(feature.rules.iter().filter_map(|rule| rule.background.as_ref()));
     let scenarios = feature.scenarios.iter().chain(feature.rules.iter().flat_map(|rule| &rule.scenarios));
@@ -145,7 +146,7 @@ fn check(file: &Path, feature: &Feature) -> Vec<String> {
     bad.into_iter().map(|(_, problem)| problem).collect()
 }
 
-/// A step as it stands in its file.
+/// Formats a step as in its file.
 pub(super) fn step_text(step: &Step) -> String {
     format!("{} {}", step.keyword.trim(), step.value)
 }

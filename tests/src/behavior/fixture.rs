@@ -1,4 +1,4 @@
-//! Where a scenario is played: first settings, then a world, and a fleet in it from when one is needed.
+//! Fixture of a scenario: first the settings, then a world, and a fleet once a step needs it.
 
 use super::event_text;
 use super::scenario_setup::ScenarioSetup;
@@ -16,68 +16,68 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// How long `When the fleet runs until …` waits, in seconds of world time.
-const PATIENCE_S: f64 = 3600.0;
+/// Limit of `When the fleet runs until …`, in seconds of world time.
+const WAIT_LIMIT_S: f64 = 3600.0;
 
-/// How long time may pass without a look, in seconds of world time.
-const LOOK_S: f64 = 0.5;
+/// Longest time between two checks, in seconds of world time.
+const CHECK_INTERVAL_S: f64 = 0.5;
 
-/// Where a scenario is played.
+/// Fixture of a scenario.
 pub(super) struct Fixture {
     pub(super) setup: ScenarioSetup,
-    play: Option<RunningScenario>,
-    /// What will be done once something is so.
+    running: Option<RunningScenario>,
+    /// Actions that will be done once a fact holds.
     plans: Vec<Plan>,
-    /// Missions by their requests' names, in the order in which they were asked for.
+    /// Missions with the names of their requests, in the order of the requests.
     pub(super) missions: Vec<(String, MissionId)>,
-    /// The latest request that was refused.
+    /// The latest rejected request.
     pub(super) refused: Option<RefusedRequest>,
-    /// The latest goal that the scenario itself gave a body, by robot.
+    /// The latest goal that the scenario sent to a robot, with its start time, by robot.
     pub(super) goals: BTreeMap<RobotId, (GoalId, f64)>,
-    /// Who coordinated before the latest deed against a coordinator.
+    /// Coordinator before the latest action against a coordinator.
     pub(super) former_coordinator: Option<String>,
-    /// Nodes that the scenario ended.
+    /// Nodes that the scenario stopped.
     pub(super) stopped_nodes: Vec<String>,
 }
 
-/// A request that was refused.
+/// A rejected request.
 pub(super) struct RefusedRequest {
     pub(super) request: String,
     pub(super) why: String,
-    /// Whether the scenario has asked about it: one that it did not expect fails it.
+    /// A step of the scenario has checked the rejection. An unchecked rejection fails the scenario.
     pub(super) checked: Cell<bool>,
 }
 
 impl RefusedRequest {
-    /// What to say where nobody has reckoned with it.
+    /// Returns the failure text of an unchecked rejection.
     pub(super) fn unchecked_text(&self) -> Option<String> {
         (!self.checked.get()).then(|| format!("{} was refused: {}", self.request, self.why))
     }
 }
 
-/// What is played.
+/// World and fleet of a running scenario.
 pub(super) struct RunningScenario {
     pub(super) world: SharedWorld,
-    /// Nodes, from when one was needed.
+    /// The nodes, once a step needed them.
     pub(super) fleet: Option<Fleet>,
-    /// What happened in the world before there were nodes.
+    /// World events before the start of the nodes.
     journal: Vec<LoggedEvent>,
-    /// World time at which the nodes were started.
+    /// World time at the start of the nodes.
     nodes_since_s: f64,
 }
 
 struct Plan {
-    deed: ActionFn,
-    said: StepArguments,
+    action: ActionFn,
+    arguments: StepArguments,
     once: FactCheck,
 }
 
 impl Fixture {
-    /// Nothing but what a scenario begins with.
+    /// Creates the fixture of an empty scenario.
     pub(super) fn new(folder: PathBuf, seed: u64) -> Fixture {
         Fixture {
             setup: ScenarioSetup::new(folder, seed),
-            play: None,
+            running: None,
             plans: vec![],
             missions: vec![],
             refused: None,
@@ -87,108 +87,108 @@ impl Fixture {
         }
     }
 
-    /// Does what a step means.
+    /// Executes a step.
     pub(super) async fn perform(&mut self, meaning: StepMeaning) -> StepResult {
         match meaning {
-            StepMeaning::Configure(setting, said) => {
-                if self.play.is_some() {
+            StepMeaning::Configure(setting, arguments) => {
+                if self.running.is_some() {
                     return Err(StepFailure::invalid(
-                        "it has begun already: what there is must be said before the first When",
+                        "the scenario has begun: settings must come before the first When",
                     ));
                 }
-                setting(&mut self.setup, &said)
+                setting(&mut self.setup, &arguments)
             }
-            StepMeaning::DoWhen(deed, said, once) => {
-                self.plans.push(Plan { deed, said, once: *once });
+            StepMeaning::DoWhen(action, arguments, once) => {
+                self.plans.push(Plan { action, arguments, once: *once });
                 Ok(())
             }
-            StepMeaning::DoNow(deed, said) => {
+            StepMeaning::DoNow(action, arguments) => {
                 self.ensure_world()?;
-                deed(self, &said).await
+                action(self, &arguments).await
             }
-            StepMeaning::WaitUntil(look) => {
+            StepMeaning::WaitUntil(check) => {
                 self.start_nodes().await?;
-                self.within(PATIENCE_S, &look).await
+                self.within(WAIT_LIMIT_S, &check).await
             }
-            StepMeaning::Holds(look) => {
+            StepMeaning::Holds(check) => {
                 self.ensure_world()?;
-                self.look(&look)
+                self.check(&check)
             }
-            StepMeaning::DoesNotHold(look) => {
+            StepMeaning::DoesNotHold(check) => {
                 self.ensure_world()?;
-                self.not(&look)
+                self.check_not(&check)
             }
-            StepMeaning::HoldsWithin(seconds, look) => self.within(seconds, &look).await,
-            StepMeaning::HoldsFor(seconds, look) => {
-                self.advance(seconds, |stage| stage.look(&look).map(|()| false)).await.map(drop)?;
-                self.look(&look)
+            StepMeaning::HoldsWithin(seconds, check) => self.within(seconds, &check).await,
+            StepMeaning::HoldsFor(seconds, check) => {
+                self.advance(seconds, |fixture| fixture.check(&check).map(|()| false)).await.map(drop)?;
+                self.check(&check)
             }
-            StepMeaning::NeverHolds(seconds, look) => {
-                self.advance(seconds, |stage| stage.not(&look).map(|()| false)).await.map(drop)?;
-                self.not(&look)
+            StepMeaning::NeverHolds(seconds, check) => {
+                self.advance(seconds, |fixture| fixture.check_not(&check).map(|()| false)).await.map(drop)?;
+                self.check_not(&check)
             }
         }
     }
 
-    fn look(&self, look: &FactCheck) -> StepResult {
-        (look.fact)(self, &look.arguments)
+    fn check(&self, check: &FactCheck) -> StepResult {
+        (check.fact)(self, &check.arguments)
     }
 
-    fn not(&self, look: &FactCheck) -> StepResult {
-        match self.look(look) {
-            Ok(()) => Err(StepFailure::NotMet("it is so".to_owned())),
+    fn check_not(&self, check: &FactCheck) -> StepResult {
+        match self.check(check) {
+            Ok(()) => Err(StepFailure::NotMet("it holds".to_owned())),
             Err(StepFailure::NotMet(_)) => Ok(()),
-            Err(nonsense) => Err(nonsense),
+            Err(invalid) => Err(invalid),
         }
     }
 
-    async fn within(&mut self, seconds: f64, look: &FactCheck) -> StepResult {
-        let holds = |stage: &Fixture| match stage.look(look) {
+    async fn within(&mut self, seconds: f64, check: &FactCheck) -> StepResult {
+        let holds = |fixture: &Fixture| match fixture.check(check) {
             Ok(()) => Ok(true),
             Err(StepFailure::NotMet(_)) => Ok(false),
-            Err(nonsense) => Err(nonsense),
+            Err(invalid) => Err(invalid),
         };
         if self.advance(seconds, holds).await? {
             return Ok(());
         }
-        self.look(look)
+        self.check(check)
     }
 
-    /// Makes a world of the settings, unless there is one.
+    /// Creates the world from the settings, if it does not exist.
     pub(super) fn ensure_world(&mut self) -> Result<(), StepFailure> {
-        if self.play.is_none() {
+        if self.running.is_none() {
             let (world, journal) = (self.setup.world()?, vec![]);
-            self.play = Some(RunningScenario { world, fleet: None, journal, nodes_since_s: 0.0 });
+            self.running = Some(RunningScenario { world, fleet: None, journal, nodes_since_s: 0.0 });
         }
         Ok(())
     }
 
-    /// What is played.
+    /// Returns the running scenario.
     pub(super) fn running(&self) -> &RunningScenario {
-        self.play.as_ref().expect("it was opened before anything is looked at")
+        self.running.as_ref().expect("the world is created before any check")
     }
 
-    /// The world, to look at or to change.
-    pub(super) fn with_world<T>(&self, look: impl FnOnce(&mut World) -> T) -> T {
-        self.running().world.with(look)
+    /// Calls a function with the world.
+    pub(super) fn with_world<T>(&self, check: impl FnOnce(&mut World) -> T) -> T {
+        self.running().world.with(check)
     }
 
-    /// The fleet, to look at.
+    /// Returns the running fleet.
     pub(super) fn fleet(&self) -> Result<&Fleet, StepFailure> {
-        let none = "no node runs: nobody has asked the fleet for anything yet, or let it run";
+        let none = "no node runs: no step has sent a request to the fleet or run it yet";
         self.running().fleet.as_ref().ok_or_else(|| StepFailure::Invalid(none.to_owned()))
     }
 
-    /// The fleet, with all its nodes started, if they were not.
+    /// Returns the fleet and starts its nodes if necessary.
     pub(super) async fn ensure_fleet(&mut self) -> Result<&mut Fleet, StepFailure> {
         self.ensure_world()?;
-        let play = self.play.as_mut().expect("just opened");
-        if play.fleet.is_none() {
+        let running = self.running.as_mut().expect("created before");
+        if running.fleet.is_none() {
             if let Some(robot) = self.goals.keys().next() {
-                let what = format!("{robot} was told by the scenario what to do: its node would call that off");
+                let what = format!("the scenario sent a goal to {robot}: its node would cancel that");
                 return Err(StepFailure::Invalid(what));
             }
-            let members: Vec<_> = self.setup.robots.iter().map(|part| part.setup.clone()).collect();
+            let members: Vec<_> = self.setup.robots.iter().map(|robot| robot.setup.clone()).collect();
             if members.is_empty() && self.setup.stations.is_empty() {
                 return Err(StepFailure::invalid("there are no robots and no stations, so there is no fleet"));
             }
@@ -198,45 +198,46 @@ impl Fixture {
             if skills.is_empty() {
                 skills.push("navigation".to_owned());
             }
-            let staging = FleetSetup {
+            let fleet_setup = FleetSetup {
                 seed: self.setup.seed,
                 members,
                 stations: self.setup.stations.clone(),
-                world: play.world.clone(),
+                world: running.world.clone(),
                 speed: self.setup.speed,
                 skills,
                 adjust: Box::new(|_| ()),
                 closed: false,
             };
-            play.nodes_since_s = play.world.now().as_secs();
-            play.fleet = Some(Fleet::from_setup(staging).await);
+            running.nodes_since_s = running.world.now().as_secs();
+            running.fleet = Some(Fleet::from_setup(fleet_setup).await);
         }
-        Ok(play.fleet.as_mut().expect("just started"))
+        Ok(running.fleet.as_mut().expect("started before"))
     }
 
-    /// Starts the nodes, if there are any to be started: robots that the scenario itself tells what to do have none.
+    /// Starts the nodes, if there are any. Robots that receive goals from the scenario itself have
+    /// no nodes.
     pub(super) async fn start_nodes(&mut self) -> Result<(), StepFailure> {
         let any = !self.setup.robots.is_empty() || !self.setup.stations.is_empty();
         if any && self.goals.is_empty() { self.ensure_fleet().await.map(drop) } else { self.ensure_world() }
     }
 
-    /// How long the world has run, in seconds.
+    /// Returns the run time of the world in seconds.
     pub(super) fn now_s(&self) -> f64 {
-        let Some(play) = &self.play else { return 0.0 };
-        match &play.fleet {
-            Some(fleet) => play.nodes_since_s + fleet.elapsed().as_secs_f64() * self.setup.speed,
-            None => play.world.now().as_secs(),
+        let Some(running) = &self.running else { return 0.0 };
+        match &running.fleet {
+            Some(fleet) => running.nodes_since_s + fleet.elapsed().as_secs_f64() * self.setup.speed,
+            None => running.world.now().as_secs(),
         }
     }
 
-    /// What happened in the world, in order.
+    /// Returns the journal of the world in order.
     pub(super) fn journal(&self) -> impl Iterator<Item = &LoggedEvent> {
-        let play = self.running();
-        play.journal.iter().chain(play.fleet.iter().flat_map(Fleet::journal))
+        let running = self.running();
+        running.journal.iter().chain(running.fleet.iter().flat_map(Fleet::journal))
     }
 
-    /// Lets time pass, at most so many seconds, until `done` says so; does what was arranged when its time has come. Whether it
-    /// was `done`.
+    /// Lets at most `seconds` pass until `done` returns true, and executes planned actions when
+    /// their time comes. Returns whether `done` returned true.
     pub(super) async fn advance(
         &mut self,
         seconds: f64,
@@ -259,31 +260,31 @@ impl Fixture {
 
     async fn step(&mut self, left_s: f64) {
         let speed = self.setup.speed;
-        let play = self.play.as_mut().expect("it was opened");
-        match &mut play.fleet {
-            Some(fleet) => fleet.step(Duration::from_secs_f64((left_s / speed).min(LOOK_S / speed))).await,
+        let running = self.running.as_mut().expect("created before");
+        match &mut running.fleet {
+            Some(fleet) => fleet.step(Duration::from_secs_f64((left_s / speed).min(CHECK_INTERVAL_S / speed))).await,
             None => {
-                let now = play.world.now().as_secs();
-                let due = play.world.next_due().map_or(f64::MAX, |due| due.as_secs());
-                play.world.advance(WorldTime::from_secs(due.min(now + left_s.min(LOOK_S)).max(now)));
-                play.journal.extend(play.world.with(World::drain_event_log));
+                let now = running.world.now().as_secs();
+                let due = running.world.next_due().map_or(f64::MAX, |due| due.as_secs());
+                running.world.advance(WorldTime::from_secs(due.min(now + left_s.min(CHECK_INTERVAL_S)).max(now)));
+                running.journal.extend(running.world.with(World::drain_event_log));
             }
         }
     }
 
     async fn carry_out_plans(&mut self) -> Result<(), StepFailure> {
         for index in (0..self.plans.len()).rev() {
-            match self.look(&self.plans[index].once) {
+            match self.check(&self.plans[index].once) {
                 Ok(()) => {
                     let plan = self.plans.remove(index);
-                    let doing: ActionFuture<'_> = (plan.deed)(self, &plan.said);
+                    let doing: ActionFuture<'_> = (plan.action)(self, &plan.arguments);
                     doing.await?;
                 }
                 Err(StepFailure::NotMet(_)) => {}
-                // Of missions and nodes nothing can be said before there are any.
+                // Before the first mission, a fact about missions or nodes is invalid.
                 Err(StepFailure::Invalid(_)) if self.missions.is_empty() => {}
                 Err(StepFailure::Invalid(what)) => {
-                    let what = format!("what was arranged for when {}: {what}", self.plans[index].once.text);
+                    let what = format!("an action is planned for when {}: {what}", self.plans[index].once.text);
                     return Err(StepFailure::Invalid(what));
                 }
             }
@@ -291,16 +292,16 @@ impl Fixture {
         Ok(())
     }
 
-    /// What was arranged and did not come about.
+    /// Returns the failure text of a planned action that was not executed.
     pub(super) fn unfinished(&self) -> Option<String> {
-        if let Some(unheeded) = self.refused.as_ref().and_then(RefusedRequest::unchecked_text) {
-            return Some(unheeded);
+        if let Some(unchecked) = self.refused.as_ref().and_then(RefusedRequest::unchecked_text) {
+            return Some(unchecked);
         }
         let plan = self.plans.first()?;
-        Some(format!("it was said what happens when {}, and that has not come about", plan.once.text))
+        Some(format!("an action is planned for when {}, but that has not happened", plan.once.text))
     }
 
-    /// The robot of a name.
+    /// Returns the robot of a name.
     pub(super) fn robot(&self, name: &str) -> Result<RobotId, StepFailure> {
         let robots = self.running().world.robots();
         if let Some(robot) = robots.iter().find(|robot| robot.as_str() == name) {
@@ -310,30 +311,30 @@ impl Fixture {
         Err(StepFailure::Invalid(format!("there is no robot {name}; there are: {}", known.join(", "))))
     }
 
-    /// The mission that is meant: `the mission` is the one that was asked for last.
-    pub(super) fn mission(&self, meant: &str) -> Result<MissionId, StepFailure> {
-        let name = meant.strip_prefix("mission ");
+    /// Returns the named mission; `the mission` is the latest request.
+    pub(super) fn mission(&self, reference: &str) -> Result<MissionId, StepFailure> {
+        let name = reference.strip_prefix("mission ");
         let mut asked = self.missions.iter().rev();
         let found = asked.find(|(request, _)| name.is_none_or(|name| name == request));
         let known: Vec<&str> = self.missions.iter().map(|(request, _)| request.as_str()).collect();
-        if let Some(unheeded) = self.refused.as_ref().and_then(RefusedRequest::unchecked_text) {
-            return Err(StepFailure::Invalid(unheeded));
+        if let Some(unchecked) = self.refused.as_ref().and_then(RefusedRequest::unchecked_text) {
+            return Err(StepFailure::Invalid(unchecked));
         }
         found.map(|(_, mission)| mission.clone()).ok_or_else(|| {
             let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-            StepFailure::Invalid(format!("{meant} was not asked for; asked for: {known}"))
+            StepFailure::Invalid(format!("{reference} was not requested; requested were: {known}"))
         })
     }
 
-    /// What happened so far, a line each; the same several times in succession in one.
+    /// Formats the events so far, with a line per event; repeated lines are merged with a count.
     pub(super) fn event_text(&self) -> Vec<String> {
-        let Some(play) = &self.play else { return vec![] };
-        let at = |elapsed: Duration| play.nodes_since_s + elapsed.as_secs_f64() * self.setup.speed;
+        let Some(running) = &self.running else { return vec![] };
+        let at = |elapsed: Duration| running.nodes_since_s + elapsed.as_secs_f64() * self.setup.speed;
         let mut lines: Vec<(f64, String)> = self
             .journal()
             .filter_map(|entry| Some((entry.time.as_secs(), event_text::world_event(&entry.event)?)))
             .collect();
-        if let Some(fleet) = &play.fleet {
+        if let Some(fleet) = &running.fleet {
             let entries = fleet.event_log.entries();
             lines.extend(
                 entries.iter().filter_map(|(when, entry)| Some((at(*when), event_text::node_observation(entry)?))),

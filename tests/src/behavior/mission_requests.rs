@@ -1,4 +1,4 @@
-//! Deeds of clients: missions are asked for and withdrawn; time passes.
+//! Actions of clients: requesting and canceling missions, and letting time pass.
 
 use super::fixture::{Fixture, RefusedRequest};
 use super::step_arguments::StepArguments;
@@ -11,60 +11,64 @@ use std::cell::Cell;
 use std::path::Path;
 use std::time::Duration;
 
-/// How long a client asks again, in seconds of the nodes' time.
-const ASKS_FOR: Duration = Duration::from_secs(120);
+/// Time for which a client repeats a request, in node time.
+const RETRY_LIMIT: Duration = Duration::from_secs(120);
 
-/// All of them.
-pub(super) fn phrases() -> Vec<StepPattern<ActionFn>> {
-    let does = |pattern, example, does: ActionFn| StepPattern::new(pattern, example, does);
+/// Returns the patterns of these actions.
+pub(super) fn patterns() -> Vec<StepPattern<ActionFn>> {
+    let action = |pattern, example, action: ActionFn| StepPattern::new(pattern, example, action);
     vec![
-        does("the fleet runs for {time}", "the fleet runs for 10 minutes", |stage, said| {
+        action("the fleet runs for {time}", "the fleet runs for 10 minutes", |fixture, arguments| {
             async move {
-                stage.start_nodes().await?;
-                stage.advance(said.seconds(0), |_| Ok(false)).await.map(drop)
+                fixture.start_nodes().await?;
+                fixture.advance(arguments.seconds(0), |_| Ok(false)).await.map(drop)
             }
             .boxed_local()
         }),
-        does("{time} pass", "10 minutes pass", |stage, said| {
-            async move { stage.advance(said.seconds(0), |_| Ok(false)).await.map(drop) }.boxed_local()
+        action("{time} pass", "10 minutes pass", |fixture, arguments| {
+            async move { fixture.advance(arguments.seconds(0), |_| Ok(false)).await.map(drop) }.boxed_local()
         }),
-        does("a sample is requested from {text}", r#"a sample is requested from "IC Room 6""#, |stage, said| {
-            let name = format!("sample-{}", stage.missions.len() + 1);
-            sample(stage, said, name).boxed_local()
-        }),
-        does(
+        action(
+            "a sample is requested from {text}",
+            r#"a sample is requested from "IC Room 6""#,
+            |fixture, arguments| {
+                let name = format!("sample-{}", fixture.missions.len() + 1);
+                request_sample(fixture, arguments, name).boxed_local()
+            },
+        ),
+        action(
             "a sample is requested from {text} as {name}",
             r#"a sample is requested from "IC Room 6" as urgent"#,
-            |stage, said| sample(stage, said, said.value(1).to_owned()).boxed_local(),
+            |fixture, arguments| request_sample(fixture, arguments, arguments.value(1).to_owned()).boxed_local(),
         ),
-        does("the mission {text} is requested", r#"the mission "lab-samples" is requested"#, |stage, said| {
-            let name = format!("request-{}", stage.missions.len() + 1);
-            requested(stage, said, name).boxed_local()
+        action("the mission {text} is requested", r#"the mission "lab-samples" is requested"#, |fixture, arguments| {
+            let name = format!("request-{}", fixture.missions.len() + 1);
+            request_mission(fixture, arguments, name).boxed_local()
         }),
-        does(
+        action(
             "the mission {text} is requested as {name}",
             r#"the mission "lab-samples" is requested as first"#,
-            |stage, said| requested(stage, said, said.value(1).to_owned()).boxed_local(),
+            |fixture, arguments| request_mission(fixture, arguments, arguments.value(1).to_owned()).boxed_local(),
         ),
-        does("this mission is requested:", "this mission is requested:", |stage, said| {
+        action("this mission is requested:", "this mission is requested:", |fixture, arguments| {
             async move {
-                let text = said.docstring.as_deref();
+                let text = arguments.docstring.as_deref();
                 let text = text.ok_or_else(|| StepFailure::invalid("the mission follows between lines of \"\"\""))?;
-                let mission = read(text, None)?;
-                let name = format!("request-{}", stage.missions.len() + 1);
-                ask(stage, json!({ "mission": mission, "request": name }), name.clone()).await
+                let mission = read_mission(text, None)?;
+                let name = format!("request-{}", fixture.missions.len() + 1);
+                submit(fixture, json!({ "mission": mission, "request": name }), name.clone()).await
             }
             .boxed_local()
         }),
-        does("{mission} is withdrawn by {text}", r#"the mission is withdrawn by "ward 3""#, |stage, said| {
+        action("{mission} is canceled by {text}", r#"the mission is canceled by "ward 3""#, |fixture, arguments| {
             async move {
-                let mission = stage.mission(said.value(0))?;
-                let fleet = stage.ensure_fleet().await?;
-                let asked = json!({ "mission": mission, "by": said.value(1) });
-                match fleet.request(ApiCall::Cancel, &asked).await {
+                let mission = fixture.mission(arguments.value(0))?;
+                let fleet = fixture.ensure_fleet().await?;
+                let request = json!({ "mission": mission, "by": arguments.value(1) });
+                match fleet.request(ApiCall::Cancel, &request).await {
                     Some(answer) if answer.get("error").is_none() => Ok(()),
-                    Some(answer) => Err(StepFailure::Invalid(format!("the fleet answered {answer}"))),
-                    None => Err(StepFailure::invalid("nobody answered")),
+                    Some(answer) => Err(StepFailure::Invalid(format!("the fleet replied {answer}"))),
+                    None => Err(StepFailure::invalid("no node replied")),
                 }
             }
             .boxed_local()
@@ -72,76 +76,77 @@ pub(super) fn phrases() -> Vec<StepPattern<ActionFn>> {
     ]
 }
 
-async fn sample(stage: &mut Fixture, said: &StepArguments, name: String) -> Result<(), StepFailure> {
-    let asked = json!({ "mission": "lab-samples", "parameters": { "room": said.value(0) }, "request": name });
-    ask(stage, asked, name).await
+async fn request_sample(fixture: &mut Fixture, arguments: &StepArguments, name: String) -> Result<(), StepFailure> {
+    let request = json!({ "mission": "lab-samples", "parameters": { "room": arguments.value(0) }, "request": name });
+    submit(fixture, request, name).await
 }
 
-/// The parameters are in the table: a column each, one row. `priority` and `deadline` (in seconds) are the request's own.
-async fn requested(stage: &mut Fixture, said: &StepArguments, name: String) -> Result<(), StepFailure> {
-    let wanted = said.value(0);
+/// Requests a mission. The table contains a column per parameter and a single row. The columns
+/// `priority` and `deadline` (in seconds) apply to the request itself.
+async fn request_mission(fixture: &mut Fixture, arguments: &StepArguments, name: String) -> Result<(), StepFailure> {
+    let wanted = arguments.value(0);
     let mission = if shipped().contains_key(wanted) {
         json!(wanted)
     } else {
-        let file = stage.setup.folder.join(wanted);
+        let file = fixture.setup.folder.join(wanted);
         let text = std::fs::read_to_string(&file).map_err(|problem| {
             let known: Vec<&str> = shipped().keys().map(String::as_str).collect();
             let known = known.join(", ");
             StepFailure::Invalid(format!("{}: {problem}; missions that come with the program: {known}", file.display()))
         })?;
-        read(&text, Some(&file))?
+        read_mission(&text, Some(&file))?
     };
-    let mut asked = json!({ "mission": mission, "request": name });
+    let mut request = json!({ "mission": mission, "request": name });
     let mut parameters = Map::new();
-    if let Some([heads, row]) = said.table.as_deref() {
+    if let Some([heads, row]) = arguments.table.as_deref() {
         for (head, cell) in heads.iter().zip(row) {
             match head.as_str() {
-                "priority" => asked["priority"] = number(cell)?,
-                "deadline" => asked["deadline_s"] = number(cell)?,
+                "priority" => request["priority"] = number(cell)?,
+                "deadline" => request["deadline_s"] = number(cell)?,
                 _ => drop(parameters.insert(head.clone(), json!(cell))),
             }
         }
-    } else if said.table.is_some() {
+    } else if arguments.table.is_some() {
         return Err(StepFailure::invalid("its parameters are a table of two lines: names, and values"));
     }
-    asked["parameters"] = Value::Object(parameters);
-    ask(stage, asked, name).await
+    request["parameters"] = Value::Object(parameters);
+    submit(fixture, request, name).await
 }
 
 fn number(cell: &str) -> Result<Value, StepFailure> {
     cell.parse::<i64>().map(Value::from).map_err(|_| StepFailure::Invalid(format!("{cell:?} is no whole number")))
 }
 
-fn read(text: &str, file: Option<&Path>) -> Result<Value, StepFailure> {
+fn read_mission(text: &str, file: Option<&Path>) -> Result<Value, StepFailure> {
     MissionTemplate::request(text, Format::of(file, text)).map_err(StepFailure::invalid)
 }
 
-/// Asks, as a client would, until somebody acknowledges it.
-async fn ask(stage: &mut Fixture, asked: Value, name: String) -> Result<(), StepFailure> {
-    if stage.missions.iter().any(|(request, _)| *request == name) {
-        return Err(StepFailure::Invalid(format!("{name} was asked for before: one request gets one mission")));
+/// Repeats a request, as a client does, until it is acknowledged.
+async fn submit(fixture: &mut Fixture, request: Value, name: String) -> Result<(), StepFailure> {
+    if fixture.missions.iter().any(|(request, _)| *request == name) {
+        return Err(StepFailure::Invalid(format!("{name} was requested before: a request name may be used once")));
     }
-    if let Some(unheeded) = stage.refused.as_ref().and_then(RefusedRequest::unchecked_text) {
-        return Err(StepFailure::Invalid(unheeded));
+    if let Some(unchecked) = fixture.refused.as_ref().and_then(RefusedRequest::unchecked_text) {
+        return Err(StepFailure::Invalid(unchecked));
     }
-    let fleet = stage.ensure_fleet().await?;
-    let deadline = fleet.elapsed() + ASKS_FOR;
+    let fleet = fixture.ensure_fleet().await?;
+    let deadline = fleet.elapsed() + RETRY_LIMIT;
     let mission = loop {
-        let answer = fleet.request(ApiCall::Submit, &asked).await;
+        let answer = fleet.request(ApiCall::Submit, &request).await;
         match answer.as_ref().and_then(|answer| answer["mission"].as_str()) {
             Some(mission) => break mission.to_owned(),
             None if answer.as_ref().is_some_and(|answer| answer.get("retry_after_ms").is_none()) => {
                 let why = answer.map(|answer| answer["error"].as_str().unwrap_or_default().to_owned());
                 let why = why.unwrap_or_default();
-                stage.refused = Some(RefusedRequest { request: name, why, checked: Cell::new(false) });
+                fixture.refused = Some(RefusedRequest { request: name, why, checked: Cell::new(false) });
                 return Ok(());
             }
             None if fleet.elapsed() >= deadline => {
-                return Err(StepFailure::NotMet(format!("nobody acknowledged it within {ASKS_FOR:?}")));
+                return Err(StepFailure::NotMet(format!("it was not acknowledged within {RETRY_LIMIT:?}")));
             }
             None => tokio::time::sleep(Duration::from_millis(100)).await,
         }
     };
-    stage.missions.push((name, crate::slug(&mission)));
+    fixture.missions.push((name, crate::slug(&mission)));
     Ok(())
 }

@@ -1,20 +1,27 @@
-//! Behavior in Gherkin: a library of steps with which people who are no programmers say what a fleet must do, and a runner.
+//! Behavior tests in Gherkin: steps that describe the required behavior of a fleet in plain words,
+//! and their runner.
 //!
 //! ```text
-//!  feature files ──▶ features (read, outlines expanded, every step looked up) ──▶ cucumber ──▶ report
-//!                        │ a step that nobody knows: file, line, the nearest ones     │ one thread a scenario
-//!                        ▼                                                            ▼
-//!                      book ◀── phrases: settings, facts, deeds          stage: cast ──▶ world, fleet on virtual time
+//!  feature files ──▶ features (read, outlines expanded, every step resolved) ──▶ cucumber ──▶ report
+//!                        │ unknown step: file, line, nearest steps                   │ one thread per scenario
+//!                        ▼                                                           ▼
+//!            step_registry ◀── patterns: settings, facts, actions       fixture: scenario_setup ──▶ world, virtual fleet
 //! ```
 //!
-//! Three kinds of phrases make all steps. A *setting* (`Given a nurse in "IC Room 6"`) says what there is before anything
-//! happens. A *deed* (`the coordinator dies`) is done at once after `When`, or is arranged for later: `Given the coordinator
-//! dies when task navto_lab has begun`. A *fact* (`amber is at "Dock"`) is looked at: `Then amber is at "Dock"`, `Then within
-//! 20 s …`, `Then for 60 s …`, `When the fleet runs until …`. Whoever adds a phrase adds it to a list in its file, with an
-//! example; all forms follow.
+//! There are three kinds of steps. A *setting* (`Given a nurse in "IC Room 6"`) describes the
+//! initial state. An *action* ( the
+//! coordinator is killed`) is done at once after `When`, or is planned for later: `Given the
+//! coordinator is killed when task
+//! navto_lab has begun`. A *fact* (`amber is at "Dock"`) is checked: `Then amber is at
+//! "Dock"`, `Then within 20 s …`, `Then for
+//! 60 s …`, `When the fleet runs until … . To add a step, add its pattern with an example to the
+//! list in its file; all forms
+//! follow.
 //!
-//! Every scenario has a thread and a paused runtime of its own, so nothing of one is left in another, and one seed gives one
-//! run whatever runs beside it. All times are those of the world in which robots and people live.
+//! Every scenario has its own thread and its own paused runtime. So no state passes from one
+//! scenario to the next, and a seed
+//! determines a run regardless of other runs. All times are world times, in which robots and people
+//! live.
 
 mod event_text;
 mod features;

@@ -1,4 +1,4 @@
-//! What is said while features are played: a line for each scenario, and all of it where one fails.
+//! Report of a run: a line per scenario, and all steps of a failed scenario.
 
 use super::features::step_text;
 use cucumber::event::{Cucumber, Event, Feature, Hook, RetryableScenario, Rule, Scenario, Source, Step, StepError};
@@ -7,27 +7,27 @@ use cucumber::{Writer, cli, parser};
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-/// What came of all features.
+/// Outcome of all features.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct FeatureOutcome {
-    /// Features played.
+    /// Number of features.
     pub features: usize,
-    /// Scenarios that passed.
+    /// Number of passed scenarios.
     pub passed: usize,
-    /// Scenarios that did not, as `file:line: name`.
+    /// Failed scenarios as `file:line: name`.
     pub failed: Vec<String>,
-    /// Whether what was said could not be written.
+    /// The report could not be written.
     pub write_failed: bool,
 }
 
-/// Writes as cucumber tells.
+/// Writer for the events of cucumber.
 pub(super) struct Report<W> {
     out: W,
     steps: bool,
     colours: bool,
     began: Instant,
     outcome: FeatureOutcome,
-    /// The scenario under way: what was said of its steps, and why it failed.
+    /// Lines of the current scenario, and its failure.
     told: Vec<String>,
     failure: Option<String>,
 }
@@ -74,7 +74,7 @@ impl<W: Write> Report<W> {
                 let line = line(self.painted(GREEN, "✓"));
                 self.told.push(line);
             }
-            Step::Skipped => self.failure = Some("nobody knows this step".to_owned()),
+            Step::Skipped => self.failure = Some("unknown step".to_owned()),
             Step::Failed(_, _, _, why) => {
                 let line = format!("{} (line {})", line(self.painted(RED, "✗")), step.position.line);
                 self.told.push(line);
@@ -125,7 +125,7 @@ const GREEN: u8 = 32;
 
 fn in_words(why: &(dyn std::any::Any + Send)) -> String {
     let text = why.downcast_ref::<String>().map(String::as_str).or_else(|| why.downcast_ref::<&str>().copied());
-    text.unwrap_or("a panic without words").to_owned()
+    text.unwrap_or("a panic without a message").to_owned()
 }
 
 impl<T, W: Write> Writer<T> for Report<W> {

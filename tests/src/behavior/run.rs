@@ -1,4 +1,5 @@
-//! Plays features with cucumber: each scenario on a thread of its own, so that it has a runtime and its time for itself.
+//! Runs features with cucumber. Each scenario has its own thread, so that it has its own runtime
+//! and clock.
 
 use super::features::Features;
 use super::fixture::Fixture;
@@ -21,49 +22,50 @@ use std::path::PathBuf;
 use std::sync::mpsc;
 use std::thread;
 
-/// How many lines of the story a failure tells.
-const STORY: usize = 40;
+/// Number of event lines in the report of a failure.
+const EVENT_LINES_MAX: usize = 40;
 
-/// How features are to be played.
+/// Options of a run.
 pub struct RunOptions {
-    /// Where the chance of scenarios comes from that name no seed of their own.
+    /// Seed of scenarios that set none.
     pub seed: u64,
-    /// How many scenarios are played at once.
+    /// Number of parallel scenarios.
     pub jobs: usize,
-    /// Whether every step is told, or scenarios alone.
+    /// Report every step, not only scenarios.
     pub steps: bool,
-    /// Whether there are colours.
+    /// Use colours.
     pub colours: bool,
 }
 
-/// Plays features and tells of them as they are played.
-pub fn run(features: Features, order: &RunOptions, out: impl Write) -> FeatureOutcome {
+/// Runs features and reports on each scenario.
+pub fn run(features: Features, options: &RunOptions, out: impl Write) -> FeatureOutcome {
     let steps = Collection::new();
     let any = || Regex::new(".*").expect("a sound pattern");
     let steps = steps.given(None, any(), perform).when(None, any(), perform).then(None, any(), perform);
-    let seed = order.seed;
-    let runner = runner::Basic::<Theatre>::default()
-        .max_concurrent_scenarios(Some(order.jobs.max(1)))
+    let seed = options.seed;
+    let runner = runner::Basic::<ScenarioThread>::default()
+        .max_concurrent_scenarios(Some(options.jobs.max(1)))
         .steps(steps)
-        .before(move |feature, _, _, theatre: &mut Theatre| {
-            theatre.open(feature, seed);
+        .before(move |feature, _, _, thread_handle: &mut ScenarioThread| {
+            thread_handle.open(feature, seed);
             futures::future::ready(()).boxed_local()
         })
-        .after(|_, _, _, finished, theatre| {
+        .after(|_, _, _, finished, thread_handle| {
             async move {
-                if let (ScenarioFinished::StepPassed, Some(theatre)) = (finished, theatre) {
-                    theatre.does(None).await;
+                if let (ScenarioFinished::StepPassed, Some(thread_handle)) = (finished, thread_handle) {
+                    thread_handle.execute(None).await;
                 }
             }
             .boxed_local()
         });
-    let report = Report::new(out, order.steps, order.colours);
-    let cucumber: Cucumber<Theatre, Read, Features, _, _> = Cucumber::custom(Read, runner, Normalize::new(report));
+    let report = Report::new(out, options.steps, options.colours);
+    let cucumber: Cucumber<ScenarioThread, Read, Features, _, _> =
+        Cucumber::custom(Read, runner, Normalize::new(report));
     let cucumber = cucumber.with_default_cli();
     futures::executor::block_on(cucumber.run(features)).inner_writer().outcome()
 }
 
-/// Hands over what was read and checked before.
+/// Parser that returns the features that were read and checked before.
 struct Read;
 
 impl parser::Parser<Features> for Read {
@@ -75,91 +77,92 @@ impl parser::Parser<Features> for Read {
     }
 }
 
-/// One scenario's thread.
+/// Handle of the thread of a scenario.
 #[derive(Debug, Default)]
-struct Theatre(Option<mpsc::Sender<Job>>);
+struct ScenarioThread(Option<mpsc::Sender<Job>>);
 
-/// A step to be done, or none once all are; and whom to tell how it went.
+/// A step to execute, or `None` after the last step; and the channel for its result.
 struct Job(Option<Step>, oneshot::Sender<Result<(), String>>);
 
-impl World for Theatre {
+impl World for ScenarioThread {
     type Error = std::convert::Infallible;
 
-    async fn new() -> Result<Theatre, Self::Error> {
-        Ok(Theatre(None))
+    async fn new() -> Result<ScenarioThread, Self::Error> {
+        Ok(ScenarioThread(None))
     }
 }
 
-impl Theatre {
+impl ScenarioThread {
     fn open(&mut self, feature: &Feature, seed: u64) {
         let folder = feature.path.as_ref().and_then(|path| path.parent()).map_or(PathBuf::new(), PathBuf::from);
-        let (tell, jobs) = mpsc::channel();
+        let (sender, jobs) = mpsc::channel();
         let thread = thread::Builder::new().name("scenario".to_owned());
-        thread.spawn(move || play(folder, seed, &jobs)).expect("the system has a thread left");
-        self.0 = Some(tell);
+        thread.spawn(move || run_scenario(folder, seed, &jobs)).expect("a thread can be started");
+        self.0 = Some(sender);
     }
 }
 
-/// A scenario, from its first step to its last. Between two steps no time passes.
-fn play(folder: PathBuf, seed: u64, jobs: &mpsc::Receiver<Job>) {
+/// Executes the steps of a scenario. No time passes between two steps.
+fn run_scenario(folder: PathBuf, seed: u64, jobs: &mpsc::Receiver<Job>) {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     let runtime = builder.enable_time().start_paused(true).build().expect("a runtime without I/O");
-    // Its clock is read between steps, too.
+    // The clock of the runtime is also read between steps.
     let _entered = runtime.enter();
-    let mut stage = Fixture::new(folder, seed);
+    let mut fixture = Fixture::new(folder, seed);
     for Job(step, answer) in jobs {
         let Some(step) = step else {
-            // Whoever is told that nothing came of it has nothing to say about that.
-            let _ = answer.send(stage.unfinished().map_or(Ok(()), Err));
+            // The receiver may be gone; the result is not needed then.
+            let _ = answer.send(fixture.unfinished().map_or(Ok(()), Err));
             return;
         };
         let meaning = StepRegistry::get().read(&step);
         let played = meaning.map(|meaning| {
-            catch_unwind(AssertUnwindSafe(|| runtime.block_on(stage.perform(meaning)))).unwrap_or_else(|panic| {
-                Err(StepFailure::Invalid(format!("the program itself failed: {}", in_words(&*panic))))
+            catch_unwind(AssertUnwindSafe(|| runtime.block_on(fixture.perform(meaning)))).unwrap_or_else(|panic| {
+                Err(StepFailure::Invalid(format!("the program itself failed: {}", panic_text(&*panic))))
             })
         });
-        let went = match played {
+        let outcome = match played {
             Err(problem) => Err(problem),
             Ok(Ok(())) => Ok(()),
-            Ok(Err(wrong)) => Err(explain(&step, &wrong, &stage)),
+            Ok(Err(failure)) => Err(failure_text(&step, &failure, &fixture)),
         };
-        if answer.send(went).is_err() {
+        if answer.send(outcome).is_err() {
             return;
         }
     }
 }
 
-fn explain(step: &Step, wrong: &StepFailure, stage: &Fixture) -> String {
-    let (head, what) = match wrong {
+fn failure_text(step: &Step, failure: &StepFailure, fixture: &Fixture) -> String {
+    let (head, what) = match failure {
         StepFailure::NotMet(found) => ("found", found),
         StepFailure::Invalid(why) => ("but", why),
     };
     let mut lines = vec![format!("expected: {}", step.value), format!("{head:>8}: {what}")];
-    let story = stage.event_text();
-    if !story.is_empty() {
-        lines.push(format!("what had happened by {:.1} s (seed {}):", stage.now_s(), stage.setup.seed));
-        if story.len() > STORY {
-            lines.push(format!("  … {} lines before", story.len() - STORY));
+    let events = fixture.event_text();
+    if !events.is_empty() {
+        lines.push(format!("what had happened by {:.1} s (seed {}):", fixture.now_s(), fixture.setup.seed));
+        if events.len() > EVENT_LINES_MAX {
+            lines.push(format!("  … {} lines before", events.len() - EVENT_LINES_MAX));
         }
-        lines.extend(story.iter().skip(story.len().saturating_sub(STORY)).map(|line| format!("  {line}")));
+        lines.extend(events.iter().skip(events.len().saturating_sub(EVENT_LINES_MAX)).map(|line| format!("  {line}")));
     }
     lines.join("\n")
 }
 
-fn in_words(panic: &(dyn Any + Send)) -> String {
+fn panic_text(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
-    text.unwrap_or("a panic without words").to_owned()
+    text.unwrap_or("a panic without a message").to_owned()
 }
 
-impl Theatre {
-    /// Has a step done, or the scenario ended. Cucumber takes a panic for a failure; this one is not printed by anybody else.
-    async fn does(&mut self, step: Option<Step>) {
-        let (answer, heard) = oneshot::channel();
+impl ScenarioThread {
+    /// Executes a step, or ends the scenario. Cucumber treats a panic as a failure. The panic hook
+    /// does not print this one.
+    async fn execute(&mut self, step: Option<Step>) {
+        let (answer, result) = oneshot::channel();
         let jobs = self.0.as_ref().expect("it was opened before the first step");
         let sent = jobs.send(Job(step, answer)).is_ok();
-        let went = if sent { heard.await.ok() } else { None };
-        match went {
+        let outcome = if sent { result.await.ok() } else { None };
+        match outcome {
             Some(Ok(())) => {}
             Some(Err(why)) => resume_unwind(Box::new(why)),
             None => resume_unwind(Box::new("the scenario's thread has ended".to_owned())),
@@ -167,7 +170,7 @@ impl Theatre {
     }
 }
 
-/// What cucumber calls for each step.
-fn perform(theatre: &mut Theatre, context: Context) -> LocalBoxFuture<'_, ()> {
-    theatre.does(Some(context.step)).boxed_local()
+/// Step function of cucumber.
+fn perform(thread_handle: &mut ScenarioThread, context: Context) -> LocalBoxFuture<'_, ()> {
+    thread_handle.execute(Some(context.step)).boxed_local()
 }

@@ -1,4 +1,4 @@
-//! What there is before anything happens.
+//! Initial state of a scenario.
 
 use super::step_pattern::StepFailure;
 use crate::RobotSpec;
@@ -9,13 +9,13 @@ use consort_sim::space::Sensor;
 use consort_sim::world::{DoorSetup, ObjectSetup, Obstacle, PersonSetup, RobotSetup, SharedWorld, World, WorldSetup};
 use std::path::PathBuf;
 
-/// Robots, people, things and the building, as a scenario's settings have them so far.
+/// Robots, people, items and the building from the settings so far.
 pub(super) struct ScenarioSetup {
-    /// Where all chance comes from.
+    /// Source of all randomness.
     pub(super) seed: u64,
-    /// World seconds in a second of the nodes' time.
+    /// World seconds per second of node time.
     pub(super) speed: f64,
-    /// The folder of the feature file: files that it names are looked for there.
+    /// Folder of the feature file. File names in steps are relative to it.
     pub(super) folder: PathBuf,
     pub(super) map: ScenarioMap,
     pub(super) robots: Vec<ScenarioRobot>,
@@ -27,15 +27,15 @@ pub(super) struct ScenarioSetup {
     pub(super) step_s: Option<f64>,
 }
 
-/// What robots drive on.
+/// Map of a scenario.
 pub(super) enum ScenarioMap {
-    /// A map.
+    /// A map file.
     Map(Box<Map>),
-    /// An empty room with walls: everybody's place is a pair of coordinates.
+    /// An empty room with walls. Places are given by coordinates.
     Room { width_m: f64, depth_m: f64 },
 }
 
-/// A robot: its node and its body.
+/// A robot: its node and its simulated robot.
 pub(super) struct ScenarioRobot {
     pub(super) setup: RobotSpec,
     pub(super) chassis: Option<Kinematics>,
@@ -78,7 +78,7 @@ impl ScenarioRobot {
 }
 
 impl ScenarioSetup {
-    /// Nobody, in the hospital that comes with the program.
+    /// Creates an empty setup in the shipped hospital.
     pub(super) fn new(folder: PathBuf, seed: u64) -> ScenarioSetup {
         let hospital = consort_sim::map::shipped("hospital").expect("the shipped map is sound");
         ScenarioSetup {
@@ -96,13 +96,13 @@ impl ScenarioSetup {
         }
     }
 
-    /// A person at a place.
+    /// Returns the person at a place.
     pub(super) fn person_at(&mut self, place: &str) -> Result<&mut PersonSetup, StepFailure> {
         let found = self.people.iter_mut().find(|person| person.place.as_str() == place);
-        found.ok_or_else(|| StepFailure::Invalid(format!("there is nobody at {place:?}: say first who waits there")))
+        found.ok_or_else(|| StepFailure::Invalid(format!("there is no person at {place:?}: add a person first")))
     }
 
-    /// The world that all this makes.
+    /// Creates the world.
     pub(super) fn world(&self) -> Result<SharedWorld, StepFailure> {
         let mut setup = WorldSetup::new(self.map()?, self.seed);
         for part in &self.robots {
@@ -142,7 +142,7 @@ impl ScenarioSetup {
     }
 }
 
-/// A position in metres: `1, 1.5`.
+/// Parses a position in metres: `1, 1.5`.
 pub(super) fn coordinates(text: &str) -> Result<(f64, f64), StepFailure> {
     let number = |part: &str| part.trim().parse::<f64>().ok();
     let pair = text.split_once(',').and_then(|(x, y)| Some((number(x)?, number(y)?)));

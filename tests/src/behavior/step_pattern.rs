@@ -1,4 +1,4 @@
-//! A phrase: what may be said, as a pattern with an example, and what it does.
+//! Step patterns: a pattern with an example and a function.
 
 use super::fixture::Fixture;
 use super::scenario_setup::ScenarioSetup;
@@ -10,7 +10,7 @@ use regex::Regex;
 use std::collections::HashMap;
 use std::fmt;
 
-/// What may stand for a parameter, by its name in braces.
+/// Regular expressions of the parameters, by name.
 const PARAMETERS: [(&str, &str); 10] = [
     ("name", r"[A-Za-z0-9_.-]+"),
     ("names", r"[A-Za-z0-9_.-]+(?:(?:, | and )[A-Za-z0-9_.-]+)*"),
@@ -19,65 +19,68 @@ const PARAMETERS: [(&str, &str); 10] = [
     ("time", r"\d+(?:\.\d+)? (?:ms|s|min|h|seconds?|minutes?|hours?)"),
     ("percent", r"\d+(?:\.\d+)? ?%"),
     ("mission", r"the mission|mission [A-Za-z0-9_.-]+"),
-    ("state", r"pending|running|completed|failed|canceled|in need of rescue"),
-    ("deed", r"cancels|declines|walks away"),
+    ("state", r"pending|running|completed|failed|canceled|in need of intervention"),
+    ("person_action", r"cancels|declines|walks away"),
     ("moment", r"waiting|approached|authenticated|handing over|handed over"),
 ];
 
-/// Why a step does not pass.
+/// Reason why a step fails.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum StepFailure {
-    /// It is not so: how it is instead.
+    /// The fact does not hold. Contains the actual state.
     NotMet(String),
-    /// It makes no sense here, whatever happens.
+    /// The step is invalid here, whatever happens.
     Invalid(String),
 }
 
 impl StepFailure {
-    /// What is said about it.
+    /// Creates an error for an invalid step.
     pub(super) fn invalid(text: impl fmt::Display) -> StepFailure {
         StepFailure::Invalid(text.to_string())
     }
 }
 
-/// Whether something is so.
+/// Result of a step.
 pub(super) type StepResult = Result<(), StepFailure>;
 
-/// `Ok` if it is so, else how it is instead.
+/// Returns `Ok` if the fact holds, otherwise the actual state.
 pub(super) fn expect_that(is: bool, instead: impl FnOnce() -> String) -> StepResult {
     if is { Ok(()) } else { Err(StepFailure::NotMet(instead())) }
 }
 
-/// What something that takes time comes to.
+/// Future of an action.
 pub(super) type ActionFuture<'a> = LocalBoxFuture<'a, Result<(), StepFailure>>;
 
-/// What was done at once.
+/// Wraps the result of an immediate action.
 pub(super) fn ready<'a>(done: Result<(), StepFailure>) -> ActionFuture<'a> {
     std::future::ready(done).boxed_local()
 }
 
-/// What is said before anything happens.
+/// Function of a setting.
 pub(super) type SettingFn = fn(&mut ScenarioSetup, &StepArguments) -> Result<(), StepFailure>;
-/// What is done.
+/// Function of an action.
 pub(super) type ActionFn = for<'a> fn(&'a mut Fixture, &'a StepArguments) -> ActionFuture<'a>;
-/// What is looked at.
+/// Function of a fact.
 pub(super) type FactFn = fn(&Fixture, &StepArguments) -> StepResult;
 
-/// Something that may be said.
+/// A step pattern.
 #[derive(Debug)]
 pub(super) struct StepPattern<T> {
-    /// As a cucumber expression.
+    /// Pattern as a cucumber expression.
     pub(super) pattern: &'static str,
-    /// With its parameters filled in.
+    /// Example with its parameters filled in.
     pub(super) example: &'static str,
-    /// What it does.
+    /// Function of the step.
     pub(super) function: T,
     regex: Regex,
 }
 
 impl<T: Copy> StepPattern<T> {
+    /// Compiles a pattern.
+    ///
     /// # Panics
-    /// When the pattern is none, or its own example does not fit it: both are our own.
+    /// If the pattern is invalid, or if its example does not match. Both are constants of this
+    /// program.
     pub(super) fn new(pattern: &'static str, example: &'static str, does: T) -> StepPattern<T> {
         let parameters: HashMap<&str, &str> = PARAMETERS.into();
         let regex = Expression::regex_with_parameters(pattern, &parameters)
@@ -87,7 +90,7 @@ impl<T: Copy> StepPattern<T> {
         phrase
     }
 
-    /// The values of its parameters in a text, if it fits.
+    /// Returns the values of the parameters if the text matches.
     pub(super) fn parse(&self, text: &str) -> Option<Vec<String>> {
         let found = self.regex.captures(text)?;
         Some(found.iter().skip(1).map(|word| word.map_or(String::new(), |word| word.as_str().to_owned())).collect())

@@ -1,4 +1,4 @@
-//! All that may be said, and what a step means.
+//! All step patterns, and the resolution of steps.
 
 use super::step_arguments::StepArguments;
 use super::step_pattern::{ActionFn, FactFn, SettingFn, StepPattern};
@@ -6,151 +6,158 @@ use super::{fleet_actions, fleet_facts, goal_actions, mission_requests, robot_fa
 use cucumber::gherkin::{Step, StepType};
 use std::sync::OnceLock;
 
-/// The phrases.
+/// The patterns.
 pub(super) struct StepRegistry {
     settings: Vec<StepPattern<SettingFn>>,
-    deeds: Vec<StepPattern<ActionFn>>,
+    actions: Vec<StepPattern<ActionFn>>,
     facts: Vec<StepPattern<FactFn>>,
 }
 
-/// What a step means.
+/// A resolved step.
 #[derive(Debug, Clone)]
 pub(super) enum StepMeaning {
-    /// Something is there from the beginning.
+    /// Sets the initial state.
     Configure(SettingFn, StepArguments),
-    /// Something will be done once a fact holds.
+    /// Plans an action for the moment at which a fact holds.
     DoWhen(ActionFn, StepArguments, Box<FactCheck>),
-    /// Something is done now.
+    /// Executes an action now.
     DoNow(ActionFn, StepArguments),
-    /// Time passes until a fact holds.
+    /// Lets time pass until a fact holds.
     WaitUntil(FactCheck),
-    /// A fact holds now.
+    /// Checks that a fact holds now.
     Holds(FactCheck),
-    /// It does not.
+    /// Checks that a fact does not hold now.
     DoesNotHold(FactCheck),
-    /// A fact holds after some time at the latest, in seconds.
+    /// Checks that a fact holds within a time in seconds.
     HoldsWithin(f64, FactCheck),
-    /// A fact holds throughout some time.
+    /// Checks that a fact holds during a whole time in seconds.
     HoldsFor(f64, FactCheck),
-    /// A fact does not hold at any moment of some time.
+    /// Checks that a fact never holds during a time in seconds.
     NeverHolds(f64, FactCheck),
 }
 
-/// A fact that is looked at.
+/// Check of a fact.
 #[derive(Debug, Clone)]
 pub(super) struct FactCheck {
     pub(super) fact: FactFn,
     pub(super) arguments: StepArguments,
-    /// In words.
+    /// Text of the fact.
     pub(super) text: String,
 }
 
-/// Something that may be said, for people who look for words.
+/// Documentation of a step pattern.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StepDoc {
-    /// Under which heading it stands.
+    /// Its heading.
     pub kind: &'static str,
-    /// What may be said, with parameters in braces.
+    /// The pattern, with parameters in braces.
     pub pattern: String,
     /// An example.
     pub example: String,
 }
 
-/// How facts are said after `Then` and `When`, and deeds after `Given`.
+/// Forms of facts after `Then` and `When`, and of actions after `Given`.
 const FORMS: [(&str, &str); 8] = [
-    ("Given {deed} when {fact}", "Given the coordinator dies when task navto_lab has begun"),
-    ("When {deed}", "When the coordinator dies"),
+    ("Given {action} when {fact}", "Given the coordinator is killed when task navto_lab has begun"),
+    ("When {action}", "When the coordinator is killed"),
     ("When the fleet runs until {fact}", r#"When the fleet runs until amber is at "Dock""#),
     ("Then {fact}", r#"Then amber is at "Dock""#),
-    ("Then it is not so that {fact}", r#"Then it is not so that amber is at "Dock""#),
-    ("Then within {time} {fact}", "Then within 20 s somebody coordinates"),
+    ("Then it is not true that {fact}", r#"Then it is not true that amber is at "Dock""#),
+    ("Then within {time} {fact}", "Then within 20 s there is a coordinator"),
     ("Then for {time} {fact}", r#"Then for 2 minutes amber is at "Dock""#),
-    ("Then for {time} it is never so that {fact}", "Then for 2 minutes it is never so that nobody coordinates"),
+    (
+        "Then for {time} it is never true that {fact}",
+        "Then for 2 minutes it is never true that there is no coordinator",
+    ),
 ];
 
 impl StepRegistry {
-    /// The one there is.
+    /// Returns the registry.
     pub(super) fn get() -> &'static StepRegistry {
-        static BOOK: OnceLock<StepRegistry> = OnceLock::new();
-        BOOK.get_or_init(|| StepRegistry {
-            settings: settings::phrases(),
-            deeds: [mission_requests::phrases(), fleet_actions::phrases(), goal_actions::phrases()]
+        static REGISTRY: OnceLock<StepRegistry> = OnceLock::new();
+        REGISTRY.get_or_init(|| StepRegistry {
+            settings: settings::patterns(),
+            actions: [mission_requests::patterns(), fleet_actions::patterns(), goal_actions::patterns()]
                 .into_iter()
                 .flatten()
                 .collect(),
-            facts: [fleet_facts::phrases(), robot_facts::phrases()].into_iter().flatten().collect(),
+            facts: [fleet_facts::patterns(), robot_facts::patterns()].into_iter().flatten().collect(),
         })
     }
 
-    /// What a step means.
+    /// Resolves a step.
     ///
     /// # Errors
-    /// What is wrong with it, in words: nobody knows such a step, or it is ambiguous.
+    /// The step is unknown or ambiguous.
     pub(super) fn read(&self, step: &Step) -> Result<StepMeaning, String> {
         let text = step.value.trim();
-        let more = |words| StepArguments {
-            values: words,
+        let more = |values| StepArguments {
+            values: values,
             table: step.table.as_ref().map(|table| table.rows.clone()),
             docstring: step.docstring.clone(),
         };
-        let looks = |text: &str| -> Vec<FactCheck> {
-            let fits = self.facts.iter().filter_map(|fact| Some((fact.function, fact.parse(text)?)));
-            fits.map(|(fact, words)| FactCheck { fact, arguments: more(words), text: text.to_owned() }).collect()
+        let checks = |text: &str| -> Vec<FactCheck> {
+            let matching = self.facts.iter().filter_map(|fact| Some((fact.function, fact.parse(text)?)));
+            matching.map(|(fact, values)| FactCheck { fact, arguments: more(values), text: text.to_owned() }).collect()
         };
-        let deeds = |text: &str| -> Vec<(ActionFn, StepArguments)> {
-            let fits = self.deeds.iter().filter_map(|deed| Some((deed.function, deed.parse(text)?)));
-            fits.map(|(deed, words)| (deed, more(words))).collect()
+        let actions = |text: &str| -> Vec<(ActionFn, StepArguments)> {
+            let matching = self.actions.iter().filter_map(|action| Some((action.function, action.parse(text)?)));
+            matching.map(|(action, values)| (action, more(values))).collect()
         };
-        let mut meanings = vec![];
+        let mut candidates = vec![];
         match step.ty {
             StepType::Given => {
-                let fits = self.settings.iter().filter_map(|setting| Some((setting.function, setting.parse(text)?)));
-                meanings.extend(fits.map(|(setting, words)| StepMeaning::Configure(setting, more(words))));
+                let matching =
+                    self.settings.iter().filter_map(|setting| Some((setting.function, setting.parse(text)?)));
+                candidates.extend(matching.map(|(setting, values)| StepMeaning::Configure(setting, more(values))));
                 for (at, _) in text.match_indices(" when ") {
-                    let (deed, fact) = (&text[..at], &text[at + " when ".len()..]);
-                    for (deed, said) in deeds(deed) {
-                        let arranged =
-                            looks(fact).into_iter().map(|look| StepMeaning::DoWhen(deed, said.clone(), Box::new(look)));
-                        meanings.extend(arranged);
+                    let (action, fact) = (&text[..at], &text[at + " when ".len()..]);
+                    for (action, arguments) in actions(action) {
+                        let planned = checks(fact)
+                            .into_iter()
+                            .map(|check| StepMeaning::DoWhen(action, arguments.clone(), Box::new(check)));
+                        candidates.extend(planned);
                     }
                 }
             }
             StepType::When => {
-                meanings.extend(deeds(text).into_iter().map(|(deed, said)| StepMeaning::DoNow(deed, said)));
+                candidates
+                    .extend(actions(text).into_iter().map(|(action, arguments)| StepMeaning::DoNow(action, arguments)));
                 if let Some(fact) = text.strip_prefix("the fleet runs until ") {
-                    meanings.extend(looks(fact).into_iter().map(StepMeaning::WaitUntil));
+                    candidates.extend(checks(fact).into_iter().map(StepMeaning::WaitUntil));
                 }
             }
             StepType::Then => {
-                meanings.extend(looks(text).into_iter().map(StepMeaning::Holds));
-                if let Some(fact) = text.strip_prefix("it is not so that ") {
-                    meanings.extend(looks(fact).into_iter().map(StepMeaning::DoesNotHold));
+                candidates.extend(checks(text).into_iter().map(StepMeaning::Holds));
+                if let Some(fact) = text.strip_prefix("it is not true that ") {
+                    candidates.extend(checks(fact).into_iter().map(StepMeaning::DoesNotHold));
                 }
                 if let Some((seconds, fact)) = timed(text, "within ") {
-                    meanings.extend(looks(fact).into_iter().map(|look| StepMeaning::HoldsWithin(seconds, look)));
+                    candidates.extend(checks(fact).into_iter().map(|check| StepMeaning::HoldsWithin(seconds, check)));
                 }
                 if let Some((seconds, fact)) = timed(text, "for ") {
-                    meanings.extend(looks(fact).into_iter().map(|look| StepMeaning::HoldsFor(seconds, look)));
-                    if let Some(fact) = fact.strip_prefix("it is never so that ") {
-                        meanings.extend(looks(fact).into_iter().map(|look| StepMeaning::NeverHolds(seconds, look)));
+                    candidates.extend(checks(fact).into_iter().map(|check| StepMeaning::HoldsFor(seconds, check)));
+                    if let Some(fact) = fact.strip_prefix("it is never true that ") {
+                        candidates
+                            .extend(checks(fact).into_iter().map(|check| StepMeaning::NeverHolds(seconds, check)));
                     }
                 }
             }
         }
-        match meanings.len() {
-            1 => Ok(meanings.remove(0)),
-            0 => Err(format!("nobody knows this step; the nearest are\n{}", self.nearest(step))),
-            many => Err(format!("this step can be understood in {many} ways")),
+        match candidates.len() {
+            1 => Ok(candidates.remove(0)),
+            0 => Err(format!("unknown step; similar steps are\n{}", self.nearest(step))),
+            many => Err(format!("this step is ambiguous: {many} patterns match")),
         }
     }
 
-    /// The three examples that are most alike, a line each.
+    /// Returns the three most similar examples, each on its own line.
     fn nearest(&self, step: &Step) -> String {
         let keyword = keyword(step.ty);
         let wanted = format!("{keyword} {}", step.value.trim());
         let mut near: Vec<(f64, String)> = vec![];
-        for listed in step_docs() {
-            for example in with_keywords(keyword, &listed) {
+        for doc in step_docs() {
+            for example in with_keywords(keyword, &doc) {
                 near.push((strsim::sorensen_dice(&wanted, &example), example));
             }
         }
@@ -161,15 +168,15 @@ impl StepRegistry {
     }
 }
 
-/// A time after a word, in seconds, and what follows it.
+/// Parses a time after a word. Returns the time in seconds and the rest of the text.
 fn timed<'a>(text: &'a str, word: &str) -> Option<(f64, &'a str)> {
     static TIME: OnceLock<StepPattern<()>> = OnceLock::new();
     let time = TIME.get_or_init(|| StepPattern::new("{time}", "2 min", ()));
     let rest = text.strip_prefix(word)?;
     let unit = rest.find(' ')? + 1;
     let end = unit + rest[unit..].find(' ')?;
-    let words = time.parse(&rest[..end])?;
-    Some((StepArguments { values: words, ..StepArguments::default() }.seconds(0), &rest[end + 1..]))
+    let values = time.parse(&rest[..end])?;
+    Some((StepArguments { values: values, ..StepArguments::default() }.seconds(0), &rest[end + 1..]))
 }
 
 fn keyword(ty: StepType) -> &'static str {
@@ -180,41 +187,41 @@ fn keyword(ty: StepType) -> &'static str {
     }
 }
 
-/// An example as it is said after a keyword, if it can be.
-fn with_keywords(keyword: &str, listed: &StepDoc) -> Vec<String> {
-    match (listed.kind, keyword) {
-        (SETTINGS, "Given") | (DEEDS, "When") | (FACTS, "Then") => vec![format!("{keyword} {}", listed.example)],
-        (DEEDS, "Given") => vec![format!("Given {} when the mission is running", listed.example)],
-        (FACTS, "When") => vec![format!("When the fleet runs until {}", listed.example)],
-        (FORMS_OF, _) if listed.example.starts_with(keyword) => vec![listed.example.clone()],
+/// Returns an example after a keyword, if it can follow that keyword.
+fn with_keywords(keyword: &str, doc: &StepDoc) -> Vec<String> {
+    match (doc.kind, keyword) {
+        (SETTINGS, "Given") | (ACTIONS, "When") | (FACTS, "Then") => vec![format!("{keyword} {}", doc.example)],
+        (ACTIONS, "Given") => vec![format!("Given {} when the mission is running", doc.example)],
+        (FACTS, "When") => vec![format!("When the fleet runs until {}", doc.example)],
+        (FORMS_KIND, _) if doc.example.starts_with(keyword) => vec![doc.example.clone()],
         _ => vec![],
     }
 }
 
-const FORMS_OF: &str = "Forms of a step";
+const FORMS_KIND: &str = "Forms of a step";
 const SETTINGS: &str = "Settings, after Given";
-const DEEDS: &str = "Deeds";
+const ACTIONS: &str = "Actions";
 const FACTS: &str = "Facts";
 
-/// All that may be said.
+/// Returns the documentation of all steps.
 pub fn step_docs() -> Vec<StepDoc> {
-    fn list<T: Copy>(kind: &'static str, phrases: &[StepPattern<T>]) -> Vec<StepDoc> {
-        let listed = |phrase: &StepPattern<T>| StepDoc {
+    fn list<T: Copy>(kind: &'static str, patterns: &[StepPattern<T>]) -> Vec<StepDoc> {
+        let doc = |phrase: &StepPattern<T>| StepDoc {
             kind,
             pattern: phrase.pattern.to_owned(),
             example: phrase.example.to_owned(),
         };
-        phrases.iter().map(listed).collect()
+        patterns.iter().map(doc).collect()
     }
     let book = StepRegistry::get();
     let form = |(pattern, example): (&str, &str)| StepDoc {
-        kind: FORMS_OF,
+        kind: FORMS_KIND,
         pattern: pattern.to_owned(),
         example: example.to_owned(),
     };
     let mut all: Vec<StepDoc> = FORMS.into_iter().map(form).collect();
     all.extend(list(SETTINGS, &book.settings));
-    all.extend(list(DEEDS, &book.deeds));
+    all.extend(list(ACTIONS, &book.actions));
     all.extend(list(FACTS, &book.facts));
     all
 }

@@ -1,8 +1,8 @@
-//! Who is in a fleet that chaos is done to.
+//! Composition of a fleet for chaos runs.
 
 use crate::RobotSpec;
 
-/// Rooms with a nurse and a sample each, those that are served first at the front.
+/// Rooms with a nurse and a sample each, in the order of use.
 pub const ROOMS: [&str; 12] = [
     "IC Room 6",
     "PC Room 1",
@@ -18,7 +18,7 @@ pub const ROOMS: [&str; 12] = [
     "PC Room 7",
 ];
 
-/// The missions that clients ask for: with a branch for the loss of the sample, and without.
+/// Missions of the clients: without and with a recovery branch for the loss of the sample.
 pub const MISSIONS: [&str; 2] = ["lab-samples", "lab-samples-watched"];
 
 const STATIONS: [&str; 6] = ["aster", "basil", "clove", "dill", "elder", "flax"];
@@ -31,19 +31,19 @@ const CARRIERS: [(&str, &str); 6] = [
     ("linden", "Dock"),
 ];
 
-/// The one robot that takes samples out of drawers.
+/// The only robot that takes samples out of drawers.
 pub const ARM: &str = "lab-arm";
 
-/// The node that hosts bodies and people; it comes on top of the nodes that are counted.
+/// The node that hosts the simulated robots and the people. It is not part of the node count.
 pub const WORLD: &str = "world";
 
-/// Fewest nodes that can carry a mission out and survive the loss of one voter.
+/// Smallest fleet that can carry out a mission and survive the loss of one voter.
 pub const NODES_MIN: usize = 4;
 
-/// Most nodes there are names for.
+/// Number of available node names.
 pub const NODES_MAX: usize = 13;
 
-/// Who is in the fleet: an arm, and carriers and stations in equal parts.
+/// Composition of a fleet: an arm, and carriers and stations in equal parts.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ChaosFleet {
     /// Stationary nodes that vote.
@@ -53,10 +53,10 @@ pub struct ChaosFleet {
 }
 
 impl ChaosFleet {
-    /// A fleet of so many nodes, the host of the world not counted.
+    /// Returns a fleet of `nodes` nodes, without the world host.
     ///
     /// # Panics
-    /// When there are not [`NODES_MIN`] to [`NODES_MAX`]: who asks has checked.
+    /// If `nodes` is outside [`NODES_MIN`] to [`NODES_MAX`]. The caller has checked it.
     pub fn of(nodes: usize) -> ChaosFleet {
         assert!((NODES_MIN..=NODES_MAX).contains(&nodes), "{nodes} nodes");
         let carriers = (nodes - 1) / 2;
@@ -67,13 +67,13 @@ impl ChaosFleet {
         }
     }
 
-    /// All nodes, the host of the world last.
+    /// Returns all nodes, the world host last.
     pub fn nodes(&self) -> Vec<&'static str> {
         let robots = self.carriers.iter().chain([&ARM, &WORLD]);
         self.stations.iter().chain(robots).copied().collect()
     }
 
-    /// Its first voters: up to five, an odd number, stationary ones before others.
+    /// Returns the first voters: at most five, an odd number, stationary nodes first.
     pub fn voters(&self) -> Vec<&'static str> {
         let mut all: Vec<_> = self.stations.iter().copied().chain([ARM]).collect();
         all.sort_unstable();
@@ -83,7 +83,7 @@ impl ChaosFleet {
         all
     }
 
-    /// Its robots as the harness starts them.
+    /// Returns the setups of its carriers.
     pub fn members(&self) -> Vec<RobotSpec> {
         let place = |name: &str| CARRIERS.iter().find(|(known, _)| *known == name).map_or("Dock", |(_, place)| place);
         self.carriers

@@ -1,4 +1,4 @@
-//! Does to a fleet what a schedule says.
+//! Executes the actions of a schedule on a fleet.
 
 use super::chaos_fleet::{ChaosFleet, WORLD};
 use super::fault_injector::FaultInjector;
@@ -13,36 +13,36 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tokio::sync::watch;
 
-/// How long a client waits before it asks again.
-const ASK_AGAIN: Duration = Duration::from_millis(700);
+/// Delay of a client before it repeats a request.
+const RETRY_INTERVAL: Duration = Duration::from_millis(700);
 
-/// How often people look whether somebody needs them.
-const RESCUE_EVERY: Duration = Duration::from_secs(10);
+/// Interval at which people look for missions that need intervention.
+const RESOLVE_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Acknowledged requests and the missions that they stand for.
+/// Missions of acknowledged requests, by request.
 pub(super) type Acknowledged = watch::Sender<BTreeMap<String, String>>;
 
-/// The hand that does it: the faults in force, and what ends each of them.
+/// Executor of actions, with the active faults and the state that ends each of them.
 pub(super) struct ActionExecutor {
-    cast: ChaosFleet,
-    gear: FaultInjector,
+    composition: ChaosFleet,
+    injector: FaultInjector,
     acknowledged: Acknowledged,
-    /// Nodes that are down, by the step that will start them again.
+    /// Stopped nodes, by the action that will restart them.
     down: BTreeMap<usize, Vec<String>>,
     partitions: BTreeMap<usize, Vec<Vec<String>>>,
     cuts: BTreeMap<usize, Vec<(String, String)>>,
     weather: BTreeMap<usize, LinkModel>,
     slow: BTreeMap<usize, (String, u64)>,
     paused: BTreeMap<usize, String>,
-    /// Robots whose battery ran down.
+    /// Robots with a drained battery.
     flat: BTreeSet<String>,
 }
 
 impl ActionExecutor {
-    pub(super) fn new(cast: ChaosFleet, gear: FaultInjector) -> ActionExecutor {
+    pub(super) fn new(composition: ChaosFleet, injector: FaultInjector) -> ActionExecutor {
         ActionExecutor {
-            cast,
-            gear,
+            composition,
+            injector,
             acknowledged: watch::Sender::default(),
             down: BTreeMap::new(),
             partitions: BTreeMap::new(),
@@ -54,28 +54,29 @@ impl ActionExecutor {
         }
     }
 
-    /// What clients have been promised.
+    /// Returns the acknowledged requests.
     pub(super) fn acknowledged(&self) -> BTreeMap<String, String> {
         self.acknowledged.borrow().clone()
     }
 
-    /// The same, as it grows.
+    /// Returns a receiver for changes of the acknowledged requests.
     pub(super) fn acknowledged_receiver(&self) -> watch::Receiver<BTreeMap<String, String>> {
         self.acknowledged.subscribe()
     }
 
-    /// Begins step `number`.
+    /// Begins action `number`.
     pub(super) async fn begin(&mut self, fleet: &mut Fleet, number: usize, act: &ChaosAction) {
         match act {
             ChaosAction::Submit { request, unnamed, mission, room, priority, deadline_s } => {
-                let mut asked = json!({ "mission": mission, "parameters": { "room": room }, "priority": priority });
+                let mut request_body =
+                    json!({ "mission": mission, "parameters": { "room": room }, "priority": priority });
                 if !unnamed {
-                    asked["request"] = json!(request);
+                    request_body["request"] = json!(request);
                 }
                 if let Some(seconds) = deadline_s {
-                    asked["deadline_s"] = json!(seconds);
+                    request_body["deadline_s"] = json!(seconds);
                 }
-                self.submit(fleet, request, asked);
+                self.submit(fleet, request, request_body);
             }
             ChaosAction::Cancel { request } => self.cancel(fleet, request),
             ChaosAction::Crash { node, disk, .. } => {
@@ -97,7 +98,7 @@ impl ActionExecutor {
             }
             ChaosAction::Partition { groups, .. } => {
                 self.partitions.insert(number, groups.clone());
-                self.part(fleet);
+                self.apply_partition(fleet);
             }
             ChaosAction::Cut { from, to, .. } => {
                 let links = self.links(from, to);
@@ -129,11 +130,11 @@ impl ActionExecutor {
                 fleet.world.with(|world| world.set_charge(&slug(robot), charge));
                 self.flat.insert(robot.clone());
             }
-            ChaosAction::Skill { robot, how, times } => self.gear.inject_skill_fault(robot, *how, *times),
+            ChaosAction::Skill { robot, how, times } => self.injector.inject_skill_fault(robot, *how, *times),
         }
     }
 
-    /// Ends step `number`, if it was begun and has an end.
+    /// Ends action `number`, if it was begun and has an end.
     pub(super) async fn end(&mut self, fleet: &mut Fleet, number: usize) {
         if let Some(nodes) = self.down.remove(&number) {
             for node in nodes {
@@ -146,7 +147,7 @@ impl ActionExecutor {
             fleet.network.resume(&slug(&node));
         }
         if self.partitions.remove(&number).is_some() {
-            self.part(fleet);
+            self.apply_partition(fleet);
         }
         if let Some(links) = self.cuts.remove(&number) {
             let still: BTreeSet<_> = self.cuts.values().flatten().collect();
@@ -158,12 +159,12 @@ impl ActionExecutor {
             self.change_weather(fleet);
         }
         if let Some((node, _)) = self.slow.remove(&number) {
-            self.gear.disk(&node).set_slow(None);
+            self.injector.disk(&node).set_slow(None);
             self.change_disks();
         }
     }
 
-    /// Ends all that is in force, and lets every node run.
+    /// Ends all active faults and starts all stopped nodes.
     pub(super) async fn end_all_faults(&mut self, fleet: &mut Fleet) {
         let numbers: BTreeSet<usize> = (self.down.keys().chain(self.paused.keys()))
             .chain(self.partitions.keys().chain(self.cuts.keys()))
@@ -173,8 +174,8 @@ impl ActionExecutor {
         for number in numbers {
             self.end(fleet, number).await;
         }
-        self.gear.clear_skill_faults();
-        // A robot with an empty battery does not refuse for good, and a mission may wait for it.
+        self.injector.clear_skill_faults();
+        // Otherwise a mission may wait forever for a robot with an empty battery.
         for robot in std::mem::take(&mut self.flat) {
             fleet.world.with(|world| world.replace_battery(&slug(&robot)));
         }
@@ -186,26 +187,26 @@ impl ActionExecutor {
                 continue; // down already
             }
             fleet.kill(node).await;
-            self.gear.disk(node).crash(disk.unsynced_writes());
+            self.injector.disk(node).crash(disk.unsynced_writes());
             if disk == DiskAfterCrash::Empty {
-                self.gear.lose_disk(node);
+                self.injector.lose_disk(node);
             }
             self.down.entry(number).or_default().push(node.clone());
         }
     }
 
-    /// Starts a node, for the first time or again, and follows what it believes.
+    /// Starts or restarts a node and records its leadership view.
     pub(super) async fn start(&mut self, fleet: &mut Fleet, node: &str) {
         fleet.event_log.add(Observation::TestAction { node: slug(node), action: "starts again" });
-        let known = self.cast.nodes().into_iter().find(|known| *known == node).expect("a node of the cast");
+        let known = self.composition.nodes().into_iter().find(|known| *known == node).expect("a node of the cast");
         if known == WORLD {
             fleet.start_world().await;
-        } else if self.cast.stations.contains(&known) {
+        } else if self.composition.stations.contains(&known) {
             fleet.start_station(known).await;
         } else {
             fleet.start_robot(known).await;
         }
-        // Whoever was frozen before is so again.
+        // A paused node stays paused across a restart.
         if self.paused.values().any(|paused| paused == node) {
             fleet.network.pause(&slug(node));
         }
@@ -213,15 +214,15 @@ impl ActionExecutor {
     }
 
     fn links(&self, from: &str, to: &str) -> Vec<(String, String)> {
-        let all = || self.cast.nodes().into_iter().map(str::to_owned).chain(["client".to_owned()]);
+        let all = || self.composition.nodes().into_iter().map(str::to_owned).chain(["client".to_owned()]);
         let named = |name: &str| if name == "*" { all().collect() } else { vec![name.to_owned()] };
         let (from, to) = (named(from), named(to));
         let pairs = from.iter().flat_map(|from| to.iter().map(move |to| (from.clone(), to.clone())));
         pairs.filter(|(from, to)| from != to).collect()
     }
 
-    /// The latest partition is the one in force.
-    fn part(&self, fleet: &Fleet) {
+    /// The latest partition is in force.
+    fn apply_partition(&self, fleet: &Fleet) {
         let groups = self.partitions.values().last().cloned().unwrap_or_default();
         let named = |group: Vec<String>| group.iter().map(|name| slug(name)).collect::<Vec<NodeId>>();
         fleet.network.partition(groups.into_iter().map(named));
@@ -234,41 +235,42 @@ impl ActionExecutor {
     fn change_disks(&self) {
         for (node, most) in self.slow.values() {
             let most = Duration::from_millis(*most);
-            self.gear.disk(node).set_slow(Some((most / 4, most)));
+            self.injector.disk(node).set_slow(Some((most / 4, most)));
         }
     }
 
-    /// People come for what is stranded in robots' hands: robots that hold something are given no other work until then.
+    /// Resolves missions that need intervention, as a person would. Robots that hold an item
+    /// receive no other work until then.
     pub(super) fn spawn_resolver(&self, fleet: &Fleet) {
         let client = fleet.client.clone();
         let key = |call| fleet.keys.write(&Key::Api(call));
-        let (list, rescued) = (key(ApiCall::List), key(ApiCall::Resolve));
+        let (list, resolve) = (key(ApiCall::List), key(ApiCall::Resolve));
         tokio::spawn(async move {
             loop {
-                // Also what was asked for without a name and never acknowledged.
-                let answers = look(&client, &list).await;
-                let mut stranded: Vec<Value> = vec![];
+                // The list includes unnamed requests that were never acknowledged.
+                let answers = query_nearest(&client, &list).await;
+                let mut held: Vec<Value> = vec![];
                 for mission in answers.iter().filter_map(|answer| answer["missions"].as_array()).flatten() {
-                    if mission["state"] == "needs_rescue" {
-                        stranded.push(mission["mission"].clone());
+                    if mission["state"] == "needs_intervention" {
+                        held.push(mission["mission"].clone());
                     }
                 }
-                for mission in stranded {
-                    ask(&client, &rescued, &json!({ "mission": mission, "by": "chaos" })).await;
+                for mission in held {
+                    query_all(&client, &resolve, &json!({ "mission": mission, "by": "chaos" })).await;
                 }
-                tokio::time::sleep(RESCUE_EVERY).await;
+                tokio::time::sleep(RESOLVE_INTERVAL).await;
             }
         });
     }
 
-    fn submit(&self, fleet: &Fleet, request: &str, asked: Value) {
+    fn submit(&self, fleet: &Fleet, request: &str, request_body: Value) {
         let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Submit)));
         let (chronicle, acknowledged, request) =
             (fleet.event_log.clone(), self.acknowledged.clone(), request.to_owned());
-        let named = asked.get("request").is_some();
+        let named = request_body.get("request").is_some();
         tokio::spawn(async move {
             loop {
-                for answer in ask(&client, &key, &asked).await {
+                for answer in query_all(&client, &key, &request_body).await {
                     if let Some(mission) = answer["mission"].as_str() {
                         let (node, mission_id) = (slug("client"), slug(mission));
                         let name = named.then(|| request.clone());
@@ -277,7 +279,7 @@ impl ActionExecutor {
                         return;
                     }
                 }
-                tokio::time::sleep(ASK_AGAIN).await;
+                tokio::time::sleep(RETRY_INTERVAL).await;
             }
         });
     }
@@ -291,28 +293,29 @@ impl ActionExecutor {
             else {
                 return;
             };
-            let asked = json!({ "mission": mission, "by": "chaos" });
-            // Any answer will do: it may have ended by itself.
-            while ask(&client, &key, &asked).await.is_empty() {
-                tokio::time::sleep(ASK_AGAIN).await;
+            let request_body = json!({ "mission": mission, "by": "chaos" });
+            // Any reply suffices: the mission may have ended by itself.
+            while query_all(&client, &key, &request_body).await.is_empty() {
+                tokio::time::sleep(RETRY_INTERVAL).await;
             }
         });
     }
 }
 
-/// What whoever coordinates says; several may believe that they do, and none may be heard.
-async fn ask(client: &impl Bus, key: &str, asked: &Value) -> Vec<Value> {
-    hear(client.query(key, asked.to_string().into(), Duration::from_secs(3)).await).await
+/// Returns the replies of all nodes that count themselves coordinator. There may be several or
+/// none.
+async fn query_all(client: &impl Bus, key: &str, request_body: &Value) -> Vec<Value> {
+    collect_replies(client.query(key, request_body.to_string().into(), Duration::from_secs(3)).await).await
 }
 
-/// What the nearest node says.
-async fn look(client: &impl Bus, key: &str) -> Vec<Value> {
-    hear(client.query_nearest(key, vec![].into(), Duration::from_secs(3)).await).await
+/// Returns the reply of the nearest node.
+async fn query_nearest(client: &impl Bus, key: &str) -> Vec<Value> {
+    collect_replies(client.query_nearest(key, vec![].into(), Duration::from_secs(3)).await).await
 }
 
-async fn hear(asked: Result<Stream<Reply>, BusError>) -> Vec<Value> {
+async fn collect_replies(replies: Result<Stream<Reply>, BusError>) -> Vec<Value> {
     let mut answers = vec![];
-    let Ok(mut replies) = asked else { return answers };
+    let Ok(mut replies) = replies else { return answers };
     while let Some(reply) = replies.recv().await {
         if let Ok(answer) = reply.payload.map(|payload| serde_json::from_slice(&payload).unwrap_or(Value::Null)) {
             answers.push(answer);

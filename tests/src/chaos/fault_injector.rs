@@ -1,4 +1,4 @@
-//! What chaos puts into nodes before they start: disks that forget, clocks that drift, skills that go wrong.
+//! Fault injection before nodes start: disks that lose writes, clocks that drift, skills that fail.
 
 use super::chaos_fleet::{ARM, ChaosFleet};
 use super::schedule::{ChaosAction, Schedule, SkillFault};
@@ -18,16 +18,16 @@ use std::rc::Rc;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::time::Instant;
 
-/// How long a skill hangs, in seconds of the world: half a minute at ten times the speed.
+/// Duration of a hang in world seconds: half a minute of node time at ten times the speed.
 const HANGS_S: f64 = 300.0;
 
-/// The date at which every run begins, in milliseconds since 1970.
+/// Date at the start of every run, in milliseconds since 1970.
 const DATE_MS: u64 = 1_790_000_000_000;
 
-/// What goes wrong next with a robot's skills.
-type Mishaps = Arc<Mutex<VecDeque<SkillFault>>>;
+/// Queued faults of the skills of a robot.
+type FaultQueue = Arc<Mutex<VecDeque<SkillFault>>>;
 
-/// The gear of one fleet. Clones are the same.
+/// Fault injector of a fleet. Clones share the same state.
 #[derive(Clone)]
 pub(super) struct FaultInjector(Rc<RefCell<Parts>>);
 
@@ -35,33 +35,34 @@ struct Parts {
     started: Instant,
     seed: u64,
     disks: BTreeMap<String, VirtualDisk>,
-    /// Disks that were ever put in.
-    put_in: u64,
+    /// Number of disks created so far.
+    created_disks: u64,
     rates: BTreeMap<String, f64>,
-    mishaps: BTreeMap<String, Mishaps>,
+    faults: BTreeMap<String, FaultQueue>,
     libraries: BTreeMap<String, Arc<SkillLibrary>>,
 }
 
 impl FaultInjector {
-    pub(super) fn new(seed: u64, cast: &ChaosFleet, schedule: &Schedule) -> FaultInjector {
+    pub(super) fn new(seed: u64, composition: &ChaosFleet, schedule: &Schedule) -> FaultInjector {
         let drift = |act: &ChaosAction| {
             if let ChaosAction::Drift { node, rate } = act { Some((node.clone(), *rate)) } else { None }
         };
         let rates = schedule.steps.iter().filter_map(|step| drift(&step.action)).collect();
         let map = map::shipped("hospital").expect("the shipped map is sound");
         let environment = map.environment().expect("the shipped map is sound");
-        let robots = cast.carriers.iter().copied().chain([ARM]);
-        let mishaps: BTreeMap<String, Mishaps> = robots.map(|robot| (robot.to_owned(), Mishaps::default())).collect();
-        let library = |mishaps: &Mishaps| Arc::new(stumbling(environment.clone(), mishaps));
-        let libraries = mishaps.iter().map(|(robot, mishaps)| (robot.clone(), library(mishaps))).collect();
-        let (started, disks, put_in) = (Instant::now(), BTreeMap::new(), 0);
-        FaultInjector(Rc::new(RefCell::new(Parts { started, seed, disks, put_in, rates, mishaps, libraries })))
+        let robots = composition.carriers.iter().copied().chain([ARM]);
+        let faults: BTreeMap<String, FaultQueue> =
+            robots.map(|robot| (robot.to_owned(), FaultQueue::default())).collect();
+        let library = |faults: &FaultQueue| Arc::new(faulty_library(environment.clone(), faults));
+        let libraries = faults.iter().map(|(robot, faults)| (robot.clone(), library(faults))).collect();
+        let (started, disks, created_disks) = (Instant::now(), BTreeMap::new(), 0);
+        FaultInjector(Rc::new(RefCell::new(Parts { started, seed, disks, created_disks, rates, faults, libraries })))
     }
 
-    /// Puts it into nodes.
+    /// Returns a function that applies the faults to the settings of a node.
     pub(super) fn adjust(&self) -> AdjustNode {
-        let gear = self.clone();
-        Box::new(move |settings| gear.equip(settings))
+        let injector = self.clone();
+        Box::new(move |settings| injector.equip(settings))
     }
 
     fn equip(&self, settings: &mut NodeSettings) {
@@ -75,48 +76,48 @@ impl FaultInjector {
         }
     }
 
-    /// A node's disk; a new one, if it has none.
+    /// Returns the disk of a node and creates it if necessary.
     pub(super) fn disk(&self, node: &str) -> VirtualDisk {
         let mut parts = self.0.borrow_mut();
         let parts = &mut *parts;
         let new = || {
-            parts.put_in += 1;
-            VirtualDisk::new(parts.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(parts.put_in))
+            parts.created_disks += 1;
+            VirtualDisk::new(parts.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(parts.created_disks))
         };
         parts.disks.entry(node.to_owned()).or_insert_with(new).clone()
     }
 
-    /// A node's disk is lost: its next life finds an empty one.
+    /// Removes the disk of a node. Its next incarnation starts with an empty disk.
     pub(super) fn lose_disk(&self, node: &str) {
         self.0.borrow_mut().disks.remove(node);
     }
 
-    /// A robot's skills go wrong so often.
+    /// Queues `times` faults for the skills of a robot.
     pub(super) fn inject_skill_fault(&self, robot: &str, how: SkillFault, times: u32) {
-        if let Some(mishaps) = self.0.borrow().mishaps.get(robot) {
-            let mut mishaps = mishaps.lock().unwrap_or_else(PoisonError::into_inner);
-            mishaps.extend((0..times).map(|_| how));
+        if let Some(faults) = self.0.borrow().faults.get(robot) {
+            let mut faults = faults.lock().unwrap_or_else(PoisonError::into_inner);
+            faults.extend((0..times).map(|_| how));
         }
     }
 
-    /// Nothing goes wrong with anybody's skills any more.
+    /// Removes all queued skill faults.
     pub(super) fn clear_skill_faults(&self) {
-        for mishaps in self.0.borrow().mishaps.values() {
-            mishaps.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        for faults in self.0.borrow().faults.values() {
+            faults.lock().unwrap_or_else(PoisonError::into_inner).clear();
         }
     }
 }
 
-/// The skills that come with Consort; before each is begun, something may go wrong.
-fn stumbling(environment: Environment, mishaps: &Mishaps) -> SkillLibrary {
+/// Returns the shipped skills, each preceded by a leaf that injects the queued faults.
+fn faulty_library(environment: Environment, faults: &FaultQueue) -> SkillLibrary {
     let mut library = SkillLibrary::standard(environment);
-    let mishaps = Arc::clone(mishaps);
+    let faults = Arc::clone(faults);
     let added = library.extend(|registry| {
         registry.register(NodeManifest::new("Stumble", NodeKind::Action, []), move |_: &TaskContext| {
-            Box::new(Stumble { mishaps: Arc::clone(&mishaps), until: None })
+            Box::new(FaultLeaf { faults: Arc::clone(&faults), until: None })
         })
     });
-    added.expect("no other leaf is called so");
+    added.expect("the leaf name is unique");
     for (task_type, mut tree) in SkillLibrary::standard_trees() {
         let Some(root) = tree.trees.remove(&tree.main) else { continue };
         let mut first = NodeSpec::new("Sequence");
@@ -127,21 +128,21 @@ fn stumbling(environment: Environment, mishaps: &Mishaps) -> SkillLibrary {
     library
 }
 
-struct Stumble {
-    mishaps: Mishaps,
-    /// Until when it hangs.
+struct FaultLeaf {
+    faults: FaultQueue,
+    /// End of the current hang.
     until: Option<WorldTime>,
 }
 
-impl Leaf for Stumble {
+impl Leaf for FaultLeaf {
     fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
         if let Some(until) = self.until {
             let over = context.now() >= until;
             self.until = self.until.filter(|_| !over);
             return Ok(if over { NodeStatus::Success } else { NodeStatus::Running });
         }
-        let mishap = self.mishaps.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
-        match mishap {
+        let fault = self.faults.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
+        match fault {
             None => Ok(NodeStatus::Success),
             Some(SkillFault::Fails) => Err(Cause::new("chaos has it fail")),
             Some(SkillFault::Panics) => panic!("chaos has it panic"),

@@ -1,4 +1,4 @@
-//! Schedules drawn from a seed.
+//! Generation of schedules from a seed.
 
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, WORLD};
 use super::schedule::{ChaosAction, DiskAfterCrash, FaultKind, Schedule, ScheduledAction, SkillFault};
@@ -8,24 +8,31 @@ use rand_chacha::ChaCha8Rng;
 use std::ops::Range;
 use std::time::Duration;
 
-/// Share of a run after which no fault is in force any more.
+/// Share of a run after which all faults have ended.
 pub const LIFTED: f64 = 0.7;
 
-/// When the first fault may come: the fleet has been founded by then, as a rule.
+/// Time of the first possible fault. The cluster usually exists by then.
 const FIRST_MS: u64 = 4_000;
 
-/// How long a carrier is away whose role is to be given to another: longer than lease and grace.
+/// Duration for which a carrier is isolated so that its role is reassigned: longer than lease and
+/// grace.
 const AWAY_MS: Range<u64> = 15_000..30_000;
 
-/// A schedule with faults of these kinds, for a fleet that runs so long.
-pub fn generate(seed: u64, cast: &ChaosFleet, minutes: f64, kinds: &[FaultKind]) -> Schedule {
+/// Generates a schedule with faults of these kinds for a fleet that runs for `minutes`.
+pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[FaultKind]) -> Schedule {
     let chance = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed_0fc4_a05f);
     let end_ms = u64::try_from(Duration::from_secs_f64(minutes * 60.0 * LIFTED).as_millis()).unwrap_or(u64::MAX);
-    let mut draw =
-        Draw { chance, cast, end_ms: end_ms.max(FIRST_MS + 2_000), steps: vec![], wiped: vec![], flat: vec![] };
+    let mut draw = Draw {
+        chance,
+        composition,
+        end_ms: end_ms.max(FIRST_MS + 2_000),
+        steps: vec![],
+        lost_disks: vec![],
+        drained: vec![],
+    };
     draw.requests(minutes);
     if !kinds.is_empty() {
-        // About one fault in twenty seconds, some runs far fewer, some far more.
+        // On average about one fault in twenty seconds; some runs have far fewer, some far more.
         let most = (draw.end_ms / 12_000).max(2);
         let count = draw.chance.random_range(1..=most);
         for _ in 0..count {
@@ -33,29 +40,29 @@ pub fn generate(seed: u64, cast: &ChaosFleet, minutes: f64, kinds: &[FaultKind])
             draw.fault(kind);
         }
     }
-    // From a chance of its own, so that whatever is drawn beyond does not change the times and faults above.
+    // A separate generator, so that further draws do not change the times and faults above.
     draw.chance = ChaCha8Rng::seed_from_u64(seed ^ 0xa5_4ed0_0d1f);
     draw.vary();
     if kinds.contains(&FaultKind::Partition) {
-        draw.lose_at_work();
+        draw.isolate_carrier();
     }
     Schedule { steps: draw.steps }.in_order()
 }
 
 struct Draw<'a> {
     chance: ChaCha8Rng,
-    cast: &'a ChaosFleet,
+    composition: &'a ChaosFleet,
     end_ms: u64,
     steps: Vec<ScheduledAction>,
-    /// Nodes whose disk is lost.
-    wiped: Vec<&'static str>,
-    /// Robots whose battery runs down.
-    flat: Vec<&'static str>,
+    /// Nodes with a lost disk.
+    lost_disks: Vec<&'static str>,
+    /// Robots with a drained battery.
+    drained: Vec<&'static str>,
 }
 
 impl Draw<'_> {
     fn requests(&mut self, minutes: f64) {
-        // The arm serves one mission at a time, for half a minute or so.
+        // The arm serves one mission at a time and needs about half a minute for it.
         let most = ((minutes * 1.2).ceil() as usize).clamp(1, ROOMS.len());
         let count = self.chance.random_range(most.div_ceil(2)..=most);
         for (number, room) in ROOMS.iter().take(count).enumerate() {
@@ -73,22 +80,24 @@ impl Draw<'_> {
         }
     }
 
-    /// Some of the requests are for missions with a recovery branch, some have no name, some have a deadline.
+    /// Varies the requests: some missions have a recovery branch, some requests have no name, some
+    /// have a deadline.
     fn vary(&mut self) {
         let chance = &mut self.chance;
         for step in &mut self.steps {
             if let ChaosAction::Submit { unnamed, mission, deadline_s, .. } = &mut step.action {
                 *unnamed = chance.random_bool(0.15);
                 *mission = MISSIONS[usize::from(chance.random_bool(0.4))].to_owned();
-                // Some pass while the mission waits, some while it is under way, most never.
+                // Some deadlines pass while the mission waits, some while it runs, most never.
                 *deadline_s = chance.random_bool(0.2).then(|| chance.random_range(10..=180));
             }
         }
     }
 
-    /// As often as not a carrier is away with its body right after something was asked for, which it may have been given to do,
-    /// for long enough that another one is given it. Else few seeds have a role that passes from one to another.
-    fn lose_at_work(&mut self) {
+    /// Isolates a carrier with its simulated robot right after a request, in half of the runs. The
+    /// carrier may have just received the role. It stays isolated long enough for another carrier
+    /// to receive the role; otherwise few seeds contain such a reassignment.
+    fn isolate_carrier(&mut self) {
         let asked = self.steps.iter().filter(|step| step.action.submitted_request().is_some()).map(|step| step.at_ms);
         let latest = self.end_ms.saturating_sub(AWAY_MS.end);
         let asked: Vec<u64> = asked.filter(|at_ms| (FIRST_MS..latest).contains(at_ms)).collect();
@@ -97,8 +106,8 @@ impl Draw<'_> {
         {
             let at_ms = asked + self.chance.random_range(300..4_000);
             let for_ms = self.chance.random_range(AWAY_MS).min(self.end_ms - at_ms);
-            let nodes = self.cast.nodes().into_iter().map(str::to_owned).collect();
-            let groups = self.stray(nodes);
+            let nodes = self.composition.nodes().into_iter().map(str::to_owned).collect();
+            let groups = self.carrier_groups(nodes);
             self.steps.push(ScheduledAction { at_ms, action: ChaosAction::Partition { groups, for_ms } });
         }
     }
@@ -109,19 +118,19 @@ impl Draw<'_> {
         self.steps.push(ScheduledAction { at_ms, action: act });
     }
 
-    /// A node; the host of the world less often than others.
+    /// Draws a node; the world host less often than others.
     fn node(&mut self) -> String {
-        let nodes = self.cast.nodes();
+        let nodes = self.composition.nodes();
         let node = nodes.choose(&mut self.chance).expect("a fleet has nodes");
         let node = if *node == WORLD { nodes.choose(&mut self.chance).expect("a fleet has nodes") } else { node };
         (*node).to_owned()
     }
 
     fn voter(&mut self) -> String {
-        (*self.cast.voters().choose(&mut self.chance).expect("a fleet has voters")).to_owned()
+        (*self.composition.voters().choose(&mut self.chance).expect("a fleet has voters")).to_owned()
     }
 
-    /// A time that is short, middling or long, and over before all faults lift.
+    /// Draws a short, medium or long duration that ends before all faults are lifted.
     fn lasting(&mut self, at_ms: u64, longest_ms: u64) -> u64 {
         let longest = match self.chance.random_range(0..3) {
             0 => 1_000,
@@ -138,19 +147,19 @@ impl Draw<'_> {
             FaultKind::Crash => ChaosAction::Crash { node: self.node(), disk: DiskAfterCrash::Kept, for_ms },
             FaultKind::CrashTorn => {
                 let node = self.node();
-                self.tire(&node, at_ms);
+                self.slow_disk_before(&node, at_ms);
                 ChaosAction::Crash { node, disk: DiskAfterCrash::Torn, for_ms }
             }
-            FaultKind::CrashEmpty => return self.wipe(for_ms),
+            FaultKind::CrashEmpty => return self.lose_disk(for_ms),
             FaultKind::CoordinatorCrash => {
                 let disk = if self.chance.random_bool(0.5) { DiskAfterCrash::Kept } else { DiskAfterCrash::Torn };
                 ChaosAction::Crash { node: "coordinator".to_owned(), disk, for_ms }
             }
             FaultKind::Blackout => {
-                for voter in self.cast.voters() {
-                    self.tire(voter, at_ms);
+                for voter in self.composition.voters() {
+                    self.slow_disk_before(voter, at_ms);
                 }
-                self.ask_just_before(at_ms);
+                self.request_just_before(at_ms);
                 ChaosAction::Blackout { disk: DiskAfterCrash::Torn, for_ms: for_ms.min(10_000) }
             }
             FaultKind::Pause => ChaosAction::Pause { node: self.node(), for_ms: for_ms.min(20_000) },
@@ -182,18 +191,19 @@ impl Draw<'_> {
                 return None;
             }
             FaultKind::Battery => {
-                let left: Vec<_> = self.cast.carriers.iter().filter(|robot| !self.flat.contains(robot)).collect();
-                // Somebody must be able to carry on.
-                if left.len() < 2 {
+                let remaining: Vec<_> =
+                    self.composition.carriers.iter().filter(|robot| !self.drained.contains(robot)).collect();
+                // Another carrier must be able to continue.
+                if remaining.len() < 2 {
                     return None;
                 }
-                let robot = **left.choose(&mut self.chance).expect("two at least");
-                self.flat.push(robot);
+                let robot = **remaining.choose(&mut self.chance).expect("two at least");
+                self.drained.push(robot);
                 ChaosAction::Battery { robot: robot.to_owned() }
             }
             FaultKind::Skill => {
-                let robots: Vec<_> = self.cast.carriers.iter().copied().chain([ARM]).collect();
-                let robot = (*robots.choose(&mut self.chance).expect("the arm is one")).to_owned();
+                let robots: Vec<_> = self.composition.carriers.iter().copied().chain([ARM]).collect();
+                let robot = (*robots.choose(&mut self.chance).expect("there is the arm")).to_owned();
                 let how = *[SkillFault::Fails, SkillFault::Panics, SkillFault::Hangs]
                     .choose(&mut self.chance)
                     .expect("three");
@@ -202,8 +212,8 @@ impl Draw<'_> {
         })
     }
 
-    /// Now and then the disk that is to lose its last writes is busy just before.
-    fn tire(&mut self, node: &str, at_ms: u64) {
+    /// Slows the disk of a node down, in some runs, before the crash that loses its last writes.
+    fn slow_disk_before(&mut self, node: &str, at_ms: u64) {
         if node != WORLD && self.chance.random_bool(0.6) {
             let begins = at_ms.saturating_sub(self.chance.random_range(500..6_000)).max(FIRST_MS);
             let write_ms = self.chance.random_range(20..300);
@@ -213,8 +223,9 @@ impl Draw<'_> {
         }
     }
 
-    /// More often than not a client is acknowledged right before, so that there is something to lose.
-    fn ask_just_before(&mut self, at_ms: u64) {
+    /// Moves a request right before the crash, in most runs, so that an acknowledged request may be
+    /// lost.
+    fn request_just_before(&mut self, at_ms: u64) {
         if !self.chance.random_bool(0.7) {
             return;
         }
@@ -226,22 +237,22 @@ impl Draw<'_> {
         }
     }
 
-    /// A disk is lost, unless too few would be left for a majority of the voters.
-    fn wipe(&mut self, for_ms: u64) -> Option<ChaosAction> {
-        let voters = self.cast.voters();
+    /// Draws the loss of a disk, unless too few disks would be left for a majority of the voters.
+    fn lose_disk(&mut self, for_ms: u64) -> Option<ChaosAction> {
+        let voters = self.composition.voters();
         let node = *voters.choose(&mut self.chance).expect("a fleet has voters");
-        if self.wiped.contains(&node) || (self.wiped.len() + 1) * 2 >= voters.len() {
+        if self.lost_disks.contains(&node) || (self.lost_disks.len() + 1) * 2 >= voters.len() {
             return None;
         }
-        self.wiped.push(node);
+        self.lost_disks.push(node);
         Some(ChaosAction::Crash { node: node.to_owned(), disk: DiskAfterCrash::Empty, for_ms })
     }
 
     fn groups(&mut self) -> Vec<Vec<String>> {
-        let mut nodes: Vec<String> = self.cast.nodes().into_iter().map(str::to_owned).collect();
+        let mut nodes: Vec<String> = self.composition.nodes().into_iter().map(str::to_owned).collect();
         nodes.shuffle(&mut self.chance);
         if self.chance.random_bool(0.4) {
-            return self.stray(nodes);
+            return self.carrier_groups(nodes);
         }
         let parts = if self.chance.random_bool(0.7) { 2 } else { 3 };
         let mut groups: Vec<Vec<String>> = vec![vec![]; parts];
@@ -254,16 +265,16 @@ impl Draw<'_> {
         groups
     }
 
-    /// A carrier is away with its body: it can act, and nobody renews its lease.
-    fn stray(&mut self, nodes: Vec<String>) -> Vec<Vec<String>> {
-        let carrier = *self.cast.carriers.choose(&mut self.chance).expect("a fleet has carriers");
+    /// Isolates a carrier with its simulated robot: it can act, but its lease is not renewed.
+    fn carrier_groups(&mut self, nodes: Vec<String>) -> Vec<Vec<String>> {
+        let carrier = *self.composition.carriers.choose(&mut self.chance).expect("a fleet has carriers");
         let away = |name: &str| name == WORLD || name == carrier;
         let (away, mut others): (Vec<String>, Vec<String>) = nodes.into_iter().partition(|name| away(name));
         others.push("client".to_owned());
         vec![others, away]
     }
 
-    /// A share with two decimals, as people write it.
+    /// Draws a share with two decimals.
     fn share(chance: &mut ChaCha8Rng, least: u32, most: u32) -> f64 {
         f64::from(chance.random_range(least..=most)) / 100.0
     }
@@ -276,7 +287,7 @@ impl Draw<'_> {
     }
 }
 
-/// How far a clock may be off, in thousandths.
+/// Largest error of a clock rate, in thousandths.
 const DRIFT_MAX: i32 = 50;
 
 #[cfg(test)]
@@ -284,11 +295,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn equal_seeds_give_equal_schedules_and_every_fault_is_over_in_time() {
-        let cast = ChaosFleet::of(7);
+    fn schedules_are_deterministic_and_faults_end_in_time() {
+        let composition = ChaosFleet::of(7);
         for seed in 0..200 {
-            let schedule = generate(seed, &cast, 5.0, &FaultKind::FAULTS);
-            assert_eq!(schedule, generate(seed, &cast, 5.0, &FaultKind::FAULTS));
+            let schedule = generate(seed, &composition, 5.0, &FaultKind::FAULTS);
+            assert_eq!(schedule, generate(seed, &composition, 5.0, &FaultKind::FAULTS));
             for step in &schedule.steps {
                 let over = step.at_ms + step.action.for_ms().unwrap_or(0);
                 assert!(over <= 210_050, "seed {seed}: {step}");
@@ -297,9 +308,9 @@ mod tests {
     }
 
     #[test]
-    fn requests_are_of_all_kinds_and_most_have_a_name_and_no_deadline() {
-        let cast = ChaosFleet::of(7);
-        let steps = (0..200).flat_map(|seed| generate(seed, &cast, 5.0, &FaultKind::FAULTS).steps);
+    fn requests_of_all_kinds_are_generated() {
+        let composition = ChaosFleet::of(7);
+        let steps = (0..200).flat_map(|seed| generate(seed, &composition, 5.0, &FaultKind::FAULTS).steps);
         let mut counts = [0; 5];
         for step in steps {
             if let ChaosAction::Submit { unnamed, mission, priority, deadline_s, .. } = step.action {
@@ -312,25 +323,25 @@ mod tests {
     }
 
     #[test]
-    fn a_schedule_is_the_same_after_it_was_written_and_read() {
-        let cast = ChaosFleet::of(7);
+    fn a_schedule_reads_back_unchanged() {
+        let composition = ChaosFleet::of(7);
         for seed in 0..50 {
-            let schedule = generate(seed, &cast, 5.0, &FaultKind::FAULTS);
+            let schedule = generate(seed, &composition, 5.0, &FaultKind::FAULTS);
             let text = serde_json::to_string(&schedule).expect("plain data");
             assert_eq!(serde_json::from_str::<Schedule>(&text).expect("what was written"), schedule);
         }
     }
 
     #[test]
-    fn a_majority_of_the_voters_keeps_its_disks_and_a_carrier_its_charge() {
-        let cast = ChaosFleet::of(7);
+    fn faults_spare_a_majority_of_disks_and_a_carrier() {
+        let composition = ChaosFleet::of(7);
         for seed in 0..500 {
-            let steps = generate(seed, &cast, 5.0, &[FaultKind::CrashEmpty, FaultKind::Battery]).steps;
+            let steps = generate(seed, &composition, 5.0, &[FaultKind::CrashEmpty, FaultKind::Battery]).steps;
             let lost =
                 |step: &&ScheduledAction| matches!(step.action, ChaosAction::Crash { disk: DiskAfterCrash::Empty, .. });
-            let flat = |step: &&ScheduledAction| matches!(step.action, ChaosAction::Battery { .. });
+            let drained = |step: &&ScheduledAction| matches!(step.action, ChaosAction::Battery { .. });
             assert!(steps.iter().filter(lost).count() <= 2, "seed {seed}");
-            assert!(steps.iter().filter(flat).count() <= 2, "seed {seed}");
+            assert!(steps.iter().filter(drained).count() <= 2, "seed {seed}");
         }
     }
 }

@@ -1,14 +1,16 @@
-//! Proof by chaos: seeded fleets under generated faults, watched at every step.
+//! Chaos testing: seeded fleets under generated faults, with invariants checked at every step.
 //!
 //! ```text
-//!  seed ──▶ generate ──▶ Schedule ──▶ run: perform + invariants ──▶ Outcome ──▶ shrink ──▶ the few faults that matter
+//!  seed ──▶ generate ──▶ Schedule ──▶ run: executor + invariants ──▶ RunOutcome ──▶ shrink ──▶ minimal schedule
 //! ```
 //!
-//! One seed is one run, to the byte: a violation is repeated by its seed, or by its schedule once that was cut down.
+//! A seed determines a run to the byte. A violation is reproduced by its seed, or by its schedule
+//! after shrinking.
 //!
-//! What it cannot show: pauses leave a node's own timers running (a stopped process's do not), disks tear off whole
-//! writes and never hand back other bytes than were written, and the bus is not Zenoh. Real processes, real files and real
-//! hosts are tried elsewhere.
+//! Limits: a pause leaves the timers of a node running, unlike a stopped process. Disks lose whole
+//! writes and never return
+//! other bytes than were written. The bus is not Zenoh. Other tests use real processes, real files
+//! and real hosts.
 
 pub mod chaos_fleet;
 mod executor;

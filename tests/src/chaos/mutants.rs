@@ -1,4 +1,5 @@
-//! Whether chaos finds what it should: deliberate mistakes, one at a time, under the same generated faults as ever.
+//! Mutation checks: injected bugs, one at a time, which chaos must find under the usual generated
+//! faults.
 
 use super::chaos_fleet::ChaosFleet;
 use super::generate::generate;
@@ -8,23 +9,24 @@ use super::seed_sweep::SeedSweep;
 use consort_protocol::mutants::{self, Mutant, MutantsNotBuilt};
 use serde::Serialize;
 
-/// How a mistake is looked for.
+/// A mutation check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MutantCheck {
-    /// Which.
+    /// The injected bug.
     pub mutant: Mutant,
-    /// Within how many seeds, from 1 on, it must be found.
+    /// Number of seeds, from 1 on, within which chaos must find the bug.
     pub seeds_max: u64,
 }
 
-/// Simulated minutes of each run of a hunt.
+/// Simulated minutes of each run of a check.
 pub const MINUTES: f64 = 3.0;
 
-/// Nodes of a hunted fleet.
+/// Nodes of the fleet in a check.
 pub const NODES: usize = 7;
 
-/// All mistakes, each with the number of seeds within which it must be found: about three times what was
-/// measured. The one at 90 takes a client whose acknowledgement is lost and which asks again under the same name.
+/// All injected bugs with the number of seeds within which chaos must find each: about three times
+/// the measured number. The bug with 90 seeds needs a lost acknowledgement and a client that
+/// repeats the request under the same name.
 pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck { mutant: Mutant::SkipFsync, seeds_max: 20 },
     MutantCheck { mutant: Mutant::DoubleVote, seeds_max: 20 },
@@ -41,58 +43,63 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck { mutant: Mutant::TwoRemoved, seeds_max: 6 },
 ];
 
-/// What came of a hunt.
+/// Result of a mutation check.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct MutantResult {
-    /// The mistake.
+    /// The injected bug.
     pub mutant: &'static str,
-    /// Within how many seeds it must be found.
-    pub within: u64,
-    /// How many it took, if it was.
+    /// Number of seeds within which chaos must find the bug.
+    pub seeds_max: u64,
+    /// Number of seeds it took, if the bug was found.
     pub seeds: Option<u64>,
-    /// By which invariant.
+    /// The violated invariant.
     pub invariant: Option<String>,
-    /// What was wrong, in words.
-    pub why: Option<String>,
+    /// Reason of the violation.
+    pub reason: Option<String>,
 }
 
-/// Looks for a mistake on so many threads; `each` is called after each run. A violation counts only if everything holds
-/// for the same seed without the mistake: else it is the fleet's own.
+/// Runs a mutation check on `jobs` threads; calls `each` after each run. A violation counts only if
+/// everything holds for the same seed without the bug. Otherwise the fleet itself has a bug.
 ///
 /// # Errors
-/// [`NotBuilt`]; nothing was run.
-pub fn check_mutant(hunt: MutantCheck, jobs: usize, mut each: impl FnMut()) -> Result<MutantResult, MutantsNotBuilt> {
-    mutants::activate(Some(hunt.mutant))?;
+/// [`MutantsNotBuilt`]; nothing was run.
+pub fn check_mutant(check: MutantCheck, jobs: usize, mut each: impl FnMut()) -> Result<MutantResult, MutantsNotBuilt> {
+    mutants::activate(Some(check.mutant))?;
     mutants::activate(None)?;
-    let cast = ChaosFleet::of(NODES);
-    let order = |seed| {
+    let composition = ChaosFleet::of(NODES);
+    let config = |seed| {
         (
             RunConfig { seed, nodes: NODES, minutes: MINUTES, closed: false },
-            generate(seed, &cast, MINUTES, &FaultKind::FAULTS),
+            generate(seed, &composition, MINUTES, &FaultKind::FAULTS),
         )
     };
-    let choose = |mutant| mutants::activate(mutant).expect("it could be chosen a moment ago");
+    let choose = |mutant| mutants::activate(mutant).expect("it was activated a moment ago");
     let mut first = 1;
     let found = loop {
-        let mistaken =
-            SeedSweep { seeds: first..=hunt.seeds_max, jobs, config: &order, prepare: &|| choose(Some(hunt.mutant)) };
-        let Some(found) = mistaken.run(|_| each()) else { break None };
+        let mutated = SeedSweep {
+            seeds: first..=check.seeds_max,
+            jobs,
+            config: &config,
+            prepare: &|| choose(Some(check.mutant)),
+        };
+        let Some(found) = mutated.run(|_| each()) else { break None };
         let seeds = found.seed..=found.seed;
-        let sound = SeedSweep { seeds, jobs: 1, config: &order, prepare: &|| choose(None) }.run(|_| each()).is_none();
-        if sound {
+        let holds_without_mutant =
+            SeedSweep { seeds, jobs: 1, config: &config, prepare: &|| choose(None) }.run(|_| each()).is_none();
+        if holds_without_mutant {
             break Some(found);
         }
         first = found.seed + 1;
-        if first > hunt.seeds_max {
+        if first > check.seeds_max {
             break None;
         }
     };
     let violation = found.as_ref().and_then(|outcome| outcome.violation.clone());
     Ok(MutantResult {
-        mutant: hunt.mutant.name(),
-        within: hunt.seeds_max,
+        mutant: check.mutant.name(),
+        seeds_max: check.seeds_max,
         seeds: found.map(|outcome| outcome.seed),
         invariant: violation.as_ref().map(|violation| violation.invariant.clone()),
-        why: violation.map(|violation| violation.why),
+        reason: violation.map(|violation| violation.reason),
     })
 }

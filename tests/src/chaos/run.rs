@@ -1,8 +1,8 @@
-//! One run: a fleet, a schedule, and whether all that must hold held.
+//! A single run: a fleet, a schedule, and the check of all invariants.
 //!
 //! ```text
-//!  founding │ schedule: requests and faults │ all faults lift │ quiet, to the end of the run │ two that do not hear one another
-//!  ─────────┴──────── invariants at every step ───────────────┴─────── liveness ─────────────┴──────────── relay ───────────▶
+//!  start    │ schedule: requests and faults │ all faults end  │ no faults, to the end of the run │ a link is cut for good
+//!  ─────────┴──────── invariants at every step ─────────────┴─────── liveness ─────────────────┴──────── relay ───────▶
 //! ```
 
 use super::chaos_fleet::{ChaosFleet, ROOMS};
@@ -23,231 +23,248 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 use tokio::time::timeout;
 
-/// How often the world is looked at while nothing else happens.
-const LOOK: Duration = Duration::from_millis(20);
+/// Interval at which the world is checked while nothing else happens.
+const CHECK_INTERVAL: Duration = Duration::from_millis(20);
 
-/// How long missions may take to end once all faults have lifted: each of up to a dozen waits for the one arm.
-const ENDS_WITHIN: Duration = Duration::from_secs(600);
+/// Limit for missions to end after all faults have ended. Up to a dozen missions wait for the only
+/// arm.
+const MISSION_LIMIT: Duration = Duration::from_secs(600);
 
-/// How long a fleet may take to be of one mind once all faults have lifted.
-const SETTLES_WITHIN: Duration = Duration::from_secs(60);
+/// Limit for the fleet to converge after all faults have ended.
+const CONVERGENCE_LIMIT: Duration = Duration::from_secs(60);
 
-/// How long word of a restart may take to somebody who does not hear that node.
-const RELAYED_WITHIN: Duration = Duration::from_secs(30);
+/// Limit for the news of a restart to reach a node without a link to the restarted node.
+const RELAY_LIMIT: Duration = Duration::from_secs(30);
 
-/// What is to be run.
+/// Configuration of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RunConfig {
-    /// Where all chance comes from.
+    /// Source of all randomness.
     pub seed: u64,
-    /// Nodes of the fleet, the host of the world not counted.
+    /// Nodes of the fleet, without the world host.
     pub nodes: usize,
     /// Simulated minutes.
     pub minutes: f64,
-    /// Whether nodes have certificates, and seal what they say.
+    /// Nodes have certificates and sign their messages.
     pub closed: bool,
 }
 
-/// What came of a run.
+/// Outcome of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RunOutcome {
     /// Its seed.
     pub seed: u64,
-    /// What did not hold, if anything.
+    /// The violated invariant, if any.
     pub violation: Option<Violation>,
-    /// What was counted.
-    pub tally: RunCounters,
-    /// A digest of all that happened and every message: equal runs have equal ones.
+    /// Counters of the run.
+    pub counters: RunCounters,
+    /// Digest of all events and messages. Equal runs have equal digests.
     pub digest: String,
 }
 
-/// Something did not hold.
+/// Violation of an invariant.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Violation {
-    /// What: the name of an invariant, or `liveness`, `relay`, `panic`.
+    /// Name of an invariant, or `liveness`, `relay`, `panic`.
     pub invariant: String,
-    /// When, in milliseconds since the fleet was started.
+    /// Time in milliseconds since the start of the fleet.
     pub at_ms: u64,
-    /// How, in words.
-    pub why: String,
-    /// What happened before, a line each, the last at the end.
-    pub tale: Vec<String>,
+    /// Description of the violation.
+    pub reason: String,
+    /// Event log before the violation, with a line per entry, oldest first.
+    pub events_before: Vec<String>,
 }
 
-/// Carries an order out. It takes a thread for itself: one paused runtime, nothing of which is left afterwards.
-pub fn run(order: &RunConfig, schedule: &Schedule) -> RunOutcome {
+/// Executes a run. It uses its own paused runtime on the calling thread; no state remains
+/// afterwards.
+pub fn run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     let runtime = builder.enable_time().start_paused(true).build().expect("a runtime without I/O");
-    let played = catch_unwind(AssertUnwindSafe(|| runtime.block_on(play(order, schedule))));
-    played.unwrap_or_else(|panic| RunOutcome {
-        seed: order.seed,
-        violation: Some(Violation { invariant: "panic".to_owned(), at_ms: 0, why: in_words(&*panic), tale: vec![] }),
-        tally: RunCounters::default(),
+    let outcome = catch_unwind(AssertUnwindSafe(|| runtime.block_on(execute_run(config, schedule))));
+    outcome.unwrap_or_else(|panic| RunOutcome {
+        seed: config.seed,
+        violation: Some(Violation {
+            invariant: "panic".to_owned(),
+            at_ms: 0,
+            reason: panic_text(&*panic),
+            events_before: vec![],
+        }),
+        counters: RunCounters::default(),
         digest: String::new(),
     })
 }
 
-fn in_words(panic: &(dyn Any + Send)) -> String {
+fn panic_text(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
-    text.unwrap_or("a panic without words").to_owned()
+    text.unwrap_or("a panic without a message").to_owned()
 }
 
-async fn play(order: &RunConfig, schedule: &Schedule) -> RunOutcome {
-    let cast = ChaosFleet::of(order.nodes);
-    let gear = FaultInjector::new(order.seed, &cast, schedule);
-    let adjust = gear.adjust();
-    let fleet = Fleet::hospital_with(order.seed, cast.members(), &cast.stations, &ROOMS, adjust, order.closed).await;
-    let mut run = Run { fleet, hand: ActionExecutor::new(cast.clone(), gear), judge: Judge::new() };
-    for node in cast.nodes() {
+async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
+    let composition = ChaosFleet::of(config.nodes);
+    let injector = FaultInjector::new(config.seed, &composition, schedule);
+    let adjust = injector.adjust();
+    let fleet =
+        Fleet::hospital_with(config.seed, composition.members(), &composition.stations, &ROOMS, adjust, config.closed)
+            .await;
+    let mut run = Run { fleet, executor: ActionExecutor::new(composition.clone(), injector), checker: Checker::new() };
+    for node in composition.nodes() {
         run.fleet.record_leadership(node);
     }
-    let violation = run.through(order, schedule, &cast).await.err();
-    let Run { fleet, hand, mut judge } = run;
-    judge.tally.end(&fleet, &hand.acknowledged());
+    let violation = run.run_phases(config, schedule, &composition).await.err();
+    let Run { fleet, executor, mut checker } = run;
+    checker.counters.end(&fleet, &executor.acknowledged());
     let mut hasher = DefaultHasher::new();
     hasher.write(fleet.event_log_text().as_bytes());
     hasher.write_u64(fleet.network.digest());
     let digest = format!("{:016x}", hasher.finish());
-    RunOutcome { seed: order.seed, violation, tally: judge.tally, digest }
+    RunOutcome { seed: config.seed, violation, counters: checker.counters, digest }
 }
 
 struct Run {
     fleet: Fleet,
-    hand: ActionExecutor,
-    judge: Judge,
+    executor: ActionExecutor,
+    checker: Checker,
 }
 
 impl Run {
-    async fn through(&mut self, order: &RunConfig, schedule: &Schedule, cast: &ChaosFleet) -> Result<(), Violation> {
-        let lifted = Duration::from_secs_f64(order.minutes * 60.0 * LIFTED);
-        self.schedule(schedule, lifted).await?;
-        self.hand.end_all_faults(&mut self.fleet).await;
+    async fn run_phases(
+        &mut self,
+        config: &RunConfig,
+        schedule: &Schedule,
+        composition: &ChaosFleet,
+    ) -> Result<(), Violation> {
+        let faults_end = Duration::from_secs_f64(config.minutes * 60.0 * LIFTED);
+        self.schedule(schedule, faults_end).await?;
+        self.executor.end_all_faults(&mut self.fleet).await;
         self.fleet.heal();
-        self.hand.spawn_resolver(&self.fleet);
+        self.executor.spawn_resolver(&self.fleet);
         let since = self.fleet.elapsed();
-        self.until("one coordinator whom all follow, and all known to all", SETTLES_WITHIN, of_one_mind).await?;
+        self.until("a single coordinator, and all nodes alive in all views", CONVERGENCE_LIMIT, has_converged).await?;
         let requests: Vec<String> = schedule.steps.iter().filter_map(|step| step.action.submitted_request()).collect();
-        let hand = self.hand.acknowledged_receiver();
-        self.until("an end of every mission", ENDS_WITHIN, move |fleet| {
-            let acknowledged = hand.borrow();
+        let executor = self.executor.acknowledged_receiver();
+        self.until("an end of every mission", MISSION_LIMIT, move |fleet| {
+            let acknowledged = executor.borrow();
             requests.iter().all(|request| acknowledged.contains_key(request))
                 && unfinished(fleet, &acknowledged).is_empty()
         })
         .await?;
-        self.judge.tally.converged_ms = Some(millis(self.fleet.elapsed() - since));
-        self.judge.end(&self.fleet)?;
-        // What is left of the run is quiet.
-        let end = Duration::from_secs_f64(order.minutes * 60.0);
+        self.checker.counters.converged_ms = Some(millis(self.fleet.elapsed() - since));
+        self.checker.end(&self.fleet)?;
+        // The rest of the run has no faults.
+        let end = Duration::from_secs_f64(config.minutes * 60.0);
         while self.fleet.elapsed() < end {
             self.pass(end).await;
-            self.judge.look(&self.fleet)?;
+            self.checker.check(&self.fleet)?;
         }
-        self.estrange(order.seed, cast).await
+        self.check_relay(config.seed, composition).await
     }
 
-    /// Requests and faults, until all have lifted.
-    async fn schedule(&mut self, schedule: &Schedule, lifted: Duration) -> Result<(), Violation> {
-        // Ends before beginnings of the same instant, both in the order of the steps.
-        let mut agenda: BTreeMap<(u64, bool, usize), usize> = BTreeMap::new();
+    /// Executes the schedule until all faults have ended.
+    async fn schedule(&mut self, schedule: &Schedule, faults_end: Duration) -> Result<(), Violation> {
+        // At the same instant, ends come before beginnings; both are in the order of the actions.
+        let mut queue: BTreeMap<(u64, bool, usize), usize> = BTreeMap::new();
         for (number, step) in schedule.steps.iter().enumerate() {
-            agenda.insert((step.at_ms, true, number), number);
+            queue.insert((step.at_ms, true, number), number);
             if let Some(for_ms) = step.action.for_ms() {
-                agenda.insert((step.at_ms + for_ms, false, number), number);
+                queue.insert((step.at_ms + for_ms, false, number), number);
             }
         }
         loop {
-            self.judge.look(&self.fleet)?;
+            self.checker.check(&self.fleet)?;
             let now = self.fleet.elapsed();
-            while let Some(((at_ms, begins, number), _)) = agenda.first_key_value()
+            while let Some(((at_ms, begins, number), _)) = queue.first_key_value()
                 && Duration::from_millis(*at_ms) <= now
             {
                 let (begins, number) = (*begins, *number);
-                agenda.pop_first();
+                queue.pop_first();
                 let step = &schedule.steps[number];
                 if begins {
-                    self.judge.tell(now, &format!("*** {}", step.action));
-                    self.hand.begin(&mut self.fleet, number, &step.action).await;
+                    self.checker.log_action(now, &format!("*** {}", step.action));
+                    self.executor.begin(&mut self.fleet, number, &step.action).await;
                 } else {
-                    self.judge.tell(now, &format!("*** over: {}", step.action));
-                    self.hand.end(&mut self.fleet, number).await;
+                    self.checker.log_action(now, &format!("*** over: {}", step.action));
+                    self.executor.end(&mut self.fleet, number).await;
                 }
-                self.judge.look(&self.fleet)?;
+                self.checker.check(&self.fleet)?;
             }
-            let next = agenda.first_key_value().map(|((at_ms, ..), _)| Duration::from_millis(*at_ms));
-            if next.is_none() && now >= lifted {
+            let next = queue.first_key_value().map(|((at_ms, ..), _)| Duration::from_millis(*at_ms));
+            if next.is_none() && now >= faults_end {
                 return Ok(());
             }
-            self.pass(next.unwrap_or(lifted)).await;
+            self.pass(next.unwrap_or(faults_end)).await;
         }
     }
 
     /// Lets time pass until something happens, at most until `end`.
     async fn pass(&mut self, end: Duration) {
         let left = end.saturating_sub(self.fleet.elapsed()).max(Duration::from_millis(1));
-        // Whether it ends by news or by time, it is time to look.
-        let _ = timeout(left.min(LOOK), self.judge.grown.changed()).await;
+        // Both results, an event or a timeout, call for the next check.
+        let _ = timeout(left.min(CHECK_INTERVAL), self.checker.grown.changed()).await;
     }
 
-    /// Lets time pass until `done` says so.
+    /// Lets time pass until `done` returns true.
     async fn until(&mut self, what: &str, limit: Duration, done: impl Fn(&Fleet) -> bool) -> Result<(), Violation> {
         let end = self.fleet.elapsed() + limit;
         loop {
-            self.judge.look(&self.fleet)?;
+            self.checker.check(&self.fleet)?;
             if done(&self.fleet) {
                 return Ok(());
             }
             if self.fleet.elapsed() >= end {
-                let why = format!("{what} has not come within {} s: {}", limit.as_secs(), self.state_of_things());
-                return Err(self.judge.violation("liveness", why, &self.fleet));
+                let reason = format!("timeout waiting for {what} within {} s: {}", limit.as_secs(), self.state_text());
+                return Err(self.checker.violation("liveness", reason, &self.fleet));
             }
             self.pass(end).await;
         }
     }
 
-    fn state_of_things(&self) -> String {
-        let acknowledged = self.hand.acknowledged();
+    fn state_text(&self) -> String {
+        let acknowledged = self.executor.acknowledged();
         let leading: Vec<_> = self.fleet.nodes.iter().filter(|(_, node)| leads(node)).map(|(name, _)| name).collect();
-        let strangers: Vec<String> = strangers(&self.fleet).collect();
+        let not_alive: Vec<String> = not_alive(&self.fleet).collect();
         format!(
-            "leading {leading:?}; acknowledged {acknowledged:?}; unfinished {:?}; judged dead {strangers:?}",
+            "leading {leading:?}; acknowledged {acknowledged:?}; unfinished {:?}; not alive {not_alive:?}",
             unfinished(&self.fleet, &acknowledged),
         )
     }
 
-    /// Two nodes do not hear one another at all. One of them starts anew: the other must hear of it through third parties,
-    /// for word of nodes crosses the fleet even where it does not meet.
-    async fn estrange(&mut self, seed: u64, cast: &ChaosFleet) -> Result<(), Violation> {
-        let nodes = cast.nodes();
+    /// Cuts the link between two nodes in both directions and restarts the first. The second node
+    /// must learn of the restart through third nodes, because gossip crosses the fleet even without
+    /// a direct link.
+    async fn check_relay(&mut self, seed: u64, composition: &ChaosFleet) -> Result<(), Violation> {
+        let nodes = composition.nodes();
         let pick = |salt: u64| nodes[usize::try_from((seed ^ salt) % nodes.len() as u64).unwrap_or(0)];
-        let (one, other) = (pick(0x51), pick(0xa7));
-        if one == other {
+        let (restarted, other) = (pick(0x51), pick(0xa7));
+        if restarted == other {
             return Ok(());
         }
-        let (one_id, other_id) = (slug::<NodeId>(one), slug::<NodeId>(other));
+        let (one_id, other_id) = (slug::<NodeId>(restarted), slug::<NodeId>(other));
         self.fleet.network.cut(one_id.clone(), other_id.clone());
         self.fleet.network.cut(other_id.clone(), one_id.clone());
-        self.judge
-            .tell(self.fleet.elapsed(), &format!("*** {one} and {other} do not hear one another; {one} starts anew"));
+        self.checker.log_action(
+            self.fleet.elapsed(),
+            &format!("*** the link between {restarted} and {other} is cut; {restarted} restarts"),
+        );
         let step = usize::MAX;
-        self.hand.crash(&mut self.fleet, step, &[one.to_owned()], DiskAfterCrash::Kept).await;
-        self.hand.end(&mut self.fleet, step).await;
-        let end = self.fleet.elapsed() + RELAYED_WITHIN;
+        self.executor.crash(&mut self.fleet, step, &[restarted.to_owned()], DiskAfterCrash::Kept).await;
+        self.executor.end(&mut self.fleet, step).await;
+        let end = self.fleet.elapsed() + RELAY_LIMIT;
         loop {
-            self.judge.look(&self.fleet)?;
-            let life = |fleet: &Fleet, at: &str| {
+            self.checker.check(&self.fleet)?;
+            let incarnation = |fleet: &Fleet, at: &str| {
                 let node = fleet.nodes.get(at)?;
-                node.knowledge.read(|base| base.get(&one_id).map(|heard| heard.record.stamp.incarnation))
+                node.knowledge.read(|base| base.get(&one_id).map(|known| known.record.stamp.incarnation))
             };
-            let (own, heard) = (life(&self.fleet, one), life(&self.fleet, other));
-            if own.is_some() && own == heard {
+            let (own, seen_by_other) = (incarnation(&self.fleet, restarted), incarnation(&self.fleet, other));
+            if own.is_some() && own == seen_by_other {
                 break;
             }
             if self.fleet.elapsed() >= end {
-                let limit = RELAYED_WITHIN.as_secs();
-                let why = format!(
-                    "{other} has not heard within {limit} s that {one} started anew (life {own:?}, heard {heard:?})"
+                let limit = RELAY_LIMIT.as_secs();
+                let reason = format!(
+                    "{other} has not learned within {limit} s that {restarted} restarted (incarnation {own:?}, known {seen_by_other:?})"
                 );
-                return Err(self.judge.violation("relay", why, &self.fleet));
+                return Err(self.checker.violation("relay", reason, &self.fleet));
             }
             self.pass(end).await;
         }
@@ -260,20 +277,22 @@ fn leads(node: &consort_actors::node::NodeHandle) -> bool {
     node.replica.as_ref().is_some_and(|replica| replica.leadership().borrow().is_leader)
 }
 
-/// Exactly one leads, and everybody that runs counts everybody else alive.
-fn of_one_mind(fleet: &Fleet) -> bool {
-    fleet.nodes.values().filter(|node| leads(node)).count() == 1 && strangers(fleet).next().is_none()
+/// Checks that there is exactly one leader, and that every running node counts every other node
+/// alive.
+fn has_converged(fleet: &Fleet) -> bool {
+    fleet.nodes.values().filter(|node| leads(node)).count() == 1 && not_alive(fleet).next().is_none()
 }
 
-/// Who does not count whom alive.
-fn strangers(fleet: &Fleet) -> impl Iterator<Item = String> {
+/// Returns the pairs in which a node does not count another node alive.
+fn not_alive(fleet: &Fleet) -> impl Iterator<Item = String> {
     let pairs = fleet.nodes.iter().flat_map(|(name, node)| fleet.nodes.keys().map(move |other| (name, node, other)));
     pairs
         .filter(|(_, node, other)| !node.knowledge.is_alive(&slug(other)))
         .map(|(name, _, other)| format!("{other} by {name}"))
 }
 
-/// Acknowledged missions that have not ended, as the coordinator's ledger says; all, while there is none.
+/// Returns the acknowledged missions that have not ended in the ledger of the coordinator; all of
+/// them without a coordinator.
 fn unfinished(fleet: &Fleet, acknowledged: &BTreeMap<String, String>) -> Vec<String> {
     let open = |mission: &&String| {
         let id: MissionId = slug(mission);
@@ -286,52 +305,52 @@ pub(super) fn millis(time: Duration) -> u64 {
     u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }
 
-/// Watches all invariants.
-struct Judge {
+/// Checks all invariants.
+struct Checker {
     invariants: Vec<Box<dyn Invariant>>,
-    /// Entries of the chronicle that were looked at.
+    /// Number of checked entries of the event log.
     seen: usize,
     grown: tokio::sync::watch::Receiver<usize>,
-    told: Vec<(Duration, String)>,
-    tally: RunCounters,
+    actions: Vec<(Duration, String)>,
+    counters: RunCounters,
 }
 
-/// Lines of a violation's tale.
-const TALE: usize = 80;
+/// Number of lines in the log of a violation.
+const EVENT_LINES_MAX: usize = 80;
 
-impl Judge {
-    fn new() -> Judge {
+impl Checker {
+    fn new() -> Checker {
         let grown = tokio::sync::watch::Sender::new(0).subscribe();
-        Judge { invariants: invariants::all(), seen: 0, grown, told: vec![], tally: RunCounters::default() }
+        Checker { invariants: invariants::all(), seen: 0, grown, actions: vec![], counters: RunCounters::default() }
     }
 
-    /// Notes what chaos does, for the tale.
-    fn tell(&mut self, at: Duration, what: &str) {
-        self.told.push((at, what.to_owned()));
+    /// Logs an action of the schedule for the report of a violation.
+    fn log_action(&mut self, at: Duration, what: &str) {
+        self.actions.push((at, what.to_owned()));
     }
 
-    /// Looks at all that has happened since the last look.
-    fn look(&mut self, fleet: &Fleet) -> Result<(), Violation> {
+    /// Checks everything that has happened since the last call.
+    fn check(&mut self, fleet: &Fleet) -> Result<(), Violation> {
         if self.seen == 0 {
             self.grown = fleet.event_log.subscribe_len();
         }
         self.grown.mark_unchanged();
         for (at, entry) in fleet.event_log.since(self.seen) {
             self.seen += 1;
-            self.tally.observe(at, &entry);
+            self.counters.observe(at, &entry);
             for invariant in &mut self.invariants {
-                if let Err(why) = invariant.observe(at, &entry, fleet) {
+                if let Err(reason) = invariant.observe(at, &entry, fleet) {
                     let name = invariant.name();
-                    return Err(self.violation(name, why, fleet));
+                    return Err(self.violation(name, reason, fleet));
                 }
             }
         }
         let now = fleet.elapsed();
         for entry in fleet.world.with(World::drain_event_log) {
             for invariant in &mut self.invariants {
-                if let Err(why) = invariant.observe_world(now, &entry, fleet) {
+                if let Err(reason) = invariant.observe_world(now, &entry, fleet) {
                     let name = invariant.name();
-                    return Err(self.violation(name, why, fleet));
+                    return Err(self.violation(name, reason, fleet));
                 }
             }
         }
@@ -340,21 +359,25 @@ impl Judge {
 
     fn end(&mut self, fleet: &Fleet) -> Result<(), Violation> {
         for invariant in &mut self.invariants {
-            if let Err(why) = invariant.check_end(fleet) {
+            if let Err(reason) = invariant.check_end(fleet) {
                 let name = invariant.name();
-                return Err(self.violation(name, why, fleet));
+                return Err(self.violation(name, reason, fleet));
             }
         }
         Ok(())
     }
 
-    fn violation(&self, invariant: &str, why: String, fleet: &Fleet) -> Violation {
+    fn violation(&self, invariant: &str, reason: String, fleet: &Fleet) -> Violation {
         let entries =
             fleet.event_log.lines(|entry| !matches!(entry, Observation::LeadershipChanged { leading_as: None, .. }));
-        let done = self.told.iter().map(|(at, what)| (*at, format!("{:8.3} {what}", at.as_secs_f64())));
-        let mut tale: Vec<(Duration, String)> = entries.into_iter().chain(done).collect();
-        tale.sort_by_key(|(at, _)| *at);
-        let tale = tale.split_off(tale.len().saturating_sub(TALE)).into_iter().map(|(_, line)| line).collect();
-        Violation { invariant: invariant.to_owned(), at_ms: millis(fleet.elapsed()), why, tale }
+        let done = self.actions.iter().map(|(at, what)| (*at, format!("{:8.3} {what}", at.as_secs_f64())));
+        let mut events_before: Vec<(Duration, String)> = entries.into_iter().chain(done).collect();
+        events_before.sort_by_key(|(at, _)| *at);
+        let events_before = events_before
+            .split_off(events_before.len().saturating_sub(EVENT_LINES_MAX))
+            .into_iter()
+            .map(|(_, line)| line)
+            .collect();
+        Violation { invariant: invariant.to_owned(), at_ms: millis(fleet.elapsed()), reason, events_before }
     }
 }

@@ -1,4 +1,4 @@
-//! What is counted in a run, for the scoreboard.
+//! Counters of a run, for the scoreboard.
 
 use super::run::millis;
 use crate::{Fleet, Observation, slug};
@@ -8,26 +8,26 @@ use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-/// What was counted in a run.
+/// Counters of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct RunCounters {
     /// Simulated milliseconds.
     pub simulated_ms: u64,
-    /// Missions that were acknowledged.
+    /// Acknowledged missions.
     pub acknowledged: usize,
-    /// Those of them that were carried out.
+    /// Acknowledged missions that completed.
     pub completed: usize,
-    /// Those that failed with a cause.
+    /// Acknowledged missions that failed with a cause.
     pub failed: usize,
-    /// Those that wait for a person to fetch what a lost robot holds.
-    pub rescues: usize,
-    /// Those that were withdrawn.
+    /// Missions that wait for a person to fetch an item from a lost robot.
+    pub needs_intervention: usize,
+    /// Canceled missions.
     pub canceled: usize,
-    /// Those that no ledger has: there must be none.
+    /// Acknowledged missions that no ledger contains: must be 0.
     pub lost: usize,
-    /// From the loss of each leader to the next one's taking over, in milliseconds.
+    /// Durations from the loss of each leader to the takeover by the next, in milliseconds.
     pub takeovers_ms: Vec<u64>,
-    /// From the lifting of all faults until every mission had ended.
+    /// Duration from the end of all faults to the end of every mission.
     pub converged_ms: Option<u64>,
     #[serde(skip)]
     leading: BTreeSet<NodeId>,
@@ -61,10 +61,11 @@ impl RunCounters {
             match fleet.mission_state(&slug::<MissionId>(mission)) {
                 Some(MissionState::Completed) => self.completed += 1,
                 Some(MissionState::Failed { .. }) => self.failed += 1,
-                Some(MissionState::NeedsRescue { .. }) => self.rescues += 1,
+                Some(MissionState::NeedsIntervention { .. }) => self.needs_intervention += 1,
                 Some(MissionState::Canceled { .. }) => self.canceled += 1,
                 Some(MissionState::Pending | MissionState::Running) => {}
-                // While nobody keeps a ledger (a run that a violation has cut short), nothing is known of any mission.
+                // Without a coordinator (in a run that a violation has cut short) the missions are
+                // unknown.
                 None => self.lost += usize::from(fleet.ledger(|_| ()).is_some()),
             }
         }

@@ -1,4 +1,4 @@
-//! What is done to a fleet and when, as plain data: written to a file, cut down, and done again.
+//! Schedules of actions as plain data that can be stored, shrunk and replayed.
 
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS};
 use crate::disk::UnsyncedWrites;
@@ -6,155 +6,156 @@ use serde::{Deserialize, Serialize};
 use std::fmt::{self, Display};
 use std::time::Duration;
 
-/// All that is done to one fleet, in order of time.
+/// All actions on a fleet, ordered by time.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Schedule {
-    /// What is done.
+    /// The actions.
     pub steps: Vec<ScheduledAction>,
 }
 
-/// One thing that is done, faults with the time for which they last.
+/// An action with its time. A fault also contains its duration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScheduledAction {
-    /// When, in milliseconds since the fleet was started.
+    /// Time in milliseconds since the start of the fleet.
     pub at_ms: u64,
-    /// What.
+    /// The action.
     #[serde(flatten)]
     pub action: ChaosAction,
 }
 
-/// Something that is done. Nodes are named; `coordinator` is whoever coordinates at that instant.
+/// An action. Nodes are given by name; `coordinator` is the coordinator at that instant.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "act", rename_all = "snake_case")]
+#[serde(tag = "action", rename_all = "snake_case")]
 pub enum ChaosAction {
-    /// A client asks for the sample of a room, again and again until it is acknowledged.
+    /// A client requests the sample of a room and repeats the request until it is acknowledged.
     Submit {
-        /// The request's own name.
+        /// Name of the request.
         request: String,
-        /// Whether the client keeps that name to itself. Each time that it asks is a request of its own then, so that what it
-        /// asked for may be done more than once.
+        /// The client does not send the name. Each repetition then counts as a new request, so the
+        /// mission may be carried out more than once.
         #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         unnamed: bool,
-        /// What is asked for.
-        #[serde(default = "plain")]
+        /// The requested mission.
+        #[serde(default = "default_mission")]
         mission: String,
         /// The room.
         room: String,
-        /// How urgent it is: higher is served first.
+        /// Priority: higher is served first.
         #[serde(default)]
         priority: i64,
-        /// In how many seconds it should be done.
+        /// Deadline in seconds.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         deadline_s: Option<u32>,
     },
-    /// A client withdraws what was asked for, once it was acknowledged, again and again until it is answered.
+    /// A client cancels an acknowledged request and repeats this until it receives a reply.
     Cancel {
-        /// Under which name it was asked for.
+        /// Name of the request.
         request: String,
     },
-    /// A node is killed, and started again after a while.
+    /// A node is killed and restarted later.
     Crash {
-        /// Which.
+        /// The node.
         node: String,
-        /// What its disk is then.
+        /// State of its disk after the crash.
         disk: DiskAfterCrash,
-        /// For how long it is down, in milliseconds.
+        /// Downtime in milliseconds.
         for_ms: u64,
     },
-    /// All nodes are killed at one instant, and started again after a while.
+    /// All nodes are killed at the same instant and restarted later.
     Blackout {
-        /// What their disks are then.
+        /// State of their disks after the crash.
         disk: DiskAfterCrash,
-        /// For how long they are down, in milliseconds.
+        /// Downtime in milliseconds.
         for_ms: u64,
     },
-    /// Nothing goes into or out of a node; afterwards all of it arrives. On the virtual bus its own timers go on, which a
-    /// process that is stopped (SIGSTOP) does not know: that is tried on real processes.
+    /// No message enters or leaves a node; all of them arrive afterwards. On the virtual bus the
+    /// timers of the node continue, unlike those of a stopped process (SIGSTOP). Tests of real
+    /// processes cover that case.
     Pause {
-        /// Which.
+        /// The node.
         node: String,
-        /// For how long, in milliseconds.
+        /// Duration in milliseconds.
         for_ms: u64,
     },
-    /// Only nodes of one group hear one another.
+    /// Only nodes of the same group reach each other.
     Partition {
-        /// The groups. `client` is whoever makes requests.
+        /// The groups. `client` is the client that sends requests.
         groups: Vec<Vec<String>>,
-        /// For how long, in milliseconds.
+        /// Duration in milliseconds.
         for_ms: u64,
     },
-    /// One does not hear the other any more, but is heard by it.
+    /// Messages are lost in a direction.
     Cut {
-        /// Who is not heard; `*` for everybody.
+        /// The sender; `*` for all.
         from: String,
-        /// Who does not hear; `*` for everybody.
+        /// The receiver; `*` for all.
         to: String,
-        /// For how long, in milliseconds.
+        /// Duration in milliseconds.
         for_ms: u64,
     },
     /// All links are bad.
     Weather {
-        /// Share of messages that are lost.
+        /// Share of lost messages.
         loss: f64,
-        /// Share of publications that arrive twice.
+        /// Share of duplicated publications.
         duplication: f64,
-        /// Share of publications that are overtaken.
+        /// Share of reordered publications.
         reordering: f64,
-        /// Longest time that a message is under way, in milliseconds.
+        /// Largest latency in milliseconds.
         delay_ms: u64,
-        /// For how long, in milliseconds.
+        /// Duration in milliseconds.
         for_ms: u64,
     },
-    /// A node's disk takes long for each write.
+    /// Writes to the disk of a node are slow.
     SlowDisk {
-        /// Which node's.
+        /// The node.
         node: String,
-        /// How long at most, in milliseconds.
+        /// Largest duration of a write, in milliseconds.
         write_ms: u64,
-        /// For how long, in milliseconds.
+        /// Duration in milliseconds.
         for_ms: u64,
     },
-    /// A node's clock runs fast or slow, from its first start on.
+    /// The clock of a node is fast or slow from its first start on.
     Drift {
-        /// Which node's.
+        /// The node.
         node: String,
-        /// Seconds that it counts in one.
+        /// Seconds that the clock counts per second.
         rate: f64,
     },
-    /// A robot's battery falls to the share at which it stops dead.
+    /// The battery of a robot drops to the charge at which the robot stops.
     Battery {
-        /// Whose.
+        /// The robot.
         robot: String,
     },
-    /// A robot's skills go wrong when they are next begun.
+    /// The next skills of a robot fail.
     Skill {
-        /// Whose.
+        /// The robot.
         robot: String,
-        /// How.
+        /// The kind of failure.
         how: SkillFault,
-        /// How often, one after the other.
+        /// Number of consecutive failures.
         times: u32,
     },
 }
 
-fn plain() -> String {
+fn default_mission() -> String {
     MISSIONS[0].to_owned()
 }
 
-/// What a crash leaves of a disk.
+/// State of a disk after a crash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DiskAfterCrash {
-    /// All that was written, acknowledged or not.
+    /// All writes are kept, acknowledged or not.
     Kept,
-    /// All that was acknowledged, and by chance some of what was not.
+    /// All acknowledged writes are kept, and a random part of the others.
     Torn,
-    /// Nothing: the node comes back with an empty disk.
+    /// The node starts with an empty disk.
     Empty,
 }
 
 impl DiskAfterCrash {
-    /// What becomes of writes under way.
+    /// Returns the effect on queued writes.
     pub fn unsynced_writes(self) -> UnsyncedWrites {
         match self {
             DiskAfterCrash::Kept => UnsyncedWrites::AllKept,
@@ -163,7 +164,7 @@ impl DiskAfterCrash {
     }
 }
 
-/// How a skill goes wrong.
+/// Kind of skill failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SkillFault {
@@ -171,11 +172,11 @@ pub enum SkillFault {
     Fails,
     /// It panics.
     Panics,
-    /// It does nothing for half a minute, and then goes on.
+    /// It does nothing for half a minute and continues afterwards.
     Hangs,
 }
 
-/// The kinds of faults, as the scoreboard lists them.
+/// Kinds of faults as listed on the scoreboard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[expect(missing_docs, reason = "each is described at the act that it is a kind of")]
@@ -200,7 +201,7 @@ pub enum FaultKind {
 }
 
 impl FaultKind {
-    /// All of them but none at all.
+    /// All kinds except `None`.
     pub const FAULTS: [FaultKind; 16] = [
         FaultKind::Crash,
         FaultKind::CrashTorn,
@@ -220,7 +221,7 @@ impl FaultKind {
         FaultKind::Skill,
     ];
 
-    /// Its name, as commands take it.
+    /// Returns its name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             FaultKind::None => "none",
@@ -257,7 +258,7 @@ impl std::str::FromStr for FaultKind {
 }
 
 impl ChaosAction {
-    /// For how long it lasts, in milliseconds; `None` for what happens once.
+    /// Returns the duration in milliseconds; `None` for an instantaneous action.
     pub fn for_ms(&self) -> Option<u64> {
         match self {
             ChaosAction::Crash { for_ms, .. }
@@ -275,12 +276,12 @@ impl ChaosAction {
         }
     }
 
-    /// The request that it makes, if it is one.
+    /// Returns the name of the submitted request, if the action is one.
     pub fn submitted_request(&self) -> Option<String> {
         if let ChaosAction::Submit { request, .. } = self { Some(request.clone()) } else { None }
     }
 
-    /// The same, for another time.
+    /// Returns the action with another duration.
     #[must_use]
     pub fn with_duration_ms(&self, ms: u64) -> ChaosAction {
         let mut act = self.clone();
@@ -303,14 +304,14 @@ impl ChaosAction {
 }
 
 impl Schedule {
-    /// Whether everybody and everything that it names is there.
+    /// Checks that the fleet contains everything that the schedule names.
     ///
     /// # Errors
-    /// What is not, and what there is, in words.
-    pub fn check(&self, cast: &ChaosFleet) -> Result<(), String> {
-        let nodes = cast.nodes();
-        let robots: Vec<&str> = cast.carriers.iter().copied().chain([ARM]).collect();
-        let one_of = |step: &ScheduledAction, name: &str, known: &[&str], extra: &[&str]| {
+    /// Description of the unknown name, with the known names.
+    pub fn check(&self, composition: &ChaosFleet) -> Result<(), String> {
+        let nodes = composition.nodes();
+        let robots: Vec<&str> = composition.carriers.iter().copied().chain([ARM]).collect();
+        let check_known = |step: &ScheduledAction, name: &str, known: &[&str], extra: &[&str]| {
             let known: Vec<&str> = known.iter().chain(extra).copied().collect();
             if known.contains(&name) {
                 return Ok(());
@@ -320,20 +321,20 @@ impl Schedule {
         for step in &self.steps {
             match &step.action {
                 ChaosAction::Submit { room, mission, .. } => {
-                    one_of(step, room, &ROOMS, &[])?;
-                    one_of(step, mission, &MISSIONS, &[])?;
+                    check_known(step, room, &ROOMS, &[])?;
+                    check_known(step, mission, &MISSIONS, &[])?;
                 }
                 ChaosAction::Cancel { .. } | ChaosAction::Blackout { .. } => {}
-                ChaosAction::Crash { node, .. } => one_of(step, node, &nodes, &["coordinator"])?,
+                ChaosAction::Crash { node, .. } => check_known(step, node, &nodes, &["coordinator"])?,
                 ChaosAction::Pause { node, .. } | ChaosAction::SlowDisk { node, .. } => {
-                    one_of(step, node, &nodes, &[])?
+                    check_known(step, node, &nodes, &[])?
                 }
                 ChaosAction::Partition { groups, .. } => {
-                    groups.iter().flatten().try_for_each(|node| one_of(step, node, &nodes, &["client"]))?;
+                    groups.iter().flatten().try_for_each(|node| check_known(step, node, &nodes, &["client"]))?;
                 }
                 ChaosAction::Cut { from, to, .. } => {
-                    one_of(step, from, &nodes, &["client", "*"])?;
-                    one_of(step, to, &nodes, &["client", "*"])?;
+                    check_known(step, from, &nodes, &["client", "*"])?;
+                    check_known(step, to, &nodes, &["client", "*"])?;
                 }
                 ChaosAction::Weather { loss, duplication, reordering, .. } => {
                     if ![loss, duplication, reordering].into_iter().all(|share| (0.0..=1.0).contains(share)) {
@@ -341,18 +342,20 @@ impl Schedule {
                     }
                 }
                 ChaosAction::Drift { node, rate } => {
-                    one_of(step, node, &nodes, &[])?;
+                    check_known(step, node, &nodes, &[])?;
                     if !(0.5..=2.0).contains(rate) {
-                        return Err(format!("at {} ms: a clock counts 0.5 to 2 s in one", step.at_ms));
+                        return Err(format!("at {} ms: a clock rate must be from 0.5 to 2", step.at_ms));
                     }
                 }
-                ChaosAction::Battery { robot } | ChaosAction::Skill { robot, .. } => one_of(step, robot, &robots, &[])?,
+                ChaosAction::Battery { robot } | ChaosAction::Skill { robot, .. } => {
+                    check_known(step, robot, &robots, &[])?
+                }
             }
         }
         Ok(())
     }
 
-    /// Puts the steps in order of time; those of one instant stay as they are.
+    /// Sorts the actions by time; actions of the same instant keep their order.
     #[must_use]
     pub fn in_order(mut self) -> Schedule {
         self.steps.sort_by_key(|step| step.at_ms);
@@ -373,7 +376,7 @@ impl Display for ScheduledAction {
     }
 }
 
-/// Milliseconds as people read them.
+/// Duration in milliseconds, formatted in seconds.
 struct For(u64);
 
 impl Display for For {
@@ -395,7 +398,7 @@ impl Display for ChaosAction {
                 write!(f, "request {request}{unnamed}: {mission} from {room}, priority {priority}")?;
                 deadline_s.map_or(Ok(()), |seconds| write!(f, ", within {seconds} s"))
             }
-            ChaosAction::Cancel { request } => write!(f, "request {request} is withdrawn"),
+            ChaosAction::Cancel { request } => write!(f, "request {request} is canceled"),
             ChaosAction::Crash { node, disk, for_ms } => {
                 write!(f, "{node} crashes, {}, down {}", fate(disk), For(*for_ms))
             }
@@ -407,7 +410,9 @@ impl Display for ChaosAction {
                 let groups: Vec<_> = groups.iter().map(|group| group.join(" ")).collect();
                 write!(f, "partition {} {}", groups.join(" | "), For(*for_ms))
             }
-            ChaosAction::Cut { from, to, for_ms } => write!(f, "{to} does not hear {from} {}", For(*for_ms)),
+            ChaosAction::Cut { from, to, for_ms } => {
+                write!(f, "messages from {from} to {to} are lost {}", For(*for_ms))
+            }
             ChaosAction::Weather { loss, duplication, reordering, delay_ms, for_ms } => write!(
                 f,
                 "bad links: {loss:.2} lost, {duplication:.2} repeated, {reordering:.2} overtaken, up to {delay_ms} ms {}",

@@ -1,4 +1,4 @@
-//! How the fleet fares under each kind of fault alone.
+//! Results of the fleet under each kind of fault alone.
 
 use super::chaos_fleet::ChaosFleet;
 use super::generate::generate;
@@ -7,48 +7,50 @@ use super::schedule::FaultKind;
 use super::seed_sweep::{SeedSweep, percentiles};
 use serde::Serialize;
 
-/// One kind of fault.
+/// Results for a kind of fault.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScoreboardRow {
-    /// Its name; `all` for all of them together.
+    /// Its name; `all` for all kinds together.
     pub fault: &'static str,
-    /// How many fleets it was done to.
+    /// Number of runs.
     pub runs: u64,
-    /// Missions that were acknowledged.
+    /// Acknowledged missions.
     pub acknowledged: usize,
-    /// Those that no ledger had in the end.
+    /// Acknowledged missions that no ledger contained at the end.
     pub lost_missions: usize,
-    /// Runs in which two acted in one role.
+    /// Runs in which two robots acted in the same role.
     pub double_holders: usize,
-    /// Missions that were carried out.
+    /// Completed missions.
     pub completed: usize,
-    /// Missions that failed with a cause, were withdrawn, or wait for a person.
-    pub otherwise_ended: usize,
-    /// How many takeovers there were.
+    /// Missions that failed with a cause, were canceled, or need intervention.
+    pub not_completed: usize,
+    /// Number of takeovers.
     pub takeovers: usize,
-    /// From the loss of a leader to the next: the middle, in milliseconds. It is lost when it is killed, or when it ceases to
-    /// count itself leader, since it hears no majority; then it is replaced once there is a majority again.
+    /// Median duration from the loss of a leader to the next, in milliseconds. A leader is lost
+    /// when it is killed, or when it steps down without a quorum. In the latter case the next
+    /// leader follows once a majority is connected again.
     pub takeover_p50_ms: Option<u64>,
-    /// The same: all but one in a hundred were quicker.
+    /// 99th percentile of the same duration.
     pub takeover_p99_ms: Option<u64>,
-    /// From the lifting of the last fault until all missions had ended and all nodes were of one mind: the middle.
+    /// Median duration from the end of the last fault until all missions had ended and all nodes
+    /// had converged.
     pub converged_p50_ms: Option<u64>,
-    /// The same: all but one in a hundred were quicker.
+    /// 99th percentile of the same duration.
     pub converged_p99_ms: Option<u64>,
-    /// Seeds for which an invariant did not hold, and which.
+    /// Seeds with a violation, each with the name of the invariant.
     pub violations: Vec<(u64, String)>,
-    /// What repeats it.
+    /// Command that reproduces the row.
     pub command: String,
 }
 
-/// Kinds in the order of the table, each alone, and all together.
+/// Returns the kinds in the order of the table: each alone, then all together.
 pub fn kinds() -> Vec<(&'static str, Vec<FaultKind>)> {
     let alone = [FaultKind::None].into_iter().chain(FaultKind::FAULTS).map(|kind| (kind.name(), vec![kind]));
     alone.chain([("all", FaultKind::FAULTS.to_vec())]).collect()
 }
 
-/// Runs seeds `1..=runs` under some kinds of faults; `each` is called after each run. A violation stops nothing here: it is
-/// counted.
+/// Runs seeds `1..=runs` under some kinds of faults; calls `each` after each run. A violation is
+/// counted and does not stop the sweep.
 pub fn run_row(
     name: &'static str,
     kinds: &[FaultKind],
@@ -58,24 +60,25 @@ pub fn run_row(
     mut each: impl FnMut(),
 ) -> ScoreboardRow {
     const NODES: usize = 7;
-    let cast = ChaosFleet::of(NODES);
-    let order =
-        |seed| (RunConfig { seed, nodes: NODES, minutes, closed: false }, generate(seed, &cast, minutes, kinds));
+    let composition = ChaosFleet::of(NODES);
+    let config =
+        |seed| (RunConfig { seed, nodes: NODES, minutes, closed: false }, generate(seed, &composition, minutes, kinds));
     let mut outcomes: Vec<RunOutcome> = vec![];
     let mut next = 1;
     while next <= runs {
-        let found = SeedSweep { seeds: next..=runs, jobs, config: &order, prepare: &|| () }.run(|outcome| {
+        let found = SeedSweep { seeds: next..=runs, jobs, config: &config, prepare: &|| () }.run(|outcome| {
             outcomes.push(outcome.clone());
             each();
         });
-        // Whatever is beyond a violation was not begun, or is done again.
+        // Seeds beyond a violation were not begun, or are run again.
         let Some(found) = found else { break };
         outcomes.retain(|outcome| outcome.seed <= found.seed);
         next = found.seed + 1;
     }
     let sum = |count: fn(&RunOutcome) -> usize| outcomes.iter().map(count).sum::<usize>();
-    let takeovers: Vec<u64> = outcomes.iter().flat_map(|outcome| outcome.tally.takeovers_ms.iter().copied()).collect();
-    let converged: Vec<u64> = outcomes.iter().filter_map(|outcome| outcome.tally.converged_ms).collect();
+    let takeovers: Vec<u64> =
+        outcomes.iter().flat_map(|outcome| outcome.counters.takeovers_ms.iter().copied()).collect();
+    let converged: Vec<u64> = outcomes.iter().filter_map(|outcome| outcome.counters.converged_ms).collect();
     let (takeover, convergence) = (percentiles(&takeovers), percentiles(&converged));
     let mut violations: Vec<(u64, String)> =
         outcomes.iter().filter_map(|o| Some((o.seed, o.violation.as_ref()?.invariant.clone()))).collect();
@@ -85,11 +88,13 @@ pub fn run_row(
     ScoreboardRow {
         fault: name,
         runs,
-        acknowledged: sum(|outcome| outcome.tally.acknowledged),
-        lost_missions: sum(|outcome| outcome.tally.lost),
+        acknowledged: sum(|outcome| outcome.counters.acknowledged),
+        lost_missions: sum(|outcome| outcome.counters.lost),
         double_holders: violations.iter().filter(|(_, name)| name == "one_holder" || name == "under_lease").count(),
-        completed: sum(|outcome| outcome.tally.completed),
-        otherwise_ended: sum(|outcome| outcome.tally.failed + outcome.tally.canceled + outcome.tally.rescues),
+        completed: sum(|outcome| outcome.counters.completed),
+        not_completed: sum(|outcome| {
+            outcome.counters.failed + outcome.counters.canceled + outcome.counters.needs_intervention
+        }),
         takeovers: takeovers.len(),
         takeover_p50_ms: takeover.map(|(p50, _)| p50),
         takeover_p99_ms: takeover.map(|(_, p99)| p99),
@@ -100,7 +105,7 @@ pub fn run_row(
     }
 }
 
-/// The rows as a table in Markdown.
+/// Formats the rows as a Markdown table.
 pub fn markdown(rows: &[ScoreboardRow]) -> String {
     let mut table = String::from(
         "| fault | runs | lost missions | double holders | missions completed | takeover p50 / p99 | \

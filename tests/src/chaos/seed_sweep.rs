@@ -8,32 +8,33 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Once, mpsc};
 use std::thread;
 
-/// The name of threads that run fleets.
+/// Name of the threads that run fleets.
 const THREAD: &str = "chaos";
 
-/// Runs that are done one after the other on each of `jobs` threads.
+/// Sweep over seeds. Each of the `jobs` threads executes its runs in sequence.
 pub struct SeedSweep<'a> {
     /// The seeds, from the first to the last.
     pub seeds: RangeInclusive<u64>,
-    /// How many threads.
+    /// Number of threads.
     pub jobs: usize,
-    /// What is run for a seed.
+    /// Returns the configuration and the schedule of a seed.
     pub config: &'a (dyn Fn(u64) -> (RunConfig, Schedule) + Sync),
     /// Called on each thread before its first run.
     pub prepare: &'a (dyn Fn() + Sync),
 }
 
 impl SeedSweep<'_> {
-    /// Runs them all, and tells of each outcome as it comes, unless one shows a violation: then no larger seed is begun,
-    /// and the violation of the smallest seed is given back. So the answer does not depend on which thread is faster.
+    /// Executes the runs and passes each outcome to `each`. After a violation, no larger seed
+    /// begins, and the violation of the smallest seed is returned. So the result does not depend on
+    /// the speed of the threads.
     pub fn run(&self, mut each: impl FnMut(&RunOutcome)) -> Option<RunOutcome> {
-        be_quiet();
+        silence_panics();
         let next = AtomicU64::new(*self.seeds.start());
         let last = AtomicU64::new(*self.seeds.end());
-        let (tell, outcomes) = mpsc::channel();
+        let (sender, outcomes) = mpsc::channel();
         thread::scope(|scope| {
             for _ in 0..self.jobs.max(1) {
-                let (tell, next, last) = (tell.clone(), &next, &last);
+                let (sender, next, last) = (sender.clone(), &next, &last);
                 let work = move || {
                     (self.prepare)();
                     loop {
@@ -41,20 +42,20 @@ impl SeedSweep<'_> {
                         if seed > last.load(Ordering::Relaxed) {
                             return;
                         }
-                        let (order, schedule) = (self.config)(seed);
-                        let outcome = run(&order, &schedule);
+                        let (config, schedule) = (self.config)(seed);
+                        let outcome = run(&config, &schedule);
                         if outcome.violation.is_some() {
                             last.fetch_min(seed, Ordering::Relaxed);
                         }
-                        if tell.send(outcome).is_err() {
+                        if sender.send(outcome).is_err() {
                             return;
                         }
                     }
                 };
                 let thread = thread::Builder::new().name(THREAD.to_owned());
-                thread.spawn_scoped(scope, work).expect("the system has a thread left");
+                thread.spawn_scoped(scope, work).expect("a thread can be started");
             }
-            drop(tell);
+            drop(sender);
             let mut found: Option<RunOutcome> = None;
             for outcome in outcomes {
                 each(&outcome);
@@ -67,20 +68,21 @@ impl SeedSweep<'_> {
     }
 }
 
-/// Panics of skills that chaos makes panic are no news; those of a run are told as its violation.
-fn be_quiet() {
+/// Silences panics on the threads of runs. Injected skill panics are expected, and a panic of a run
+/// is reported as its violation.
+fn silence_panics() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
-        let usual = panic::take_hook();
+        let default_hook = panic::take_hook();
         panic::set_hook(Box::new(move |info| {
             if thread::current().name() != Some(THREAD) {
-                usual(info);
+                default_hook(info);
             }
         }));
     });
 }
 
-/// The middle of some times and the one that only one in a hundred exceeds, by the nearest rank; `None` without any.
+/// Returns the median and the 99th percentile by the nearest rank; `None` without values.
 pub fn percentiles(times: &[u64]) -> Option<(u64, u64)> {
     let mut sorted = times.to_vec();
     sorted.sort_unstable();
@@ -93,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn percentiles_are_times_that_were_measured() {
+    fn percentiles_are_measured_values() {
         assert_eq!(percentiles(&[]), None);
         assert_eq!(percentiles(&[7]), Some((7, 7)));
         assert_eq!(percentiles(&(1..=200).collect::<Vec<_>>()), Some((100, 198)));

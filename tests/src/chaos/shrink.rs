@@ -1,10 +1,11 @@
-//! Cuts a schedule down to what matters: delta debugging (Zeller and Hildebrandt, *Simplifying and isolating
-//! failure-inducing input*, 2002), then shorter faults.
+//! Shrinking of schedules: delta debugging (Zeller and Hildebrandt, *Simplifying and isolating
+//! failure-inducing input*, 2002), followed by shorter faults.
 
 use super::schedule::{Schedule, ScheduledAction};
 
-/// The smallest schedule found for which `fails` is still true, trying at most so often. `fails` must be true of
-/// `schedule`, and is asked again about nothing twice in a row.
+/// Returns the smallest schedule found for which `fails` still returns true, with at most
+/// `tries_max` tries. `fails` must be true of `schedule`. It is not called twice in a row with the
+/// same schedule.
 pub fn shrink(schedule: &Schedule, tries_max: usize, mut fails: impl FnMut(&Schedule) -> bool) -> Schedule {
     let mut tries = 0;
     let mut still = |steps: &[ScheduledAction]| {
@@ -17,7 +18,8 @@ pub fn shrink(schedule: &Schedule, tries_max: usize, mut fails: impl FnMut(&Sche
     Schedule { steps }
 }
 
-/// Halves, quarters and so on, down to single steps, until none can be spared.
+/// Drops halves, quarters and so on, down to single actions, until all remaining actions are
+/// necessary.
 fn drop_parts(steps: &mut Vec<ScheduledAction>, still: &mut impl FnMut(&[ScheduledAction]) -> bool) {
     let mut size = steps.len().div_ceil(2);
     while size > 0 && !steps.is_empty() {
@@ -33,14 +35,14 @@ fn drop_parts(steps: &mut Vec<ScheduledAction>, still: &mut impl FnMut(&[Schedul
                 from = to;
             }
         }
-        // Once a part could be spared, others that could not may be now.
+        // After a part was dropped, parts that were necessary before may be dropped now.
         if !spared || size > 1 {
             size = if size == 1 { 0 } else { size.div_ceil(2) };
         }
     }
 }
 
-/// Each fault half as long, as often as that still does it.
+/// Halves the duration of each fault as long as the failure persists.
 fn shorten(steps: &mut [ScheduledAction], still: &mut impl FnMut(&[ScheduledAction]) -> bool) {
     for number in 0..steps.len() {
         while let Some(for_ms) = steps[number].action.for_ms().filter(|ms| *ms >= 200) {
@@ -64,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_steps_that_matter_are_left_and_last_no_longer_than_they_must() {
+    fn shrinking_keeps_only_necessary_actions_and_durations() {
         let steps = (0..23).map(|n| pause(n, &format!("n{n}"))).collect();
         let lasts = |schedule: &Schedule, node: &str| {
             let step =

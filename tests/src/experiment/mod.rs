@@ -1,21 +1,24 @@
-//! The evaluation of thesis chapter 4, carried out: each trial is a whole fleet on virtual time. What is tried and what is
-//! concluded are values, in [`consort_sim::experiment`].
+//! Execution of the evaluation of thesis chapter 4: each trial is a whole fleet on virtual time.
+//! The design and the conclusions are values, in [`consort_sim::experiment`].
 //!
 //! ```text
 //!  design ─▶ scenarios × policies × treatments × repetitions ─▶ trials, on all cores
-//!                                                                 │ each: found a ledger, host a world, submit,
-//!                                                                 │       watch until the first event decides
+//!                                                                 │ each: bootstrap a ledger, host a world, submit,
+//!                                                                 │       observe until the first event decides
 //!  report ◀── rows, in the order of the design ◀──────────────────┘
 //! ```
 //!
-//! **What is the same for all policies.** Robots bid with their own estimators, the coordinator awards through the ledger,
-//! robots carry their plans out with their skills, and what goes wrong is taken up as in any fleet. The rule by which roles are
-//! given to robots is all that differs. The world, its people, drives, the network and the moment of a kill follow from mission,
-//! scenario and repetition alone, so policies that choose alike end alike; only chance has dice of its own.
+//! **Common to all policies.** Robots bid with their own estimators, the coordinator awards through
+//! the ledger, robots execute their plans with their skills, and failures are handled as in any
+//! fleet. Only the rule that assigns roles to robots differs. The world, its people, the drives,
+//! the network and the moment of a kill depend on mission, scenario and repetition alone, so
+//! policies with the same assignments have the same results. Only the random policy has a seed of
+//! its own.
 //!
-//! **The fleet of a trial**: three stations that keep the ledger and coordinate, so that one may be killed; a node for each
-//! robot; one that hosts the world. The world begins when the ledger has been founded and all robots are known, for the
-//! published trials, too, began with a fleet that was ready.
+//! **The fleet of a trial**: three stations that store the ledger and coordinate, so one of them
+//! may be killed; a node for each robot; a node that hosts the world. The world starts when the
+//! ledger is bootstrapped and the coordinator has a record of every robot: the published trials
+//! also began with a fleet that was ready.
 
 mod runner;
 mod setup;

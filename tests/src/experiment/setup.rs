@@ -1,4 +1,4 @@
-//! What all trials of a design share.
+//! Shared setup of all trials of a design.
 
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::TaskType;
@@ -11,26 +11,26 @@ use consort_skills::descriptor::{DescriptorRegistry, Estimator};
 use consort_skills::library::SkillLibrary;
 use std::sync::Arc;
 
-/// What all trials of a design share.
+/// Shared setup of all trials of a design.
 pub struct ExperimentSetup {
     /// The design.
     pub design: Design,
     /// Its scenarios.
     pub scenarios: Vec<Scenario>,
-    /// How long drives take.
+    /// Duration of drives.
     pub travel: TravelModel,
     pub(super) map: Map,
     pub(super) domain: Arc<Domain>,
     pub(super) ensemble: Arc<Ensemble>,
     pub(super) template: MissionTemplate,
-    /// Without what was learned: what a coordinator that knows no better reckons with.
+    /// The uncalibrated estimator, used by a coordinator without calibration.
     pub(super) standard: Arc<Estimator>,
-    /// What robots bid with.
+    /// The estimator of the robots' bids.
     pub(super) estimator: Arc<Estimator>,
     pub(super) library: Arc<SkillLibrary>,
 }
 
-/// Why a design cannot be carried out: all that is wrong, each with its key.
+/// A design cannot be executed: all errors, each with its key.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ExperimentSetupError(pub Vec<String>);
 
@@ -43,52 +43,57 @@ impl std::fmt::Display for ExperimentSetupError {
 impl std::error::Error for ExperimentSetupError {}
 
 impl ExperimentSetup {
-    /// A design on a map, with its scenarios, and what robots have learned if they have.
+    /// Builds the setup of a design on a map, with its scenarios and, if given, the calibration of
+    /// the robots.
     ///
     /// # Errors
-    /// [`StageError`] with all that is wrong with the design, or places that are not on the map.
+    /// [`ExperimentSetupError`] with all errors of the design, or with the places that are not on
+    /// the map.
     pub fn new(
         design: Design,
         scenarios: Vec<Scenario>,
         map: Map,
         travel: TravelModel,
-        learned: Option<Arc<Calibration>>,
+        calibration: Option<Arc<Calibration>>,
     ) -> Result<ExperimentSetup, ExperimentSetupError> {
-        let mut problems = design.validation_errors();
-        if problems.is_empty() {
+        let mut violations = design.validation_errors();
+        if violations.is_empty() {
             for scenario in &scenarios {
-                problems.extend(design.unknown_places(scenario, &map));
+                violations.extend(design.unknown_places(scenario, &map));
             }
         }
-        let whole = |problem: String| ExperimentSetupError(vec![problem]);
-        if !problems.is_empty() {
-            problems.dedup();
-            return Err(ExperimentSetupError(problems));
+        let single_error = |error: String| ExperimentSetupError(vec![error]);
+        if !violations.is_empty() {
+            violations.dedup();
+            return Err(ExperimentSetupError(violations));
         }
         let template = shipped().get(&design.mission.name).cloned();
-        let template = template.ok_or_else(|| whole(format!("no mission {} is shipped", design.mission.name)))?;
+        let template =
+            template.ok_or_else(|| single_error(format!("no mission {} is shipped", design.mission.name)))?;
         let domain = Domain::hospital().with_places(map.topology().places.into_keys());
         for scenario in &scenarios {
-            let of = |problem: String| format!("scenario {}: {problem}", scenario.code);
+            let in_scenario = |error: String| format!("scenario {}: {error}", scenario.code);
             match scenario.parameters(&design.mission).map(|given| template.instantiate(&given, &domain)) {
                 Ok(Ok(_)) => {}
-                Ok(Err(errors)) => problems.extend(errors.diagnostics.iter().map(|problem| of(problem.to_string()))),
-                Err(problem) => problems.push(of(problem.to_string())),
+                Ok(Err(errors)) => {
+                    violations.extend(errors.diagnostics.iter().map(|error| in_scenario(error.to_string())))
+                }
+                Err(error) => violations.push(in_scenario(error.to_string())),
             }
         }
-        if !problems.is_empty() {
-            return Err(ExperimentSetupError(problems));
+        if !violations.is_empty() {
+            return Err(ExperimentSetupError(violations));
         }
         let skills: std::collections::BTreeSet<TaskType> = domain.task_types().cloned().collect();
         let spec = EnsembleSpec::with_any_skill_of(crate::slug("robots"), skills);
-        let ensemble = Ensemble::compile(spec).map_err(|problem| whole(problem.to_string()))?;
-        let environment = map.environment().map_err(|problem| whole(problem.to_string()))?;
+        let ensemble = Ensemble::compile(spec).map_err(|error| single_error(error.to_string()))?;
+        let environment = map.environment().map_err(|error| single_error(error.to_string()))?;
         let resolve = |registry: DescriptorRegistry| {
-            registry.resolve(environment.clone()).map(Arc::new).map_err(|problem| whole(problem.to_string()))
+            registry.resolve(environment.clone()).map(Arc::new).map_err(|error| single_error(error.to_string()))
         };
         let standard = resolve(DescriptorRegistry::standard())?;
-        let estimator = match &learned {
-            Some(learned) => resolve(learned.descriptors())?,
+        let estimator = match &calibration {
+            Some(calibration) => resolve(calibration.descriptors())?,
             None => Arc::clone(&standard),
         };
         Ok(ExperimentSetup {

@@ -1,4 +1,4 @@
-//! Looks over the shoulders of all nodes of a trial, and sends robots on their way at the speed that the travel model gives.
+//! Observes all nodes of a trial, and sets the speed of robots according to the travel model.
 
 use consort_actors::observe::Observer;
 use consort_protocol::auction::{AuctionRecord, BidVerdict};
@@ -21,75 +21,77 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-/// The one skill whose tasks lead from place to place.
+/// The only skill with tasks that drive from place to place.
 const NAVIGATION: &str = "navigation";
 
-/// What a watcher is told beforehand.
+/// Settings of an observer.
 pub(super) struct ObserverSettings {
     pub(super) world: SharedWorld,
-    /// World seconds in one second of the fleet's time.
+    /// World seconds per second of the fleet's time.
     pub(super) speed: f64,
-    /// Where the chance of drives comes from.
+    /// Seed of the drives.
     pub(super) seed: u64,
     pub(super) travel: TravelModel,
-    /// What robots reckon with.
+    /// The estimator of the robots.
     pub(super) estimator: Arc<Estimator>,
     /// The robots that drive.
     pub(super) robots: BTreeMap<RobotId, ScenarioRobot>,
-    /// What everybody can do.
+    /// Skills of every robot.
     pub(super) skills: BTreeMap<RobotId, BTreeSet<TaskType>>,
     /// The tasks of managed roles.
     pub(super) tasks: BTreeMap<TaskId, TaskSpec>,
 }
 
-/// See the [module](self). Clones are one.
+/// Observer of a trial. Clones share their state.
 #[derive(Clone)]
 pub(super) struct TrialObserver {
-    brief: Arc<ObserverSettings>,
-    seen: Arc<Mutex<TrialState>>,
+    settings: Arc<ObserverSettings>,
+    observed: Arc<Mutex<TrialState>>,
     changed: watch::Sender<u64>,
 }
 
-/// What was seen.
+/// Observations so far.
 #[derive(Default)]
 pub(super) struct TrialState {
-    /// When the world began.
-    began: Option<Instant>,
-    /// Who holds which role.
+    /// Start of the world.
+    started: Option<Instant>,
+    /// Current robot of each role.
     pub(super) holders: BTreeMap<RoleId, RobotId>,
-    /// When robots last had a role taken from them.
-    gave_up: BTreeMap<RobotId, f64>,
-    /// Who was chosen at first.
+    /// Time at which robots last lost a role.
+    lost_role_at: BTreeMap<RobotId, f64>,
+    /// Robots of the first award.
     pub(super) first_holders: BTreeMap<RoleId, RobotId>,
-    /// Every robot that ever held a role.
+    /// Every robot that held a role at any time.
     pub(super) ever_assigned: BTreeSet<RobotId>,
-    /// What the bids of those chosen at first promised, in seconds: the longest.
+    /// Longest time in the bids of the first award, in seconds.
     pub(super) predicted_s: Option<f64>,
-    /// The latest auction that filled its roles.
+    /// Latest auction that filled its roles.
     record: Option<AuctionRecord>,
-    /// Who first began a task without the skill.
+    /// The first task begun without the skill: time, robot and task type.
     pub(super) unskilled: Option<(f64, RobotId, TaskType)>,
-    /// When robots that were given a role although their battery was empty got it.
+    /// Robots that held a role with an empty battery, with the time.
     pub(super) depleted: BTreeMap<RobotId, f64>,
-    /// How the mission ended.
+    /// Final state of the mission.
     pub(super) end_state: Option<MissionState>,
-    /// Why roles were taken from robots.
+    /// Causes of role releases.
     pub(super) releases: Vec<String>,
-    under_way: BTreeMap<RobotId, UnderWay>,
-    /// Tasks that met with a setback teach nothing.
-    upset: BTreeSet<(RobotId, TaskId)>,
+    running_tasks: BTreeMap<RobotId, RunningTask>,
+    /// Tasks with a failure or a retry, which give no observation.
+    disturbed: BTreeSet<(RobotId, TaskId)>,
     pub(super) observations: Vec<Observation>,
 }
 
 impl TrialState {
-    /// Whether a robot held a role at a time that has just passed. Whoever stands still with an empty battery loses its role
-    /// within a message or two, and that may be heard of before the battery is.
+    /// Checks whether a robot held a role shortly before. A robot that stops with an empty battery
+    /// loses its role within a message or two, possibly before this observer processes the battery
+    /// event.
     pub(super) fn held_role_at(&self, robot: &RobotId, at_s: f64) -> bool {
-        self.holders.values().any(|holder| holder == robot) || self.gave_up.get(robot).is_some_and(|end| *end >= at_s)
+        self.holders.values().any(|holder| holder == robot)
+            || self.lost_role_at.get(robot).is_some_and(|end| *end >= at_s)
     }
 }
 
-struct UnderWay {
+struct RunningTask {
     task: TaskId,
     began_s: f64,
     charge: f64,
@@ -97,100 +99,109 @@ struct UnderWay {
 }
 
 impl TrialObserver {
-    pub(super) fn new(brief: ObserverSettings) -> TrialObserver {
-        TrialObserver { brief: Arc::new(brief), seen: Arc::default(), changed: watch::Sender::new(0) }
+    pub(super) fn new(settings: ObserverSettings) -> TrialObserver {
+        TrialObserver { settings: Arc::new(settings), observed: Arc::default(), changed: watch::Sender::new(0) }
     }
 
-    /// The world begins now.
+    /// Starts the clock of the world.
     pub(super) fn start_clock(&self) {
-        self.state().began = Some(Instant::now());
+        self.state().started = Some(Instant::now());
     }
 
-    /// World time in seconds: ahead of what the world itself says by as long as nothing has happened in it.
+    /// Returns the world time in seconds. It advances also while nothing happens in the world.
     pub(super) fn now_s(&self) -> f64 {
-        self.time(&self.state())
+        self.world_time_s(&self.state())
     }
 
-    fn time(&self, seen: &TrialState) -> f64 {
-        seen.began.map_or(0.0, |began| began.elapsed().as_secs_f64() * self.brief.speed)
+    fn world_time_s(&self, observed: &TrialState) -> f64 {
+        observed.started.map_or(0.0, |started| started.elapsed().as_secs_f64() * self.settings.speed)
     }
 
-    /// Is told whenever there is something new to see.
+    /// Returns a receiver that changes with every new observation.
     pub(super) fn changed(&self) -> watch::Receiver<u64> {
         self.changed.subscribe()
     }
 
     pub(super) fn state(&self) -> MutexGuard<'_, TrialState> {
-        self.seen.lock().unwrap_or_else(PoisonError::into_inner)
+        self.observed.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn see(&self, node: &NodeId, what: &EventKind) {
-        let mut seen = self.state();
-        let now_s = self.time(&seen);
+    fn observe(&self, node: &NodeId, what: &EventKind) {
+        let mut observed = self.state();
+        let now_s = self.world_time_s(&observed);
         match what {
-            EventKind::Closed { record, .. } if record.failure.is_none() => seen.record = Some(record.clone()),
-            EventKind::Awarded { holders, .. } => self.awarded(&mut seen, holders, now_s),
+            EventKind::Closed { record, .. } if record.failure.is_none() => observed.record = Some(record.clone()),
+            EventKind::Awarded { holders, .. } => self.awarded(&mut observed, holders, now_s),
             EventKind::Released { role, cause, .. } => {
-                if let Some(robot) = seen.holders.remove(role) {
-                    seen.gave_up.insert(robot, now_s);
+                if let Some(robot) = observed.holders.remove(role) {
+                    observed.lost_role_at.insert(robot, now_s);
                 }
-                seen.releases.push(format!("{role}: {cause}"));
+                observed.releases.push(format!("{role}: {cause}"));
             }
-            EventKind::Mission { state, .. } if state.is_final() => seen.end_state = Some(state.clone()),
-            EventKind::TaskBegan { task, .. } => self.task_began(&mut seen, &RobotId::from(node.clone()), task, now_s),
-            EventKind::TaskEnded { task, .. } => self.task_ended(&mut seen, &RobotId::from(node.clone()), task, now_s),
+            EventKind::Mission { state, .. } if state.is_final() => observed.end_state = Some(state.clone()),
+            EventKind::TaskBegan { task, .. } => {
+                self.task_began(&mut observed, &RobotId::from(node.clone()), task, now_s)
+            }
+            EventKind::TaskEnded { task, .. } => {
+                self.task_ended(&mut observed, &RobotId::from(node.clone()), task, now_s)
+            }
             EventKind::Suspended { .. } | EventKind::TaskRetried { .. } => {
                 let robot = RobotId::from(node.clone());
-                if let Some(under_way) = seen.under_way.remove(&robot) {
-                    seen.upset.insert((robot, under_way.task));
+                if let Some(running_tasks) = observed.running_tasks.remove(&robot) {
+                    observed.disturbed.insert((robot, running_tasks.task));
                 }
             }
             _ => return,
         }
-        drop(seen);
+        drop(observed);
         self.changed.send_modify(|count| *count += 1);
     }
 
-    fn awarded(&self, seen: &mut TrialState, holders: &BTreeMap<RoleId, RobotId>, now_s: f64) {
-        for robot in holders.values().filter(|robot| self.brief.robots.contains_key(*robot)) {
-            seen.ever_assigned.insert(robot.clone());
-            let able = self.brief.world.telemetry(robot).is_none_or(|report| report.able);
+    fn awarded(&self, observed: &mut TrialState, holders: &BTreeMap<RoleId, RobotId>, now_s: f64) {
+        for robot in holders.values().filter(|robot| self.settings.robots.contains_key(*robot)) {
+            observed.ever_assigned.insert(robot.clone());
+            let able = self.settings.world.telemetry(robot).is_none_or(|report| report.able);
             if !able {
-                seen.depleted.entry(robot.clone()).or_insert(now_s);
+                observed.depleted.entry(robot.clone()).or_insert(now_s);
             }
         }
-        if seen.first_holders.is_empty() {
-            seen.first_holders = holders.clone();
-            let times = seen.record.iter().flat_map(|record| &record.entries).filter_map(|entry| {
+        if observed.first_holders.is_empty() {
+            observed.first_holders = holders.clone();
+            let times = observed.record.iter().flat_map(|record| &record.entries).filter_map(|entry| {
                 let chosen = holders.get(&entry.role) == Some(&entry.robot);
                 match &entry.verdict {
                     BidVerdict::Viable { time, .. } | BidVerdict::Unviable { time, .. } if chosen => Some(time.get()),
                     _ => None,
                 }
             });
-            seen.predicted_s = times.max_by(f64::total_cmp);
+            observed.predicted_s = times.max_by(f64::total_cmp);
         }
-        seen.holders.extend(holders.iter().map(|(role, robot)| (role.clone(), robot.clone())));
+        observed.holders.extend(holders.iter().map(|(role, robot)| (role.clone(), robot.clone())));
     }
 
-    fn task_began(&self, seen: &mut TrialState, robot: &RobotId, task: &TaskId, now_s: f64) {
-        let Some(spec) = self.brief.tasks.get(task) else { return };
-        let able = self.brief.skills.get(robot).is_some_and(|skills| skills.contains(&spec.task_type));
+    fn task_began(&self, observed: &mut TrialState, robot: &RobotId, task: &TaskId, now_s: f64) {
+        let Some(spec) = self.settings.tasks.get(task) else { return };
+        let able = self.settings.skills.get(robot).is_some_and(|skills| skills.contains(&spec.task_type));
         if !able {
-            seen.unskilled.get_or_insert((now_s, robot.clone(), spec.task_type.clone()));
+            observed.unskilled.get_or_insert((now_s, robot.clone(), spec.task_type.clone()));
             return;
         }
-        let Some((own, report)) = self.brief.robots.get(robot).zip(self.brief.world.telemetry(robot)) else { return };
-        let here = EstimateContext { place: report.place.clone(), pose: Some(report.pose), ..start_context(own) };
+        let Some((scenario_robot, report)) = self.settings.robots.get(robot).zip(self.settings.world.telemetry(robot))
+        else {
+            return;
+        };
+        let context_here =
+            EstimateContext { place: report.place.clone(), pose: Some(report.pose), ..start_context(scenario_robot) };
         let to = spec.parameters.get("to").filter(|_| spec.task_type.as_str() == NAVIGATION);
         let to = to.and_then(|to| to.parse::<PlaceId>().ok());
         if let Some(to) = &to {
-            let mut rng = generator(self.brief.seed, &["drive", robot.as_str(), report.place.as_str(), to.as_str()]);
-            let factor = self.brief.travel.factor(&report.place, to, &mut rng);
-            let speed = MetresPerSecond::new(own.speed_mps / factor).expect("a speed over a factor that is not 0");
-            self.brief.world.with(|world| world.set_speed(robot, speed));
+            let mut rng = generator(self.settings.seed, &["drive", robot.as_str(), report.place.as_str(), to.as_str()]);
+            let factor = self.settings.travel.factor(&report.place, to, &mut rng);
+            let speed =
+                MetresPerSecond::new(scenario_robot.speed_mps / factor).expect("a speed over a factor that is not 0");
+            self.settings.world.with(|world| world.set_speed(robot, speed));
         }
-        let Ok(estimate) = self.brief.estimator.estimate(spec, &here) else { return };
+        let Ok(estimate) = self.settings.estimator.estimate(spec, &context_here) else { return };
         let predicted = Observation {
             skill: spec.task_type.clone(),
             from: to.is_some().then_some(report.place),
@@ -199,26 +210,32 @@ impl TrialObserver {
             actual_s: 0.0,
             predicted_share: estimate.energy,
             actual_share: 0.0,
-            budget_share: estimate.energy + self.brief.estimator.margin_sds() * estimate.energy_sd,
+            budget_share: estimate.energy + self.settings.estimator.margin_sds() * estimate.energy_sd,
         };
         let charge = report.battery.get();
-        seen.under_way.insert(robot.clone(), UnderWay { task: task.clone(), began_s: now_s, charge, predicted });
+        observed
+            .running_tasks
+            .insert(robot.clone(), RunningTask { task: task.clone(), began_s: now_s, charge, predicted });
     }
 
-    fn task_ended(&self, seen: &mut TrialState, robot: &RobotId, task: &TaskId, now_s: f64) {
-        let Some(under_way) = seen.under_way.remove(robot).filter(|under_way| under_way.task == *task) else { return };
-        if seen.upset.contains(&(robot.clone(), task.clone())) {
+    fn task_ended(&self, observed: &mut TrialState, robot: &RobotId, task: &TaskId, now_s: f64) {
+        let Some(running_tasks) =
+            observed.running_tasks.remove(robot).filter(|running_tasks| running_tasks.task == *task)
+        else {
+            return;
+        };
+        if observed.disturbed.contains(&(robot.clone(), task.clone())) {
             return;
         }
-        let Some(report) = self.brief.world.telemetry(robot) else { return };
-        let (actual_s, actual_share) = (now_s - under_way.began_s, under_way.charge - report.battery.get());
-        seen.observations.push(Observation { actual_s, actual_share, ..under_way.predicted });
+        let Some(report) = self.settings.world.telemetry(robot) else { return };
+        let (actual_s, actual_share) = (now_s - running_tasks.began_s, running_tasks.charge - report.battery.get());
+        observed.observations.push(Observation { actual_s, actual_share, ..running_tasks.predicted });
     }
 }
 
 impl Observer for TrialObserver {
     fn on_event(&self, event: &Event) {
-        self.see(&event.node, &event.kind);
+        self.observe(&event.node, &event.kind);
     }
 
     fn on_applied(&self, _: &NodeId, _: Epoch, _: &[Command]) {}

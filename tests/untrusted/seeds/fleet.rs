@@ -1,4 +1,4 @@
-//! A fleet with a mission: what is written of it, and what is seen.
+//! A fleet with a mission: its files, views and recordings.
 
 use super::sample_messages::{body_state, frame};
 use consort_nodes::fleet_model::{FleetInput, FleetModel, FloorPlan};
@@ -16,17 +16,17 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Missions that are shipped, small ones and one with all that a mission may have.
+/// Shipped missions: small missions, and a mission with all features.
 pub(super) const TEMPLATES: [&str; 3] = ["lab-samples", "vital-signs", "bed-transfer"];
 
-/// A mission as a client sends it.
+/// Returns a mission as a client sends it.
 pub(super) fn template(name: &str) -> Value {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../protocol/missions/{name}.yaml"));
     let text = std::fs::read_to_string(path).expect("it is shipped");
     MissionTemplate::request(&text, Format::Yaml).expect("it is shipped")
 }
 
-/// A mission as it is committed.
+/// Returns a mission as it is committed.
 pub(super) fn submission() -> Submission {
     let template = &shipped()["lab-samples"];
     let given = BTreeMap::from([("room".to_owned(), "IC Room 6".to_owned())]);
@@ -35,7 +35,7 @@ pub(super) fn submission() -> Submission {
     Submission::of("my-7".parse().expect("a slug"), mission, division)
 }
 
-/// A map of our own form in JSON.
+/// Returns a JSON map in the format of this project.
 pub(super) fn map_in_json() -> Vec<u8> {
     let map = json!({
         "name": "hall",
@@ -103,7 +103,7 @@ fn views() -> [(u8, Key, Value); 4] {
     ]
 }
 
-/// What somebody hears who shows a fleet.
+/// Returns the inputs of a fleet model.
 pub(super) fn fleet_inputs() -> Vec<u8> {
     let beacon = json!({ "node": "s-1", "term": 2, "voters": ["s-1"], "since_ms": 40, "cluster": null });
     let views = views().map(|(kind, _, view)| frame(kind, view.to_string().as_bytes()));
@@ -116,7 +116,7 @@ pub(super) fn fleet_inputs() -> Vec<u8> {
     all.concat()
 }
 
-/// A recording of some seconds.
+/// Returns a recording of some seconds.
 pub(super) fn recording() -> Vec<u8> {
     let began_ms = 1_795_000_000_000;
     let file = std::env::temp_dir().join(format!("consort-untrusted-seed-{}.mcap", std::process::id()));

@@ -1,4 +1,5 @@
-//! What each target begins with: something of each kind that it reads. Examples that are shipped are read from where they are.
+//! Seeds of the targets: a valid input of each kind. Shipped examples are read from their own
+//! folders.
 
 mod fleet;
 mod sample_messages;
@@ -8,18 +9,18 @@ use serde_json::json;
 use std::fs;
 use std::path::Path;
 
-/// The seeds of a target, none of which is refused as a whole.
+/// Returns the seeds of a target. None of them is rejected as a whole.
 pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
     match name {
         "wire" => (VersionRange::OWN.oldest..=VersionRange::OWN.newest).flat_map(sample_messages::messages).collect(),
         "gossip" => sample_messages::gossip(),
         "raft" => sample_messages::raft(),
         "award" => sample_messages::awards(),
-        "notebook" => sample_messages::checkpoints(),
+        "checkpoint" => sample_messages::checkpoints(),
         "ledger" => vec![sample_messages::commands()],
         "store" => vec![vec![]],
-        "seal" => sample_messages::signed_envelopes(),
-        // No edits: what was issued.
+        "signed_envelope" => sample_messages::signed_envelopes(),
+        // No edits: the issued certificate.
         "certificate" | "pem" => vec![vec![0]],
         "names" => texts(&[
             "consort://ward/node/ada?roles=robot,voter",
@@ -63,17 +64,17 @@ pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
             fleet::schedule(),
         ],
         "recording" => vec![fleet::recording()],
-        "picture" => vec![fleet::fleet_inputs()],
+        "fleet_model" => vec![fleet::fleet_inputs()],
         "dashboard" => texts(&[
             "GET /api/events?after=1&kind=bid&mission=m-1&robot=ada&text=a%20b&limit=5",
-            "GET /api/picture",
+            "GET /api/fleet",
             "GET /healthz",
         ]),
         other => panic!("{other} has no seeds"),
     }
 }
 
-/// The same of what nodes say to one another and write down, as a fleet that writes this version of the wire has it.
+/// Returns the seeds of a target; messages are encoded with this wire version.
 pub(crate) fn at_version(wire: u8, name: &str) -> Vec<Vec<u8>> {
     match name {
         "wire" => sample_messages::messages(wire),
@@ -85,13 +86,13 @@ fn texts(all: &[&str]) -> Vec<Vec<u8>> {
     all.iter().map(|text| text.as_bytes().to_vec()).collect()
 }
 
-/// A file of the repository.
+/// Reads a file of the repository.
 fn file(path: &str) -> Vec<u8> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path);
     fs::read(&path).unwrap_or_else(|problem| panic!("{}: {problem}", path.display()))
 }
 
-/// The files of a folder of the repository with this ending.
+/// Reads the files in a folder of the repository with this suffix.
 fn files(folder: &str, ending: &str) -> Vec<Vec<u8>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(folder);
     let names = fs::read_dir(path).expect("a folder").map(|file| file.expect("a file").file_name());

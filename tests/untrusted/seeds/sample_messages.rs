@@ -1,4 +1,4 @@
-//! Messages of a fleet that carries a mission out.
+//! Messages of a fleet that carries out a mission.
 
 use super::fleet;
 use consort_actors::gossip::{GossipHarness, GossipInput as How};
@@ -35,7 +35,7 @@ fn slug<T: FromStr<Err: Debug>>(name: &str) -> T {
     name.parse().expect("a slug")
 }
 
-/// A piece of an input of several.
+/// Encodes a frame of a composite input.
 pub(super) fn frame(kind: u8, bytes: &[u8]) -> Vec<u8> {
     let length = u16::try_from(bytes.len()).expect("a small piece");
     [&[kind], &length.to_le_bytes()[..], bytes].concat()
@@ -164,7 +164,7 @@ pub(super) fn body_state() -> Vec<u8> {
     spoken(&state())
 }
 
-/// One of each kind, as a fleet that writes this version of the wire has them.
+/// Returns a message of each kind, encoded with this wire version.
 pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
     let (ada, beacon) = (slug::<NodeId>("ada"), beacon());
     let (role, plan) = plans().into_iter().next().expect("a role");
@@ -295,7 +295,7 @@ pub(super) fn gossip() -> Vec<Vec<u8>> {
         let exchange = Exchange { sums, scope: DigestScope::ALL, digest, records };
         encode_for_version(NEWEST, exchange).expect("a small message")
     };
-    // What Bob would say to Ada, whom he has just heard: packets of failure detection among it.
+    // Messages of Bob after a record of Ada, including packets of failure detection.
     let mut bob = GossipHarness::new(slug("ward"), slug("bob"));
     let ada = stated(NEWEST, RecordUpdate::Record(record("ada")));
     let mut said = bob.receive(How::Published(slug("ada")), &ada).expect("a statement");
@@ -336,7 +336,7 @@ pub(super) fn gossip() -> Vec<Vec<u8>> {
     ]
 }
 
-/// What an entry of the log holds, as Raft's own types are laid out.
+/// Payload of a log entry, with the layout of Raft's own types.
 #[derive(Serialize)]
 enum Payload {
     Blank,

@@ -1,4 +1,4 @@
-//! What robots and fleets are to go by: trees, conditions, features.
+//! Behavior trees, conditions and features.
 
 use super::frames::text;
 use super::scratch;
@@ -22,7 +22,7 @@ fn library() -> &'static SkillLibrary {
     })
 }
 
-/// The same, wherever it stands in a file.
+/// Removes the line numbers from a tree.
 fn placeless(spec: &TreeSpec) -> TreeSpec {
     fn without(node: &NodeSpec) -> NodeSpec {
         NodeSpec { line: None, children: node.children.iter().map(without).collect(), ..node.clone() }
@@ -31,7 +31,7 @@ fn placeless(spec: &TreeSpec) -> TreeSpec {
     TreeSpec { trees: trees.collect(), ..spec.clone() }
 }
 
-/// A tree that was taken can be written for its editor; a mistake has its place.
+/// An accepted tree can be written for its editor; an error contains its location.
 pub(super) fn tree(bytes: &[u8]) -> bool {
     let Some(text) = text(bytes) else { return false };
     let spec = match read_xml("a.xml", text) {
@@ -55,7 +55,7 @@ pub(super) fn tree(bytes: &[u8]) -> bool {
     }
 }
 
-/// Conditions, a line each, are refused by name or judge everybody.
+/// Conditions, each on its own line, are rejected by name or apply to every node.
 pub(super) fn condition(bytes: &[u8]) -> bool {
     let Some(text) = text(bytes) else { return false };
     let skills = BTreeSet::from([TaskType::new("navigation").expect("a slug")]);
@@ -95,7 +95,7 @@ fn station() -> Knowledge {
     }
 }
 
-/// What is wrong with a feature is told with its file.
+/// The problems of a feature contain its file.
 pub(super) fn feature(bytes: &[u8]) -> bool {
     let file = scratch::file("a.feature", bytes);
     match Features::read(&[file], &ScenarioFilter::default()) {

@@ -1,7 +1,7 @@
-//! Several things in one input.
+//! Composite inputs of several frames.
 
-/// The pieces of an input: each has a byte that says what it is, and its length in two bytes before it. A last one that is cut
-/// short is as long as there are bytes.
+/// Splits an input into frames. Each frame begins with a byte for its kind and two bytes for its
+/// length. A truncated last frame contains the remaining bytes.
 pub(super) fn frames(mut bytes: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
     std::iter::from_fn(move || {
         let (&[kind, low, high], rest) = bytes.split_first_chunk::<3>()?;
@@ -12,7 +12,7 @@ pub(super) fn frames(mut bytes: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
     })
 }
 
-/// A text, if it is one.
+/// Returns the input as text, if it is UTF-8.
 pub(super) fn text(bytes: &[u8]) -> Option<&str> {
     std::str::from_utf8(bytes).ok()
 }

@@ -1,12 +1,12 @@
-//! What voters agree upon.
+//! Commands of the ledger.
 
 use super::frames::frames;
 use consort_protocol::codec;
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
 
-/// Whatever is committed, the ledger goes on: what it refuses changes nothing, and what it holds can be looked at, written down
-/// and read back.
+/// The ledger survives any committed commands: a rejected command changes nothing, and the ledger
+/// can be inspected, written and read back.
 pub(super) fn ledger(bytes: &[u8]) -> bool {
     let (mut ledger, mut applied) = (Ledger::default(), 0);
     for (index, (_, piece)) in (1..).zip(frames(bytes).take(40)) {

@@ -1,10 +1,10 @@
-//! Maps of all forms.
+//! Maps in all formats.
 
 use super::frames::text;
 use consort_nodes::map_loader;
 use consort_sim::map::{self, ImportOptions, Map, MapError, MapFile, render};
 
-/// A map that was taken is sound, can be told and drawn, and reads back the same.
+/// An accepted map is valid, can be encoded and drawn, and reads back as the same map.
 fn sound(file: &MapFile, name: &str) -> bool {
     let sound = match file.clone().check(name) {
         Ok(sound) => sound,
@@ -16,7 +16,7 @@ fn sound(file: &MapFile, name: &str) -> bool {
     let json = serde_json::to_string(file).expect("numbers that a sound map has");
     let again = map::read(&json, "again.json").expect("what was written can be read");
     assert_eq!(again, sound, "it reads back as something else");
-    Map::from_json(&sound.to_json(), "view/map").expect("what is told can be read");
+    Map::from_json(&sound.to_json(), "view/map").expect("an encoded map can be read");
     sound.topology();
     if sound.places().len() <= 100 {
         render::svg(&sound, &[]);
@@ -25,7 +25,7 @@ fn sound(file: &MapFile, name: &str) -> bool {
 }
 
 fn named(problem: &MapError, name: &str) {
-    assert!(problem.to_string().contains(name), "it does not say which file: {problem}");
+    assert!(problem.to_string().contains(name), "the error does not name the file: {problem}");
 }
 
 fn read(bytes: &[u8], name: &str) -> bool {

@@ -1,4 +1,4 @@
-//! What nodes say to one another.
+//! Messages between nodes.
 
 use super::frames::frames;
 use consort_actors::fuzz_api;
@@ -22,7 +22,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Debug;
 use std::time::Duration;
 
-/// What can be read can be written, and what is written reads back the same.
+/// A decoded message can be encoded, and the encoding decodes to the same message.
 pub(super) fn assert_round_trip<T: Serialize + DeserializeOwned>(bytes: &[u8]) -> Option<T> {
     let message: T = codec::decode(bytes).ok()?;
     let once = codec::encode(&message).expect("what was read can be sent");
@@ -31,7 +31,7 @@ pub(super) fn assert_round_trip<T: Serialize + DeserializeOwned>(bytes: &[u8]) -
     Some(message)
 }
 
-/// The same of what has two layouts.
+/// Same, for messages with two layouts.
 fn evolves<T: VersionedMessage + Clone>(bytes: &[u8]) -> bool {
     let Ok(message) = codec::decode_any_version::<T>(bytes) else { return false };
     for wire in [codec::FIRST_VERSION, T::SINCE] {
@@ -85,7 +85,7 @@ pub(super) fn wire(bytes: &[u8]) -> bool {
     read > 0
 }
 
-/// An auction ends with whatever is bid, and gives roles to those alone who have bid for them.
+/// An auction ends with any responses, and assigns roles only to robots with a bid for them.
 fn auction(call: Option<CallForBids>, tender: Option<BidResponse>) {
     let Some(tender) = tender else { return };
     let asked = tender.replies.iter().filter_map(|answer| match answer {
@@ -106,11 +106,11 @@ fn auction(call: Option<CallForBids>, tender: Option<BidResponse>) {
     };
     let conclusion = clear_auction(&call, &[tender], &circumstances);
     let holders = conclusion.holders.iter().flatten();
-    assert!(holders.clone().all(|(_, robot)| robots.contains(robot)), "a role for somebody who has not bid");
+    assert!(holders.clone().all(|(_, robot)| robots.contains(robot)), "a role was assigned to a robot without a bid");
     explain(&conclusion.record);
 }
 
-/// What nodes say leads to messages that fit, and to a node that goes on.
+/// Input from other nodes leads to messages within the size limit, and the node continues.
 pub(super) fn gossip(bytes: &[u8]) -> bool {
     let name = |name: &str| NodeId::new(name).expect("a slug");
     let mut ada = GossipHarness::new(FleetId::new("ward").expect("a slug"), name("ada"));
@@ -129,7 +129,7 @@ pub(super) fn gossip(bytes: &[u8]) -> bool {
                 heard += 1;
                 assert!(
                     said.iter().all(|message| message.len() <= MESSAGE_BYTES_MAX),
-                    "it says more than fits a message"
+                    "a message exceeds the size limit"
                 );
             }
             Err(problem) => assert!(!problem.is_empty()),

@@ -1,4 +1,4 @@
-//! Missions, as files and as clients ask for them.
+//! Missions in files and requests.
 
 use super::frames::text;
 use consort_actors::fuzz_api::{ApiRequest, request as asked};
@@ -8,7 +8,7 @@ use consort_protocol::mission::{Domain, Format, IhtnOptions, Mission, MissionTem
 use consort_protocol::plan::{check_division, divide_and_check};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A mission that was taken is sound, is divided or refused with words, and survives the wire.
+/// An accepted mission is valid, is divided or rejected with a message, and can be encoded.
 fn sound(mission: &Mission, domain: &Domain) {
     mission.check(domain).expect("a mission that was taken is sound");
     match divide_and_check(mission) {
@@ -42,8 +42,8 @@ fn read(bytes: &[u8], format: Format) -> bool {
         Ok(template) => {
             instantiated(&template);
             let request =
-                MissionTemplate::request(text, format).expect("what can be read can be asked for").to_string();
-            let again = MissionTemplate::parse(&request, Format::Json).expect("what is asked for can be read");
+                MissionTemplate::request(text, format).expect("a readable mission can be requested").to_string();
+            let again = MissionTemplate::parse(&request, Format::Json).expect("a requested mission can be read");
             assert_eq!((again.name(), again.parameters()), (template.name(), template.parameters()));
             true
         }
@@ -83,7 +83,7 @@ pub(super) fn ihtn(bytes: &[u8]) -> bool {
     }
 }
 
-/// What a client asks for is carried out or answered with words.
+/// A request is accepted or rejected with a message.
 pub(super) fn request(bytes: &[u8]) -> bool {
     let mut taken = false;
     for call in ApiCall::ALL {
@@ -92,7 +92,7 @@ pub(super) fn request(bytes: &[u8]) -> bool {
                 instantiated(&template);
                 taken = true;
             }
-            // These two take nothing, whatever they are given.
+            // These two calls accept any payload.
             Ok(ApiRequest::Other) => taken |= !matches!(call, ApiCall::List | ApiCall::Help),
             Err(problem) => assert!(!problem.is_empty()),
         }

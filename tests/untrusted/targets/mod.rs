@@ -1,8 +1,10 @@
-//! One function for each thing that is read from others: it reads the bytes as the program does, and panics if what must hold
-//! then does not. Two run them: the test beside this folder, with seeds and seeded changes of them, and cargo-fuzz (`tests/fuzz/`).
+//! Targets: one function per kind of untrusted input. It reads the bytes as the program does and
+//! panics if a required property is violated. Two programs call the targets: the test next to this
+//! folder, with seeds and seeded mutations, and cargo-fuzz (`tests/fuzz/`).
 //!
-//! What must hold beyond ending without a panic, soon and in little memory: what was read can be written, and what is written
-//! reads back the same; what an importer has taken passes its own checks; what is refused is refused with words.
+//! Required properties, besides speed, little memory and no panic: decoded values can be encoded
+//! and decode to the same values; the output of an importer passes its own checks; a rejection has
+//! a message.
 
 mod behavior_files;
 mod frames;
@@ -17,17 +19,17 @@ mod settings;
 mod stores;
 mod trust;
 
-/// Something that is read.
+/// A kind of untrusted input.
 pub(crate) struct Target {
-    /// Its name: that of the fuzz target, and of its folder of kept inputs.
+    /// Name of the fuzz target and of its corpus folder.
     pub(crate) name: &'static str,
-    /// Reads; says whether anything of it made sense.
+    /// Reads an input. Returns whether any part of it was valid.
     pub(crate) run: fn(&[u8]) -> bool,
 }
 
 macro_rules! targets {
     ($($(#[doc = $doc:literal])* $name:ident = $hit:path;)*) => {
-        /// All there are.
+        /// All targets.
         pub(crate) const ALL: &[Target] = &[$(Target { name: stringify!($name), run: $hit }),*];
     };
 }
@@ -35,25 +37,25 @@ macro_rules! targets {
 targets! {
     /// Messages between nodes, of each kind.
     wire = messages::wire;
-    /// The seal around them, and what whoever bears it may say.
-    seal = trust::signed_envelope;
-    /// Certificates as peers show them, and lists of revoked ones.
+    /// Signed envelopes, and the permissions of their signers.
+    signed_envelope = trust::signed_envelope;
+    /// Certificates of peers, and revocation lists.
     certificate = trust::certificate;
-    /// Certificates as files.
+    /// Certificates in files.
     pem = trust::pem;
-    /// Names, identities and keys, which stand in keys and certificates.
+    /// Names, identities and key expressions.
     names = trust::names;
-    /// Gossip: packets of failure detection, statements, exchanges, one after the other.
+    /// Gossip: a sequence of failure detection packets, statements and exchanges.
     gossip = messages::gossip;
-    /// Consensus: questions, answers, log entries, snapshots.
+    /// Consensus: requests, replies, log entries, snapshots.
     raft = messages::raft;
-    /// What a robot is awarded, carried out.
+    /// Awards, executed.
     award = robots::award;
-    /// A robot's notebook.
-    notebook = robots::checkpoint;
-    /// Commands of the ledger, one after the other.
+    /// Checkpoints of robots.
+    checkpoint = robots::checkpoint;
+    /// Sequences of ledger commands.
     ledger = ledgers::ledger;
-    /// A store on a disk that was damaged.
+    /// Damaged stores.
     store = stores::store;
     /// Requests of clients.
     request = missions::request;
@@ -61,11 +63,11 @@ targets! {
     mission_yaml = missions::yaml;
     /// Missions in JSON.
     mission_json = missions::json;
-    /// Missions in the flat form.
+    /// Missions in the flat format.
     ihtn = missions::ihtn;
-    /// Our own maps in YAML.
+    /// Maps of this project in YAML.
     map_yaml = maps::yaml;
-    /// Our own maps in JSON, and those of the published evaluation.
+    /// Maps of this project in JSON, and maps of the published evaluation.
     map_json = maps::json;
     /// Drawings of diagrams.net.
     drawing = maps::drawing;
@@ -83,12 +85,12 @@ targets! {
     design = settings::design;
     /// Calibrations.
     calibration = settings::calibration;
-    /// Workers, scenarios, results, measured legs and schedules of chaos.
+    /// Workers, scenarios, results, measured legs and chaos schedules.
     tables = settings::tables;
     /// Recordings.
     recording = recordings::recording;
-    /// What is heard of a fleet by whoever shows it.
-    picture = recordings::fleet_model;
+    /// Inputs of the fleet model.
+    fleet_model = recordings::fleet_model;
     /// Requests to the dashboard.
     dashboard = recordings::dashboard;
 }

@@ -1,4 +1,4 @@
-//! What a fleet looks like: as it is heard of, as it was recorded, as the dashboard is asked for it.
+//! Fleet models, recordings and dashboard requests.
 
 use super::frames::{frames, text};
 use super::scratch;
@@ -20,7 +20,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::runtime::Runtime;
 
-/// A recording that is shown shows the same however one comes to an instant of it.
+/// A recording shows the same state at an instant, however the reader reaches it.
 pub(super) fn recording(bytes: &[u8]) -> bool {
     let file = scratch::file("a.mcap", bytes);
     let reel = match RecordingReader::open(&file) {
@@ -41,7 +41,7 @@ pub(super) fn recording(bytes: &[u8]) -> bool {
     true
 }
 
-/// Whatever is heard, and whenever, what is drawn by changes is what is drawn at once.
+/// For any sequence of inputs, the applied patches equal the whole model.
 pub(super) fn fleet_model(bytes: &[u8]) -> bool {
     let keys = Keys::new(&FleetId::new("ward").expect("a slug"));
     let mut picture = FleetModel::new("ward", "ada", FloorPlan::default(), 1000);
@@ -81,7 +81,7 @@ pub(super) fn fleet_model(bytes: &[u8]) -> bool {
     taken > 0
 }
 
-/// Of a view: by the key that it names, or else one of those that are asked for.
+/// Returns the key of a view: the key that the view names, or a key of the queried views.
 fn view_key(kind: u8, keys: &Keys, view: &Value) -> Option<Key> {
     if let Some(key) = view["key"].as_str() {
         return keys.read(key);
@@ -123,8 +123,9 @@ fn server() -> &'static Server {
     })
 }
 
-/// The first line is what is asked for (`GET /api/events?after=1`), the rest is sent with it. Everything is answered, and
-/// nothing by a mistake of the server's own. Without a space in the first line all of it is sent as it is.
+/// The first line is the request line (`GET /api/events?after=1`), the rest is the body. The server
+/// answers every request and never with an internal error. Input without a space in the first line
+/// is sent unchanged.
 pub(super) fn dashboard(bytes: &[u8]) -> bool {
     let address = server().address;
     let (line, body) = match bytes.iter().position(|byte| *byte == b'\n') {
@@ -141,7 +142,7 @@ pub(super) fn dashboard(bytes: &[u8]) -> bool {
     });
     let mut stream = TcpStream::connect(address).expect("the dashboard takes connections");
     stream.set_read_timeout(Some(Duration::from_secs(5))).expect("a socket");
-    // It may hang up before it was told all.
+    // The server may close the connection early.
     let _ = stream.write_all(whole.as_deref().unwrap_or(bytes));
     if whole.is_none() {
         let _ = stream.shutdown(Shutdown::Write);
@@ -150,16 +151,17 @@ pub(super) fn dashboard(bytes: &[u8]) -> bool {
     let answered = stream.read_exact(&mut answer).is_ok();
     if answered {
         let status = String::from_utf8_lossy(&answer[9..]).into_owned();
-        assert!(answer.starts_with(b"HTTP/1."), "that is no answer: {answer:?}");
+        assert!(answer.starts_with(b"HTTP/1."), "this is no HTTP response: {answer:?}");
         assert!(status != "500", "a mistake of the server's own");
     }
     let taken = answered && answer[9] == b'2';
-    // What is no HTTP, and what is not read to its end, is hung up on.
+    // The server closes the connection on input that is not HTTP, and on bodies that it does not
+    // read to the end.
     assert!(answered || !is_http(line) || body.len() > 4096, "it was not answered");
     taken
 }
 
-/// Whether a line begins a request: a method and a path.
+/// Checks whether a line begins a request: a method and a path.
 fn is_http(line: &[u8]) -> bool {
     let Some((method, path)) = text(line).and_then(|line| line.split_once(' ')) else { return false };
     let is_method = (3..=7).contains(&method.len()) && method.bytes().all(|byte| byte.is_ascii_uppercase());

@@ -1,4 +1,4 @@
-//! What robots are told to do, and what they have written down of it.
+//! Awards and checkpoints of robots.
 
 use super::frames::frames;
 use consort_actors::robot::{Checkpoint, Sequencer, SequencerAction};
@@ -11,7 +11,7 @@ use consort_protocol::units::NodeTime;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// A robot that is told of awards, and answered, goes as far with them as can be gone, and no further.
+/// A robot that receives awards and replies executes them as far as possible and not further.
 pub(super) fn award(bytes: &[u8]) -> bool {
     let ada: RobotId = "ada".parse().expect("a slug");
     let mut tenure = RoleLease::new(ada.clone(), LeaseTerms::default());
@@ -33,7 +33,7 @@ pub(super) fn award(bytes: &[u8]) -> bool {
             },
             _ => Event::Tick,
         };
-        // The same award, confirmed with nothing ended: most answers are to another.
+        // The same award, renewed with no ended steps: most replies belong to another award.
         let heard = matches!(event, Event::AwardReceived(_));
         let mut actions = tenure.handle(event, now);
         if let Some(epoch) = tenure.award().map(|award| award.epoch).filter(|_| heard) {
@@ -59,7 +59,7 @@ fn carried_out(begun: Result<Sequencer, ProgressError>) -> bool {
     true
 }
 
-/// Carries a plan out, as far as it goes when everybody says what is waited for and the ledger knows all.
+/// Executes a plan as far as possible, with all awaited signals sent and the ledger up to date.
 fn go(mut sequencer: Sequencer) {
     let rest = sequencer.remaining_plan();
     let aside: usize = rest.alternatives.iter().map(|other| other.tasks.len() + 1).sum();
@@ -67,7 +67,7 @@ fn go(mut sequencer: Sequencer) {
     for number in 0..limit {
         match sequencer.next_action() {
             Some(SequencerAction::StartTask { step: spot, .. }) => {
-                // Some fail, and another way is taken, if there is one.
+                // Some tasks fail, and the plan takes an alternative if there is one.
                 if number % 3 == 1 && sequencer.switch_to_alternative().is_some() {
                     continue;
                 }

@@ -1,13 +1,13 @@
-//! A file of this process for what is read from files only.
+//! Temporary files for functions that read only from files.
 
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
-/// A folder of this process.
+/// Returns the temporary folder of this process.
 pub(super) fn folder() -> &'static PathBuf {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {
-        // In memory where there is such a place: a file is written for each input.
+        // In memory if possible, because every input writes a file.
         let shared = PathBuf::from("/dev/shm");
         let place = if shared.is_dir() { shared } else { std::env::temp_dir() };
         let folder = place.join(format!("consort-untrusted-{}", std::process::id()));
@@ -16,7 +16,7 @@ pub(super) fn folder() -> &'static PathBuf {
     })
 }
 
-/// The file of this name, which holds these bytes now.
+/// Writes a temporary file and returns its path.
 pub(super) fn file(name: &str, bytes: &[u8]) -> PathBuf {
     let path = folder().join(name);
     std::fs::write(&path, bytes).expect("a temporary file");

@@ -1,4 +1,4 @@
-//! Files that say how a fleet or an evaluation is to be.
+//! Configuration files of fleets and evaluations.
 
 use super::frames::text;
 use consort_nodes::config::{ConfigFile, FleetConfig, RobotConfig, StationConfig, WorldConfig, from_text, to_toml};
@@ -8,7 +8,8 @@ use consort_sim::experiment::design::{self, Design};
 use consort_sim::experiment::{results, travel};
 use consort_tests::chaos::Schedule;
 
-/// What was taken is printed so that it reads back the same; what is wrong is told with file and, where there is one, key.
+/// An accepted file can be printed and reads back as the same; an error contains the file and, if
+/// there is one, the key.
 fn survives<C: ConfigFile>(text: &str) -> Option<C> {
     match from_text::<C>(text, "a.toml") {
         Ok(config) => {

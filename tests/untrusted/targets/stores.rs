@@ -8,7 +8,7 @@ use redb::StorageBackend;
 use redb::backends::InMemoryBackend;
 use std::sync::{Arc, OnceLock};
 
-/// A file that others can look at while a store has it.
+/// A file that a test can read while a store has it open.
 #[derive(Debug, Clone)]
 struct Disk(Arc<InMemoryBackend>);
 
@@ -32,7 +32,7 @@ impl StorageBackend for Disk {
         self.0.len()
     }
     fn read(&self, at: u64, into: &mut [u8]) -> std::io::Result<()> {
-        // What a file says of a place beyond its end, and not what memory does.
+        // A file reports an error beyond its end; the memory backend does not.
         let end = at.checked_add(into.len() as u64).filter(|end| self.0.len().is_ok_and(|length| *end <= length));
         if end.is_none() {
             return Err(std::io::ErrorKind::UnexpectedEof.into());
@@ -50,7 +50,7 @@ impl StorageBackend for Disk {
     }
 }
 
-/// A store as it was left.
+/// Files and contents of a closed store.
 struct Left {
     owner: StoreOwner,
     ledger: Vec<u8>,
@@ -76,7 +76,7 @@ fn left() -> &'static Left {
     })
 }
 
-/// A store whose files were damaged is refused, or holds what it held.
+/// A damaged store is rejected or has its original contents.
 pub(super) fn store(bytes: &[u8]) -> bool {
     let Left { owner, ledger, seal, recorded } = left();
     let (mut ledger, mut seal) = (ledger.clone(), seal.clone());
@@ -100,12 +100,12 @@ pub(super) fn store(bytes: &[u8]) -> bool {
     match opened {
         Ok(store) => {
             let found = store.persistent_state().expect("an open store can be read");
-            assert!(found == *recorded, "a damaged store was taken for a sound one");
+            assert!(found == *recorded, "a damaged store was accepted");
         }
         Err(OpenError::InUse { .. } | OpenError::NotFound { .. }) => panic!("that is not what is wrong with it"),
         Err(problem) => {
             assert!(harmed, "a sound store is refused: {problem}");
-            assert!(problem.to_string().contains("ledger"), "it does not say which file: {problem}");
+            assert!(problem.to_string().contains("ledger"), "the error does not name the file: {problem}");
         }
     }
     let records: Vec<&[u8]> = frames(bytes).map(|(_, piece)| piece).collect();

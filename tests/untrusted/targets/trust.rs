@@ -1,4 +1,4 @@
-//! Names, certificates and seals.
+//! Names, certificates and signed envelopes.
 
 use super::frames::{frames, text};
 use super::scratch;
@@ -41,18 +41,19 @@ pub(super) fn names(bytes: &[u8]) -> bool {
     read
 }
 
-/// In pieces: whose certificate it is, on which key, what; the byte before says which act.
+/// Frames: the identity, the key and the payload; the kind of the first frame selects the
+/// operation.
 pub(super) fn signed_envelope(bytes: &[u8]) -> bool {
     let mut read = false;
     let asked = MessageKind::Reply(Fingerprint([3; 16]), 9);
     for kind in [MessageKind::Publication, MessageKind::Query, asked] {
         if let Ok(sealed) = decode_envelope(kind, bytes) {
-            assert_eq!(encode_envelope(kind, sealed), bytes, "sealed anew it is another message");
+            assert_eq!(encode_envelope(kind, sealed), bytes, "the envelope encodes differently");
             read = true;
         }
     }
     if let Some(MessageKind::Reply(by, number)) = decode_requester(bytes) {
-        assert_eq!(encode_requester(by, number), bytes, "whose question it is, written anew, is another's");
+        assert_eq!(encode_requester(by, number), bytes, "the requester encodes differently");
         read = true;
     }
     let pieces: Vec<(u8, &[u8])> = frames(bytes).take(3).collect();
@@ -75,7 +76,7 @@ struct Fleet {
     pem: String,
 }
 
-/// A fleet with an authority, and the certificate of one of its nodes.
+/// Returns a fleet with an authority and the certificate of one of its nodes.
 fn fleet() -> &'static Fleet {
     static FLEET: OnceLock<Fleet> = OnceLock::new();
     FLEET.get_or_init(|| {
@@ -100,8 +101,8 @@ fn der(pem: &str) -> Vec<u8> {
     CertificateDer::from_pem_slice(pem.as_bytes()).expect("a certificate").to_vec()
 }
 
-/// After a zero come edits of a certificate that was issued, each with its place; else the whole is one. The one that was
-/// issued is believed, and no other.
+/// After a zero byte, the input contains edits of an issued certificate; otherwise it is a
+/// certificate. Only the issued certificate is accepted.
 pub(super) fn certificate(bytes: &[u8]) -> bool {
     let Fleet { keyring, issued, .. } = fleet();
     let shown = match bytes.split_first() {
@@ -111,13 +112,13 @@ pub(super) fn certificate(bytes: &[u8]) -> bool {
     let admitted = keyring.add_certificate(&shown, unix_time());
     let believed = admitted.is_ok();
     match admitted {
-        Ok(card) => assert!(shown == *issued, "another certificate of {} is believed", card.identity),
-        Err(problem) => assert!(shown != *issued, "the one that was issued is not believed: {problem}"),
+        Ok(card) => assert!(shown == *issued, "another certificate of {} is accepted", card.identity),
+        Err(problem) => assert!(shown != *issued, "the issued certificate is rejected: {problem}"),
     }
     believed
 }
 
-/// The same for what is in files.
+/// Same for certificates in files.
 pub(super) fn pem(bytes: &[u8]) -> bool {
     let shown = match bytes.split_first() {
         Some((0, edits)) => edited(fleet().pem.as_bytes(), edits),
@@ -139,7 +140,7 @@ pub(super) fn pem(bytes: &[u8]) -> bool {
         revoked: Some(file),
     };
     match files.open(&FleetId::new("ward").expect("a slug"), unix_time(), 1) {
-        Ok(_) => panic!("one file is authority, certificate, key and list of what is revoked"),
+        Ok(_) => panic!("the same file was accepted as authority, certificate, key and revocation list"),
         Err(problem) => named(&problem),
     }
     read

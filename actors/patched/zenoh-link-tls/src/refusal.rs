@@ -1,8 +1,10 @@
-//! Added for Consort: who is to have no link, though its certificate was signed by the authority and has not ended.
+//! Added for Consort: rejection of links whose certificate is signed by the authority and not
+//! expired.
 //!
-//! Zenoh reads no lists of revoked certificates, and tells who uses it nothing of a link but the common name at its other end. So
-//! whoever keeps such a list puts in a judge here: it is shown the certificate at the other end of each link that is opened, whichever
-//! side opens it, and, when it says that it knows more than before, of each that is open.
+//! Zenoh reads no lists of revoked certificates, and its users learn only the common name at the
+//! other end of a link. Therefore a program with such a list registers a check here. The check
+//! receives the certificate at the other end of each link that is opened, from either side. When
+//! the program reports a changed list, the check receives the certificates of all open links.
 
 use std::{
     collections::BTreeMap,
@@ -11,7 +13,7 @@ use std::{
 
 use tokio_util::sync::CancellationToken;
 
-/// Whether the bearer of a certificate (DER) is to have no link.
+/// Check that returns true if links to the principal of this certificate (DER) must be rejected.
 pub type Judge = dyn Fn(&[u8]) -> bool + Send + Sync;
 
 #[derive(Default)]
@@ -28,10 +30,10 @@ fn with<T>(act: impl FnOnce(&mut Known) -> T) -> T {
     act(known.get_or_insert_default())
 }
 
-/// A judge that was put in; it judges no more when this is dropped.
+/// Registration of a check; dropping it removes the check.
 pub struct Judging(u64);
 
-/// Puts in a judge of all links of this process, and has it judge those that are open.
+/// Registers a check of all links of this process, and applies it to the open links.
 pub fn judge_by(judge: Arc<Judge>) -> Judging {
     let judging = with(|known| {
         known.next += 1;
@@ -43,14 +45,14 @@ pub fn judge_by(judge: Arc<Judge>) -> Judging {
 }
 
 impl Judging {
-    /// Judges all open links anew, and ends those of who is refused.
+    /// Applies the check to all open links again, and closes the rejected links.
     pub fn again(&self) {
         let (judge, links) = with(|known| {
             known.links.retain(|link| link.strong_count() > 0);
             (known.judges.get(&self.0).cloned(), known.links.clone())
         });
         let Some(judge) = judge else { return };
-        // Not while it is locked: a judge may take its time, and links come and go.
+        // The lock is not held here: a check may take long, and links open and close meanwhile.
         for link in links.iter().filter_map(Weak::upgrade) {
             if link.certificate.as_deref().is_some_and(|certificate| judge(certificate)) {
                 link.refused.cancel();
@@ -65,20 +67,21 @@ impl Drop for Judging {
     }
 }
 
-/// A link, for as long as it is open: by the certificate at its other end.
+/// An open link, with the certificate at its other end.
 pub(crate) struct Admitted {
     certificate: Option<Vec<u8>>,
     refused: CancellationToken,
 }
 
 impl Admitted {
-    /// A link to the bearer of a certificate, if nobody refuses it.
+    /// Registers a link, unless a check rejects its certificate.
     pub(crate) fn new(certificate: Option<&[u8]>) -> Option<Arc<Admitted>> {
         let admitted = Arc::new(Admitted {
             certificate: certificate.map(<[u8]>::to_vec),
             refused: CancellationToken::new(),
         });
-        // It is there before it is judged: a judge that learns more meanwhile judges it again.
+        // Registered before the check: a check with a changed list meanwhile covers this link as
+        // well.
         let judges: Vec<_> = with(|known| {
             known.links.retain(|link| link.strong_count() > 0);
             known.links.push(Arc::downgrade(&admitted));
@@ -95,7 +98,7 @@ impl Admitted {
         self.refused.is_cancelled()
     }
 
-    /// Waits until it is refused.
+    /// Waits until the link is rejected.
     pub(crate) async fn refused(&self) {
         self.refused.cancelled().await;
     }

@@ -55,8 +55,9 @@ use crate::{
 pub struct TlsCommonName(String);
 
 pub struct LinkUnicastTls {
-    // Changed for Consort: the two halves of a stream take turns in every single poll. The state of a TLS connection is one for
-    // both directions, and must not be entered by a reader and a writer at once (eclipse-zenoh/zenoh#2557).
+    // Changed for Consort: the two halves of a stream take turns at every poll. The state of a TLS
+    // connection is shared by both directions, and a reader and a writer must not use it at the
+    // same time (eclipse-zenoh/zenoh#2557).
     reader: AsyncMutex<ReadHalf<TlsStream<TcpStream>>>,
     writer: AsyncMutex<WriteHalf<TlsStream<TcpStream>>>,
     // The source socket address of this link (address used on the local host)
@@ -68,7 +69,7 @@ pub struct LinkUnicastTls {
     auth_identifier: LinkAuthId,
     mtu: BatchSize,
     expiration_manager: Option<LinkCertExpirationManager>,
-    // Changed for Consort: a link whose other end is refused is neither read nor written any more.
+    // Changed for Consort: a link with a rejected certificate is neither read nor written.
     admitted: Arc<Admitted>,
 }
 
@@ -147,7 +148,8 @@ impl LinkUnicastTls {
     async fn close(&self) -> ZResult<()> {
         tracing::trace!("Closing TLS link: {}", self);
         if self.admitted.is_refused() {
-            // Changed for Consort: whoever is refused need not take what is left, nor hold up the end.
+            // Changed for Consort: a rejected peer gets no flush of the remaining data, and cannot
+            // delay the shutdown.
             let mut writer = zasynclock!(self.writer);
             let _ = tokio::time::timeout(Duration::from_secs(1), writer.shutdown()).await;
             return Ok(());

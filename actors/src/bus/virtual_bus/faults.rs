@@ -1,28 +1,29 @@
-//! Which links carry nothing at present, and why.
+//! Faults in force: the links that carry no messages at present, and the reasons.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use consort_protocol::ids::NodeId;
 
-/// Faults in force. Nodes are named and need not exist yet.
+/// Faults in force. Nodes are identified by name and need not exist yet.
 #[derive(Debug, Default)]
 pub(super) struct Faults {
-    /// Group of each node while the network is partitioned. Nodes without one share a further group.
+    /// Group of each node while the network is partitioned. Nodes without a group form a further
+    /// group.
     groups: BTreeMap<NodeId, usize>,
-    /// Links cut in one direction, from and to.
+    /// Links cut in one direction: from, to.
     cuts: BTreeSet<(NodeId, NodeId)>,
-    /// Nodes that nobody hears.
-    muted: BTreeSet<NodeId>,
-    /// Nodes that hear nobody.
-    deafened: BTreeSet<NodeId>,
+    /// Nodes with blocked outgoing messages.
+    outgoing_blocked: BTreeSet<NodeId>,
+    /// Nodes with blocked incoming messages.
+    incoming_blocked: BTreeSet<NodeId>,
 }
 
 impl Faults {
-    /// Whether what `from` says never reaches `to`.
+    /// Checks whether messages from `from` never reach `to`.
     pub(super) fn blocks(&self, from: &NodeId, to: &NodeId) -> bool {
         from != to
-            && (self.muted.contains(from)
-                || self.deafened.contains(to)
+            && (self.outgoing_blocked.contains(from)
+                || self.incoming_blocked.contains(to)
                 || self.groups.get(from) != self.groups.get(to)
                 || (!self.cuts.is_empty() && self.cuts.contains(&(from.clone(), to.clone()))))
     }
@@ -44,11 +45,11 @@ impl Faults {
     }
 
     pub(super) fn block_outgoing(&mut self, node: NodeId) {
-        self.muted.insert(node);
+        self.outgoing_blocked.insert(node);
     }
 
     pub(super) fn block_incoming(&mut self, node: NodeId) {
-        self.deafened.insert(node);
+        self.incoming_blocked.insert(node);
     }
 
     pub(super) fn heal(&mut self) {

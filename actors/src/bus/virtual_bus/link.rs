@@ -1,32 +1,34 @@
-//! What a link between two nodes does to messages, and what was counted.
+//! Model of a link between two nodes, and message counters.
 
 use consort_protocol::keys::KeyKind;
 use std::time::Duration;
 
-/// What links do to the messages that cross them. A node's messages to itself cross none.
+/// Effect of links on the messages that cross them. A node's messages to itself cross no link.
 ///
-/// Shares are probabilities from 0 to 1, drawn afresh for every message and receiving node.
+/// Shares are probabilities from 0 to 1, drawn for every message and receiving node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinkModel {
-    /// Shortest time under way.
+    /// Minimum latency.
     pub latency_min: Duration,
-    /// Longest time under way; every time between the two is equally likely. Tokio's clock ticks in milliseconds, so
-    /// that what arrives within one millisecond is handed over at its end, in order of arrival.
+    /// Maximum latency; the latency is distributed uniformly between the two. Tokio's clock ticks
+    /// in milliseconds. Messages that arrive within the same millisecond are delivered at its end,
+    /// in order of arrival.
     pub latency_max: Duration,
-    /// Share of messages that get lost: publications, questions and answers alike. What a lost answer's service says
-    /// afterwards to the same question is lost too, and the query runs to its limit.
+    /// Share of lost messages: publications, queries and replies alike. After a lost reply all
+    /// later replies of that service to the same query are lost as well, and the query runs to its
+    /// timeout.
     pub loss: f64,
     /// Share of publications that arrive twice.
     pub duplication: f64,
-    /// Share of publications for which the promise of order is broken: they wait up to
-    /// [`reordering_delay`](Self::reordering_delay) longer, and later ones overtake them.
+    /// Share of publications for which the guarantee of order is broken: they are delayed by up to
+    /// [`reordering_delay`](Self::reordering_delay), and later publications overtake them.
     pub reordering: f64,
-    /// Longest additional time under way of a publication that is overtaken.
+    /// Maximum additional delay of a reordered publication.
     pub reordering_delay: Duration,
 }
 
 impl LinkModel {
-    /// A local network in good order: 0.2 to 3 ms, nothing lost, repeated or overtaken.
+    /// A local network in good order: 0.2 to 3 ms, without loss, duplication or reordering.
     pub const LAN: LinkModel = LinkModel {
         latency_min: Duration::from_micros(200),
         latency_max: Duration::from_millis(3),
@@ -36,16 +38,16 @@ impl LinkModel {
         reordering_delay: Duration::ZERO,
     };
 
-    /// Every message takes exactly `latency`; otherwise as [`LinkModel::LAN`].
+    /// Returns a model with a fixed latency, otherwise as [`LinkModel::LAN`].
     pub fn steady(latency: Duration) -> LinkModel {
         LinkModel { latency_min: latency, latency_max: latency, ..LinkModel::LAN }
     }
 
-    /// Only our own tests state link models: one that makes no sense is refused loudly.
+    /// Checks the values. Only the project's own tests create link models, so invalid values panic.
     pub(super) fn validated(self) -> LinkModel {
-        assert!(self.latency_min <= self.latency_max, "the shortest latency exceeds the longest: {self:?}");
+        assert!(self.latency_min <= self.latency_max, "the minimum latency must not exceed the maximum: {self:?}");
         for share in [self.loss, self.duplication, self.reordering] {
-            assert!((0.0..=1.0).contains(&share), "a share lies between 0 and 1: {self:?}");
+            assert!((0.0..=1.0).contains(&share), "a share must lie between 0 and 1: {self:?}");
         }
         self
     }
@@ -57,47 +59,48 @@ impl Default for LinkModel {
     }
 }
 
-/// What a network has carried so far: publications (once for each receiving node), questions and answers.
+/// Messages carried by a network so far: publications (counted per receiving node), queries and
+/// replies.
 ///
-/// `sent + duplicated = delivered + dropped`, plus what is still under way or held up.
+/// `sent + duplicated = delivered + dropped`, plus the messages in transit or held back.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct NetworkCounters {
-    /// Set out towards one node each.
+    /// Sent, each to a single node.
     pub sent: u64,
-    /// Set out a second time because the link repeats itself.
+    /// Sent a second time by a duplicating link.
     pub duplicated: u64,
-    /// Handed over.
+    /// Delivered.
     pub delivered: u64,
-    /// Lost by chance, cut off, or arrived where nobody listens any more.
+    /// Lost by chance, blocked by a fault, or arrived without a receiver.
     pub dropped: u64,
 }
 
-/// What one node has put on the wire and taken from it, in bytes of keys, payloads and what is said beside them:
-/// publications (once for each other node that receives them, as if all were linked with all), questions and answers. What a
-/// transport adds to each message is not counted, but the messages are.
+/// Traffic of a node: bytes of keys, payloads and attachments in publications (counted per
+/// receiving node, as if all nodes were linked directly), queries and replies. The overhead of a
+/// transport per message is not included, but the number of messages is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Traffic {
-    /// Bytes sent, also what got lost on the way.
+    /// Bytes sent, including lost messages.
     pub sent: u64,
-    /// Bytes handed over.
+    /// Bytes received.
     pub received: u64,
-    /// Messages sent, each to one other node.
+    /// Messages sent, each to a single other node.
     pub messages_sent: u64,
-    /// Messages handed over.
+    /// Messages received.
     pub messages_received: u64,
 }
 
-/// A node's [`Traffic`] by what it was about.
+/// [`Traffic`] of a node per kind of key.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct TrafficByKind(Vec<Traffic>);
 
 impl TrafficByKind {
-    /// What it was about, and how much of it there was; nothing of kinds that did not occur.
+    /// Returns the traffic per kind of key, without kinds that did not occur.
     pub fn iter(&self) -> impl Iterator<Item = (KeyKind, Traffic)> {
         KeyKind::ALL.iter().copied().zip(self.0.iter().copied()).filter(|(_, traffic)| *traffic != Traffic::default())
     }
 
-    /// All of it together.
+    /// Returns the sum over all kinds.
     pub fn total(&self) -> Traffic {
         self.0.iter().fold(Traffic::default(), |sum, part| Traffic {
             sent: sum.sent + part.sent,
@@ -120,7 +123,7 @@ impl TrafficByKind {
     }
 
     fn of(&mut self, kind: KeyKind) -> &mut Traffic {
-        // Declared in this order.
+        // `KeyKind::ALL` is in the order of declaration.
         self.0.resize(KeyKind::ALL.len(), Traffic::default());
         &mut self.0[kind as usize]
     }

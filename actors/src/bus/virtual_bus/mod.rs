@@ -1,21 +1,26 @@
-//! A whole fleet's bus in one process, on virtual time, with faults.
+//! The bus of a whole fleet in one process, on virtual time, with faults.
 //!
-//! [`VirtualNetwork`] is what lies between the nodes; [`VirtualBus`] is one node's end of it. Every message between two
-//! nodes takes a time drawn from a seeded generator (see [`LinkModel`]); a node's messages to itself take none, but
-//! travel through the same agenda. On a current-thread runtime with paused time, one seed gives one run
-//! ([`VirtualNetwork::digest`] tells whether it did).
+//! [`VirtualNetwork`] is the network between the nodes; [`VirtualBus`] is a node's endpoint. Every
+//! message between two nodes takes a latency drawn from a seeded generator (see [`LinkModel`]). A
+//! node's messages to itself take no time, but pass through the same event queue. On a
+//! current-thread runtime with paused time, a seed determines the run; [`VirtualNetwork::digest`]
+//! verifies it.
 //!
-//! Where it is simpler than Zenoh:
-//! - Every node is linked with every other. Subscriptions and services are known everywhere at once.
-//! - What crosses a cut link is lost, however short the cut: nothing is sent again. Use
-//!   [`pause`](VirtualNetwork::pause) for what is late and not lost.
-//! - Of several complete services the nearest is a node's own, else that of the node which joined first.
-//! - A healed link works at once; tokens come back after one latency.
-//! - [`Delivery::Drop`] and [`Delivery::Block`] are one: mailboxes have no limit, and the link model loses both.
+//! Simplifications compared with Zenoh:
+//! - Every node is linked with every other. Subscriptions and services are known everywhere at
+//!   once.
+//! - Messages that cross a cut link are lost, however short the cut: nothing is resent. To delay
+//!   messages without loss, use [`pause`](VirtualNetwork::pause).
+//! - The nearest of several complete services is the node's own, else the service of the node that
+//!   joined first.
+//! - A healed link works at once; tokens return after one latency.
+//! - [`Delivery::Drop`] and [`Delivery::Block`] are equivalent: mailboxes are unbounded, and the
+//!   link model loses both.
 //!
-//! Where it takes after Zenoh: a node that falls silent keeps its tokens until a lease has passed; until then a query
-//! to it waits, and from then on it is asked no more. If only its answers are cut it is still asked, in vain, and the
-//! query runs to its limit. A crash shows after one latency.
+//! Similarities with Zenoh: a node that falls silent keeps its tokens until a lease has expired.
+//! Until then a query to it waits; from then on it receives no more queries. If only its replies
+//! are cut, it still receives queries, in vain, and each query runs to its timeout. A crash becomes
+//! visible after one latency.
 
 mod faults;
 mod link;
@@ -42,26 +47,26 @@ use tokio::sync::{Notify, mpsc};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
-/// How long a silent node counts as present, unless [`VirtualNetwork::set_lease`] says otherwise: the fleet's setting
-/// for Zenoh.
+/// Time for which a silent node counts as present, unless changed by [`VirtualNetwork::set_lease`].
+/// Equal to the fleet's setting for Zenoh.
 pub const LEASE: Duration = Duration::from_secs(2);
 
-/// What lies between the nodes of a virtual fleet. Clones are the same network.
+/// The network between the nodes of a virtual fleet. Clones share the network.
 ///
-/// Faults may be set at any time and name nodes that do not exist yet.
+/// Faults may be set at any time and may name nodes that do not exist yet.
 #[derive(Clone)]
 pub struct VirtualNetwork {
     shared: Arc<Shared>,
 }
 
 impl VirtualNetwork {
-    /// A network without nodes or faults, whose links all behave as `model` says.
+    /// Creates a network without nodes or faults. All links follow `model`.
     ///
     /// # Panics
-    /// Panics if the model makes no sense: a share outside 0 to 1, or a shortest latency above the longest.
+    /// If the model is invalid: a share outside 0 to 1, or a minimum latency above the maximum.
     pub fn new(seed: u64, model: LinkModel) -> Self {
-        let shared = Arc::new_cyclic(|home: &Weak<Shared>| Shared {
-            network: Mutex::new(Network::new(home.clone(), seed, model, LEASE, Instant::now())),
+        let shared = Arc::new_cyclic(|shared: &Weak<Shared>| Shared {
+            network: Mutex::new(Network::new(shared.clone(), seed, model, LEASE, Instant::now())),
             driver: Mutex::new(Driver::default()),
             finished: Mutex::new(Vec::new()),
             wake: Arc::new(Notify::new()),
@@ -69,14 +74,14 @@ impl VirtualNetwork {
         VirtualNetwork { shared }
     }
 
-    /// A node's end of the network. The node begins to live if it does not already; after a crash it begins anew, and
-    /// knows nothing of before.
+    /// Returns the endpoint of a node. The node is started if it is not running. After a crash it
+    /// starts again without any earlier state.
     pub fn bus(&self, node: NodeId) -> VirtualBus {
-        let life = self.shared.with(|network| network.start(node.clone()));
-        VirtualBus { shared: Arc::clone(&self.shared), node, life }
+        let incarnation = self.shared.with(|network| network.start(node.clone()));
+        VirtualBus { shared: Arc::clone(&self.shared), node, incarnation }
     }
 
-    /// Makes all links behave so from now on, those that were given a model of their own too.
+    /// Sets the model of all links from now on, including links with a model of their own.
     ///
     /// # Panics
     /// As [`VirtualNetwork::new`].
@@ -84,7 +89,7 @@ impl VirtualNetwork {
         self.shared.with(|network| network.set_model(model));
     }
 
-    /// Makes one direction of one link behave so from now on.
+    /// Sets the model of a single direction of a single link from now on.
     ///
     /// # Panics
     /// As [`VirtualNetwork::new`].
@@ -92,18 +97,18 @@ impl VirtualNetwork {
         self.shared.with(|network| network.set_model_between(from, to, model));
     }
 
-    /// How long a node that falls silent from now on still counts as present.
+    /// Sets the time for which a node that falls silent from now on counts as present.
     pub fn set_lease(&self, lease: Duration) {
         self.shared.with(|network| network.set_lease(lease));
     }
 
-    /// Splits the network: only nodes of one group hear one another. Nodes in no group have a further one together.
-    /// An earlier partition ends; other faults stay.
+    /// Partitions the network: only nodes of the same group receive each other's messages. Nodes
+    /// without a group form a further group. Replaces an earlier partition; other faults stay.
     pub fn partition(&self, groups: impl IntoIterator<Item = impl IntoIterator<Item = NodeId>>) {
         self.shared.with(|network| network.change_faults(|faults| faults.partition(groups)));
     }
 
-    /// Cuts one direction: `to` hears nothing from `from` any more.
+    /// Cuts one direction: `to` receives no more messages from `from`.
     pub fn cut(&self, from: NodeId, to: NodeId) {
         self.shared.with(|network| network.change_faults(|faults| faults.cut(from, to)));
     }
@@ -113,17 +118,17 @@ impl VirtualNetwork {
         self.shared.with(|network| network.change_faults(|faults| faults.restore(from, to)));
     }
 
-    /// Nobody else hears this node any more; it still hears the others.
+    /// Blocks this node's outgoing messages; it still receives messages.
     pub fn block_outgoing(&self, node: NodeId) {
         self.shared.with(|network| network.change_faults(|faults| faults.block_outgoing(node)));
     }
 
-    /// This node hears nobody else any more; the others still hear it.
+    /// Blocks this node's incoming messages; the other nodes still receive its messages.
     pub fn block_incoming(&self, node: NodeId) {
         self.shared.with(|network| network.change_faults(|faults| faults.block_incoming(node)));
     }
 
-    /// Cuts this node off in both directions.
+    /// Isolates this node in both directions.
     pub fn isolate(&self, node: NodeId) {
         self.shared.with(|network| {
             network.change_faults(|faults| {
@@ -133,84 +138,86 @@ impl VirtualNetwork {
         });
     }
 
-    /// Ends every partition, cut, muting, deafening and isolation. Link models, pauses and crashes stay.
+    /// Ends every partition, cut, block and isolation. Link models, pauses and crashes stay.
     pub fn heal(&self) {
         self.shared.with(|network| network.change_faults(faults::Faults::heal));
     }
 
-    /// Holds up whatever is under way to or from a node, its messages to itself too, as if its process stood still. Its
-    /// peers miss it after a lease. Its actors' timers go on.
+    /// Holds back all messages to or from a node, including its messages to itself, as if its
+    /// process were frozen. Its peers miss it after a lease. The timers of its actors continue.
     pub fn pause(&self, node: &NodeId) {
         self.shared.with(|network| network.pause(node));
     }
 
-    /// Lets go of what [`pause`](Self::pause) held up, in its order.
+    /// Delivers the messages that [`pause`](Self::pause) held back, in their order.
     pub fn resume(&self, node: &NodeId) {
         self.shared.with(|network| network.resume(node));
     }
 
-    /// Ends a node's life: its streams end, its declarations vanish, and its bus refuses everything. What it sent
-    /// before still arrives. Its peers learn of it after one latency, or after the lease if they cannot hear it.
+    /// Crashes a node: its streams end, its declarations vanish, and its bus rejects every
+    /// operation. Messages sent earlier still arrive. Its peers notice after one latency, or after
+    /// the lease if they are cut off from it.
     pub fn crash(&self, node: &NodeId) {
         self.shared.with(|network| network.crash(node));
     }
 
-    /// What was carried so far.
+    /// Returns the message counters so far.
     pub fn counters(&self) -> NetworkCounters {
         self.shared.with(|network| network.counters)
     }
 
-    /// What a node has put on the wire and taken from it so far, in all its lives.
+    /// Returns the traffic of a node so far, over all its restarts.
     pub fn traffic(&self, node: &NodeId) -> TrafficByKind {
         self.shared.with(|network| network.traffic(node))
     }
 
-    /// A digest of all deliveries so far, each with its time, ends and content: equal runs have equal digests.
+    /// Returns a digest of all deliveries so far, each with time, endpoints and content. Equal runs
+    /// have equal digests.
     pub fn digest(&self) -> u64 {
         self.shared.with(|network| network.trace.digest())
     }
 }
 
-/// One node's end of a [`VirtualNetwork`]. Clones are the same end; dropping it ends nothing, a
-/// [crash](VirtualNetwork::crash) does.
+/// Endpoint of a node on a [`VirtualNetwork`]. Clones share the endpoint. Dropping it ends nothing;
+/// a [crash](VirtualNetwork::crash) does.
 #[derive(Clone)]
 pub struct VirtualBus {
     shared: Arc<Shared>,
     node: NodeId,
-    life: Incarnation,
+    incarnation: Incarnation,
 }
 
 impl VirtualBus {
-    /// The node whose end this is.
+    /// Returns the node of this endpoint.
     pub fn node(&self) -> &NodeId {
         &self.node
     }
 
-    /// Acts on the network, unless the node has crashed.
-    fn act<R>(&self, what: &str, act: impl FnOnce(&mut Network) -> R) -> Result<R, BusError> {
+    /// Runs an operation on the network, unless the node has crashed.
+    fn act<R>(&self, operation: &str, act: impl FnOnce(&mut Network) -> R) -> Result<R, BusError> {
         self.shared.with(|network| {
-            if !network.is_running(self.life) {
+            if !network.is_running(self.incarnation) {
                 let problem = format!("node {} has crashed", self.node);
-                return Err(BusError::Failed { operation: what.to_owned(), problem });
+                return Err(BusError::Failed { operation: operation.to_owned(), problem });
             }
             Ok(act(network))
         })
     }
 
-    fn answer(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
-        let wanted = keys::key_expression(key_expr)?;
+    fn serve_with(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
+        let key_expr = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let number = self.act("serve", |network| network.serve(self.life, wanted, complete, mailbox))?;
-        Ok(self.stream(receiver, number, Network::stop_serving))
+        let id = self.act("serve", |network| network.serve(self.incarnation, key_expr, complete, mailbox))?;
+        Ok(self.stream(receiver, id, Network::stop_serving))
     }
 
     fn stream<T: 'static>(
         &self,
         receiver: mpsc::UnboundedReceiver<T>,
-        number: EntityId,
+        id: EntityId,
         end: fn(&mut Network, EntityId),
     ) -> Stream<T> {
-        Stream::new(receiver, Box::new(Guard { home: Arc::downgrade(&self.shared), number, end }))
+        Stream::new(receiver, Box::new(Guard { shared: Arc::downgrade(&self.shared), id, end }))
     }
 }
 
@@ -220,120 +227,125 @@ impl Bus for VirtualBus {
         &self,
         key: &str,
         payload: Bytes,
-        beside: Bytes,
+        attachment: Bytes,
         encoding: Encoding,
         _delivery: Delivery,
     ) -> Result<(), BusError> {
         keys::check_payload_size("publish", &payload, MESSAGE_MAX)?;
         self.act("publish", |network| {
-            let known = match network.cached_key(key) {
-                Some(known) => known,
+            let valid_key = match network.cached_key(key) {
+                Some(valid_key) => valid_key,
                 None => keys::single_key(key)?,
             };
-            network.publish(self.life, &known, Sample { key: key.to_owned(), payload, encoding, attachment: beside });
+            network.publish(
+                self.incarnation,
+                &valid_key,
+                Sample { key: key.to_owned(), payload, encoding, attachment },
+            );
             Ok(())
         })?
     }
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
-        let wanted = keys::key_expression(key_expr)?;
+        let key_expr = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let number = self.act("subscribe", |network| network.subscribe(self.life, wanted, mailbox))?;
-        Ok(self.stream(receiver, number, Network::unsubscribe))
+        let id = self.act("subscribe", |network| network.subscribe(self.incarnation, key_expr, mailbox))?;
+        Ok(self.stream(receiver, id, Network::unsubscribe))
     }
 
     async fn query_with(
         &self,
         key_expr: &str,
         payload: Bytes,
-        beside: Bytes,
-        limit: Duration,
-        whom: ServiceSelection,
+        attachment: Bytes,
+        timeout: Duration,
+        target: ServiceSelection,
     ) -> Result<Stream<Reply>, BusError> {
-        let (wanted, parameters) = keys::selector(key_expr)?;
+        let (key_expr, parameters) = keys::selector(key_expr)?;
         keys::check_payload_size("query", &payload, MESSAGE_MAX)?;
-        let question =
-            QueryRequest { key_expr: wanted, parameters: parameters.to_owned(), payload, attachment: beside };
+        let request = QueryRequest { key_expr, parameters: parameters.to_owned(), payload, attachment };
         let (replies, receiver) = mpsc::unbounded_channel();
-        let number = self.act("query", |network| network.query(self.life, question, limit, whom, replies))?;
-        Ok(self.stream(receiver, number, Network::cancel_query))
+        let id = self.act("query", |network| network.query(self.incarnation, request, timeout, target, replies))?;
+        Ok(self.stream(receiver, id, Network::cancel_query))
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        self.answer(key_expr, false)
+        self.serve_with(key_expr, false)
     }
 
     async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        self.answer(key_expr, true)
+        self.serve_with(key_expr, true)
     }
 
     async fn announce(&self, key: &str) -> Result<PresenceToken, BusError> {
         let key = keys::single_key(key)?;
-        let number = self.act("announce", |network| network.announce(self.life, key))?;
+        let id = self.act("announce", |network| network.announce(self.incarnation, key))?;
         Ok(PresenceToken::new(Box::new(Guard {
-            home: Arc::downgrade(&self.shared),
-            number,
+            shared: Arc::downgrade(&self.shared),
+            id,
             end: Network::withdraw_token,
         })))
     }
 
     async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
-        let wanted = keys::key_expression(key_expr)?;
+        let key_expr = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let number = self.act("watch", |network| network.watch(self.life, wanted, mailbox))?;
-        Ok(self.stream(receiver, number, Network::stop_watching))
+        let id = self.act("watch", |network| network.watch(self.incarnation, key_expr, mailbox))?;
+        Ok(self.stream(receiver, id, Network::stop_watching))
     }
 
     async fn links(&self) -> Vec<Link> {
         self.act("list its links", |network| {
             let link = |peer: &NodeId| Link { peer: peer.to_string(), kind: "router".to_owned() };
-            network.neighbours(self.life.index).map(link).collect()
+            network.neighbours(self.incarnation.index).map(link).collect()
         })
         .unwrap_or_default()
     }
 }
 
-/// Ends a declaration or a query when it is dropped.
+/// Guard that ends a declaration or a query when it is dropped.
 struct Guard {
-    home: Weak<Shared>,
-    number: EntityId,
+    shared: Weak<Shared>,
+    id: EntityId,
     end: fn(&mut Network, EntityId),
 }
 
 impl Drop for Guard {
     fn drop(&mut self) {
-        if let Some(shared) = self.home.upgrade() {
-            shared.with(|network| (self.end)(network, self.number));
+        if let Some(shared) = self.shared.upgrade() {
+            shared.with(|network| (self.end)(network, self.id));
         }
     }
 }
 
-/// The network, and the task that carries out what comes due in it.
+/// The network, and the driver task that processes due events.
 ///
-/// Of the three locks at most two are held at once, and `network` is taken first.
+/// At most two of the three locks are held at once, and `network` is taken first.
 struct Shared {
     network: Mutex<Network>,
     driver: Mutex<Driver>,
-    /// Parts of queries whose services have just let go of them.
+    /// Query parts that services have just ended.
     finished: Mutex<Vec<QueryPart>>,
     wake: Arc<Notify>,
 }
 
-/// The task that waits for what is next.
+/// The task that waits for the next event.
 #[derive(Default)]
 struct Driver {
     task: Option<JoinHandle<()>>,
-    /// When it will look at the agenda by itself.
+    /// Time of its next scheduled wake-up.
     wakes_at: Option<Instant>,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A panic elsewhere is reported there; the network itself is changed in steps that do not panic half-way.
+    // A panic elsewhere is reported there. The network itself changes in steps that do not panic
+    // half-way.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Shared {
-    /// Does something with the network at this instant, and sees to it that what follows from it will happen.
+    /// Runs an operation on the network at this instant, and ensures that its consequences are
+    /// scheduled.
     fn with<R>(self: &Arc<Self>, act: impl FnOnce(&mut Network) -> R) -> R {
         let mut network = lock(&self.network);
         network.advance_to(Instant::now());
@@ -344,12 +356,12 @@ impl Shared {
         result
     }
 
-    /// Makes sure that somebody looks at the agenda at `due`.
+    /// Ensures that the driver task wakes at `due`.
     fn drive(self: &Arc<Self>, due: Instant) {
         let mut driver = lock(&self.driver);
         let running = driver.task.as_ref().is_some_and(|task| !task.is_finished());
         if !running {
-            // Without a runtime (it is shutting down) time has ended too, and nothing comes due any more.
+            // Without a runtime (during its shutdown) time has ended too, and nothing becomes due.
             let Ok(runtime) = tokio::runtime::Handle::try_current() else { return };
             driver.task = Some(runtime.spawn(drive(Arc::downgrade(self), Arc::clone(&self.wake))));
             driver.wakes_at = Some(due);
@@ -359,12 +371,12 @@ impl Shared {
         }
     }
 
-    fn finished(&self, leg: QueryPart) {
-        lock(&self.finished).push(leg);
+    fn finished(&self, part: QueryPart) {
+        lock(&self.finished).push(part);
         self.wake.notify_one();
     }
 
-    /// Carries out what is due; returns when there is more.
+    /// Processes all due events. Returns the time of the next event.
     fn run(&self) -> Option<Instant> {
         let mut network = lock(&self.network);
         network.advance_to(Instant::now());
@@ -374,8 +386,8 @@ impl Shared {
             if finished.is_empty() {
                 break;
             }
-            for leg in finished {
-                network.finish_part(leg);
+            for part in finished {
+                network.finish_part(part);
             }
         }
         let next = network.next_due();
@@ -385,15 +397,15 @@ impl Shared {
 }
 
 impl Drop for Shared {
-    /// Lets the driver see that there is nothing left to drive.
+    /// Wakes the driver so that it ends.
     fn drop(&mut self) {
         self.wake.notify_one();
     }
 }
 
-async fn drive(home: Weak<Shared>, wake: Arc<Notify>) {
+async fn drive(shared: Weak<Shared>, wake: Arc<Notify>) {
     loop {
-        let Some(shared) = home.upgrade() else { return };
+        let Some(shared) = shared.upgrade() else { return };
         let next = shared.run();
         drop(shared);
         match next {

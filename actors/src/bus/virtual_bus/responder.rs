@@ -1,4 +1,4 @@
-//! How a service on the virtual bus answers one query.
+//! Replies of a service on the virtual bus.
 
 use super::Shared;
 use super::network::{EntityId, Incarnation, QueryRequest};
@@ -7,7 +7,7 @@ use async_trait::async_trait;
 use bytes::Bytes;
 use std::sync::{Arc, Weak};
 
-/// One service's part in one query.
+/// Part of a single service in a single query.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct QueryPart {
     pub(super) query: EntityId,
@@ -15,26 +15,31 @@ pub(super) struct QueryPart {
 }
 
 pub(super) struct VirtualReplier {
-    home: Weak<Shared>,
-    leg: QueryPart,
-    life: Incarnation,
-    question: Arc<QueryRequest>,
+    shared: Weak<Shared>,
+    part: QueryPart,
+    incarnation: Incarnation,
+    request: Arc<QueryRequest>,
 }
 
 impl VirtualReplier {
-    pub(super) fn new(home: Weak<Shared>, leg: QueryPart, life: Incarnation, question: Arc<QueryRequest>) -> Self {
-        VirtualReplier { home, leg, life, question }
+    pub(super) fn new(
+        shared: Weak<Shared>,
+        part: QueryPart,
+        incarnation: Incarnation,
+        request: Arc<QueryRequest>,
+    ) -> Self {
+        VirtualReplier { shared, part, incarnation, request }
     }
 
     fn send(&self, reply: Reply) -> Result<(), BusError> {
-        let gone =
-            |problem: &str| BusError::Failed { operation: "answer a query".to_owned(), problem: problem.to_owned() };
-        let shared = self.home.upgrade().ok_or_else(|| gone("the network is gone"))?;
+        let failed =
+            |problem: &str| BusError::Failed { operation: "reply to a query".to_owned(), problem: problem.to_owned() };
+        let shared = self.shared.upgrade().ok_or_else(|| failed("the network is gone"))?;
         shared.with(|network| {
-            if !network.is_running(self.life) {
-                return Err(gone("the node has crashed"));
+            if !network.is_running(self.incarnation) {
+                return Err(failed("the node has crashed"));
             }
-            network.reply(self.leg, reply);
+            network.reply(self.part, reply);
             Ok(())
         })
     }
@@ -46,17 +51,17 @@ impl Replier for VirtualReplier {
         &self,
         key: &str,
         payload: Bytes,
-        beside: Bytes,
+        attachment: Bytes,
         _: Encoding,
     ) -> Result<(), BusError> {
-        keys::reply_key(key, &self.question.key_expr)?;
-        keys::check_payload_size("answer a query", &payload, MESSAGE_MAX)?;
-        self.send(Reply { key: key.to_owned(), payload: Ok(payload), attachment: beside })
+        keys::reply_key(key, &self.request.key_expr)?;
+        keys::check_payload_size("reply to a query", &payload, MESSAGE_MAX)?;
+        self.send(Reply { key: key.to_owned(), payload: Ok(payload), attachment: attachment })
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {
         self.send(Reply {
-            key: self.question.key_expr.to_string(),
+            key: self.request.key_expr.to_string(),
             payload: Err(reason.to_owned()),
             attachment: Bytes::new(),
         })
@@ -64,10 +69,11 @@ impl Replier for VirtualReplier {
 }
 
 impl Drop for VirtualReplier {
-    /// Reports the end to the driver, rather than to the network: this may run while the network is being changed.
+    /// Reports the end to the driver task, not to the network: this may run while the network is
+    /// being changed.
     fn drop(&mut self) {
-        if let Some(shared) = self.home.upgrade() {
-            shared.finished(self.leg);
+        if let Some(shared) = self.shared.upgrade() {
+            shared.finished(self.part);
         }
     }
 }

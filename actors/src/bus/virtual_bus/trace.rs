@@ -1,9 +1,9 @@
-//! A digest of all that was delivered, so that two runs can be compared without keeping them.
+//! Digest of all deliveries, for comparing two runs without storing them.
 
 use super::network::NodeIndex;
 use tokio::time::Instant;
 
-/// Grows a number out of every delivery: when, from whom, to whom, under which name and with which content.
+/// Hash over every delivery: time, sender, receiver, name and content.
 pub(super) struct Trace {
     start: Instant,
     digest: u64,
@@ -26,7 +26,7 @@ impl Trace {
         }
     }
 
-    /// One step of FxHash: quick, and no more is asked of it than to tell honest runs apart.
+    /// A step of FxHash: fast, and sufficient to distinguish runs without malicious input.
     fn mix(&mut self, word: u64) {
         self.digest = (self.digest.rotate_left(5) ^ word).wrapping_mul(0x517c_c1b7_2722_0a95);
     }

@@ -1,4 +1,4 @@
-//! The session of now: who uses it finds it here, and who finds it useless has it replaced.
+//! The session in use, shared by its users, and requests to replace it.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError, RwLock};
@@ -6,49 +6,51 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use zenoh::Session;
 use zenoh::session::ZenohId;
 
-/// Where the session of now is found. The session closes when this is dropped.
+/// Holder of the session in use. The session closes when the holder is dropped.
 pub(super) struct CurrentSession {
     session: RwLock<Session>,
-    /// Which session is to be opened anew.
+    /// Sends the id of a session to replace.
     stale: UnboundedSender<ZenohId>,
-    /// How many sessions were opened for the sake of a neighbour that was not heard yet, by its address: its id changes with
-    /// its own sessions.
-    in_vain: Mutex<BTreeMap<String, u32>>,
+    /// Number of sessions opened for a neighbour without a passed link check, by the neighbour's
+    /// address. The address is the key because the neighbour's id changes with its own sessions.
+    attempts: Mutex<BTreeMap<String, u32>>,
 }
 
 impl CurrentSession {
-    /// Begins with a session; whoever has the other half opens anew those whose ids arrive there.
+    /// Creates the holder. The returned receiver yields the ids of sessions to replace; its owner
+    /// reopens them.
     pub(super) fn new(session: Session) -> (CurrentSession, UnboundedReceiver<ZenohId>) {
-        let (stale, asked) = unbounded_channel();
-        (CurrentSession { session: RwLock::new(session), stale, in_vain: Mutex::default() }, asked)
+        let (stale, requests) = unbounded_channel();
+        (CurrentSession { session: RwLock::new(session), stale, attempts: Mutex::default() }, requests)
     }
 
-    /// The session of now. After it was closed everything that is attempted fails.
+    /// Returns the session in use. Every operation on a closed session fails.
     pub(super) fn session(&self) -> Session {
         self.session.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// From now on there is another session.
+    /// Replaces the session in use.
     pub(super) fn set(&self, session: Session) {
         *self.session.write().unwrap_or_else(PoisonError::into_inner) = session;
     }
 
-    /// Has a session replaced, if it is still that of now.
+    /// Requests the replacement of a session. The request is ignored if another session is in use
+    /// by then.
     pub(super) fn request_replacement(&self, stale: ZenohId) {
-        // Otherwise there is nobody any more for whom to open one.
+        // The send fails only after the bus has been dropped.
         let _ = self.stale.send(stale);
     }
 
-    /// Counts one more session for the sake of a neighbour; returns how many there were.
-    pub(super) fn count_attempt(&self, neighbour: &str) -> u32 {
-        let mut in_vain = self.in_vain.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = in_vain.entry(neighbour.to_owned()).or_default();
+    /// Counts a further session opened for a neighbour, and returns the total.
+    pub(super) fn count_attempt(&self, address: &str) -> u32 {
+        let mut attempts = self.attempts.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = attempts.entry(address.to_owned()).or_default();
         *count += 1;
         *count
     }
 
-    /// A neighbour is heard, and hears.
-    pub(super) fn reset_attempts(&self, neighbour: &str) {
-        self.in_vain.lock().unwrap_or_else(PoisonError::into_inner).remove(neighbour);
+    /// Clears the count for a neighbour after a passed link check.
+    pub(super) fn reset_attempts(&self, address: &str) {
+        self.attempts.lock().unwrap_or_else(PoisonError::into_inner).remove(address);
     }
 }

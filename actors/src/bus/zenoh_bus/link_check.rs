@@ -1,11 +1,15 @@
-//! Whether a node and its neighbours hear one another.
+//! Checks that a node and its neighbours receive each other's messages.
 //!
-//! A link is no proof of it. Zenoh 1.10.2 tells a neighbour of a node's subscriptions, services and tokens when that
-//! neighbour is new to its routes, which it works out at most every 100 ms and compares by places in a graph. A link that
-//! breaks and is back within that time, or a node that comes while another goes, takes over a place that is known already:
-//! it is told of nothing, now or later, and whatever it publishes or asks goes nowhere. So whoever opened a link asks
-//! through it, until it has an answer, whether the neighbour hears it and is heard. If not, only a new session helps, which
-//! stays away for long enough to be new to everybody.
+//! An open link is no proof of delivery. Zenoh 1.10.2 sends a node's subscriptions, services and
+//! tokens to a neighbour when that neighbour is new in its routes. It recomputes routes at most
+//! every 100 ms and compares them by positions in a graph. If a link breaks and returns within that
+//! time, or a node joins while another leaves, the new node takes a position that counts as known.
+//! It then receives no declarations, neither at once nor later, and all its publications and
+//! queries are lost.
+//!
+//! Therefore the node that opened a link queries the neighbour through it, until a reply confirms
+//! that messages pass in both directions. If none does, only a new session helps. That session
+//! stays away long enough to be new to every neighbour.
 
 use super::current_session::CurrentSession;
 use super::{BusError, Mode, ZenohSettings, failed};
@@ -20,28 +24,29 @@ use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::SampleKind;
 use zenoh::session::ZenohId;
 
-/// Where a node answers its neighbours, outside of any fleet's keys, followed by its id on the bus. With the parameter
-/// `back=ID` it answers whether that one answers it.
-pub(super) const LINK_CHECK: &str = "consort-hearing";
-const YES: &str = "heard";
-const NO: &str = "not heard";
+/// Key, outside all fleets' keys, on which a node replies to link checks; the node's id on the bus
+/// follows. With the parameter `back=ID` the reply states whether the node with that id replied to
+/// a query in turn.
+pub(super) const LINK_CHECK: &str = "consort-link-check";
+const PASSED: &str = "passed";
+const FAILED: &str = "failed";
 
-/// How long a neighbour has for its answer.
-const LIMIT: Duration = Duration::from_secs(2);
+/// Timeout of a link-check query.
+const QUERY_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How long before it is asked, at first and again: routes are there 100 ms after a link.
+/// Pause before each query, the first included: routes exist 100 ms after a link opens.
 const PAUSE: Duration = Duration::from_millis(400);
 
-/// So often it does not answer before that is taken for more than a bad moment.
-const ENOUGH: u32 = 6;
+/// Failed queries after which the link counts as broken, rather than slow.
+const CHECKS_MAX: u32 = 6;
 
-/// So many sessions are opened for one neighbour in vain: it may speak another language.
-const SESSIONS: u32 = 3;
+/// Maximum number of sessions opened for a neighbour: it may not support the link check at all.
+const SESSIONS_MAX: u32 = 3;
 
-/// Answers neighbours, and asks those to whom this session opens a link.
+/// Replies to the link checks of neighbours, and checks each link that this session opens.
 ///
-/// Not as a client with a certificate: that is a person, whose link lets in no answers, so that nobody could say that the person
-/// hears, and one session after the other would be opened anew in vain.
+/// Does nothing for a client with a certificate: that is a person, and the access rules of its
+/// links reject replies. Every check would fail, and sessions would be reopened for nothing.
 pub(super) async fn start(current: &Arc<CurrentSession>, settings: &ZenohSettings) -> Result<(), BusError> {
     if settings.mode == Mode::Client && settings.link_trust.is_some() {
         return Ok(());
@@ -49,74 +54,80 @@ pub(super) async fn start(current: &Arc<CurrentSession>, settings: &ZenohSetting
     let (session, runtime) = (current.session(), Handle::current());
     let own = session.zid();
     let key = format!("{LINK_CHECK}/{own}");
-    let (on, weak, spawner) = (key.clone(), Arc::downgrade(current), runtime.clone());
-    let answer = move |query: zenoh::query::Query| {
-        let (on, weak) = (on.clone(), weak.clone());
+    let (own_key, weak, spawner) = (key.clone(), Arc::downgrade(current), runtime.clone());
+    let reply = move |query: zenoh::query::Query| {
+        let (own_key, weak) = (own_key.clone(), weak.clone());
         spawner.spawn(async move {
-            let heard = match (query.parameters().get("back"), weak.upgrade()) {
+            let passed = match (query.parameters().get("back"), weak.upgrade()) {
                 (None, _) => true,
-                (Some(back), _) if !is_id(back) => return,
-                (Some(back), Some(current)) => ask(&current.session(), &format!("{LINK_CHECK}/{back}")).await.is_some(),
+                (Some(back), _) if !is_node_id(back) => return,
+                (Some(back), Some(current)) => {
+                    first_reply(&current.session(), &format!("{LINK_CHECK}/{back}")).await.is_some()
+                }
                 (Some(_), None) => return,
             };
-            // Whoever asked may have gone.
-            let _ = query.reply(on, if heard { YES } else { NO }).await;
+            // The requester may be gone: ignore the error.
+            let _ = query.reply(own_key, if passed { PASSED } else { FAILED }).await;
         });
     };
-    session.declare_queryable(key).callback(answer).background().await.map_err(|problem| failed("serve", problem))?;
+    session.declare_queryable(key).callback(reply).background().await.map_err(|problem| failed("serve", problem))?;
 
     let weak = Arc::downgrade(current);
     let accepting: BTreeSet<String> = settings.listen.iter().filter_map(|address| port(address)).collect();
     let linked = move |event: zenoh::session::LinkEvent| {
         let (link, opened) = (event.link(), event.kind() == SampleKind::Put);
         if opened && port(link.src().as_str()).is_some_and(|port| !accepting.contains(&port)) {
-            runtime.spawn(be_sure(weak.clone(), own, *link.zid(), link.dst().to_string()));
+            runtime.spawn(check_link(weak.clone(), own, *link.zid(), link.dst().to_string()));
         }
     };
     let listener = session.info().link_events_listener().history(true).callback(linked).background().await;
-    listener.map_err(|problem| failed("notice links", problem))
+    listener.map_err(|problem| failed("watch links", problem))
 }
 
-/// Whether a text is one node's id on the bus. Anything else would have the question passed on to whoever matches it.
-fn is_id(text: &str) -> bool {
+/// Checks whether a text is the id of a single node on the bus. Any other text would be forwarded
+/// as a query to all matching nodes.
+fn is_node_id(text: &str) -> bool {
     text.bytes().all(|byte| byte.is_ascii_hexdigit())
 }
 
-/// The port of an address as `tcp/127.0.0.1:7447`.
+/// Returns the port of an address such as `tcp/127.0.0.1:7447`.
 fn port(address: &str) -> Option<String> {
     address.rsplit_once(':').map(|(_, port)| port.to_owned())
 }
 
-/// Asks a neighbour until it answers that it is heard and hears. If it does not, the session is replaced.
-async fn be_sure(current: Weak<CurrentSession>, own: ZenohId, neighbour: ZenohId, address: String) {
-    for _ in 0..ENOUGH {
+/// Queries a neighbour until a reply confirms delivery in both directions. Requests a new session
+/// if none does.
+async fn check_link(current: Weak<CurrentSession>, own: ZenohId, neighbour: ZenohId, address: String) {
+    for _ in 0..CHECKS_MAX {
         sleep(PAUSE).await;
         let Some(current) = current.upgrade() else { return };
         let session = current.session();
         if session.zid() != own || !is_linked(&session, neighbour).await {
             return;
         }
-        let heard = match ask(&session, &format!("{LINK_CHECK}/{neighbour}?back={own}")).await {
-            Some(answer) => answer == YES,
-            // A router that is none of ours says of itself, if anything, what the admin space of Zenoh has.
-            None => ask(&session, &format!("@/{neighbour}/router")).await.is_some(),
+        let passed = match first_reply(&session, &format!("{LINK_CHECK}/{neighbour}?back={own}")).await {
+            Some(reply) => reply == PASSED,
+            // A stock Zenoh router replies on the admin space, if that is enabled.
+            None => first_reply(&session, &format!("@/{neighbour}/router")).await.is_some(),
         };
-        if heard {
+        if passed {
             current.reset_attempts(&address);
             return;
         }
-        debug!(%neighbour, "is not heard, or does not hear");
+        debug!(%neighbour, "link check failed");
     }
     let Some(current) = current.upgrade() else { return };
     if !is_linked(&current.session(), neighbour).await {
         return;
     }
     match current.count_attempt(&address) {
-        count if count <= SESSIONS => {
-            warn!(%neighbour, "linked, and yet one does not hear the other: the session is opened anew");
+        count if count <= SESSIONS_MAX => {
+            warn!(%neighbour, "link is up, but messages are not delivered; reopening the session");
             current.request_replacement(own);
         }
-        _ => warn!(%neighbour, "linked, and yet one does not hear the other, whatever is done; it may be none of ours"),
+        _ => {
+            warn!(%neighbour, "link is up, but messages are not delivered after several new sessions; the neighbour may not be a Consort node")
+        }
     }
 }
 
@@ -124,15 +135,16 @@ async fn is_linked(session: &Session, neighbour: ZenohId) -> bool {
     !session.is_closed() && session.info().transports().await.any(|link| *link.zid() == neighbour)
 }
 
-/// The first answer to a question.
-async fn ask(session: &Session, selector: &str) -> Option<String> {
-    let asked = session.get(selector).target(QueryTarget::All).consolidation(ConsolidationMode::None).timeout(LIMIT);
+/// Returns the first reply to a query.
+async fn first_reply(session: &Session, selector: &str) -> Option<String> {
+    let query =
+        session.get(selector).target(QueryTarget::All).consolidation(ConsolidationMode::None).timeout(QUERY_TIMEOUT);
     let (mailbox, mut replies) = tokio::sync::mpsc::unbounded_channel();
-    let hear = move |reply: zenoh::query::Reply| {
+    let on_reply = move |reply: zenoh::query::Reply| {
         if let Ok(sample) = reply.into_result() {
             let _ = mailbox.send(sample.payload().try_to_string().map(|text| text.into_owned()).unwrap_or_default());
         }
     };
-    asked.callback(hear).await.ok()?;
+    query.callback(on_reply).await.ok()?;
     replies.recv().await
 }

@@ -1,8 +1,8 @@
-//! The real bus: one Zenoh session.
+//! The real bus, on a single Zenoh session.
 //!
-//! Zenoh calls back inside its own receiving and sending, so every callback here only pushes into a mailbox without
-//! limit. A query goes to all matching services, and its replies are not consolidated, unless the nearest is asked; every
-//! query has its own limit.
+//! Zenoh runs callbacks inside its own receive and send paths. Therefore every callback here only
+//! pushes into an unbounded mailbox. A query goes to all matching services and its replies are not
+//! consolidated, unless the nearest service is selected. Every query has its own timeout.
 
 mod current_session;
 mod link_check;
@@ -31,61 +31,63 @@ use zenoh::session::ZenohId;
 use zenoh::time::{NTP64, Timestamp, TimestampId};
 use zenoh_keyexpr::OwnedKeyExpr;
 
-/// How often a condition is looked at while it is awaited.
-const LOOK_AGAIN: Duration = Duration::from_millis(10);
+/// Poll interval while waiting for a condition.
+const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
-/// One node's session on a Zenoh network. It needs a multi-threaded tokio runtime. Clones are the same session, which
-/// closes with the last of them.
+/// A node's session on a Zenoh network. It needs a multi-threaded tokio runtime. Clones share the
+/// session, which closes with the last clone.
 #[derive(Clone)]
 pub struct ZenohBus {
-    life: Arc<SessionManager>,
+    manager: Arc<SessionManager>,
 }
 
 impl ZenohBus {
-    /// Opens a session. A router or peer opens even when none of its neighbours can be reached, and goes on trying: see
-    /// [`wait_connected`](Self::wait_connected).
+    /// Opens a session. A router or peer opens even if no neighbour can be reached, and keeps
+    /// trying: see [`wait_connected`](Self::wait_connected).
     ///
     /// # Errors
-    /// [`BusError::Failed`] if the runtime is not multi-threaded, a setting is wrong, an address cannot be listened on
-    /// (it says which, and whether the port is taken), or a client reaches no router.
+    /// [`BusError::Failed`] if the runtime is not multi-threaded, a setting is invalid, an address
+    /// cannot be listened on (the error names it, and whether the port is taken), or a client
+    /// reaches no router.
     pub async fn open(settings: ZenohSettings) -> Result<ZenohBus, BusError> {
         let multi_threaded =
             Handle::try_current().is_ok_and(|runtime| runtime.runtime_flavor() != RuntimeFlavor::CurrentThread);
         if !multi_threaded {
             return Err(failed("open", "Zenoh needs a multi-threaded tokio runtime"));
         }
-        Ok(ZenohBus { life: SessionManager::open(settings).await? })
+        Ok(ZenohBus { manager: SessionManager::open(settings).await? })
     }
 
-    /// This node's id on the bus, as its neighbours see it in [`Bus::links`]. It changes when a session is opened anew.
+    /// Returns this node's id on the bus, as neighbours see it in [`Bus::links`]. It changes when
+    /// the session is reopened.
     pub fn id(&self) -> String {
-        self.life.session().zid().to_string()
+        self.manager.session().zid().to_string()
     }
 
-    /// Where this node listens, with the ports it was given.
+    /// Returns the addresses that this node listens on, with the assigned ports.
     pub async fn listen_addresses(&self) -> Vec<String> {
-        session::listen_addresses(&self.life.session()).await
+        session::listen_addresses(&self.manager.session()).await
     }
 
-    /// Waits until there is a neighbour, at most for `limit`; returns all there are. None is no error: this node goes on
-    /// trying, and works alone meanwhile.
-    pub async fn wait_connected(&self, limit: Duration) -> Vec<Link> {
-        let end = Instant::now() + limit;
+    /// Waits for the first neighbour, at most for `timeout`. Returns all neighbours. An empty list
+    /// is no error: this node keeps trying, and works alone meanwhile.
+    pub async fn wait_connected(&self, timeout: Duration) -> Vec<Link> {
+        let end = Instant::now() + timeout;
         loop {
             let links = self.links().await;
             if !links.is_empty() || Instant::now() >= end {
                 return links;
             }
-            sleep(LOOK_AGAIN.min(limit)).await;
+            sleep(POLL_INTERVAL.min(timeout)).await;
         }
     }
 
-    /// Closes the session for all its clones: every stream ends, and the neighbours know at once.
+    /// Closes the session for all its clones. Every stream ends, and the neighbours notice at once.
     ///
     /// # Errors
-    /// [`BusError::Failed`] if Zenoh says so; the session is of no further use in either case.
+    /// [`BusError::Failed`] if Zenoh reports an error. The session is unusable in either case.
     pub async fn close(&self) -> Result<(), BusError> {
-        self.life.close().await
+        self.manager.close().await
     }
 }
 
@@ -93,7 +95,8 @@ fn failed(what: impl Into<String>, problem: impl ToString) -> BusError {
     BusError::Failed { operation: what.into(), problem: problem.to_string() }
 }
 
-/// Zenoh's errors name its source lines; people want to know which address is the matter.
+/// Converts an error of opening a session. Zenoh's errors name source lines; operators need the
+/// address instead.
 fn open_error(settings: &ZenohSettings, problem: &str) -> BusError {
     let problem = problem.split(" at /").next().unwrap_or_default().trim_end();
     let of = |addresses: &[String]| addresses.iter().find(|address| problem.contains(address.as_str())).cloned();
@@ -116,7 +119,7 @@ fn to_zenoh(encoding: Encoding) -> ZenohEncoding {
     }
 }
 
-/// What is not marked as JSON is for those who know what to expect.
+/// Payloads without a JSON encoding count as wire messages.
 fn from_zenoh(encoding: &ZenohEncoding) -> Encoding {
     if *encoding == ZenohEncoding::APPLICATION_OCTET_STREAM {
         return Encoding::Wire;
@@ -133,43 +136,44 @@ fn to_bytes(payload: &ZBytes) -> Bytes {
     }
 }
 
-/// What is said beside a payload.
+/// Copies the attachment; empty if absent.
 fn attachment_bytes(attachment: Option<&ZBytes>) -> Bytes {
     attachment.map(to_bytes).unwrap_or_default()
 }
 
-/// What is sent beside a payload; nothing, if there is nothing to be said.
-fn attach(beside: Bytes) -> Option<Bytes> {
-    (!beside.is_empty()).then_some(beside)
+/// Returns the attachment to send; `None` if it is empty.
+fn to_attachment(attachment: Bytes) -> Option<Bytes> {
+    (!attachment.is_empty()).then_some(attachment)
 }
 
-/// A query that reaches its limit ends for Zenoh with an error which no service gave. The two are told apart by the
-/// encoding: ours are plain text.
-fn is_the_limit(error: &ReplyError) -> bool {
+/// Checks whether an error is Zenoh's report of a query timeout. Zenoh ends such a query with an
+/// error that no service sent. The encoding distinguishes the two: errors of our services are plain
+/// text.
+fn is_timeout(error: &ReplyError) -> bool {
     let unmarked = [ZenohEncoding::ZENOH_STRING, ZenohEncoding::ZENOH_BYTES].contains(error.encoding());
     unmarked && error.payload().to_bytes() == b"Timeout".as_slice()
 }
 
-fn reply(from: zenoh::query::Reply, asked: &OwnedKeyExpr) -> Option<Reply> {
+fn reply(from: zenoh::query::Reply, query_key: &OwnedKeyExpr) -> Option<Reply> {
     match from.into_result() {
         Ok(sample) => Some(Reply {
             key: sample.key_expr().to_string(),
             payload: Ok(to_bytes(sample.payload())),
             attachment: attachment_bytes(sample.attachment()),
         }),
-        Err(error) if is_the_limit(&error) => None,
+        Err(error) if is_timeout(&error) => None,
         Err(error) => {
             let reason = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
-            Some(Reply { key: asked.to_string(), payload: Err(reason), attachment: Bytes::new() })
+            Some(Reply { key: query_key.to_string(), payload: Err(reason), attachment: Bytes::new() })
         }
     }
 }
 
 impl ZenohBus {
-    async fn answer(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
-        let wanted = keys::key_expression(key_expr)?;
+    async fn declare_queryable(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
+        let key_expr = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let declared = self.life.declare(Declaration::Queryable { key: wanted, mailbox, complete }).await?;
+        let declared = self.manager.declare(Declaration::Queryable { key: key_expr, mailbox, complete }).await?;
         Ok(Stream::new(receiver, Box::new(declared)))
     }
 }
@@ -180,25 +184,25 @@ impl Bus for ZenohBus {
         &self,
         key: &str,
         payload: Bytes,
-        beside: Bytes,
+        attachment: Bytes,
         encoding: Encoding,
         delivery: Delivery,
     ) -> Result<(), BusError> {
         let key = keys::single_key(key)?;
-        keys::check_payload_size("publish", &payload, self.life.settings().message_max)?;
+        keys::check_payload_size("publish", &payload, self.manager.settings().message_max)?;
         let control = match delivery {
             Delivery::Drop => CongestionControl::Drop,
             Delivery::Block => CongestionControl::Block,
         };
-        let session = self.life.session();
+        let session = self.manager.session();
         let put = session.put(key, payload).encoding(to_zenoh(encoding)).congestion_control(control);
-        put.attachment(attach(beside)).await.map_err(|problem| failed("publish", problem))
+        put.attachment(to_attachment(attachment)).await.map_err(|problem| failed("publish", problem))
     }
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
-        let wanted = keys::key_expression(key_expr)?;
+        let key_expr = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let declared = self.life.declare(Declaration::Subscriber(wanted, mailbox)).await?;
+        let declared = self.manager.declare(Declaration::Subscriber(key_expr, mailbox)).await?;
         Ok(Stream::new(receiver, Box::new(declared)))
     }
 
@@ -206,60 +210,63 @@ impl Bus for ZenohBus {
         &self,
         key_expr: &str,
         payload: Bytes,
-        beside: Bytes,
-        limit: Duration,
-        whom: ServiceSelection,
+        attachment: Bytes,
+        timeout: Duration,
+        target: ServiceSelection,
     ) -> Result<Stream<Reply>, BusError> {
-        let (asked, parameters) = keys::selector(key_expr)?;
-        keys::check_payload_size("query", &payload, self.life.settings().message_max)?;
-        let (target, consolidation) = match whom {
+        let (query_key, parameters) = keys::selector(key_expr)?;
+        keys::check_payload_size("query", &payload, self.manager.settings().message_max)?;
+        let (target, consolidation) = match target {
             ServiceSelection::All => (QueryTarget::All, ConsolidationMode::None),
             ServiceSelection::Nearest => (QueryTarget::BestMatching, ConsolidationMode::Latest),
         };
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let key = asked.clone();
-        let hear = move |answer: zenoh::query::Reply| {
+        let key = query_key.clone();
+        let on_reply = move |answer: zenoh::query::Reply| {
             if let Some(reply) = reply(answer, &key) {
                 let _ = mailbox.send(reply);
             }
         };
-        let session = self.life.session();
-        let mut get = session.get((asked, parameters)).target(target).consolidation(consolidation).timeout(limit);
+        let session = self.manager.session();
+        let mut get = session.get((query_key, parameters)).target(target).consolidation(consolidation).timeout(timeout);
         if !payload.is_empty() {
             get = get.payload(payload).encoding(to_zenoh(Encoding::Wire));
         }
-        get.attachment(attach(beside)).callback(hear).await.map_err(|problem| failed("query", problem))?;
+        get.attachment(to_attachment(attachment))
+            .callback(on_reply)
+            .await
+            .map_err(|problem| failed("query", problem))?;
         Ok(Stream::new(receiver, Box::new(())))
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        self.answer(key_expr, false).await
+        self.declare_queryable(key_expr, false).await
     }
 
     async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        self.answer(key_expr, true).await
+        self.declare_queryable(key_expr, true).await
     }
 
     async fn announce(&self, key: &str) -> Result<PresenceToken, BusError> {
-        let declared = self.life.declare(Declaration::Token(keys::single_key(key)?)).await?;
+        let declared = self.manager.declare(Declaration::Token(keys::single_key(key)?)).await?;
         Ok(PresenceToken::new(Box::new(declared)))
     }
 
     async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
-        let wanted = keys::key_expression(key_expr)?;
+        let key_expr = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let declared = self.life.declare(Declaration::PresenceSubscriber(wanted, mailbox, Arc::default())).await?;
+        let declared = self.manager.declare(Declaration::PresenceSubscriber(key_expr, mailbox, Arc::default())).await?;
         Ok(Stream::new(receiver, Box::new(declared)))
     }
 
     async fn links(&self) -> Vec<Link> {
-        let transports = self.life.session().info().transports().await;
+        let transports = self.manager.session().info().transports().await;
         let links = transports.map(|link| Link { peer: link.zid().to_string(), kind: link.whatami().to_string() });
         links.collect::<BTreeSet<Link>>().into_iter().collect()
     }
 }
 
-/// What Zenoh calls with questions: they go into a mailbox. `own` is the id of the session.
+/// Creates the callback that puts queries into a mailbox. `own` is the id of the session.
 fn query_callback(
     mailbox: mpsc::UnboundedSender<Query>,
     own: ZenohId,
@@ -268,14 +275,14 @@ fn query_callback(
     move |query| {
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let at = Timestamp::new(NTP64::from(since_1970), TimestampId::from(own));
-        // Nobody answers any more: the declaration is about to end.
+        // The receiver is gone: the declaration is about to end.
         let _ = mailbox.send(Query {
             key: query.key_expr().to_string(),
             parameters: query.parameters().to_string(),
             payload: query.payload().map(to_bytes).unwrap_or_default(),
             attachment: attachment_bytes(query.attachment()),
             replier: Box::new(ZenohReplier {
-                asked: OwnedKeyExpr::from(query.key_expr().clone()),
+                query_key: OwnedKeyExpr::from(query.key_expr().clone()),
                 query,
                 at,
                 message_max,
@@ -284,12 +291,13 @@ fn query_callback(
     }
 }
 
-/// Answers one query of Zenoh's, which ends when this is dropped.
+/// Replies to a query of Zenoh. The query ends when this is dropped.
 struct ZenohReplier {
     query: zenoh::query::Query,
-    asked: OwnedKeyExpr,
-    /// When it was asked, in the sense of Zenoh, for which two nodes' times are never the same. All its answers bear this one
-    /// time: of several answers on a key Zenoh gives the latest, and so, of two nodes that answer on the same keys, those of one.
+    query_key: OwnedKeyExpr,
+    /// Timestamp of the query, in Zenoh's sense, which is unique per node. All replies to the query
+    /// have this timestamp. Zenoh returns the latest reply per key, so of two nodes that reply on
+    /// the same keys all returned replies come from the same node.
     at: Timestamp,
     message_max: usize,
 }
@@ -300,17 +308,17 @@ impl Replier for ZenohReplier {
         &self,
         key: &str,
         payload: Bytes,
-        beside: Bytes,
+        attachment: Bytes,
         encoding: Encoding,
     ) -> Result<(), BusError> {
-        let key = keys::reply_key(key, &self.asked)?;
-        keys::check_payload_size("answer a query", &payload, self.message_max)?;
+        let key = keys::reply_key(key, &self.query_key)?;
+        keys::check_payload_size("reply to a query", &payload, self.message_max)?;
         let reply = self.query.reply(key, payload).encoding(to_zenoh(encoding)).timestamp(self.at);
-        reply.attachment(attach(beside)).await.map_err(|problem| failed("answer a query", problem))
+        reply.attachment(to_attachment(attachment)).await.map_err(|problem| failed("reply to a query", problem))
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {
         let refusal = self.query.reply_err(reason).encoding(ZenohEncoding::TEXT_PLAIN);
-        refusal.await.map_err(|problem| failed("answer a query", problem))
+        refusal.await.map_err(|problem| failed("reply to a query", problem))
     }
 }

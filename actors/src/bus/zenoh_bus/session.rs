@@ -1,4 +1,4 @@
-//! A session that can be opened anew, with everything that was declared on it.
+//! A session that can be reopened, together with all declarations on it.
 
 use super::current_session::CurrentSession;
 use super::{
@@ -15,29 +15,32 @@ use zenoh::Session;
 use zenoh::sample::SampleKind;
 use zenoh_keyexpr::OwnedKeyExpr;
 
-/// How long a router stays away before it links up. Zenoh 1.10.2 works out its routes at most every 100 ms, and compares
-/// them by the places of the nodes in its graph: who comes within that time after somebody went takes the other's place,
-/// counts as known, and is never told of any declaration. See [`hearing`] for those to whom it happens all the same.
-const AWAY: Duration = Duration::from_millis(250);
+/// Pause before a router opens its session. Zenoh 1.10.2 recomputes its routes at most every 100
+/// ms, and compares them by the nodes' positions in its graph. A node that joins within that time
+/// after another has left takes the other's position, counts as known, and never receives a
+/// declaration. See [`link_check`] for the cases in which this happens nevertheless.
+const ROUTER_DELAY: Duration = Duration::from_millis(250);
 
-/// How long after a session could not be opened anew it is tried again, and how often.
-const TRY_AGAIN: Duration = Duration::from_secs(1);
-const TRIES: u32 = 30;
+/// Pause between attempts to reopen a session, and the number of attempts.
+const RETRY_PAUSE: Duration = Duration::from_secs(1);
+const ATTEMPTS_MAX: u32 = 30;
 
-/// What is declared on a session.
+/// A declaration on a session.
 #[derive(Clone)]
 pub(super) enum Declaration {
-    /// Samples are heard.
+    /// Receives samples.
     Subscriber(OwnedKeyExpr, UnboundedSender<Sample>),
-    /// Questions are answered, by one who knows all there is below the key or by one of several.
+    /// Replies to queries: as a complete service for everything below the key, or as a service
+    /// among several.
     Queryable { key: OwnedKeyExpr, mailbox: UnboundedSender<Query>, complete: bool },
-    /// Presence is told.
+    /// Announces presence.
     Token(OwnedKeyExpr),
-    /// Presence is heard; what is present is remembered, since Zenoh repeats itself when links come and go.
+    /// Receives changes of presence. The present tokens are stored, since Zenoh repeats
+    /// announcements when links open and close.
     PresenceSubscriber(OwnedKeyExpr, UnboundedSender<Presence>, Arc<Mutex<BTreeSet<String>>>),
 }
 
-/// A declaration, and what Zenoh gave for it while there is a session.
+/// A declaration, and Zenoh's object for it while a session exists.
 struct Entry {
     declaration: Declaration,
     declared: Option<Box<dyn Send + Sync>>,
@@ -48,7 +51,7 @@ pub(super) struct SessionManager {
     settings: ZenohSettings,
     current: Arc<CurrentSession>,
     entries: Mutex<Entries>,
-    /// Held while something is declared, or everything anew.
+    /// Held during a declaration, and while everything is declared again.
     declaring: tokio::sync::Mutex<()>,
 }
 
@@ -56,44 +59,45 @@ pub(super) struct SessionManager {
 struct Entries {
     next: u64,
     all: BTreeMap<u64, Entry>,
-    /// Nothing is declared any more.
+    /// Set once the bus is closed: no further declarations.
     closed: bool,
 }
 
-/// Ends a declaration when dropped.
+/// Guard that ends a declaration when it is dropped.
 pub(super) struct DeclarationGuard {
     id: u64,
-    life: Weak<SessionManager>,
+    manager: Weak<SessionManager>,
 }
 
 impl Drop for DeclarationGuard {
     fn drop(&mut self) {
-        if let Some(life) = self.life.upgrade() {
-            let ended = life.entries().all.remove(&self.id);
-            drop(ended); // not while the entries are held: Zenoh waits for callbacks under way
+        if let Some(manager) = self.manager.upgrade() {
+            let removed = manager.entries().all.remove(&self.id);
+            drop(removed); // not while the entries are held: Zenoh waits for callbacks under way
         }
     }
 }
 
 async fn open(settings: &ZenohSettings) -> Result<Session, BusError> {
     if settings.mode == Mode::Router {
-        sleep(AWAY).await;
+        sleep(ROUTER_DELAY).await;
     }
     let opened = zenoh::open(settings.config()?).await;
     opened.map_err(|problem| open_error(settings, &problem.to_string()))
 }
 
-/// Where a session listens, with the ports it was given.
+/// Returns the addresses that a session listens on, with the assigned ports.
 pub(super) async fn listen_addresses(session: &Session) -> Vec<String> {
     session.info().locators().await.iter().map(ToString::to_string).collect()
 }
 
-/// Addresses to listen on, with the ports that the system gave for port 0: others know them by now.
-fn with_ports(listen: &[String], given: &[String]) -> Vec<String> {
+/// Returns the addresses to listen on, with the ports that the system assigned for port 0: other
+/// nodes have them by now.
+fn with_ports(listen: &[String], assigned: &[String]) -> Vec<String> {
     let at = |address: &String| {
         let Some(host) = address.strip_suffix(":0") else { return address.clone() };
-        let same = given.iter().find(|given| given.rsplit_once(':').is_some_and(|(at, _)| at == host));
-        let port = same.or(given.first()).and_then(|given| Some(given.rsplit_once(':')?.1));
+        let same = assigned.iter().find(|assigned| assigned.rsplit_once(':').is_some_and(|(at, _)| at == host));
+        let port = same.or(assigned.first()).and_then(|assigned| Some(assigned.rsplit_once(':')?.1));
         port.map_or_else(|| address.clone(), |port| format!("{host}:{port}"))
     };
     listen.iter().map(at).collect()
@@ -104,9 +108,9 @@ impl Declaration {
         match self {
             Declaration::Subscriber(key, mailbox) => {
                 let mailbox = mailbox.clone();
-                let hear = move |sample: zenoh::sample::Sample| {
+                let on_sample = move |sample: zenoh::sample::Sample| {
                     if sample.kind() == SampleKind::Put {
-                        // Nobody hears it any more: the declaration is about to end.
+                        // The receiver is gone: the declaration is about to end.
                         let _ = mailbox.send(Sample {
                             key: sample.key_expr().to_string(),
                             payload: to_bytes(sample.payload()),
@@ -115,7 +119,7 @@ impl Declaration {
                         });
                     }
                 };
-                let declared = session.declare_subscriber(key.clone()).callback(hear).await;
+                let declared = session.declare_subscriber(key.clone()).callback(on_sample).await;
                 Ok(Box::new(declared.map_err(|problem| failed("subscribe", problem))?))
             }
             Declaration::Queryable { key, mailbox, complete } => {
@@ -129,7 +133,7 @@ impl Declaration {
             }
             Declaration::PresenceSubscriber(key, mailbox, present) => {
                 let (mailbox, present) = (mailbox.clone(), present.clone());
-                let hear = move |sample: zenoh::sample::Sample| {
+                let on_sample = move |sample: zenoh::sample::Sample| {
                     let key = sample.key_expr().to_string();
                     let alive = sample.kind() == SampleKind::Put;
                     let mut present = present.lock().unwrap_or_else(PoisonError::into_inner);
@@ -138,14 +142,15 @@ impl Declaration {
                         let _ = mailbox.send(Presence { key, alive });
                     }
                 };
-                let declared = session.liveliness().declare_subscriber(key.clone()).history(true).callback(hear).await;
+                let declared =
+                    session.liveliness().declare_subscriber(key.clone()).history(true).callback(on_sample).await;
                 Ok(Box::new(declared.map_err(|problem| failed("watch", problem))?))
             }
         }
     }
 
-    /// Without a session nobody is known to be present.
-    fn lose_sight(&self) {
+    /// Reports all tokens as vanished: without a session no presence is known.
+    fn report_all_vanished(&self) {
         if let Declaration::PresenceSubscriber(_, mailbox, present) = self {
             for key in std::mem::take(&mut *present.lock().unwrap_or_else(PoisonError::into_inner)) {
                 let _ = mailbox.send(Presence { key, alive: false });
@@ -159,31 +164,31 @@ impl SessionManager {
     pub(super) async fn open(mut settings: ZenohSettings) -> Result<Arc<SessionManager>, BusError> {
         let session = open(&settings).await?;
         settings.listen = with_ports(&settings.listen, &listen_addresses(&session).await);
-        let (current, mut asked) = CurrentSession::new(session);
-        let life = Arc::new(SessionManager {
+        let (current, mut replacements) = CurrentSession::new(session);
+        let manager = Arc::new(SessionManager {
             settings,
             current: Arc::new(current),
             entries: Mutex::default(),
             declaring: tokio::sync::Mutex::default(),
         });
-        link_check::start(&life.current, &life.settings).await?;
-        let weak = Arc::downgrade(&life);
+        link_check::start(&manager.current, &manager.settings).await?;
+        let weak = Arc::downgrade(&manager);
         tokio::spawn(async move {
-            while let Some(stale) = asked.recv().await {
-                let Some(life) = weak.upgrade() else { return };
-                if life.session().zid() == stale {
-                    life.begin_anew().await;
+            while let Some(stale) = replacements.recv().await {
+                let Some(manager) = weak.upgrade() else { return };
+                if manager.session().zid() == stale {
+                    manager.reopen().await;
                 }
             }
         });
-        Ok(life)
+        Ok(manager)
     }
 
     pub(super) fn settings(&self) -> &ZenohSettings {
         &self.settings
     }
 
-    /// The session of now. After it was closed everything that is attempted fails.
+    /// Returns the session in use. Every operation on a closed session fails.
     pub(super) fn session(&self) -> Session {
         self.current.session()
     }
@@ -192,7 +197,8 @@ impl SessionManager {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Declares something until what is returned is dropped; it outlives the session.
+    /// Adds a declaration. It lasts until the returned guard is dropped, and survives a reopening
+    /// of the session.
     pub(super) async fn declare(self: &Arc<Self>, declaration: Declaration) -> Result<DeclarationGuard, BusError> {
         let _declaring = self.declaring.lock().await;
         let declared = declaration.declare(&self.session(), self.settings.message_max).await?;
@@ -203,19 +209,19 @@ impl SessionManager {
         let id = entries.next;
         entries.next += 1;
         entries.all.insert(id, Entry { declaration, declared: Some(declared) });
-        Ok(DeclarationGuard { id, life: Arc::downgrade(self) })
+        Ok(DeclarationGuard { id, manager: Arc::downgrade(self) })
     }
 
-    /// Declares everything on a new session.
+    /// Repeats all declarations on a new session.
     async fn declare_all(&self, session: &Session) -> Result<(), BusError> {
-        let wanted: Vec<u64> = self.entries().all.keys().copied().collect();
-        for id in wanted {
+        let ids: Vec<u64> = self.entries().all.keys().copied().collect();
+        for id in ids {
             let Some(declaration) = self.entries().all.get(&id).map(|entry| entry.declaration.clone()) else {
                 continue;
             };
             let declared = declaration.declare(session, self.settings.message_max).await?;
             let mut entries = self.entries();
-            // Otherwise it ended in the meantime, and so does what was declared for it.
+            // A missing entry has ended in the meantime; the new declaration then ends as well.
             if let Some(entry) = entries.all.get_mut(&id) {
                 entry.declared = Some(declared);
             }
@@ -232,27 +238,27 @@ impl SessionManager {
         drop(all); // not while the entries are held: Zenoh waits for callbacks under way
     }
 
-    /// Ends everything declared, and the session.
+    /// Ends all declarations, and the session.
     pub(super) async fn close(&self) -> Result<(), BusError> {
         self.end_all();
         self.session().close().await.map_err(|problem| failed("close", problem))
     }
 
-    /// Opens the session anew, at the same addresses, and declares everything again. Meanwhile publications and questions
-    /// fail, and presence is out of sight. If that cannot be done for long, the bus closes: every stream ends, and whoever
-    /// supervises the node learns of it.
-    async fn begin_anew(self: &Arc<Self>) {
+    /// Reopens the session at the same addresses, and repeats all declarations. Meanwhile
+    /// publications and queries fail, and no presence is known. After too many failed attempts the
+    /// bus closes: every stream ends, and the node's supervisor is notified.
+    async fn reopen(self: &Arc<Self>) {
         let _declaring = self.declaring.lock().await;
-        let ended: Vec<_> = {
+        let removed: Vec<_> = {
             let mut entries = self.entries();
             entries.all.values_mut().filter_map(|entry| entry.declared.take()).collect()
         };
-        drop(ended);
+        drop(removed);
         if let Err(problem) = self.session().close().await {
-            warn!(%problem, "a session did not close well");
+            warn!(%problem, "failed to close the old session");
         }
-        self.entries().all.values().for_each(|entry| entry.declaration.lose_sight());
-        let mut tries = 0;
+        self.entries().all.values().for_each(|entry| entry.declaration.report_all_vanished());
+        let mut attempts = 0;
         let session = loop {
             if self.entries().closed {
                 return;
@@ -261,31 +267,31 @@ impl SessionManager {
                 Ok(session) => match self.declare_all(&session).await {
                     Ok(()) => break session,
                     Err(problem) => {
-                        // The next try declares everything on a session of its own.
+                        // The next attempt repeats all declarations on a session of its own.
                         let _ = session.close().await;
                         problem
                     }
                 },
                 Err(problem) => problem,
             };
-            tries += 1;
-            if tries >= TRIES {
-                error!(%problem, "the session cannot be opened anew: the bus is closed");
+            attempts += 1;
+            if attempts >= ATTEMPTS_MAX {
+                error!(%problem, "failed to reopen the session; closing the bus");
                 self.end_all();
                 return;
             }
-            warn!(%problem, "the session cannot be opened anew; tries again");
-            sleep(TRY_AGAIN).await;
+            warn!(%problem, "failed to reopen the session; retrying");
+            sleep(RETRY_PAUSE).await;
         };
         self.current.set(session.clone());
         if self.entries().closed {
-            // Nobody closed this one.
+            // The bus was closed meanwhile, which did not cover this session.
             let _ = session.close().await;
             return;
         }
-        info!(id = %session.zid(), "opened its session anew");
+        info!(id = %session.zid(), "reopened the session");
         if let Err(problem) = link_check::start(&self.current, &self.settings).await {
-            warn!(%problem, "does not notice if it is not heard");
+            warn!(%problem, "failed to start the link check; undelivered links stay unnoticed");
         }
     }
 }
@@ -295,10 +301,10 @@ mod tests {
     use super::with_ports;
 
     #[test]
-    fn a_port_that_was_given_is_kept() {
+    fn an_assigned_port_is_kept() {
         let listen = ["tcp/127.0.0.1:0", "tcp/[::1]:7", "tcp/0.0.0.0:0"].map(str::to_owned);
-        let given = ["tcp/127.0.0.1:38589", "tcp/[::1]:7"].map(str::to_owned);
-        assert_eq!(with_ports(&listen, &given), ["tcp/127.0.0.1:38589", "tcp/[::1]:7", "tcp/0.0.0.0:38589"]);
+        let assigned = ["tcp/127.0.0.1:38589", "tcp/[::1]:7"].map(str::to_owned);
+        assert_eq!(with_ports(&listen, &assigned), ["tcp/127.0.0.1:38589", "tcp/[::1]:7", "tcp/0.0.0.0:38589"]);
         assert_eq!(with_ports(&listen[..1], &[]), ["tcp/127.0.0.1:0"]);
     }
 }

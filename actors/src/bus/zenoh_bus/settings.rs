@@ -1,4 +1,4 @@
-//! How a node takes its place on a Zenoh network.
+//! Settings of a Zenoh session.
 
 use super::link_check::LINK_CHECK;
 use crate::bus::{BusError, MESSAGE_MAX};
@@ -8,16 +8,16 @@ use consort_protocol::trust::access::{Grant, LinkMessage, grants};
 use serde_json::{Value, json};
 use std::time::Duration;
 
-/// What a node is to its neighbours.
+/// Role of a node towards its neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Mode {
-    /// Relays between its neighbours and reroutes when a link dies: what the nodes of a fleet are.
+    /// Relays between its neighbours, and reroutes when a link breaks: the mode of a fleet's nodes.
     #[default]
     Router,
-    /// Hears and tells everything through one router: what command-line tools are. It fails to open when it cannot
-    /// reach any.
+    /// Sends and receives everything through a single router: the mode of command-line tools. It
+    /// fails to open if no router can be reached.
     Client,
-    /// Talks to those it is linked with, and never relays.
+    /// Exchanges messages with its direct neighbours, and never relays.
     Peer,
 }
 
@@ -31,40 +31,45 @@ impl Mode {
     }
 }
 
-/// How to open a [`ZenohBus`](super::ZenohBus).
+/// Settings of a [`ZenohBus`](super::ZenohBus).
 ///
-/// The defaults are those of a fleet's node: a router on the loopback interface only, without neighbours.
+/// The defaults are those of a fleet's node: a router on the loopback interface only, without
+/// neighbours.
 #[derive(Debug, Clone)]
 pub struct ZenohSettings {
-    /// What this node is to its neighbours.
+    /// Role of this node towards its neighbours.
     pub mode: Mode,
-    /// Where to listen, as `tcp/127.0.0.1:7447`; port 0 means any free one. Empty: nowhere. Clients never listen.
-    /// Without `links` nobody is asked who they are: whoever reaches these addresses is part of the fleet.
+    /// Addresses to listen on, such as `tcp/127.0.0.1:7447`; port 0 selects a free port. If empty,
+    /// the node does not listen. Clients never listen. Without `link_trust` connections are not
+    /// authenticated: every program that reaches these addresses is part of the fleet.
     pub listen: Vec<String>,
-    /// Neighbours to connect to, as `tcp/192.0.2.7:7447`. Those out of reach are tried again for as long as the bus
-    /// lives. More of them cost traffic and save the fleet from falling apart: two to four serve well.
+    /// Neighbours to connect to, such as `tcp/192.0.2.7:7447`. Unreachable neighbours are retried
+    /// for as long as the bus exists. More neighbours cost traffic and prevent partitions of the
+    /// fleet: two to four are sufficient.
     pub connect: Vec<String>,
-    /// How long a silent neighbour counts as present. What *this* node states here is how long *others* wait for it, so
-    /// it is one setting for the whole fleet. Shorter means a silent loss is noticed earlier (measured: after 1.5 to
-    /// 2.0 s with the default of 2 s), and a slow link is mistaken for it more easily.
+    /// Time for which a silent neighbour counts as present. The value set on *this* node is the
+    /// time that *other* nodes wait for it, so the whole fleet needs the same setting. A lower
+    /// value detects a silent loss earlier (measured: after 1.5 to 2.0 s with the default of 2 s),
+    /// and mistakes a slow link for a loss more often.
     pub lease: Duration,
-    /// Largest message taken in or sent out, in bytes, at most [`MESSAGE_MAX`]. A neighbour can make this node set aside
-    /// so much for each of its messages under way.
+    /// Largest message received or sent, in bytes, at most [`MESSAGE_MAX`]. A neighbour can make
+    /// this node allocate that much memory for each of its messages in transit.
     pub message_max: usize,
-    /// How long the opening of one link may take.
+    /// Timeout for opening a link.
     pub open_timeout: Duration,
-    /// How links prove who is at their ends. Addresses are then written `tls/192.0.2.7:7447`.
+    /// Authentication of links. Addresses are then written `tls/192.0.2.7:7447`.
     pub link_trust: Option<LinkTrust>,
-    /// Further settings of Zenoh's own, as path and JSON5 value (`transport/link/tls/...`); they prevail.
+    /// Further settings of Zenoh, as path and JSON5 value (`transport/link/tls/...`). They override
+    /// all others.
     pub overrides: Vec<(String, String)>,
 }
 
-/// How links prove who is at their ends: TLS 1.3, both sides with a certificate of the fleet's authority.
+/// Authentication of links: TLS 1.3, with certificates of the fleet's authority on both sides.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LinkTrust {
     /// Certificates and keys.
     pub files: TrustFiles,
-    /// Whose keys links carry, and to whom: see [`grants`].
+    /// Fleet of the certificates: it determines the keys that links carry, see [`grants`].
     pub fleet: FleetId,
 }
 
@@ -84,14 +89,14 @@ impl Default for ZenohSettings {
 }
 
 impl ZenohSettings {
-    /// The settings as Zenoh takes them.
+    /// Returns the settings as a Zenoh configuration.
     pub(super) fn config(&self) -> Result<zenoh::Config, BusError> {
         let mut config = zenoh::Config::default();
         let overrides = self.overrides.iter().cloned();
         for (path, value) in self.entries()?.into_iter().map(|(path, value)| (path.to_owned(), value)).chain(overrides)
         {
             config.insert_json5(&path, &value).map_err(|problem| BusError::Failed {
-                operation: format!("take {value} for Zenoh's setting {path}"),
+                operation: format!("set Zenoh's setting {path} to {value}"),
                 problem: problem.to_string(),
             })?;
         }
@@ -123,14 +128,15 @@ impl ZenohSettings {
             ("connect/exit_on_failure", "{ router: false, peer: false, client: true }".to_owned()),
             ("connect/retry", "{ period_init_ms: 250, period_max_ms: 2000, period_increase_factor: 2 }".to_owned()),
             ("scouting/multicast/enabled", "false".to_owned()),
-            // Links learned by gossip are never tried again after a cut: nobody is to depend on them.
+            // Links learned by gossip are not retried after a cut, so no node may depend on them.
             ("scouting/gossip/autoconnect", "{ router: [], peer: [], client: [] }".to_owned()),
-            // A router waits so long in vain; whether it is connected is asked explicitly.
+            // For a router this delay has no use: connections are polled explicitly.
             ("scouting/delay", if self.mode == Mode::Router { "0" } else { "500" }.to_owned()),
             ("transport/unicast/open_timeout", self.open_timeout.as_millis().to_string()),
             ("transport/unicast/accept_timeout", self.open_timeout.as_millis().to_string()),
             ("transport/link/tx/lease", lease_ms.to_string()),
-            // A neighbour that takes nothing for a whole lease is gone, and must not hold up the others for longer.
+            // A neighbour that accepts nothing for a whole lease is gone. It must not delay the
+            // other neighbours any longer.
             ("transport/link/tx/queue/congestion_control/block/wait_before_close", self.lease.as_micros().to_string()),
             ("transport/link/rx/max_message_size", self.message_max.to_string()),
         ])
@@ -148,8 +154,8 @@ impl LinkTrust {
             ("transport/link/tls/connect_certificate", certificate),
             ("transport/link/tls/connect_private_key", key),
             ("transport/link/tls/enable_mtls", json!(true)),
-            // Nodes are reached under addresses that change; that they are the fleet's is what counts, and persons'
-            // certificates do not serve to be connected to.
+            // Addresses of nodes change, so the host name is not verified. The fleet's signature
+            // counts, and certificates of persons are not valid for servers.
             ("transport/link/tls/verify_name_on_connect", json!(false)),
             ("transport/link/tls/close_link_on_expiration", json!(true)),
             ("transport/link/protocols", json!(["tls"])),
@@ -159,8 +165,9 @@ impl LinkTrust {
     }
 }
 
-/// Zenoh's access control: what links let in by the certificate at the other end, and everything out, since nobody is sent
-/// what it could not ask for.
+/// Builds Zenoh's access control: incoming messages are limited by the certificate at the other
+/// end. All outgoing messages are allowed, since a node receives only messages that it was allowed
+/// to request.
 fn access_control(grants: &[Grant]) -> Value {
     let mut rules = vec![json!({
         "id": "out", "permission": "allow", "flows": ["egress"], "key_exprs": ["**"],
@@ -193,7 +200,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn zenoh_takes_certificates_and_rules_for_every_kind_of_bearer() {
+    fn zenoh_accepts_certificates_and_rules_for_every_principal() {
         let files = TrustFiles {
             authority: "certs/ca.pem".into(),
             certificate: "certs/ada.pem".into(),
@@ -212,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn zenoh_takes_every_setting_as_it_is_meant() {
+    fn zenoh_accepts_every_setting() {
         for mode in [Mode::Router, Mode::Client, Mode::Peer] {
             let settings = ZenohSettings { mode, connect: vec!["tcp/127.0.0.1:9".to_owned()], ..Default::default() };
             let config = settings.config().unwrap();
@@ -229,15 +236,15 @@ mod tests {
     }
 
     #[test]
-    fn what_zenoh_does_not_know_is_refused_by_name() {
+    fn an_unknown_zenoh_setting_is_rejected_by_name() {
         let settings =
             ZenohSettings { overrides: vec![("transport/lnk".to_owned(), "1".to_owned())], ..Default::default() };
         let error = settings.config().unwrap_err().to_string();
-        assert!(error.starts_with("the bus failed to take 1 for Zenoh's setting transport/lnk: "), "{error}");
+        assert!(error.starts_with("the bus failed to set Zenoh's setting transport/lnk to 1: "), "{error}");
     }
 
     #[test]
-    fn the_message_limit_has_a_limit() {
+    fn the_message_limit_is_bounded() {
         let settings = ZenohSettings { message_max: MESSAGE_MAX + 1, ..Default::default() };
         assert!(settings.config().is_err());
     }

@@ -8,7 +8,8 @@ use consort_protocol::mission::{Domain, Format, MissionTemplate};
 use consort_protocol::plan::divide_and_check;
 use std::collections::BTreeSet;
 
-/// The nurse has a plan in both branches: she puts a sample in, and if it is lost, another one.
+/// The nurse has a plan in both branches: she inserts a sample, and another sample if the first is
+/// lost.
 const MISSION: &str = r#"{"mission": "fetch", "roles": {
     "nurse": {"kind": "unmanaged"}, "r1": {"kind": "managed"}, "r2": {"kind": "managed"}},
   "root": {"task": "fetch", "method": "sequential", "tasks": [
@@ -24,7 +25,7 @@ fn nurse() -> RoleId {
     RoleId::new("nurse").unwrap()
 }
 
-/// The mission under way; `lost` with the sample in the drawer of `r1`.
+/// Ledger with the mission in progress; `lost` means that the sample is lost in the drawer of `r1`.
 fn ledger(lost: bool) -> (Ledger, MissionId) {
     let template = MissionTemplate::parse(MISSION, Format::Json).unwrap();
     let (mission, recovery) = template.instantiate_with_recovery(&BTreeMap::new(), &Domain::hospital()).unwrap();
@@ -54,14 +55,14 @@ fn ledger(lost: bool) -> (Ledger, MissionId) {
             from_checkpoint: resumes,
         };
         assert_eq!(ledger.apply(at(3), accept), CommandOutcome::Done);
-        let said = |role, epoch, ended: &[u32]| Command::Progress {
+        let progress_of = |role, epoch, ended: &[u32]| Command::Progress {
             mission: mission.clone(),
             role,
             epoch,
             branch: Branch::Main,
             ended: ended.iter().copied().collect(),
         };
-        assert_eq!(ledger.apply(at(3), said(r1.clone(), at(2), &[0, 1, 2])), CommandOutcome::Done);
+        assert_eq!(ledger.apply(at(3), progress_of(r1.clone(), at(2), &[0, 1, 2])), CommandOutcome::Done);
         let (cause, place) = ("silent".to_owned(), None);
         let release =
             Command::Release { mission: mission.clone(), role: r1, epoch: at(2), cause, robot_failed: false, place };
@@ -87,50 +88,54 @@ fn report(mission: &MissionId, branch: Branch, ended: &[u32]) -> Report {
     }
 }
 
-fn answer(ledger: &Ledger, report: &Report) -> Step {
+fn next_step(ledger: &Ledger, report: &Report) -> Step {
     next(ledger.mission(&report.mission), report, BTreeMap::new)
 }
 
-fn over() -> Step {
+fn replaced() -> Step {
     let (epoch, reason) = (Epoch::default(), EndReason::Replaced);
-    Step::Answer(ReportReply::Ended { epoch, reason, current: None })
+    Step::Reply(ReportReply::Ended { epoch, reason, current: None })
 }
 
 #[test]
-fn what_a_person_did_goes_into_the_ledger_with_its_branch() {
+fn progress_of_a_person_is_recorded_with_its_branch() {
     for (lost, branch) in [(false, Branch::Main), (true, Branch::Recovery)] {
         let (ledger, mission) = ledger(lost);
         let (role, epoch, ended) = (nurse(), Epoch::default(), BTreeSet::from([0, 1]));
         let progress = Command::Progress { mission: mission.clone(), role, epoch, branch, ended };
-        assert_eq!(answer(&ledger, &report(&mission, branch, &[0, 1])), Step::Commit(progress));
+        assert_eq!(next_step(&ledger, &report(&mission, branch, &[0, 1])), Step::Commit(progress));
     }
 }
 
 #[test]
 fn a_late_report_of_the_other_branch_changes_nothing() {
     let (ledger, mission) = ledger(true);
-    assert_eq!(answer(&ledger, &report(&mission, Branch::Main, &[0, 1, 2])), over());
-    assert_eq!(answer(&ledger, &report(&mission, Branch::Main, &[])), over(), "nor does it tell what has ended now");
+    assert_eq!(next_step(&ledger, &report(&mission, Branch::Main, &[0, 1, 2])), replaced());
+    assert_eq!(
+        next_step(&ledger, &report(&mission, Branch::Main, &[])),
+        replaced(),
+        "the reply contains no ended steps"
+    );
     let mut failed = report(&mission, Branch::Main, &[]);
     let (cause, kind) = ("she has none".to_owned(), FailureKind::Task);
     failed.failure = Some(TaskFailure { task: None, cause, kind });
-    assert_eq!(answer(&ledger, &failed), over());
+    assert_eq!(next_step(&ledger, &failed), replaced());
 }
 
 #[test]
-fn a_failure_ends_the_mission_only_in_the_branch_of_which_it_is_said() {
+fn a_failure_ends_the_mission_only_in_the_reported_branch() {
     let (ledger, mission) = ledger(false);
     let mut failed = report(&mission, Branch::Main, &[]);
     let (cause, kind) = ("she has none".to_owned(), FailureKind::Task);
     failed.failure = Some(TaskFailure { task: None, cause, kind });
     let cause = "ward as nurse could not go on: she has none".to_owned();
     let fail = Command::Fail { mission, cause, branch: Some(Branch::Main), places: BTreeMap::new() };
-    assert_eq!(answer(&ledger, &failed), Step::Commit(fail));
+    assert_eq!(next_step(&ledger, &failed), Step::Commit(fail));
 }
 
 #[test]
-fn a_coordinator_that_has_yet_to_learn_of_the_recovery_branch_says_so() {
+fn a_coordinator_behind_the_recovery_branch_replies_not_coordinator() {
     let (ledger, mission) = ledger(false);
-    let behind = Step::Answer(ReportReply::NotCoordinator { coordinator: None });
-    assert_eq!(answer(&ledger, &report(&mission, Branch::Recovery, &[0])), behind);
+    let behind = Step::Reply(ReportReply::NotCoordinator { coordinator: None });
+    assert_eq!(next_step(&ledger, &report(&mission, Branch::Recovery, &[0])), behind);
 }

@@ -23,135 +23,141 @@ fn knowledge(replica: Option<u64>) -> Knowledge {
     }
 }
 
-/// Ada, to whom Bob and Cyd are alive.
+/// Returns the gossip of Ada, for which Bob and Cyd are alive.
 fn ada() -> (Gossiper, GossipState) {
-    let mut known = GossipState::default();
+    let mut state = GossipState::default();
     let settings = Settings::new(FleetId::new("ward").unwrap(), node("ada"), 1);
     let rng = ChaCha8Rng::seed_from_u64(1);
-    let (gossiper, first) = Gossiper::new(settings, knowledge(None), None, rng, &mut known, NodeTime::ZERO);
+    let (gossiper, first) = Gossiper::new(settings, knowledge(None), None, rng, &mut state, NodeTime::ZERO);
     assert!(matches!(&first[..], [Action::Publish(RecordUpdate::Record(_))]));
     for other in ["bob", "cyd"] {
-        known.status.insert(node(other), MemberStatus::Alive { since: NodeTime::ZERO });
+        state.status.insert(node(other), MemberStatus::Alive { since: NodeTime::ZERO });
     }
-    (gossiper, known)
+    (gossiper, state)
 }
 
-/// What she says and whom she asks in these milliseconds, while her questions are answered like that.
-fn watch(
-    (ada, known): (&mut Gossiper, &mut GossipState),
+/// Returns the updates that Ada publishes and the requests that she sends in these milliseconds.
+/// Each request gets `reply` as its reply.
+fn run(
+    (ada, state): (&mut Gossiper, &mut GossipState),
     span: std::ops::Range<u64>,
-    answer: impl Fn() -> Option<Exchange>,
+    reply: impl Fn() -> Option<Exchange>,
 ) -> (Vec<RecordUpdate>, Vec<(NodeId, Exchange)>) {
-    let (mut said, mut asked) = (vec![], vec![]);
+    let (mut updates, mut requests) = (vec![], vec![]);
     for ms in span.step_by(100) {
-        let mut actions = ada.handle(Event::TimerFired, known, at(ms)).unwrap();
+        let mut actions = ada.handle(Event::TimerFired, state, at(ms)).unwrap();
         while let Some(action) = actions.pop() {
             match action {
-                Action::Publish(statement) => said.push(statement),
+                Action::Publish(statement) => updates.push(statement),
                 Action::SendRequest(number, peer, exchange) => {
-                    asked.push((peer, exchange));
-                    actions.extend(ada.handle(Event::ReplyReceived(number, answer()), known, at(ms)).unwrap());
+                    requests.push((peer, exchange));
+                    actions.extend(ada.handle(Event::ReplyReceived(number, reply()), state, at(ms)).unwrap());
                 }
                 Action::Send(..) | Action::SendReply(_) => {}
             }
         }
     }
-    (said, asked)
+    (updates, requests)
 }
 
-/// The answer of one who has the same.
-fn agreed() -> Option<Exchange> {
+/// Returns the reply of a peer with the same records.
+fn same_records() -> Option<Exchange> {
     Some(Exchange { sums: vec![], scope: DigestScope::NONE, digest: Digest::new(), records: vec![] })
 }
 
-/// Which version is said, and since which it says the same; nothing if it is said whole.
-fn still(said: &RecordUpdate) -> Option<(u64, u64)> {
-    match said {
+/// Returns the version of a refresh and the first version with the same content; `None` for a whole
+/// record.
+fn refresh_of(updates: &RecordUpdate) -> Option<(u64, u64)> {
+    match updates {
         RecordUpdate::Refresh { stamp, since, .. } => Some((stamp.version, *since)),
         RecordUpdate::Record(_) => None,
     }
 }
 
 #[test]
-fn who_has_nothing_new_to_say_says_so_in_few_words_and_a_change_is_repeated_whole() {
-    let (mut ada, mut known) = ada();
-    let (loud, _) = watch((&mut ada, &mut known), 0..10_000, agreed);
-    assert!(loud.len() >= 8 && loud.iter().all(|said| still(said).is_none()), "{loud:?}");
-    let (quiet, _) = watch((&mut ada, &mut known), 10_000..20_000, agreed);
-    assert!(quiet.len() >= 8, "{quiet:?}");
-    // A new version now and then tells those far away that she still speaks.
+fn an_unchanged_record_is_refreshed_and_a_change_is_repeated() {
+    let (mut ada, mut state) = ada();
+    let (full, _) = run((&mut ada, &mut state), 0..10_000, same_records);
+    assert!(full.len() >= 8 && full.iter().all(|updates| refresh_of(updates).is_none()), "{full:?}");
+    let (refreshes, _) = run((&mut ada, &mut state), 10_000..20_000, same_records);
+    assert!(refreshes.len() >= 8, "{refreshes:?}");
+    // New versions show distant nodes that she still publishes.
     assert!(
-        quiet.iter().all(|said| still(said).is_some_and(|(version, since)| since == 0 && version > 0)),
-        "{quiet:?}"
+        refreshes.iter().all(|updates| refresh_of(updates).is_some_and(|(version, since)| since == 0 && version > 0)),
+        "{refreshes:?}"
     );
 
     let change = Event::KnowledgeChanged(Box::new(|own| own.replica = Some(7)));
-    let told = ada.handle(change, &mut known, at(20_000)).unwrap();
+    let actions = ada.handle(change, &mut state, at(20_000)).unwrap();
     assert!(
-        matches!(&told[..], [Action::Publish(RecordUpdate::Record(record))] if record.knowledge == knowledge(Some(7)))
+        matches!(&actions[..], [Action::Publish(RecordUpdate::Record(record))] if record.knowledge == knowledge(Some(7)))
     );
     let changed = ada.records.own().stamp.version;
-    let (loud, _) = watch((&mut ada, &mut known), 20_000..30_000, agreed);
-    assert!(loud.len() >= 8 && loud.iter().all(|said| still(said).is_none()), "{loud:?}");
-    let (quiet, _) = watch((&mut ada, &mut known), 30_000..34_000, agreed);
-    assert!(quiet.len() >= 3 && quiet.iter().all(|said| still(said).is_some_and(|(_, since)| since == changed)));
+    let (full, _) = run((&mut ada, &mut state), 20_000..30_000, same_records);
+    assert!(full.len() >= 8 && full.iter().all(|updates| refresh_of(updates).is_none()), "{full:?}");
+    let (refreshes, _) = run((&mut ada, &mut state), 30_000..34_000, same_records);
+    assert!(
+        refreshes.len() >= 3
+            && refreshes.iter().all(|updates| refresh_of(updates).is_some_and(|(_, since)| since == changed))
+    );
 }
 
 #[test]
-fn rounds_begin_with_sums_once_one_was_answered_and_with_the_digest_when_the_last_was_not() {
-    let (mut ada, mut known) = ada();
-    let by_sums = |asked: &[(NodeId, Exchange)]| asked.iter().map(|(_, e)| !e.sums.is_empty()).collect::<Vec<_>>();
-    let (_, asked) = watch((&mut ada, &mut known), 0..4_000, agreed);
-    assert!(asked.len() >= 3 && by_sums(&asked).iter().enumerate().all(|(round, sums)| *sums == (round > 0)));
-    assert!(asked[1..].iter().all(|(_, exchange)| exchange.digest.is_empty() && exchange.records.is_empty()));
-    let (_, asked) = watch((&mut ada, &mut known), 4_000..8_000, || None);
-    assert!(asked.len() >= 3 && by_sums(&asked).iter().enumerate().all(|(round, sums)| *sums == (round == 0)));
+fn a_round_begins_with_sums_if_the_last_one_was_answered() {
+    let (mut ada, mut state) = ada();
+    let by_sums =
+        |requests: &[(NodeId, Exchange)]| requests.iter().map(|(_, e)| !e.sums.is_empty()).collect::<Vec<_>>();
+    let (_, requests) = run((&mut ada, &mut state), 0..4_000, same_records);
+    assert!(requests.len() >= 3 && by_sums(&requests).iter().enumerate().all(|(round, sums)| *sums == (round > 0)));
+    assert!(requests[1..].iter().all(|(_, exchange)| exchange.digest.is_empty() && exchange.records.is_empty()));
+    let (_, requests) = run((&mut ada, &mut state), 4_000..8_000, || None);
+    assert!(requests.len() >= 3 && by_sums(&requests).iter().enumerate().all(|(round, sums)| *sums == (round == 0)));
 }
 
 #[test]
-fn who_hears_that_it_missed_something_asks_the_one_who_said_it() {
+fn a_node_that_missed_an_update_queries_its_owner() {
     for owner in ["bob", "cyd"] {
-        let (mut ada, mut known) = ada();
-        watch((&mut ada, &mut known), 0..4_000, agreed);
+        let (mut ada, mut state) = ada();
+        run((&mut ada, &mut state), 0..4_000, same_records);
         let stamp = RecordStamp { incarnation: 4, version: 9 };
         let record = Record { owner: node(owner), stamp, knowledge: knowledge(Some(3)), proof: None };
-        let say_so = || Event::Published(node(owner), RecordUpdate::Refresh { stamp, since: 2, proof: None });
-        ada.handle(say_so(), &mut known, at(4_000)).unwrap();
-        assert_eq!(known.base.get(&node(owner)), None);
-        let hand_over = || {
+        let refresh = || Event::Published(node(owner), RecordUpdate::Refresh { stamp, since: 2, proof: None });
+        ada.handle(refresh(), &mut state, at(4_000)).unwrap();
+        assert_eq!(state.base.get(&node(owner)), None);
+        let send_record = || {
             let digest = Digest::from([(node(owner), stamp)]);
             Some(Exchange { sums: vec![], scope: DigestScope::ALL, digest, records: vec![record.clone()] })
         };
-        let (_, asked) = watch((&mut ada, &mut known), 4_000..5_200, hand_over);
-        assert_eq!(asked[0].0, node(owner));
-        assert!(asked[0].1.sums.is_empty() && asked[0].1.digest.contains_key(&node("ada")));
-        assert_eq!(known.base.get(&node(owner)).unwrap().record, record);
-        // Now that she has heard it, the same words say no more than that it is so.
-        ada.handle(say_so(), &mut known, at(6_000)).unwrap();
+        let (_, requests) = run((&mut ada, &mut state), 4_000..5_200, send_record);
+        assert_eq!(requests[0].0, node(owner));
+        assert!(requests[0].1.sums.is_empty() && requests[0].1.digest.contains_key(&node("ada")));
+        assert_eq!(state.base.get(&node(owner)).unwrap().record, record);
+        // After she has received the record, the same refresh only confirms it.
+        ada.handle(refresh(), &mut state, at(6_000)).unwrap();
         assert!(ada.missing_from.is_empty());
-        assert_eq!(known.base.get(&node(owner)).unwrap().last_contact, at(6_000));
+        assert_eq!(state.base.get(&node(owner)).unwrap().last_contact, at(6_000));
     }
 }
 
 #[test]
-fn sums_are_answered_with_the_digest_of_where_the_two_differ_and_then_each_hands_over() {
-    let (mut ada, mut known) = ada();
-    let ask = |exchange, ada: &mut Gossiper, known: &mut GossipState| {
-        let actions = ada.handle(Event::RequestReceived(exchange), known, at(1_000)).unwrap();
-        let answer = actions.into_iter().find_map(|action| match action {
-            Action::SendReply(answer) => Some(answer),
+fn a_reply_to_sums_is_the_digest_of_the_difference() {
+    let (mut ada, mut state) = ada();
+    let request = |exchange, ada: &mut Gossiper, state: &mut GossipState| {
+        let actions = ada.handle(Event::RequestReceived(exchange), state, at(1_000)).unwrap();
+        let reply = actions.into_iter().find_map(|action| match action {
+            Action::SendReply(reply) => Some(reply),
             _ => None,
         });
-        answer.expect("an answer")
+        reply.expect("a reply")
     };
     let sums = |sums| Exchange { sums, scope: DigestScope::NONE, digest: Digest::new(), records: vec![] };
-    let same = ask(sums(known.base.class_sums()), &mut ada, &mut known);
+    let same = request(sums(state.base.class_sums()), &mut ada, &mut state);
     assert!(same.digest.is_empty() && same.records.is_empty() && same.sums.is_empty());
-    let other = ask(sums(vec![1]), &mut ada, &mut known);
-    assert_eq!(other.digest, known.base.digest(DigestScope::ALL));
+    let other = request(sums(vec![1]), &mut ada, &mut state);
+    assert_eq!(other.digest, state.base.digest(DigestScope::ALL));
     assert!(other.records.is_empty());
-    let then = Exchange { sums: vec![], scope: other.scope, digest: Digest::new(), records: vec![] };
-    assert_eq!(ask(then, &mut ada, &mut known).records, [ada.records.own().clone()]);
-    // More sums than there may be: everything is compared.
-    assert_eq!(ask(sums(vec![0; 200]), &mut ada, &mut known).digest, known.base.digest(DigestScope::ALL));
+    let next = Exchange { sums: vec![], scope: other.scope, digest: Digest::new(), records: vec![] };
+    assert_eq!(request(next, &mut ada, &mut state).records, [ada.records.own().clone()]);
+    // With more sums than allowed, everything is compared.
+    assert_eq!(request(sums(vec![0; 200]), &mut ada, &mut state).digest, state.base.digest(DigestScope::ALL));
 }

@@ -1,23 +1,26 @@
-//! How failure detection packets are spelled: fixed layouts, big-endian, names with their length before them.
+//! Encoding of failure detection packets: fixed layouts, big-endian, names preceded by their
+//! length.
 //!
-//! foca puts several of these into one packet and asks for each by itself, which the codec of whole messages does not do.
+//! foca combines several such values in a packet and encodes each separately, which the codec of
+//! whole messages does not support.
 
 use bytes::{Buf, BufMut};
 use consort_protocol::ids::NodeId;
 use foca::{Codec, Header, Member, Message, State};
 
-/// A node as the failure detector knows it: an address that bears one life at a time.
+/// Identity of a node for the failure detector: an address with a single live incarnation at a
+/// time.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(in crate::gossip) struct SwimId {
     pub(in crate::gossip) node: NodeId,
-    /// Which start of the node.
+    /// Incarnation: identifies the start of the node.
     pub(in crate::gossip) incarnation: u64,
-    /// How often it came back after having been judged down wrongly.
+    /// Number of rejoins after a wrong down verdict.
     pub(in crate::gossip) rejoins: u32,
 }
 
 impl SwimId {
-    /// The least identity of a node: enough to greet one of whom only the name is known.
+    /// Returns the lowest identity of a node, sufficient to announce to a node known only by name.
     pub(in crate::gossip) fn lowest(node: NodeId) -> SwimId {
         SwimId { node, incarnation: 0, rejoins: 0 }
     }
@@ -44,17 +47,17 @@ impl foca::Identity for SwimId {
     }
 }
 
-/// Why a packet cannot be read or written. Nothing was changed.
+/// A packet cannot be read or written. Nothing was changed.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub(in crate::gossip) enum PacketError {
-    /// Ordinary: foca sends what fits.
+    /// Expected: foca sends as much as fits.
     #[error("no room left in the packet")]
     BufferFull,
-    /// Somebody else writes on our keys.
+    /// Another program writes on the fleet's keys.
     #[error("packet ends too early")]
     Truncated,
-    /// As above.
-    #[error("packet holds no {0} where one is due")]
+    /// Written by another program, as above.
+    #[error("packet has no valid {0} where expected")]
     Invalid(&'static str),
 }
 
@@ -63,7 +66,7 @@ pub(in crate::gossip) struct PacketCodec;
 
 fn put_id(id: &SwimId, buf: &mut impl BufMut) {
     let name = id.node.as_str().as_bytes();
-    buf.put_u8(u8::try_from(name.len()).expect("a node's name is at most 64 bytes long"));
+    buf.put_u8(u8::try_from(name.len()).expect("a node's name has at most 64 bytes"));
     buf.put_slice(name);
     buf.put_u64(id.incarnation);
     buf.put_u32(id.rejoins);
@@ -93,7 +96,7 @@ fn get_id(buf: &mut impl Buf) -> Result<SwimId, PacketError> {
     Ok(SwimId { node, incarnation: buf.get_u64(), rejoins: buf.get_u32() })
 }
 
-/// What a message consists of: its number, and whom and which probe it concerns.
+/// Returns the parts of a message: its number, the member and the probe that it concerns.
 fn parts(message: &Message<SwimId>) -> (u8, Option<&SwimId>, Option<u8>) {
     match message {
         Message::Ping(probe) => (0, None, Some(*probe)),
@@ -131,9 +134,13 @@ impl Codec<SwimId> for PacketCodec {
     type Error = PacketError;
 
     fn encode_header(&mut self, header: &Header<SwimId>, mut buf: impl BufMut) -> Result<(), PacketError> {
-        let (number, whom, probe) = parts(&header.message);
-        let size =
-            header.src.size() + 2 + header.dst.size() + 1 + whom.map_or(0, SwimId::size) + usize::from(probe.is_some());
+        let (number, member, probe) = parts(&header.message);
+        let size = header.src.size()
+            + 2
+            + header.dst.size()
+            + 1
+            + member.map_or(0, SwimId::size)
+            + usize::from(probe.is_some());
         if buf.remaining_mut() < size {
             return Err(PacketError::BufferFull);
         }
@@ -141,7 +148,7 @@ impl Codec<SwimId> for PacketCodec {
         buf.put_u16(header.src_incarnation);
         put_id(&header.dst, &mut buf);
         buf.put_u8(number);
-        if let Some(id) = whom {
+        if let Some(id) = member {
             put_id(id, &mut buf);
         }
         if let Some(probe) = probe {
@@ -195,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_reads_back_and_a_cut_packet_is_refused() {
+    fn packets_round_trip_and_truncated_packets_fail() {
         let messages = [
             Message::Ping(1),
             Message::Ack(2),
@@ -229,14 +236,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bytes_are_too_strange_to_refuse(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+        fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
             drop(PacketCodec.decode_header(&bytes[..]));
             drop(PacketCodec.decode_member(&bytes[..]));
         }
     }
 
     #[test]
-    fn a_later_life_wins_the_name_and_so_does_a_return() {
+    fn later_incarnations_and_rejoins_win_conflicts() {
         use foca::Identity;
         let first = id("ada");
         let back = first.renew().unwrap();

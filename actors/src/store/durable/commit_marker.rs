@@ -1,29 +1,32 @@
-//! A second, small file beside the ledger: which store it belongs to, and up to which write it is known to be on disk.
+//! Commit marker: a second, small file next to the ledger. It records the identity of the store and
+//! the last write known to be on disk.
 //!
-//! `redb` falls back on the write before when the last one is not whole: after a crash that is right, for what was torn
-//! was never acknowledged. But damage to a write that *was* acknowledged looks just the same. The seal tells them apart.
-//! It is written after each write (without waiting for the disk, so it is no burden), and brought to disk when the node
-//! has nothing else to write for a moment, and at its end. It never claims more than the ledger's file holds.
+//! `redb` falls back to the previous write when the last write is incomplete. After a crash this is
+//! right, because the torn write was never acknowledged. But damage to an *acknowledged* write
+//! looks exactly the same. The commit marker tells the two apart. It is written after each write
+//! (without waiting for the disk, so it costs little), and synced when the node has nothing else to
+//! write for a moment, and at shutdown. It never claims more than the ledger file contains.
 //!
-//! Two slots are written in turn, each within a sector of its own, so that one of them is always whole.
+//! Two slots are written in turn, each within a sector of its own, so that at least one of them is
+//! always complete.
 
 use crate::raft::StoreIdentity;
 use redb::StorageBackend;
 use std::fmt::{self, Debug};
 use std::io;
 
-/// A slot's length in bytes, padded with spaces: text, so that people can look at it.
+/// Length of a slot in bytes, padded with spaces: text, so that people can read it.
 const SLOT: usize = 128;
 
-/// From one slot to the next: a sector of any disk.
+/// Distance between the starts of the slots, in bytes: a sector of any disk.
 const SLOT_DISTANCE: u64 = 512;
 
-/// What the seal says.
+/// Content of a commit marker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct MarkerRecord {
-    /// The store that it belongs to.
+    /// Identity of the store.
     pub(super) identity: StoreIdentity,
-    /// The last write that is known to have come to an end.
+    /// Number of the last write known to be complete.
     pub(super) commits: u64,
 }
 
@@ -49,35 +52,35 @@ impl MarkerRecord {
         let (identity, rest) = rest.split_once(", write ")?;
         let (commits, _) = rest.split_once(", crc ")?;
         let identity = StoreIdentity(u128::from_str_radix(identity, 16).ok()?);
-        let claim = MarkerRecord { identity, commits: commits.parse().ok()? };
-        // The text is fixed by what it says, the sum of it included.
-        (claim.to_slot() == slot).then_some(claim)
+        let record = MarkerRecord { identity, commits: commits.parse().ok()? };
+        // Encoding the parsed record must give the same bytes, including the checksum.
+        (record.to_slot() == slot).then_some(record)
     }
 }
 
-/// The seal's file.
+/// File of the commit marker.
 pub(super) struct CommitMarker {
     file: Box<dyn StorageBackend>,
-    claim: MarkerRecord,
+    record: MarkerRecord,
 }
 
 impl Debug for CommitMarker {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.claim)
+        write!(f, "{}", self.record)
     }
 }
 
 impl CommitMarker {
-    /// Makes one in an empty file, and brings it to disk.
-    pub(super) fn create(file: Box<dyn StorageBackend>, claim: MarkerRecord) -> io::Result<CommitMarker> {
+    /// Creates a commit marker in an empty file, and syncs it to disk.
+    pub(super) fn create(file: Box<dyn StorageBackend>, record: MarkerRecord) -> io::Result<CommitMarker> {
         file.set_len(SLOT_DISTANCE * 2)?;
-        let mut seal = CommitMarker { file, claim };
-        seal.write(claim.commits)?;
-        seal.sync()?;
-        Ok(seal)
+        let mut marker = CommitMarker { file, record };
+        marker.write(record.commits)?;
+        marker.sync()?;
+        Ok(marker)
     }
 
-    /// Reads one; `None` if neither slot is whole.
+    /// Opens a commit marker; `None` if neither slot is complete.
     pub(super) fn open(file: Box<dyn StorageBackend>) -> io::Result<Option<CommitMarker>> {
         let mut newest: Option<MarkerRecord> = None;
         for start in [0, SLOT_DISTANCE] {
@@ -86,21 +89,21 @@ impl CommitMarker {
                 continue;
             }
             file.read(start, &mut slot)?;
-            let claim = MarkerRecord::from_slot(&slot);
-            newest = newest.into_iter().chain(claim).max_by_key(|claim| claim.commits);
+            let record = MarkerRecord::from_slot(&slot);
+            newest = newest.into_iter().chain(record).max_by_key(|record| record.commits);
         }
-        Ok(newest.map(|claim| CommitMarker { file, claim }))
+        Ok(newest.map(|record| CommitMarker { file, record }))
     }
 
     pub(super) fn record(&self) -> MarkerRecord {
-        self.claim
+        self.record
     }
 
-    /// Says that the write numbered `commits` is on disk.
+    /// Records that the write numbered `commits` is on disk.
     pub(super) fn write(&mut self, commits: u64) -> io::Result<()> {
-        let claim = MarkerRecord { commits, ..self.claim };
-        self.file.write(commits % 2 * SLOT_DISTANCE, &claim.to_slot())?;
-        self.claim = claim;
+        let record = MarkerRecord { commits, ..self.record };
+        self.file.write(commits % 2 * SLOT_DISTANCE, &record.to_slot())?;
+        self.record = record;
         Ok(())
     }
 
@@ -114,12 +117,12 @@ mod tests {
     use super::*;
     use redb::backends::InMemoryBackend;
 
-    const CLAIM: MarkerRecord = MarkerRecord { identity: StoreIdentity(7), commits: 41 };
+    const RECORD: MarkerRecord = MarkerRecord { identity: StoreIdentity(7), commits: 41 };
 
     #[test]
-    fn a_slot_is_read_back_and_no_byte_of_it_may_differ() {
-        let slot = CLAIM.to_slot();
-        assert_eq!(MarkerRecord::from_slot(&slot), Some(CLAIM));
+    fn a_slot_reads_back_and_any_changed_byte_is_detected() {
+        let slot = RECORD.to_slot();
+        assert_eq!(MarkerRecord::from_slot(&slot), Some(RECORD));
         for place in 0..SLOT {
             let mut damaged = slot;
             damaged[place] ^= 4;
@@ -128,16 +131,16 @@ mod tests {
     }
 
     #[test]
-    fn the_newer_slot_counts_and_the_older_one_stands_in_for_it() {
-        let mut seal = CommitMarker::create(Box::new(InMemoryBackend::new()), CLAIM).unwrap();
-        seal.write(42).unwrap();
-        seal.write(43).unwrap();
-        let mut seal = CommitMarker::open(seal.file).unwrap().unwrap();
-        assert_eq!(seal.record().commits, 43);
-        seal.file.write(SLOT_DISTANCE + 3, b"?").unwrap();
-        seal = CommitMarker::open(seal.file).unwrap().unwrap();
-        assert_eq!(seal.record().commits, 42);
-        seal.file.write(3, b"?").unwrap();
-        assert!(CommitMarker::open(seal.file).unwrap().is_none());
+    fn the_newer_slot_counts_and_the_older_slot_replaces_it() {
+        let mut marker = CommitMarker::create(Box::new(InMemoryBackend::new()), RECORD).unwrap();
+        marker.write(42).unwrap();
+        marker.write(43).unwrap();
+        let mut marker = CommitMarker::open(marker.file).unwrap().unwrap();
+        assert_eq!(marker.record().commits, 43);
+        marker.file.write(SLOT_DISTANCE + 3, b"?").unwrap();
+        marker = CommitMarker::open(marker.file).unwrap().unwrap();
+        assert_eq!(marker.record().commits, 42);
+        marker.file.write(3, b"?").unwrap();
+        assert!(CommitMarker::open(marker.file).unwrap().is_none());
     }
 }

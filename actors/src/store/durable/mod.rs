@@ -1,20 +1,21 @@
-//! A store on disk: what a node has promised outlives its process, and its machine's power.
+//! Durable store: the promises of a node survive its process and a power failure.
 //!
 //! ```text
-//!   DATA_DIR/ledger.redb   log, vote, snapshot, and the page of the robot's notebook
-//!            ledger.seal   whose ledger it is, and up to which write it is known to be on disk (see `seal`)
-//!            lock          held by the one process that may write
+//!   DATA_DIR/ledger.redb   log, vote, snapshot, and the checkpoint of the robot
+//!            ledger.seal   commit marker: owner of the ledger, and last write known to be on disk (see `commit_marker`)
+//!            lock          held by the only process that may write
 //! ```
 //!
-//! What is promised:
-//! - When a write returns `Ok`, it is on disk; only the committed position may lag. Writes are carried out in the order
-//!   in which they were asked for, and those that wait together share one sync of the disk.
-//! - After a failed write nothing more is written: nobody knows what is on disk then. The replica stops for good.
-//! - What is read back is what was written, or an error that names the file and says what may be done: pages are
-//!   compared with their checksums when the store is opened, and the last write with the seal. One case is left: damage
-//!   to the very last write before the *power* failed, within [`SETTLE`] of it, looks like a write that was never
-//!   finished.
-//! - A directory that once held a ledger is never taken for a new one.
+//! Guarantees:
+//! - When a write returns `Ok`, it is on disk; only the committed position may lag. Writes are
+//!   carried out in the order of the calls, and concurrent writes share a single sync of the disk.
+//! - After a failed write nothing more is written, since the content of the disk is then unknown.
+//!   The replica stops for good.
+//! - A read returns the written data, or an error that names the file and a possible repair: when
+//!   the store is opened, pages are verified by their checksums, and the last write by the commit
+//!   marker. A single case is left: damage to the very last write before a *power* failure, within
+//!   [`SETTLE_DELAY`] of it, looks like an unfinished write.
+//! - A directory that once contained a ledger is never treated as a new directory.
 
 mod commit_marker;
 mod directory;
@@ -40,25 +41,25 @@ use tokio::sync::oneshot;
 use tokio::task::{JoinError, spawn_blocking};
 use tracing::warn;
 
-/// The ledger's file in a data directory.
+/// File name of the ledger in a data directory.
 pub const LEDGER_FILE: &str = "ledger.redb";
 
-/// The seal beside it.
+/// File name of the ledger's commit marker, in the same directory.
 pub const COMMIT_MARKER_FILE: &str = "ledger.seal";
 
-/// The lock beside it.
+/// File name of the lock, in the same directory.
 pub const LOCK_FILE: &str = "lock";
 
-/// So long after the last write what may lag is brought to disk as well. A guess: long beside a write, short beside an
-/// operator's hand.
-const SETTLE: Duration = Duration::from_millis(50);
+/// Delay after the last write before lagging data is written to disk as well. A guess: long
+/// compared with a write, short compared with an action of an operator.
+const SETTLE_DELAY: Duration = Duration::from_millis(50);
 
-/// Whose store it is.
+/// Owner of the store.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoreOwner {
-    /// The fleet.
+    /// Fleet.
     pub fleet: FleetId,
-    /// Its node.
+    /// Node of the fleet.
     pub node: NodeId,
 }
 
@@ -68,7 +69,8 @@ impl fmt::Display for StoreOwner {
     }
 }
 
-/// A journal and a notebook on disk. Clones are the same store; the directory is given back with the last of them.
+/// Log store and checkpoint store on disk. Clones share the same store; the directory is unlocked
+/// with the last of them.
 #[derive(Debug, Clone)]
 pub struct DurableStore {
     shared: Arc<Shared>,
@@ -81,26 +83,26 @@ struct Shared {
     identity: StoreIdentity,
     queue: Mutex<Queue>,
     files: Mutex<Files>,
-    /// Writes so far, by which a settling task sees that it is not yet quiet.
+    /// Number of writes so far. The settling task compares it to detect a pause.
     writes: AtomicU64,
-    settling: AtomicBool,
-    /// Given back last.
+    lagging_task_runs: AtomicBool,
+    /// Released last.
     _lock: Option<DirectoryLock>,
 }
 
-/// What is to be written, in order.
+/// Pending writes, in order.
 #[derive(Debug, Default)]
 struct Queue {
     changes: Vec<(LedgerWrite, oneshot::Sender<io::Result<()>>)>,
-    /// The committed position, if it is not written yet: it goes with the next write.
+    /// Committed position that is not written yet: it is written together with the next write.
     committed: Option<Option<Vec<u8>>>,
 }
 
 #[derive(Debug)]
 struct Files {
     ledger: LedgerFile,
-    seal: CommitMarker,
-    /// Why nothing more may be written, if so.
+    marker: CommitMarker,
+    /// Error after which nothing more may be written.
     failed: Option<String>,
 }
 
@@ -109,38 +111,44 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl DurableStore {
-    fn new(ledger: LedgerFile, seal: CommitMarker, path: &Path, folder_lock: Option<DirectoryLock>) -> DurableStore {
+    fn new(
+        ledger: LedgerFile,
+        marker: CommitMarker,
+        path: &Path,
+        directory_lock: Option<DirectoryLock>,
+    ) -> DurableStore {
         let shared = Shared {
             path: path.to_owned(),
             owner: ledger.owner().clone(),
             identity: ledger.identity(),
             queue: Mutex::default(),
-            files: Mutex::new(Files { ledger, seal, failed: None }),
+            files: Mutex::new(Files { ledger, marker, failed: None }),
             writes: AtomicU64::default(),
-            settling: AtomicBool::default(),
-            _lock: folder_lock,
+            lagging_task_runs: AtomicBool::default(),
+            _lock: directory_lock,
         };
         DurableStore { shared: Arc::new(shared) }
     }
 
-    /// Whose store it is.
+    /// Owner of the store.
     pub fn owner(&self) -> &StoreOwner {
         &self.shared.owner
     }
 
-    /// The ledger's file.
+    /// Returns the path of the ledger file.
     pub fn path(&self) -> &Path {
         &self.shared.path
     }
 
-    /// A node's memory on this store.
+    /// Returns a node's storage on this store.
     pub fn into_node_store(self) -> NodeStore {
         let store = Arc::new(self);
         NodeStore { log_store: Arc::clone(&store) as _, checkpoints: store }
     }
 
-    /// Begins a life of the node, and gives its incarnation: `wall_ms`, the wall clock's milliseconds since 1970, or one
-    /// more than in the last life if the clock has been put back since. Blocks until it is on disk.
+    /// Begins a new incarnation of the node and returns its number: `wall_ms`, the wall clock in
+    /// milliseconds since 1970, or the last incarnation plus 1 if the clock was set back since.
+    /// Blocks until it is on disk.
     ///
     /// # Errors
     /// The store cannot be written.
@@ -151,7 +159,7 @@ impl DurableStore {
         Ok(incarnation)
     }
 
-    /// All that the journal recorded; blocks until it is read.
+    /// Reads the persistent state of the replica; blocks until it is read.
     ///
     /// # Errors
     /// The store cannot be read.
@@ -159,116 +167,117 @@ impl DurableStore {
         lock(&self.shared.files).ledger.persistent_state()
     }
 
-    /// Puts `recorded` in the place of log, vote and snapshot, all at once; blocks until it is on disk.
+    /// Replaces log, vote and snapshot by `state`, in a single write; blocks until it is on disk.
     ///
     /// # Errors
-    /// The store cannot be written; what was there is still there.
-    pub fn replace(&self, recorded: PersistentState) -> io::Result<()> {
-        self.shared.write(&[LedgerWrite::Replace(Box::new(recorded))])
+    /// The store cannot be written; its content is unchanged.
+    pub fn replace(&self, state: PersistentState) -> io::Result<()> {
+        self.shared.write(&[LedgerWrite::Replace(Box::new(state))])
     }
 
-    /// Copies the ledger's file and its seal to files beside them, which have `ending` added to their names; blocks until
-    /// they are on disk.
+    /// Copies the ledger file and the commit marker to files in the same directory, with `suffix`
+    /// added to their names; blocks until they are on disk.
     ///
     /// # Errors
-    /// A file of that name is there already, or cannot be written.
-    pub fn copy_files(&self, ending: &str) -> io::Result<Vec<PathBuf>> {
-        // Nobody writes meanwhile.
+    /// A file of that name exists already, or cannot be written.
+    pub fn copy_files(&self, suffix: &str) -> io::Result<Vec<PathBuf>> {
+        // Prevents writes meanwhile.
         let _files = lock(&self.shared.files);
-        let seal = self.shared.path.with_file_name(COMMIT_MARKER_FILE);
+        let marker = self.shared.path.with_file_name(COMMIT_MARKER_FILE);
         let copies =
-            [&self.shared.path, &seal].map(|file| directory::copy(file, &directory::with_suffix(file, ending)));
+            [&self.shared.path, &marker].map(|file| directory::copy(file, &directory::with_suffix(file, suffix)));
         copies.into_iter().collect()
     }
 
     async fn submit(&self, change: LedgerWrite) -> io::Result<()> {
-        let (done, heard) = oneshot::channel();
-        lock(&self.shared.queue).changes.push((change, done));
+        let (sender, written) = oneshot::channel();
+        lock(&self.shared.queue).changes.push((change, sender));
         let shared = Arc::clone(&self.shared);
-        // The first to find the files free writes all that waits; the others then find nothing to do. On a thread for
-        // what blocks, and not on one of our own, since virtual time stands still meanwhile.
-        spawn_blocking(move || shared.write_queued()).await.map_err(died)?;
-        self.settle_soon();
-        heard.await.map_err(|_| io::Error::other("the write was given up"))?
+        // The first thread that gets the files writes all pending changes; the others then find
+        // nothing to do. It runs on a thread for blocking work, and not on a thread of this store,
+        // since virtual time stands still meanwhile.
+        spawn_blocking(move || shared.write_queued()).await.map_err(thread_failed)?;
+        self.write_lagging_soon();
+        written.await.map_err(|_| io::Error::other("the write was abandoned"))?
     }
 
-    /// Brings to disk what may lag, when nothing has been written for a while.
-    fn settle_soon(&self) {
-        if self.shared.settling.swap(true, Ordering::SeqCst) {
+    /// Starts a task that writes lagging data to disk when there was no write for a while.
+    fn write_lagging_soon(&self) {
+        if self.shared.lagging_task_runs.swap(true, Ordering::SeqCst) {
             return;
         }
         // The task must not keep the store open.
         let weak = Arc::downgrade(&self.shared);
         tokio::spawn(async move {
-            let mut seen = None;
+            let mut last_seen = None;
             loop {
                 let Some(shared) = weak.upgrade() else { return };
                 let writes = shared.writes.load(Ordering::SeqCst);
-                if seen == Some(writes) {
-                    shared.settling.store(false, Ordering::SeqCst);
-                    let settled = spawn_blocking(move || shared.settle()).await.map_err(died).flatten();
-                    if let Err(problem) = settled {
-                        warn!(%problem, "the store did not settle");
+                if last_seen == Some(writes) {
+                    shared.lagging_task_runs.store(false, Ordering::SeqCst);
+                    let result = spawn_blocking(move || shared.write_lagging()).await.map_err(thread_failed).flatten();
+                    if let Err(error) = result {
+                        warn!(%error, "lagging data of the store was not written");
                     }
                     return;
                 }
-                seen = Some(writes);
+                last_seen = Some(writes);
                 drop(shared);
-                tokio::time::sleep(SETTLE).await;
+                tokio::time::sleep(SETTLE_DELAY).await;
             }
         });
     }
 }
 
-fn died(problem: JoinError) -> io::Error {
-    io::Error::other(format!("writing ended with its thread: {problem}"))
+fn thread_failed(error: JoinError) -> io::Error {
+    io::Error::other(format!("the writing thread failed: {error}"))
 }
 
 impl Shared {
-    /// Writes all that waits, in one go.
+    /// Writes all pending changes in a single transaction.
     fn write_queued(&self) {
         let mut files = lock(&self.files);
         let Queue { changes, committed } = {
             let mut queue = lock(&self.queue);
             if queue.changes.is_empty() {
-                return; // whoever came before has written it
+                return; // another thread has written it
             }
             std::mem::take(&mut *queue)
         };
-        let (mut changes, done): (Vec<_>, Vec<_>) = changes.into_iter().unzip();
+        let (mut changes, sender): (Vec<_>, Vec<_>) = changes.into_iter().unzip();
         changes.extend(committed.map(LedgerWrite::Committed));
-        let outcome = files.write(&changes);
+        let result = files.write(&changes);
         self.writes.fetch_add(1, Ordering::SeqCst);
         drop(files);
-        for done in done {
-            // Whoever asked may have gone.
-            let _ = done.send(self.told(&outcome));
+        for sender in sender {
+            // The caller may have gone away.
+            let _ = sender.send(self.with_path(&result));
         }
     }
 
-    /// Writes this before anything that waits; for when nobody else writes.
+    /// Writes `changes` before the pending changes; for use without concurrent writers.
     fn write(&self, changes: &[LedgerWrite]) -> io::Result<()> {
-        let outcome = lock(&self.files).write(changes);
-        self.told(&outcome)
+        let result = lock(&self.files).write(changes);
+        self.with_path(&result)
     }
 
-    /// Brings to disk what may lag.
-    fn settle(&self) -> io::Result<()> {
+    /// Writes lagging data to disk.
+    fn write_lagging(&self) -> io::Result<()> {
         let mut files = lock(&self.files);
         let committed = lock(&self.queue).committed.take();
         if let Some(committed) = committed {
             files.write(&[LedgerWrite::Committed(committed)])?;
         }
-        files.seal.sync()
+        files.marker.sync()
     }
 
-    /// The outcome, with the file's name.
-    fn told(&self, outcome: &io::Result<()>) -> io::Result<()> {
-        match outcome {
+    /// Adds the name of the file to an error.
+    fn with_path(&self, result: &io::Result<()>) -> io::Result<()> {
+        match result {
             Ok(()) => Ok(()),
-            Err(problem) => {
-                let what = format!("{} cannot be written: {problem}", self.path.display());
-                Err(io::Error::new(problem.kind(), what))
+            Err(error) => {
+                let message = format!("{} cannot be written: {error}", self.path.display());
+                Err(io::Error::new(error.kind(), message))
             }
         }
     }
@@ -276,23 +285,23 @@ impl Shared {
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        // What lags may be lost, and whatever else failed has been told to those who asked for it.
-        if let Err(problem) = self.settle() {
-            warn!(file = %self.path.display(), %problem, "the store was closed without having settled");
+        // Lagging data may be lost. All other errors were already returned to the callers.
+        if let Err(error) = self.write_lagging() {
+            warn!(file = %self.path.display(), %error, "store closed, but lagging data was not written");
         }
     }
 }
 
 impl Files {
     fn write(&mut self, changes: &[LedgerWrite]) -> io::Result<()> {
-        if let Some(former) = &self.failed {
-            return Err(io::Error::other(format!("an earlier write has failed: {former}")));
+        if let Some(earlier) = &self.failed {
+            return Err(io::Error::other(format!("an earlier write has failed: {earlier}")));
         }
-        // For a panic on the way.
-        self.failed = Some("it did not come to an end".to_owned());
-        let outcome = self.ledger.write(changes).and_then(|()| self.seal.write(self.ledger.commits()));
-        self.failed = outcome.as_ref().err().map(ToString::to_string);
-        outcome
+        // Stays set after a panic in the write.
+        self.failed = Some("it was not completed".to_owned());
+        let result = self.ledger.write(changes).and_then(|()| self.marker.write(self.ledger.commits()));
+        self.failed = result.as_ref().err().map(ToString::to_string);
+        result
     }
 }
 
@@ -312,7 +321,7 @@ impl LogStore for DurableStore {
 
     async fn load(&self) -> io::Result<PersistentState> {
         let store = self.clone();
-        spawn_blocking(move || store.persistent_state()).await.map_err(died)?
+        spawn_blocking(move || store.persistent_state()).await.map_err(thread_failed)?
     }
 
     async fn save_vote(&self, vote: Vec<u8>) -> io::Result<()> {
@@ -321,7 +330,7 @@ impl LogStore for DurableStore {
 
     async fn save_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
         lock(&self.shared.queue).committed = Some(committed);
-        self.settle_soon();
+        self.write_lagging_soon();
         Ok(())
     }
 
@@ -346,10 +355,10 @@ impl LogStore for DurableStore {
 impl CheckpointStore for DurableStore {
     async fn read(&self) -> io::Result<Option<Vec<u8>>> {
         let shared = Arc::clone(&self.shared);
-        spawn_blocking(move || lock(&shared.files).ledger.checkpoint()).await.map_err(died)?
+        spawn_blocking(move || lock(&shared.files).ledger.checkpoint()).await.map_err(thread_failed)?
     }
 
-    async fn write(&self, page: Option<Vec<u8>>) -> io::Result<()> {
-        self.submit(LedgerWrite::Checkpoint(page)).await
+    async fn write(&self, checkpoint: Option<Vec<u8>>) -> io::Result<()> {
+        self.submit(LedgerWrite::Checkpoint(checkpoint)).await
     }
 }

@@ -1,9 +1,9 @@
-// What has changed is drawn, once for each frame of the browser, and only the panel that is open.
+// Entry point: draws changed sections at most once per browser frame, and only in the open panel.
 
 import * as auctions from './auctions.js';
 import { byId, tickAges } from './dom.js';
 import * as fleet from './fleet.js';
-import { open } from './line.js';
+import { open } from './connection.js';
 import * as log from './log.js';
 import * as map from './map.js';
 import * as missions from './missions.js';
@@ -16,90 +16,90 @@ import * as submit from './submit.js';
 import * as tabs from './tabs.js';
 import * as theme from './theme.js';
 
-/** Tables are brought up to date this often at most, in milliseconds: nobody reads faster. */
-const TABLES = 400;
+/** Minimum time between table updates, in milliseconds: faster updates cannot be read. */
+const TABLE_INTERVAL = 400;
 
-const chosen = { robot: undefined, mission: undefined };
+const selected = { robot: undefined, mission: undefined };
 const dirty = new Set();
-let waiting = false;
+let scheduled = false;
 let drawnAt = 0;
 
-const chooseRobot = (robot) => {
-  chosen.robot = chosen.robot === robot ? undefined : robot;
-  map.choose(chosen.robot);
-  touch('robots');
+const selectRobot = (robot) => {
+  selected.robot = selected.robot === robot ? undefined : robot;
+  map.choose(selected.robot);
+  markDirty('robots');
 };
 
-const chooseMission = (mission) => {
-  chosen.mission = mission;
-  touch('missions');
+const selectMission = (mission) => {
+  selected.mission = mission;
+  markDirty('missions');
 };
 
-const line = open({
-  onChange: (picture, patch) => {
-    replay.update(line);
-    if (!patch || patch.map) submit.setPlaces(picture);
-    if (!patch || patch.robots || patch.people || patch.doors || patch.map) map.update(picture, patch);
-    touch(...(patch ? Object.keys(patch) : Object.keys(picture)));
+const connection = open({
+  onChange: (model, patch) => {
+    replay.update(connection);
+    if (!patch || patch.map) submit.setPlaces(model);
+    if (!patch || patch.robots || patch.people || patch.doors || patch.map) map.update(model, patch);
+    markDirty(...(patch ? Object.keys(patch) : Object.keys(model)));
   },
-  onLine: () => tick(),
+  onState: () => tick(),
   ready: session.admitted,
 });
 
-function touch(...sections) {
+function markDirty(...sections) {
   for (const section of sections) dirty.add(section);
-  if (waiting || !line.picture) return;
-  waiting = true;
-  setTimeout(() => requestAnimationFrame(draw), Math.max(0, drawnAt + TABLES - performance.now()));
+  if (scheduled || !connection.model) return;
+  scheduled = true;
+  setTimeout(() => requestAnimationFrame(draw), Math.max(0, drawnAt + TABLE_INTERVAL - performance.now()));
 }
 
 const isOpen = (panel) => !byId(`panel-${panel}`).hidden;
 
 function draw() {
-  waiting = false;
+  scheduled = false;
   drawnAt = performance.now();
-  const { picture } = line;
-  const any = (...sections) => sections.some((section) => dirty.has(section));
-  status.update(picture);
-  if (any('log')) log.alarms(picture, replay.hasJumped());
-  if (any('robots', 'people', 'doors')) robots.update(picture, chosen.robot, chooseRobot);
-  if ((isOpen('missions') || isOpen('history')) && any('missions')) {
-    missions.update(picture, line.now(), { mission: chosen.mission, choose: chooseMission, cancel: submit.cancel, rescue: submit.rescue });
+  const { model } = connection;
+  const isDirty = (...sections) => sections.some((section) => dirty.has(section));
+  status.update(model);
+  if (isDirty('log')) log.alarms(model, replay.hasSeeked());
+  if (isDirty('robots', 'people', 'doors')) robots.update(model, selected.robot, selectRobot);
+  if ((isOpen('missions') || isOpen('history')) && isDirty('missions')) {
+    missions.update(model, connection.now(), { mission: selected.mission, select: selectMission, cancel: submit.cancel, resolve: submit.resolve });
     dirty.delete('missions');
   }
-  if (isOpen('schedule') && any('missions', 'robots')) schedule.update(picture, line.now());
-  if (isOpen('auctions') && any('auctions')) auctions.update(picture);
-  if (isOpen('ensembles') && any('ensembles', 'nodes')) fleet.ensembles(picture);
-  if (isOpen('coordination') && any('coordinator', 'takeovers', 'nodes', 'health')) fleet.coordination(picture);
-  if (isOpen('log') && any('log')) log.update(picture);
+  if (isOpen('schedule') && isDirty('missions', 'robots')) schedule.update(model, connection.now());
+  if (isOpen('auctions') && isDirty('auctions')) auctions.update(model);
+  if (isOpen('ensembles') && isDirty('ensembles', 'nodes')) fleet.ensembles(model);
+  if (isOpen('coordination') && isDirty('coordinator', 'takeovers', 'nodes', 'health')) fleet.coordination(model);
+  if (isOpen('log') && isDirty('log')) log.update(model);
   dirty.clear();
   tick();
 }
 
 function tick() {
-  status.tick(line);
-  replay.tick(line);
+  status.tick(connection);
+  replay.tick(connection);
   map.setStale(document.body.classList.contains('stale'));
-  tickAges(line.now());
+  tickAges(connection.now());
 }
 
-/** What is opened shows how things are now, and not for a moment how they were when it was closed. */
-const showAll = () => {
-  if (!line.picture) return;
-  for (const section of Object.keys(line.picture)) dirty.add(section);
+/** Redraws everything, so that an opened panel shows current data at once. */
+const redrawAll = () => {
+  if (!connection.model) return;
+  for (const section of Object.keys(connection.model)) dirty.add(section);
   draw();
 };
 
 theme.start(() => map.repaint());
-tabs.start(showAll);
-map.start(chooseRobot);
-auctions.start(showAll);
-log.start(showAll);
+tabs.start(redrawAll);
+map.start(selectRobot);
+auctions.start(redrawAll);
+log.start(redrawAll);
 const openMission = (mission) => {
-  chosen.mission = mission;
+  selected.mission = mission;
   byId('tab-missions').click();
 };
-schedule.start(showAll, (mission) => {
+schedule.start(redrawAll, (mission) => {
   openMission(mission);
   byId('mission').focus();
 });
@@ -107,9 +107,9 @@ submit.start(openMission);
 byId('health').onclick = () => byId('tab-coordination').click();
 setInterval(() => {
   tick();
-  // A chart grows although nothing is heard.
-  if (line.picture && (isOpen('missions') || isOpen('schedule')) && !document.body.classList.contains('stale')) touch('missions');
+  // A chart grows even without new messages.
+  if (connection.model && (isOpen('missions') || isOpen('schedule')) && !document.body.classList.contains('stale')) markDirty('missions');
 }, 1000);
 
-// For tests: what the page knows, and how well it draws.
-window.consort = { line, drawn: map.drawn };
+// For tests: the connection with its model, and drawing statistics.
+window.consort = { connection, drawStats: map.drawStats };

@@ -1,4 +1,4 @@
-// Auctions: for each role every answer with its parts, and why the winner won.
+// Auctions: every answer for each role with its parts, and the reason of the assignment.
 
 import { byId, cells, clock, make, meter, numberCell, percent, redraw, state } from './dom.js';
 
@@ -11,8 +11,8 @@ export function start(onChange) {
   };
 }
 
-export function update(picture) {
-  const all = Object.entries(picture.auctions ?? {}).sort(([, a], [, b]) => b.at_ms - a.at_ms);
+export function update(model) {
+  const all = Object.entries(model.auctions ?? {}).sort(([, a], [, b]) => b.at_ms - a.at_ms);
   const choice = byId('auction-choice');
   byId('auctions-none').hidden = all.length > 0;
   choice.parentElement.hidden = all.length === 0;
@@ -22,7 +22,7 @@ export function update(picture) {
     const title = (auction) => `${auction.mission}, round ${auction.round}, ${clock(auction.at_ms)}${auction.failure ? ' (no award)' : ''}`;
     choice.replaceChildren(...all.map(([name, auction]) => make('option', { value: name }, title(auction))));
   }
-  const [name, auction] = all.find(([one]) => one === chosen) ?? all[0] ?? [];
+  const [name, auction] = all.find(([id]) => id === chosen) ?? all[0] ?? [];
   if (!name) return;
   choice.value = name;
   const place = byId('auction');
@@ -38,17 +38,17 @@ export function update(picture) {
   );
 }
 
-/** Why the winner won, in a sentence. */
+/** Returns the reason of the assignment, in a sentence. */
 function reason(auction, role) {
   const viable = auction.offers.filter((offer) => offer.role === role && offer.verdict === 'bid');
   const winner = viable.find((offer) => offer.chosen);
   if (!winner) return null;
   const others = viable.filter((offer) => offer !== winner).sort((a, b) => a.time_s - b.time_s);
   const text = others.length === 0
-    ? `${winner.robot} made the only bid that could be taken.`
+    ? `${winner.robot} made the only viable bid.`
     : winner.time_s <= others[0].time_s
-      ? `${winner.robot} was quickest: ${(others[0].time_s - winner.time_s).toFixed(1)} s ahead of ${others[0].robot}.`
-      : `${winner.robot} was chosen although ${others[0].robot} alone would have been quicker here: all roles were assigned together.`;
+      ? `${winner.robot} was the fastest: ${(others[0].time_s - winner.time_s).toFixed(1)} s ahead of ${others[0].robot}.`
+      : `${winner.robot} was selected although ${others[0].robot} would have been faster in this role: all roles were assigned together.`;
   return make('p', { className: 'muted' }, text);
 }
 
@@ -60,13 +60,13 @@ function offers(auction, role) {
   const body = make('tbody');
   for (const offer of list) {
     const row = make('tr', { className: offer.chosen ? 'won' : '' });
-    const verdict = offer.chosen ? state('good', 'won') : offer.verdict === 'bid' ? state('work', 'bid') : state(offer.verdict === 'refused' ? 'wait' : 'warn', offer.verdict === 'refused' ? 'refused' : 'cannot be taken');
+    const verdict = offer.chosen ? state('good', 'won') : offer.verdict === 'bid' ? state('work', 'bid') : state(offer.verdict === 'refused' ? 'wait' : 'warn', offer.verdict === 'refused' ? 'refused' : 'not viable');
     const why = make('td', { className: 'wrap' }, verdict, offer.why ? make('span', { className: 'sub' }, offer.why) : null);
     const time = offer.time_s === undefined ? '–' : meter(offer.time_s / longest, `${offer.time_s.toFixed(1)} s`);
     cells(row, offer.robot, why, time, numberCell(offer.energy === undefined ? '–' : percent(offer.energy, 1)), numberCell(offer.remaining === undefined ? '–' : percent(offer.remaining, 1)));
     body.append(row);
-    const fold = parts(offer, role);
-    if (fold) body.append(make('tr', { className: offer.chosen ? 'more won' : 'more' }, make('td'), make('td', { colSpan: 4 }, fold)));
+    const details = parts(offer, role);
+    if (details) body.append(make('tr', { className: offer.chosen ? 'more won' : 'more' }, make('td'), make('td', { colSpan: 4 }, details)));
   }
   const head = ['Robot', 'Answer', 'Time', 'Uses', 'Leaves'].map((text, index) => make('th', { scope: 'col', className: index > 2 ? 'number' : '' }, text));
   return make('table', { className: 'offers' }, make('caption', { className: 'unseen' }, `Answers for ${role}`), make('thead', {}, make('tr', {}, head)), body);
@@ -81,8 +81,8 @@ function parts(offer, role) {
   }));
   const head = ['Step', 'Skill', 'Time', 'Charge'].map((text, index) => make('th', { scope: 'col', className: index > 1 ? 'number' : '' }, text));
   const table = make('table', { className: 'parts' }, make('caption', { className: 'unseen' }, `Parts of the bid of ${offer.robot}`), make('thead', {}, make('tr', {}, head)), body);
-  const fold = make('details', {}, make('summary', {}, `${offer.from ? `from ${offer.from}, ` : ''}in ${offer.parts.length} parts`), table);
-  fold.dataset.key = `parts-${role}-${offer.robot}`;
-  fold.firstChild.dataset.key = `open-${role}-${offer.robot}`;
-  return fold;
+  const details = make('details', {}, make('summary', {}, `${offer.from ? `from ${offer.from}, ` : ''}in ${offer.parts.length} parts`), table);
+  details.dataset.key = `parts-${role}-${offer.robot}`;
+  details.firstChild.dataset.key = `open-${role}-${offer.robot}`;
+  return details;
 }

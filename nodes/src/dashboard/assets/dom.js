@@ -1,8 +1,8 @@
-// Small helpers: elements, words for numbers, and tables that change only where something has changed.
+// Helpers: elements, number formats, and tables that update only changed cells.
 
 export const byId = (id) => document.getElementById(id);
 
-/** Makes an element: `make('p', { className: 'muted' }, 'text', child)`. Text is text, never markup. */
+/** Creates an element: `make('p', { className: 'muted' }, 'text', child)`. Text is never parsed as markup. */
 export function make(tag, properties = {}, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(properties)) {
@@ -14,35 +14,35 @@ export function make(tag, properties = {}, ...children) {
   return element;
 }
 
-/** Sets a text if it is another one: an unchanged node costs no layout, and a screen reader hears no echo. */
-export function say(element, text) {
+/** Sets a text if it differs: an unchanged node costs no layout, and a screen reader repeats nothing. */
+export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Replaces what is in an element, and keeps the focus on what has the same data-key as before. */
+/** Replaces the content of an element, and keeps the focus on the child with the same data-key. */
 export function redraw(element, ...children) {
   const key = element.contains(document.activeElement) ? document.activeElement.dataset.key : undefined;
-  const open = new Set([...element.querySelectorAll('details[open]')].map((one) => one.dataset.key));
+  const open = new Set([...element.querySelectorAll('details[open]')].map((details) => details.dataset.key));
   element.replaceChildren(...children.flat().filter(Boolean));
-  for (const one of element.querySelectorAll('details')) one.open = open.has(one.dataset.key);
-  if (key) [...element.querySelectorAll('[data-key]')].find((one) => one.dataset.key === key)?.focus();
+  for (const details of element.querySelectorAll('details')) details.open = open.has(details.dataset.key);
+  if (key) [...element.querySelectorAll('[data-key]')].find((child) => child.dataset.key === key)?.focus();
 }
 
-/** Rows out of sight are brought up to date so many at a time, and after so many milliseconds the next: none is left behind. */
-const [UNSEEN, NEXT] = [10, 1000];
-/** Rows that are not seen now. */
-const unseen = new WeakSet();
+/** Hidden rows are updated in batches of this size, with this delay in milliseconds between batches. */
+const [BATCH, BATCH_DELAY] = [10, 1000];
+/** Rows that are not visible now. */
+const hidden = new WeakSet();
 const watch = new IntersectionObserver((entries) => {
   for (const { target, isIntersecting } of entries) {
-    if (!isIntersecting) unseen.add(target);
-    else if (unseen.delete(target)) target.due?.();
+    if (!isIntersecting) hidden.add(target);
+    else if (hidden.delete(target)) target.due?.();
   }
 });
 
 /**
- * Brings the rows of a table in line with `items`, which have a `key`. `fill(row, item)` makes or changes the row's cells and
- * is called only where the item is not equal to what was shown: at once for what is seen, and in turns for the rest, so that
- * hundreds of rows never hold up the map.
+ * Updates the rows of a table to `items`, which have a `key`. `fill(row, item)` creates or updates the row's cells. It is
+ * called only for changed items: at once for visible rows, and in batches for the rest, so that hundreds of rows never delay
+ * the map.
  */
 export function rows(body, items, fill) {
   clearTimeout(body.turn);
@@ -66,7 +66,7 @@ export function rows(body, items, fill) {
         fill(row, item);
         row.shown = shown;
       };
-      if (isNew || !unseen.has(row)) change();
+      if (isNew || !hidden.has(row)) change();
       else {
         row.due = change;
         waiting.push(row);
@@ -79,23 +79,23 @@ export function rows(body, items, fill) {
     watch.unobserve(row);
     row.remove();
   }
-  // Where it ended last time, so that each has its turn although all change all the time.
+  // Continues after the last updated row, so that each row gets its turn under constant changes.
   const after = waiting.findIndex((row) => row.dataset.row === body.last) + 1;
   const inTurn = waiting.slice(after).concat(waiting.slice(0, after));
-  const go = () => {
-    for (const row of inTurn.splice(0, UNSEEN)) {
+  const nextBatch = () => {
+    for (const row of inTurn.splice(0, BATCH)) {
       row.due?.();
       body.last = row.dataset.row;
     }
-    if (inTurn.length) body.turn = setTimeout(go, NEXT);
+    if (inTurn.length) body.turn = setTimeout(nextBatch, BATCH_DELAY);
   };
-  go();
+  nextBatch();
 }
 
-/** Cells of a row: the first is its head. Texts or elements. A cell that would be the same stays. */
+/** Sets the cells of a row: texts or elements; the first is the row's header. Unchanged cells are kept. */
 export function cells(row, head, ...others) {
   const focused = row.contains(document.activeElement);
-  const next = [make('th', { scope: 'row' }, head), ...others.map((one) => (one instanceof HTMLTableCellElement ? one : make('td', {}, one)))];
+  const next = [make('th', { scope: 'row' }, head), ...others.map((content) => (content instanceof HTMLTableCellElement ? content : make('td', {}, content)))];
   for (const [index, cell] of next.entries()) {
     const before = row.cells[index];
     if (!before) row.append(cell);
@@ -106,7 +106,7 @@ export function cells(row, head, ...others) {
 
 export const numberCell = (...children) => make('td', { className: 'number' }, ...children);
 
-/** A length of time in words, short. */
+/** Formats a duration, short. */
 export function span(ms) {
   if (ms === undefined || ms === null) return '–';
   if (ms < 0) ms = 0;
@@ -117,23 +117,23 @@ export function span(ms) {
   return `${Math.floor(s / 3600)} h ${Math.floor((s % 3600) / 60)} min`;
 }
 
-/** An age: whole seconds, so that it does not flicker. */
+/** Formats an age: whole seconds, so that it does not flicker. */
 export const age = (ms) => (ms < 1000 ? 'now' : span(Math.floor(ms / 1000) * 1000).replace('.0', ''));
 
-/** An element whose text is the age of an instant, kept up to date by `tickAges`. */
+/** Creates an element with the age of an instant, updated by `tickAges`. */
 export const since = (instant, before = '', after = '') => {
   const element = make('span', {});
   Object.assign(element.dataset, { since: instant, before, after });
   return element;
 };
 
-/** Ages that are seen change each second; those out of sight in turns. */
+/** Updates visible ages each second, and hidden ages in turns. */
 let round = 0;
 export function tickAges(now) {
   round += 1;
-  for (const [index, one] of document.querySelectorAll('[data-since]').entries()) {
-    if (one.textContent && unseen.has(one.closest('tr')) && (index + round) % 8) continue;
-    say(one, one.dataset.before + age(now - Number(one.dataset.since)) + one.dataset.after);
+  for (const [index, element] of document.querySelectorAll('[data-since]').entries()) {
+    if (element.textContent && hidden.has(element.closest('tr')) && (index + round) % 8) continue;
+    setText(element, element.dataset.before + age(now - Number(element.dataset.since)) + element.dataset.after);
   }
 }
 
@@ -141,12 +141,12 @@ export const clock = (ms) => new Date(ms).toLocaleTimeString([], { hour: '2-digi
 
 export const percent = (share, digits = 0) => `${(share * 100).toFixed(digits)} %`;
 
-export const words = (text) => (text ?? '').replaceAll('_', ' ');
+export const readable = (text) => (text ?? '').replaceAll('_', ' ');
 
-/** A state: a dot and a word, so that nothing is told by colour alone. */
+/** A state: a dot and a word, so that no information depends on colour alone. */
 export const state = (kind, text) => make('span', { className: `state ${kind}` }, text);
 
-/** A bar with its number beside it. */
+/** A bar with its number. */
 export function meter(share, text, kind = '') {
   const bar = make('b');
   bar.style.width = `${Math.min(Math.max(share, 0), 1) * 100}%`;

@@ -1,6 +1,6 @@
-// The event log with its filter. Alarms are said aloud.
+// The event log with its filter. Alarms are announced to screen readers.
 
-import { byId, clock, make, rows, say, words } from './dom.js';
+import { byId, clock, make, rows, setText, readable } from './dom.js';
 import { announce } from './status.js';
 
 const SHOWN = 200;
@@ -17,32 +17,32 @@ export function start(onChange) {
   }
 }
 
-/** Says aloud what is new and alarming; not so if somebody has just gone elsewhere in a recording. */
-export function alarms(picture, quiet) {
-  const numbers = Object.keys(picture.log ?? {}).map(Number);
+/** Announces new alarms, except directly after a seek in a recording. */
+export function alarms(model, quiet) {
+  const numbers = Object.keys(model.log ?? {}).map(Number);
   const last = Math.max(0, ...numbers);
   if (announced !== undefined && !quiet) {
-    const news = numbers.filter((number) => number > announced).map((number) => picture.log[number]).filter((event) => event.alarm);
-    if (news.length) announce(news.map((event) => `${event.word}: ${event.text}`).join('. '));
+    const fresh = numbers.filter((number) => number > announced).map((number) => model.log[number]).filter((event) => event.alarm);
+    if (fresh.length) announce(fresh.map((event) => `${event.label}: ${event.text}`).join('. '));
   }
   announced = last;
 }
 
-export function update(picture) {
-  const all = Object.entries(picture.log ?? {}).map(([key, event]) => ({ key, ...event }));
+export function update(model) {
+  const all = Object.entries(model.log ?? {}).map(([key, event]) => ({ key, ...event }));
   all.sort((a, b) => b.key - a.key);
-  options('kind', all.map((event) => [event.kind, words(event.kind)]));
+  options('kind', all.map((event) => [event.kind, readable(event.kind)]));
   options('mission', all.map((event) => [event.mission, event.mission]));
   options('robot', all.map((event) => [event.robot, event.robot]));
   const text = filter.text.toLowerCase();
   const fits = (event) =>
     (!filter.kind || event.kind === filter.kind) && (!filter.mission || event.mission === filter.mission) &&
-    (!filter.robot || event.robot === filter.robot) && (!text || `${event.word} ${event.text} ${event.node}`.toLowerCase().includes(text));
+    (!filter.robot || event.robot === filter.robot) && (!text || `${event.label} ${event.text} ${event.node}`.toLowerCase().includes(text));
   const found = all.filter(fits);
-  say(byId('log-count'), `${found.length} of the last ${all.length} events${found.length > SHOWN ? `, the latest ${SHOWN} shown` : ''}`);
+  setText(byId('log-count'), `${found.length} of the last ${all.length} events${found.length > SHOWN ? `, the latest ${SHOWN} shown` : ''}`);
   rows(byId('log').tBodies[0], found.slice(0, SHOWN), (row, event) => {
     row.className = event.alarm ? 'alarm' : '';
-    row.replaceChildren(make('td', {}, clock(event.at_ms)), make('td', {}, event.word), make('td', {}, event.text));
+    row.replaceChildren(make('td', {}, clock(event.at_ms)), make('td', {}, event.label), make('td', {}, event.text));
   });
 }
 

@@ -1,20 +1,20 @@
-// The map: what stands still is drawn once, robots in each frame of the browser, filled in between two reports.
+// The map: static parts are drawn once, robots in each browser frame, interpolated between two reports.
 
 import { byId, make } from './dom.js';
 import { sheet } from './sprites.js';
 
 const canvas = byId('map');
-// The ground covers all of it.
+// The static layer covers the whole canvas.
 const pen = canvas.getContext('2d', { alpha: false });
-const ground = document.createElement('canvas');
+const staticLayer = document.createElement('canvas');
 const MARGIN = 26;
-/** Longest time in which a robot is moved from one report to the next, in milliseconds. */
-const GLIDE = 700;
-/** More robots than this show no task beside their names. */
+/** Maximum time of the interpolation between two reports, in milliseconds. */
+const INTERPOLATION_MAX = 700;
+/** Above this number of robots no tasks are shown below the names. */
 const TASKS = 40;
 
 let plan;
-/** Places of the plan by name, and ways and walls of each level. */
+/** Places of the plan by name, and lanes and walls of each level. */
 let places = {};
 let lanes = [];
 let people = {};
@@ -27,27 +27,27 @@ let colours = {};
 let chosen;
 let stale = false;
 let moving = new Map();
-let wanted = false;
-/** Robots as they look, for a crowd; painted anew when sizes or colours change. */
+let frameRequested = false;
+/** Sprites of robots, for crowds; painted again when sizes or colours change. */
 let sprites;
 /**
- * To be looked at by tests: frames drawn, the time that drawing took, in all and at most, in milliseconds; what the node reported of
- * robots and was drawn, and what was overtaken by the next report before it could be, with a frame of the browser's in between or not.
+ * Statistics for tests: drawn frames; total and maximum drawing time in milliseconds; reports that were drawn; reports that were
+ * replaced by the next report before they could be drawn, with and without a browser frame in between.
  */
-export const drawn = { frames: 0, took: 0, worst: 0, reports: 0, missed: 0, missed_with_a_frame_between: 0 };
+export const drawStats = { frames: 0, took: 0, worst: 0, reports: 0, missed: 0, missed_with_a_frame_between: 0 };
 let fresh = false;
-let given = false;
+let framePassed = false;
 
 export function start(onChoose) {
-  new ResizeObserver(() => lay()).observe(byId('floor'));
-  // Another screen, or another zoom, has other pixels.
+  new ResizeObserver(() => layOut()).observe(byId('floor'));
+  // Another screen or zoom changes the pixel ratio.
   const watchPixels = () => {
-    matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener('change', () => { lay(); watchPixels(); }, { once: true });
+    matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener('change', () => { layOut(); watchPixels(); }, { once: true });
   };
   watchPixels();
   byId('level').onchange = (event) => {
     level = event.target.value;
-    lay();
+    layOut();
   };
   canvas.onclick = (event) => {
     const near = nearest(event.offsetX, event.offsetY);
@@ -60,24 +60,24 @@ export function repaint() {
   for (const name of ['floor', 'wall', 'lane', 'text', 'muted', 'accent', 'on-accent', 'bad', 'warn', 'good', 'person', 'card', 'line']) {
     colours[name] = style.getPropertyValue(`--${name}`).trim();
   }
-  lay();
+  layOut();
 }
 
 export function choose(robot) {
   chosen = robot;
-  ask();
+  requestFrame();
 }
 
 export function setStale(is) {
   if (is !== stale) {
     stale = is;
-    ask();
+    requestFrame();
   }
 }
 
-export function update(picture, patch) {
+export function update(model, patch) {
   if (!patch || patch.map) {
-    plan = picture.map;
+    plan = model.map;
     const levels = plan?.levels ?? [];
     byId('level-choice').hidden = levels.length < 2;
     byId('level').replaceChildren(...levels.map(({ name }) => make('option', { value: name }, name)));
@@ -87,17 +87,17 @@ export function update(picture, patch) {
     places = Object.fromEntries((plan?.places ?? []).map((place) => [place.name, place]));
     const end = (name) => [places[name].x_m, places[name].y_m];
     lanes = (plan?.lanes ?? []).map(({ between: [a, b] }) => ({ line: [end(a), end(b)], level: places[a].level }));
-    lay();
+    layOut();
   }
-  people = picture.people ?? {};
-  doors = picture.doors ?? {};
-  const robots = picture.robots ?? {};
+  people = model.people ?? {};
+  doors = model.doors ?? {};
+  const robots = model.robots ?? {};
   const changed = patch ? patch.robots ?? {} : robots;
   if (patch?.robots) {
-    drawn.missed += fresh;
-    drawn.missed_with_a_frame_between += fresh && given;
-    [fresh, given] = [true, false];
-    requestAnimationFrame(() => { given = true; });
+    drawStats.missed += fresh;
+    drawStats.missed_with_a_frame_between += fresh && framePassed;
+    [fresh, framePassed] = [true, false];
+    requestAnimationFrame(() => { framePassed = true; });
   }
   const now = performance.now();
   for (const name of moving.keys()) if (!robots[name]) moving.delete(name);
@@ -107,42 +107,42 @@ export function update(picture, patch) {
     const known = moving.get(name);
     const to = [robot.x ?? 0, robot.y ?? 0, robot.yaw ?? 0];
     if (!known) {
-      moving.set(name, { robot, from: to, to, at: now, time: 0, body: robot.body_ms });
+      moving.set(name, { robot, from: to, to, at: now, time: 0, reportedAt: robot.telemetry_ms });
       continue;
     }
     known.robot = robot;
     if (to.some((value, index) => value !== known.to[index])) {
-      // A little longer than from the last report to this one, so that it does not stop before the next.
-      const time = Math.min(Math.max(((robot.body_ms ?? 0) - (known.body ?? 0)) * 1.25, 150), GLIDE);
-      Object.assign(known, { from: where(known, now), to, at: now, time, body: robot.body_ms });
-    } else known.body = robot.body_ms;
+      // A little longer than the time since the last report, so that the robot does not stop before the next.
+      const time = Math.min(Math.max(((robot.telemetry_ms ?? 0) - (known.reportedAt ?? 0)) * 1.25, 150), INTERPOLATION_MAX);
+      Object.assign(known, { from: interpolate(known, now), to, at: now, time, reportedAt: robot.telemetry_ms });
+    } else known.reportedAt = robot.telemetry_ms;
   }
   const all = Object.values(robots);
   const count = (word) => all.filter((robot) => robot.availability === word).length;
-  canvas.setAttribute('aria-label', `Map with ${all.length} robots: ${count('holding')} at work, ${count('free')} free, ${count('out_of_service')} out of service. The table of robots says the same in words.`);
-  ask();
+  canvas.setAttribute('aria-label', `Map with ${all.length} robots: ${count('holding')} at work, ${count('free')} free, ${count('out_of_service')} out of service. The table of robots has the same content as text.`);
+  requestFrame();
 }
 
-const where = (one, now) => {
-  const share = one.time ? Math.min((now - one.at) / one.time, 1) : 1;
-  const turn = ((one.to[2] - one.from[2] + Math.PI * 3) % (Math.PI * 2)) - Math.PI;
-  return [0, 1].map((index) => one.from[index] + (one.to[index] - one.from[index]) * share).concat(one.from[2] + turn * share);
+const interpolate = (motion, now) => {
+  const share = motion.time ? Math.min((now - motion.at) / motion.time, 1) : 1;
+  const turn = ((motion.to[2] - motion.from[2] + Math.PI * 3) % (Math.PI * 2)) - Math.PI;
+  return [0, 1].map((index) => motion.from[index] + (motion.to[index] - motion.from[index]) * share).concat(motion.from[2] + turn * share);
 };
 
 const at = (x, y) => [offset[0] + x * scale, offset[1] - y * scale];
 
 function nearest(x, y) {
   let best;
-  for (const [name, one] of moving) {
-    const [px, py] = at(one.to[0], one.to[1]);
+  for (const [name, motion] of moving) {
+    const [px, py] = at(motion.to[0], motion.to[1]);
     const distance = Math.hypot(px - x, py - y);
     if (distance < 24 && (!best || distance < best[0])) best = [distance, name];
   }
   return best?.[1];
 }
 
-/** Lays the floor out anew: another size, plan, level or colours. */
-function lay() {
+/** Computes the layout again, for another size, plan, level or colours. */
+function layOut() {
   if (plan?.bounds_m?.west === undefined) return;
   const { west: x0, south: y0, east: x1, north: y1 } = plan.bounds_m;
   const width = byId('floor').clientWidth;
@@ -153,18 +153,18 @@ function lay() {
   offset = [(width - w * scale) / 2 - x0 * scale, (height + h * scale) / 2 + y0 * scale];
   size = [width, height];
   const ratio = devicePixelRatio || 1;
-  for (const one of [canvas, ground]) {
-    one.width = Math.round(width * ratio);
-    one.height = Math.round(height * ratio);
-    one.getContext('2d').setTransform(ratio, 0, 0, ratio, 0, 0);
+  for (const layer of [canvas, staticLayer]) {
+    layer.width = Math.round(width * ratio);
+    layer.height = Math.round(height * ratio);
+    layer.getContext('2d').setTransform(ratio, 0, 0, ratio, 0, 0);
   }
   canvas.style.height = `${height}px`;
-  drawGround(ground.getContext('2d'));
+  drawStaticLayer(staticLayer.getContext('2d'));
   sprites = undefined;
-  ask();
+  requestFrame();
 }
 
-function drawGround(pen) {
+function drawStaticLayer(pen) {
   pen.fillStyle = colours.floor;
   pen.fillRect(0, 0, ...size);
   pen.lineCap = 'round';
@@ -200,46 +200,46 @@ function dot(pen, x, y, radius) {
   pen.fill();
 }
 
-/** Asks for a frame, if none is asked for. */
-function ask() {
-  if (wanted) return;
-  wanted = true;
+/** Requests a frame, if there is no request yet. */
+function requestFrame() {
+  if (frameRequested) return;
+  frameRequested = true;
   requestAnimationFrame(draw);
 }
 
 function draw(now) {
-  wanted = false;
+  frameRequested = false;
   const began = performance.now();
   if (!size[0]) return;
   pen.save();
   pen.setTransform(1, 0, 0, 1, 0, 0);
-  pen.drawImage(ground, 0, 0);
+  pen.drawImage(staticLayer, 0, 0);
   pen.restore();
   for (const door of plan?.doors ?? []) if (door.level === level) for (const posts of door.posts) drawDoor(posts, doors[door.name]);
-  const here = [...moving].filter(([, { robot }]) => isHere(robot));
-  let gliding = false;
-  const poses = here.map(([name, one]) => {
-    gliding ||= now - one.at < one.time;
-    return [name, one.robot, where(one, now)];
+  const onLevel = [...moving].filter(([, { robot }]) => isOnLevel(robot));
+  let interpolating = false;
+  const poses = onLevel.map(([name, motion]) => {
+    interpolating ||= now - motion.at < motion.time;
+    return [name, motion.robot, interpolate(motion, now)];
   });
   for (const [name, robot, pose] of poses) if (robot.route?.length) drawRoute(robot, pose, name === chosen);
   const crowd = crowded();
-  for (const person of Object.values(people)) if (person.x !== undefined && isHere(person)) drawPerson(person);
+  for (const person of Object.values(people)) if (person.x !== undefined && isOnLevel(person)) drawPerson(person);
   const radius = radiusOf();
   if (crowd) sprites ??= sheet(LOOKS, radius * 1.7 + 2, devicePixelRatio || 1, (pen, look, x, y, yaw) => paintRobot(pen, look, x, y, yaw, radius));
   for (const [name, robot, pose] of poses) drawRobot(name, robot, pose, radius, crowd);
   const taken = [];
   for (const [name, robot, pose] of poses) label(name, robot, pose, radius, crowd, taken);
   const took = performance.now() - began;
-  drawn.frames += 1;
-  drawn.took += took;
-  drawn.worst = Math.max(drawn.worst, took);
-  drawn.reports += fresh;
+  drawStats.frames += 1;
+  drawStats.took += took;
+  drawStats.worst = Math.max(drawStats.worst, took);
+  drawStats.reports += fresh;
   fresh = false;
-  if (gliding && !stale) ask();
+  if (interpolating && !stale) requestFrame();
 }
 
-const isHere = (one) => (places[one.place]?.level ?? level) === level;
+const isOnLevel = (item) => (places[item.place]?.level ?? level) === level;
 
 const radiusOf = () => Math.min(Math.max(scale * 0.45, 5), 11);
 
@@ -248,7 +248,7 @@ const crowded = () => moving.size > TASKS;
 function drawDoor([from, to], state) {
   pen.strokeStyle = state === 'open' ? colours.good : colours.warn;
   pen.lineWidth = 4;
-  // What stands open is a way through, what moves is neither.
+  // Line patterns for closed, moving and open doors.
   pen.setLineDash({ open: [3, 6], opening: [6, 3], closing: [6, 3] }[state] ?? []);
   path(pen, [from, to]);
   pen.setLineDash([]);
@@ -279,7 +279,7 @@ function drawPerson(person) {
   pen.globalAlpha = 1;
 }
 
-const isOut = (robot) => !robot.alive || robot.availability === 'out_of_service' || robot.able === false;
+const isOut = (robot) => !robot.alive || robot.availability === 'out_of_service' || robot.can_move === false;
 
 const LOOKS = ['busy', 'free', 'suspended', 'out'];
 
@@ -303,7 +303,7 @@ function drawRobot(name, robot, [x, y, yaw], radius, crowd) {
 
 function paintRobot(pen, look, px, py, yaw, radius) {
   const colour = { out: colours.bad, suspended: colours.warn }[look] ?? colours.accent;
-  // The nose tells the heading.
+  // The nose shows the heading.
   pen.fillStyle = colour;
   pen.beginPath();
   pen.moveTo(px + Math.cos(yaw) * radius * 1.7, py - Math.sin(yaw) * radius * 1.7);
@@ -321,7 +321,7 @@ function paintRobot(pen, look, px, py, yaw, radius) {
   pen.setLineDash([]);
 }
 
-/** Name, battery and task beneath a robot; left out where another label is already, so that all that is there can be read. */
+/** Draws name, battery and task below a robot; skipped if it would cover another label. */
 function label(name, robot, [x, y], radius, crowd, taken) {
   const [px, py] = at(x, y);
   const text = crowd && name !== chosen && moving.size > 120 ? null : name;
@@ -331,7 +331,7 @@ function label(name, robot, [x, y], radius, crowd, taken) {
   const width = Math.max(pen.measureText(text).width, task ? pen.measureText(task).width : 0, 26);
   const box = [px - width / 2 - 3, py + radius + 3, width + 6, task ? 34 : 21];
   box[0] = Math.min(Math.max(box[0], 2), size[0] - box[2] - 2);
-  // Above, if there is no room beneath.
+  // Above the robot, if there is no space below.
   if (taken.some((other) => overlap(box, other)) || box[1] + box[3] > size[1]) box[1] = py - radius - 3 - box[3];
   if (taken.some((other) => overlap(box, other)) && name !== chosen) return;
   taken.push(box);

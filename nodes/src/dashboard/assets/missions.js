@@ -1,21 +1,21 @@
-// Missions: the list, and one of them with its tree, roles, steps and chart.
+// Missions: the list, and the selected mission with its tree, roles, steps and chart.
 
-import { byId, cells, clock, make, meter, numberCell, redraw, rows, since, span, state, words } from './dom.js';
+import { byId, cells, clock, make, meter, numberCell, redraw, rows, since, span, state, readable } from './dom.js';
 import { chart } from './gantt.js';
 
-const KINDS = { completed: 'good', running: 'work', pending: 'wait', failed: 'bad', canceled: 'warn', needs_rescue: 'bad' };
+const KINDS = { completed: 'good', running: 'work', pending: 'wait', failed: 'bad', canceled: 'warn', needs_intervention: 'bad' };
 const MARKS = { done: ['✓', 'done'], running: ['▸', 'under way'], failed: ['✕', 'failed'], open: ['·', 'to do'] };
 
-export const badge = (mission) => state(KINDS[mission.state] ?? 'wait', words(mission.state));
+export const badge = (mission) => state(KINDS[mission.state] ?? 'wait', readable(mission.state));
 
-const latestFirst = (picture) => Object.entries(picture.missions ?? {}).sort(([, a], [, b]) => b.number - a.number);
+const latestFirst = (model) => Object.entries(model.missions ?? {}).sort(([, a], [, b]) => b.number - a.number);
 
-/** Shows the list, and the chosen mission; by itself the latest that is under way is chosen. */
-export function update(picture, now, { mission: chosen, choose, cancel, rescue }) {
-  const all = latestFirst(picture);
+/** Shows the list and the selected mission; the default is the latest running mission. */
+export function update(model, now, { mission: selected, select, cancel, resolve }) {
+  const all = latestFirst(model);
   byId('missions-none').hidden = all.length > 0;
   byId('missions').hidden = all.length === 0;
-  const current = all.find(([id]) => id === chosen) ?? all.find(([, mission]) => mission.state === 'running') ?? all.find(([, mission]) => !mission.ended) ?? all[0];
+  const current = all.find(([id]) => id === selected) ?? all.find(([, mission]) => mission.state === 'running') ?? all.find(([, mission]) => !mission.ended) ?? all[0];
   const items = all.slice(0, 100).map(([key, mission]) => ({
     key,
     state: mission.state,
@@ -25,27 +25,27 @@ export function update(picture, now, { mission: chosen, choose, cancel, rescue }
     ended: mission.ended && mission.ended_ms ? mission.ended_ms - mission.submitted_ms : undefined,
     over: mission.ended,
     submitted: mission.submitted_ms,
-    chosen: key === current?.[0],
+    selected: key === current?.[0],
   }));
   rows(byId('missions').tBodies[0], items, (row, item) => {
     const button = make('button', { className: 'rowbutton', type: 'button' }, item.key);
-    button.setAttribute('aria-pressed', String(item.chosen));
-    button.onclick = () => choose(item.key);
+    button.setAttribute('aria-pressed', String(item.selected));
+    button.onclick = () => select(item.key);
     const share = item.steps ? item.done / item.steps : 0;
     const time = item.over ? span(item.ended) : since(item.submitted);
     cells(row, button, make('td', {}, badge(item)), meter(share, `${item.done ?? 0}/${item.steps ?? 0}`, item.state === 'completed' ? 'good' : ''), holders(item.holders), numberCell(time));
-    if (item.chosen) row.setAttribute('aria-current', 'true');
+    if (item.selected) row.setAttribute('aria-current', 'true');
     else row.removeAttribute('aria-current');
   });
   history(all.filter(([, mission]) => mission.ended));
   const article = byId('mission');
   article.hidden = !current;
-  if (current) detail(article, ...current, now, { cancel, rescue });
+  if (current) detail(article, ...current, now, { cancel, resolve });
 }
 
 const holders = (holders) => Object.entries(holders ?? {}).map(([role, robot]) => `${robot} (${role})`).join(', ') || '–';
 
-function detail(article, id, mission, now, { cancel, rescue }) {
+function detail(article, id, mission, now, { cancel, resolve }) {
   const shown = JSON.stringify([id, mission]);
   const figure = article.querySelector('.gantt');
   if (article.shown === shown && figure) {
@@ -60,10 +60,10 @@ function detail(article, id, mission, now, { cancel, rescue }) {
     button.onclick = () => cancel(id, button);
     head.append(button);
   }
-  if (mission.state === 'needs_rescue') {
-    const button = make('button', { type: 'button', className: 'primary' }, 'Close after rescue');
-    button.dataset.key = 'rescue';
-    button.onclick = () => rescue(id, mission);
+  if (mission.state === 'needs_intervention') {
+    const button = make('button', { type: 'button', className: 'primary' }, 'Resolve');
+    button.dataset.key = 'resolve';
+    button.onclick = () => resolve(id, mission);
     head.append(button);
   }
   const notes = make('dl', { className: 'notes' });
@@ -74,18 +74,18 @@ function detail(article, id, mission, now, { cancel, rescue }) {
   if (mission.award_after_ms !== undefined) note('award after', `${mission.award_after_ms.toFixed(1)} ms`);
   if (mission.deadline_ms) note('deadline', clock(mission.deadline_ms));
   if (mission.branch === 'recovery') note('branch', 'recovery');
-  const problem = mission.cause ?? mission.why_pending;
-  const cause = problem && make('p', { className: `cause ${mission.state === 'failed' || mission.state === 'needs_rescue' ? 'bad' : ''}` }, problem);
+  const problem = mission.cause ?? mission.pending_reason;
+  const cause = problem && make('p', { className: `cause ${mission.state === 'failed' || mission.state === 'needs_intervention' ? 'bad' : ''}` }, problem);
   const bars = mission.bars ?? [];
   redraw(
     article,
     head,
     notes,
     cause,
-    mission.items?.length ? [make('h3', {}, 'In robots’ hands'), make('ul', { className: 'items' }, mission.items.map((item) => make('li', {}, whereabouts(item))))] : null,
+    mission.items?.length ? [make('h3', {}, 'In robots’ hands'), make('ul', { className: 'items' }, mission.items.map((item) => make('li', {}, lastKnownPlace(item))))] : null,
     make('h3', {}, 'Chart'),
     chart(id, mission, now),
-    bars.length === 0 ? make('p', { className: 'muted' }, 'Nothing of it was begun while this page’s node was listening.') : null,
+    bars.length === 0 ? make('p', { className: 'muted' }, 'No task was started while this page’s node was connected.') : null,
     make('h3', {}, 'Tasks'),
     mission.tasks ? make('ul', { className: 'tree' }, tree(mission, 0)) : make('p', { className: 'muted' }, 'Its tasks are not known here yet.'),
     make('h3', {}, 'Roles'),
@@ -93,26 +93,26 @@ function detail(article, id, mission, now, { cancel, rescue }) {
   );
 }
 
-/** Where an item is, in words. */
-export const whereabouts = ({ item, role, robot, place, certain }) =>
-  `${words(item)}: ${certain ? `${robot} has it` : `${robot} may have it`}, as ${role}${place ? `; last at ${place}` : ''}`;
+/** Describes the last known place of an item. */
+export const lastKnownPlace = ({ item, role, robot, place, certain }) =>
+  `${readable(item)}: ${certain ? `${robot} has it` : `${robot} may have it`}, as ${role}${place ? `; last at ${place}` : ''}`;
 
 function tree(mission, index) {
   const { id, body } = mission.tasks[index];
   if (body.Abstract) {
     const { order, children } = body.Abstract;
     const how = order === 'unordered' ? ' in any order' : '';
-    const mark = standing(children.map((child) => markOf(mission, child)));
-    return make('li', {}, sign(mission, mark), words(id), make('span', { className: 'how' }, how), make('ul', {}, children.map((child) => tree(mission, child))));
+    const mark = combined(children.map((child) => markOf(mission, child)));
+    return make('li', {}, sign(mission, mark), readable(id), make('span', { className: 'how' }, how), make('ul', {}, children.map((child) => tree(mission, child))));
   }
   const { type, roles = [], parameters = {} } = body.Elementary;
   const to = type === 'navigation' && parameters.to ? ` → ${parameters.to}` : '';
   const who = roles.map((role) => make('span', { className: 'role' }, mission.holders?.[role] ? `${role}: ${mission.holders[role]}` : role));
-  return make('li', {}, sign(mission, markOf(mission, index)), words(id), make('span', { className: 'how' }, to), who);
+  return make('li', {}, sign(mission, markOf(mission, index)), readable(id), make('span', { className: 'how' }, to), who);
 }
 
 function sign(mission, found) {
-  // Nothing is under way of what has ended.
+  // An ended mission has no running tasks.
   const mark = mission.ended && found === 'running' ? 'open' : found;
   const [glyph, text] = MARKS[mark];
   return make('span', { className: `mark ${mark}`, role: 'img', 'aria-label': text, title: text }, glyph);
@@ -120,34 +120,34 @@ function sign(mission, found) {
 
 function markOf(mission, index) {
   const { id, body } = mission.tasks[index];
-  if (body.Abstract) return standing(body.Abstract.children.map((child) => markOf(mission, child)));
-  const bar = (mission.bars ?? []).findLast((one) => one.task === id);
+  if (body.Abstract) return combined(body.Abstract.children.map((child) => markOf(mission, child)));
+  const bar = (mission.bars ?? []).findLast((item) => item.task === id);
   const steps = Object.values(mission.roles ?? {}).flatMap((role) => (role.steps ?? []).filter((step) => step.label === id));
   if (mission.state === 'completed' || (steps.length > 0 && steps.every((step) => step.done)) || bar?.state === 'done') return 'done';
   if (bar?.state === 'running') return 'running';
   return bar?.state === 'failed' ? 'failed' : 'open';
 }
 
-function standing(marks) {
+function combined(marks) {
   if (marks.includes('failed')) return 'failed';
   if (marks.every((mark) => mark === 'done')) return 'done';
   return marks.some((mark) => mark !== 'open') ? 'running' : 'open';
 }
 
 function roles(mission) {
-  const table = make('table', {}, make('caption', { className: 'unseen' }, 'Roles of the mission, who has them, and their steps'));
+  const table = make('table', {}, make('caption', { className: 'unseen' }, 'Roles of the mission, their holders and their steps'));
   const head = ['Role', 'Holder', 'Steps'].map((text) => make('th', { scope: 'col' }, text));
   const body = make('tbody');
   for (const [name, role] of Object.entries(mission.roles ?? {})) {
     const steps = role.steps ?? [];
     const done = steps.filter((step) => step.done).length;
-    const list = make('ol', {}, steps.map((step) => make('li', {}, `${step.done ? '✓ ' : ''}${words(step.label)}`)));
-    const fold = make('details', {}, make('summary', {}, `${done} of ${steps.length}`), list);
-    fold.dataset.key = `steps-${name}`;
-    fold.firstChild.dataset.key = `summary-${name}`;
+    const list = make('ol', {}, steps.map((step) => make('li', {}, `${step.done ? '✓ ' : ''}${readable(step.label)}`)));
+    const details = make('details', {}, make('summary', {}, `${done} of ${steps.length}`), list);
+    details.dataset.key = `steps-${name}`;
+    details.firstChild.dataset.key = `summary-${name}`;
     const row = make('tr');
-    const by = role.kind === 'unmanaged' ? 'a person' : role.holder ?? 'nobody yet';
-    cells(row, name, make('td', {}, by, make('span', { className: 'sub' }, [words(role.phase), role.epoch && `epoch ${role.epoch}`].filter(Boolean).join(', '))), fold);
+    const by = role.kind === 'unmanaged' ? 'a person' : role.holder ?? 'not assigned';
+    cells(row, name, make('td', {}, by, make('span', { className: 'sub' }, [readable(role.phase), role.epoch && `epoch ${role.epoch}`].filter(Boolean).join(', '))), details);
     body.append(row);
   }
   table.append(make('thead', {}, make('tr', {}, head)), body);
@@ -162,7 +162,7 @@ function history(ended) {
     const outcome = make('td', { className: 'wrap' }, badge(item), item.cause ? make('span', { className: 'sub' }, item.cause) : null);
     const award = item.award_after_ms === undefined ? '–' : `${item.award_after_ms.toFixed(1)} ms`;
     const took = item.ended_ms ? span(item.ended_ms - item.submitted_ms) : '–';
-    cells(row, item.key, outcome, numberCell(award), numberCell(took), holders(item.holders), item.ended_ms ? clock(item.ended_ms) : 'not seen');
+    cells(row, item.key, outcome, numberCell(award), numberCell(took), holders(item.holders), item.ended_ms ? clock(item.ended_ms) : 'unknown');
   });
 }
 

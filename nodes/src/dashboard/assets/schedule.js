@@ -1,19 +1,19 @@
-// All missions over time: a row for each robot, a bar for each role that it had, and the same as a table. The chart is one stop for
-// Tab; arrows lead from bar to bar, Enter to the mission.
+// Schedule of all missions: a row for each robot, a bar for each of its role assignments, and the same as a table. The chart is a
+// single stop for Tab; arrows move between bars, Enter opens the mission.
 
-import { byId, cells, clock, make, numberCell, percent, redraw, rows as tableRows, say, span, state } from './dom.js';
+import { byId, cells, clock, make, numberCell, percent, redraw, rows as tableRows, setText, span, state } from './dom.js';
 import { frame, shape } from './gantt.js';
 
-/** Rows drawn at most; all stand in the table. */
+/** Maximum number of drawn rows; the table has all rows. */
 const ROWS = 60;
-/** Robots without a role have a row of their own in fleets up to this size. */
+/** Robots without a role get a row in fleets up to this size. */
 const IDLE = 24;
-/** Room behind the rows for how much of the time a robot was at work; and ahead of now for what is planned, as a share of what was. */
+/** Width of the column with the robots' utilization; and the future part of the chart, as a share of the past part. */
 const [RIGHT, AHEAD] = [46, 0.6];
-const KINDS = { 'at work': ['running', 'work', '▸'], suspended: ['halted', 'warn', '‖'], 'carried out': ['done', 'good', '✓'], 'given up': ['failed', 'bad', '✕'], 'broken off': ['broken', 'wait', '✕'] };
+const KINDS = { active: ['running', 'work', '▸'], suspended: ['halted', 'warn', '‖'], completed: ['done', 'good', '✓'], released: ['failed', 'bad', '✕'], aborted: ['broken', 'wait', '✕'] };
 const letter = 6.2;
 
-/** The key of the bar that has, or had last, the focus. */
+/** Key of the bar with the focus, or with the last focus. */
 let current;
 let choose = () => {};
 
@@ -23,52 +23,52 @@ export function start(onChange, onChoose) {
   byId('schedule-chart').onkeydown = move;
 }
 
-export function update(picture, now) {
-  const all = Object.entries(picture.missions ?? {}).flatMap(([id, mission]) => (mission.tenures ?? []).map((one, index) => ({ ...one, mission: id, key: `${id}#${index}` })));
+export function update(model, now) {
+  const all = Object.entries(model.missions ?? {}).flatMap(([id, mission]) => (mission.assignments ?? []).map((assignment, index) => ({ ...assignment, mission: id, key: `${id}#${index}` })));
   const asked = Number(byId('schedule-span').value);
-  const first = Math.min(now - 1000, asked ? now - asked : Math.max(Math.min(...all.map((one) => one.from_ms)), now - 600000));
-  const seen = all.filter((one) => (one.to_ms ?? now) >= first && one.from_ms <= now);
-  const busy = new Set(seen.map((one) => one.by));
-  const robots = Object.keys(picture.robots ?? {});
+  const first = Math.min(now - 1000, asked ? now - asked : Math.max(Math.min(...all.map((assignment) => assignment.from_ms)), now - 600000));
+  const seen = all.filter((assignment) => (assignment.to_ms ?? now) >= first && assignment.from_ms <= now);
+  const busy = new Set(seen.map((assignment) => assignment.by));
+  const robots = Object.keys(model.robots ?? {});
   const rows = [...new Set([...busy, ...(robots.length <= IDLE ? robots : [])])].sort().slice(0, ROWS);
   byId('schedule-none').hidden = seen.length > 0;
   byId('schedule-all').hidden = seen.length === 0;
   if (seen.length === 0) return;
   const left = busy.size - rows.filter((robot) => busy.has(robot)).length;
-  say(byId('schedule-note'), left > 0 ? `${left} more robots had roles; they stand in the table.` : '');
+  setText(byId('schedule-note'), left > 0 ? `${left} more robots had roles; see the table.` : '');
   redraw(byId('schedule-chart'), chart(rows, seen, first, now));
   table(seen, now);
 }
 
-const took = (one, now) => (one.to_ms ?? now) - one.from_ms;
+const took = (assignment, now) => (assignment.to_ms ?? now) - assignment.from_ms;
 
-const planned = (one) => (one.planned_ms === undefined ? '' : `, planned ${span(one.planned_ms)}`);
+const planned = (assignment) => (assignment.planned_ms === undefined ? '' : `, planned ${span(assignment.planned_ms)}`);
 
 function chart(rows, seen, first, now) {
-  const ahead = Math.max(...seen.map((one) => (one.to_ms === undefined && one.planned_ms !== undefined ? one.from_ms + one.planned_ms : now)));
+  const ahead = Math.max(...seen.map((assignment) => (assignment.to_ms === undefined && assignment.planned_ms !== undefined ? assignment.from_ms + assignment.planned_ms : now)));
   const last = Math.max(now + (now - first) * 0.02, Math.min(ahead, now + (now - first) * AHEAD));
   const { svg, x, y, line, width, height } = frame(rows.length, first, last, { zero: now, right: RIGHT });
   const bars = [];
   rows.forEach((robot, row) => {
     svg.append(shape('text', { x: 0, y: y(row) + 17 }, robot.slice(0, 18)));
-    const own = seen.filter((one) => one.by === robot).sort((a, b) => a.from_ms - b.from_ms);
-    const worked = own.reduce((sum, one) => sum + Math.min(one.to_ms ?? now, now) - Math.max(one.from_ms, first), 0);
+    const own = seen.filter((assignment) => assignment.by === robot).sort((a, b) => a.from_ms - b.from_ms);
+    const worked = own.reduce((sum, assignment) => sum + Math.min(assignment.to_ms ?? now, now) - Math.max(assignment.from_ms, first), 0);
     svg.append(shape('text', { x: width, y: y(row) + 17, class: 'axis', 'text-anchor': 'end' }, percent(Math.min(Math.max(worked / (now - first), 0), 1))));
-    for (const one of own) {
-      const [kind, , sign] = KINDS[one.state] ?? KINDS['at work'];
-      const [from, to] = [x(one.from_ms), Math.max(x(one.to_ms ?? now), x(one.from_ms) + 2)];
-      const text = `${one.by}, ${one.role} of ${one.mission}: ${one.state}, ${span(took(one, now))}${planned(one)}`;
-      const bar = shape('g', { role: 'button', tabindex: -1, 'aria-label': text, class: 'bar', 'data-key': one.key, 'data-row': row, 'data-at': from });
+    for (const assignment of own) {
+      const [kind, , sign] = KINDS[assignment.state] ?? KINDS.active;
+      const [from, to] = [x(assignment.from_ms), Math.max(x(assignment.to_ms ?? now), x(assignment.from_ms) + 2)];
+      const text = `${assignment.by}, ${assignment.role} of ${assignment.mission}: ${assignment.state}, ${span(took(assignment, now))}${planned(assignment)}`;
+      const bar = shape('g', { role: 'button', tabindex: -1, 'aria-label': text, class: 'bar', 'data-key': assignment.key, 'data-row': row, 'data-at': from });
       bar.append(shape('rect', { x: from, y: y(row) + 4, width: to - from, height: height - 10, rx: 3, class: kind }));
-      if (one.planned_ms !== undefined) {
-        const end = x(one.from_ms + one.planned_ms);
+      if (assignment.planned_ms !== undefined) {
+        const end = x(assignment.from_ms + assignment.planned_ms);
         bar.append(shape('rect', { x: from, y: y(row) + height - 5, width: Math.max(end - from, 2), height: 3, class: 'planned' }));
       }
-      const name = `${sign} ${one.mission} ${one.role}`;
-      const fits = [name, `${sign} ${one.mission}`, sign].find((label) => label.length * letter < to - from - 8);
+      const name = `${sign} ${assignment.mission} ${assignment.role}`;
+      const fits = [name, `${sign} ${assignment.mission}`, sign].find((label) => label.length * letter < to - from - 8);
       if (fits) bar.append(shape('text', { x: from + 5, y: y(row) + 16, class: `on ${kind}` }, fits));
       bar.append(shape('title', {}, text));
-      bar.onclick = () => choose(one.mission);
+      bar.onclick = () => choose(assignment.mission);
       bars.push(bar);
       svg.append(bar);
     }
@@ -79,7 +79,7 @@ function chart(rows, seen, first, now) {
   return svg;
 }
 
-/** Arrows: along a row in time, between rows to the bar that is nearest in time. */
+/** Moves the focus: along a row in time, between rows to the nearest bar in time. */
 function move(event) {
   const at = event.target.closest('.bar');
   if (!at) return;
@@ -114,12 +114,12 @@ function move(event) {
 }
 
 function table(seen, now) {
-  const items = seen.toSorted((a, b) => b.from_ms - a.from_ms || a.by.localeCompare(b.by)).map((one) => ({ ...one, took: Math.round(took(one, now) / 1000) }));
-  tableRows(byId('schedule').tBodies[0], items, (row, one) => {
-    const [, kind] = KINDS[one.state] ?? KINDS['at work'];
-    const button = make('button', { className: 'rowbutton', type: 'button' }, one.mission);
-    button.onclick = () => choose(one.mission);
-    const plan = one.planned_ms === undefined ? 'not known' : span(one.planned_ms);
-    cells(row, one.by, make('td', {}, button, make('span', { className: 'sub' }, one.role)), make('td', {}, state(kind, one.state)), clock(one.from_ms), numberCell(span(took(one, now))), numberCell(plan));
+  const items = seen.toSorted((a, b) => b.from_ms - a.from_ms || a.by.localeCompare(b.by)).map((assignment) => ({ ...assignment, took: Math.round(took(assignment, now) / 1000) }));
+  tableRows(byId('schedule').tBodies[0], items, (row, assignment) => {
+    const [, kind] = KINDS[assignment.state] ?? KINDS.active;
+    const button = make('button', { className: 'rowbutton', type: 'button' }, assignment.mission);
+    button.onclick = () => choose(assignment.mission);
+    const plan = assignment.planned_ms === undefined ? 'unknown' : span(assignment.planned_ms);
+    cells(row, assignment.by, make('td', {}, button, make('span', { className: 'sub' }, assignment.role)), make('td', {}, state(kind, assignment.state)), clock(assignment.from_ms), numberCell(span(took(assignment, now))), numberCell(plan));
   });
 }

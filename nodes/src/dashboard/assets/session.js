@@ -1,40 +1,40 @@
-// Who looks. A closed fleet asks for a token, once; the browser then shows it with each request, and no script can read it.
+// Authentication. A closed fleet asks for a token once; the browser then sends it with each request, and no script can read it.
 
-import { byId, say } from './dom.js';
+import { byId, setText } from './dom.js';
 import { announce } from './status.js';
 
 const HASH = '#token=';
 
-/** Waiting for whoever is to be let in: the same promise, however many ask. */
-let waiting;
+/** Pending sign-in: a single promise for all callers. */
+let pending;
 
-/** Ends when the node lets this page in, or does not answer at all. */
+/** Resolves when the node admits this page, or does not reply at all. */
 export async function admitted() {
-  let answer;
+  let reply;
   try {
-    answer = await fetch('/api/session');
+    reply = await fetch('/api/session');
   } catch {
     return;
   }
-  const said = await answer.json().catch(() => ({}));
-  if (answer.ok) return show(said);
-  if (answer.status !== 401) return;
-  waiting ??= ask(said.error).finally(() => { waiting = undefined; });
-  await waiting;
+  const session = await reply.json().catch(() => ({}));
+  if (reply.ok) return show(session);
+  if (reply.status !== 401) return;
+  pending ??= askForToken(session.error).finally(() => { pending = undefined; });
+  await pending;
 }
 
-/** Asks for a token until there is a good one; a link may have brought it along. */
-async function ask(why) {
+/** Asks for a token until it is valid; the link to the page may contain a token. */
+async function askForToken(reason) {
   const dialog = byId('admission');
-  const brought = location.hash.startsWith(HASH) && location.hash.slice(HASH.length);
-  if (brought) {
+  const linkToken = location.hash.startsWith(HASH) && location.hash.slice(HASH.length);
+  if (linkToken) {
     history.replaceState(null, '', location.pathname + location.search);
-    const problem = await begin(brought);
+    const problem = await signIn(linkToken);
     if (!problem) return;
-    why = problem;
+    reason = problem;
   }
-  say(byId('admission-why'), why ?? '');
-  trouble('');
+  setText(byId('admission-reason'), reason ?? '');
+  showProblem('');
   dialog.oncancel = (event) => event.preventDefault();
   if (!dialog.open) dialog.showModal();
   byId('admission-token').focus();
@@ -43,9 +43,9 @@ async function ask(why) {
       event.preventDefault();
       const send = byId('admission-send');
       send.disabled = true;
-      const problem = await begin(byId('admission-token').value);
+      const problem = await signIn(byId('admission-token').value);
       send.disabled = false;
-      trouble(problem ?? '');
+      showProblem(problem ?? '');
       if (!problem) resolve();
     };
   });
@@ -53,27 +53,27 @@ async function ask(why) {
   dialog.close();
 }
 
-/** Hands a token over; what is wrong with it, if anything. */
-async function begin(token) {
+/** Sends a token; returns the problem, if any. */
+async function signIn(token) {
   try {
     const options = { method: 'POST', headers: { 'content-type': 'application/json' }, body: JSON.stringify({ token }) };
-    const answer = await fetch('/api/session', options);
-    const said = await answer.json();
-    if (!answer.ok) return said.error;
-    show(said);
-    announce(`You are ${said.name}`);
+    const reply = await fetch('/api/session', options);
+    const session = await reply.json();
+    if (!reply.ok) return session.error;
+    show(session);
+    announce(`Signed in as ${session.name}`);
     return undefined;
   } catch {
-    return 'This page’s node does not answer.';
+    return 'This page’s node does not reply.';
   }
 }
 
-/** Shows whom the node takes this page for, and only what that lets them do. */
+/** Shows the signed-in person, and only the permitted actions. */
 function show({ closed, name, scope }) {
   document.body.dataset.scope = closed ? scope : 'operate';
   const out = byId('sign-out');
   out.hidden = !closed;
-  say(out, `Sign out ${name ?? ''}`);
+  setText(out, `Sign out ${name ?? ''}`);
   out.title = `may ${scope}`;
   out.onclick = async () => {
     await fetch('/api/session', { method: 'DELETE' }).catch(() => {});
@@ -81,7 +81,7 @@ function show({ closed, name, scope }) {
   };
 }
 
-function trouble(text) {
+function showProblem(text) {
   byId('admission-problem').hidden = !text;
-  say(byId('admission-problem'), text);
+  setText(byId('admission-problem'), text);
 }

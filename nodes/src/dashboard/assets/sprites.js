@@ -1,8 +1,8 @@
-// Robots as small pictures, painted once for each look and heading: hundreds are copied in the time in which a few are painted.
+// Sprites of robots, painted once for each appearance and heading: copying hundreds takes as long as painting a few.
 
 const HEADINGS = 32;
 
-/** A sheet of pictures that reach so many pixels from their middle; `paint(pen, look, x, y, yaw)` paints one. */
+/** Creates a sheet of sprites with `reach` pixels from their centre; `paint(pen, look, x, y, yaw)` paints a sprite. */
 export function sheet(looks, reach, ratio, paint) {
   const cell = Math.ceil(reach) * 2;
   const canvas = document.createElement('canvas');

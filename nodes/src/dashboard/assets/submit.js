@@ -1,70 +1,70 @@
-// Asking for a mission, withdrawing one, and closing one after a rescue.
+// Submitting, canceling and resolving missions.
 
-import { byId, make, say, words } from './dom.js';
-import { whereabouts } from './missions.js';
+import { byId, make, setText, readable } from './dom.js';
+import { lastKnownPlace } from './missions.js';
 import { announce } from './status.js';
 
-let shipped = [];
+let bundled = [];
 let places = [];
 let request;
 
 export function start(onSubmitted) {
-  startRescue();
-  const dialog = byId('order');
+  startResolve();
+  const dialog = byId('submit');
   byId('new-mission').onclick = async () => {
-    trouble('');
+    showProblem('');
     try {
-      if (shipped.length === 0) shipped = (await ask('GET', '/api/shipped')).missions;
+      if (bundled.length === 0) bundled = (await send('GET', '/api/shipped')).missions;
       fill();
     } catch (problem) {
-      trouble(problem.message);
+      showProblem(problem.message);
     }
     dialog.showModal();
-    byId('order-mission').focus();
+    byId('submit-mission').focus();
   };
-  byId('order-close').onclick = () => dialog.close();
-  byId('order-mission').onchange = parameters;
-  // Whatever is changed is another request; the same one, asked again, gets the same mission.
-  byId('order-form').oninput = () => { request = undefined; };
-  byId('order-form').onsubmit = async (event) => {
+  byId('submit-close').onclick = () => dialog.close();
+  byId('submit-mission').onchange = parameters;
+  // A changed form is a new request; repeating the same request returns the same mission.
+  byId('submit-form').oninput = () => { request = undefined; };
+  byId('submit-form').onsubmit = async (event) => {
     event.preventDefault();
-    trouble('');
-    const send = byId('order-send');
-    send.disabled = true;
-    say(send, 'Submitting …');
+    showProblem('');
+    const button = byId('submit-send');
+    button.disabled = true;
+    setText(button, 'Submitting …');
     request ??= `page-${Date.now().toString(36)}-${Math.random().toString(36).slice(2, 8)}`;
-    const given = [...document.querySelectorAll('[data-parameter]')].filter((one) => one.value !== '');
-    const order = {
-      mission: byId('order-mission').value,
-      parameters: Object.fromEntries(given.map((one) => [one.dataset.parameter, one.value])),
+    const given = [...document.querySelectorAll('[data-parameter]')].filter((field) => field.value !== '');
+    const body = {
+      mission: byId('submit-mission').value,
+      parameters: Object.fromEntries(given.map((field) => [field.dataset.parameter, field.value])),
       request,
-      priority: Number(byId('order-priority').value || 0),
+      priority: Number(byId('submit-priority').value || 0),
     };
-    if (byId('order-deadline').value) order.deadline_s = Number(byId('order-deadline').value);
+    if (byId('submit-deadline').value) body.deadline_s = Number(byId('submit-deadline').value);
     try {
-      const { mission } = await ask('POST', '/api/missions', order);
+      const { mission } = await send('POST', '/api/missions', body);
       request = undefined;
       dialog.close();
       announce(`${mission} is acknowledged`);
       onSubmitted(mission);
     } catch (problem) {
-      trouble(problem.message);
+      showProblem(problem.message);
     } finally {
-      send.disabled = false;
-      say(send, 'Submit');
+      button.disabled = false;
+      setText(button, 'Submit');
     }
   };
 }
 
-export function setPlaces(picture) {
-  places = (picture.map?.places ?? []).filter((place) => place.kind !== 'corridor').map(({ name }) => name);
+export function setPlaces(model) {
+  places = (model.map?.places ?? []).filter((place) => place.kind !== 'corridor').map(({ name }) => name);
 }
 
 export async function cancel(id, button) {
   if (!confirm(`Cancel ${id}? Its robots stop safely.`)) return;
   button.disabled = true;
   try {
-    await ask('POST', `/api/missions/${encodeURIComponent(id)}/cancel`, {});
+    await send('POST', `/api/missions/${encodeURIComponent(id)}/cancel`, {});
     announce(`${id} is canceled`);
   } catch (problem) {
     button.disabled = false;
@@ -73,53 +73,53 @@ export async function cancel(id, button) {
   }
 }
 
-/** Asks who took care of what a mission left in robots' hands, and closes it then. */
-export function rescue(id, mission) {
-  const dialog = byId('rescue');
+/** Asks for the person who took care of the items in robots' hands, and resolves the mission. */
+export function resolve(id, mission) {
+  const dialog = byId('resolve');
   dialog.dataset.mission = id;
-  say(byId('rescue-head'), `Close ${id} after a rescue`);
-  say(byId('rescue-cause'), mission.cause ?? '');
-  byId('rescue-items').replaceChildren(...(mission.items ?? []).map((item) => make('li', {}, whereabouts(item))));
-  trouble('', 'rescue');
+  setText(byId('resolve-head'), `Resolve ${id}`);
+  setText(byId('resolve-cause'), mission.cause ?? '');
+  byId('resolve-items').replaceChildren(...(mission.items ?? []).map((item) => make('li', {}, lastKnownPlace(item))));
+  showProblem('', 'resolve');
   dialog.showModal();
-  byId('rescue-by').focus();
+  byId('resolve-by').focus();
 }
 
-function startRescue() {
-  const dialog = byId('rescue');
-  byId('rescue-back').onclick = () => dialog.close();
-  byId('rescue-form').onsubmit = async (event) => {
+function startResolve() {
+  const dialog = byId('resolve');
+  byId('resolve-back').onclick = () => dialog.close();
+  byId('resolve-form').onsubmit = async (event) => {
     event.preventDefault();
     const { mission } = dialog.dataset;
-    const send = byId('rescue-send');
-    send.disabled = true;
-    trouble('', 'rescue');
+    const button = byId('resolve-send');
+    button.disabled = true;
+    showProblem('', 'resolve');
     try {
-      await ask('POST', `/api/missions/${encodeURIComponent(mission)}/rescued`, { by: byId('rescue-by').value });
+      await send('POST', `/api/missions/${encodeURIComponent(mission)}/resolve`, { by: byId('resolve-by').value });
       dialog.close();
-      announce(`${mission} is closed`);
+      announce(`${mission} is resolved`);
     } catch (problem) {
-      trouble(problem.message, 'rescue');
+      showProblem(problem.message, 'resolve');
     } finally {
-      send.disabled = false;
+      button.disabled = false;
     }
   };
 }
 
 function fill() {
-  const choice = byId('order-mission');
+  const choice = byId('submit-mission');
   if (choice.options.length === 0) {
-    choice.append(...shipped.map(({ mission, title }) => make('option', { value: mission, title }, mission)));
-    choice.value = shipped.some((one) => one.mission === 'lab-samples') ? 'lab-samples' : choice.value;
+    choice.append(...bundled.map(({ mission, title }) => make('option', { value: mission, title }, mission)));
+    choice.value = bundled.some((template) => template.mission === 'lab-samples') ? 'lab-samples' : choice.value;
   }
   parameters();
 }
 
 function parameters() {
-  const chosen = shipped.find((one) => one.mission === byId('order-mission').value);
-  say(byId('order-title'), chosen?.title ?? '');
+  const chosen = bundled.find((template) => template.mission === byId('submit-mission').value);
+  setText(byId('submit-title'), chosen?.title ?? '');
   const fields = Object.entries(chosen?.parameters ?? {}).map(([name, { kind, default: value, description }]) => {
-    const text = `${words(name)}${description ? `: ${description}` : ''}${kind === 'seconds' ? ', in seconds' : ''}`;
+    const text = `${readable(name)}${description ? `: ${description}` : ''}${kind === 'seconds' ? ', in seconds' : ''}`;
     const known = kind === 'place' && places.length > 0 && (!value || places.includes(value));
     const field = known
       ? make('select', {}, places.map((place) => make('option', { value: place, selected: place === value }, place)))
@@ -127,24 +127,24 @@ function parameters() {
     field.dataset.parameter = name;
     return make('label', { className: 'field' }, text, field);
   });
-  byId('order-parameters').replaceChildren(...fields);
+  byId('submit-parameters').replaceChildren(...fields);
 }
 
-function trouble(text, form = 'order') {
+function showProblem(text, form = 'submit') {
   byId(`${form}-problem`).hidden = !text;
-  say(byId(`${form}-problem`), text);
+  setText(byId(`${form}-problem`), text);
 }
 
-async function ask(method, path, value) {
+async function send(method, path, value) {
   const options = { method };
   if (value !== undefined) Object.assign(options, { body: JSON.stringify(value), headers: { 'content-type': 'application/json' } });
-  let answer;
+  let reply;
   try {
-    answer = await fetch(path, options);
+    reply = await fetch(path, options);
   } catch {
-    throw new Error('This page’s node does not answer.');
+    throw new Error('This page’s node does not reply.');
   }
-  const said = await answer.json().catch(() => ({}));
-  if (!answer.ok) throw new Error(said.error ?? `The node answers ${answer.status}.`);
-  return said;
+  const content = await reply.json().catch(() => ({}));
+  if (!reply.ok) throw new Error(content.error ?? `The node replies with status ${reply.status}.`);
+  return content;
 }

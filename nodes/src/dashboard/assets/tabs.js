@@ -1,13 +1,13 @@
-// Tabs as a keyboard expects them: one stop for Tab, arrows, Home and End between them.
+// Accessible tabs: a single stop for Tab; arrows, Home and End move between tabs.
 
 export function start(onShow) {
   const tabs = [...document.querySelectorAll('[role="tab"]')];
   const show = (chosen, focus) => {
     for (const tab of tabs) {
-      const is = tab === chosen;
-      tab.setAttribute('aria-selected', String(is));
-      tab.tabIndex = is ? 0 : -1;
-      document.getElementById(tab.getAttribute('aria-controls')).hidden = !is;
+      const selected = tab === chosen;
+      tab.setAttribute('aria-selected', String(selected));
+      tab.tabIndex = selected ? 0 : -1;
+      document.getElementById(tab.getAttribute('aria-controls')).hidden = !selected;
     }
     if (focus) chosen.focus();
     chosen.scrollIntoView({ block: 'nearest', inline: 'nearest' });

@@ -1,6 +1,6 @@
-// Light or dark: as the system has it, until somebody says otherwise.
+// Light or dark theme: the system's preference, until the user selects a theme.
 
-import { byId, say } from './dom.js';
+import { byId, setText } from './dom.js';
 
 const KEY = 'consort-theme';
 const system = matchMedia('(prefers-color-scheme: dark)');
@@ -13,13 +13,13 @@ export function start(onChange) {
     const theme = stored() ?? (system.matches ? 'dark' : 'light');
     document.documentElement.dataset.theme = theme;
     const other = theme === 'dark' ? 'Light' : 'Dark';
-    say(byId('theme'), other);
+    setText(byId('theme'), other);
     byId('theme').setAttribute('aria-label', `Use ${other.toLowerCase()} colours`);
     onChange();
   };
   byId('theme').onclick = () => {
     const next = document.documentElement.dataset.theme === 'dark' ? 'light' : 'dark';
-    try { localStorage.setItem(KEY, next); } catch { /* not kept, then */ }
+    try { localStorage.setItem(KEY, next); } catch { /* the choice is not stored */ }
     document.documentElement.dataset.theme = next;
     apply();
   };

@@ -12,7 +12,7 @@ fn robot(name: &str) -> RobotId {
     RobotId::new(name).unwrap()
 }
 
-/// `lab_arm` does one task, after which it tells `r1`, who waits for it.
+/// `lab_arm` executes a task and then signals `r1`, which waits for it.
 fn submission(request: &str) -> Box<Submission> {
     let task = TaskId::new("pick_up_sample").unwrap();
     let spec = TaskSpec::of(TaskType::new("pick_up").unwrap(), vec![role("lab_arm")]);
@@ -91,7 +91,7 @@ fn epoch(index: u64) -> Epoch {
 }
 
 #[test]
-fn a_request_sent_twice_is_answered_twice_and_done_once() {
+fn a_repeated_request_is_answered_again_and_executed_once() {
     let mut log = Log::new();
     let first = log.submit("a");
     assert_eq!(first.as_str(), "unload-1");
@@ -101,7 +101,7 @@ fn a_request_sent_twice_is_answered_twice_and_done_once() {
 }
 
 #[test]
-fn a_mission_ends_when_all_its_managed_roles_have() {
+fn a_mission_ends_when_all_its_managed_roles_have_ended() {
     let mut log = Log::new();
     let mission = log.submit("a");
     assert_eq!(log.award(&mission, "arm", "ada"), CommandOutcome::Awarded { epoch: epoch(2) });
@@ -116,21 +116,21 @@ fn a_mission_ends_when_all_its_managed_roles_have() {
 fn no_robot_holds_two_roles() {
     let mut log = Log::new();
     let (first, second) = (log.submit("a"), log.submit("b"));
-    let two = |mission: &MissionId, held| {
+    let two_roles = |mission: &MissionId, held| {
         CommandOutcome::Refused(CommandError::TwoRoles {
             robot: robot("ada"),
             mission: mission.clone(),
             role: role(held),
         })
     };
-    assert_eq!(log.award(&first, "ada", "ada"), two(&first, "lab_arm"));
+    assert_eq!(log.award(&first, "ada", "ada"), two_roles(&first, "lab_arm"));
     log.award(&first, "arm", "ada");
-    assert_eq!(log.award(&second, "bob", "ada"), two(&first, "r1"));
+    assert_eq!(log.award(&second, "bob", "ada"), two_roles(&first, "r1"));
     assert_eq!(log.state(&second), &MissionState::Pending);
 }
 
 #[test]
-fn all_open_roles_are_filled_or_none() {
+fn an_award_fills_all_open_roles_or_is_rejected() {
     let mut log = Log::new();
     let mission = log.submit("a");
     let holders = BTreeMap::from([(role("r1"), robot("ada"))]);
@@ -143,7 +143,7 @@ fn all_open_roles_are_filled_or_none() {
 }
 
 #[test]
-fn a_released_role_is_given_anew_under_a_later_epoch_and_the_former_holder_is_not_heard() {
+fn reports_of_the_former_holder_of_a_released_role_are_rejected() {
     let mut log = Log::new();
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
@@ -164,7 +164,7 @@ fn a_released_role_is_given_anew_under_a_later_epoch_and_the_former_holder_is_no
 }
 
 #[test]
-fn a_role_whose_work_others_have_acted_on_is_not_begun_anew() {
+fn a_role_that_has_signalled_others_is_not_restarted() {
     let mut log = Log::new();
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
@@ -175,7 +175,7 @@ fn a_role_whose_work_others_have_acted_on_is_not_begun_anew() {
 }
 
 #[test]
-fn what_a_waiter_has_heard_counts_as_told_even_if_the_teller_never_reported_it() {
+fn a_signal_counts_as_sent_when_its_receiver_reports_the_wait() {
     let mut log = Log::new();
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
@@ -185,7 +185,7 @@ fn what_a_waiter_has_heard_counts_as_told_even_if_the_teller_never_reported_it()
 }
 
 #[test]
-fn a_robot_that_started_anew_does_not_go_on_with_what_it_has_forgotten() {
+fn a_restarted_robot_continues_only_from_a_checkpoint() {
     let mut log = Log::new();
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
@@ -197,7 +197,7 @@ fn a_robot_that_started_anew_does_not_go_on_with_what_it_has_forgotten() {
     assert_eq!(log.apply(accept(1, false)), CommandOutcome::Done);
     assert!(matches!(log.apply(accept(2, false)), CommandOutcome::Refused(CommandError::Restarted { .. })));
     assert_eq!(log.apply(accept(1, false)), CommandOutcome::Done);
-    // One that took the plan up goes on, and what its former life had sent is not listened to any more.
+    // A node that restored the plan continues, and reports of its earlier incarnation are rejected.
     assert_eq!(log.apply(accept(3, true)), CommandOutcome::Done);
     assert_eq!(log.apply(accept(3, true)), CommandOutcome::Done);
     assert!(matches!(log.apply(accept(1, false)), CommandOutcome::Refused(CommandError::StaleIncarnation { .. })));
@@ -205,7 +205,7 @@ fn a_robot_that_started_anew_does_not_go_on_with_what_it_has_forgotten() {
 }
 
 #[test]
-fn a_canceled_mission_frees_its_robots_and_takes_no_more() {
+fn a_canceled_mission_frees_its_robots_and_rejects_reports() {
     let mut log = Log::new();
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
@@ -222,7 +222,7 @@ fn a_canceled_mission_frees_its_robots_and_takes_no_more() {
 }
 
 #[test]
-fn only_so_many_ended_missions_are_kept() {
+fn the_number_of_ended_missions_kept_is_bounded() {
     let mut log = Log::new();
     for number in 0..HISTORY_MAX + 3 {
         let mission = log.submit(&format!("request{number}"));
@@ -235,7 +235,7 @@ fn only_so_many_ended_missions_are_kept() {
 }
 
 #[test]
-fn a_ledger_is_founded_once() {
+fn the_cluster_of_a_ledger_is_set_once() {
     let mut log = Log::new();
     assert_eq!(log.0.cluster(), None);
     assert_eq!(log.apply(Command::Bootstrap { cluster: ClusterId(1) }), CommandOutcome::Done);

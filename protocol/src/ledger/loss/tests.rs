@@ -23,7 +23,7 @@ fn epoch(index: u64) -> Epoch {
     Epoch { term: 1, index }
 }
 
-/// Two robots of which nobody has any item: `b` waits for `a`, which has something left to do afterwards.
+/// Two robots without items: `b` waits for `a`, which has a task left afterwards.
 const RELAY: &str = r#"{"mission": "relay", "roles": {"a": {"kind": "managed"}, "b": {"kind": "managed"}},
   "root": {"task": "all", "method": "sequential", "tasks": [
     {"task": "t-a", "type": "wait", "roles": ["a"], "parameters": {"seconds": "1"}},
@@ -31,7 +31,7 @@ const RELAY: &str = r#"{"mission": "relay", "roles": {"a": {"kind": "managed"}, 
       {"task": "t-b", "type": "wait", "roles": ["b"], "parameters": {"seconds": "1"}},
       {"task": "t-a2", "type": "wait", "roles": ["a"], "parameters": {"seconds": "1"}}]}]}}"#;
 
-/// As lab samples, with somebody who goes and looks if the carrier is lost.
+/// The mission `lab-samples`, with a helper that drives to the carrier if it is lost.
 fn with_recovery() -> MissionTemplate {
     let text = std::fs::read_to_string("missions/lab-samples.yaml").unwrap();
     let text = text.replace("roles:\n  nurse", "roles:\n  helper: { kind: managed }\n  nurse")
@@ -46,10 +46,10 @@ fn submission(request: &str, template: &MissionTemplate) -> Submission {
     Submission { recovery, ..Submission::of(RequestId::new(request).unwrap(), mission, division) }
 }
 
-/// A robot that has something, where it is, and whether that is certain.
+/// Robot with an item, its place, and whether custody is certain.
 type Left<'a> = (&'a str, Option<&'a PlaceId>, bool);
 
-/// A ledger with one mission, and the index of its next entry.
+/// A ledger with a mission, and the index of its next entry.
 struct Log(Ledger, u64, MissionId);
 
 impl Log {
@@ -59,7 +59,7 @@ impl Log {
         log
     }
 
-    /// Lab samples, held by amber and arm under epoch 2, confirmed.
+    /// The mission `lab-samples`, held by amber and arm under epoch 2, confirmed.
     fn lab_samples() -> Log {
         let mut log = Log::of(&shipped()["lab-samples"]);
         log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
@@ -124,9 +124,9 @@ impl Log {
         self.apply(Command::Progress { mission, role, epoch, branch, ended: steps.collect() })
     }
 
-    fn lose(&mut self, who: &str, epoch: Epoch, blamed: bool) {
+    fn lose(&mut self, who: &str, epoch: Epoch, robot_failed: bool) {
         let (mission, role, cause) = (self.2.clone(), role(who), "silent for 7 s".to_owned());
-        let release = Command::Release { mission, role, epoch, cause, robot_failed: blamed, place: Some(place()) };
+        let release = Command::Release { mission, role, epoch, cause, robot_failed, place: Some(place()) };
         assert_eq!(self.apply(release), CommandOutcome::Done);
     }
 
@@ -134,45 +134,49 @@ impl Log {
         self.0.mission(&self.2).unwrap()
     }
 
-    /// `amber!` for an item that amber has, `amber?` for one that it may have.
-    fn keepers(&self) -> Vec<String> {
-        let sign = |kept: &HeldItem| format!("{}{}", kept.robot, if kept.certain { '!' } else { '?' });
+    /// Formats custody: `amber!` for an item that amber has, `amber?` for an item that it may have.
+    fn custodians(&self) -> Vec<String> {
+        let sign = |held: &HeldItem| format!("{}{}", held.robot, if held.certain { '!' } else { '?' });
         self.entry().custody().iter().map(sign).collect()
     }
 
-    fn rescue(&self) -> (&str, Vec<Left<'_>>) {
-        let MissionState::NeedsRescue { cause, items } = &self.entry().state else {
+    fn intervention(&self) -> (&str, Vec<Left<'_>>) {
+        let MissionState::NeedsIntervention { cause, items } = &self.entry().state else {
             panic!("{:?}", self.entry().state)
         };
-        (cause, items.iter().map(|kept| (kept.robot.as_str(), kept.place.as_ref(), kept.certain)).collect())
+        (cause, items.iter().map(|held| (held.robot.as_str(), held.place.as_ref(), held.certain)).collect())
     }
 }
 
 #[test]
-fn the_sample_is_followed_from_hand_to_hand() {
+fn custody_of_the_sample_follows_the_reports() {
     let mut log = Log::lab_samples();
-    assert_eq!(log.keepers(), [""; 0]);
+    assert_eq!(log.custodians(), [""; 0]);
     log.ended("r1", epoch(2), 0..3);
-    assert_eq!(log.keepers(), [""; 0], "the drawer is not known to be open, so the nurse was not told");
+    assert_eq!(
+        log.custodians(),
+        [""; 0],
+        "the ledger does not contain the open drawer, so the nurse was not signalled"
+    );
     log.ended("r1", epoch(2), 0..4);
-    assert_eq!(log.keepers(), ["amber?"], "she may have been told");
+    assert_eq!(log.custodians(), ["amber?"], "the nurse may have been signalled");
     log.ended("nurse", Epoch::default(), 0..2);
-    assert_eq!(log.keepers(), ["amber!"]);
+    assert_eq!(log.custodians(), ["amber!"]);
     log.ended("r1", epoch(2), 0..11);
-    assert_eq!(log.keepers(), ["amber!"]);
+    assert_eq!(log.custodians(), ["amber!"]);
     log.ended("lab_arm", epoch(2), 0..1);
-    assert_eq!(log.keepers(), ["amber?", "arm?"]);
+    assert_eq!(log.custodians(), ["amber?", "arm?"]);
     log.ended("lab_arm", epoch(2), 0..2);
-    assert_eq!(log.keepers(), ["arm!"]);
+    assert_eq!(log.custodians(), ["arm!"]);
     log.ended("lab_arm", epoch(2), 0..3);
-    assert_eq!(log.keepers(), [""; 0], "where the mission meant it to be");
+    assert_eq!(log.custodians(), [""; 0], "the item is where the mission requires it");
 }
 
 #[test]
-fn what_one_role_has_heard_the_other_has_done() {
+fn a_reported_wait_implies_the_awaited_step() {
     let mut log = Log::lab_samples();
-    log.ended("r1", epoch(2), 5..6); // its wait for the nurse's deposit, and nothing else was reported
-    assert_eq!(log.keepers(), ["amber!"]);
+    log.ended("r1", epoch(2), 5..6); // only its wait for the nurse's deposit was reported
+    assert_eq!(log.custodians(), ["amber!"]);
 }
 
 #[test]
@@ -185,34 +189,34 @@ fn a_carrier_lost_before_its_guard_is_replaced() {
 }
 
 #[test]
-fn a_carrier_lost_with_the_sample_needs_rescue_and_is_kept_until_somebody_closes_it() {
+fn a_carrier_lost_with_the_sample_needs_intervention_until_resolved() {
     for (reported, certain, has) in [(0..4, false, "may have"), (0..8, true, "has")] {
         let mut log = Log::lab_samples();
         log.ended("r1", epoch(2), reported);
         log.lose("r1", epoch(2), false);
-        let said = format!("amber was lost as r1 and {has} the sample: silent for 7 s");
-        assert_eq!(log.rescue(), (said.as_str(), vec![("amber", Some(&place()), certain)]));
+        let lost_cause = format!("amber was lost as r1 and {has} the sample: silent for 7 s");
+        assert_eq!(log.intervention(), (lost_cause.as_str(), vec![("amber", Some(&place()), certain)]));
         assert!(log.entry().state.is_final());
         for number in 0..HISTORY_MAX + 3 {
             let mission = log.submit(&format!("more{number}"), &shipped()["lab-samples"]);
             let (cause, places) = ("test".to_owned(), BTreeMap::new());
             log.apply(Command::Fail { mission, cause, branch: None, places });
         }
-        assert!(log.0.mission(&log.2).is_some(), "what waits for a person is not forgotten");
+        assert!(log.0.mission(&log.2).is_some(), "a mission that waits for a person is not dropped");
 
-        // Nobody gives the robot another role meanwhile.
+        // Meanwhile the robot gets no other role.
         let waiting = log.2.clone();
         log.2 = log.submit("next", &shipped()["lab-samples"]);
         let full = log.award(&[("r1", "amber"), ("lab_arm", "arm")]);
         assert!(matches!(full, CommandOutcome::Refused(CommandError::CarriesItem { .. })), "{full:?}");
         let by = "Nia".to_owned();
         assert_eq!(log.apply(Command::Resolve { mission: waiting.clone(), by: by.clone() }), CommandOutcome::Done);
-        let cause = format!("{said}; rescued by Nia");
+        let cause = format!("{lost_cause}; resolved by Nia");
         assert_eq!(log.0.mission(&waiting).map(|entry| &entry.state), Some(&MissionState::Failed { cause }));
         assert_eq!(
             log.apply(Command::Resolve { mission: waiting.clone(), by }),
             CommandOutcome::Done,
-            "heard, and asked again"
+            "a repeated request"
         );
         let again = log.apply(Command::Resolve { mission: waiting, by: "Tom".to_owned() });
         assert!(matches!(again, CommandOutcome::Refused(CommandError::NoInterventionNeeded { .. })), "{again:?}");
@@ -221,7 +225,7 @@ fn a_carrier_lost_with_the_sample_needs_rescue_and_is_kept_until_somebody_closes
 }
 
 #[test]
-fn a_mission_canceled_or_failed_with_the_sample_in_a_drawer_needs_rescue() {
+fn a_mission_that_ends_with_the_sample_in_a_drawer_needs_intervention() {
     let places = BTreeMap::from([(robot("amber"), place())]);
     let end = |log: &Log, canceled| match canceled {
         true => Command::Cancel { mission: log.2.clone(), by: "Nia".to_owned(), places: places.clone() },
@@ -235,33 +239,33 @@ fn a_mission_canceled_or_failed_with_the_sample_in_a_drawer_needs_rescue() {
         log.ended("r1", epoch(2), 0..8);
         assert_eq!(log.apply(end(&log, canceled)), CommandOutcome::Done);
         let cause = format!("{cause}; the sample is with amber at IC Room 6");
-        assert_eq!(log.rescue(), (cause.as_str(), vec![("amber", Some(&place()), true)]));
+        assert_eq!(log.intervention(), (cause.as_str(), vec![("amber", Some(&place()), true)]));
     }
-    // To cancel it again closes nothing: the one who asks may merely not have heard the answer.
+    // A repeated cancellation does not close the mission: the client may have missed the reply.
     let mut log = Log::lab_samples();
     log.ended("r1", epoch(2), 0..8);
     log.apply(end(&log, true));
     log.apply(end(&log, true));
-    assert_eq!(log.rescue().0, "canceled by Nia; the sample is with amber at IC Room 6");
+    assert_eq!(log.intervention().0, "canceled by Nia; the sample is with amber at IC Room 6");
 }
 
 #[test]
-fn a_carrier_that_has_passed_the_sample_on_has_done_its_part() {
+fn a_carrier_that_has_passed_the_sample_on_counts_as_ended() {
     let mut log = Log::lab_samples();
     log.ended("r1", epoch(2), 0..11);
     log.ended("lab_arm", epoch(2), 0..3);
     log.lose("r1", epoch(2), false); // closing its drawer
     assert_eq!(log.entry().state, MissionState::Completed);
-    assert_eq!(log.entry().releases.len(), 1, "and it is seen that it did not");
+    assert_eq!(log.entry().releases.len(), 1, "the release is recorded");
 }
 
 #[test]
-fn an_arm_lost_at_the_drawer_needs_rescue_at_both_ends() {
+fn an_arm_lost_at_the_drawer_makes_custody_uncertain() {
     let mut log = Log::lab_samples();
     log.ended("r1", epoch(2), 0..11);
     log.ended("lab_arm", epoch(2), 0..1);
     log.lose("lab_arm", epoch(2), false);
-    let (cause, items) = log.rescue();
+    let (cause, items) = log.intervention();
     assert_eq!(cause, "arm was lost as lab_arm and may have the sample: silent for 7 s");
     assert_eq!(items, [("amber", None, false), ("arm", Some(&place()), false)]);
 }
@@ -272,11 +276,11 @@ fn an_arm_lost_earlier_is_replaced_while_the_carrier_keeps_the_sample() {
     log.ended("r1", epoch(2), 0..8);
     log.lose("lab_arm", epoch(2), false);
     assert_eq!(log.entry().open_roles(), [role("lab_arm")].into());
-    assert_eq!(log.keepers(), ["amber!"]);
+    assert_eq!(log.custodians(), ["amber!"]);
 }
 
 #[test]
-fn whoever_has_the_item_may_take_part_in_getting_it_back() {
+fn the_robot_with_the_item_may_take_part_in_the_recovery() {
     let mut log = Log::of(&with_recovery());
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
     log.ended("r1", epoch(2), 0..8);
@@ -285,7 +289,7 @@ fn whoever_has_the_item_may_take_part_in_getting_it_back() {
 }
 
 #[test]
-fn a_withdrawal_that_is_asked_for_again_has_been_heard() {
+fn a_repeated_cancellation_has_the_same_outcome() {
     let mut log = Log::lab_samples();
     let cancel =
         |log: &Log, by: &str| Command::Cancel { mission: log.2.clone(), by: by.to_owned(), places: BTreeMap::new() };
@@ -297,7 +301,7 @@ fn a_withdrawal_that_is_asked_for_again_has_been_heard() {
 }
 
 #[test]
-fn a_mission_with_a_recovery_branch_goes_on_with_it() {
+fn a_mission_continues_with_its_recovery_branch() {
     let mut log = Log::of(&with_recovery());
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
     log.ended("r1", epoch(2), 0..8);
@@ -307,11 +311,11 @@ fn a_mission_with_a_recovery_branch_goes_on_with_it() {
     assert_eq!(entry.open_roles(), [role("helper")].into());
     let (_, spec) = entry.plan(&role("helper")).unwrap().tasks().next().unwrap();
     assert_eq!(spec.parameters["to"], "IC Room 6");
-    assert!(log.0.held_by(&robot("arm")).is_none(), "the others are free");
+    assert!(log.0.held_by(&robot("arm")).is_none(), "the other robots are free");
     let arm = RoleHolder { robot: robot("arm"), epoch: epoch(2) };
-    assert_eq!(entry.former_holders, [arm], "and may still be at work");
+    assert_eq!(entry.former_holders, [arm], "and may still be acting");
 
-    // Whoever has the sample does nothing else meanwhile, should it come back.
+    // The robot with the sample gets no other role meanwhile, in case it returns.
     let recovering = log.2.clone();
     log.2 = log.submit("next", &shipped()["lab-samples"]);
     let full = log.award(&[("r1", "amber"), ("lab_arm", "arm")]);
@@ -321,13 +325,13 @@ fn a_mission_with_a_recovery_branch_goes_on_with_it() {
     let then = log.hold(&[("helper", "birch")]);
     assert_eq!(log.entry().former_holders, []);
     log.ended("helper", then, 0..1);
-    let (cause, items) = log.rescue();
-    assert_eq!(cause, "the recovery branch was carried out; the sample is with amber at IC Room 6");
+    let (cause, items) = log.intervention();
+    assert_eq!(cause, "the recovery branch was completed; the sample is with amber at IC Room 6");
     assert_eq!(items, [("amber", Some(&place()), true)]);
 }
 
 #[test]
-fn who_is_lost_in_the_recovery_branch_is_replaced_while_it_has_nothing_in_hand() {
+fn a_robot_lost_in_the_recovery_branch_without_an_item_is_replaced() {
     let mut log = Log::of(&with_recovery());
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
     log.ended("r1", epoch(2), 0..8);
@@ -337,20 +341,20 @@ fn who_is_lost_in_the_recovery_branch_is_replaced_while_it_has_nothing_in_hand()
     let entry = log.entry();
     assert_eq!((entry.branch, &entry.state), (Branch::Recovery, &MissionState::Pending));
     assert_eq!(entry.open_roles(), [role("helper")].into());
-    assert_eq!((log.keepers(), entry.release_count), (vec!["amber!".to_owned()], 2), "the sample is where it was");
-    // Who is lost last of all leaves the mission to a person, and the first loss is not forgotten.
+    assert_eq!((log.custodians(), entry.release_count), (vec!["amber!".to_owned()], 2), "the sample is where it was");
+    // After the last release the mission needs a person, and the first loss is still recorded.
     for name in ["cedar", "dogwood", "elm"] {
         let then = log.hold(&[("helper", name)]);
         log.lose("helper", then, true);
     }
-    let (cause, items) = log.rescue();
+    let (cause, items) = log.intervention();
     assert!(cause.starts_with("its roles were given up 5 times: silent for 7 s (r1); "), "{cause}");
     assert!(cause.ends_with("; the sample is with amber at IC Room 6"), "{cause}");
     assert_eq!(items, [("amber", Some(&place()), true)]);
 }
 
 #[test]
-fn who_is_lost_in_the_recovery_branch_with_the_item_in_hand_needs_rescue_there() {
+fn a_robot_lost_with_the_item_in_the_recovery_needs_intervention() {
     let text = std::fs::read_to_string("missions/lab-samples.yaml").unwrap()
         + "recovery: { task: hand_over, type: wait, roles: [lab_arm], parameters: { seconds: \"5\" }, acquires: { sample: lab_arm } }\n";
     let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
@@ -359,23 +363,23 @@ fn who_is_lost_in_the_recovery_branch_with_the_item_in_hand_needs_rescue_there()
     log.lose("r1", epoch(2), false);
     let then = log.hold(&[("lab_arm", "arm")]);
     log.lose("lab_arm", then, false);
-    let (cause, items) = log.rescue();
+    let (cause, items) = log.intervention();
     assert_eq!(cause, "arm was lost as lab_arm and may have the sample: silent for 7 s");
     assert_eq!(items, [("amber", Some(&place()), false), ("arm", Some(&place()), false)]);
 }
 
 #[test]
-fn a_branch_that_asks_for_a_place_that_nobody_knows_is_not_taken() {
+fn a_branch_that_needs_an_unknown_place_is_not_taken() {
     let mut log = Log::of(&with_recovery());
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
     log.ended("r1", epoch(2), 0..8);
     let (mission, role, cause) = (log.2.clone(), role("r1"), "silent".to_owned());
     log.apply(Command::Release { mission, role, epoch: epoch(2), cause, robot_failed: false, place: None });
-    assert_eq!(log.rescue().1, [("amber", None, true)]);
+    assert_eq!(log.intervention().1, [("amber", None, true)]);
 }
 
 #[test]
-fn what_is_moved_out_of_reach_by_the_recovery_branch_needs_no_rescue() {
+fn an_item_released_by_the_recovery_branch_needs_no_intervention() {
     let text = std::fs::read_to_string("missions/lab-samples.yaml").unwrap()
         + "recovery: { task: hand_over, type: wait, roles: [nurse, lab_arm], parameters: { seconds: \"5\" }, releases: [sample] }\n";
     let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
@@ -389,7 +393,7 @@ fn what_is_moved_out_of_reach_by_the_recovery_branch_needs_no_rescue() {
 }
 
 #[test]
-fn whoever_failed_at_a_role_is_not_asked_for_it_again_and_in_the_end_the_mission_fails_with_all_causes() {
+fn robots_that_failed_are_excluded_until_the_mission_fails() {
     let mut log = Log::of(&shipped()["lab-samples"]);
     for (count, name) in (1..).zip(["amber", "birch", "cedar", "dogwood", "elm"]) {
         let epoch = log.hold(&[("r1", name), ("lab_arm", "arm")][..if count == 1 { 2 } else { 1 }]);
@@ -401,7 +405,7 @@ fn whoever_failed_at_a_role_is_not_asked_for_it_again_and_in_the_end_the_mission
 }
 
 #[test]
-fn a_robot_that_never_confirmed_counts_for_little() {
+fn releases_before_confirmation_are_not_counted() {
     let mut log = Log::of(&shipped()["lab-samples"]);
     for _ in 0..3 * RELEASES_MAX {
         let CommandOutcome::Awarded { epoch } = log.award(&[("r1", "amber"), ("lab_arm", "arm")]) else {
@@ -415,7 +419,7 @@ fn a_robot_that_never_confirmed_counts_for_little() {
 }
 
 #[test]
-fn a_role_that_others_have_acted_on_is_begun_anew_if_the_mission_says_so() {
+fn a_role_with_on_loss_restart_is_restarted() {
     let restart = RELAY.replace(r#""a": {"kind": "managed"}"#, r#""a": {"kind": "managed", "on_loss": "restart"}"#);
     for (text, expected) in [(RELAY, "failed"), (restart.as_str(), "pending")] {
         let mut log = Log::of(&MissionTemplate::parse(text, Format::Json).unwrap());
@@ -428,7 +432,7 @@ fn a_role_that_others_have_acted_on_is_begun_anew_if_the_mission_says_so() {
 }
 
 #[test]
-fn a_role_without_items_may_have_its_purpose_in_its_last_step() {
+fn a_role_without_items_is_not_ended_before_its_last_step() {
     let mut log = Log::of(&MissionTemplate::parse(RELAY, Format::Json).unwrap());
     log.hold(&[("a", "amber"), ("b", "birch")]);
     log.ended("a", epoch(2), 0..2);
@@ -438,8 +442,8 @@ fn a_role_without_items_may_have_its_purpose_in_its_last_step() {
 }
 
 #[test]
-fn what_a_person_did_in_the_mission_is_not_counted_in_its_recovery_branch() {
-    // The nurse's part in the branch has as many steps as in the mission, and moves the same sample.
+fn progress_of_a_person_does_not_count_in_the_recovery_branch() {
+    // The nurse has as many steps in the branch as in the mission, and moves the same sample.
     let text = std::fs::read_to_string("missions/lab-samples.yaml").unwrap()
         + "recovery: { task: hand_over, type: wait, roles: [nurse, lab_arm], parameters: { seconds: \"5\" }, releases: [sample] }\n";
     let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
@@ -452,23 +456,23 @@ fn what_a_person_did_in_the_mission_is_not_counted_in_its_recovery_branch() {
     let refused =
         CommandOutcome::Refused(CommandError::WrongBranch { mission: log.2.clone(), taken: Branch::Recovery });
     assert_eq!(late, refused);
-    let (mission, cause, places) = (log.2.clone(), "the nurse has none".to_owned(), BTreeMap::new());
+    let (mission, cause, places) = (log.2.clone(), "the nurse has no sample".to_owned(), BTreeMap::new());
     let late = log.apply(Command::Fail { mission, cause, branch: Some(Branch::Main), places });
     assert_eq!(late, refused);
-    assert_eq!(log.0, before, "and nothing has changed");
+    assert_eq!(log.0, before, "the ledger must be unchanged");
     assert_eq!(log.ended_in(Branch::Recovery, "nurse", Epoch::default(), 0..1), CommandOutcome::Done);
     assert_eq!(log.entry().roles[&role("nurse")].ended, [0].into());
 }
 
 #[test]
-fn what_an_auction_of_the_mission_came_to_is_not_counted_in_its_recovery_branch_nor_the_other_way_round() {
-    // Both branches ask for an arm; the mission's is lost while another one is sought for it.
+fn an_auction_of_a_branch_has_no_effect_in_the_other_branch() {
+    // Both branches need an arm; the arm of the mission is lost while an arm is sought for it.
     let text = std::fs::read_to_string("missions/lab-samples.yaml").unwrap()
         + "recovery: { task: hand_over, type: wait, roles: [lab_arm], parameters: { seconds: \"5\" } }\n";
     let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
     let auction = |log: &Log, branch| {
         let (mission, auction, places) = (log.2.clone(), log.record(), BTreeMap::new());
-        let cause = "nobody is left for lab_arm".to_owned();
+        let cause = "no robot is left for lab_arm".to_owned();
         [
             Command::Award {
                 mission: mission.clone(),
@@ -480,12 +484,13 @@ fn what_an_auction_of_the_mission_came_to_is_not_counted_in_its_recovery_branch_
             Command::Fail { mission, cause, branch: Some(branch), places },
         ]
     };
-    let refuses = |log: &mut Log, branch, taken| {
+    let expect_rejected = |log: &mut Log, branch, executed| {
         let before = log.0.clone();
         for command in auction(log, branch) {
-            let refused = CommandOutcome::Refused(CommandError::WrongBranch { mission: log.2.clone(), taken });
+            let refused =
+                CommandOutcome::Refused(CommandError::WrongBranch { mission: log.2.clone(), taken: executed });
             assert_eq!(log.apply(command.clone()), refused, "{command:?}");
-            assert_eq!(log.0, before, "and nothing has changed");
+            assert_eq!(log.0, before, "the ledger must be unchanged");
         }
     };
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
@@ -493,15 +498,15 @@ fn what_an_auction_of_the_mission_came_to_is_not_counted_in_its_recovery_branch_
     log.ended("nurse", Epoch::default(), 0..2);
     log.lose("lab_arm", epoch(2), false);
     assert_eq!(log.entry().open_roles(), [role("lab_arm")].into());
-    refuses(&mut log, Branch::Recovery, Branch::Main);
+    expect_rejected(&mut log, Branch::Recovery, Branch::Main);
 
     log.lose("r1", epoch(2), false);
     assert_eq!((log.entry().branch, log.entry().open_roles()), (Branch::Recovery, [role("lab_arm")].into()));
-    refuses(&mut log, Branch::Main, Branch::Recovery);
+    expect_rejected(&mut log, Branch::Main, Branch::Recovery);
     let [award, defer, fail] = auction(&log, Branch::Recovery);
     for command in [defer, award, fail] {
         let outcome = log.apply(command);
         assert!(!matches!(outcome, CommandOutcome::Refused(_)), "{outcome:?}");
     }
-    assert_eq!(log.entry().state.as_str(), "needs_rescue");
+    assert_eq!(log.entry().state.as_str(), "needs_intervention");
 }

@@ -1,4 +1,4 @@
-//! From the written form to a mission: names are checked, and what a request gives is put in.
+//! Builds a mission from its parsed file: checks names and substitutes parameters.
 
 use super::form::{RoleFile, TaskFile, TemplateParameter};
 use crate::ids::{ItemId, NameError, RoleId, TaskId, TaskType};
@@ -11,29 +11,30 @@ use crate::mission::model::{
 use crate::mission::validate::TASKS_MAX;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Leaves to each branch the roles that do something in it; to the mission also those that do nothing in either.
+/// Keeps in each branch the roles that have a task in it. The main branch also keeps roles without
+/// any task.
 pub(super) fn split_roles(mission: &mut Mission, recovery: &mut Mission) {
-    let busy = |mission: &Mission| -> BTreeSet<RoleId> {
+    let roles_with_tasks = |mission: &Mission| -> BTreeSet<RoleId> {
         mission.elementary().into_iter().flat_map(|(_, spec)| spec.roles.clone()).collect()
     };
-    let (own, others) = (busy(mission), busy(recovery));
+    let (own, others) = (roles_with_tasks(mission), roles_with_tasks(recovery));
     mission.roles.retain(|role, _| own.contains(role) || !others.contains(role));
     recovery.roles.retain(|role, _| others.contains(role));
 }
 
-/// What is wrong with a recovery branch.
+/// Returns the problems of a recovery branch.
 pub(super) fn recovery_diagnostics(mission: &Mission, recovery: &Mission, domain: &Domain) -> Vec<MissionDiagnostic> {
-    let filled = LostItem::example(domain).substitute_mission(recovery.clone()).expect("all of it is known");
+    let filled = LostItem::example(domain).substitute_mission(recovery.clone()).expect("the example has all values");
     let of_branch = |MissionDiagnostic { path, kind }: MissionDiagnostic| match path.strip_prefix("root") {
-        Some(below) => MissionDiagnostic { path: format!("recovery{below}"), kind: kind },
-        None => MissionDiagnostic { path: format!("recovery: {path}"), kind: kind },
+        Some(below) => MissionDiagnostic { path: format!("recovery{below}"), kind },
+        None => MissionDiagnostic { path: format!("recovery: {path}"), kind },
     };
     let mut found: Vec<MissionDiagnostic> =
         filled.check(domain).err().into_iter().flat_map(|errors| errors.diagnostics).map(of_branch).collect();
     let names: BTreeSet<&TaskId> = mission.task_names().collect();
     for task in recovery.task_names().filter(|task| names.contains(task)) {
-        let fault = MissionErrorKind::DuplicateId { first: format!("root/…/{task}") };
-        found.push(MissionDiagnostic { path: format!("recovery/…/{task}"), kind: fault });
+        let kind = MissionErrorKind::DuplicateId { first: format!("root/…/{task}") };
+        found.push(MissionDiagnostic { path: format!("recovery/…/{task}"), kind });
     }
     if mission.elementary().iter().all(|(_, spec)| spec.acquires.is_empty()) {
         found.push(MissionDiagnostic { path: "recovery".to_owned(), kind: MissionErrorKind::UnusedRecovery });
@@ -41,71 +42,71 @@ pub(super) fn recovery_diagnostics(mission: &Mission, recovery: &Mission, domain
     found
 }
 
-/// A mission under construction.
+/// Mission under construction.
 #[derive(Default)]
 pub(super) struct MissionBuilder<'a> {
-    /// What names stand for.
+    /// Values by parameter name.
     pub(super) values: BTreeMap<&'a str, &'a str>,
     used: BTreeSet<&'a str>,
     pub(super) diagnostics: Vec<MissionDiagnostic>,
 }
 
 impl<'a> MissionBuilder<'a> {
-    fn problem(&mut self, path: &str, fault: MissionErrorKind) {
-        self.diagnostics.push(MissionDiagnostic { path: path.to_owned(), kind: fault });
+    fn report(&mut self, path: &str, kind: MissionErrorKind) {
+        self.diagnostics.push(MissionDiagnostic { path: path.to_owned(), kind });
     }
 
-    /// Takes in what the request gives, and what it leaves to the file.
+    /// Binds the declared parameters to the arguments of the request, or to their defaults.
     pub(super) fn bind_parameters(
         &mut self,
         declared: &'a BTreeMap<String, TemplateParameter>,
-        given: &'a BTreeMap<String, String>,
+        arguments: &'a BTreeMap<String, String>,
         domain: &Domain,
     ) {
         for (name, parameter) in declared {
             let path = format!("parameters/{name}");
             let kind = parameter.kind.value_kind();
-            let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
-            if name.is_empty() || !name.chars().all(plain) {
-                let problem = "a parameter's name holds letters, digits, `_` and `-`".to_owned();
-                self.problem(&path, MissionErrorKind::Substitution { text: name.clone(), problem });
+            let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+            if name.is_empty() || !name.chars().all(is_allowed) {
+                let problem = "a parameter name may contain letters, digits, `_` and `-`".to_owned();
+                self.report(&path, MissionErrorKind::Substitution { text: name.clone(), problem });
             }
-            match given.get(name).or(parameter.default.as_ref()) {
+            match arguments.get(name).or(parameter.default.as_ref()) {
                 Some(value) => {
                     if !kind.admits(value) {
                         let (name, value) = (name.clone(), value.chars().take(80).collect());
-                        self.problem(&path, MissionErrorKind::BadValue { name, value, kind: kind.to_string() });
-                    } else if let Some(fault) = domain.unknown_place(name, &kind, value) {
-                        self.problem(&path, fault);
+                        self.report(&path, MissionErrorKind::BadValue { name, value, kind: kind.to_string() });
+                    } else if let Some(kind) = domain.unknown_place(name, &kind, value) {
+                        self.report(&path, kind);
                     }
                     self.values.insert(name, value);
                 }
                 None => {
-                    self.problem(&path, MissionErrorKind::MissingArgument { kind: kind.to_string() });
-                    self.values.insert(name, ""); // so that its uses are not reported as well
+                    self.report(&path, MissionErrorKind::MissingArgument { kind: kind.to_string() });
+                    self.values.insert(name, ""); // so that its uses are not reported, too
                 }
             }
         }
-        for name in given.keys().filter(|name| !declared.contains_key(*name)) {
+        for name in arguments.keys().filter(|name| !declared.contains_key(*name)) {
             let allowed = AllowedNames::suggest_for(name, declared.keys());
-            self.problem(&format!("parameters/{name}"), MissionErrorKind::UnknownArgument { allowed });
+            self.report(&format!("parameters/{name}"), MissionErrorKind::UnknownArgument { allowed });
         }
     }
 
-    /// Finds parameters that stand nowhere.
+    /// Reports declared parameters that no task uses.
     pub(super) fn find_unused(&mut self, declared: &BTreeMap<String, TemplateParameter>) {
         let unused: Vec<&String> = declared.keys().filter(|name| !self.used.contains(name.as_str())).collect();
         for name in unused {
-            self.problem(&format!("parameters/{name}"), MissionErrorKind::UnusedParameter { name: name.clone() });
+            self.report(&format!("parameters/{name}"), MissionErrorKind::UnusedParameter { name: name.clone() });
         }
     }
 
-    /// The name, or a stand-in and a problem.
+    /// Returns the name, or reports the problem and returns `None`.
     fn name<N>(&mut self, path: &str, name: Result<N, NameError>) -> Option<N> {
-        name.map_err(|error| self.problem(path, error.into())).ok()
+        name.map_err(|error| self.report(path, error.into())).ok()
     }
 
-    /// One branch, of which `path` is the root.
+    /// Builds a branch with `path` as the path of its root.
     pub(super) fn mission(
         &mut self,
         name: &TaskId,
@@ -115,14 +116,14 @@ impl<'a> MissionBuilder<'a> {
     ) -> Mission {
         let mut roles = BTreeMap::new();
         for (text, role) in declared {
-            // A name that is none is told once, by the main branch.
+            // An invalid name is reported once, for the main branch.
             let id = RoleId::new(&**text);
             let id = if path == "root" { self.name(&format!("roles/{text}"), id) } else { id.ok() };
             roles.extend(id.map(|id| (id, Role { kind: role.kind, on_loss: role.on_loss })));
         }
         let mut tasks: Vec<TaskNode> = Vec::new();
         let mut open: Vec<(&'a TaskFile, Option<usize>, String)> = vec![(root, None, path.to_owned())];
-        // One more than is allowed is enough for the check to refuse it.
+        // A single task above the limit is sufficient for the check to reject the mission.
         while let Some((node, parent, path)) = open.pop()
             && tasks.len() <= TASKS_MAX
         {
@@ -130,11 +131,13 @@ impl<'a> MissionBuilder<'a> {
             if let Some(TaskBody::Abstract(method)) = parent.map(|parent| &mut tasks[parent].body) {
                 method.children.push(index as TaskIndex);
             }
-            let stand_in = || TaskId::new(format!("unnamed-{index}")).expect("made of a slug's characters");
-            let id = self.name(&path, TaskId::new(&*node.task)).unwrap_or_else(stand_in);
+            let placeholder =
+                || TaskId::new(format!("unnamed-{index}")).expect("consists of characters allowed in a slug");
+            let id = self.name(&path, TaskId::new(&*node.task)).unwrap_or_else(placeholder);
             let body = self.body(node, &path);
             tasks.push(TaskNode { id, body });
-            // A file that is nested too deep shall not make paths of its own depth squared.
+            // In a file that is nested too deeply, the total size of the paths must not grow with
+            // the square of the depth.
             let below = |child: &TaskFile| match path.len() {
                 0..8192 => format!("{path}/{}", child.task),
                 _ => path.clone(),
@@ -166,9 +169,9 @@ impl<'a> MissionBuilder<'a> {
             (None, Some(_), ..) => "has `tasks` but no `method` (sequential or unordered)",
             (None, None, Some(_), None) => "has `type` but no `roles`",
             (None, None, None, Some(_)) => "has `roles` but no `type`",
-            (None, None, None, None) => "has neither",
+            (None, None, None, None) => "has none of them",
         };
-        self.problem(path, MissionErrorKind::InvalidTaskShape { problem: problem.to_owned() });
+        self.report(path, MissionErrorKind::InvalidTaskShape { problem: problem.to_owned() });
         TaskBody::Abstract(Method::of(TaskOrder::Sequential, vec![]))
     }
 
@@ -177,8 +180,8 @@ impl<'a> MissionBuilder<'a> {
         for (number, method) in (1..).zip(&node.alternatives) {
             let path = format!("{path}/alternative {number}");
             if method.method != TaskOrder::Sequential {
-                let problem = "is an alternative, and the tasks of an alternative are `sequential`".to_owned();
-                self.problem(&path, MissionErrorKind::InvalidTaskShape { problem });
+                let problem = "is an alternative; its method must be `sequential`".to_owned();
+                self.report(&path, MissionErrorKind::InvalidTaskShape { problem });
             }
             let mut tasks = Vec::new();
             for task in &method.tasks {
@@ -188,8 +191,8 @@ impl<'a> MissionBuilder<'a> {
                     TaskBody::Elementary(spec) => Some(spec),
                     TaskBody::Abstract(_) => {
                         if task.task_type.is_none() {
-                            let problem = "stands in an alternative, where all tasks are elementary".to_owned();
-                            self.problem(&path, MissionErrorKind::InvalidTaskShape { problem });
+                            let problem = "is part of an alternative; its tasks must be elementary".to_owned();
+                            self.report(&path, MissionErrorKind::InvalidTaskShape { problem });
                         }
                         None
                     }
@@ -221,14 +224,14 @@ impl<'a> MissionBuilder<'a> {
         for (name, text) in entries {
             match self.substitute(text) {
                 Ok(value) => drop(filled.insert(name.clone(), value)),
-                Err(fault) => self.problem(path, fault),
+                Err(kind) => self.report(path, kind),
             }
         }
         filled
     }
 
     fn substitute(&mut self, text: &'a str) -> Result<String, MissionErrorKind> {
-        let wrong =
+        let error =
             |problem: &str| MissionErrorKind::Substitution { text: text.to_owned(), problem: problem.to_owned() };
         let mut filled = String::new();
         let mut rest = text;
@@ -239,8 +242,8 @@ impl<'a> MissionBuilder<'a> {
                 rest = after;
                 continue;
             }
-            let after = after.strip_prefix('{').ok_or_else(|| wrong("a `$` begins nothing"))?;
-            let (name, after) = after.split_once('}').ok_or_else(|| wrong("a `${` is never closed"))?;
+            let after = after.strip_prefix('{').ok_or_else(|| error("a `$` is not followed by `{` or `$`"))?;
+            let (name, after) = after.split_once('}').ok_or_else(|| error("a `${` is not closed"))?;
             let Some((name, value)) = self.values.get_key_value(name) else {
                 let allowed = AllowedNames::suggest_for(name, self.values.keys());
                 return Err(MissionErrorKind::UnknownReference { name: name.to_owned(), allowed });

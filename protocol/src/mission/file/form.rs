@@ -1,4 +1,4 @@
-//! A mission as people write it, before anything of it is judged.
+//! Parsed form of a mission file, before it is checked.
 
 use crate::ids::{RoleId, TaskId, TaskType};
 use crate::mission::domain::ValueKind;
@@ -10,27 +10,27 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::marker::PhantomData;
 
-/// What a request fills in.
+/// Parameter that a request provides.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TemplateParameter {
-    /// What it is.
+    /// Kind of the parameter.
     pub kind: TemplateKind,
-    /// Its value where a request gives none.
+    /// Value if the request gives none.
     #[serde(default)]
     pub default: Option<String>,
-    /// What it means, for people.
+    /// Meaning, for people.
     #[serde(default)]
     pub description: String,
 }
 
-/// What a mission's parameter is.
+/// Kind of a mission parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum TemplateKind {
-    /// A place on the map.
+    /// Place on the map.
     Place,
-    /// A time span in seconds.
+    /// Duration in seconds.
     Seconds,
     /// Any text.
     Text,
@@ -46,46 +46,48 @@ impl TemplateKind {
     }
 }
 
-/// A mission as people write it.
+/// Mission file.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct MissionFile {
-    /// The name of the kind of mission.
+    /// Name of the kind of mission.
     #[schemars(with = "TaskId")]
     pub(super) mission: String,
-    /// What it is about, for people.
+    /// Title, for people.
     #[serde(default)]
     pub(super) title: String,
-    /// What a request fills in, by name.
+    /// Parameters that a request provides, by name.
     #[serde(default, deserialize_with = "unique_keys")]
     pub(super) parameters: BTreeMap<String, TemplateParameter>,
-    /// Who takes part, by name; at least one is managed.
+    /// Participating roles, by name; at least 1 is managed.
     #[serde(deserialize_with = "unique_keys")]
     pub(super) roles: BTreeMap<String, RoleFile>,
-    /// What is done.
+    /// Tasks of the mission.
     pub(super) root: TaskFile,
-    /// What is done instead if a robot is lost that has an item, or may have one. Its tasks have names of their own; in its
-    /// values `${lost.item}`, `${lost.robot}` and `${lost.place}` say what was lost.
+    /// Branch executed instead if a robot is lost that has, or may have, an item. Its tasks have
+    /// different names. In its values `${lost.item}`, `${lost.robot}` and `${lost.place}` stand for
+    /// the loss.
     #[serde(default)]
     pub(super) recovery: Option<TaskFile>,
 }
 
-/// A part in the mission.
+/// Role in the mission.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RoleFile {
-    /// Whether a robot is sought for it.
+    /// Managed roles are filled by robots.
     pub(super) kind: RoleKind,
-    /// What becomes of the mission if its holder is lost after others have acted on its work.
+    /// Consequence if its holder is lost after other roles have acted on its work.
     #[serde(default)]
     pub(super) on_loss: OnLoss,
-    /// What it does, for people.
+    /// Description, for people.
     #[serde(default, rename = "description")]
     _description: String,
 }
 
-/// A task: abstract, with a `method` over `tasks`, or elementary, with a `type` and `roles`.
-// Which of the two is told by its fields and judged when the mission is built, with its path.
+/// Task: abstract, with a `method` over `tasks`, or elementary, with a `type` and `roles`.
+// The fields decide between the two forms; the builder checks them and reports problems with their
+// path.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(extend("oneOf" = [
@@ -93,90 +95,91 @@ pub(super) struct RoleFile {
     { "required": ["type", "roles"], "not": { "anyOf": [{ "required": ["method"] }, { "required": ["tasks"] }] } },
 ]))]
 pub(super) struct TaskFile {
-    /// Its name, unique within the mission.
+    /// Name, unique within the mission.
     #[schemars(with = "TaskId")]
     pub(super) task: String,
-    /// Of an abstract task: whether its tasks depend on one another.
+    /// Abstract task: order of its tasks.
     #[serde(default)]
     pub(super) method: Option<TaskOrder>,
-    /// Of an abstract task: what it comes down to.
+    /// Abstract task: its tasks.
     #[serde(default)]
     pub(super) tasks: Option<Vec<TaskFile>>,
-    /// Of an elementary task: its type, which names the skill that does it.
+    /// Elementary task: its type, which is the name of the skill that executes it.
     #[serde(default, rename = "type")]
     #[schemars(with = "Option<TaskType>")]
     pub(super) task_type: Option<String>,
-    /// Of an elementary task: who does it; several do it jointly.
+    /// Elementary task: roles that execute it; several roles execute it jointly.
     #[serde(default)]
     #[schemars(with = "Option<Vec<RoleId>>")]
     pub(super) roles: Option<Vec<String>>,
-    /// What the skill is told, by name. `${name}` stands for a parameter of the mission.
+    /// Parameters of the skill, by name. `${name}` stands for a parameter of the mission.
     #[serde(default, deserialize_with = "unique_keys")]
     pub(super) parameters: BTreeMap<String, String>,
-    /// What is so once the task has ended, as `location: ${room}`.
+    /// State that holds after the task, such as `location: ${room}`.
     #[serde(default, deserialize_with = "unique_keys")]
     pub(super) reaches: BTreeMap<String, String>,
-    /// Which role has which item once the task has ended.
+    /// Items that roles have after the task.
     #[serde(default, deserialize_with = "unique_keys")]
     pub(super) acquires: BTreeMap<String, String>,
-    /// Items that nobody of the mission has any more once the task has ended.
+    /// Items that are outside the mission after the task.
     #[serde(default)]
     pub(super) releases: Vec<String>,
-    /// How often its skill is tried before the task has failed; 2 if nothing is said.
+    /// Maximum number of attempts before the task has failed permanently; default 2.
     #[serde(default, deserialize_with = "attempts")]
     #[schemars(range(min = 1, max = ATTEMPTS_MAX))]
     pub(super) attempts: Option<u8>,
-    /// Of an abstract task: other methods, tried in this order when a task of its own has failed for good. One managed role
-    /// does all of them alone.
+    /// Abstract task: other methods, tried in this order when a task of its own method has failed
+    /// permanently. A single managed role executes all of them.
     #[serde(default)]
     pub(super) alternatives: Vec<MethodFile>,
 }
 
-/// Another way to do an abstract task.
+/// Alternative method of an abstract task.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct MethodFile {
-    /// `sequential`.
+    /// Always `sequential`.
     pub(super) method: TaskOrder,
     /// Elementary tasks.
     pub(super) tasks: Vec<TaskFile>,
 }
 
 impl TaskFile {
-    /// Whether it says what only an elementary task does.
+    /// Checks whether the task has fields of elementary tasks.
     pub(super) fn has_entries(&self) -> bool {
         let maps = [&self.parameters, &self.reaches, &self.acquires];
         maps.iter().any(|map| !map.is_empty()) || !self.releases.is_empty() || self.attempts.is_some()
     }
 }
 
-/// A map in which a key that stands twice is an error; JSON readers otherwise keep the last and say nothing.
+/// Deserializes a map and rejects repeated keys; JSON parsers otherwise silently keep the last
+/// value.
 pub(in crate::mission) fn unique_keys<'de, D, V>(reader: D) -> Result<BTreeMap<String, V>, D::Error>
 where
     D: Deserializer<'de>,
     V: Deserialize<'de>,
 {
-    struct OnceEach<V>(PhantomData<V>);
-    impl<'de, V: Deserialize<'de>> Visitor<'de> for OnceEach<V> {
+    struct UniqueKeys<V>(PhantomData<V>);
+    impl<'de, V: Deserialize<'de>> Visitor<'de> for UniqueKeys<V> {
         type Value = BTreeMap<String, V>;
         fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-            f.write_str("a map from names")
+            f.write_str("a map with names as keys")
         }
         fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
             let mut found = BTreeMap::new();
             while let Some((key, value)) = map.next_entry::<String, V>()? {
                 if found.contains_key(&key) {
-                    return Err(A::Error::custom(format!("`{key}` stands here twice")));
+                    return Err(A::Error::custom(format!("the key `{key}` occurs twice")));
                 }
                 found.insert(key, value);
             }
             Ok(found)
         }
     }
-    reader.deserialize_map(OnceEach(PhantomData))
+    reader.deserialize_map(UniqueKeys(PhantomData))
 }
 
-/// A number of attempts, or a word on what it should be. Whether it is one that is allowed is told later, with its task.
+/// Deserializes a number of attempts. The allowed range is checked later, together with the task.
 fn attempts<'de, D: Deserializer<'de>>(reader: D) -> Result<Option<u8>, D::Error> {
     struct Attempts;
     impl Visitor<'_> for Attempts {

@@ -1,10 +1,11 @@
-//! What a file may say beyond the main job: attempts, items, other methods, recovery.
+//! Tests of optional parts of mission files: attempts, items, alternatives, recovery.
 
 use super::*;
 use crate::ids::{ItemId, RoleId};
 use crate::mission::{ATTEMPTS, LostItem, OnLoss, TaskBody, TaskSpec};
 
-/// A robot fetches a key and hands it to another; if it is lost with it, the other goes there.
+/// A robot fetches a key and hands it to another robot. If the first robot is lost with the key,
+/// the other robot drives there.
 const FILE: &str = r#"
 mission: fetch-key
 roles:
@@ -33,7 +34,7 @@ recovery:
     - { task: stay, type: wait, roles: [r2], parameters: { seconds: "9" }, reaches: { watched: "${lost.item} of ${lost.robot}" } }
 "#;
 
-fn problems(text: &str) -> Vec<String> {
+fn diagnostics_of(text: &str) -> Vec<String> {
     let template = MissionTemplate::parse(text, Format::Yaml).unwrap();
     match template.instantiate(&BTreeMap::new(), &Domain::hospital()) {
         Ok(_) => vec![],
@@ -41,14 +42,14 @@ fn problems(text: &str) -> Vec<String> {
     }
 }
 
-/// What is said of the file when this stands in the place of that.
-fn said(from: &str, to: &str) -> Vec<String> {
+/// Returns the diagnostics of the file with `from` replaced by `to`.
+fn diagnostics_with(from: &str, to: &str) -> Vec<String> {
     assert!(FILE.contains(from), "{from}");
-    problems(&FILE.replace(from, to))
+    diagnostics_of(&FILE.replace(from, to))
 }
 
 #[test]
-fn all_that_a_file_says_is_in_the_mission_and_in_its_recovery_branch() {
+fn all_fields_of_a_file_are_in_the_mission_and_its_recovery() {
     let template = MissionTemplate::parse(FILE, Format::Yaml).unwrap();
     let (mission, recovery) = template.instantiate_with_recovery(&BTreeMap::new(), &Domain::hospital()).unwrap();
     let on_loss = |role: &str| mission.roles[&RoleId::new(role).unwrap()].on_loss;
@@ -62,26 +63,26 @@ fn all_that_a_file_says_is_in_the_mission_and_in_its_recovery_branch() {
     assert_eq!((specs["pass_on"].releases.len(), specs["lay_down"].releases.contains(&key)), (0, true));
 
     let TaskBody::Abstract(method) = &mission.tasks[1].body else { panic!("find is abstract") };
-    let ways = method.alternatives.iter().map(|other| {
+    let alternatives = method.alternatives.iter().map(|other| {
         let tasks = other.tasks.iter().map(|(id, spec)| (id.as_str(), spec.attempts));
         tasks.collect::<Vec<_>>()
     });
-    assert_eq!(ways.collect::<Vec<_>>(), [vec![("go_round", 2), ("go_then", 2)], vec![("rest", 1)]]);
+    assert_eq!(alternatives.collect::<Vec<_>>(), [vec![("go_round", 2), ("go_then", 2)], vec![("rest", 1)]]);
 
-    let recovery = recovery.expect("it has one");
-    assert_eq!(recovery.roles.keys().map(RoleId::as_str).collect::<Vec<_>>(), ["r2"], "those who take part in it");
+    let recovery = recovery.expect("the file has a recovery branch");
+    assert_eq!(recovery.roles.keys().map(RoleId::as_str).collect::<Vec<_>>(), ["r2"], "only the roles of the branch");
     let lost = LostItem { place: Some("Dock".parse().unwrap()), item: key, robot: "ada".parse().unwrap() };
-    let filled = lost.substitute_mission(recovery).expect("all is known");
+    let filled = lost.substitute_mission(recovery).expect("all values are known");
     let specs = filled.elementary();
     assert_eq!((specs[0].1.parameters["to"].as_str(), specs[1].1.reaches["watched"].as_str()), ("Dock", "key of ada"));
-    assert_eq!(problems(FILE), [""; 0]);
+    assert_eq!(diagnostics_of(FILE), [""; 0]);
 }
 
 #[test]
-fn attempts_are_from_one_to_ten() {
+fn attempts_range_from_1_to_10() {
     for number in ["0", "11", "255"] {
-        let expected = format!("root/find/go: has {number} attempts; allowed are 1 to 10");
-        assert_eq!(said("attempts: 5", &format!("attempts: {number}")), [expected]);
+        let expected = format!("root/find/go: has {number} attempts; 1 to 10 are allowed");
+        assert_eq!(diagnostics_with("attempts: 5", &format!("attempts: {number}")), [expected]);
     }
     for (text, found) in [("often", "often"), ("300", "300"), ("-1", "-1"), ("1.5", "1.5")] {
         let template = MissionTemplate::parse(&FILE.replace("attempts: 5", &format!("attempts: {text}")), Format::Yaml);
@@ -91,32 +92,32 @@ fn attempts_are_from_one_to_ten() {
         }
     }
     assert_eq!(
-        said("    - task: find\n", "    - task: find\n      attempts: 3\n"),
+        diagnostics_with("    - task: find\n", "    - task: find\n      attempts: 3\n"),
         [
             "root/find: a task has either `method` and `tasks`, or `type` and `roles` (and `parameters`, `reaches`); this \
-          one is abstract and has `parameters`, `reaches`, `acquires`, `releases` or `attempts`"
+          task is abstract and has `parameters`, `reaches`, `acquires`, `releases` or `attempts`"
         ]
     );
 }
 
 #[test]
-fn items_are_held_by_roles_of_the_mission_and_moved_in_a_definite_order() {
-    let unknown = said("acquires: { key: r1 }", "acquires: { key: r11 }");
+fn items_belong_to_roles_and_move_in_a_definite_order() {
+    let unknown = diagnostics_with("acquires: { key: r1 }", "acquires: { key: r11 }");
     let expected = "root/take: unknown role `r11`; allowed: nurse, r1, r2; did you mean `r1`?";
     assert_eq!(unknown, [expected]);
     assert_eq!(
-        said("releases: [key]", "releases: [key], acquires: { key: r2 }"),
-        ["root/lay_down: both acquires and releases the item `key`; it does one or the other"]
+        diagnostics_with("releases: [key]", "releases: [key], acquires: { key: r2 }"),
+        ["root/lay_down: both acquires and releases the item `key`; only one of the two is allowed"]
     );
     assert_eq!(
-        said("releases: [key]", "releases: [\"a key\"]"),
+        diagnostics_with("releases: [key]", "releases: [\"a key\"]"),
         [
-            "root/lay_down: \"a key\" cannot name an item: it holds ' '; allowed are 1 to 64 characters of A-Z, a-z, 0-9, \
+            "root/lay_down: \"a key\" cannot name an item: it contains ' '; allowed are 1 to 64 characters of A-Z, a-z, 0-9, \
           `_`, `.` and `-`"
         ]
     );
-    let unordered = said("task: fetch\n  method: sequential", "task: fetch\n  method: unordered");
-    let rule = "and neither must come first; put them in sequence";
+    let unordered = diagnostics_with("task: fetch\n  method: sequential", "task: fetch\n  method: unordered");
+    let rule = "and the two tasks are unordered; put them in sequence";
     assert_eq!(
         unordered,
         [
@@ -127,8 +128,8 @@ fn items_are_held_by_roles_of_the_mission_and_moved_in_a_definite_order() {
 }
 
 #[test]
-fn alternatives_are_one_robots_own_sequence_of_elementary_tasks() {
-    let rule = "has alternatives, so its tasks and theirs are done by one managed role alone and touch no item; but ";
+fn alternatives_are_local_sequences_of_elementary_tasks() {
+    let rule = "has alternatives, so a single managed role must execute its tasks and theirs, and none may touch an item; but ";
     for (from, to, problem) in [
         ("task: rest, type: wait, roles: [r1]", "task: rest, type: wait, roles: [r2]", "root/find"),
         ("task: rest, type: wait, roles: [r1]", "task: rest, type: wait, roles: [nurse]", "root/find"),
@@ -136,60 +137,64 @@ fn alternatives_are_one_robots_own_sequence_of_elementary_tasks() {
         ("attempts: 1 }", "attempts: 1, releases: [key] }", "root/find"),
         ("parameters: { to: Dock }, attempts: 5", "parameters: { to: Dock }, acquires: { key: r1 }", "root/find"),
     ] {
-        let found = said(from, to);
-        let told = found.iter().any(|told| told.starts_with(problem) && told.contains(rule));
-        assert!(told, "{to}: {found:#?}");
+        let found = diagnostics_with(from, to);
+        let reported = found.iter().any(|text| text.starts_with(problem) && text.contains(rule));
+        assert!(reported, "{to}: {found:#?}");
     }
-    let found = said("- { method: sequential, tasks: [{ task: rest", "- { method: unordered, tasks: [{ task: rest");
+    let found =
+        diagnostics_with("- { method: sequential, tasks: [{ task: rest", "- { method: unordered, tasks: [{ task: rest");
     assert_eq!(
         found,
         ["root/find/alternative 2: a task has either `method` and `tasks`, or `type` and `roles` (and `parameters`, \
-          `reaches`); this one is an alternative, and the tasks of an alternative are `sequential`"]
+          `reaches`); this task is an alternative; its method must be `sequential`"]
     );
     let nested = "task: rest, method: sequential, tasks: []";
-    let found = said("task: rest, type: wait, roles: [r1], parameters: { seconds: \"60\" }, attempts: 1", nested);
+    let found =
+        diagnostics_with("task: rest, type: wait, roles: [r1], parameters: { seconds: \"60\" }, attempts: 1", nested);
     let expected = "root/find/alternative 2/rest: a task has either `method` and `tasks`, or `type` and `roles` (and \
-                    `parameters`, `reaches`); this one stands in an alternative, where all tasks are elementary";
+                    `parameters`, `reaches`); this task is part of an alternative; its tasks must be elementary";
     assert!(found.iter().any(|problem| problem == expected), "{found:#?}");
-    let found = said("parameters: { to: Laboratory }", "parameters: { two: Laboratory }");
+    let found = diagnostics_with("parameters: { to: Laboratory }", "parameters: { two: Laboratory }");
     assert!(
         found.iter().any(|problem| problem.contains("`navigation` has no parameter `two`; allowed: to")),
         "{found:#?}"
     );
-    let found = said(
+    let found = diagnostics_with(
         "- { task: take, type: deposit",
         "- { task: take, alternatives: [{ method: sequential, tasks: [] }], type: deposit",
     );
     assert!(
-        found.iter().any(|problem| problem.ends_with("this one is elementary and has `alternatives`")),
+        found.iter().any(|problem| problem.ends_with("this task is elementary and has `alternatives`")),
         "{found:#?}"
     );
-    let found = said("task: go_round", "task: go");
-    assert!(found.iter().any(|problem| problem.contains("task names are unique in a mission")), "{found:#?}");
+    let found = diagnostics_with("task: go_round", "task: go");
+    assert!(found.iter().any(|problem| problem.contains("task names must be unique in a mission")), "{found:#?}");
 }
 
 #[test]
-fn a_recovery_branch_is_checked_with_paths_of_its_own() {
-    let found = said("to: \"${lost.place}\"", "to: \"${lost.spot}\"");
-    let allowed = "`${lost.spot}` is no parameter of the mission; allowed: lost.item, lost.place, lost.robot";
+fn a_recovery_branch_is_checked_with_its_own_paths() {
+    let found = diagnostics_with("to: \"${lost.place}\"", "to: \"${lost.spot}\"");
+    let allowed = "`${lost.spot}` is not a parameter of the mission; allowed: lost.item, lost.place, lost.robot";
     assert!(found.len() == 1 && found[0].starts_with(&format!("recovery/go_there: {allowed}")), "{found:#?}");
-    let found = said("to: Dock }, attempts: 5", "to: \"${lost.place}\" }");
+    let found = diagnostics_with("to: Dock }, attempts: 5", "to: \"${lost.place}\" }");
     assert!(
-        found.iter().any(|problem| problem.starts_with("root/find/go: `${lost.place}` is no parameter of the mission")),
-        "nothing is lost in the main branch: {found:#?}"
+        found
+            .iter()
+            .any(|problem| problem.starts_with("root/find/go: `${lost.place}` is not a parameter of the mission")),
+        "the main branch has no loss: {found:#?}"
     );
-    let found = said("task: stay, type: wait, roles: [r2]", "task: stay, type: weight, roles: [r3]");
+    let found = diagnostics_with("task: stay, type: wait, roles: [r2]", "task: stay, type: weight, roles: [r3]");
     assert_eq!(found.len(), 2, "{found:#?}");
     assert!(found[0].starts_with("recovery/stay: unknown role `r3`; allowed: "), "{found:#?}");
     assert!(found[1].starts_with("recovery/stay: unknown task type `weight`; "), "{found:#?}");
-    let found = said("task: go_there", "task: take");
-    assert_eq!(found, ["recovery/…/take: has the name of root/…/take; task names are unique in a mission"]);
+    let found = diagnostics_with("task: go_there", "task: take");
+    assert_eq!(found, ["recovery/…/take: has the same name as root/…/take; task names must be unique in a mission"]);
     let without = FILE.replace(", acquires: { key: r1 }", "").replace(", acquires: { key: r2 }", "");
-    assert_eq!(problems(&without), ["recovery: is never taken: no task of the mission acquires an item"]);
+    assert_eq!(diagnostics_of(&without), ["recovery: is never taken: no task of the mission acquires an item"]);
 }
 
 #[test]
-fn what_a_role_says_about_its_loss_is_one_of_two_words() {
+fn on_loss_has_two_values() {
     let template = MissionTemplate::parse(&FILE.replace("on_loss: restart", "on_loss: again"), Format::Yaml);
     let error = template.unwrap_err().to_string();
     for part in ["again", "fail", "restart", "line 4"] {

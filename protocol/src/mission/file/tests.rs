@@ -25,7 +25,7 @@ fn given(entries: &[(&str, &str)]) -> BTreeMap<String, String> {
     entries.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect()
 }
 
-fn problems(text: &str, values: &[(&str, &str)]) -> Vec<String> {
+fn diagnostics_of(text: &str, values: &[(&str, &str)]) -> Vec<String> {
     let template = MissionTemplate::parse(text, Format::of(None, text)).unwrap();
     match template.instantiate(&given(values), &Domain::hospital()) {
         Ok(_) => vec![],
@@ -49,29 +49,33 @@ fn a_file_becomes_a_mission_with_its_parameters_filled_in() {
 }
 
 #[test]
-fn a_place_that_is_on_no_map_is_told_once_of_what_names_it() {
+fn an_unknown_place_is_reported_once() {
     let places = ["Dock", "IC Room 5", "IC Room 6"].map(|name| crate::ids::PlaceId::new(name).unwrap());
     let domain = Domain::hospital().with_places(places);
-    let said = |text: &str, values: &[(&str, &str)]| match MissionTemplate::parse(text, Format::of(None, text))
+    let diagnostics = |text: &str, values: &[(&str, &str)]| match MissionTemplate::parse(text, Format::of(None, text))
         .unwrap()
         .instantiate_with_recovery(&given(values), &domain)
     {
         Ok(_) => vec![],
         Err(errors) => errors.diagnostics.iter().map(ToString::to_string).collect(),
     };
-    assert_eq!(said(FILE, &[("pause", "4")]), Vec::<String>::new());
+    assert_eq!(diagnostics(FILE, &[("pause", "4")]), Vec::<String>::new());
     let allowed = "which is not on the fleet's map; allowed: Dock, IC Room 5, IC Room 6";
     assert_eq!(
-        said(FILE, &[("pause", "4"), ("room", "IC Room 66")]),
+        diagnostics(FILE, &[("pause", "4"), ("room", "IC Room 66")]),
         [format!("parameters/room: `room` is the place \"IC Room 66\", {allowed}; did you mean `IC Room 6`?")]
     );
     let fixed = FILE.replace("parameters: { to: \"${room}\" }", "parameters: { to: Attic }");
     assert_eq!(
-        said(&fixed, &[("pause", "4"), ("room", "Dock")]),
+        diagnostics(&fixed, &[("pause", "4"), ("room", "Dock")]),
         [format!("root/go: `to` is the place \"Attic\", {allowed}")]
     );
-    assert_eq!(problems(FILE, &[("pause", "4"), ("room", "Attic")]), Vec::<String>::new(), "no map is at hand");
-    // Where something was lost is known once it is.
+    assert_eq!(
+        diagnostics_of(FILE, &[("pause", "4"), ("room", "Attic")]),
+        Vec::<String>::new(),
+        "without a map every place is accepted"
+    );
+    // The place of a loss is known only after the loss.
     for mission in super::super::shipped().values().filter(|mission| mission.file.recovery.is_some()) {
         let everywhere = mission.parameters().values().filter_map(|parameter| parameter.default.clone());
         let known = ["Laboratory", "Dock", "Kitchen", "Nurse Station"].map(str::to_owned).into_iter().chain(everywhere);
@@ -81,7 +85,7 @@ fn a_place_that_is_on_no_map_is_told_once_of_what_names_it() {
 }
 
 #[test]
-fn json_says_the_same_as_yaml() {
+fn json_and_yaml_give_the_same_mission() {
     let json = r#" {"mission": "m", "roles": {"r1": {"kind": "managed"}},
             "root": {"task": "go", "type": "navigation", "roles": ["r1"], "parameters": {"to": "Laboratory"}}}"#;
     assert_eq!(Format::of(None, json), Format::Json);
@@ -93,23 +97,23 @@ fn json_says_the_same_as_yaml() {
 }
 
 #[test]
-fn a_request_gives_what_is_asked_for_and_nothing_else() {
+fn a_request_must_give_exactly_the_declared_parameters() {
     assert_eq!(
-        problems(FILE, &[("rom", "IC Room 2")]),
+        diagnostics_of(FILE, &[("rom", "IC Room 2")]),
         [
-            "parameters/pause: is not given and has no default; it should be a number of seconds, zero or more",
+            "parameters/pause: is not given and has no default; it must be a number of seconds, zero or more",
             "parameters/rom: is given, but the mission has no such parameter; allowed: pause, room; did you mean \
              `room`?",
         ]
     );
     assert_eq!(
-        problems(FILE, &[("pause", "soon")]),
-        ["parameters/pause: parameter `pause` is \"soon\"; it should be a number of seconds, zero or more"]
+        diagnostics_of(FILE, &[("pause", "soon")]),
+        ["parameters/pause: parameter `pause` is \"soon\"; it must be a number of seconds, zero or more"]
     );
 }
 
 #[test]
-fn a_value_cannot_smuggle_in_another() {
+fn a_value_cannot_insert_another_value() {
     let template = MissionTemplate::parse(FILE, Format::Yaml).unwrap();
     let values = given(&[("pause", "4"), ("room", "${pause}")]);
     let mission = template.instantiate(&values, &Domain::hospital()).unwrap();
@@ -117,42 +121,42 @@ fn a_value_cannot_smuggle_in_another() {
 }
 
 #[test]
-fn what_the_file_gets_wrong_is_told_together_with_its_path() {
+fn every_problem_of_a_file_is_reported_with_its_path() {
     let file = FILE
         .replace("to: \"${room}\"", "to: \"${roon}\"")
         .replace("in ${room}", "in ${room")
         .replace("task: stay, type: wait, roles: [r1, nurse]", "task: st/ay, type: wait, roles: [r 1, nurse]")
         .replace("{ task: sit, type: wait, roles: [nurse]", "{ task: sit, roles: [nurse]");
     assert_eq!(
-        problems(&file, &[("pause", "1")]),
+        diagnostics_of(&file, &[("pause", "1")]),
         [
-            "root/go: `${roon}` is no parameter of the mission; allowed: pause, room; did you mean `room`?",
-            "root/go: \"in ${room for $$1\": a `${` is never closed; write `${name}` for a parameter and `$$` for \
+            "root/go: `${roon}` is not a parameter of the mission; allowed: pause, room; did you mean `room`?",
+            "root/go: \"in ${room for $$1\": a `${` is not closed; write `${name}` for a parameter and `$$` for \
              a dollar sign",
-            "root/meet/st/ay: \"st/ay\" cannot name a task: it holds '/'; allowed are 1 to 64 characters of A-Z, \
+            "root/meet/st/ay: \"st/ay\" cannot name a task: it contains '/'; allowed are 1 to 64 characters of A-Z, \
              a-z, 0-9, `_`, `.` and `-`",
-            "root/meet/st/ay: \"r 1\" cannot name a role: it holds ' '; allowed are 1 to 64 characters of A-Z, \
+            "root/meet/st/ay: \"r 1\" cannot name a role: it contains ' '; allowed are 1 to 64 characters of A-Z, \
              a-z, 0-9, `_`, `.` and `-`",
             "root/meet/sit: a task has either `method` and `tasks`, or `type` and `roles` (and `parameters`, \
-             `reaches`); this one has `roles` but no `type`",
-            "parameters/room: is declared, but `${room}` stands nowhere in the tasks",
+             `reaches`); this task has `roles` but no `type`",
+            "parameters/room: is declared, but `${room}` is not used in any task",
         ]
     );
 }
 
 #[test]
-fn unknown_fields_and_repeated_keys_are_refused_with_their_place() {
+fn unknown_fields_and_repeated_keys_are_rejected_with_their_place() {
     let message = |text: &str| MissionTemplate::parse(text, Format::of(None, text)).unwrap_err().to_string();
     let error = message(&FILE.replace("method: unordered", "methode: unordered"));
     assert!(error.contains("methode") && error.contains("line 15"), "{error}");
     let error = message(&FILE.replace("unordered", "random"));
     assert!(error.contains("random") && error.contains("unordered"), "{error}");
     let error = message(r#"{"mission": "m", "roles": {"r": {"kind": "managed"}, "r": {"kind": "managed"}}}"#);
-    assert!(error.contains("`r` stands here twice"), "{error}");
+    assert!(error.contains("the key `r` occurs twice"), "{error}");
 }
 
 #[test]
-fn hostile_files_are_refused_quickly() {
+fn hostile_files_are_rejected_quickly() {
     let large = format!("mission: m\ntitle: {}\n", "x".repeat(FILE_BYTES_MAX));
     assert!(matches!(MissionTemplate::parse(&large, Format::Yaml), Err(MissionFileError::TooLarge { .. })));
     let bomb = "mission: &a [x,x,x,x,x,x,x,x]\ntitle: &b [*a,*a,*a,*a,*a,*a,*a,*a]\nroot: [*b,*b,*b,*b,*b,*b]\n";
@@ -170,16 +174,16 @@ fn hostile_files_are_refused_quickly() {
         format!(r#"{{"mission":"m","roles":{{"r":{{"kind":"managed"}}}},"root":{root}}}"#)
     };
     assert!(MissionTemplate::parse(&nest(10_000 / 48), Format::Json).is_err());
-    assert!(problems(&nest(40), &[]).iter().any(|problem| problem.contains("levels deep")));
+    assert!(diagnostics_of(&nest(40), &[]).iter().any(|problem| problem.contains("levels deep")));
 }
 
 #[test]
-fn too_many_tasks_are_refused_without_building_them() {
+fn too_many_tasks_are_rejected_without_building_them() {
     let task = r#"{"task":"b","type":"wait","roles":["r"]},"#.repeat(600);
     let file = format!(
         r#"{{"mission":"m","roles":{{"r":{{"kind":"managed"}}}},
                 "root":{{"task":"a","method":"unordered","tasks":[{}]}}}}"#,
         task.trim_end_matches(',')
     );
-    assert_eq!(problems(&file, &[]), ["root: 513 tasks; at most 512 are allowed"]);
+    assert_eq!(diagnostics_of(&file, &[]), ["root: 513 tasks; at most 512 are allowed"]);
 }

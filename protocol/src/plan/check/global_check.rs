@@ -1,4 +1,4 @@
-//! (b) to (e): all plans together.
+//! Checks (b) to (e): all plans together.
 
 use super::local_check::{Part, StepPosition};
 use super::violation::DivisionViolation;
@@ -18,7 +18,7 @@ pub(super) struct GlobalCheck<'a> {
     pub(super) pairs: Vec<(StepPosition<'a>, StepPosition<'a>)>,
 }
 
-/// Where the steps of each part stand.
+/// Step indices of a part.
 #[derive(Default)]
 struct PartSteps<'a> {
     task: Option<usize>,
@@ -28,20 +28,20 @@ struct PartSteps<'a> {
 
 impl<'a> GlobalCheck<'a> {
     pub(super) fn violations(&self) -> Vec<DivisionViolation> {
-        let mut faults = Vec::new();
+        let mut violations = Vec::new();
         let numbers: BTreeMap<&TaskId, usize> = (0..self.order.len()).map(|task| (self.order.id(task), task)).collect();
         let parts = self.part_steps(&numbers);
-        self.check_rendezvous(&parts, &mut faults);
+        self.check_rendezvous(&parts, &mut violations);
         let (steps, nodes) = self.step_graph();
         let Ok(sequence) = toposort(&steps, None) else {
-            faults.push(self.cycle(&steps, &numbers));
-            return faults;
+            violations.push(self.cycle(&steps, &numbers));
+            return violations;
         };
         let ended = self.ended_before(&steps, &sequence, &numbers);
-        self.check_done(&nodes, &ended, &numbers, &mut faults);
-        let Some(before) = self.task_order(&steps, &numbers, &mut faults) else { return faults };
-        self.check_order(&before, &parts, &nodes, &ended, &mut faults);
-        faults
+        self.check_done(&nodes, &ended, &numbers, &mut violations);
+        let Some(before) = self.task_order(&steps, &numbers, &mut violations) else { return violations };
+        self.check_order(&before, &parts, &nodes, &ended, &mut violations);
+        violations
     }
 
     fn action(&self, (role, index): StepPosition<'a>) -> &'a StepAction {
@@ -67,19 +67,20 @@ impl<'a> GlobalCheck<'a> {
         parts
     }
 
-    /// (b): before the step of a joint task stand a `ready` to, and one from, each partner.
-    fn check_rendezvous(&self, parts: &BTreeMap<Part<'a>, PartSteps<'a>>, faults: &mut Vec<DivisionViolation>) {
+    /// Checks (b): a `ready` to, and a `ready` from, each partner precede the step of a joint task.
+    fn check_rendezvous(&self, parts: &BTreeMap<Part<'a>, PartSteps<'a>>, violations: &mut Vec<DivisionViolation>) {
         for (&(task, role), part) in parts {
             let roles = &self.order.spec(task).roles;
             let needed: Vec<usize> = part.ready.values().chain(part.awaits.values()).copied().collect();
             let Some(first) = needed.iter().min() else {
                 if roles.len() > 1 {
-                    let partner = roles.iter().find(|other| *other != role).expect("a joint task has two roles");
-                    faults.push(self.no_rendezvous(task, role, partner));
+                    let partner =
+                        roles.iter().find(|other| *other != role).expect("a joint task has at least two roles");
+                    violations.push(self.no_rendezvous(task, role, partner));
                 }
                 continue;
             };
-            // What stands before the task in its own plan; nothing that is looked for stands before `first`.
+            // Predecessors of the task in its own plan; no step of interest precedes `first`.
             let steps = &self.division.plans[role].steps;
             let mut seen: BTreeSet<usize> = BTreeSet::new();
             let mut open: Vec<usize> = part.task.into_iter().collect();
@@ -87,10 +88,10 @@ impl<'a> GlobalCheck<'a> {
                 let sooner = steps[index].after.iter().map(|step| *step as usize);
                 open.extend(sooner.filter(|step| step >= first && seen.insert(*step)));
             }
-            let stands = |step: Option<&usize>| step.is_some_and(|step| seen.contains(step));
+            let precedes = |step: Option<&usize>| step.is_some_and(|step| seen.contains(step));
             for partner in roles.iter().filter(|other| *other != role) {
-                if !stands(part.ready.get(partner)) || !stands(part.awaits.get(partner)) {
-                    faults.push(self.no_rendezvous(task, role, partner));
+                if !precedes(part.ready.get(partner)) || !precedes(part.awaits.get(partner)) {
+                    violations.push(self.no_rendezvous(task, role, partner));
                 }
             }
         }
@@ -101,7 +102,7 @@ impl<'a> GlobalCheck<'a> {
         DivisionViolation::MissingRendezvous { role, task: self.order.id(task).clone(), partner }
     }
 
-    /// All steps, with `after` and with each send before its wait.
+    /// Builds the graph of all steps, with `after` and with each send before its wait.
     fn step_graph(&self) -> (DiGraph<StepPosition<'a>, ()>, BTreeMap<StepPosition<'a>, NodeIndex>) {
         let mut graph = DiGraph::new();
         let mut nodes = BTreeMap::new();
@@ -120,7 +121,7 @@ impl<'a> GlobalCheck<'a> {
         (graph, nodes)
     }
 
-    /// For each step, the parts that have ended when it begins, its own included.
+    /// Computes for each step the parts that have ended when it begins, including its own part.
     fn ended_before(
         &self,
         steps: &DiGraph<StepPosition<'a>, ()>,
@@ -146,24 +147,25 @@ impl<'a> GlobalCheck<'a> {
         nodes: &BTreeMap<StepPosition<'a>, NodeIndex>,
         ended: &[Bits],
         numbers: &BTreeMap<&TaskId, usize>,
-        faults: &mut Vec<DivisionViolation>,
+        violations: &mut Vec<DivisionViolation>,
     ) {
         for (send, _) in &self.pairs {
             let StepAction::Send(signal) = self.action(*send) else { continue };
             let part = self.part_numbers[&(numbers[&signal.task], &signal.from)];
             if signal.kind == SignalKind::Done && !ended[nodes[send].index()].contains(part) {
-                faults.push(DivisionViolation::DoneTooEarly { signal: signal.clone() });
+                violations.push(DivisionViolation::DoneTooEarly { signal: signal.clone() });
             }
         }
     }
 
-    /// `<`: the order of tasks in the graph where all steps of a task, and of a joint task in all roles, are one. For each
-    /// task, the tasks before it; nothing if there is a cycle.
+    /// Computes `<`: the order of tasks in the graph where all steps of a task are merged, for a
+    /// joint task those of all roles. Returns for each task the tasks before it, or `None` if there
+    /// is a cycle.
     fn task_order(
         &self,
         steps: &DiGraph<StepPosition<'a>, ()>,
         numbers: &BTreeMap<&TaskId, usize>,
-        faults: &mut Vec<DivisionViolation>,
+        violations: &mut Vec<DivisionViolation>,
     ) -> Option<Vec<Bits>> {
         let tasks = self.order.len();
         let mut graph: DiGraph<(), ()> = DiGraph::new();
@@ -189,7 +191,7 @@ impl<'a> GlobalCheck<'a> {
         let Ok(sequence) = toposort(&graph, None) else {
             let around = tarjan_scc(&graph).into_iter().find(|component| component.len() > 1).unwrap_or_default();
             let ids = around.iter().filter(|node| node.index() < tasks).map(|node| self.order.id(node.index()));
-            faults.push(DivisionViolation::Cycle { tasks: listed(ids) });
+            violations.push(DivisionViolation::Cycle { tasks: listed(ids) });
             return None;
         };
         let mut before = vec![Bits::below(tasks); graph.node_count()];
@@ -217,18 +219,18 @@ impl<'a> GlobalCheck<'a> {
         DivisionViolation::Cycle { tasks: listed(tasks.into_iter().map(|task| self.order.id(task))) }
     }
 
-    /// (d) and (e)
+    /// Checks (d) and (e).
     fn check_order(
         &self,
         before: &[Bits],
         parts: &BTreeMap<Part<'a>, PartSteps<'a>>,
         nodes: &BTreeMap<StepPosition<'a>, NodeIndex>,
         ended: &[Bits],
-        faults: &mut Vec<DivisionViolation>,
+        violations: &mut Vec<DivisionViolation>,
     ) {
         for (&(task, role), part) in parts {
             let at = |step: &usize| &ended[nodes[&(role, *step)].index()];
-            let begins = part.task.as_ref().map(at).expect("every part has its task");
+            let begins = part.task.as_ref().map(at).expect("every part has a task step");
             let ready: Vec<&Bits> = part.ready.values().map(at).collect();
             let roles = &self.order.spec(task).roles;
             let wanted = self.order.before(task);
@@ -238,15 +240,16 @@ impl<'a> GlobalCheck<'a> {
                 for other in &self.order.spec(earlier).roles {
                     let number = self.part_numbers[&(earlier, other)];
                     let opens = other == role || !roles.contains(other);
-                    let kept = begins.contains(number) || !(opens || wanted.contains(earlier));
-                    let kept_ready = !opens || ready.iter().all(|ready| ready.contains(number));
-                    // What a task between the two broke already is told there alone.
-                    if kept && kept_ready || !kept && self.broken_between(earlier, task, begins) {
+                    let in_order = begins.contains(number) || !(opens || wanted.contains(earlier));
+                    let ready_in_order = !opens || ready.iter().all(|ready| ready.contains(number));
+                    // A violation that a task between the two already caused is reported there
+                    // only.
+                    if in_order && ready_in_order || !in_order && self.broken_between(earlier, task, begins) {
                         continue;
                     }
                     let (role, other) = (role.clone(), other.clone());
                     let (task, earlier) = (self.order.id(task).clone(), self.order.id(earlier).clone());
-                    faults.push(match kept {
+                    violations.push(match in_order {
                         false => DivisionViolation::OutOfOrder { role, task, other, earlier },
                         true => DivisionViolation::ReadyTooEarly { role, task, other, earlier },
                     });
@@ -257,8 +260,8 @@ impl<'a> GlobalCheck<'a> {
 }
 
 impl GlobalCheck<'_> {
-    /// Whether some task stands between the two and has ended before `later` begins, so that `earlier` should have ended
-    /// before that one.
+    /// Checks whether some task between the two has ended before `later` begins. Then `earlier`
+    /// should have ended before that task, and the violation is reported there.
     fn broken_between(&self, earlier: usize, later: usize, begins: &Bits) -> bool {
         self.order.before(later).descending().filter(|between| self.order.precedes(earlier, *between)).any(|between| {
             let mut parts = self.order.spec(between).roles.iter().map(|role| self.part_numbers[&(between, role)]);

@@ -1,4 +1,4 @@
-//! (a): each plan by itself, and signals in pairs.
+//! Check (a): each plan alone, and the pairs of signals.
 
 use super::violation::DivisionViolation;
 use crate::ids::{RoleId, TaskId};
@@ -6,12 +6,12 @@ use crate::plan::local::{Division, LocalPlan, Signal, SignalKind, StepAction, St
 use crate::plan::order::GlobalOrder;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A role's part in a task, by the task's number.
+/// Part of a role in a task: task number and role.
 pub(super) type Part<'a> = (usize, &'a RoleId);
-/// A step: whose, and where in its plan.
+/// Position of a step: role and index in its plan.
 pub(super) type StepPosition<'a> = (&'a RoleId, usize);
 
-/// First part of the check: each plan by itself, and signals in pairs.
+/// First part of the check: each plan alone, and the pairs of signals.
 pub(super) struct LocalCheck<'a> {
     pub(super) parts: BTreeMap<Part<'a>, usize>,
     pub(super) pairs: Vec<(StepPosition<'a>, StepPosition<'a>)>,
@@ -20,38 +20,40 @@ pub(super) struct LocalCheck<'a> {
 
 impl<'a> LocalCheck<'a> {
     pub(super) fn of(order: &'a GlobalOrder<'a>, division: &'a Division) -> Self {
-        let mut survey = LocalCheck { parts: BTreeMap::new(), pairs: Vec::new(), violations: Vec::new() };
+        let mut check = LocalCheck { parts: BTreeMap::new(), pairs: Vec::new(), violations: Vec::new() };
         let numbers: BTreeMap<&TaskId, usize> = (0..order.len()).map(|task| (order.id(task), task)).collect();
         for task in 0..order.len() {
             for role in &order.spec(task).roles {
-                let number = survey.parts.len();
-                survey.parts.insert((task, role), number);
+                let number = check.parts.len();
+                check.parts.insert((task, role), number);
             }
         }
-        let roles: BTreeSet<&RoleId> = survey.parts.keys().map(|(_, role)| *role).collect();
+        let roles: BTreeSet<&RoleId> = check.parts.keys().map(|(_, role)| *role).collect();
         for role in roles.iter().filter(|role| !division.plans.contains_key(**role)) {
-            survey.violations.push(DivisionViolation::NoPlan { role: (*role).clone() });
+            check.violations.push(DivisionViolation::NoPlan { role: (*role).clone() });
         }
         let (mut sends, mut waits) = (BTreeMap::new(), BTreeMap::new());
         for (role, plan) in &division.plans {
             if plan.role != *role || !roles.contains(role) {
-                survey
+                check
                     .violations
-                    .push(DivisionViolation::UnexpectedPlan { role: role.clone(), says: plan.role.clone() });
+                    .push(DivisionViolation::UnexpectedPlan { role: role.clone(), stated: plan.role.clone() });
                 continue;
             }
-            survey.plan(order, &numbers, plan);
-            survey.signals(order, &numbers, plan, &mut sends, &mut waits);
+            check.plan(order, &numbers, plan);
+            check.signals(order, &numbers, plan, &mut sends, &mut waits);
         }
         for (signal, &send) in &sends {
             match waits.get(signal) {
-                Some(wait) => survey.pairs.push((send, *wait)),
-                None => survey.violations.push(DivisionViolation::UnmatchedSend { signal: (*signal).clone() }),
+                Some(wait) => check.pairs.push((send, *wait)),
+                None => check.violations.push(DivisionViolation::UnmatchedSend { signal: (*signal).clone() }),
             }
         }
-        let in_vain = waits.keys().filter(|signal| !sends.contains_key(*signal));
-        survey.violations.extend(in_vain.map(|signal| DivisionViolation::UnmatchedWait { signal: (*signal).clone() }));
-        survey
+        let unmatched_waits = waits.keys().filter(|signal| !sends.contains_key(*signal));
+        check
+            .violations
+            .extend(unmatched_waits.map(|signal| DivisionViolation::UnmatchedWait { signal: (*signal).clone() }));
+        check
     }
 
     fn plan(&mut self, order: &GlobalOrder<'_>, numbers: &BTreeMap<&TaskId, usize>, plan: &'a LocalPlan) {
@@ -65,10 +67,10 @@ impl<'a> LocalCheck<'a> {
             }
             let StepAction::Task { id, spec } = &step.action else { continue };
             let problem = match numbers.get(id) {
-                None => "which the mission does not have",
-                Some(task) if !order.spec(*task).roles.contains(role) => "which is not its own",
+                None => "which is not a task of the mission",
+                Some(task) if !order.spec(*task).roles.contains(role) => "which is not assigned to the role",
                 Some(task) if order.spec(*task) != spec => "which differs from the mission's",
-                Some(task) if !seen.insert(*task) => "a second time",
+                Some(task) if !seen.insert(*task) => "more than once",
                 Some(_) => continue,
             };
             self.violations.push(DivisionViolation::UnexpectedTask { role: role.clone(), task: id.clone(), problem });
@@ -95,15 +97,15 @@ impl<'a> LocalCheck<'a> {
             };
             let roles = numbers.get(&signal.task).map_or(&[][..], |task| &order.spec(*task).roles);
             let problem = if own != role {
-                "is another role's to send or to await"
+                "must be sent or awaited by another role"
             } else if signal.from == signal.to {
-                "goes to its own sender"
+                "has the same sender and receiver"
             } else if !roles.contains(&signal.from) {
-                "is of a task in which its sender takes no part"
+                "belongs to a task in which its sender takes no part"
             } else if signal.kind == SignalKind::Ready && !roles.contains(&signal.to) {
-                "is for a role that takes no part in the joint task"
+                "has a receiver that takes no part in the joint task"
             } else if found.insert(signal, (role, index)).is_some() {
-                "stands there twice"
+                "occurs twice"
             } else {
                 continue;
             };

@@ -1,30 +1,31 @@
-//! A robot under Nav2 for the fleet: its body on the fleet's bus, which acts through a `NavigateToPose` action server.
+//! A robot under Nav2 for the fleet: its driver server on the fleet's bus, which drives through a
+//! `NavigateToPose` action server.
 //!
 //! ```text
-//!  fleet's bus                                            this program                    ROS 2 (rmw_zenoh)
-//!  robot's node: skills ── wire/body/ada/command ──▶ Host ─▶ Nav2Body ─▶ ActionClient ──▶ /navigate_to_pose
-//!                       ◀── wire/body/ada/state ────      ◀─ feedback, result ◀──────────
+//!  fleet's bus                                              this program                          ROS 2 (rmw_zenoh)
+//!  robot's node: skills ── wire/body/ada/command ──▶ DriverServer ─▶ Nav2Driver ─▶ ActionClient ──▶ /navigate_to_pose
+//!                       ◀── wire/body/ada/state ────              ◀─ feedback, result ◀──────────
 //! ```
 //!
-//! The robot's node is one like any other (`consort robot`), and its skills cannot tell. The map of the fleet and that of Nav2
-//! have the same origin and axes.
+//! The robot's node is an ordinary node (`consort robot`); its skills do not depend on the kind of
+//! driver. The map of the fleet and the map of Nav2 have the same origin and axes.
 
-pub mod nav2_body;
+pub mod nav2_driver;
 
-use crate::action_client::{ActionClient, Answer, End};
-use crate::goals::Uuid;
+use crate::action_client::{ActionClient, DriveResult, RequestResult};
+use crate::goals::GoalUuid;
 use crate::mapping;
 use crate::messages::{Goal, Progress};
 use crate::ros::{Ros, RosError};
-use consort_actors::body::{Host, HostSettings, SILENCE};
 use consort_actors::bus::SharedBus;
 use consort_actors::clock::Clock;
+use consort_actors::robot_driver::{CLIENT_TIMEOUT, DriverServer, DriverServerSettings};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::keys::Keys;
 use consort_protocol::pose::Pose;
 use consort_skills::actions::ActionError;
 use hiroz::action::GoalId;
-use nav2_body::{Ask, Heard, Nav2Body};
+use nav2_driver::{Nav2Command, Nav2Driver, Nav2Event};
 use ractor::Actor;
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -36,17 +37,17 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep, sleep_until};
 use tracing::{info, warn};
 
-/// How often the body's state is published while nothing changes: as a world's.
-const BEAT: Duration = Duration::from_millis(500);
+/// Interval at which the state is published without changes: the interval of a world.
+const PUBLISH_INTERVAL: Duration = Duration::from_millis(500);
 
-/// A drive of which nothing is heard for so long is lost: Nav2 tells of it many times a second. The links of `rmw_zenoh` take a
-/// minute to notice that a machine has vanished.
-const QUIET: Duration = Duration::from_secs(20);
+/// Time without feedback after which a drive is lost: Nav2 sends feedback several times a second.
+/// The links of `rmw_zenoh` take a minute to detect a lost machine.
+const FEEDBACK_TIMEOUT: Duration = Duration::from_secs(20);
 
-/// How soon Nav2 is asked again to stop, until it has.
-const STOP_AGAIN: Duration = Duration::from_secs(1);
+/// Interval at which a cancel request is repeated until the drive ends.
+const CANCEL_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Which robot is driven.
+/// Settings of the driven robot.
 pub struct DriveSettings {
     /// The fleet's bus.
     pub bus: SharedBus,
@@ -54,50 +55,58 @@ pub struct DriveSettings {
     pub keys: Keys,
     /// The robot, by the name of its node in the fleet.
     pub robot: RobotId,
-    /// Where it stands at first.
+    /// Place of the robot at the start.
     pub place: PlaceId,
     /// The places of the fleet's map.
     pub places: BTreeMap<PlaceId, Pose>,
-    /// The fully qualified name of its action, as `/navigate_to_pose`.
+    /// Fully qualified name of its action, for example `/navigate_to_pose`.
     pub action: String,
 }
 
-/// Why a robot is not driven, or no longer.
+/// The robot cannot be driven, or no longer.
 #[derive(Debug, thiserror::Error)]
 pub enum DriveError {
-    /// The place where it stands.
+    /// The start place is not on the map.
     #[error(transparent)]
     Place(#[from] ActionError),
-    /// The ROS 2 graph.
+    /// The ROS 2 graph failed.
     #[error(transparent)]
     Ros(#[from] RosError),
-    /// The body could not be offered on the fleet's bus, or no longer is.
-    #[error("the body of {robot} is not on the fleet's bus: {problem}")]
-    Host {
-        /// Whose body.
+    /// The driver server is not on the fleet's bus, or no longer.
+    #[error("the driver server of {robot} is not on the fleet's bus: {problem}")]
+    DriverServer {
+        /// The robot.
         robot: RobotId,
-        /// What the bus said.
+        /// The error of the bus.
         problem: String,
     },
 }
 
-/// Offers a robot's body on the bus, and has Nav2 do what it is to do, for as long as it is polled.
+/// Runs the driver server of a robot on the bus, and has Nav2 execute its goals, for as long as the
+/// future is polled.
 ///
 /// # Errors
-/// [`DriveError`]: it ends when the body's host does.
+/// [`DriveError`]: it ends with the driver server.
 pub async fn drive(ros: &Ros, settings: DriveSettings) -> Result<(), DriveError> {
     let DriveSettings { bus, keys, robot, place, places, action } = settings;
     let (client, feedback) = ActionClient::of(&ros.node, &action)?;
-    let ((asks, asked), (hears, heard)) = (unbounded_channel(), unbounded_channel());
-    let body = Nav2Body::new(robot.clone(), place, places, asks, heard)?;
-    let host = HostSettings { keys, bus, clock: Clock::real(), speed: 1.0, beat: BEAT, silence: SILENCE };
-    let hosted = Actor::spawn(None, Host, (host, Box::new(body))).await;
-    let failed = |problem: String| DriveError::Host { robot: robot.clone(), problem };
-    let (host, ended) = hosted.map_err(|problem| failed(problem.to_string()))?;
-    let _stop = StopWhenDropped(host.get_cell());
-    info!(%robot, action, served = client.is_served(), "drives");
+    let ((commands, command_receiver), (events, event_receiver)) = (unbounded_channel(), unbounded_channel());
+    let driver = Nav2Driver::new(robot.clone(), place, places, commands, event_receiver)?;
+    let server = DriverServerSettings {
+        keys,
+        bus,
+        clock: Clock::real(),
+        speed: 1.0,
+        publish_interval: PUBLISH_INTERVAL,
+        client_timeout: CLIENT_TIMEOUT,
+    };
+    let spawned = Actor::spawn(None, DriverServer, (server, Box::new(driver))).await;
+    let failed = |problem: String| DriveError::DriverServer { robot: robot.clone(), problem };
+    let (server, ended) = spawned.map_err(|problem| failed(problem.to_string()))?;
+    let _stop = StopWhenDropped(server.get_cell());
+    info!(%robot, action, served = client.is_served(), "driving");
     tokio::select! {
-        () = relay(&robot, Arc::new(client), asked, feedback, hears) => Err(failed("it was closed".to_owned())),
+        () = relay(&robot, Arc::new(client), command_receiver, feedback, events) => Err(failed("the channel was closed".to_owned())),
         ended = ended => Err(failed(ended.err().map_or("it was stopped".to_owned(), |problem| problem.to_string()))),
     }
 }
@@ -110,39 +119,39 @@ impl Drop for StopWhenDropped {
     }
 }
 
-/// A drive under way at Nav2.
+/// A drive in progress at Nav2.
 struct Running {
     number: u64,
-    id: Uuid,
+    id: GoalUuid,
     progress: UnboundedSender<Progress>,
     stop: watch::Sender<bool>,
 }
 
-/// Carries what the body asks to Nav2, and what Nav2 says to the body.
+/// Forwards commands of the driver to Nav2, and events of Nav2 to the driver.
 async fn relay(
     robot: &RobotId,
     client: Arc<ActionClient>,
-    mut asked: UnboundedReceiver<Ask>,
-    mut feedback: UnboundedReceiver<(Uuid, Progress)>,
-    hears: UnboundedSender<Heard>,
+    mut command_receiver: UnboundedReceiver<Nav2Command>,
+    mut feedback: UnboundedReceiver<(GoalUuid, Progress)>,
+    events: UnboundedSender<Nav2Event>,
 ) {
     let mut running: Option<Running> = None;
     let mut drives = JoinSet::new();
     loop {
         tokio::select! {
-            ask = asked.recv() => match ask {
-                Some(Ask::Drive(number, to)) => {
+            command = command_receiver.recv() => match command {
+                Some(Nav2Command::Drive(number, to)) => {
                     let id = *GoalId::new().as_bytes();
-                    let ((progress, told), (stop, stopped)) = (unbounded_channel(), watch::channel(false));
+                    let ((progress, feedback), (stop, stopped)) = (unbounded_channel(), watch::channel(false));
                     running = Some(Running { number, id, progress, stop });
-                    let drive = Drive { client: Arc::clone(&client), number, id, to, hears: hears.clone() };
+                    let drive = Drive { client: Arc::clone(&client), number, id, to, events: events.clone() };
                     let robot = robot.clone();
                     drives.spawn(async move {
-                        let end = drive.run(told, stopped).await;
-                        info!(%robot, ?end, "a drive at Nav2 is over");
+                        let end = drive.run(feedback, stopped).await;
+                        info!(%robot, ?end, "drive at Nav2 ended");
                     });
                 }
-                Some(Ask::Stop(number)) => {
+                Some(Nav2Command::Stop(number)) => {
                     if let Some(running) = running.as_ref().filter(|running| running.number == number) {
                         running.stop.send_replace(true);
                     }
@@ -151,7 +160,7 @@ async fn relay(
             },
             Some((id, progress)) = feedback.recv() => {
                 if let Some(running) = running.as_ref().filter(|running| running.id == id) {
-                    // A drive that is over hears no more.
+                    // A finished drive receives no feedback.
                     let _ = running.progress.send(progress);
                 }
             }
@@ -163,79 +172,83 @@ async fn relay(
 struct Drive {
     client: Arc<ActionClient>,
     number: u64,
-    id: Uuid,
+    id: GoalUuid,
     to: Pose,
-    hears: UnboundedSender<Heard>,
+    events: UnboundedSender<Nav2Event>,
 }
 
 impl Drive {
-    /// Has Nav2 drive there; returns what the body was told at last.
-    async fn run(self, mut told: UnboundedReceiver<Progress>, stop: watch::Receiver<bool>) -> Heard {
+    /// Sends the drive to Nav2; returns the last event sent to the driver.
+    async fn run(self, mut feedback: UnboundedReceiver<Progress>, stop: watch::Receiver<bool>) -> Nav2Event {
         let goal = Goal { pose: mapping::to_ros(self.to, mapping::now()), behavior_tree: String::new() };
         let last = match self.client.send(self.id, goal).await {
-            Answer::Accepted => Heard::Ended(self.number, self.until_over(&mut told, stop).await),
-            Answer::Rejected => Heard::Refused(self.number, "Nav2 has rejected the goal".to_owned()),
-            Answer::Nobody => Heard::Refused(self.number, "no server of Nav2 has answered".to_owned()),
+            RequestResult::Accepted => Nav2Event::Ended(self.number, self.run_until_end(&mut feedback, stop).await),
+            RequestResult::Rejected => Nav2Event::Rejected(self.number, "Nav2 has rejected the goal".to_owned()),
+            RequestResult::NoReply => Nav2Event::Rejected(self.number, "no server of Nav2 has replied".to_owned()),
         };
-        self.say(last.clone());
+        self.send_event(last.clone());
         last
     }
 
-    async fn until_over(&self, told: &mut UnboundedReceiver<Progress>, stop: watch::Receiver<bool>) -> End {
+    async fn run_until_end(
+        &self,
+        feedback: &mut UnboundedReceiver<Progress>,
+        stop: watch::Receiver<bool>,
+    ) -> DriveResult {
         tokio::select! {
-            end = self.follow(told) => end,
-            never = self.stop_when_told(stop) => match never {},
+            end = self.forward_feedback(feedback) => end,
+            never = self.cancel_when_requested(stop) => match never {},
         }
     }
 
-    /// Hands on how it goes until it is over.
-    async fn follow(&self, told: &mut UnboundedReceiver<Progress>) -> End {
+    /// Forwards the feedback until the drive ends.
+    async fn forward_feedback(&self, feedback: &mut UnboundedReceiver<Progress>) -> DriveResult {
         let result = self.client.result(self.id);
         tokio::pin!(result);
-        let mut quiet_at = Instant::now() + QUIET;
+        let mut feedback_deadline = Instant::now() + FEEDBACK_TIMEOUT;
         loop {
             tokio::select! {
                 end = &mut result => return end,
-                Some(progress) = told.recv() => {
-                    quiet_at = Instant::now() + QUIET;
-                    self.tell(&progress);
+                Some(progress) = feedback.recv() => {
+                    feedback_deadline = Instant::now() + FEEDBACK_TIMEOUT;
+                    self.report_progress(&progress);
                 }
-                () = sleep_until(quiet_at) => {
-                    let _ = self.client.cancel(self.id).await; // should it still be there
-                    return End::Lost(format!("nothing was heard of the drive for {} s", QUIET.as_secs()));
+                () = sleep_until(feedback_deadline) => {
+                    let _ = self.client.cancel(self.id).await; // in case it is still running
+                    return DriveResult::Lost(format!("no feedback of the drive for {} s", FEEDBACK_TIMEOUT.as_secs()));
                 }
             }
         }
     }
 
-    /// Asks Nav2 to stop, again and again, once that is wanted.
-    async fn stop_when_told(&self, mut stop: watch::Receiver<bool>) -> Infallible {
-        // An error says that another drive has taken this one's place: nobody wants it any more.
-        let _ = stop.wait_for(|told| *told).await;
+    /// Sends cancel requests to Nav2, repeatedly, once requested.
+    async fn cancel_when_requested(&self, mut stop: watch::Receiver<bool>) -> Infallible {
+        // An error means that another drive has replaced this drive: no cancel is needed.
+        let _ = stop.wait_for(|requested| *requested).await;
         loop {
-            let answer = self.client.cancel(self.id).await;
-            if answer != Answer::Accepted {
-                warn!(?answer, "Nav2 was asked to stop");
+            let result = self.client.cancel(self.id).await;
+            if result != RequestResult::Accepted {
+                warn!(?result, "cancel request to Nav2 failed");
             }
-            sleep(STOP_AGAIN).await;
+            sleep(CANCEL_INTERVAL).await;
         }
     }
 
-    fn tell(&self, progress: &Progress) {
+    fn report_progress(&self, progress: &Progress) {
         match mapping::from_ros(&progress.current_pose) {
-            Ok(pose) => self.say(Heard::Progress {
+            Ok(pose) => self.send_event(Nav2Event::Progress {
                 drive: self.number,
                 pose,
                 distance_m: f64::from(progress.distance_remaining),
                 remaining_s: f64::from(progress.estimated_time_remaining.sec)
                     + f64::from(progress.estimated_time_remaining.nanosec) * 1e-9,
             }),
-            Err(problem) => warn!(%problem, "where the robot is cannot be told"),
+            Err(problem) => warn!(%problem, "the pose in the feedback is invalid"),
         }
     }
 
-    fn say(&self, heard: Heard) {
-        // The body is gone: the program is ending.
-        let _ = self.hears.send(heard);
+    fn send_event(&self, event: Nav2Event) {
+        // Without its receiver the program is ending.
+        let _ = self.events.send(event);
     }
 }

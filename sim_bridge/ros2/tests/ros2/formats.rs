@@ -1,12 +1,13 @@
 //! CDR and attachments, byte by byte.
 //!
-//! CDR (OMG DDS-XTypes 1.3, 7.4.3, encoding version 1, little endian): four bytes `00 01 00 00`, then the fields in the order of
-//! their definition, each number at a multiple of its size counted from behind those four; a text is its length with the zero
-//! at its end, then its bytes. The bytes below were written down by that rule and agree with those that the Python package
-//! `rosbags` 0.11 writes for the same definitions.
+//! CDR (OMG DDS-XTypes 1.3, 7.4.3, encoding version 1, little endian): four bytes `00 01 00 00`,
+//! then the fields in the order of their definition, each number at a multiple of its size counted
+//! from after those four bytes. A text is its length including the final zero, then its bytes with
+//! the zero. The bytes below were derived by this rule and agree with the output of the Python
+//! package `rosbags` 0.11 for the same definitions.
 
 use consort_ros2::messages::{
-    Duration, Goal, Header, NavigateToPose, Outcome, Point, Pose, PoseStamped, Progress, Quaternion, Time,
+    Duration, Goal, Header, NavigateResult, NavigateToPose, Point, Pose, PoseStamped, Progress, Quaternion, Time,
 };
 use hiroz::action::messages::{
     CancelGoalServiceRequest, CancelGoalServiceResponse, FeedbackMessage, GetResultRequest, GetResultResponse,
@@ -17,10 +18,10 @@ use hiroz::attachment::Attachment;
 use hiroz::msg::ZMessage;
 use zenoh::bytes::ZBytes;
 
-/// The goal 00 01 02 … 0f.
+/// The goal id 00 01 02 … 0f.
 pub(crate) const ID: [u8; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
 
-/// Bytes from how they are written.
+/// Parses bytes in hexadecimal notation.
 pub(crate) fn hex(text: &str) -> Vec<u8> {
     text.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
 }
@@ -37,7 +38,8 @@ fn stamped() -> PoseStamped {
     }
 }
 
-/// Header, goal id, stamp, frame with its length 4 and its zero, seven numbers at multiples of eight.
+/// Header, goal id, stamp, frame with its length 4 and its zero, seven numbers at multiples of
+/// eight.
 pub(crate) const GOAL_AT_1_2: &str = "00 01 00 00
     00 01 02 03 04 05 06 07 08 09 0a 0b 0c 0d 0e 0f
     01 00 00 00 02 00 00 00 04 00 00 00 6d 61 70 00
@@ -45,7 +47,7 @@ pub(crate) const GOAL_AT_1_2: &str = "00 01 00 00
     00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 f0 3f";
 
 #[test]
-fn a_goal_is_its_id_the_pose_and_the_tree() {
+fn a_goal_contains_its_id_the_pose_and_the_tree() {
     let request = |tree: &str| SendGoalRequest::<NavigateToPose> {
         goal_id: GoalId::from_bytes(ID),
         goal: Goal { pose: stamped(), behavior_tree: tree.to_owned() },
@@ -62,18 +64,18 @@ fn a_goal_is_its_id_the_pose_and_the_tree() {
 }
 
 #[test]
-fn acceptance_is_a_yes_and_a_time_at_the_next_multiple_of_four() {
+fn acceptance_has_its_time_at_a_multiple_of_four() {
     let response = SendGoalResponse { accepted: true, stamp_sec: 1, stamp_nanosec: 2 };
     assert_bytes(&response, "00 01 00 00 01 00 00 00 01 00 00 00 02 00 00 00");
 }
 
 #[test]
-fn a_result_is_the_status_the_code_at_a_multiple_of_two_and_the_words() {
+fn a_result_contains_status_aligned_code_and_message() {
     assert_bytes(
         &GetResultRequest { goal_id: GoalId::from_bytes(ID) },
         "00 01 00 00 00 01 02 03 04 05 06 07 08 09 0a 0b 0c 0d 0e 0f",
     );
-    let outcome = Outcome { error_code: 208, error_msg: "no way".to_owned() };
+    let outcome = NavigateResult { error_code: 208, error_msg: "no way".to_owned() };
     let bytes = "00 01 00 00 06 00 d0 00 07 00 00 00 6e 6f 20 77 61 79 00";
     assert_bytes(&GetResultResponse::<NavigateToPose> { status: 6, result: outcome.clone() }, bytes);
     let read = GetResultResponse::<NavigateToPose>::deserialize(&hex(bytes)).unwrap();
@@ -81,7 +83,7 @@ fn a_result_is_the_status_the_code_at_a_multiple_of_two_and_the_words() {
 }
 
 #[test]
-fn feedback_ends_with_a_small_number_and_one_at_the_next_multiple_of_four() {
+fn feedback_ends_with_two_aligned_numbers() {
     let feedback = Progress {
         current_pose: stamped(),
         navigation_time: Duration { sec: 3, nanosec: 4 },
@@ -100,7 +102,7 @@ fn info(sec: i32, nanosec: u32) -> GoalInfo {
 }
 
 #[test]
-fn wishes_to_cancel_and_statuses_are_lists_of_goals() {
+fn cancel_requests_and_statuses_are_lists_of_goals() {
     let id = "00 01 02 03 04 05 06 07 08 09 0a 0b 0c 0d 0e 0f";
     assert_bytes(
         &CancelGoalServiceRequest { goal_info: info(0, 0) },
@@ -116,10 +118,10 @@ fn wishes_to_cancel_and_statuses_are_lists_of_goals() {
     );
 }
 
-/// `rmw_zenoh_cpp/src/detail/attachment_helpers.cpp`, which writes by Zenoh's serializer: two numbers of 64 bits, little
-/// endian, then a length, here 16, and so many bytes.
+/// `rmw_zenoh_cpp/src/detail/attachment_helpers.cpp` uses Zenoh's serializer: two numbers of 64
+/// bits, little endian, then a length, here 16, and as many bytes.
 #[test]
-fn an_attachment_is_two_numbers_and_an_id_with_its_length() {
+fn an_attachment_contains_two_numbers_and_an_id() {
     let attachment = Attachment { sequence_number: 258, source_timestamp: 1, source_gid: ID };
     let bytes = ZBytes::from(attachment).to_bytes().into_owned();
     let expected =

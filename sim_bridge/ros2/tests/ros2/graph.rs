@@ -1,6 +1,6 @@
-//! What a stock Zenoh client sees and can do, by keys and bytes written down here. The forms are those of `docs/design.md` of
-//! `rmw_zenoh` ("Topic and Service name mapping", "Graph Cache"), of `qos_to_keyexpr` in `liveliness_utils.cpp`, and of the QoS
-//! profiles of `rmw` and `rcl_action`.
+//! Keys and bytes as sent and received by a stock Zenoh client, written out here. The formats are
+//! those of `docs/design.md` of `rmw_zenoh` ("Topic and Service name mapping", "Graph Cache"), of
+//! `qos_to_keyexpr` in `liveliness_utils.cpp`, and of the QoS profiles of `rmw` and `rcl_action`.
 
 use crate::formats::{GOAL_AT_1_2, ID, hex};
 use crate::support::{Offered, carrier, until, within};
@@ -19,7 +19,7 @@ const STATUS: &str = "0/ada/navigate_to_pose/_action/status/action_msgs::msg::dd
 const ATTACHMENT: &str = "07 00 00 00 00 00 00 00 01 00 00 00 00 00 00 00 10 \
     aa aa aa aa aa aa aa aa aa aa aa aa aa aa aa aa";
 
-async fn ask(session: &zenoh::Session, key: &str, payload: Vec<u8>) -> Option<Sample> {
+async fn query(session: &zenoh::Session, key: &str, payload: Vec<u8>) -> Option<Sample> {
     let get = session.get(key).payload(payload).attachment(hex(ATTACHMENT)).timeout(Duration::from_secs(30));
     let replies = get.await.unwrap();
     let reply = replies.recv_async().await.ok()?;
@@ -30,7 +30,7 @@ fn bytes(payload: &ZBytes) -> Vec<u8> {
     payload.to_bytes().into_owned()
 }
 
-/// Tokens without the ids of sessions, nodes and entities, which are numbers of their own choice.
+/// Returns the tokens without the ids of sessions, nodes and entities, which are arbitrary numbers.
 async fn tokens(session: &zenoh::Session) -> BTreeSet<String> {
     let replies = session.liveliness().get("@ros2_lv/0/**").await.unwrap();
     let mut tokens = BTreeSet::new();
@@ -47,7 +47,7 @@ async fn tokens(session: &zenoh::Session) -> BTreeSet<String> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_graph_shows_a_node_and_the_five_parts_of_an_action_server_per_robot() {
+async fn the_graph_has_a_node_and_five_parts_per_action_server() {
     let offered = Offered::with(vec![carrier("ada", "Dock", 1.0)]).await;
     let part = |kind: &str, name: &str, key: &str, qos: &str| {
         let typed = key.split_once(&format!("{name}/")).unwrap().1;
@@ -59,7 +59,7 @@ async fn the_graph_shows_a_node_and_the_five_parts_of_an_action_server_per_robot
         part("SS", "get_result", GET_RESULT, "::,10:,:,:,,"),
         part("SS", "cancel_goal", CANCEL_GOAL, "::,10:,:,:,,"),
         part("MP", "feedback", FEEDBACK, "::,10:,:,:,,"),
-        // Transient local is 1, and so is the depth.
+        // Transient local is 1, and the depth is 1.
         part("MP", "status", STATUS, ":1:,1:,:,:,,"),
     ]
     .into();
@@ -73,69 +73,69 @@ async fn the_graph_shows_a_node_and_the_five_parts_of_an_action_server_per_robot
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_stock_client_sends_a_goal_and_gets_its_result_by_key_and_bytes() {
+async fn a_stock_client_sends_a_goal_and_receives_its_result() {
     let offered = Offered::with(vec![carrier("ada", "Dock", 1.0)]).await;
     let session = offered.router.session();
     let feedback = session.declare_subscriber(FEEDBACK).await.unwrap();
     let status = session.declare_subscriber(STATUS).await.unwrap();
     let goal = hex(&format!("{GOAL_AT_1_2} 01 00 00 00 00"));
     let mut accepted = None;
-    until("an answer to a goal", async || {
-        accepted = ask(session, SEND_GOAL, goal.clone()).await;
+    until("a reply to a goal", async || {
+        accepted = query(session, SEND_GOAL, goal.clone()).await;
         accepted.is_some()
     })
     .await;
     let accepted = accepted.unwrap();
     assert_eq!(accepted.key_expr().as_str(), SEND_GOAL);
-    let answer = bytes(accepted.payload());
-    assert_eq!((answer.len(), &answer[..8]), (16, hex("00 01 00 00 01 00 00 00").as_slice()), "{answer:02x?}");
-    // The answer names the request that it answers: its number and who asked.
+    let reply = bytes(accepted.payload());
+    assert_eq!((reply.len(), &reply[..8]), (16, hex("00 01 00 00 01 00 00 00").as_slice()), "{reply:02x?}");
+    // The reply names its request: the sequence number and the client.
     let attachment = bytes(accepted.attachment().unwrap());
-    let asked = hex(ATTACHMENT);
-    assert_eq!((attachment.len(), &attachment[..8], &attachment[16..]), (33, &asked[..8], &asked[16..]));
+    let request = hex(ATTACHMENT);
+    assert_eq!((attachment.len(), &attachment[..8], &attachment[16..]), (33, &request[..8], &request[16..]));
 
-    let told = within("feedback", feedback.recv_async()).await.unwrap();
-    let (told, attachment) = (bytes(told.payload()), bytes(told.attachment().unwrap()));
-    assert_eq!((told.len(), &told[..4], &told[4..20]), (116, hex("00 01 00 00").as_slice(), ID.as_slice()));
-    assert_eq!(&told[28..36], hex("04 00 00 00 6d 61 70 00"), "the frame is the map");
+    let message = within("feedback", feedback.recv_async()).await.unwrap();
+    let (message, attachment) = (bytes(message.payload()), bytes(message.attachment().unwrap()));
+    assert_eq!((message.len(), &message[..4], &message[4..20]), (116, hex("00 01 00 00").as_slice(), ID.as_slice()));
+    assert_eq!(&message[28..36], hex("04 00 00 00 6d 61 70 00"), "the frame is map");
     assert_eq!((attachment.len(), attachment[16]), (33, 16));
-    // One goal, under way: accepted is told as executing at once.
+    // A single goal in progress: an accepted goal is reported as executing at once.
     let first = bytes(within("a status", status.recv_async()).await.unwrap().payload());
     assert_eq!((first.len(), &first[..8], first[32]), (33, hex("00 01 00 00 01 00 00 00").as_slice(), 2));
 
-    // (1, 2) on the hospital's map is five metres from the dock, with nothing between.
+    // (1, 2) on the hospital's map is five metres from the dock, without walls in between.
     let result = within(
         "the result",
-        ask(session, GET_RESULT, hex("00 01 00 00 00 01 02 03 04 05 06 07 08 09 0a 0b 0c 0d 0e 0f")),
+        query(session, GET_RESULT, hex("00 01 00 00 00 01 02 03 04 05 06 07 08 09 0a 0b 0c 0d 0e 0f")),
     );
     let result = bytes(result.await.unwrap().payload());
     assert_eq!(&result[..8], hex("00 01 00 00 04 00 00 00"), "succeeded, without error");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_unknown_or_unreadable_is_answered_so_or_not_at_all_and_harms_nobody() {
+async fn unknown_and_unreadable_requests_do_no_harm() {
     let offered = Offered::with(vec![carrier("ada", "Dock", 1.0)]).await;
     let session = offered.router.session();
     let id = "00 01 00 00 0f 0e 0d 0c 0b 0a 09 08 07 06 05 04 03 02 01 00";
-    let mut answer = None;
-    until("an answer about a goal that is not known", async || {
-        answer = ask(session, GET_RESULT, hex(id)).await;
-        answer.is_some()
+    let mut reply = None;
+    until("a reply about an unknown goal", async || {
+        reply = query(session, GET_RESULT, hex(id)).await;
+        reply.is_some()
     })
     .await;
     let unknown = hex("00 01 00 00 00 00 00 00 01 00 00 00 00");
-    assert_eq!(bytes(answer.unwrap().payload()), unknown, "status unknown, an empty result");
-    let canceled = ask(session, CANCEL_GOAL, hex(&format!("{id} 00 00 00 00 00 00 00 00"))).await.unwrap();
-    assert_eq!(bytes(canceled.payload()), hex("00 01 00 00 02 00 00 00 00 00 00 00"), "unknown goal, none stopped");
+    assert_eq!(bytes(reply.unwrap().payload()), unknown, "status unknown, an empty result");
+    let canceled = query(session, CANCEL_GOAL, hex(&format!("{id} 00 00 00 00 00 00 00 00"))).await.unwrap();
+    assert_eq!(bytes(canceled.payload()), hex("00 01 00 00 02 00 00 00 00 00 00 00"), "unknown goal, no goal canceled");
 
     for broken in [vec![], vec![0, 1, 0, 0, 1, 2, 3], vec![0xff; 64]] {
-        assert!(ask(session, SEND_GOAL, broken.clone()).await.is_none(), "{broken:02x?}");
+        assert!(query(session, SEND_GOAL, broken.clone()).await.is_none(), "{broken:02x?}");
     }
     let bare = session.get(SEND_GOAL).payload(hex(&format!("{GOAL_AT_1_2} 01 00 00 00 00"))).await.unwrap();
-    assert!(bare.recv_async().await.is_err(), "without attachment nobody can be answered");
+    assert!(bare.recv_async().await.is_err(), "a request without attachment has no reply");
     let goal = hex(&format!("{GOAL_AT_1_2} 01 00 00 00 00"));
-    let accepted = ask(session, SEND_GOAL, goal.clone()).await.unwrap();
-    assert_eq!(bytes(accepted.payload())[4], 1, "it still serves");
-    let again = ask(session, SEND_GOAL, goal).await.unwrap();
+    let accepted = query(session, SEND_GOAL, goal.clone()).await.unwrap();
+    assert_eq!(bytes(accepted.payload())[4], 1, "it still works");
+    let again = query(session, SEND_GOAL, goal).await.unwrap();
     assert_eq!(bytes(again.payload())[4], 0, "the same goal again is rejected");
 }

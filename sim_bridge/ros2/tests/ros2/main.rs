@@ -1,4 +1,5 @@
-//! Held to the published formats of `rmw_zenoh`, `rosidl` and `nav2_msgs`, and tried from end to end on loopback.
+//! Comparison with the published formats of `rmw_zenoh`, `rosidl` and `nav2_msgs`, and end-to-end
+//! tests on loopback.
 
 mod formats;
 mod graph;

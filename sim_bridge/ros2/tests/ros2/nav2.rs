@@ -1,9 +1,9 @@
-//! A robot of the fleet under Nav2: our own skill drives an action server, which is hiroz's own.
+//! A robot of the fleet under Nav2: a skill of this project drives an action server of hiroz.
 
-use crate::support::{LIMIT, Router, bus, carrier, hospital, host, keys, until, within};
+use crate::support::{LIMIT, Router, bus, carrier, hospital, host_world, keys, until, within};
 use bytes::Bytes;
-use consort_actors::body::{Body, BodyCommand, BodyLinkSettings, BodyState};
 use consort_actors::bus::{Bus, Encoding, ZenohBus};
+use consort_actors::robot_driver::{DriverClientSettings, DriverCommand, DriverState, RobotDriver};
 use consort_protocol::codec;
 use consort_protocol::ids::{RobotId, TaskType};
 use consort_protocol::keys::{BodyCall, Key};
@@ -12,7 +12,7 @@ use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, WorldTime};
 use consort_ros2::drive::{DriveSettings, drive};
 use consort_ros2::mapping::from_ros;
-use consort_ros2::messages::{NavigateToPose, Outcome, Progress};
+use consort_ros2::messages::{NavigateResult, NavigateToPose, Progress};
 use consort_ros2::ros::Ros;
 use consort_skills::actions::{Goal, GoalStatus, RobotActions, Telemetry};
 use consort_skills::environment::{Environment, Routes};
@@ -25,11 +25,11 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::JoinSet;
 
-/// Something for a link to a body to belong to.
-struct Nobody;
+/// Owner of the driver client.
+struct ClientOwner;
 
 #[ractor::async_trait]
-impl Actor for Nobody {
+impl Actor for ClientOwner {
     type Msg = ();
     type State = ();
     type Arguments = ();
@@ -43,10 +43,10 @@ fn ada() -> RobotId {
     "ada".parse().unwrap()
 }
 
-/// A robot of the fleet at the dock, whose body acts through `/navigate_to_pose`.
+/// A robot of the fleet at the dock, which drives through `/navigate_to_pose`.
 struct Driven {
     router: Router,
-    body: Body,
+    robot_driver: RobotDriver,
     bus: ZenohBus,
     _tasks: JoinSet<()>,
 }
@@ -55,8 +55,9 @@ impl Driven {
     async fn new() -> Driven {
         let (router, bus_of_driver) = (Router::start().await, bus(None).await);
         let bus_of_robot = bus(Some(&bus_of_driver)).await;
-        // The fleet has a simulated robot, too, whose host hears all commands to bodies and refuses ada's.
-        host(&bus_of_robot, vec![carrier("bob", "Crossing", 1.0)]).await;
+        // The fleet also has a simulated robot. Its driver server receives the commands of all
+        // robots and refuses those for ada.
+        host_world(&bus_of_robot, vec![carrier("bob", "Crossing", 1.0)]).await;
         let ros = router.join("consort_driver");
         let settings = DriveSettings {
             bus: Arc::new(bus_of_driver),
@@ -67,24 +68,25 @@ impl Driven {
             action: "/navigate_to_pose".to_owned(),
         };
         let mut tasks = JoinSet::new();
-        tasks.spawn(async move { panic!("it drives no longer: {}", drive(&ros, settings).await.unwrap_err()) });
-        let body = driver(&bus_of_robot).await;
-        until("word of the body", async || body.is_at_rest()).await;
-        Driven { router, body, bus: bus_of_robot, _tasks: tasks }
+        tasks.spawn(async move { panic!("the driver stopped: {}", drive(&ros, settings).await.unwrap_err()) });
+        let robot_driver = driver(&bus_of_robot).await;
+        until("the state of the robot", async || robot_driver.is_idle()).await;
+        Driven { router, robot_driver, bus: bus_of_robot, _tasks: tasks }
     }
 
-    /// A Nav2 of its own machine, seen by the driver's graph by the time that this returns.
+    /// Starts a Nav2 with a session of its own, and waits until the graph of the driver contains
+    /// it.
     async fn nav2(&self) -> (Ros, ZActionServer<NavigateToPose>) {
         let ros = self.router.join("bt_navigator");
         let server = ros.node.create_action_server::<NavigateToPose>("/navigate_to_pose").build().unwrap();
-        let onlooker = self.router.join("onlooker");
-        until("the action server", async || onlooker.node.graph().has_action_server("/navigate_to_pose")).await;
+        let observer = self.router.join("onlooker");
+        until("the action server", async || observer.node.graph().has_action_server("/navigate_to_pose")).await;
         (ros, server)
     }
 
     async fn tick(&mut self, skill: &mut ActiveSkill) -> SkillStatus {
-        self.body.refresh();
-        let status = skill.tick(&mut self.body);
+        self.robot_driver.refresh();
+        let status = skill.tick(&mut self.robot_driver);
         tokio::time::sleep(Duration::from_millis(20)).await;
         status
     }
@@ -100,15 +102,15 @@ impl Driven {
     }
 }
 
-/// A driver of ada's body.
-async fn driver(bus: &ZenohBus) -> Body {
-    let (supervisor, _) = Actor::spawn(None, Nobody, ()).await.unwrap();
-    let (bus, beat) = (Arc::new(bus.clone()), Duration::from_millis(300));
-    let link = BodyLinkSettings { robot: ada(), keys: keys(), bus, first_goal: 1, beat };
-    Body::link(link, &supervisor.get_cell()).await.unwrap()
+/// Connects a driver client to ada's driver server.
+async fn driver(bus: &ZenohBus) -> RobotDriver {
+    let (supervisor, _) = Actor::spawn(None, ClientOwner, ()).await.unwrap();
+    let (bus, heartbeat_interval) = (Arc::new(bus.clone()), Duration::from_millis(300));
+    let link = DriverClientSettings { robot: ada(), keys: keys(), bus, first_goal: 1, heartbeat_interval };
+    RobotDriver::connect(link, &supervisor.get_cell()).await.unwrap()
 }
 
-/// Our navigation skill.
+/// Returns the navigation skill of this project.
 fn navigation(to: &str) -> ActiveSkill {
     let environment = Environment::new().with(Routes::new(&hospital().topology()).unwrap());
     let task = TaskSpec {
@@ -135,32 +137,32 @@ async fn the_navigation_skill_drives_nav2_leg_by_leg() {
             let progress = Progress { current_pose: goal.goal().pose.clone(), ..Progress::default() };
             goal.publish_feedback(progress).unwrap();
             poses.push((pose.x, pose.y));
-            goal.succeed(Outcome::default()).unwrap();
+            goal.succeed(NavigateResult::default()).unwrap();
         }
-        // It stays on the graph: what is asked for after the end is still answered.
+        // The server stays on the graph: requests after the end still get a reply.
         (server, poses)
     });
     assert_eq!(driven.run(&mut navigation("Laboratory")).await, SkillStatus::Succeeded);
     let (_server, poses) = nav2.await.unwrap();
     assert_eq!(poses, [(6.0, 7.0), (13.5, 7.0), (13.5, 11.0)]);
-    driven.body.refresh();
-    assert_eq!(driven.body.telemetry().unwrap().place.as_str(), "Laboratory");
-    assert_eq!(driven.run(&mut navigation("Laboratory")).await, SkillStatus::Succeeded, "it is there");
+    driven.robot_driver.refresh();
+    assert_eq!(driven.robot_driver.telemetry().unwrap().place.as_str(), "Laboratory");
+    assert_eq!(driven.run(&mut navigation("Laboratory")).await, SkillStatus::Succeeded, "it is already there");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_refuses_a_command_is_not_the_bodys_host_however_soon_it_answers() {
+async fn an_early_refusal_does_not_replace_the_reply_of_the_server() {
     let (bus_of_world, place) = (bus(None).await, Pose::default());
     let bus_of_robot = bus(Some(&bus_of_world)).await;
-    host(&bus_of_world, vec![carrier("bob", "Crossing", 1.0)]).await;
-    // Ada's host takes its time: the world has refused long before.
+    host_world(&bus_of_world, vec![carrier("bob", "Crossing", 1.0)]).await;
+    // Ada's driver server is slow: the world refuses the command long before.
     let command = keys().write(&Key::Body(ada(), BodyCall::Command));
     let mut commands = bus_of_world.serve(&command).await.unwrap();
-    let serves = tokio::spawn(async move {
-        let mut number = 0;
+    let server_task = tokio::spawn(async move {
+        let mut sequence = 0;
         while let Some(query) = commands.recv().await {
-            let BodyCommand { order } = codec::decode(&query.payload).unwrap();
-            let goals = order.iter().map(|order| (order.goal(), GoalStatus::Succeeded)).collect();
+            let DriverCommand { request } = codec::decode(&query.payload).unwrap();
+            let goals = request.iter().map(|request| (request.goal(), GoalStatus::Succeeded)).collect();
             let telemetry = Telemetry {
                 time: WorldTime::ZERO,
                 pose: place,
@@ -169,30 +171,30 @@ async fn whoever_refuses_a_command_is_not_the_bodys_host_however_soon_it_answers
                 able: true,
                 closed: vec![],
             };
-            number += 1;
-            let state = BodyState { robot: ada(), number, telemetry, goals, done: vec![] };
+            sequence += 1;
+            let state = DriverState { robot: ada(), sequence, telemetry, goals, completed: vec![] };
             tokio::time::sleep(Duration::from_millis(100)).await;
             let bytes = Bytes::from(codec::encode(&state).unwrap());
             query.replier.reply(&query.key, bytes, Encoding::Wire).await.unwrap();
         }
     });
-    let mut body = driver(&bus_of_robot).await;
-    let goal = body.send_goal(Goal::Undock);
-    until("the end of the goal", async || body.status(goal) == Some(GoalStatus::Succeeded)).await;
-    serves.abort();
+    let mut robot_driver = driver(&bus_of_robot).await;
+    let goal = robot_driver.send_goal(Goal::Undock);
+    until("the end of the goal", async || robot_driver.status(goal) == Some(GoalStatus::Succeeded)).await;
+    server_task.abort();
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn only_the_world_answers_for_people_and_for_what_there_is_to_see() {
+async fn only_the_world_replies_to_view_queries() {
     let driven = Driven::new().await;
     let mut answers = driven.bus.query(&keys().write(&Key::World), Bytes::new(), LIMIT).await.unwrap();
     let view = within("the world", answers.recv()).await.unwrap().payload.unwrap();
     assert!(view.starts_with(b"{"), "{view:?}");
-    assert!(within("the end", answers.recv()).await.is_none(), "the adapter has answered, too");
+    assert!(within("the end", answers.recv()).await.is_none(), "the driver server has replied, too");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_skill_that_is_halted_cancels_at_nav2_and_the_body_is_where_nav2_said() {
+async fn a_halted_skill_cancels_at_nav2_and_keeps_the_reported_pose() {
     let mut driven = Driven::new().await;
     let (_ros, server) = driven.nav2().await;
     let mut skill = navigation("Laboratory");
@@ -205,34 +207,34 @@ async fn a_skill_that_is_halted_cancels_at_nav2_and_the_body_is_where_nav2_said(
     let mut halfway = goal.goal().pose.clone();
     halfway.pose.position.y = 5.0;
     let halfway = Progress { current_pose: halfway, distance_remaining: 2.0, ..Progress::default() };
-    until("word of where it is", async || {
+    until("the pose in the feedback", async || {
         goal.publish_feedback(halfway.clone()).unwrap();
-        driven.body.refresh();
-        driven.body.telemetry().is_some_and(|telemetry| (telemetry.pose.x, telemetry.pose.y) == (6.0, 5.0))
+        driven.robot_driver.refresh();
+        driven.robot_driver.telemetry().is_some_and(|telemetry| (telemetry.pose.x, telemetry.pose.y) == (6.0, 5.0))
     })
     .await;
-    skill.halt(&mut driven.body);
-    let (request, query) = within("a wish to cancel", server.recv_cancel()).await.unwrap();
+    skill.halt(&mut driven.robot_driver);
+    let (request, query) = within("a cancel request", server.recv_cancel()).await.unwrap();
     assert_eq!(request.goal_info.goal_id, goal.info().goal_id);
     let response = CancelGoalServiceResponse { return_code: 0, goals_canceling: vec![request.goal_info] };
     server.send_cancel_response_low(&query, &response).unwrap();
-    assert!(!skill.is_settled(&driven.body), "it has not stopped yet");
-    goal.canceled(Outcome::default()).unwrap();
-    until("rest", async || driven.body.is_at_rest()).await;
-    assert!(skill.is_settled(&driven.body));
+    assert!(!skill.cancels_complete(&driven.robot_driver), "it has not stopped yet");
+    goal.canceled(NavigateResult::default()).unwrap();
+    until("rest", async || driven.robot_driver.is_idle()).await;
+    assert!(skill.cancels_complete(&driven.robot_driver));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_fails_at_nav2_fails_the_skill_in_its_words() {
+async fn a_failure_of_nav2_fails_the_skill_with_its_message() {
     let mut driven = Driven::new().await;
     let failed = |cause: &str| SkillStatus::Failed { cause: cause.to_owned() };
-    let nobody = failed("NavigateToPose: unknown: no server of Nav2 has answered");
-    assert_eq!(driven.run(&mut navigation("Crossing")).await, nobody, "before Nav2 has started");
+    let no_server = failed("NavigateToPose: unknown: no server of Nav2 has replied");
+    assert_eq!(driven.run(&mut navigation("Crossing")).await, no_server, "before Nav2 has started");
 
     let (ros, server) = driven.nav2().await;
-    let rejects = tokio::spawn(async move {
+    let nav2_task = tokio::spawn(async move {
         within("a goal", server.recv_goal()).await.unwrap().reject().unwrap();
-        next(&server).await.abort(Outcome { error_code: 208, error_msg: "no valid path".to_owned() }).unwrap();
+        next(&server).await.abort(NavigateResult { error_code: 208, error_msg: "no valid path".to_owned() }).unwrap();
         let goal = next(&server).await;
         (server, goal)
     });
@@ -241,19 +243,19 @@ async fn what_fails_at_nav2_fails_the_skill_in_its_words() {
     let no_path = failed("NavigateToPose: no route: Nav2 error 208: no valid path");
     assert_eq!(driven.run(&mut navigation("Crossing")).await, no_path);
 
-    // Nav2 dies with the third goal under way.
+    // Nav2 stops during the third goal.
     let mut skill = navigation("Crossing");
     let (server, goal) = loop {
         tokio::select! {
             biased;
             status = driven.tick(&mut skill) => assert_eq!(status, SkillStatus::Running),
         }
-        if rejects.is_finished() {
-            break rejects.await.unwrap();
+        if nav2_task.is_finished() {
+            break nav2_task.await.unwrap();
         }
     };
     ros.leave().unwrap();
     drop((server, goal, ros));
-    let gone = failed("NavigateToPose: timed out: there is no server of /navigate_to_pose any more");
-    assert_eq!(driven.run(&mut skill).await, gone);
+    let server_gone = failed("NavigateToPose: timed out: the server of /navigate_to_pose is gone");
+    assert_eq!(driven.run(&mut skill).await, server_gone);
 }

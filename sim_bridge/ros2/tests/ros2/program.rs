@@ -1,16 +1,16 @@
-//! The program itself, as people start it.
+//! Tests of the program as a process.
 
 use crate::support::{LIMIT, Offered, carrier, keys, to_place, until, within};
 use bytes::Bytes;
 use consort_actors::bus::Bus;
 use consort_protocol::keys::{BodyCall, Key};
-use consort_ros2::messages::{NavigateToPose, Outcome};
-use consort_skills::actions::BodyHost;
+use consort_ros2::messages::{NavigateResult, NavigateToPose};
+use consort_skills::actions::RobotBackend;
 use hiroz::Builder;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
-/// A run that ends with its test.
+/// A process that is killed when dropped.
 struct Running(Child);
 
 impl Drop for Running {
@@ -28,37 +28,38 @@ fn program(arguments: &[&str]) -> Command {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn it_serves_a_world_of_the_fleet_until_it_is_told_to_end() {
-    let offered = Offered::not_yet(vec![carrier("ada", "Dock", 1.0)]).await;
-    let world = offered.bus.listening().await.join(",");
+async fn it_serves_a_world_of_the_fleet_until_sigterm() {
+    let offered = Offered::without_bridge(vec![carrier("ada", "Dock", 1.0)]).await;
+    let world = offered.bus.listen_addresses().await.join(",");
     let ends = ["--connect", &world, "--router", &offered.router.address, "--map", "hospital"];
     let mut running = Running(program(&["serve"]).args(ends).spawn().unwrap());
     let ros = offered.router.join("rviz");
     let client = ros.node.create_action_client::<NavigateToPose>("/ada/navigate_to_pose").build().unwrap();
     assert!(client.wait_for_server(LIMIT).await, "an action server within {LIMIT:?}");
     let outcome = within("the result", async { client.send_goal(to_place("Crossing")).await.unwrap().result().await });
-    assert_eq!(outcome.await.unwrap(), Outcome::default());
+    assert_eq!(outcome.await.unwrap(), NavigateResult::default());
     assert_eq!(offered.world.telemetry(&"ada".parse().unwrap()).unwrap().place.as_str(), "Crossing");
 
-    let told = Command::new("kill").args(["-TERM", &running.0.id().to_string()]).status().unwrap();
-    assert!(told.success());
-    until("its end", async || running.0.try_wait().unwrap().is_some_and(|status| status.success())).await;
+    let signal_sent = Command::new("kill").args(["-TERM", &running.0.id().to_string()]).status().unwrap();
+    assert!(signal_sent.success());
+    until("the end of the process", async || running.0.try_wait().unwrap().is_some_and(|status| status.success()))
+        .await;
     let gone = async || !ros.node.graph().has_action_server("/ada/navigate_to_pose");
     until("an empty graph", gone).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn it_is_the_body_of_a_robot_under_nav2() {
-    let offered = Offered::not_yet(vec![]).await;
-    let fleet = offered.bus.listening().await.join(",");
+async fn it_runs_the_driver_server_of_a_robot_under_nav2() {
+    let offered = Offered::without_bridge(vec![]).await;
+    let fleet = offered.bus.listen_addresses().await.join(",");
     let ends = ["--connect", &fleet, "--router", &offered.router.address, "--map", "hospital"];
     let robot = ["--robot", "bob", "--place", "IC Room 6"];
     let _running = Running(program(&["drive"]).args(ends).args(robot).spawn().unwrap());
     let command = keys().write(&Key::Body("bob".parse().unwrap(), BodyCall::Command));
-    let nothing = consort_actors::body::BodyCommand { order: None };
-    let bytes = Bytes::from(consort_protocol::codec::encode(&nothing).unwrap());
+    let heartbeat = consort_actors::robot_driver::DriverCommand { request: None };
+    let bytes = Bytes::from(consort_protocol::codec::encode(&heartbeat).unwrap());
     let mut state = None;
-    until("word of the body", async || {
+    until("the state of the robot", async || {
         let mut replies = offered.bus.query(&command, bytes.clone(), Duration::from_secs(1)).await.unwrap();
         while let Some(reply) = replies.recv().await {
             state = state.take().or(reply.payload.ok());
@@ -66,21 +67,21 @@ async fn it_is_the_body_of_a_robot_under_nav2() {
         state.is_some()
     })
     .await;
-    let state: consort_actors::body::BodyState = consort_protocol::codec::decode(&state.unwrap()).unwrap();
+    let state: consort_actors::robot_driver::DriverState = consort_protocol::codec::decode(&state.unwrap()).unwrap();
     assert_eq!((state.robot.as_str(), state.telemetry.place.as_str()), ("bob", "IC Room 6"));
 }
 
 #[test]
-fn what_cannot_be_is_refused_with_the_reason() {
+fn invalid_arguments_are_rejected_with_the_reason() {
     let refused = |arguments: &[&str]| -> Output {
         program(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).output().unwrap()
     };
     let nowhere = refused(&["serve", "--connect", "tcp/127.0.0.1:9", "--map", "no-such-map.yaml"]);
-    let words = String::from_utf8(nowhere.stderr).unwrap();
-    assert_eq!(nowhere.status.code(), Some(1), "{words}");
-    assert!(words.contains("no-such-map.yaml"), "{words}");
+    let message = String::from_utf8(nowhere.stderr).unwrap();
+    assert_eq!(nowhere.status.code(), Some(1), "{message}");
+    assert!(message.contains("no-such-map.yaml"), "{message}");
     let missing = refused(&["drive", "--robot", "ada"]);
-    let words = String::from_utf8(missing.stderr).unwrap();
-    assert_eq!(missing.status.code(), Some(2), "{words}");
-    assert!(words.contains("--connect") && words.contains("--place"), "{words}");
+    let message = String::from_utf8(missing.stderr).unwrap();
+    assert_eq!(missing.status.code(), Some(2), "{message}");
+    assert!(message.contains("--connect") && message.contains("--place"), "{message}");
 }

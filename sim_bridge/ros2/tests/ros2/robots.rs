@@ -1,11 +1,11 @@
-//! Simulated robots as a client of ROS 2 meets them; the client is hiroz's own.
+//! Simulated robots from the view of a ROS 2 client; the client is that of hiroz.
 
 use crate::support::{LIMIT, Offered, carrier, to_place, to_pose, until, within};
 use consort_protocol::pose::Pose;
 use consort_ros2::mapping::FRAME;
-use consort_ros2::messages::{NavigateToPose, Outcome, Progress};
+use consort_ros2::messages::{NavigateResult, NavigateToPose, Progress};
 use consort_ros2::ros::Ros;
-use consort_skills::actions::BodyHost;
+use consort_skills::actions::RobotBackend;
 use hiroz::Builder;
 use hiroz::action::GoalStatus;
 use hiroz::action::client::{GoalHandle, ZActionClient};
@@ -13,7 +13,7 @@ use hiroz::action::client::{GoalHandle, ZActionClient};
 type Client = ZActionClient<NavigateToPose>;
 type Handle = GoalHandle<NavigateToPose>;
 
-/// A client of ada's action server, on a session of its own.
+/// Returns a client of ada's action server, with a session of its own.
 async fn client(offered: &Offered) -> (Ros, Client) {
     let ros = offered.router.join("rviz");
     let client = ros.node.create_action_client::<NavigateToPose>("/ada/navigate_to_pose").build().unwrap();
@@ -25,10 +25,10 @@ async fn send(client: &Client, goal: consort_ros2::messages::Goal) -> Handle {
     within("acceptance", client.send_goal(goal)).await.unwrap()
 }
 
-/// How a goal ended: its status, the error's code, and the words.
-async fn ended(mut handle: Handle) -> (GoalStatus, Outcome) {
+/// Returns the final status and the result of a goal.
+async fn ended(mut handle: Handle) -> (GoalStatus, NavigateResult) {
     let mut status = handle.status_watch().unwrap();
-    // Statuses travel on a topic of their own, and the client forgets a goal with its result.
+    // Statuses travel on a topic of their own, and the client drops a goal with its result.
     let last = *within("a last status", status.wait_for(GoalStatus::is_terminal)).await.unwrap();
     (last, within("the result", handle.result()).await.unwrap())
 }
@@ -39,63 +39,70 @@ fn place(offered: &Offered, robot: &str) -> (String, Pose) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_robot_drives_where_it_is_sent_and_tells_of_it_one_goal_after_the_other() {
+async fn a_robot_drives_to_its_goals_and_publishes_feedback() {
     let offered = Offered::with(vec![carrier("ada", "Dock", 1.0)]).await;
     let (_ros, client) = client(&offered).await;
     let mut handle = send(&client, to_place("Laboratory")).await;
     let mut feedback = handle.feedback().unwrap();
     let outcome = within("the result", handle.result()).await.unwrap();
-    assert_eq!(outcome, Outcome::default());
+    assert_eq!(outcome, NavigateResult::default());
     let (name, pose) = place(&offered, "ada");
     assert_eq!((name.as_str(), pose.x, pose.y), ("Laboratory", 13.5, 11.0));
 
-    let told: Vec<Progress> = std::iter::from_fn(|| feedback.try_recv().ok()).collect();
-    let left: Vec<f32> = told.iter().map(|told| told.distance_remaining).collect();
+    let feedback_messages: Vec<Progress> = std::iter::from_fn(|| feedback.try_recv().ok()).collect();
+    let distances: Vec<f32> =
+        feedback_messages.iter().map(|feedback_messages| feedback_messages.distance_remaining).collect();
     // From the dock by the crossing and the corridor: 4.5 m, 7.5 m and 4 m.
-    assert!(left.len() > 2 && left.is_sorted_by(|a, b| a >= b) && left[0] <= 16.0 && left[0] > 10.0, "{left:?}");
-    for told in &told {
-        assert_eq!(told.current_pose.header.frame_id, FRAME);
-        // At half a metre a second, as far as it is.
-        let remaining_s =
-            f64::from(told.estimated_time_remaining.sec) + f64::from(told.estimated_time_remaining.nanosec) * 1e-9;
-        assert!((remaining_s - f64::from(told.distance_remaining) / 0.5).abs() < 0.1, "{told:?}");
+    assert!(
+        distances.len() > 2 && distances.is_sorted_by(|a, b| a >= b) && distances[0] <= 16.0 && distances[0] > 10.0,
+        "{distances:?}"
+    );
+    for feedback_messages in &feedback_messages {
+        assert_eq!(feedback_messages.current_pose.header.frame_id, FRAME);
+        // At half a metre per second.
+        let remaining_s = f64::from(feedback_messages.estimated_time_remaining.sec)
+            + f64::from(feedback_messages.estimated_time_remaining.nanosec) * 1e-9;
+        assert!(
+            (remaining_s - f64::from(feedback_messages.distance_remaining) / 0.5).abs() < 0.1,
+            "{feedback_messages:?}"
+        );
     }
 
     for name in ["Crossing", "Dock", "Crossing"] {
         let outcome = within(name, send(&client, to_place(name)).await.result()).await.unwrap();
-        assert_eq!((outcome, place(&offered, "ada").0.as_str()), (Outcome::default(), name));
+        assert_eq!((outcome, place(&offered, "ada").0.as_str()), (NavigateResult::default(), name));
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_goal_that_is_canceled_midway_leaves_the_robot_between_two_places() {
+async fn a_canceled_goal_leaves_the_robot_between_two_places() {
     let offered = Offered::with(vec![carrier("ada", "Dock", 1.0)]).await;
     let (_ros, client) = client(&offered).await;
     let mut handle = send(&client, to_place("PC Room 8")).await;
     let mut feedback = handle.feedback().unwrap();
     within("feedback", feedback.recv()).await.unwrap();
-    let canceled = within("an answer", handle.cancel()).await.unwrap();
+    let canceled = within("a reply", handle.cancel()).await.unwrap();
     let named: Vec<_> = canceled.goals_canceling.iter().map(|info| info.goal_id).collect();
     assert_eq!((canceled.return_code, named), (0, vec![handle.id()]));
-    assert_eq!(ended(handle).await, (GoalStatus::Canceled, Outcome::default()));
+    assert_eq!(ended(handle).await, (GoalStatus::Canceled, NavigateResult::default()));
     let (_, here) = place(&offered, "ada");
     let then = offered.world.now().as_secs() + 2.0;
     until("two seconds of the world", async || offered.world.now().as_secs() > then).await;
-    assert_eq!(place(&offered, "ada").1, here, "it stands");
+    assert_eq!(place(&offered, "ada").1, here, "it has stopped");
     let room = crate::support::hospital().place(&"PC Room 8".parse().unwrap()).unwrap().pose;
     assert!(here.distance(room).get() > 5.0, "{here:?}");
-    // And it can be sent on from there.
+    // The robot can be sent on from there.
     let outcome = within("the way back", send(&client, to_place("Dock")).await.result()).await.unwrap();
-    assert_eq!((outcome, place(&offered, "ada").0.as_str()), (Outcome::default(), "Dock"));
+    assert_eq!((outcome, place(&offered, "ada").0.as_str()), (NavigateResult::default(), "Dock"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_reached_is_aborted_with_the_code_of_nav2() {
+async fn an_unreachable_goal_is_aborted_with_the_code_of_nav2() {
     let offered = Offered::with(vec![carrier("ada", "Dock", 1.0)]).await;
     let (_ros, client) = client(&offered).await;
     let (status, outcome) = ended(send(&client, to_pose(Pose::new(100.0, 0.0, 0.0))).await).await;
-    let error_msg = "no route: no way to (100.00, 0.00) on the map \"hospital\": it lies outside".to_owned();
-    assert_eq!((status, outcome), (GoalStatus::Aborted, Outcome { error_code: 208, error_msg }));
+    let error_msg = "no route: no route to (100.00, 0.00) on the map \"hospital\": it is outside the map".to_owned();
+    assert_eq!((status, outcome), (GoalStatus::Aborted, NavigateResult { error_code: 208, error_msg }));
     let mut elsewhere = to_place("Crossing");
     elsewhere.pose.header.frame_id = "odom".to_owned();
     let (status, outcome) = ended(send(&client, elsewhere).await).await;
@@ -103,19 +110,19 @@ async fn what_cannot_be_reached_is_aborted_with_the_code_of_nav2() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_later_goal_takes_the_place_of_an_earlier_one() {
+async fn a_later_goal_replaces_an_earlier_goal() {
     let offered = Offered::with(vec![carrier("ada", "Dock", 1.0)]).await;
     let (_ros, client) = client(&offered).await;
     let first = send(&client, to_place("PC Room 8")).await;
     let second = send(&client, to_place("Crossing")).await;
     let (status, outcome) = ended(first).await;
-    assert_eq!((status, outcome.error_msg.as_str()), (GoalStatus::Aborted, "another goal has taken its place"));
-    assert_eq!(ended(second).await, (GoalStatus::Succeeded, Outcome::default()));
+    assert_eq!((status, outcome.error_msg.as_str()), (GoalStatus::Aborted, "another goal has replaced it"));
+    assert_eq!(ended(second).await, (GoalStatus::Succeeded, NavigateResult::default()));
     assert_eq!(place(&offered, "ada").0, "Crossing");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_robot_that_dies_on_the_way_is_an_abort_and_so_is_a_world() {
+async fn an_empty_battery_or_a_lost_world_aborts_the_goal() {
     // 6 % is enough for about ten seconds.
     let offered = Offered::with(vec![carrier("ada", "Dock", 0.06)]).await;
     let (_ros, client) = client(&offered).await;
@@ -128,14 +135,14 @@ async fn a_robot_that_dies_on_the_way_is_an_abort_and_so_is_a_world() {
     let mut handle = send(&client, to_place("PC Room 8")).await;
     let mut feedback = handle.feedback().unwrap();
     within("feedback", feedback.recv()).await.unwrap();
-    offered.kill_the_world();
+    offered.kill_world();
     let (status, outcome) = ended(handle).await;
-    let error_msg = "timed out: ada: its body has said nothing for 3 s".to_owned();
-    assert_eq!((status, outcome), (GoalStatus::Aborted, Outcome { error_code: 9003, error_msg }));
+    let error_msg = "timed out: ada: no state from its driver server for 3 s".to_owned();
+    assert_eq!((status, outcome), (GoalStatus::Aborted, NavigateResult { error_code: 9003, error_msg }));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn each_robot_has_a_server_under_a_name_that_ros_allows() {
+async fn each_robot_has_a_server_with_a_valid_ros_name() {
     let robots =
         vec![carrier("ada", "Dock", 1.0), carrier("lab-arm.2", "Laboratory", 1.0), carrier("7of9", "Crossing", 1.0)];
     let offered = Offered::with(robots).await;
@@ -144,7 +151,7 @@ async fn each_robot_has_a_server_under_a_name_that_ros_allows() {
     until("three action servers", async || expected.iter().all(|name| ros.node.graph().has_action_server(name))).await;
     let mut seen: Vec<(String, String)> = ros.node.graph().get_action_names_and_types();
     seen.sort();
-    // The type of the feedback's topic, from which ROS 2 takes that of the action.
+    // The type of the feedback topic, from which ROS 2 derives the type of the action.
     let kind = "nav2_msgs::action::dds_::NavigateToPose_FeedbackMessage_";
     assert_eq!(seen, expected.map(|name| (name.to_owned(), kind.to_owned())));
 }

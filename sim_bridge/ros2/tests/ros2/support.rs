@@ -1,19 +1,20 @@
-//! A router as `rmw_zenohd` is, a ROS 2 graph around it, and a world of the fleet; all on loopback, at ports that were free.
+//! A router like `rmw_zenohd`, a ROS 2 graph around it, and a world of the fleet; all on loopback,
+//! at free ports.
 
-use consort_actors::body::{Host, HostMessage, HostSettings, SILENCE};
 use consort_actors::bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_actors::clock::Clock;
+use consort_actors::robot_driver::{CLIENT_TIMEOUT, DriverServer, DriverServerMessage, DriverServerSettings};
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::Keys;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
-use consort_ros2::itinerary::Atlas;
 use consort_ros2::mapping;
 use consort_ros2::messages::{Goal, Time};
 use consort_ros2::ros::{Ros, RosSettings};
+use consort_ros2::route_planner::RoutePlanner;
 use consort_ros2::serve::{ServeSettings, serve};
 use consort_sim::map::{Map, shipped};
-use consort_sim::world::{RobotBody, SharedWorld, World, WorldSetup};
+use consort_sim::world::{RobotSetup, SharedWorld, World, WorldSetup};
 use hiroz::config::RouterConfigBuilder;
 use ractor::{Actor, ActorRef};
 use std::future::Future;
@@ -22,10 +23,10 @@ use std::time::Duration;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-/// World seconds in one second of these tests.
+/// World seconds per second of these tests.
 pub(crate) const SPEED: f64 = 20.0;
 
-/// A generous limit for whatever is awaited.
+/// A generous time limit of every wait.
 pub(crate) const LIMIT: Duration = Duration::from_secs(60);
 
 /// Waits until a condition holds.
@@ -37,9 +38,9 @@ pub(crate) async fn until(what: &str, mut holds: impl AsyncFnMut() -> bool) {
     }
 }
 
-/// Awaits something that must come.
-pub(crate) async fn within<T>(what: &str, coming: impl Future<Output = T>) -> T {
-    tokio::time::timeout(LIMIT, coming).await.unwrap_or_else(|_| panic!("{what}: not within {LIMIT:?}"))
+/// Waits for a future that must complete.
+pub(crate) async fn within<T>(what: &str, future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(LIMIT, future).await.unwrap_or_else(|_| panic!("{what}: not within {LIMIT:?}"))
 }
 
 /// The router of a ROS 2 graph.
@@ -56,13 +57,13 @@ impl Router {
         Router { session, address }
     }
 
-    /// Somebody of our own on its graph.
+    /// Joins the router's graph with a separate session.
     pub(crate) fn join(&self, node: &str) -> Ros {
         let settings = RosSettings { routers: vec![self.address.clone()], domain: 0, node: node.to_owned() };
         Ros::join(&settings).unwrap()
     }
 
-    /// The session itself, which sees all that goes on.
+    /// Returns the session of the router, which receives all traffic.
     pub(crate) fn session(&self) -> &zenoh::Session {
         &self.session
     }
@@ -72,10 +73,10 @@ pub(crate) fn keys() -> Keys {
     Keys::new(&FleetId::new("ward").unwrap())
 }
 
-/// A bus of the fleet's, linked to another if one is given.
+/// Opens a bus of the fleet, linked with another bus if given.
 pub(crate) async fn bus(linked_to: Option<&ZenohBus>) -> ZenohBus {
     let connect = match linked_to {
-        Some(other) => other.listening().await,
+        Some(other) => other.listen_addresses().await,
         None => vec![],
     };
     let linked = !connect.is_empty();
@@ -90,67 +91,70 @@ pub(crate) fn hospital() -> Map {
     shipped("hospital").unwrap()
 }
 
-/// A carrier of 0.5 m/s that loses 0.1 % of its battery in a second.
-pub(crate) fn carrier(name: &str, place: &str, battery: f64) -> RobotBody {
+/// Returns a carrier with a speed of 0.5 m/s that uses 0.1 % of its battery per second.
+pub(crate) fn carrier(name: &str, place: &str, battery: f64) -> RobotSetup {
     let (speed, discharge) = (MetresPerSecond::new(0.5).unwrap(), SharePerSecond::new(0.001).unwrap());
     let battery = BatteryShare::new(battery).unwrap();
-    RobotBody::carrier(name.parse().unwrap(), place.parse().unwrap(), speed, battery, discharge)
+    RobotSetup::carrier(name.parse().unwrap(), place.parse().unwrap(), speed, battery, discharge)
 }
 
 /// Hosts a world with robots in the hospital.
-pub(crate) async fn host(bus: &ZenohBus, robots: Vec<RobotBody>) -> (ActorRef<HostMessage>, SharedWorld) {
+pub(crate) async fn host_world(
+    bus: &ZenohBus,
+    robots: Vec<RobotSetup>,
+) -> (ActorRef<DriverServerMessage>, SharedWorld) {
     let setup = WorldSetup { robots, ..WorldSetup::new(hospital(), 7) };
     let world = SharedWorld::new(World::new(setup).unwrap());
-    let settings = HostSettings {
+    let settings = DriverServerSettings {
         keys: keys(),
         bus: Arc::new(bus.clone()),
         clock: Clock::real(),
         speed: SPEED,
-        beat: Duration::from_millis(500),
-        silence: SILENCE,
+        publish_interval: Duration::from_millis(500),
+        client_timeout: CLIENT_TIMEOUT,
     };
-    let (host, _) = Actor::spawn(None, Host, (settings, Box::new(world.clone()))).await.unwrap();
-    (host, world)
+    let (server, _) = Actor::spawn(None, DriverServer, (settings, Box::new(world.clone()))).await.unwrap();
+    (server, world)
 }
 
 /// A world of the fleet with robots in the hospital, offered to ROS 2.
 pub(crate) struct Offered {
     pub(crate) router: Router,
     pub(crate) world: SharedWorld,
-    host: ActorRef<HostMessage>,
+    server: ActorRef<DriverServerMessage>,
     pub(crate) bus: ZenohBus,
     tasks: JoinSet<()>,
 }
 
 impl Offered {
-    /// By this process.
-    pub(crate) async fn with(robots: Vec<RobotBody>) -> Offered {
-        let mut offered = Offered::not_yet(robots).await;
+    /// Starts the world and the bridge in this process.
+    pub(crate) async fn with(robots: Vec<RobotSetup>) -> Offered {
+        let mut offered = Offered::without_bridge(robots).await;
         let (router, bus_of_world) = (&offered.router, &offered.bus);
         let shared: SharedBus = Arc::new(bus(Some(bus_of_world)).await);
         let ros = router.join("consort_bridge");
         offered.tasks.spawn(async move {
-            let atlas = Arc::new(Atlas::new(hospital()).unwrap());
-            let settings = ServeSettings { bus: shared, keys: keys(), atlas, first_goal: 1 };
-            panic!("it serves no longer: {}", serve(&ros, settings).await.unwrap_err());
+            let planner = Arc::new(RoutePlanner::new(hospital()).unwrap());
+            let settings = ServeSettings { bus: shared, keys: keys(), planner, first_goal: 1 };
+            panic!("the bridge stopped: {}", serve(&ros, settings).await.unwrap_err());
         });
         offered
     }
 
-    /// By nobody yet.
-    pub(crate) async fn not_yet(robots: Vec<RobotBody>) -> Offered {
+    /// Starts the world without the bridge.
+    pub(crate) async fn without_bridge(robots: Vec<RobotSetup>) -> Offered {
         let (router, bus) = (Router::start().await, bus(None).await);
-        let (host, world) = host(&bus, robots).await;
-        Offered { router, world, host, bus, tasks: JoinSet::new() }
+        let (server, world) = host_world(&bus, robots).await;
+        Offered { router, world, server, bus, tasks: JoinSet::new() }
     }
 
-    /// The world ends, without a word.
-    pub(crate) fn kill_the_world(&self) {
-        self.host.kill();
+    /// Kills the world's driver server without notice.
+    pub(crate) fn kill_world(&self) {
+        self.server.kill();
     }
 }
 
-/// The goal of a place in the hospital.
+/// Returns the goal of a place in the hospital.
 pub(crate) fn to_place(name: &str) -> Goal {
     to_pose(hospital().place(&name.parse().unwrap()).unwrap().pose)
 }

@@ -1,9 +1,10 @@
-//! RIHS01 type hashes, worked out from the published definitions by the published rule.
+//! RIHS01 type hashes, computed from the published definitions by the published rule.
 //!
-//! The rule (REP-2016, `rosidl_generator_type_description`): SHA-256 of the type's description and of those that it refers to,
-//! by name, as JSON with `", "` and `": "` between, fields in the order of the definition, without default values. Services
-//! and actions are descriptions of what they are made of. That this file has the rule right is shown by two hashes that the
-//! design document of `rmw_zenoh` prints.
+//! The rule (REP-2016, `rosidl_generator_type_description`): SHA-256 of the description of the type
+//! and of the types that it refers to, by name, as JSON with the separators `", "` and `": "`,
+//! fields in the order of the definition, without default values. Services and actions are
+//! descriptions of their parts. Two hashes printed in the design document of `rmw_zenoh` verify the
+//! implementation of the rule.
 
 use consort_ros2::messages::NavigateToPose;
 use hiroz::action::ZAction;
@@ -56,8 +57,8 @@ fn define_action(all: &mut Definitions, name: &str, [goal, result, feedback]: [&
     define(all, &format!("{name}_FeedbackMessage"), &format!("{uuid}; {name}_Feedback feedback"));
 }
 
-/// The messages of ROS 2 Jazzy (the same in Kilted), from `rcl_interfaces`, `common_interfaces`, `unique_identifier_msgs`,
-/// `example_interfaces` and `navigation2`.
+/// The messages of ROS 2 Jazzy (the same in Kilted), from `rcl_interfaces`, `common_interfaces`,
+/// `unique_identifier_msgs`, `example_interfaces` and `navigation2`.
 fn definitions() -> Definitions {
     let mut all = Definitions::new();
     define(&mut all, "builtin_interfaces/msg/Time", "int32 sec; uint32 nanosec");
@@ -89,7 +90,7 @@ fn definitions() -> Definitions {
     all
 }
 
-/// A field's type: number, capacity and, of a type made of others, its name.
+/// Returns the type of a field: number, capacity and, for a composite type, its name.
 fn field_type(kind: &str) -> (u8, u64, &str) {
     let (base, offset, capacity) = match kind.strip_suffix(']').and_then(|kind| kind.split_once('[')) {
         None => (kind, 0, 0),
@@ -138,9 +139,10 @@ fn rihs01(name: &str) -> String {
     Sha256::digest(json).iter().fold("RIHS01_".to_owned(), |text, byte| format!("{text}{byte:02x}"))
 }
 
-/// From the design document of `rmw_zenoh`, "Topic and Service name mapping to Zenoh key expressions".
+/// The published hashes are from the design document of `rmw_zenoh`, "Topic and Service name
+/// mapping to Zenoh key expressions".
 #[test]
-fn the_rule_gives_the_hashes_that_are_published() {
+fn the_rule_gives_the_published_hashes() {
     let published = [
         ("std_msgs/msg/String", "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
         (
@@ -164,7 +166,7 @@ fn each_part_of_the_action_has_the_hash_of_its_definition() {
     ];
     for (info, name) in parts {
         assert_eq!(info.hash.to_rihs_string(), rihs01(name), "{name}");
-        // As a type of DDS: nav2_msgs/action/X is nav2_msgs::action::dds_::X_.
+        // DDS type names: nav2_msgs/action/X is nav2_msgs::action::dds_::X_.
         let (package, rest) = name.split_once('/').unwrap();
         let (kind, name) = rest.split_once('/').unwrap();
         assert_eq!(info.name, format!("{package}::{kind}::dds_::{name}_"));

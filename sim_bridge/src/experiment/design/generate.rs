@@ -1,4 +1,4 @@
-//! From factors to scenarios: all combinations of their levels.
+//! Generation of scenarios: all combinations of the levels of the factors.
 
 use super::super::seeds::generator;
 use super::{Design, FactorLevels, LocationFactor, Scenario, ScenarioRobot, SkillGaps, UniformRange};
@@ -8,28 +8,29 @@ use rand::seq::{IndexedRandom, SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// `a`, `b`, …
+/// Returns `a`, `b`, … for a level.
 pub(super) fn level_name(level: usize) -> String {
     char::from(b'a' + u8::try_from(level.min(25)).unwrap_or(25)).to_string()
 }
 
-/// The scenarios of a sound design, in the order of their codes. A level depends on the design's name and seed, its factor
-/// and its own name alone: a level more leaves the others as they were.
+/// Returns the scenarios of a valid design, in the order of their codes. The draws of a level
+/// depend only on the name and the seed of the design, its factor and its own name: an additional
+/// level leaves the others unchanged.
 pub fn scenarios(design: &Design) -> Vec<Scenario> {
     let rng = |factor: &str, level: usize| generator(design.seed, &[&design.name, factor, &level_name(level)]);
     let robots: usize = design.robots.iter().map(|part| part.count).sum();
     let spans = |factor: &str, span: &UniformRange| -> Vec<Vec<f64>> {
-        (0..span.levels).map(|level| numbers(span, robots, &mut rng(factor, level))).collect()
+        (0..span.levels).map(|level| draw_numbers(span, robots, &mut rng(factor, level))).collect()
     };
     let factors = &design.factors;
     let (speeds, charges) = (spans("speed", &factors.speed), spans("charge", &factors.charge));
     let discharges = spans("discharge", &factors.discharge);
     let sites = site_orders(&factors.location, &mut generator(design.seed, &[&design.name, "sites"]));
     let locations: Vec<_> = (0..factors.location.levels)
-        .map(|level| locate(&factors.location, &sites, level, robots, &mut rng("location", level)))
+        .map(|level| draw_places(&factors.location, &sites, level, robots, &mut rng("location", level)))
         .collect();
     let skills: Vec<_> = (0..factors.skills.lacking.len())
-        .map(|level| lack(design, &factors.skills, level, &mut rng("skills", level)))
+        .map(|level| draw_skills(design, &factors.skills, level, &mut rng("skills", level)))
         .collect();
 
     let mut scenarios = vec![];
@@ -41,7 +42,7 @@ pub fn scenarios(design: &Design) -> Vec<Scenario> {
                         let levels = [a, b, c, d, e].map(level_name);
                         let parts = design.robots.iter().flat_map(|part| std::iter::repeat_n(part, part.count));
                         let robot = |(index, part): (usize, &super::RobotGroup)| ScenarioRobot {
-                            name: RobotId::new(format!("r{}", index + 1)).expect("r and a number are a slug"),
+                            name: RobotId::new(format!("r{}", index + 1)).expect("r and a number form a slug"),
                             speed_mps: speed[index],
                             charge: charge[index],
                             discharge: discharge[index],
@@ -73,12 +74,12 @@ pub fn scenarios(design: &Design) -> Vec<Scenario> {
     scenarios
 }
 
-fn numbers(span: &UniformRange, robots: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
+fn draw_numbers(span: &UniformRange, robots: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
     let (least, most) = span.between;
     (0..robots).map(|_| rng.random_range(least..=most)).collect()
 }
 
-/// For each site its candidates, shuffled: level by level they are taken in turn.
+/// Returns the candidates of each site in random order; the levels take them in turn.
 fn site_orders(location: &LocationFactor, rng: &mut ChaCha8Rng) -> BTreeMap<String, Vec<PlaceId>> {
     let shuffled = |(name, places): (&String, &Vec<PlaceId>)| {
         let mut places = places.clone();
@@ -88,7 +89,7 @@ fn site_orders(location: &LocationFactor, rng: &mut ChaCha8Rng) -> BTreeMap<Stri
     location.sites.iter().map(shuffled).collect()
 }
 
-fn locate(
+fn draw_places(
     location: &LocationFactor,
     orders: &BTreeMap<String, Vec<PlaceId>>,
     level: usize,
@@ -102,7 +103,7 @@ fn locate(
     for (name, places) in orders {
         let turns = (0..places.len()).map(|turn| &places[(level + turn) % places.len()]);
         let mut free = turns.filter(|place| !sites.values().any(|taken| taken == *place));
-        // A sound design has a place left for each site.
+        // A valid design has a free place for each site.
         if let Some(place) = free.next() {
             sites.insert(name.clone(), place.clone());
         }
@@ -110,20 +111,20 @@ fn locate(
     (starts, sites)
 }
 
-fn lack(design: &Design, skills: &SkillGaps, level: usize, rng: &mut ChaCha8Rng) -> Vec<BTreeSet<TaskType>> {
+fn draw_skills(design: &Design, skills: &SkillGaps, level: usize, rng: &mut ChaCha8Rng) -> Vec<BTreeSet<TaskType>> {
     let mut all: Vec<BTreeSet<TaskType>> =
         design.robots.iter().flat_map(|part| std::iter::repeat_n(part.skills.clone(), part.count)).collect();
-    // In each part one is spared.
-    let mut exposed = vec![];
+    // In each group a random robot keeps all its skills.
+    let mut may_lose_skill = vec![];
     let mut first = 0;
     for part in &design.robots {
         let mut members: Vec<usize> = (first..first + part.count).collect();
         members.shuffle(rng);
-        exposed.extend(members.into_iter().skip(1));
+        may_lose_skill.extend(members.into_iter().skip(1));
         first += part.count;
     }
-    exposed.shuffle(rng);
-    for robot in exposed.into_iter().take(skills.lacking[level]) {
+    may_lose_skill.shuffle(rng);
+    for robot in may_lose_skill.into_iter().take(skills.lacking[level]) {
         let own: Vec<TaskType> = all[robot].iter().cloned().collect();
         if let Some(lost) = own.choose(rng) {
             all[robot].remove(lost);
@@ -150,7 +151,7 @@ mod tests {
         for scenario in &scenarios {
             assert_eq!(scenario.robots.len(), 6);
             let places: BTreeSet<_> = scenario.robots.iter().map(|robot| &robot.place).collect();
-            assert_eq!(places.len(), 6, "each robot starts in a place of its own");
+            assert_eq!(places.len(), 6, "each robot starts at a different place");
             let full = &published().robots[0].skills;
             let lacking = scenario.robots.iter().filter(|robot| robot.skills.len() == full.len() - 1).count();
             let expected = match scenario.levels.skills.as_str() {
@@ -162,11 +163,11 @@ mod tests {
             assert!(scenario.robots.iter().all(|robot| (0.05..=0.95).contains(&robot.charge)));
         }
         let rooms: BTreeSet<_> = scenarios.iter().map(|scenario| &scenario.sites["room"]).collect();
-        assert_eq!(rooms.len(), 3, "each location has a nurse in another room");
+        assert_eq!(rooms.len(), 3, "each level of the location has the nurse in a different room");
     }
 
     #[test]
-    fn a_level_more_leaves_the_others_as_they_were() {
+    fn an_additional_level_leaves_the_others_unchanged() {
         let before = published();
         let mut more = before.clone();
         more.factors.charge.levels = 4;

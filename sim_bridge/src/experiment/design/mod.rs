@@ -1,24 +1,24 @@
-//! What is to be tried: a design, as a file says it.
+//! The design of an experiment, as written in a file.
 //!
 //! ```toml
 //! name = "published"              # a slug: part of every seed, and of file names
 //! seed = 2022
-//! repetitions = 8                 # of each scenario under each policy, each with new chance
+//! repetitions = 8                 # of each scenario under each policy, each with other random numbers
 //! policies = ["consort", "random"]
 //! treatments = ["calm"]           # and "coordinator-killed"
-//! map = "hospital"                # one that is shipped, or a file
+//! map = "hospital"                # a shipped map, or a file
 //!
 //! [mission]
-//! name = "lab-samples"            # one that is shipped
-//! parameters = { room = "@room" } # @site stands for a place that the factor location draws
-//! delivered = { item = "sample", to = "lab-arm" }   # what success is; without it: that the mission is completed
+//! name = "lab-samples"            # a shipped mission
+//! parameters = { room = "@room" } # @site stands for a place drawn by the factor location
+//! delivered = { item = "sample", to = "lab-arm" }   # condition of success; default: the mission is completed
 //!
-//! [[robots]]                      # called r1, r2, … in the order of the file
+//! [[robots]]                      # named r1, r2, … in the order of the file
 //! count = 6
 //! skills = ["navigation", "operate_drawer"]
 //! drawer = true
 //!
-//! [[fixed]]                       # who stands in one place and is the same in every scenario
+//! [[fixed]]                       # a stationary robot, the same in every scenario
 //! name = "lab-arm"
 //! place = "Laboratory"
 //! skills = ["pick_up"]
@@ -34,7 +34,7 @@
 //! charge    = { levels = 3, between = [0.05, 0.95] }      # shares of a full battery, for each robot
 //! discharge = { levels = 3, between = [0.0002, 0.0008] }  # shares per second at work, for each robot
 //! location  = { levels = 3, starts = ["IC Room 1", "IC Room 2"], sites = { room = ["PC Room 1"] } }
-//! skills    = { lacking = [4, 2, 0] }   # a level each: so many robots lack one skill of theirs
+//! skills    = { lacking = [4, 2, 0] }   # for each level: the number of robots without one of their skills
 //!
 //! [travel]                        # see the module `travel`
 //! spread = 0.1
@@ -56,49 +56,51 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A design as written. [`Design::problems`] says what is wrong with it.
+/// A design as written. [`Design::validation_errors`] checks it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Design {
     /// Its name: a slug.
     pub name: String,
-    /// Where all chance comes from.
+    /// Seed of all random numbers.
     #[serde(default)]
     pub seed: u64,
-    /// How often each scenario is tried under each policy and treatment.
+    /// Number of trials of each scenario under each policy and treatment.
     pub repetitions: u32,
-    /// The rules that are compared. The first is the one that the others are compared with.
+    /// The compared policies. The first is compared with each of the others.
     pub policies: Vec<Policy>,
-    /// What is done to the fleet.
+    /// The injected faults.
     #[serde(default = "calm")]
     pub treatments: Vec<Treatment>,
-    /// The name of a shipped map, or the path of a file.
+    /// Name of a shipped map, or path of a file.
     pub map: String,
-    /// World seconds that pass in one second of the fleet's own time. What the fleet does takes so many times as long in the
-    /// world as it would with a speed of 1: elections, auctions and messages are made to look slower than they are, never
-    /// faster. Default 20, at which a message between two nodes takes some hundredths of a second in the world.
+    /// World seconds per second of the fleet's own time. Actions of the fleet take this many times
+    /// longer in the world than with a speed of 1: elections, auctions and messages appear slower,
+    /// never faster. Default 20; a message between two nodes then takes some hundredths of a second
+    /// in the world.
     #[serde(default = "world_speed")]
     pub world_speed: f64,
-    /// With the treatment `coordinator-killed`: the moment is drawn between the request and so many world seconds later.
-    /// Default 240, somewhat less than the published missions take, so that most kills fall into the mission.
+    /// Latest time of a kill: with the treatment `coordinator-killed`, it happens at a random time
+    /// up to this many world seconds after the request. Default 240, slightly less than the
+    /// duration of the published missions, so that most kills happen during the mission.
     #[serde(default = "kill_within_s")]
     pub kill_within_s: f64,
     /// The mission.
     pub mission: DesignMission,
-    /// When a trial is cut.
+    /// Limits of each trial.
     #[serde(default)]
     pub limits: TrialLimits,
-    /// Robots that drive.
+    /// Mobile robots.
     pub robots: Vec<RobotGroup>,
-    /// Robots that do not.
+    /// Stationary robots.
     #[serde(default)]
     pub fixed: Vec<FixedRobot>,
     /// People.
     #[serde(default)]
     pub people: Vec<DesignPerson>,
-    /// What is varied.
+    /// The varied factors.
     pub factors: Factors,
-    /// How long drives take.
+    /// Duration of drives.
     #[serde(default)]
     pub travel: TravelSettings,
 }
@@ -119,56 +121,57 @@ fn kill_within_s() -> f64 {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DesignMission {
-    /// The name of a shipped mission.
+    /// Name of a shipped mission.
     pub name: String,
-    /// Its parameters; a value `@site` stands for a place that the factor location draws.
+    /// Its parameters; a value `@site` stands for a place drawn by the factor location.
     #[serde(default)]
     pub parameters: BTreeMap<String, String>,
-    /// What success is; without it, that the mission is completed.
+    /// Condition of success; default: the mission is completed.
     #[serde(default)]
     pub delivered: Option<DeliveryGoal>,
 }
 
-/// Something has reached its destination.
+/// A delivery: success if the item reaches its destination.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DeliveryGoal {
-    /// The thing: one of a person's items.
+    /// The item: an item of a person.
     pub item: String,
-    /// Where to: a robot of `fixed`, or a place (`@site` or by name).
+    /// Destination: a robot of `fixed`, or a place (`@site` or by name).
     pub to: String,
 }
 
-/// Some robots of one kind.
+/// A group of robots of the same kind.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RobotGroup {
-    /// How many.
+    /// Number of robots.
     pub count: usize,
-    /// What each can do.
+    /// Skills of each robot.
     pub skills: BTreeSet<TaskType>,
-    /// Whether it has a drawer.
+    /// Has a drawer.
     #[serde(default)]
     pub drawer: bool,
-    /// Whether it has an arm.
+    /// Has an arm.
     #[serde(default)]
     pub arm: bool,
-    /// The roles for which chance may choose it; all managed roles that no robot of `fixed` has if there are none.
+    /// Roles for which the random policy may choose these robots; default: all managed roles
+    /// without a robot of `fixed`.
     #[serde(default)]
     pub roles: BTreeSet<RoleId>,
 }
 
-/// A robot that stays where it is, on mains power.
+/// A stationary robot on mains power.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FixedRobot {
     /// Its name.
     pub name: RobotId,
-    /// Where it stands: `@site` or by name.
+    /// Its place: `@site` or by name.
     pub place: String,
-    /// What it can do.
+    /// Its skills.
     pub skills: BTreeSet<TaskType>,
-    /// The role that chance gives it.
+    /// The role that the random policy gives it.
     pub role: RoleId,
 }
 
@@ -180,14 +183,14 @@ pub struct DesignPerson {
     pub name: String,
     /// Her role in the mission.
     pub role: RoleId,
-    /// Where she is: `@site` or by name.
+    /// Her place: `@site` or by name.
     pub place: String,
-    /// What she has to hand over.
+    /// Items that she hands over.
     #[serde(default)]
     pub items: Vec<ItemId>,
 }
 
-/// What is varied.
+/// The varied factors.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Factors {
@@ -197,70 +200,71 @@ pub struct Factors {
     pub charge: UniformRange,
     /// Share of a full battery lost per second at work.
     pub discharge: UniformRange,
-    /// Where everybody is.
+    /// Start positions and sites.
     pub location: LocationFactor,
-    /// Who lacks what.
+    /// Missing skills.
     pub skills: SkillGaps,
 }
 
-/// A number for each robot, drawn evenly.
+/// A number for each robot, drawn from a uniform distribution.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct UniformRange {
-    /// How many times the robots' numbers are drawn.
+    /// Number of draws for all robots.
     pub levels: usize,
-    /// Least and greatest.
+    /// Least and greatest value.
     pub between: (f64, f64),
 }
 
-/// Where everybody is.
+/// Start positions of robots and sites of the mission.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LocationFactor {
-    /// How many times the places are drawn.
+    /// Number of draws of the places.
     pub levels: usize,
-    /// Where robots may start, each in another place.
+    /// Possible start places of robots; each robot starts at a different place.
     pub starts: Vec<PlaceId>,
-    /// Where the places of the mission may be, by name; sites differ from one another. Level by level each candidate comes
-    /// once before one comes again, so that levels differ, too.
+    /// Candidates for the places of the mission, by site; the sites of a scenario differ from each
+    /// other. The levels take the candidates in turn, so levels differ, too.
     #[serde(default)]
     pub sites: BTreeMap<String, Vec<PlaceId>>,
 }
 
-/// Who lacks what.
+/// Missing skills of robots.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SkillGaps {
-    /// For each level, how many robots lack one of their skills. Those are drawn, and so is the skill; of each part of
-    /// `robots` at least one lacks nothing.
+    /// Number of robots without a skill, for each level. The robots and the skills are drawn; in
+    /// each group of `robots` at least a single robot keeps all skills.
     pub lacking: Vec<usize>,
 }
 
-/// One combination of levels.
+/// A combination of levels.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Scenario {
-    /// Its name, unique in the design: the levels, a letter each, in the order speed, charge, discharge, location, skills.
+    /// Its name, unique in the design: a letter for each level, in the order speed, charge,
+    /// discharge, location, skills.
     pub code: String,
-    /// The levels by which it was made.
+    /// Its levels.
     pub levels: FactorLevels,
-    /// The places of the mission, by name.
+    /// Places of the mission, by site.
     pub sites: BTreeMap<String, PlaceId>,
-    /// The robots that drive.
+    /// The mobile robots.
     pub robots: Vec<ScenarioRobot>,
 }
 
-/// The levels of a scenario, each named; empty for one that was made elsewhere and does not say.
+/// Names of the levels of a scenario; empty for an imported scenario without levels.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct FactorLevels {
-    /// Of the factor speed.
+    /// Level of the factor speed.
     pub speed: String,
-    /// Of the factor charge.
+    /// Level of the factor charge.
     pub charge: String,
-    /// Of the factor discharge.
+    /// Level of the factor discharge.
     pub discharge: String,
-    /// Of the factor location.
+    /// Level of the factor location.
     pub location: String,
-    /// Of the factor skills.
+    /// Level of the factor skills.
     pub skills: String,
 }
 
@@ -275,37 +279,38 @@ pub struct ScenarioRobot {
     pub charge: f64,
     /// Share lost per second at work.
     pub discharge: f64,
-    /// Where it starts.
+    /// Its start place.
     pub place: PlaceId,
-    /// What it can do.
+    /// Its skills.
     pub skills: BTreeSet<TaskType>,
-    /// Whether it has a drawer.
+    /// Has a drawer.
     pub drawer: bool,
-    /// Whether it has an arm.
+    /// Has an arm.
     pub arm: bool,
-    /// The roles for which chance may choose it; all that nobody in `fixed` has if there are none.
+    /// Roles for which the random policy may choose it; default: all managed roles without a robot
+    /// of `fixed`.
     pub roles: BTreeSet<RoleId>,
 }
 
 impl Scenario {
-    /// A place as a design writes it: `@site`, or its name.
+    /// Returns a place of the design: `@site`, or the name of a place.
     ///
     /// # Errors
-    /// What is wrong, and what is allowed.
+    /// A message with the allowed sites.
     pub fn place(&self, written: &str) -> Result<PlaceId, String> {
         match written.strip_prefix('@') {
             Some(site) => self.sites.get(site).cloned().ok_or_else(|| {
                 let known = self.sites.keys().map(|site| format!("@{site}")).collect::<Vec<_>>().join(", ");
-                format!("there is no site {written}; there are: {known}")
+                format!("there is no site {written}; sites: {known}")
             }),
             None => PlaceId::new(written).map_err(|error| error.to_string()),
         }
     }
 
-    /// The mission's parameters with its sites filled in.
+    /// Returns the parameters of the mission with places for its sites.
     ///
     /// # Errors
-    /// As [`place`](Scenario::place), for values that begin with `@`.
+    /// Those of [`place`](Scenario::place), for values that begin with `@`.
     pub fn parameters(&self, mission: &DesignMission) -> Result<BTreeMap<String, String>, String> {
         let filled = |(name, value): (&String, &String)| {
             let value = if value.starts_with('@') { self.place(value)?.to_string() } else { value.clone() };

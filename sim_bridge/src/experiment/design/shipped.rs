@@ -1,15 +1,15 @@
-//! Designs that come with the program.
+//! The designs shipped with the program.
 
 use super::Design;
 
-/// Their names, and their texts.
+/// Names and texts of the shipped designs.
 pub const SHIPPED: &[(&str, &str)] = &[
     ("published", include_str!("../../../designs/published.toml")),
     ("food", include_str!("../../../designs/food.toml")),
     ("rounds", include_str!("../../../designs/rounds.toml")),
 ];
 
-/// The text of a shipped design, and what reads it; `None` for a name that is not shipped.
+/// Parses a shipped design; `None` for any other name.
 pub fn shipped(name: &str) -> Option<Result<Design, toml::de::Error>> {
     SHIPPED.iter().find(|(known, _)| *known == name).map(|(_, text)| toml::from_str(text))
 }
@@ -19,7 +19,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_shipped_design_is_sound_and_bears_its_name() {
+    fn every_shipped_design_is_valid_and_has_its_name() {
         for (name, _) in SHIPPED {
             let design = shipped(name).unwrap().unwrap_or_else(|error| panic!("{name}: {error}"));
             assert_eq!(design.name, *name);

@@ -1,4 +1,4 @@
-//! The policies as rules that a fleet can be told to choose by.
+//! The policies as allocators for a fleet.
 
 use super::{SuccessEstimate, greedy, optimal, random};
 use crate::experiment::seeds::generator;
@@ -10,13 +10,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
-const NOBODY: &str = "no robot is left for a role";
+const NO_ROBOT_LEFT: &str = "no robot is left for a role";
 
-/// The rule of MissionControl: what robots themselves say of time and energy is replaced by the coordinator's own estimate.
+/// The rule of MissionControl: the times and energies of the bids are replaced by the coordinator's
+/// own estimates.
 pub struct GreedyAllocator {
     /// The coordinator's estimator.
     pub estimator: Arc<Estimator>,
-    /// What the coordinator knows of each robot.
+    /// Static data of each robot known to the coordinator.
     pub robots: BTreeMap<RobotId, EstimateContext>,
 }
 
@@ -27,11 +28,11 @@ impl fmt::Debug for GreedyAllocator {
 }
 
 impl GreedyAllocator {
-    /// The bid with the coordinator's own figures; as it is for a robot of which nothing is known.
-    fn reprice(&self, ballot: &AllocatorInput<'_>, bid: &Bid) -> Bid {
+    /// Returns the bid with the coordinator's own figures; unchanged for an unknown robot.
+    fn reprice(&self, input: &AllocatorInput<'_>, bid: &Bid) -> Bid {
         let own = self.robots.get(&bid.robot).and_then(|known| {
             let context = EstimateContext { place: bid.from.clone(), ..known.clone() };
-            self.estimator.price(ballot.call.roles.get(&bid.role)?, &context).ok()
+            self.estimator.price(input.call.roles.get(&bid.role)?, &context).ok()
         });
         let Some(parts) = own else { return bid.clone() };
         let charge = bid.remaining + bid.energy;
@@ -42,53 +43,54 @@ impl GreedyAllocator {
 }
 
 impl Allocator for GreedyAllocator {
-    fn allocate(&self, ballot: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
-        let bids: Vec<Bid> = ballot.bids.iter().map(|bid| self.reprice(ballot, bid)).collect();
-        let roles: BTreeSet<RoleId> = ballot.call.roles.keys().cloned().collect();
-        greedy(&roles, &bids, ballot.limits).ok_or_else(|| NOBODY.to_owned())
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
+        let bids: Vec<Bid> = input.bids.iter().map(|bid| self.reprice(input, bid)).collect();
+        let roles: BTreeSet<RoleId> = input.call.roles.keys().cloned().collect();
+        greedy(&roles, &bids, input.limits).ok_or_else(|| NO_ROBOT_LEFT.to_owned())
     }
 }
 
-/// The baseline: anybody among those that may.
+/// The baseline: a random robot among the candidates.
 #[derive(Debug, Clone)]
 pub struct RandomAllocator {
-    /// Who may be given which role.
+    /// Candidates for each role.
     pub candidates: BTreeMap<RoleId, BTreeSet<RobotId>>,
-    /// Where its dice come from.
+    /// Seed of the random choices.
     pub seed: u64,
 }
 
 impl Allocator for RandomAllocator {
-    fn allocate(&self, ballot: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
-        let open = ballot.candidates.iter().map(|(role, robots)| {
-            let may = self.candidates.get(role);
-            let robots = robots.iter().filter(|robot| may.is_none_or(|may| may.contains(*robot)));
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
+        let open = input.candidates.iter().map(|(role, robots)| {
+            let allowed = self.candidates.get(role);
+            let robots = robots.iter().filter(|robot| allowed.is_none_or(|allowed| allowed.contains(*robot)));
             (role.clone(), robots.cloned().collect())
         });
-        // Asked again about the same round it answers the same.
-        let auction = &ballot.call.auction;
+        // A repeated call for the same round gives the same result.
+        let auction = &input.call.auction;
         let round = format!("{}.{}", auction.term, auction.round);
-        random(&open.collect(), &mut generator(self.seed, &["choice", &round])).ok_or_else(|| NOBODY.to_owned())
+        random(&open.collect(), &mut generator(self.seed, &["choice", &round])).ok_or_else(|| NO_ROBOT_LEFT.to_owned())
     }
 }
 
 /// The oracle.
 #[derive(Debug, Clone)]
 pub struct OracleAllocator {
-    /// What would come of each choice.
+    /// Estimated success of each robot in each role.
     pub estimates: BTreeMap<(RoleId, RobotId), SuccessEstimate>,
 }
 
 impl Allocator for OracleAllocator {
-    fn allocate(&self, ballot: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
         let open =
-            |role: &RoleId, robot: &RobotId| ballot.candidates.get(role).is_some_and(|robots| robots.contains(robot));
-        // Whoever cannot succeed is not sent at all: nobody else would send them, either.
-        let hopeful = |prospect: &SuccessEstimate| prospect.success > 0.0;
-        let prospects = self.estimates.iter().filter(|((role, robot), fate)| open(role, robot) && hopeful(fate));
-        let prospects = prospects.map(|(of, prospect)| (of.clone(), *prospect)).collect();
-        let roles: BTreeSet<RoleId> = ballot.call.roles.keys().cloned().collect();
-        optimal(&roles, &prospects).ok_or_else(|| NOBODY.to_owned())
+            |role: &RoleId, robot: &RobotId| input.candidates.get(role).is_some_and(|robots| robots.contains(robot));
+        // A robot without any chance of success is not assigned, as under the other policies.
+        let may_succeed = |estimate: &SuccessEstimate| estimate.success > 0.0;
+        let estimates =
+            self.estimates.iter().filter(|((role, robot), estimate)| open(role, robot) && may_succeed(estimate));
+        let estimates = estimates.map(|(of, estimate)| (of.clone(), *estimate)).collect();
+        let roles: BTreeSet<RoleId> = input.call.roles.keys().cloned().collect();
+        optimal(&roles, &estimates).ok_or_else(|| NO_ROBOT_LEFT.to_owned())
     }
 }
 
@@ -116,7 +118,7 @@ mod tests {
         PlaceId::new(name).unwrap()
     }
 
-    /// A drive to B.
+    /// Returns a call for a drive to B.
     fn call(round: u32) -> CallForBids {
         let mut spec = TaskSpec::of(TaskType::new("navigation").unwrap(), vec![role()]);
         spec.parameters.insert("to".to_owned(), "B".to_owned());
@@ -143,19 +145,19 @@ mod tests {
         }
     }
 
-    fn ask(rule: &dyn Allocator, round: u32, open: &[&str], bids: &[Bid]) -> Result<String, String> {
+    fn allocate(allocator: &dyn Allocator, round: u32, open: &[&str], bids: &[Bid]) -> Result<String, String> {
         let open = BTreeMap::from([(role(), open.iter().map(|name| robot(name)).collect())]);
         let bids: Vec<&Bid> = bids.iter().collect();
         let limits = BidLimits::default();
         let viable: Vec<&Bid> = bids.iter().copied().filter(|bid| bid.check_viable(&limits).is_ok()).collect();
         let call = call(round);
-        let ballot = AllocatorInput { call: &call, candidates: &open, bids: &bids, viable: &viable, limits: &limits };
-        assert_eq!(rule.allocate(&ballot), rule.allocate(&ballot), "asked twice it answers the same");
-        rule.allocate(&ballot).map(|chosen| chosen[&role()].to_string())
+        let input = AllocatorInput { call: &call, candidates: &open, bids: &bids, viable: &viable, limits: &limits };
+        assert_eq!(allocator.allocate(&input), allocator.allocate(&input), "a repeated call gives the same result");
+        allocator.allocate(&input).map(|chosen| chosen[&role()].to_string())
     }
 
     #[test]
-    fn greed_goes_by_the_coordinators_estimates_and_not_by_what_robots_say() {
+    fn greedy_allocation_uses_the_coordinators_estimates() {
         let map = TopologicalMap {
             places: ["A", "B"].map(|name| (place(name), Pose::default())).into(),
             edges: vec![Edge { a: place("A"), b: place("B"), length_m: 10.0, one_way: false }],
@@ -168,37 +170,41 @@ mod tests {
             discharge: SharePerSecond::new(0.01).unwrap(),
             closed: vec![],
         };
-        let rule = GreedyAllocator {
+        let allocator = GreedyAllocator {
             estimator: Arc::new(DescriptorRegistry::standard().resolve(environment).unwrap()),
             robots: [(robot("ada"), known(0.5)), (robot("bob"), known(1.0))].into(),
         };
-        // ada takes 20 s and 0.2 of its charge, bob 10 s and 0.1, whatever they say.
+        // By the coordinator's estimates ada needs 20 s and 0.2 of its charge, and bob 10 s and
+        // 0.1; their bids contain other figures.
         let bids = [bid("ada", 5.0, 0.05, 0.45), bid("bob", 50.0, 0.5, 0.0)];
-        assert_eq!(ask(&rule, 1, &["ada", "bob"], &bids).unwrap(), "bob");
+        assert_eq!(allocate(&allocator, 1, &["ada", "bob"], &bids).unwrap(), "bob");
         let bids = [bid("ada", 5.0, 0.05, 0.45), bid("bob", 50.0, 0.1, 0.05)];
-        assert_eq!(ask(&rule, 1, &["ada", "bob"], &bids).unwrap(), "ada");
-        assert_eq!(ask(&rule, 1, &[], &[]).unwrap_err(), NOBODY);
+        assert_eq!(allocate(&allocator, 1, &["ada", "bob"], &bids).unwrap(), "ada");
+        assert_eq!(allocate(&allocator, 1, &[], &[]).unwrap_err(), NO_ROBOT_LEFT);
     }
 
     #[test]
-    fn chance_keeps_to_those_who_may_and_has_new_dice_each_round() {
-        let may = ["ada", "bob", "cyd"].map(robot).into();
-        let rule = RandomAllocator { candidates: [(role(), may)].into(), seed: 7 };
+    fn random_allocation_uses_candidates_only_and_varies_by_round() {
+        let allowed = ["ada", "bob", "cyd"].map(robot).into();
+        let allocator = RandomAllocator { candidates: [(role(), allowed)].into(), seed: 7 };
         let chosen: BTreeSet<String> =
-            (1..60).map(|round| ask(&rule, round, &["ada", "bob", "dan"], &[]).unwrap()).collect();
+            (1..60).map(|round| allocate(&allocator, round, &["ada", "bob", "dan"], &[]).unwrap()).collect();
         assert_eq!(chosen, ["ada", "bob"].map(str::to_owned).into());
-        assert_eq!(ask(&rule, 1, &["dan"], &[]).unwrap_err(), NOBODY);
+        assert_eq!(allocate(&allocator, 1, &["dan"], &[]).unwrap_err(), NO_ROBOT_LEFT);
     }
 
     #[test]
-    fn fate_takes_the_likeliest_that_is_open() {
-        let prospect = |success| SuccessEstimate { success, time_s: 1.0 };
-        let prospects = [("ada", 0.9), ("bob", 0.8)].map(|(name, success)| ((role(), robot(name)), prospect(success)));
-        let rule = OracleAllocator { estimates: prospects.into() };
-        assert_eq!(ask(&rule, 1, &["ada", "bob"], &[]).unwrap(), "ada");
-        assert_eq!(ask(&rule, 1, &["bob"], &[]).unwrap(), "bob");
-        // Of those who cannot succeed none is better than nobody.
-        let hopeless = [((role(), robot("ada")), prospect(0.0))];
-        assert_eq!(ask(&OracleAllocator { estimates: hopeless.into() }, 1, &["ada"], &[]).unwrap_err(), NOBODY);
+    fn the_oracle_takes_the_likeliest_open_robot() {
+        let estimate = |success| SuccessEstimate { success, time_s: 1.0 };
+        let estimates = [("ada", 0.9), ("bob", 0.8)].map(|(name, success)| ((role(), robot(name)), estimate(success)));
+        let allocator = OracleAllocator { estimates: estimates.into() };
+        assert_eq!(allocate(&allocator, 1, &["ada", "bob"], &[]).unwrap(), "ada");
+        assert_eq!(allocate(&allocator, 1, &["bob"], &[]).unwrap(), "bob");
+        // A role is left open if every candidate would fail.
+        let without_chance = [((role(), robot("ada")), estimate(0.0))];
+        assert_eq!(
+            allocate(&OracleAllocator { estimates: without_chance.into() }, 1, &["ada"], &[]).unwrap_err(),
+            NO_ROBOT_LEFT
+        );
     }
 }

@@ -1,13 +1,14 @@
-//! The rule of MissionControl (thesis 3.7, Algorithm 1).
+//! The allocation rule of MissionControl (thesis 3.7, Algorithm 1).
 
 use super::Coalition;
 use consort_protocol::auction::{Bid, BidLimits};
 use consort_protocol::ids::RoleId;
 use std::collections::BTreeSet;
 
-/// Role by role, in the order of their names, the fastest viable bid of a robot that has no role yet; of equally fast ones
-/// the first robot by name. `None` where a role gets nobody. Unlike its ancestor it never gives one robot two roles,
-/// for what runs afterwards is the same code for all policies and could not carry that out.
+/// Assigns the roles in the order of their names. Each role gets the fastest viable bid of a robot
+/// without a role; of equally fast bids the first by the robot's name. Returns `None` if a role
+/// remains open. Unlike the original it never gives a robot two roles: the same code executes the
+/// plans of all policies, and it cannot execute two roles of a robot.
 pub fn greedy(roles: &BTreeSet<RoleId>, bids: &[Bid], limits: &BidLimits) -> Option<Coalition> {
     let mut chosen = Coalition::new();
     for role in roles {
@@ -45,16 +46,16 @@ mod tests {
     }
 
     #[test]
-    fn the_fastest_whose_battery_lasts_is_taken() {
+    fn the_fastest_robot_with_enough_battery_is_chosen() {
         let bids = [bid("ada", "r1", 5.0, 0.06), bid("bob", "r1", 9.0, 0.5), bid("cyd", "r1", 9.0, 0.9)];
-        assert_eq!(chosen(&["r1"], &bids).unwrap(), ["bob"], "ada would fall below her useful charge");
+        assert_eq!(chosen(&["r1"], &bids).unwrap(), ["bob"], "ada would fall below its useful charge");
         assert_eq!(chosen(&["r1"], &bids[..1]), None);
     }
 
     #[test]
-    fn it_is_greedy_and_gives_nobody_two_roles() {
+    fn the_rule_is_greedy_and_gives_no_robot_two_roles() {
         let bids = [bid("ada", "r1", 10.0, 0.5), bid("ada", "r2", 10.0, 0.5), bid("bob", "r1", 12.0, 0.5)];
-        assert_eq!(chosen(&["r1", "r2"], &bids), None, "an exact assignment would have found bob and ada");
+        assert_eq!(chosen(&["r1", "r2"], &bids), None, "an optimal assignment is bob and ada");
         let bids = [bids.as_slice(), &[bid("bob", "r2", 99.0, 0.5)]].concat();
         assert_eq!(chosen(&["r1", "r2"], &bids).unwrap(), ["ada", "bob"]);
     }

@@ -1,5 +1,6 @@
-//! Who gets which role, by four rules. `consort` itself is [`consort_protocol::auction::select`]; here are those it is
-//! compared with, as arithmetic on bids.
+//! Assignment of roles to robots, by four policies. The policy `consort` is
+//! [`consort_protocol::auction::select`]; this module contains the policies that it is compared
+//! with, as calculations on bids.
 
 mod allocators;
 mod greedy;
@@ -17,28 +18,28 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// Who holds which role; a robot holds one at most.
+/// The robot of each role; a robot has at most a single role.
 pub type Coalition = BTreeMap<RoleId, RobotId>;
 
-/// A rule by which roles are given to robots.
+/// A rule that assigns roles to robots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Policy {
-    /// Ours.
+    /// The policy of this project.
     Consort,
-    /// The thesis' rule: greedy per role, on the coordinator's estimates.
+    /// The rule of the thesis: greedy per role, with the coordinator's estimates.
     MissionControl,
-    /// The thesis' baseline: anybody, whether or not they can.
+    /// The baseline of the thesis: a random robot, with or without the required skills.
     Random,
-    /// An oracle that knows how likely each robot is to succeed.
+    /// An oracle with the success probability of each robot.
     Optimal,
 }
 
 impl Policy {
-    /// All of them.
+    /// All policies.
     pub const ALL: [Policy; 4] = [Policy::Consort, Policy::MissionControl, Policy::Random, Policy::Optimal];
 
-    /// As in files.
+    /// Returns the name used in files.
     pub const fn as_str(self) -> &'static str {
         match self {
             Policy::Consort => "consort",

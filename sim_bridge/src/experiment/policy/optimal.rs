@@ -1,37 +1,38 @@
-//! An oracle, to see how much a better choice could gain.
+//! An oracle: an upper bound for the gain of better assignments.
 
 use super::Coalition;
 use consort_protocol::ids::{RobotId, RoleId};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What would come of giving a role to a robot.
+/// Estimated result of a robot in a role.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SuccessEstimate {
-    /// How likely it succeeds: 0 to 1.
+    /// Probability of success: 0 to 1.
     pub success: f64,
-    /// How long it takes on average where it does, in seconds.
+    /// Mean duration of successful runs, in seconds.
     pub time_s: f64,
 }
 
-/// The coalition most likely to succeed, its roles taken as independent; of equally likely ones the quickest, then the first
-/// by the robots' names. All are tried, so this is for few roles: robots to the power of roles. `None` where no coalition
-/// fills every role.
+/// Returns the coalition with the greatest probability of success, assuming that the roles are
+/// independent; of equally likely coalitions the quickest, then the first by the names of the
+/// robots. All combinations are tried (number of robots to the power of the number of roles), so
+/// this is for few roles. `None` if no coalition fills every role.
 pub fn optimal(
     roles: &BTreeSet<RoleId>,
-    prospects: &BTreeMap<(RoleId, RobotId), SuccessEstimate>,
+    estimates: &BTreeMap<(RoleId, RobotId), SuccessEstimate>,
 ) -> Option<Coalition> {
     let mut partial = vec![(Coalition::new(), 1.0_f64, 0.0_f64)];
     for role in roles {
-        let offers: Vec<_> = prospects.iter().filter(|((offered, _), _)| offered == role).collect();
-        let grown = partial.iter().flat_map(|(chosen, success, time)| {
-            let free = offers.iter().filter(|((_, robot), _)| !chosen.values().any(|taken| taken == robot));
-            free.map(move |((_, robot), prospect)| {
+        let candidates: Vec<_> = estimates.iter().filter(|((offered, _), _)| offered == role).collect();
+        let extended = partial.iter().flat_map(|(chosen, success, time)| {
+            let free = candidates.iter().filter(|((_, robot), _)| !chosen.values().any(|taken| taken == robot));
+            free.map(move |((_, robot), estimate)| {
                 let mut chosen = chosen.clone();
                 chosen.insert(role.clone(), robot.clone());
-                (chosen, success * prospect.success, time + prospect.time_s)
+                (chosen, success * estimate.success, time + estimate.time_s)
             })
         });
-        partial = grown.collect();
+        partial = extended.collect();
     }
     let better = |a: &(Coalition, f64, f64), b: &(Coalition, f64, f64)| {
         b.1.total_cmp(&a.1).then(a.2.total_cmp(&b.2)).then_with(|| a.0.cmp(&b.0))
@@ -43,9 +44,9 @@ pub fn optimal(
 mod tests {
     use super::*;
 
-    fn chosen(roles: &[&str], prospects: &[(&str, &str, f64, f64)]) -> Option<Vec<String>> {
+    fn chosen(roles: &[&str], estimates: &[(&str, &str, f64, f64)]) -> Option<Vec<String>> {
         let role = |name: &str| RoleId::new(name).unwrap();
-        let known = prospects.iter().map(|(of, robot, success, time_s)| {
+        let known = estimates.iter().map(|(of, robot, success, time_s)| {
             ((role(of), RobotId::new(*robot).unwrap()), SuccessEstimate { success: *success, time_s: *time_s })
         });
         let coalition = optimal(&roles.iter().map(|name| role(name)).collect(), &known.collect())?;
@@ -53,14 +54,14 @@ mod tests {
     }
 
     #[test]
-    fn the_likeliest_wins_and_among_equals_the_quickest() {
+    fn the_likeliest_robot_wins_and_among_equals_the_quickest() {
         let known = [("r1", "ada", 0.9, 9.0), ("r1", "bob", 0.95, 99.0), ("r1", "cyd", 0.95, 98.0)];
         assert_eq!(chosen(&["r1"], &known).unwrap(), ["cyd"]);
         assert_eq!(chosen(&["r2"], &known), None);
     }
 
     #[test]
-    fn roles_are_weighed_together() {
+    fn roles_are_optimised_jointly() {
         let known =
             [("r1", "ada", 0.9, 1.0), ("r1", "bob", 0.8, 1.0), ("r2", "ada", 0.9, 1.0), ("r2", "bob", 0.1, 1.0)];
         assert_eq!(chosen(&["r1", "r2"], &known).unwrap(), ["bob", "ada"]);

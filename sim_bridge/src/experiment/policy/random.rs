@@ -1,4 +1,4 @@
-//! The baseline of the thesis (4.1.1).
+//! The random baseline of the thesis (4.1.1).
 
 use super::Coalition;
 use consort_protocol::ids::{RobotId, RoleId};
@@ -6,9 +6,10 @@ use rand::Rng;
 use rand::seq::IndexedRandom;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Role by role, any of the robots that may fill it and have no role yet, each as likely as the others. Nothing is asked of
-/// skills or batteries: in the published evaluation 175 of 648 such trials failed for want of a skill. Who may fill a role
-/// is said by the caller, so that an arm that cannot move is not sent to fetch. `None` where nobody is left for a role.
+/// Assigns each role a random robot among the candidates without a role, all with the same
+/// probability. Skills and batteries are ignored: in the published evaluation 175 of 648 such
+/// trials failed because of a missing skill. The caller gives the candidates of each role, so a
+/// stationary arm is not sent to fetch a sample. `None` if a role remains open.
 pub fn random(candidates: &BTreeMap<RoleId, BTreeSet<RobotId>>, rng: &mut impl Rng) -> Option<Coalition> {
     let mut chosen = Coalition::new();
     for (role, robots) in candidates {
@@ -24,7 +25,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn everybody_is_as_likely_and_nobody_gets_two_roles() {
+    fn all_robots_are_equally_likely_and_none_gets_two_roles() {
         let robots: BTreeSet<RobotId> = ["ada", "bob", "cyd"].map(|name| RobotId::new(name).unwrap()).into();
         let roles = ["r1", "r2"].map(|name| RoleId::new(name).unwrap());
         let candidates = roles.clone().map(|role| (role, robots.clone())).into();
@@ -35,9 +36,9 @@ mod tests {
             assert_ne!(chosen[&roles[0]], chosen[&roles[1]]);
             *counts.entry(chosen[&roles[0]].clone()).or_default() += 1;
         }
-        // Five standard deviations of a third of 3000.
+        // The bound is five standard deviations of a third of 3000.
         assert!(counts.values().all(|count| count.abs_diff(1000) < 130), "{counts:?}");
-        let one = roles.map(|role| (role, robots.iter().take(1).cloned().collect())).into();
-        assert_eq!(random(&one, &mut rng), None);
+        let single_robot = roles.map(|role| (role, robots.iter().take(1).cloned().collect())).into();
+        assert_eq!(random(&single_robot, &mut rng), None);
     }
 }

@@ -1,4 +1,4 @@
-//! The questions of thesis 4.1.1, asked of rows.
+//! Statistical tests of the questions of thesis 4.1.1.
 
 use super::super::outcome::EndState;
 use super::super::policy::Policy;
@@ -10,21 +10,22 @@ use super::super::stats::{
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Rearrangements of each permutation test: the standard error of its p is then 0.0015 where it is 0.05.
+/// Number of rearrangements of each permutation test: the standard error of p is then 0.0015 at p =
+/// 0.05.
 const DRAWS: u32 = 20_000;
 
-/// How trials of one policy under one treatment ended.
+/// End states of the trials of a policy under a treatment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TrialTally {
     /// The policy.
     pub policy: Policy,
     /// The treatment.
     pub treatment: Treatment,
-    /// How many trials.
+    /// Number of trials.
     pub trials: usize,
-    /// How many ended in each state, in the order of [`EndState::ALL`].
+    /// Number of trials by end state, in the order of [`EndState::ALL`].
     pub ended: [usize; 5],
-    /// Where the share of successes lies.
+    /// Confidence interval of the success rate.
     pub success: Option<ConfidenceInterval>,
     /// Times to conclude, in seconds.
     #[serde(skip)]
@@ -32,13 +33,13 @@ pub struct TrialTally {
 }
 
 impl TrialTally {
-    /// How many succeeded.
+    /// Returns the number of successes.
     pub fn successes(&self) -> usize {
         self.ended[0]
     }
 }
 
-/// Trials by policy and treatment, in the order in which these first come up.
+/// Counts the trials by policy and treatment, in the order of their first occurrence.
 pub fn tallies(rows: &[TrialRow]) -> Vec<TrialTally> {
     let mut tallies: Vec<TrialTally> = vec![];
     for row in rows {
@@ -60,43 +61,47 @@ pub fn tallies(rows: &[TrialRow]) -> Vec<TrialTally> {
     tallies
 }
 
-/// One question: a t-test, a permutation test beside it, and how large the effect is. What cannot be told says why.
+/// The tests of a hypothesis: a t-test, a permutation test and the effect size. A test that could
+/// not be computed contains the reason.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct HypothesisTests {
-    /// What is asked, in words.
-    pub asked: &'static str,
+    /// The hypothesis, in words.
+    pub hypothesis: &'static str,
     /// The t-test: paired for counts per scenario, Welch's for times.
-    #[serde(serialize_with = "told")]
+    #[serde(serialize_with = "serialize_result")]
     pub t: Result<TTest, StatsError>,
     /// The permutation test.
-    #[serde(serialize_with = "told")]
+    #[serde(serialize_with = "serialize_result")]
     pub permutation: Result<PermutationTest, StatsError>,
     /// The effect size.
-    #[serde(serialize_with = "told")]
+    #[serde(serialize_with = "serialize_result")]
     pub effect: Result<EffectSize, StatsError>,
 }
 
-fn told<T: Serialize, S: serde::Serializer>(found: &Result<T, StatsError>, to: S) -> Result<S::Ok, S::Error> {
+fn serialize_result<T: Serialize, S: serde::Serializer>(
+    found: &Result<T, StatsError>,
+    to: S,
+) -> Result<S::Ok, S::Error> {
     match found {
         Ok(value) => value.serialize(to),
         Err(why) => to.collect_str(why),
     }
 }
 
-/// One policy against another, calm trials alone.
+/// Comparison of two policies, on trials without fault injection.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The one.
+    /// The first policy.
     pub first: Policy,
-    /// The other.
+    /// The second policy.
     pub second: Policy,
-    /// Share of successes of the one minus that of the other, and where that lies.
+    /// Success rate of the first policy minus that of the second, with its confidence interval.
     pub gain: Option<(f64, ConfidenceInterval)>,
-    /// Successes, battery failures, times to conclude.
-    pub questions: Vec<HypothesisTests>,
+    /// Tests for successes, battery failures and times to conclude.
+    pub tests: Vec<HypothesisTests>,
 }
 
-/// The first policy against each other one.
+/// Compares the first policy with each other policy.
 pub fn comparisons(rows: &[TrialRow], seed: u64) -> Vec<Comparison> {
     let calm: Vec<&TrialRow> = rows.iter().filter(|row| row.treatment == Treatment::Calm).collect();
     let mut policies: Vec<Policy> = vec![];
@@ -113,8 +118,8 @@ fn compare(rows: &[&TrialRow], first: Policy, second: Policy, seed: u64) -> Comp
     let of = |policy| rows.iter().copied().filter(move |row| row.policy == policy);
     let counts = |state| [first, second].map(|policy| per_scenario(of(policy), state));
     let times = [first, second].map(|policy| of(policy).filter_map(|row| row.ttc_s).collect::<Vec<f64>>());
-    let in_pairs = |asked, [a, b]: [Vec<f64>; 2], alternative| HypothesisTests {
-        asked,
+    let paired_tests = |hypothesis, [a, b]: [Vec<f64>; 2], alternative| HypothesisTests {
+        hypothesis,
         t: paired(&a, &b, alternative),
         permutation: permute_paired(&a, &b, alternative, DRAWS, seed),
         effect: hedges_g_paired(&a, &b),
@@ -124,20 +129,20 @@ fn compare(rows: &[&TrialRow], first: Policy, second: Policy, seed: u64) -> Comp
         (successes, of(policy).count())
     };
     let [a, b] = times;
-    let questions = vec![
-        in_pairs("more successes per scenario", counts(EndState::Success), Alternative::Greater),
-        in_pairs("fewer battery failures per scenario", counts(EndState::LowBattery), Alternative::Less),
+    let tests = vec![
+        paired_tests("more successes per scenario", counts(EndState::Success), Alternative::Greater),
+        paired_tests("fewer battery failures per scenario", counts(EndState::LowBattery), Alternative::Less),
         HypothesisTests {
-            asked: "shorter time to conclude, in seconds",
+            hypothesis: "shorter time to conclude, in seconds",
             t: welch(&a, &b, Alternative::Less),
             permutation: permute_two_samples(&a, &b, Alternative::Less, DRAWS, seed),
             effect: hedges_g(&a, &b),
         },
     ];
-    Comparison { first, second, gain: risk_difference(total(first), total(second)).ok(), questions }
+    Comparison { first, second, gain: risk_difference(total(first), total(second)).ok(), tests }
 }
 
-/// How many trials ended in a state, scenario by scenario.
+/// Counts the trials with an end state, scenario by scenario.
 pub fn per_scenario<'r>(rows: impl Iterator<Item = &'r TrialRow>, state: EndState) -> Vec<f64> {
     let mut counts: BTreeMap<&str, f64> = BTreeMap::new();
     for row in rows {
@@ -146,10 +151,10 @@ pub fn per_scenario<'r>(rows: impl Iterator<Item = &'r TrialRow>, state: EndStat
     counts.into_values().collect()
 }
 
-/// A factor's name, and how to read a row's level of it.
+/// The name of a factor, and the function that returns its level in a row.
 pub(super) type FactorLevel = (&'static str, fn(&TrialRow) -> &str);
 
-/// The factors with more than one level in these rows.
+/// Returns the factors with more than a single level in these rows.
 pub(super) fn factors(rows: &[TrialRow]) -> Vec<FactorLevel> {
     let all: [FactorLevel; 5] = [
         ("speed", |row| &row.speed),
@@ -158,6 +163,7 @@ pub(super) fn factors(rows: &[TrialRow]) -> Vec<FactorLevel> {
         ("location", |row| &row.location),
         ("skills", |row| &row.skills),
     ];
-    let varies = |level: &fn(&TrialRow) -> &str| rows.windows(2).any(|two| level(&two[0]) != level(&two[1]));
-    all.into_iter().filter(|(_, level)| varies(level)).collect()
+    let has_several_levels =
+        |level: &fn(&TrialRow) -> &str| rows.windows(2).any(|two| level(&two[0]) != level(&two[1]));
+    all.into_iter().filter(|(_, level)| has_several_levels(level)).collect()
 }

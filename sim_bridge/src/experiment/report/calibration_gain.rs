@@ -1,37 +1,38 @@
-//! What calibration gains: the same trials with estimates as they were, and with what was learned.
+//! Effect of calibration: the same trials with uncorrected and with calibrated estimates.
 
 use super::super::calibration::{Calibration, Observation};
 use super::super::results::TrialRow;
 
-/// What calibration gains.
+/// Effect of calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CalibrationGain {
-    /// What was learned.
+    /// The calibration.
     pub calibration: Calibration,
-    /// Trials from which it was learned.
+    /// Number of trials used for the calibration.
     pub trials: usize,
-    /// Rows of other trials with estimates as they were.
+    /// Rows of other trials with uncorrected estimates.
     pub before: Vec<TrialRow>,
-    /// Rows of the same trials with what was learned.
+    /// Rows of the same trials with calibrated estimates.
     pub after: Vec<TrialRow>,
-    /// What tasks took in those, beside what was estimated before.
+    /// Tasks of those trials with their uncorrected estimates.
     pub observed_before: Vec<Observation>,
-    /// And with what was learned.
+    /// Tasks of those trials with their calibrated estimates.
     pub observed_after: Vec<Observation>,
 }
 
 impl CalibrationGain {
-    /// The mean absolute error of estimates of drives, in seconds, and how many drives there were.
+    /// Returns the mean absolute error of the estimated drive times in seconds, and the number of
+    /// drives.
     pub fn mean_drive_error_s(observed: &[Observation]) -> (f64, usize) {
-        let drives = observed.iter().filter(|seen| seen.to.is_some());
-        let errors: Vec<f64> = drives.map(|seen| (seen.actual_s - seen.predicted_s).abs()).collect();
+        let drives = observed.iter().filter(|drive| drive.to.is_some());
+        let errors: Vec<f64> = drives.map(|drive| (drive.actual_s - drive.predicted_s).abs()).collect();
         (super::super::stats::mean(&errors), errors.len())
     }
 
-    /// The share of drives that used no more energy than was set aside for them.
+    /// Returns the share of drives that used no more energy than budgeted.
     pub fn share_within_budget(observed: &[Observation]) -> f64 {
-        let drives: Vec<&Observation> = observed.iter().filter(|seen| seen.to.is_some()).collect();
-        let kept = drives.iter().filter(|seen| seen.actual_share <= seen.budget_share + 1e-9).count();
-        if drives.is_empty() { 0.0 } else { kept as f64 / drives.len() as f64 }
+        let drives: Vec<&Observation> = observed.iter().filter(|drive| drive.to.is_some()).collect();
+        let within_budget = drives.iter().filter(|drive| drive.actual_share <= drive.budget_share + 1e-9).count();
+        if drives.is_empty() { 0.0 } else { within_budget as f64 / drives.len() as f64 }
     }
 }

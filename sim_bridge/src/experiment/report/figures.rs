@@ -7,7 +7,7 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use std::error::Error;
 
-/// A figure, or why there is none.
+/// A figure, or the reason of its failure.
 pub(super) type Figure = Result<String, Box<dyn Error>>;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
@@ -16,7 +16,8 @@ type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64
 const WIDTH: u32 = 900;
 const HEIGHT: u32 = 380;
 
-/// One colour for each end state, told apart without red and green (Okabe and Ito 2008).
+/// A colour for each end state, distinguishable with red-green colour blindness (Okabe and Ito
+/// 2008).
 const STATES: [RGBColor; 5] = [
     RGBColor(0, 158, 115),
     RGBColor(86, 180, 233),
@@ -25,7 +26,7 @@ const STATES: [RGBColor; 5] = [
     RGBColor(120, 120, 120),
 ];
 
-/// And for each of up to six series.
+/// A colour for each of up to six series.
 const SERIES: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
     RGBColor(230, 159, 0),
@@ -39,19 +40,19 @@ fn draw(height: u32, draw: impl FnOnce(&Area<'_>) -> Result<(), Box<dyn Error>>)
     let mut svg = String::new();
     {
         let root = SVGBackend::with_string(&mut svg, (WIDTH, height)).into_drawing_area();
-        root.fill(&WHITE).map_err(in_words)?;
+        root.fill(&WHITE).map_err(to_boxed_text)?;
         draw(&root)?;
-        root.present().map_err(in_words)?;
+        root.present().map_err(to_boxed_text)?;
     }
     Ok(svg)
 }
 
-/// Errors of drawing borrow what was drawn on.
-fn in_words(error: impl std::fmt::Display) -> Box<dyn Error> {
+/// Converts an error to text: drawing errors borrow the drawing area.
+fn to_boxed_text(error: impl std::fmt::Display) -> Box<dyn Error> {
     error.to_string().into()
 }
 
-/// A panel with the given ranges; labels of the x axis stand at 0, 1, 2, ….
+/// Creates a panel with the given ranges; the labels of the x axis are at 0, 1, 2, ….
 fn panel<'a, 'b>(
     area: &'a Area<'b>,
     title: &str,
@@ -66,7 +67,7 @@ fn panel<'a, 'b>(
         .x_label_area_size(if labels.is_empty() { 8 } else { 24 })
         .y_label_area_size(60)
         .build_cartesian_2d(x, y)
-        .map_err(in_words)?;
+        .map_err(to_boxed_text)?;
     let label = |at: &f64| {
         let whole = at.round();
         let index = whole as usize;
@@ -84,23 +85,23 @@ fn panel<'a, 'b>(
         .x_label_formatter(&label)
         .y_desc(y_title)
         .draw()
-        .map_err(in_words)?;
+        .map_err(to_boxed_text)?;
     Ok(chart)
 }
 
-/// For each panel, how many trials of each scenario ended in which state.
+/// Draws, for each panel, stacked bars: the trials of each scenario by end state.
 pub(super) fn stacked(panels: &[(String, Vec<[usize; 5]>)]) -> Figure {
     let height = 190 * u32::try_from(panels.len()).unwrap_or(1) + 30;
     draw(height.max(220), |root| {
         let (legend, rest) = root.split_vertically(26);
         for (index, (state, color)) in EndState::ALL.iter().zip(STATES).enumerate() {
             let x = 60 + 160 * i32::try_from(index).unwrap_or(0);
-            legend.draw(&Rectangle::new([(x, 8), (x + 12, 20)], color.filled())).map_err(in_words)?;
-            legend.draw(&Text::new(state.as_str(), (x + 18, 8), ("sans-serif", 13))).map_err(in_words)?;
+            legend.draw(&Rectangle::new([(x, 8), (x + 12, 20)], color.filled())).map_err(to_boxed_text)?;
+            legend.draw(&Text::new(state.as_str(), (x + 18, 8), ("sans-serif", 13))).map_err(to_boxed_text)?;
         }
         for (area, (title, scenarios)) in rest.split_evenly((panels.len().max(1), 1)).iter().zip(panels) {
-            let most = scenarios.iter().map(|counts| counts.iter().sum::<usize>()).max().unwrap_or(1) as f64;
-            let mut chart = panel(area, title, &[], 0.0..scenarios.len().max(1) as f64, 0.0..most, "trials")?;
+            let max_trials = scenarios.iter().map(|counts| counts.iter().sum::<usize>()).max().unwrap_or(1) as f64;
+            let mut chart = panel(area, title, &[], 0.0..scenarios.len().max(1) as f64, 0.0..max_trials, "trials")?;
             for (scenario, counts) in scenarios.iter().enumerate() {
                 let mut below = 0.0;
                 let bars = counts.iter().zip(STATES).filter(|(count, _)| **count > 0).map(|(count, color)| {
@@ -109,7 +110,7 @@ pub(super) fn stacked(panels: &[(String, Vec<[usize; 5]>)]) -> Figure {
                     below = above;
                     Rectangle::new(corners, color.filled())
                 });
-                chart.draw_series(bars).map_err(in_words)?;
+                chart.draw_series(bars).map_err(to_boxed_text)?;
             }
         }
         Ok(())
@@ -122,11 +123,11 @@ fn range(series: &[(String, Vec<f64>)]) -> std::ops::Range<f64> {
     if low > high {
         return 0.0..1.0;
     }
-    let air = ((high - low) * 0.08).max(0.5);
-    (low - air).max(0.0)..high + air
+    let margin = ((high - low) * 0.08).max(0.5);
+    (low - margin).max(0.0)..high + margin
 }
 
-/// The shape of each sample. Kernels are at least `width_min` wide.
+/// Draws a violin for each sample. Kernels are at least `width_min` wide.
 pub(super) fn violins(title: &str, y_title: &str, series: &[(String, Vec<f64>)], width_min: f64) -> Figure {
     draw(HEIGHT, |root| {
         let labels: Vec<String> =
@@ -144,21 +145,21 @@ pub(super) fn violins(title: &str, y_title: &str, series: &[(String, Vec<f64>)],
             let (left, mut right) = (side(-1.0), side(1.0));
             right.reverse();
             let outline: Vec<(f64, f64)> = left.into_iter().chain(right).collect();
-            chart.draw_series([Polygon::new(outline, color.mix(0.5))]).map_err(in_words)?;
+            chart.draw_series([Polygon::new(outline, color.mix(0.5))]).map_err(to_boxed_text)?;
             boxed(&mut chart, at, 0.03, values, BLACK)?;
         }
         Ok(())
     })
 }
 
-/// For each group a box for each series in it.
+/// Draws a box for each series of each group.
 pub(super) fn boxes(title: &str, y_title: &str, series: &[String], groups: &[(String, Vec<Vec<f64>>)]) -> Figure {
     draw(HEIGHT, |root| {
         let (legend, rest) = root.split_vertically(26);
         for (index, name) in series.iter().enumerate() {
             let (x, color) = (60 + 170 * i32::try_from(index).unwrap_or(0), SERIES[index % SERIES.len()]);
-            legend.draw(&Rectangle::new([(x, 8), (x + 12, 20)], color.filled())).map_err(in_words)?;
-            legend.draw(&Text::new(name.as_str(), (x + 18, 8), ("sans-serif", 13))).map_err(in_words)?;
+            legend.draw(&Rectangle::new([(x, 8), (x + 12, 20)], color.filled())).map_err(to_boxed_text)?;
+            legend.draw(&Text::new(name.as_str(), (x + 18, 8), ("sans-serif", 13))).map_err(to_boxed_text)?;
         }
         let labels: Vec<String> = groups.iter().map(|(label, _)| label.clone()).collect();
         let flat: Vec<(String, Vec<f64>)> = groups.iter().map(|(label, of)| (label.clone(), of.concat())).collect();
@@ -180,15 +181,17 @@ fn boxed(chart: &mut Chart<'_, '_>, at: f64, half: f64, values: &[f64], color: R
     let (left, right) = (at - half, at + half);
     chart
         .draw_series([Rectangle::new([(left, summary.q1), (right, summary.q3)], color.mix(0.4).filled())])
-        .map_err(in_words)?;
+        .map_err(to_boxed_text)?;
     let lines = [
         vec![(left, summary.median), (right, summary.median)],
         vec![(left, summary.q1), (right, summary.q1), (right, summary.q3), (left, summary.q3), (left, summary.q1)],
         vec![(at, low), (at, summary.q1)],
         vec![(at, summary.q3), (at, high)],
     ];
-    chart.draw_series(lines.into_iter().map(|line| PathElement::new(line, color.stroke_width(1)))).map_err(in_words)?;
-    let far = values.iter().filter(|value| **value < low || **value > high);
-    chart.draw_series(far.map(|value| Circle::new((at, *value), 2, color))).map_err(in_words)?;
+    chart
+        .draw_series(lines.into_iter().map(|line| PathElement::new(line, color.stroke_width(1))))
+        .map_err(to_boxed_text)?;
+    let outliers = values.iter().filter(|value| **value < low || **value > high);
+    chart.draw_series(outliers.map(|value| Circle::new((at, *value), 2, color))).map_err(to_boxed_text)?;
     Ok(())
 }

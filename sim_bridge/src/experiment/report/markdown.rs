@@ -1,4 +1,4 @@
-//! The report's text.
+//! The Markdown text of a report.
 
 use super::super::outcome::EndState;
 use super::super::policy::Policy;
@@ -23,44 +23,44 @@ pub(super) fn text(
     let link = |name: &str| links.get(name).cloned().unwrap_or_default();
     let scenarios: BTreeSet<&str> = rows.iter().map(|row| row.scenario.as_str()).collect();
     let ReportHeader { design, seed, map, travel, world_speed } = heading;
-    let mut say = |line: &str| {
+    let mut push_line = |line: &str| {
         text.push_str(line);
         text.push('\n');
     };
-    say(&format!("# Evaluation: {design}\n"));
-    say(&format!(
-        "{} in {} on the map {map}; seed {seed}; drives: {travel}; {world_speed} world seconds in one \
-         second of the fleet's time. End states and times to conclude as in thesis 4.1.2; intervals hold with 95 %.\n",
+    push_line(&format!("# Evaluation: {design}\n"));
+    push_line(&format!(
+        "{} in {} on the map {map}; seed {seed}; drives: {travel}; {world_speed} world seconds per \
+         second of the fleet's time. End states and times to conclude as in thesis 4.1.2; confidence level of all intervals: 95 %.\n",
         count(rows.len(), "trial", "trials"),
         count(scenarios.len(), "scenario", "scenarios"),
     ));
-    say("## How trials ended\n");
-    say(&ends_table(tallies));
-    say(&format!("{}\n", link("end-states")));
-    say(&format!("{}\n", link("successes")));
-    say("## Time to conclude\n");
-    say(&times_table(tallies));
-    say(&format!("{}\n", link("ttc")));
+    push_line("## End states\n");
+    push_line(&ends_table(tallies));
+    push_line(&format!("{}\n", link("end-states")));
+    push_line(&format!("{}\n", link("successes")));
+    push_line("## Time to conclude\n");
+    push_line(&times_table(tallies));
+    push_line(&format!("{}\n", link("ttc")));
     for (factor, _) in analysis::factors(rows) {
-        say(&format!("{}\n", link(&format!("ttc-by-{factor}"))));
+        push_line(&format!("{}\n", link(&format!("ttc-by-{factor}"))));
     }
     if !comparisons.is_empty() {
-        say("## Which is better\n");
-        say(
+        push_line("## Comparison of policies\n");
+        push_line(
             "Successes and battery failures are counted per scenario and paired; times are those of successful trials. \
-             Each question is one-sided, its interval of the difference two-sided.\n",
+             Each test is one-sided; the interval of the difference is two-sided.\n",
         );
         for comparison in comparisons {
-            say(&comparison_text(comparison));
+            push_line(&comparison_text(comparison));
         }
     }
     if tallies.iter().any(|tally| tally.treatment == Treatment::CoordinatorKilled) {
-        say("## With the coordinator killed\n");
-        say(&fault_table(tallies));
+        push_line("## With the coordinator killed\n");
+        push_line(&fault_table(tallies));
     }
     if let Some(gain) = gain {
-        say("## What calibration gains\n");
-        say(&gain_text(gain));
+        push_line("## Effect of calibration\n");
+        push_line(&gain_text(gain));
     }
     text
 }
@@ -112,7 +112,7 @@ fn p_value(p: f64) -> String {
 }
 
 fn comparison_text(comparison: &Comparison) -> String {
-    let Comparison { first, second, gain, questions } = comparison;
+    let Comparison { first, second, gain, tests } = comparison;
     let mut text = format!("### {first} against {second}\n\n");
     if let Some((gain, interval)) = gain {
         let points = |share: f64| share * 100.0;
@@ -124,28 +124,28 @@ fn comparison_text(comparison: &Comparison) -> String {
             points(interval.high)
         );
     }
-    text.push_str("| question | difference | t | p | permutation p | effect g |\n|---|---|---:|---:|---:|---|\n");
-    for question in questions {
-        let _ = writeln!(text, "| {} | {} |", question.asked, question_cells(question));
+    text.push_str("| hypothesis | difference | t | p | permutation p | effect g |\n|---|---|---:|---:|---:|---|\n");
+    for test in tests {
+        let _ = writeln!(text, "| {} | {} |", test.hypothesis, test_cells(test));
     }
     text
 }
 
-fn question_cells(question: &HypothesisTests) -> String {
-    let t = match &question.t {
+fn test_cells(test: &HypothesisTests) -> String {
+    let t = match &test.t {
         Ok(t) => format!(
             "{:.3} ({:.3} to {:.3}) | {:.2} (df {:.1}) | {}",
             t.difference,
             t.interval.low,
             t.interval.high,
             t.t,
-            t.freedom,
+            t.degrees_of_freedom,
             p_value(t.p)
         ),
         Err(why) => format!("{why} | | "),
     };
-    let permutation = question.permutation.as_ref().map_or(String::new(), |found| p_value(found.p));
-    let effect = match &question.effect {
+    let permutation = test.permutation.as_ref().map_or(String::new(), |found| p_value(found.p));
+    let effect = match &test.effect {
         Ok(effect) => format!("{:.2} ({:.2} to {:.2})", effect.g, effect.interval.low, effect.interval.high),
         Err(_) => String::new(),
     };
@@ -176,16 +176,16 @@ fn fault_table(tallies: &[TrialTally]) -> String {
 
 fn gain_text(gain: &CalibrationGain) -> String {
     let mut text = format!(
-        "Learned from {}; the others, below, were run twice: with the estimates as they were, and with mean times and, \
-         for the battery, the {:.0} % quantile of what was seen.\n\n",
+        "Calibrated with {}; the other trials were run twice: with uncorrected estimates, and with mean times and, \
+         for the battery, the {:.0} % quantile of the observations.\n\n",
         count(gain.trials, "trial", "trials"),
         gain.calibration.quantile * 100.0
     );
     text.push_str("| estimates | trials | success | battery failures | mean TTC, s | error of a drive, s | drives within their energy |\n|---|---:|---:|---:|---:|---:|---:|\n");
     for (name, rows, observed) in
-        [("as they were", &gain.before, &gain.observed_before), ("calibrated", &gain.after, &gain.observed_after)]
+        [("uncorrected", &gain.before, &gain.observed_before), ("calibrated", &gain.after, &gain.observed_after)]
     {
-        // One policy and one treatment: one tally.
+        // All rows have the same policy and treatment: a single tally.
         for tally in tallies(rows) {
             let share = tally.successes() as f64 / tally.trials.max(1) as f64;
             let ttc = Summary::of(&tally.ttc_s).map_or(String::new(), |summary| format!("{:.1}", summary.mean));

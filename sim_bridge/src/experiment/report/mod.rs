@@ -1,4 +1,5 @@
-//! The report of an evaluation: Markdown, figures, and the statistics as JSON. From rows alone, so it can be made again.
+//! The report of an evaluation: Markdown, figures, and the statistics as JSON. It depends on the
+//! rows alone, so it can be created again at any time.
 
 mod analysis;
 mod calibration_gain;
@@ -13,7 +14,7 @@ use super::policy::Policy;
 use super::results::{Treatment, TrialRow};
 use std::collections::BTreeMap;
 
-/// What a report says of where its rows come from.
+/// Origin of the rows, for the head of a report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReportHeader {
     /// The design's name.
@@ -24,7 +25,7 @@ pub struct ReportHeader {
     pub map: String,
     /// The travel model, in words.
     pub travel: String,
-    /// World seconds in one second of the fleet's time.
+    /// World seconds per second of the fleet's time.
     pub world_speed: f64,
 }
 
@@ -37,8 +38,9 @@ pub struct ReportFile {
     pub text: String,
 }
 
-/// The files of a report on rows of one design: `report.md`, its figures, `statistics.json`. With a gain it also tells what
-/// calibration did. A figure that cannot be drawn is left out, and the report says why.
+/// Creates the files of a report on rows of a design: `report.md`, its figures, `statistics.json`.
+/// With `gain` the report contains the effect of calibration. A figure that cannot be drawn is left
+/// out, with the reason in the report.
 pub fn report(heading: &ReportHeader, rows: &[TrialRow], gain: Option<&CalibrationGain>) -> Vec<ReportFile> {
     let tallies = tallies(rows);
     let comparisons = comparisons(rows, heading.seed);
@@ -63,7 +65,7 @@ pub fn report(heading: &ReportHeader, rows: &[TrialRow], gain: Option<&Calibrati
     files
 }
 
-/// All figures, by name.
+/// Draws all figures; returns them with their names.
 fn figures_of(rows: &[TrialRow]) -> Vec<(String, figures::Figure)> {
     let mut series: Vec<(Policy, Treatment)> = vec![];
     for row in rows {
@@ -71,16 +73,17 @@ fn figures_of(rows: &[TrialRow]) -> Vec<(String, figures::Figure)> {
             series.push((row.policy, row.treatment));
         }
     }
-    let Some(shown) = series.first().map(|(_, treatment)| *treatment) else { return vec![] };
-    let several = series.iter().any(|(_, treatment)| *treatment != shown);
+    let Some(first_treatment) = series.first().map(|(_, treatment)| *treatment) else { return vec![] };
+    let has_several_treatments = series.iter().any(|(_, treatment)| *treatment != first_treatment);
     let name = |policy: Policy, treatment: Treatment| {
-        if several { format!("{policy}, {}", treatment.as_str()) } else { policy.to_string() }
+        if has_several_treatments { format!("{policy}, {}", treatment.as_str()) } else { policy.to_string() }
     };
     let of = |of: (Policy, Treatment)| rows.iter().filter(move |row| (row.policy, row.treatment) == of);
 
-    let panels: Vec<_> = series.iter().map(|key| (name(key.0, key.1), ends(of(*key)))).collect();
-    // What a kill does is in a table of its own; beside one another so many shapes could not be told apart.
-    series.retain(|(_, treatment)| *treatment == shown);
+    let panels: Vec<_> = series.iter().map(|key| (name(key.0, key.1), end_state_counts(of(*key)))).collect();
+    // The effect of a kill is in a separate table; with all treatments the violins could not be
+    // distinguished.
+    series.retain(|(_, treatment)| *treatment == first_treatment);
     let successes: Vec<_> =
         series.iter().map(|key| (name(key.0, key.1), per_scenario(of(*key), EndState::Success))).collect();
     let times = |key: &(Policy, Treatment)| of(*key).filter_map(|row| row.ttc_s).collect::<Vec<f64>>();
@@ -108,8 +111,8 @@ fn figures_of(rows: &[TrialRow]) -> Vec<(String, figures::Figure)> {
     figures
 }
 
-/// Scenario by scenario, how many trials ended in each state.
-fn ends<'r>(rows: impl Iterator<Item = &'r TrialRow>) -> Vec<[usize; 5]> {
+/// Counts the trials of each scenario by end state.
+fn end_state_counts<'r>(rows: impl Iterator<Item = &'r TrialRow>) -> Vec<[usize; 5]> {
     let mut scenarios: BTreeMap<&str, [usize; 5]> = BTreeMap::new();
     for row in rows {
         let state = EndState::ALL.iter().position(|state| *state == row.end_state).unwrap_or(0);

@@ -1,4 +1,4 @@
-//! Reports on rows made up here.
+//! Tests of reports on synthetic rows.
 
 use super::super::outcome::EndState;
 use super::*;
@@ -56,7 +56,7 @@ fn heading() -> ReportHeader {
 }
 
 #[test]
-fn the_report_has_every_figure_and_every_question() {
+fn the_report_contains_all_figures_and_tests() {
     let files = report(&heading(), &rows(&[Treatment::Calm, Treatment::CoordinatorKilled]), None);
     let names: Vec<&str> = files.iter().map(|file| file.name.as_str()).collect();
     assert_eq!(
@@ -84,11 +84,11 @@ fn the_report_has_every_figure_and_every_question() {
 }
 
 #[test]
-fn one_policy_alone_is_compared_with_nobody_and_nothing_at_all_is_no_panic() {
-    let alone: Vec<TrialRow> =
+fn a_report_handles_a_single_policy_and_empty_results() {
+    let single_policy: Vec<TrialRow> =
         rows(&[Treatment::Calm]).into_iter().filter(|row| row.policy == Policy::Consort).collect();
-    let text = &report(&heading(), &alone, None)[0].text;
-    assert!(!text.contains("Which is better") && !text.contains("With the coordinator killed"), "{text}");
+    let text = &report(&heading(), &single_policy, None)[0].text;
+    assert!(!text.contains("Comparison of policies") && !text.contains("With the coordinator killed"), "{text}");
     assert!(report(&heading(), &[], None)[0].text.starts_with("# Evaluation: thin"));
     let failed: Vec<TrialRow> = rows(&[Treatment::Calm])
         .into_iter()

@@ -1,32 +1,32 @@
-//! A sample in a few figures, and its shape.
+//! Summary statistics and density of a sample.
 
 use super::{mean, variance};
 use serde::Serialize;
 use std::f64::consts::PI;
 
-/// A sample in a few figures.
+/// Summary statistics of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Summary {
-    /// How many values.
+    /// Number of values.
     pub count: usize,
     /// Their mean.
     pub mean: f64,
-    /// Their standard deviation, as of a sample.
+    /// Their sample standard deviation.
     pub sd: f64,
     /// The least.
     pub min: f64,
-    /// A quarter is below.
+    /// First quartile.
     pub q1: f64,
-    /// Half is below.
+    /// Median.
     pub median: f64,
-    /// A quarter is above.
+    /// Third quartile.
     pub q3: f64,
     /// The greatest.
     pub max: f64,
 }
 
 impl Summary {
-    /// `None` for no values.
+    /// Returns `None` for no values.
     pub fn of(values: &[f64]) -> Option<Summary> {
         let sorted = sorted(values);
         let (min, max) = (*sorted.first()?, *sorted.last()?);
@@ -35,7 +35,8 @@ impl Summary {
         Some(Summary { count: values.len(), mean, sd, min, q1, median, q3, max })
     }
 
-    /// How far whiskers reach: to the last values within one and a half boxes of the box (Tukey 1977).
+    /// Returns the ends of the whiskers: the outermost values within 1.5 interquartile ranges of
+    /// the box (Tukey 1977).
     pub fn whiskers(&self, values: &[f64]) -> (f64, f64) {
         let reach = 1.5 * (self.q3 - self.q1);
         let within = values.iter().copied().filter(|value| (self.q1 - reach..=self.q3 + reach).contains(value));
@@ -43,8 +44,8 @@ impl Summary {
     }
 }
 
-/// The value with this share below it, between neighbours by proportion (type 7 of Hyndman and Fan 1996, as in numpy
-/// and R). `None` for no values.
+/// Returns the quantile `share` of the values, interpolated linearly (type 7 of Hyndman and Fan
+/// 1996, as in numpy and R). `None` for no values.
 pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
     let sorted = sorted(values);
     if sorted.is_empty() { None } else { Some(of_sorted(&sorted, share)) }
@@ -63,8 +64,8 @@ fn of_sorted(sorted: &[f64], share: f64) -> f64 {
     sorted[below] + (sorted[above] - sorted[below]) * part
 }
 
-/// Density of a sample at each point: Gaussian kernels by Scott's rule, but at least `width_min` wide (for whole
-/// numbers, which would else be spikes). All 0 for no values.
+/// Returns the density of a sample at each point: Gaussian kernels by Scott's rule, but at least
+/// `width_min` wide (for integers, which would otherwise give spikes). All 0 for no values.
 pub fn density(values: &[f64], points: &[f64], width_min: f64) -> Vec<f64> {
     if values.is_empty() {
         return vec![0.0; points.len()];
@@ -92,13 +93,13 @@ mod tests {
     }
 
     #[test]
-    fn whiskers_leave_out_what_is_far_away() {
+    fn whiskers_exclude_outliers() {
         let values = [1.0, 2.0, 3.0, 4.0, 100.0];
         assert_eq!(Summary::of(&values).unwrap().whiskers(&values), (1.0, 4.0));
     }
 
     #[test]
-    fn a_sample_of_one_value_has_a_shape_of_the_least_width() {
+    fn a_constant_sample_has_a_density_of_the_least_width() {
         let shape = density(&[5.0; 9], &[4.0, 5.0], 0.5);
         close(shape[1], 1.0 / (0.5 * (2.0 * PI).sqrt()));
         assert!(shape[0] < shape[1]);

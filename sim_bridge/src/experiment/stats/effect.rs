@@ -1,4 +1,4 @@
-//! Effect sizes: how much, in units of the spread.
+//! Effect sizes: differences in units of the standard deviation.
 
 use super::{CONFIDENCE, ConfidenceInterval, StatsError, differences, mean, sample, variance};
 use serde::Serialize;
@@ -8,15 +8,16 @@ use statrs::function::gamma::ln_gamma;
 /// A standardised difference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EffectSize {
-    /// Cohen's d: the difference of the means over the pooled spread (for pairs, over the spread of the differences).
+    /// Cohen's d: the difference of the means divided by the pooled standard deviation (for pairs,
+    /// by that of the differences).
     pub d: f64,
-    /// Hedges' g: the same without the bias of small samples.
+    /// Hedges' g: d without the bias of small samples.
     pub g: f64,
-    /// Where g lies, by its large-sample variance (Hedges and Olkin 1985).
+    /// Confidence interval of g, from its large-sample variance (Hedges and Olkin 1985).
     pub interval: ConfidenceInterval,
 }
 
-/// Effect size of two samples.
+/// Returns the effect size of two samples.
 ///
 /// # Errors
 /// [`StatsError`] for samples of fewer than two values.
@@ -30,7 +31,7 @@ pub fn hedges_g(first: &[f64], second: &[f64]) -> Result<EffectSize, StatsError>
     Ok(effect(d, g, (n + m) / (n * m) + g * g / (2.0 * (n + m))))
 }
 
-/// Effect size of pairs: d is that of the differences (often written d_z).
+/// Returns the effect size of pairs: d is that of the differences (often written d_z).
 ///
 /// # Errors
 /// [`StatsError`] for fewer than two pairs.
@@ -50,12 +51,12 @@ fn effect(d: f64, g: f64, variance: f64) -> EffectSize {
     EffectSize { d, g, interval: ConfidenceInterval::around(g, z() * variance.sqrt()) }
 }
 
-/// How many standard errors the interval reaches to either side.
+/// Returns the half width of the interval in standard errors.
 pub(super) fn z() -> f64 {
     Normal::standard().inverse_cdf(0.5 + CONFIDENCE / 2.0)
 }
 
-/// Hedges' exact correction for m degrees of freedom; 0 for fewer than two, of which nothing can be said.
+/// Hedges' exact correction for m degrees of freedom; 0 for fewer than two, where it is undefined.
 fn unbias(m: f64) -> f64 {
     if m < 2.0 { 0.0 } else { (ln_gamma(m / 2.0) - ln_gamma((m - 1.0) / 2.0)).exp() / (m / 2.0).sqrt() }
 }
@@ -66,8 +67,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn effects_agree_with_their_formulas_worked_elsewhere() {
-        // d, g and J by numpy and scipy's gammaln.
+    fn effect_sizes_agree_with_numpy_and_scipy() {
+        // d, g and J computed with numpy and scipy's gammaln.
         let found = hedges_g(&UNEQUAL[0], &UNEQUAL[1]).unwrap();
         close(found.d, -0.8965693907039232);
         close(found.g, -0.8723011535920734);
@@ -77,8 +78,9 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_is_that_of_the_worked_example_of_borenstein() {
-        // Borenstein et al. 2009, chapter 4: means 103 and 100, spread 5.5 and 4.5, 50 each: g 0.5924, SE 0.2044.
+    fn the_interval_agrees_with_borensteins_example() {
+        // Borenstein et al. 2009, chapter 4: means 103 and 100, spread 5.5 and 4.5, 50 each: g
+        // 0.5924, SE 0.2044.
         let sample = |mean: f64, sd: f64| {
             let reach = sd * (49.0_f64 / 50.0).sqrt();
             [mean - reach, mean + reach].repeat(25)

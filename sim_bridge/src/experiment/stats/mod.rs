@@ -1,7 +1,9 @@
-//! The statistics of an evaluation, as in thesis 4.1.4: paired t-tests on counts per scenario, Welch's t-test on times;
-//! beside each a permutation test, which asks nothing of the distributions, an effect size and an interval.
+//! The statistics of an evaluation, as in thesis 4.1.4: paired t-tests on counts per scenario,
+//! Welch's t-test on times. Each is accompanied by a permutation test, which makes no assumptions
+//! about the distributions, an effect size and a confidence interval.
 //!
-//! All intervals are two-sided and hold with [`CONFIDENCE`]. Nothing here is random except what takes a seed.
+//! All intervals are two-sided with the level [`CONFIDENCE`]. Only functions with a seed use random
+//! numbers.
 
 mod describe;
 mod effect;
@@ -17,54 +19,54 @@ pub use ttest::{TTest, paired, welch};
 
 use serde::Serialize;
 
-/// How sure an interval is: the level of the published evaluation.
+/// Confidence level of all intervals: the level of the published evaluation.
 pub const CONFIDENCE: f64 = 0.95;
 
-/// What a test would show.
+/// Alternative hypothesis of a test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Alternative {
-    /// That the two differ.
+    /// The two differ.
     TwoSided,
-    /// That the first is greater.
+    /// The first is greater.
     Greater,
-    /// That the first is less.
+    /// The first is less.
     Less,
 }
 
-/// Where a figure lies, with [`CONFIDENCE`].
+/// Confidence interval with the level [`CONFIDENCE`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ConfidenceInterval {
-    /// Least.
+    /// Lower end.
     pub low: f64,
-    /// Greatest.
+    /// Upper end.
     pub high: f64,
 }
 
 impl ConfidenceInterval {
-    /// This far to either side.
+    /// Returns the interval from `middle - reach` to `middle + reach`.
     pub fn around(middle: f64, reach: f64) -> ConfidenceInterval {
         ConfidenceInterval { low: middle - reach, high: middle + reach }
     }
 
-    /// Whether it holds a number.
+    /// Checks whether the interval contains a number.
     pub fn contains(&self, number: f64) -> bool {
         (self.low..=self.high).contains(&number)
     }
 }
 
-/// Why there is no result. Ordinary when few trials were run, or few succeeded.
+/// A statistic could not be computed. Common for few trials or few successes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum StatsError {
-    /// A sample is too small to vary.
-    #[error("{count} values are too few for a test: allowed are {least} or more")]
+    /// A sample has too few values.
+    #[error("{count} values are too few for a test: at least {least} are needed")]
     TooFew {
-        /// How many there are.
+        /// Number of values.
         count: usize,
-        /// How many there must be.
+        /// Least number of values.
         least: usize,
     },
-    /// Two samples that should be paired.
+    /// Two samples for a paired test have different lengths.
     #[error("{first} values cannot be paired with {second}")]
     Unpaired {
         /// Values in the first.
@@ -72,17 +74,17 @@ pub enum StatsError {
         /// Values in the second.
         second: usize,
     },
-    /// A value that is infinite or not a number.
+    /// A value is infinite or not a number.
     #[error("a value is not a finite number")]
     NotFinite,
 }
 
-/// The mean; 0 of nothing.
+/// Returns the mean; 0 for no values.
 pub fn mean(values: &[f64]) -> f64 {
     if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
 }
 
-/// The variance of the whole of which these are a sample (divided by n − 1); 0 for fewer than two.
+/// Returns the sample variance (divided by n − 1); 0 for fewer than two values.
 pub fn variance(values: &[f64]) -> f64 {
     if values.len() < 2 {
         return 0.0;
@@ -98,7 +100,7 @@ fn sample(values: &[f64], least: usize) -> Result<(), StatsError> {
     if values.iter().all(|value| value.is_finite()) { Ok(()) } else { Err(StatsError::NotFinite) }
 }
 
-/// First minus second, pair by pair.
+/// Returns first minus second, pair by pair.
 fn differences(first: &[f64], second: &[f64]) -> Result<Vec<f64>, StatsError> {
     if first.len() != second.len() {
         return Err(StatsError::Unpaired { first: first.len(), second: second.len() });
@@ -108,7 +110,7 @@ fn differences(first: &[f64], second: &[f64]) -> Result<Vec<f64>, StatsError> {
     Ok(differences)
 }
 
-/// Published samples, for the tests of the other files.
+/// Published samples for the tests of this module.
 #[cfg(test)]
 mod samples {
     /// Hours of sleep gained with each of two drugs by ten patients (Student 1908).

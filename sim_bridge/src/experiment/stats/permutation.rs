@@ -1,4 +1,5 @@
-//! Permutation tests: how often chance alone would have given as much (Fisher 1935; Pitman 1937).
+//! Permutation tests: the probability of a result at least as extreme under random rearrangement
+//! (Fisher 1935; Pitman 1937).
 
 use super::{Alternative, StatsError, differences, mean, sample, variance};
 use rand::seq::SliceRandom;
@@ -6,23 +7,23 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-/// Up to this many pairs that differ, all ways to swap them are tried: 65,536.
+/// Greatest number of differing pairs for an exact test: all 65,536 ways to swap them are tried.
 const EXACT_PAIRS: usize = 16;
 
-/// What a permutation test found.
+/// Result of a permutation test.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PermutationTest {
-    /// The share of rearrangements that are at least as extreme as what was seen. The data as they are count as one, so
-    /// it is never 0 (Phipson and Smyth 2010).
+    /// The share of rearrangements at least as extreme as the observed data. The observed
+    /// arrangement counts as well, so it is never 0 (Phipson and Smyth 2010).
     pub p: f64,
-    /// How many rearrangements were tried.
-    pub tried: u64,
-    /// Whether these were all there are.
+    /// Number of rearrangements.
+    pub permutations: u64,
+    /// True if these were all possible rearrangements.
     pub exact: bool,
 }
 
-/// A test of pairs: within each pair, which is first is left to chance. Exact for up to 16 pairs that differ,
-/// else by `draws` rearrangements from `seed`.
+/// Tests pairs: each pair is randomly swapped. Exact for up to 16 pairs that differ, else with
+/// `draws` rearrangements from `seed`.
 ///
 /// # Errors
 /// [`StatsError`] for fewer than two pairs.
@@ -33,25 +34,26 @@ pub fn permute_paired(
     draws: u32,
     seed: u64,
 ) -> Result<PermutationTest, StatsError> {
-    // A pair of equals adds nothing, whichever way round.
+    // A pair of equal values contributes nothing in either order.
     let differences: Vec<f64> = differences(first, second)?.into_iter().filter(|d| *d != 0.0).collect();
-    let seen: f64 = differences.iter().sum();
-    let extreme = AsExtreme::than(seen, alternative, differences.iter().map(|d| d.abs()).sum());
+    let observed: f64 = differences.iter().sum();
+    let extreme = AsExtreme::than(observed, alternative, differences.iter().map(|d| d.abs()).sum());
     if differences.len() <= EXACT_PAIRS {
         let all = 1_u64 << differences.len();
         let signed = |swaps: u64| {
             differences.iter().enumerate().map(|(i, d)| if swaps >> i & 1 == 1 { -d } else { *d }).sum::<f64>()
         };
         let hits = (0..all).filter(|swaps| extreme.is(signed(*swaps))).count();
-        return Ok(PermutationTest { p: hits as f64 / all as f64, tried: all, exact: true });
+        return Ok(PermutationTest { p: hits as f64 / all as f64, permutations: all, exact: true });
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut swapped = || differences.iter().map(|d| if rng.random::<bool>() { -d } else { *d }).sum::<f64>();
     Ok(sampled(draws, || extreme.is(swapped())))
 }
 
-/// A test of two samples: who belongs to which is left to chance, by `draws` rearrangements from `seed`. The statistic is
-/// Welch's t, so that unequal spreads alone are not taken for a difference (Janssen 1997).
+/// Tests two samples: values are randomly assigned to the samples, by `draws` rearrangements from
+/// `seed`. The statistic is Welch's t, so unequal variances alone do not count as a difference
+/// (Janssen 1997).
 ///
 /// # Errors
 /// [`StatsError`] for samples of fewer than two values.
@@ -74,10 +76,10 @@ pub fn permute_two_samples(
     }))
 }
 
-/// Leaves a random choice of values in front, which is all that a rearrangement needs.
+/// Moves a random selection of values to the front, which is sufficient for a rearrangement.
 fn shuffle_front(values: &mut [f64], front: usize, rng: &mut impl Rng) {
     let _ = values.partial_shuffle(rng, front);
-    // The chosen ones come to the end.
+    // `partial_shuffle` moves the selected values to the end.
     let end = values.len() - front;
     values.rotate_left(end);
 }
@@ -90,27 +92,27 @@ fn studentised(first: &[f64], second: &[f64]) -> f64 {
 
 fn sampled(draws: u32, mut is_hit: impl FnMut() -> bool) -> PermutationTest {
     let hits = (0..draws).filter(|_| is_hit()).count();
-    PermutationTest { p: (hits as f64 + 1.0) / (f64::from(draws) + 1.0), tried: draws.into(), exact: false }
+    PermutationTest { p: (hits as f64 + 1.0) / (f64::from(draws) + 1.0), permutations: draws.into(), exact: false }
 }
 
-/// Whether a statistic is at least as extreme as the one seen.
+/// Checks whether a statistic is at least as extreme as the observed statistic.
 struct AsExtreme {
-    seen: f64,
+    observed: f64,
     alternative: Alternative,
-    /// Sums of the same numbers in another order differ by rounding; that is no difference.
-    slack: f64,
+    /// Tolerance for rounding: sums of the same numbers in another order differ slightly.
+    tolerance: f64,
 }
 
 impl AsExtreme {
-    fn than(seen: f64, alternative: Alternative, scale: f64) -> AsExtreme {
-        AsExtreme { seen, alternative, slack: 1e-12 * scale }
+    fn than(observed: f64, alternative: Alternative, scale: f64) -> AsExtreme {
+        AsExtreme { observed, alternative, tolerance: 1e-12 * scale }
     }
 
     fn is(&self, statistic: f64) -> bool {
         match self.alternative {
-            Alternative::TwoSided => statistic.abs() >= self.seen.abs() - self.slack,
-            Alternative::Greater => statistic >= self.seen - self.slack,
-            Alternative::Less => statistic <= self.seen + self.slack,
+            Alternative::TwoSided => statistic.abs() >= self.observed.abs() - self.tolerance,
+            Alternative::Greater => statistic >= self.observed - self.tolerance,
+            Alternative::Less => statistic <= self.observed + self.tolerance,
         }
     }
 }
@@ -123,14 +125,14 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn the_exact_test_agrees_with_the_published_one() {
+    fn the_exact_test_agrees_with_scipy() {
         // scipy 1.17: permutation_test(.., permutation_type="samples", n_resamples=inf).
         let found = permute_paired(&SLEEP[0], &SLEEP[1], Alternative::TwoSided, 0, 0).unwrap();
         assert_eq!((found.p, found.exact), (0.003_906_25, true));
     }
 
     #[test]
-    fn sampled_tests_come_near_the_t_tests_and_repeat_by_their_seed() {
+    fn sampled_tests_approximate_t_tests_and_are_reproducible() {
         let (first, second) = (&UNEQUAL[0], &UNEQUAL[1]);
         let found = permute_two_samples(first, second, Alternative::TwoSided, 20_000, 7).unwrap();
         let expected = welch(first, second, Alternative::TwoSided).unwrap().p;
@@ -144,21 +146,21 @@ mod tests {
     }
 
     #[test]
-    fn pairs_that_are_all_equal_show_nothing() {
+    fn equal_pairs_show_no_difference() {
         assert_eq!(permute_paired(&[1.0; 40], &[1.0; 40], Alternative::Greater, 9, 1).unwrap().p, 1.0);
     }
 
     proptest! {
         #[test]
-        fn asking_the_other_way_round_gives_the_same_answer(
+        fn exchanged_samples_give_the_same_result(
             pairs in prop::collection::vec((0..9_i32, 0..9_i32), 2..12),
         ) {
             let (a, b): (Vec<f64>, Vec<f64>) = pairs.iter().map(|(a, b)| (f64::from(*a), f64::from(*b))).unzip();
-            let ask = |a: &[f64], b: &[f64], alternative| permute_paired(a, b, alternative, 0, 0).unwrap().p;
-            let (greater, less) = (ask(&a, &b, Alternative::Greater), ask(&b, &a, Alternative::Less));
+            let p_value = |a: &[f64], b: &[f64], alternative| permute_paired(a, b, alternative, 0, 0).unwrap().p;
+            let (greater, less) = (p_value(&a, &b, Alternative::Greater), p_value(&b, &a, Alternative::Less));
             prop_assert!((greater - less).abs() < 1e-12);
-            let both = ask(&a, &b, Alternative::TwoSided);
-            prop_assert!((both - ask(&b, &a, Alternative::TwoSided)).abs() < 1e-12);
+            let both = p_value(&a, &b, Alternative::TwoSided);
+            prop_assert!((both - p_value(&b, &a, Alternative::TwoSided)).abs() < 1e-12);
             prop_assert!(both > 0.0 && both <= 1.0);
         }
     }

@@ -1,9 +1,9 @@
-//! Shares of successes: where one lies, and where the difference of two lies.
+//! Success rates: confidence intervals of a rate and of the difference of two rates.
 
 use super::effect::z;
 use super::{ConfidenceInterval, StatsError};
 
-/// Where a share lies of which `successes` of `trials` are a sample: the score interval (Wilson 1927).
+/// Returns the confidence interval of a success rate: the score interval (Wilson 1927).
 ///
 /// # Errors
 /// [`StatsError::TooFew`] for no trials.
@@ -18,17 +18,18 @@ pub fn wilson(successes: usize, trials: usize) -> Result<ConfidenceInterval, Sta
     Ok(ConfidenceInterval { low: ((middle - reach) / below).max(0.0), high: ((middle + reach) / below).min(1.0) })
 }
 
-/// The difference of two shares, first minus second, and where it lies: the score interval of Newcombe 1998 (his
-/// method 10). It takes trials for independent; the paired test per scenario does not.
+/// Returns the difference of two success rates, first minus second, with its confidence interval:
+/// the score interval of Newcombe 1998 (method 10). It assumes independent trials; the paired test
+/// per scenario does not.
 ///
 /// # Errors
 /// [`StatsError::TooFew`] for no trials.
 pub fn risk_difference(first: (usize, usize), second: (usize, usize)) -> Result<(f64, ConfidenceInterval), StatsError> {
     let share = |(successes, trials): (usize, usize)| successes as f64 / trials as f64;
-    let (one, two) = (wilson(first.0, first.1)?, wilson(second.0, second.1)?);
+    let (first_interval, second_interval) = (wilson(first.0, first.1)?, wilson(second.0, second.1)?);
     let (p, q) = (share(first), share(second));
-    let low = p - q - ((p - one.low).powi(2) + (two.high - q).powi(2)).sqrt();
-    let high = p - q + ((one.high - p).powi(2) + (q - two.low).powi(2)).sqrt();
+    let low = p - q - ((p - first_interval.low).powi(2) + (second_interval.high - q).powi(2)).sqrt();
+    let high = p - q + ((first_interval.high - p).powi(2) + (q - second_interval.low).powi(2)).sqrt();
     Ok((p - q, ConfidenceInterval { low, high }))
 }
 
@@ -41,7 +42,7 @@ mod tests {
     }
 
     #[test]
-    fn intervals_are_those_of_newcombes_tables() {
+    fn intervals_agree_with_newcombes_tables() {
         // Newcombe 1998, Statistics in Medicine 17: 857 table I, method 3; 873 table II, method 10.
         near(wilson(81, 263).unwrap(), 0.2553, 0.3662);
         near(wilson(15, 148).unwrap(), 0.0624, 0.1605);
@@ -54,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn no_trials_tell_nothing() {
+    fn no_trials_give_an_error() {
         assert!(risk_difference((0, 0), (1, 2)).is_err());
     }
 }

@@ -1,28 +1,28 @@
-//! Student's t for pairs, Welch's t for two samples.
+//! Student's t-test for pairs, Welch's t-test for two samples.
 
 use super::{Alternative, CONFIDENCE, ConfidenceInterval, StatsError, differences, mean, sample, variance};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// What a t-test found.
+/// Result of a t-test.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TTest {
     /// Mean of the first minus mean of the second.
     pub difference: f64,
-    /// Where that difference lies.
+    /// Confidence interval of that difference.
     pub interval: ConfidenceInterval,
-    /// The statistic; infinite where the difference is the same in every pair and not 0.
+    /// The statistic; infinite if all pairs have the same nonzero difference.
     pub t: f64,
     /// Degrees of freedom.
-    pub freedom: f64,
-    /// How likely a statistic like this is if there is no difference.
+    pub degrees_of_freedom: f64,
+    /// Probability of a statistic at least as extreme without any difference.
     pub p: f64,
-    /// What was tested for.
+    /// The alternative hypothesis.
     pub alternative: Alternative,
 }
 
-/// Student's t-test on pairs: whether the mean of first minus second is 0. As in the thesis for successes and battery
-/// failures, with a pair for each scenario.
+/// Tests pairs with Student's t-test: whether the mean of first minus second is 0. The thesis uses
+/// it for successes and battery failures, with a pair for each scenario.
 ///
 /// # Errors
 /// [`StatsError`] for fewer than two pairs.
@@ -32,8 +32,8 @@ pub fn paired(first: &[f64], second: &[f64], alternative: Alternative) -> Result
     Ok(test(mean(&differences), (variance(&differences) / count).sqrt(), count - 1.0, alternative))
 }
 
-/// Welch's t-test: whether two samples have one mean, their variances unknown and perhaps unequal (Welch 1947). As in
-/// the thesis for the time to conclude.
+/// Tests with Welch's t-test whether two samples have the same mean, with unknown and possibly
+/// unequal variances (Welch 1947). The thesis uses it for the time to conclude.
 ///
 /// # Errors
 /// [`StatsError`] for samples of fewer than two values.
@@ -42,24 +42,25 @@ pub fn welch(first: &[f64], second: &[f64], alternative: Alternative) -> Result<
     sample(second, 2)?;
     let part = |values: &[f64]| variance(values) / values.len() as f64;
     let (a, b) = (part(first), part(second));
-    let freedom = |part: f64, values: &[f64]| part.powi(2) / (values.len() - 1) as f64;
-    let below = freedom(a, first) + freedom(b, second);
-    // Samples that do not vary at all have no spread to estimate: any number of degrees will do.
-    let freedom = if below > 0.0 { (a + b).powi(2) / below } else { (first.len() + second.len() - 2) as f64 };
-    Ok(test(mean(first) - mean(second), (a + b).sqrt(), freedom, alternative))
+    let degrees_of_freedom = |part: f64, values: &[f64]| part.powi(2) / (values.len() - 1) as f64;
+    let denominator = degrees_of_freedom(a, first) + degrees_of_freedom(b, second);
+    // Samples without any variance give no estimate: any number of degrees of freedom works.
+    let degrees_of_freedom =
+        if denominator > 0.0 { (a + b).powi(2) / denominator } else { (first.len() + second.len() - 2) as f64 };
+    Ok(test(mean(first) - mean(second), (a + b).sqrt(), degrees_of_freedom, alternative))
 }
 
-fn test(difference: f64, error: f64, freedom: f64, alternative: Alternative) -> TTest {
-    // Equal throughout is no evidence of anything, whichever way one asks.
+fn test(difference: f64, error: f64, degrees_of_freedom: f64, alternative: Alternative) -> TTest {
+    // No difference is no evidence, for any alternative hypothesis.
     let t = if difference == 0.0 { 0.0 } else { difference / error };
-    let student = StudentsT::new(0.0, 1.0, freedom).expect("at least one degree of freedom");
+    let student = StudentsT::new(0.0, 1.0, degrees_of_freedom).expect("at least one degree of freedom");
     let p = match alternative {
         Alternative::TwoSided => (2.0 * student.sf(t.abs())).min(1.0),
         Alternative::Greater => student.sf(t),
         Alternative::Less => student.cdf(t),
     };
     let reach = student.inverse_cdf(0.5 + CONFIDENCE / 2.0) * error;
-    TTest { difference, interval: ConfidenceInterval::around(difference, reach), t, freedom, p, alternative }
+    TTest { difference, interval: ConfidenceInterval::around(difference, reach), t, degrees_of_freedom, p, alternative }
 }
 
 #[cfg(test)]
@@ -70,11 +71,11 @@ mod tests {
     // The expected figures are those of scipy 1.17 (ttest_rel, ttest_ind with equal_var=False).
 
     #[test]
-    fn the_paired_test_agrees_with_the_published_one() {
+    fn the_paired_test_agrees_with_scipy() {
         let found = paired(&SLEEP[0], &SLEEP[1], Alternative::TwoSided).unwrap();
         close(found.t, -4.062127683382037);
         close(found.p, 0.002832890197384273);
-        close(found.freedom, 9.0);
+        close(found.degrees_of_freedom, 9.0);
         close(found.difference, -1.58);
         close(found.interval.low, -2.459885763276983);
         close(found.interval.high, -0.7001142367230175);
@@ -83,11 +84,11 @@ mod tests {
     }
 
     #[test]
-    fn welchs_test_agrees_with_the_published_one() {
+    fn welchs_test_agrees_with_scipy() {
         let found = welch(&UNEQUAL[0], &UNEQUAL[1], Alternative::TwoSided).unwrap();
         close(found.t, -2.455356398286006);
         close(found.p, 0.021378001462866992);
-        close(found.freedom, 24.988529290231416);
+        close(found.degrees_of_freedom, 24.988529290231416);
         close(found.interval.low, -3.984096267140929);
         close(found.interval.high, -0.3492370661924069);
         close(welch(&UNEQUAL[0], &UNEQUAL[1], Alternative::Less).unwrap().p, 0.010689000731433496);
@@ -95,18 +96,21 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_vary_is_no_reason_to_fail() {
-        let none = paired(&[3.0; 4], &[3.0; 4], Alternative::TwoSided).unwrap();
-        assert_eq!((none.t, none.p), (0.0, 1.0));
-        let always = paired(&[3.0; 4], &[2.0; 4], Alternative::Greater).unwrap();
-        assert_eq!((always.t, always.p, always.interval), (f64::INFINITY, 0.0, ConfidenceInterval::around(1.0, 0.0)));
+    fn samples_without_variance_are_valid() {
+        let no_difference = paired(&[3.0; 4], &[3.0; 4], Alternative::TwoSided).unwrap();
+        assert_eq!((no_difference.t, no_difference.p), (0.0, 1.0));
+        let constant_difference = paired(&[3.0; 4], &[2.0; 4], Alternative::Greater).unwrap();
+        assert_eq!(
+            (constant_difference.t, constant_difference.p, constant_difference.interval),
+            (f64::INFINITY, 0.0, ConfidenceInterval::around(1.0, 0.0))
+        );
         assert_eq!(welch(&[3.0; 4], &[2.0; 3], Alternative::TwoSided).unwrap().p, 0.0);
     }
 
     #[test]
-    fn what_cannot_be_tested_is_said() {
+    fn invalid_samples_are_reported() {
         let few = welch(&[1.0], &[1.0, 2.0], Alternative::Less).unwrap_err();
-        assert_eq!(few.to_string(), "1 values are too few for a test: allowed are 2 or more");
+        assert_eq!(few.to_string(), "1 values are too few for a test: at least 2 are needed");
         let unpaired = paired(&[1.0], &[1.0, 2.0], Alternative::Less).unwrap_err();
         assert_eq!(unpaired, StatsError::Unpaired { first: 1, second: 2 });
         assert_eq!(welch(&[1.0, f64::NAN], &[1.0, 2.0], Alternative::Less).unwrap_err(), StatsError::NotFinite);

@@ -1,26 +1,26 @@
-//! Where shapes are on a page, and what lines a wall comes to.
+//! Positions of shapes on a page, and the lines of walls.
 
 use super::xml::{Cell, Page};
 use std::collections::BTreeMap;
 
-/// How thick a wall is drawn unless its style says, in units.
+/// Default thickness of a wall, in units.
 const THICKNESS: f64 = 10.0;
-/// A plain shape without a type and without a label is a wall if it is no thicker than this, in units.
+/// Greatest thickness, in units, of a plain shape without type and label that counts as a wall.
 const THIN: f64 = 15.0;
-/// Groups within groups beyond this many are taken for a mistake, and looked no further into.
+/// Greatest depth of nested groups; deeper groups are taken for a mistake and ignored.
 const NESTING: usize = 64;
 
 pub(super) type Point = (f64, f64);
 
-/// The cells of a page by their ids.
+/// The cells of a page by id.
 pub(super) type Index<'a> = BTreeMap<&'a str, &'a Cell>;
 
 pub(super) fn index(page: &Page) -> Index<'_> {
-    // Of two with one id the first, as said of the second.
+    // Of two cells with the same id the first; the second is reported.
     page.cells.iter().rev().map(|cell| (cell.id.as_str(), cell)).collect()
 }
 
-/// Where a cell's coordinates count from: groups have their own.
+/// Returns the origin of a cell's coordinates: groups have coordinates of their own.
 pub(super) fn origin(cell: &Cell, cells: &Index) -> Point {
     let mut at = (0.0, 0.0);
     let mut parent = cell.parent.as_deref();
@@ -34,21 +34,21 @@ pub(super) fn origin(cell: &Cell, cells: &Index) -> Point {
     at
 }
 
-/// The outline of a shape on its page: a rectangle that may be turned and flipped about its middle.
+/// The outline of a shape on its page: a rectangle, possibly rotated and flipped about its centre.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Outline {
     pub(super) centre: Point,
     /// Width and height before `rotation`.
     pub(super) size: (f64, f64),
-    /// Clockwise quarter turns of what is drawn within it.
+    /// Clockwise quarter turns of the content.
     quarters: u8,
     flip: (bool, bool),
-    /// Clockwise, in degrees.
+    /// Clockwise rotation in degrees.
     rotation: f64,
 }
 
 impl Outline {
-    /// The outline of a shape; none if it is no shape, or is nowhere.
+    /// Returns the outline of a shape; `None` for a line or a cell without geometry.
     pub(super) fn of(cell: &Cell, cells: &Index) -> Option<Outline> {
         let geometry = cell.geometry.as_ref().filter(|_| !cell.is_line)?;
         let (x0, y0) = origin(cell, cells);
@@ -76,18 +76,19 @@ impl Outline {
         })
     }
 
-    /// Clockwise from east, in degrees: where what is drawn as facing right faces.
+    /// Returns the direction of the shape's right side, clockwise from east in degrees.
     pub(super) fn heading(&self) -> f64 {
         self.rotation + 90.0 * f64::from(self.quarters)
     }
 
-    /// Width and height as the shape sees them, before its quarter turns.
+    /// Returns width and height before the quarter turns.
     fn own_size(&self) -> (f64, f64) {
         let (w, h) = self.size;
         if self.quarters.is_multiple_of(2) { (w, h) } else { (h, w) }
     }
 
-    /// Where a point of the shape is on the page; the shape counts from its upper left corner.
+    /// Returns the position of a point of the shape on the page; shape coordinates start at its
+    /// upper left corner.
     fn on_page(&self, (u, v): Point) -> Point {
         let (w, h) = self.own_size();
         let (mut x, mut y) = (u - w / 2.0, v - h / 2.0);
@@ -104,7 +105,7 @@ impl Outline {
         (self.centre.0 + x * cos - y * sin, self.centre.1 + x * sin + y * cos)
     }
 
-    /// The line through the middle, along the longer side.
+    /// Returns the centre line along the longer side.
     pub(super) fn middle_line(&self) -> [Point; 2] {
         let (w, h) = self.own_size();
         let ends = if w >= h { [(0.0, h / 2.0), (w, h / 2.0)] } else { [(w / 2.0, 0.0), (w / 2.0, h)] };
@@ -112,7 +113,7 @@ impl Outline {
     }
 }
 
-/// The lines of a wall: along the middle of what is drawn; none if the cell is no wall.
+/// Returns the centre lines of a wall; `None` if the cell is not a wall.
 pub(super) fn wall(cell: &Cell, cells: &Index) -> Option<Vec<Point>> {
     let outline = Outline::of(cell, cells)?;
     let (w, h) = outline.own_size();
@@ -138,14 +139,14 @@ fn is_plain_and_thin(cell: &Cell, (w, h): (f64, f64)) -> bool {
     plain && cell.label.is_empty() && w.min(h) > 0.0 && w.min(h) <= THIN && w.max(h) >= 2.0 * w.min(h)
 }
 
-/// All points of a line on the page, from one end to the other, but for ends at cells.
+/// The points of a line on the page; an end at a cell has no point.
 pub(super) struct Line {
     pub(super) source: Option<Point>,
     pub(super) between: Vec<Point>,
     pub(super) target: Option<Point>,
 }
 
-/// The points of a line; none if the cell is no line.
+/// Returns the points of a line; `None` if the cell is not a line.
 pub(super) fn line(cell: &Cell, cells: &Index) -> Option<Line> {
     let geometry = cell.geometry.as_ref().filter(|_| cell.is_line)?;
     let (x0, y0) = origin(cell, cells);

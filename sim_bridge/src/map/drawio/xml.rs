@@ -1,6 +1,6 @@
-//! From the file to its cells: pages, plain or deflated, and what is written of each cell.
+//! Reads the cells of a drawing file: its pages, plain or deflated, and the content of each cell.
 
-use super::problem::{CellError, DrawioDiagnostic};
+use super::diagnostic::{CellError, DrawioDiagnostic};
 use crate::map::limits;
 use base64::Engine;
 use base64::alphabet::STANDARD;
@@ -12,14 +12,14 @@ use roxmltree::Node;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
-/// Coordinates of a drawing, in units either way.
+/// Greatest absolute coordinate of a drawing, in units.
 const EXTENT: f64 = 1e7;
 
 /// A page of the drawing.
 #[derive(Debug)]
 pub(super) struct Page {
     pub(super) name: String,
-    /// Its height in units, if it says.
+    /// Height in units; 0 if not given.
     pub(super) height: f64,
     pub(super) cells: Vec<Cell>,
 }
@@ -28,7 +28,7 @@ pub(super) struct Page {
 #[derive(Debug, Default)]
 pub(super) struct Cell {
     pub(super) id: String,
-    /// What was written about it: its data in diagrams.net. Without id and label.
+    /// Its data in diagrams.net, without id and label.
     pub(super) data: BTreeMap<String, String>,
     /// Its label as plain text.
     pub(super) label: String,
@@ -40,42 +40,45 @@ pub(super) struct Cell {
     pub(super) geometry: Option<Geometry>,
 }
 
-/// Where a cell is, relative to its parent, in units; y points down.
+/// Position of a cell relative to its parent, in units; y points down.
 #[derive(Debug, Default, Clone)]
 pub(super) struct Geometry {
     pub(super) at: (f64, f64),
     pub(super) size: (f64, f64),
-    /// Whether `at` is a share of the parent's size.
+    /// True if `at` is a fraction of the parent's size.
     pub(super) relative: bool,
     pub(super) source: Option<(f64, f64)>,
     pub(super) target: Option<(f64, f64)>,
     pub(super) points: Vec<(f64, f64)>,
 }
 
-/// All pages. What is wrong with single cells goes to `problems`.
+/// Returns all pages. Errors of single cells are added to `problems`.
 ///
 /// # Errors
-/// A sentence, with line and column where there are such.
-pub(super) fn pages(text: &str, problems: &mut Vec<DrawioDiagnostic>) -> Result<Vec<Page>, String> {
-    let document = xml::parse(text, limits::XML_NODES).map_err(|error| format!("this is no XML: {error}"))?;
+/// A message, with line and column where known.
+pub(super) fn pages(text: &str, diagnostics: &mut Vec<DrawioDiagnostic>) -> Result<Vec<Page>, String> {
+    let document = xml::parse(text, limits::XML_NODES).map_err(|error| format!("the file is not XML: {error}"))?;
     let root = document.root_element();
     let mut left = limits::INFLATED_BYTES;
     match root.tag_name().name() {
-        "mxGraphModel" => Ok(vec![page("Page-1", root, problems)]),
+        "mxGraphModel" => Ok(vec![page("Page-1", root, diagnostics)]),
         "mxfile" => {
             let diagrams = root.children().filter(|node| node.has_tag_name("diagram")).enumerate();
             let pages: Result<Vec<Page>, String> = diagrams
                 .map(|(index, diagram)| {
                     let name = diagram.attribute("name").map_or_else(|| format!("Page-{}", index + 1), str::to_owned);
-                    diagram_of(&name, diagram, &mut left, problems).map_err(|reason| format!("page {name:?}: {reason}"))
+                    diagram_of(&name, diagram, &mut left, diagnostics)
+                        .map_err(|reason| format!("page {name:?}: {reason}"))
                 })
                 .collect();
             match pages {
-                Ok(pages) if pages.is_empty() => Err("this drawing has no pages: <mxfile> holds no <diagram>".into()),
+                Ok(pages) if pages.is_empty() => Err("the drawing has no pages: <mxfile> contains no <diagram>".into()),
                 pages => pages,
             }
         }
-        other => Err(format!("this is no drawing: its root is <{other}>, allowed are <mxfile> and <mxGraphModel>")),
+        other => {
+            Err(format!("the file is not a drawing: its root is <{other}>, allowed are <mxfile> and <mxGraphModel>"))
+        }
     }
 }
 
@@ -83,45 +86,45 @@ fn diagram_of(
     name: &str,
     diagram: Node,
     left: &mut usize,
-    problems: &mut Vec<DrawioDiagnostic>,
+    diagnostics: &mut Vec<DrawioDiagnostic>,
 ) -> Result<Page, String> {
     if let Some(model) = diagram.children().find(|node| node.has_tag_name("mxGraphModel")) {
-        return Ok(page(name, model, problems));
+        return Ok(page(name, model, diagnostics));
     }
     let text = inflate(diagram.text().unwrap_or_default(), left)?;
     let document =
-        xml::parse(&text, limits::XML_NODES).map_err(|error| format!("its inflated content is no XML: {error}"))?;
+        xml::parse(&text, limits::XML_NODES).map_err(|error| format!("its inflated content is not XML: {error}"))?;
     let root = document.root_element();
     if !root.has_tag_name("mxGraphModel") {
         let other = root.tag_name().name();
-        return Err(format!("its inflated content is <{other}>, allowed is <mxGraphModel>"));
+        return Err(format!("its inflated content is <{other}>, allowed: <mxGraphModel>"));
     }
-    Ok(page(name, root, problems))
+    Ok(page(name, root, diagnostics))
 }
 
-/// A compressed page: percent-encoded, deflated without a header, in base64.
+/// Inflates a compressed page: percent-encoded, deflated without a header, in base64.
 fn inflate(text: &str, left: &mut usize) -> Result<String, String> {
     let lenient = GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent);
     let packed: String = text.split_whitespace().collect();
     if packed.is_empty() {
-        return Err("it holds neither <mxGraphModel> nor compressed text".into());
+        return Err("it contains neither <mxGraphModel> nor compressed text".into());
     }
     let packed = GeneralPurpose::new(&STANDARD, lenient)
         .decode(packed)
-        .map_err(|error| format!("its compressed text is no base64: {error}"))?;
+        .map_err(|error| format!("its compressed text is not base64: {error}"))?;
     let mut encoded = Vec::new();
     let mut limited = DeflateDecoder::new(packed.as_slice()).take(*left as u64 + 1);
     limited.read_to_end(&mut encoded).map_err(|error| format!("its compressed text cannot be inflated: {error}"))?;
     *left = left.checked_sub(encoded.len()).ok_or_else(|| {
-        format!("the compressed pages come to more than the {} bytes allowed", limits::INFLATED_BYTES)
+        format!("the compressed pages inflate to more than the {} bytes allowed", limits::INFLATED_BYTES)
     })?;
     let decoded = percent_decode(&encoded).decode_utf8();
-    Ok(decoded.map_err(|error| format!("its inflated content is no UTF-8: {error}"))?.into_owned())
+    Ok(decoded.map_err(|error| format!("its inflated content is not UTF-8: {error}"))?.into_owned())
 }
 
-fn page(name: &str, model: Node, problems: &mut Vec<DrawioDiagnostic>) -> Page {
+fn page(name: &str, model: Node, diagnostics: &mut Vec<DrawioDiagnostic>) -> Page {
     let root = model.children().find(|node| node.has_tag_name("root"));
-    let mut reader = Reader { page: name, problems, seen: BTreeSet::new() };
+    let mut reader = Reader { page: name, diagnostics, seen: BTreeSet::new() };
     let cells: Vec<Cell> =
         root.into_iter().flat_map(|root| root.children()).filter_map(|node| reader.cell(node)).collect();
     let height =
@@ -131,13 +134,13 @@ fn page(name: &str, model: Node, problems: &mut Vec<DrawioDiagnostic>) -> Page {
 
 struct Reader<'a> {
     page: &'a str,
-    problems: &'a mut Vec<DrawioDiagnostic>,
+    diagnostics: &'a mut Vec<DrawioDiagnostic>,
     seen: BTreeSet<String>,
 }
 
 impl Reader<'_> {
     fn cell(&mut self, node: Node) -> Option<Cell> {
-        // A cell with data of its own is wrapped in an element that holds them.
+        // A cell with data of its own is wrapped in an element with the data.
         let (data, inner) = match node.tag_name().name() {
             "mxCell" => (None, node),
             "object" | "UserObject" => (Some(node), node.children().find(|child| child.has_tag_name("mxCell"))?),
@@ -147,7 +150,7 @@ impl Reader<'_> {
         let text = |name| inner.attribute(name).map(str::to_owned);
         let id = holder.attribute("id").unwrap_or_default().to_owned();
         if !id.is_empty() && !self.seen.insert(id.clone()) {
-            self.say(&id, CellError::Duplicate);
+            self.report(&id, CellError::Duplicate);
         }
         let label = holder.attribute("label").or(inner.attribute("value")).unwrap_or_default();
         let data = data.into_iter().flat_map(|node| node.attributes());
@@ -191,7 +194,7 @@ impl Reader<'_> {
         (self.number(id, node, "x"), self.number(id, node, "y"))
     }
 
-    /// A coordinate; 0 if it is not written, as the format has it.
+    /// Returns a coordinate; 0 if it is not written, as the format defines.
     fn number(&mut self, id: &str, node: Node, field: &str) -> f64 {
         let Some(text) = node.attribute(field) else { return 0.0 };
         match text.trim().parse::<f64>() {
@@ -199,18 +202,18 @@ impl Reader<'_> {
             _ => {
                 let (field, text) = (field.to_owned(), text.to_owned());
                 let allowed = "a number from -10000000 to 10000000";
-                self.say(id, CellError::Number { field, text, allowed });
+                self.report(id, CellError::Number { field, text, allowed });
                 0.0
             }
         }
     }
 
-    fn say(&mut self, cell: &str, wrong: CellError) {
-        self.problems.push(DrawioDiagnostic { page: self.page.to_owned(), cell: cell.to_owned(), wrong });
+    fn report(&mut self, cell: &str, error: CellError) {
+        self.diagnostics.push(DrawioDiagnostic { page: self.page.to_owned(), cell: cell.to_owned(), error });
     }
 }
 
-/// `shape=x;rotation=90;html` as keys and values; a word without a value is its own shape.
+/// Splits `shape=x;rotation=90;html` into keys and values; a word without a value becomes a key.
 fn style(text: &str) -> BTreeMap<String, String> {
     let items = text.split(';').map(str::trim).filter(|item| !item.is_empty());
     items
@@ -221,7 +224,7 @@ fn style(text: &str) -> BTreeMap<String, String> {
         .collect()
 }
 
-/// A label without its markup: labels of diagrams.net are HTML.
+/// Removes the markup of a label: labels of diagrams.net are HTML.
 fn plain(label: &str) -> String {
     let mut text = String::new();
     let mut rest = label;

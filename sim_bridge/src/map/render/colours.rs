@@ -1,4 +1,4 @@
-//! What is drawn in which colour: on pictures, and in recordings.
+//! Colours of drawings and recordings.
 
 use crate::map::PlaceKind;
 
@@ -10,16 +10,16 @@ pub(crate) const INK: &str = "#263238";
 pub(crate) const ROBOT: &str = "#d81b60";
 pub(crate) const ITEM: &str = "#6d4c41";
 
-/// Colours that tell robots apart: strong, unlike those of the map, and unlike one another for those who see no red or green,
-/// too (after Okabe and Ito 2008, darkened).
+/// Colours of robots. They are strong, differ from the colours of the map, and differ from each
+/// other also for people with red-green colour blindness (after Okabe and Ito 2008, darkened).
 const ROBOTS: [&str; 8] = ["#d55e00", "#0072b2", "#b2457e", "#00795c", "#8a6d00", "#5e35b1", "#c2185b", "#37474f"];
 
-/// The colour of the robot with this place among those that are drawn.
+/// Returns the colour of the robot with this index among the drawn robots.
 pub(crate) fn robot_colour(place: usize) -> &'static str {
     ROBOTS[place % ROBOTS.len()]
 }
 
-/// The colour of a place.
+/// Returns the colour of a place.
 pub(crate) fn place_kind_colour(kind: PlaceKind) -> &'static str {
     match kind {
         PlaceKind::Room => "#2e7d32",

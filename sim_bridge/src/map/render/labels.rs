@@ -1,16 +1,16 @@
-//! Where names go, so that they cover little and do not cover each other.
+//! Placement of names: they cover little of the map, and do not cover each other.
 
 use super::Point;
 use std::collections::BTreeMap;
 
 /// Edge of a cell of the index, in pixels.
 const CELL: f64 = 48.0;
-/// A line is kept as boxes so far apart, in pixels.
+/// Distance of the boxes that represent a line, in pixels.
 const STEP: f64 = 8.0;
-/// Around a point, in pixels.
+/// Distance of a name from its point, in pixels.
 const GAP: f64 = 4.0;
 
-/// What a name would cover, and how bad that is.
+/// Kind of drawn content that a name may cover, with its cost.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Weight {
     Lane,
@@ -30,7 +30,7 @@ impl Weight {
     }
 }
 
-/// What is on a panel already.
+/// The occupied areas of a panel.
 #[derive(Debug, Default)]
 pub(super) struct Labels {
     cells: BTreeMap<(i64, i64), Vec<(Area, Weight)>>,
@@ -47,7 +47,7 @@ impl Area {
         Area { low: (x - half, y - half), high: (x + half, y + half) }
     }
 
-    /// In square pixels.
+    /// Returns the common area, in square pixels.
     fn shared(&self, other: &Area) -> f64 {
         let side = |low: f64, high: f64| (high - low).max(0.0);
         side(self.low.0.max(other.low.0), self.high.0.min(other.high.0))
@@ -61,7 +61,7 @@ impl Area {
     }
 }
 
-/// How wide a text is, in pixels: each letter of the font is as wide as any other.
+/// Returns the width of a text in pixels: all letters of the font have the same width.
 pub(super) fn width(text: &str, size: f64) -> f64 {
     text.chars().count() as f64 * size * 0.602
 }
@@ -80,7 +80,8 @@ impl Labels {
         }
     }
 
-    /// The lower left corner for a text about a point; none if it is not needed and would cover another.
+    /// Returns the lower left corner for a text near a point; `None` for an optional text that
+    /// would cover another text.
     pub(super) fn find(&mut self, text: &str, at: Point, size: f64, needed: bool) -> Option<Point> {
         let (wide, high) = (width(text, size), size);
         let (right, left, middle) = (at.0 + GAP + 5.0, at.0 - GAP - 5.0 - wide, at.0 - wide / 2.0);
@@ -96,7 +97,7 @@ impl Labels {
             (left, below),
         ];
         let costs = corners.map(|corner| (self.cost(&area(corner, wide, high)), corner));
-        // Of equals the first.
+        // Of equal costs the first.
         let best = costs.into_iter().min_by(|a, b| a.0.0.total_cmp(&b.0.0))?;
         let ((_, covers_name), corner) = best;
         if covers_name && !needed {
@@ -124,7 +125,7 @@ impl Labels {
     }
 }
 
-/// What a text covers whose lower left corner, at the foot of its letters, is here.
+/// Returns the area of a text; the given point is its lower left corner, on the baseline.
 fn area((x, foot): Point, wide: f64, high: f64) -> Area {
     Area { low: (x, foot - high * 0.8), high: (x + wide, foot + high * 0.25) }
 }

@@ -1,6 +1,6 @@
-//! A map as a picture: SVG, and PNG made of it.
+//! Drawings of maps: SVG, and PNG made of it.
 //!
-//! Each level has a panel; all panels have one scale, and one place on the floor is at one place in each. North is up.
+//! Each level has a panel. All panels have the same scale and the same origin. North is up.
 
 pub(crate) mod colours;
 mod labels;
@@ -20,18 +20,18 @@ use page::{DrawingPage, Panel};
 use std::collections::BTreeSet;
 use svg::node::element::{Circle, Group, Line, Polygon, Polyline, Rectangle, Text, Title};
 
-/// Sizes of letters, in pixels.
+/// Font sizes, in pixels.
 const NAME_PX: f64 = 13.0;
 const NOTE_PX: f64 = 10.0;
 
 type Point = (f64, f64);
 
-/// Draws a map, and what stands on it, as SVG.
-pub fn svg(map: &Map, bodies: &[&DrawnItem]) -> String {
-    document(map, bodies, &[], &DrawingPage::of(map, bodies, &[])).to_string()
+/// Draws a map, and the items on it, as SVG.
+pub fn svg(map: &Map, items: &[&DrawnItem]) -> String {
+    document(map, items, &[], &DrawingPage::of(map, items, &[])).to_string()
 }
 
-fn document(map: &Map, bodies: &[&DrawnItem], trails: &[Trail], page: &DrawingPage) -> svg::Document {
+fn document(map: &Map, items: &[&DrawnItem], trails: &[Trail], page: &DrawingPage) -> svg::Document {
     let mut document = svg::Document::new()
         .set("viewBox", (0, 0, page.width, page.height))
         .set("width", page.width)
@@ -41,13 +41,13 @@ fn document(map: &Map, bodies: &[&DrawnItem], trails: &[Trail], page: &DrawingPa
         .add(Rectangle::new().set("width", page.width).set("height", page.height).set("fill", "#ffffff"))
         .add(text(map.name(), page.title_at(), 18.0, INK).set("font-weight", "bold"));
     for (level, panel) in map.level_indices().zip(&page.panels) {
-        document = document.add(Floor::new(map, level, panel).draw(bodies, trails));
+        document = document.add(LevelDrawing::new(map, level, panel).draw(items, trails));
     }
-    document.add(legend(map, bodies, trails, page))
+    document.add(legend(map, items, trails, page))
 }
 
-/// A level on its panel.
-struct Floor<'a> {
+/// The drawing of a level on its panel.
+struct LevelDrawing<'a> {
     map: &'a Map,
     level: LevelIndex,
     panel: &'a Panel,
@@ -55,15 +55,15 @@ struct Floor<'a> {
     group: Group,
 }
 
-impl<'a> Floor<'a> {
-    fn new(map: &'a Map, level: LevelIndex, panel: &'a Panel) -> Floor<'a> {
+impl<'a> LevelDrawing<'a> {
+    fn new(map: &'a Map, level: LevelIndex, panel: &'a Panel) -> LevelDrawing<'a> {
         let group = Group::new().set("class", "level").set("data-name", map.level(level).name.as_str());
-        Floor { map, level, panel, labels: Labels::default(), group }
+        LevelDrawing { map, level, panel, labels: Labels::default(), group }
     }
 
-    fn draw(mut self, bodies: &[&DrawnItem], trails: &[Trail]) -> Group {
-        let several = self.map.levels().len() > 1;
-        if several {
+    fn draw(mut self, items: &[&DrawnItem], trails: &[Trail]) -> Group {
+        let has_several_levels = self.map.levels().len() > 1;
+        if has_several_levels {
             let level = self.map.level(self.level);
             let name = format!("{} ({} m)", level.name, level.elevation_m);
             self.add(text(&name, self.panel.caption_at(), NAME_PX, INK).set("font-style", "italic"));
@@ -83,15 +83,16 @@ impl<'a> Floor<'a> {
         self.doors();
         self.trails(trails);
         let name = &self.map.level(self.level).name;
-        for body in bodies.iter().filter(|body| body.level.as_ref().is_none_or(|level| level == name)) {
-            let usual = if body.kind == "robot" { ROBOT } else { ITEM };
-            self.body(body, trail_of(body, trails).map_or(usual, colours::robot_colour));
+        for item in items.iter().filter(|item| item.level.as_ref().is_none_or(|level| level == name)) {
+            let default_colour = if item.kind == "robot" { ROBOT } else { ITEM };
+            self.item(item, trail_of(item, trails).map_or(default_colour, colours::robot_colour));
         }
         let places: Vec<&MapPlace> = self.map.places().iter().filter(|place| place.level == self.level).collect();
         for place in &places {
             self.place(place);
         }
-        // Names that matter first: they get the better places, and those of mere crossings only what is left.
+        // Important names are placed first and get the better positions; names of crossings get the
+        // remaining space.
         for place in places.iter().filter(|place| place.kind != PlaceKind::Corridor) {
             self.label(place.id.as_str(), self.at(place), NAME_PX, INK, true);
         }
@@ -134,18 +135,18 @@ impl<'a> Floor<'a> {
     fn lane(&mut self, lane: &Lane) {
         let Some((a, b)) = self.ends(lane) else { return };
         self.labels.line(a, b, Weight::Lane);
-        let mut said = format!("{} – {}, {:.2} m", lane.from, lane.to, lane.length.get());
+        let mut title = format!("{} – {}, {:.2} m", lane.from, lane.to, lane.length.get());
         if !lane.two_way {
-            said.push_str(", one way");
+            title.push_str(", one way");
         }
         if let Some(limit) = lane.speed_limit {
-            said.push_str(&format!(", at most {} m/s", limit.get()));
+            title.push_str(&format!(", at most {} m/s", limit.get()));
         }
         if let Some(facing) = lane.facing {
-            said.push_str(&format!(", facing {facing:?}").to_lowercase());
+            title.push_str(&format!(", facing {facing:?}").to_lowercase());
         }
         let stroke = line(a, b).set("class", "lane").set("stroke", LANE).set("stroke-width", 3);
-        self.add(Group::new().add(Title::new(said)).add(stroke));
+        self.add(Group::new().add(Title::new(title)).add(stroke));
         if !lane.two_way {
             self.add(arrow_head(a, b).set("class", "one-way").set("fill", "#1e88e5"));
         }
@@ -201,24 +202,25 @@ impl<'a> Floor<'a> {
         self.labels.dot((x, y), radius);
     }
 
-    fn body(&mut self, body: &DrawnItem, colour: &str) {
-        let (x, y) = self.panel.at((body.x_m, body.y_m));
-        let radius = (body.size_m.0.max(body.size_m.1) / 2.0 * self.panel.scale).clamp(5.0, 14.0);
-        let disc = Circle::new().set("class", "body").set("cx", px(x)).set("cy", px(y)).set("r", px(radius));
+    fn item(&mut self, item: &DrawnItem, colour: &str) {
+        let (x, y) = self.panel.at((item.x_m, item.y_m));
+        let radius = (item.size_m.0.max(item.size_m.1) / 2.0 * self.panel.scale).clamp(5.0, 14.0);
+        let disc = Circle::new().set("class", "item").set("cx", px(x)).set("cy", px(y)).set("r", px(radius));
         let disc = disc.set("fill", colour).set("fill-opacity", 0.35).set("stroke", colour);
-        let said = format!("{} {}", body.kind, body.name);
-        let mut group = Group::new().add(Title::new(said)).add(disc);
-        if body.kind == "robot" {
-            // Screens have y down, so north is less.
-            let nose = (x + radius * body.yaw_rad.cos(), y - radius * body.yaw_rad.sin());
+        let title = format!("{} {}", item.kind, item.name);
+        let mut group = Group::new().add(Title::new(title)).add(disc);
+        if item.kind == "robot" {
+            // y points down on the screen, so north is a smaller y.
+            let nose = (x + radius * item.yaw_rad.cos(), y - radius * item.yaw_rad.sin());
             group = group.add(line((x, y), nose).set("stroke", colour).set("stroke-width", 2));
         }
         self.add(group);
         self.labels.dot((x, y), radius);
-        self.label(&body.name, (x, y), NOTE_PX, colour, true);
+        self.label(&item.name, (x, y), NOTE_PX, colour, true);
     }
 
-    /// Writes a name where it covers least; one that is not needed only where it covers no other.
+    /// Writes a name at the position where it covers least. An optional name is left out if it
+    /// would cover another name.
     fn label(&mut self, name: &str, at: Point, size: f64, colour: &str, needed: bool) {
         let Some(corner) = self.labels.find(name, at, size, needed) else { return };
         let halo = text(name, corner, size, colour).set("stroke", "#ffffff").set("stroke-width", 3);
@@ -226,12 +228,12 @@ impl<'a> Floor<'a> {
     }
 }
 
-/// Which of the trails is a robot's own.
-fn trail_of(body: &DrawnItem, trails: &[Trail]) -> Option<usize> {
-    trails.iter().position(|trail| trail.name == body.name).filter(|_| body.kind == "robot")
+/// Returns the index of the trail of a robot.
+fn trail_of(item: &DrawnItem, trails: &[Trail]) -> Option<usize> {
+    trails.iter().position(|trail| trail.name == item.name).filter(|_| item.kind == "robot")
 }
 
-/// Colour and radius of a place.
+/// Returns colour and radius of a place.
 fn dot(kind: PlaceKind) -> (&'static str, f64) {
     let radius = match kind {
         PlaceKind::Corridor => 3.5,
@@ -241,8 +243,8 @@ fn dot(kind: PlaceKind) -> (&'static str, f64) {
     (colours::place_kind_colour(kind), radius)
 }
 
-/// What the colours mean, of those that are there, and a bar to measure by.
-fn legend(map: &Map, bodies: &[&DrawnItem], trails: &[Trail], page: &DrawingPage) -> Group {
+/// Draws the legend of the colours in use, and a scale bar.
+fn legend(map: &Map, items: &[&DrawnItem], trails: &[Trail], page: &DrawingPage) -> Group {
     let mut group = Group::new().set("class", "legend");
     let (mut x, y) = page.legend_at();
     let (metres, bar) = page.bar();
@@ -252,14 +254,14 @@ fn legend(map: &Map, bodies: &[&DrawnItem], trails: &[Trail], page: &DrawingPage
     x += bar + 70.0;
     let kinds: BTreeSet<PlaceKind> = map.places().iter().map(|place| place.kind).collect();
     let mut entries: Vec<(&str, &str)> = kinds.into_iter().map(|kind| (kind.as_str(), dot(kind).0)).collect();
-    let there = |kind: fn(&DrawnItem) -> bool| bodies.iter().any(|body| kind(body));
+    let is_present = |kind: fn(&DrawnItem) -> bool| items.iter().any(|item| kind(item));
     let others = [
         ("door", DOOR, !map.doors().is_empty()),
         ("lift", LIFT, !map.lifts().is_empty()),
-        ("robot", ROBOT, bodies.iter().any(|body| body.kind == "robot" && trail_of(body, trails).is_none())),
-        ("thing", ITEM, there(|body| body.kind != "robot")),
+        ("robot", ROBOT, items.iter().any(|item| item.kind == "robot" && trail_of(item, trails).is_none())),
+        ("thing", ITEM, is_present(|item| item.kind != "robot")),
     ];
-    entries.extend(others.into_iter().filter(|(.., there)| *there).map(|(name, colour, _)| (name, colour)));
+    entries.extend(others.into_iter().filter(|(.., is_present)| *is_present).map(|(name, colour, _)| (name, colour)));
     for (name, colour) in entries {
         let swatch = Circle::new().set("cx", px(x)).set("cy", px(y)).set("r", 5).set("fill", colour);
         group = group.add(swatch).add(text(name, (x + 9.0, y + 4.0), NOTE_PX, INK));
@@ -268,7 +270,7 @@ fn legend(map: &Map, bodies: &[&DrawnItem], trails: &[Trail], page: &DrawingPage
     group
 }
 
-/// A small triangle in the middle of a line that points to its end.
+/// Returns a small triangle in the middle of a line, pointing to its end.
 fn arrow_head(a: Point, b: Point) -> Polygon {
     let (dx, dy) = (b.0 - a.0, b.1 - a.1);
     let length = dx.hypot(dy).max(1e-9);
@@ -289,7 +291,7 @@ fn text(content: &str, (x, y): Point, size: f64, colour: &str) -> Text {
     Text::new(content).set("x", px(x)).set("y", px(y)).set("font-size", size).set("fill", colour)
 }
 
-/// To a tenth of a pixel.
+/// Rounds to 0.1 pixels.
 fn px(value: f64) -> f64 {
     (value * 10.0).round() / 10.0 + 0.0
 }

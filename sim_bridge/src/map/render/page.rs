@@ -1,20 +1,20 @@
-//! Where on the picture things are.
+//! Layout of the drawing.
 
 use super::{Point, Trail};
 use crate::map::{DrawnItem, Map};
 
-/// The picture is at most about this large, in pixels.
+/// Approximate greatest size of the drawing, in pixels.
 const WIDTH: f64 = 1600.0;
 const HEIGHT: f64 = 1600.0;
-/// No map is drawn larger than this, in pixels per metre.
+/// Greatest scale, in pixels per metre.
 const LARGEST: f64 = 100.0;
-/// Around each panel, for names that stand out, in pixels.
+/// Margin around each panel for names that extend over the border, in pixels.
 const MARGIN: f64 = 60.0;
 const HEAD: f64 = 36.0;
 const FOOT: f64 = 36.0;
-/// Room for the legend, in pixels.
+/// Least width, for the legend, in pixels.
 const NARROWEST: f64 = 640.0;
-/// Room for what is said of one trail, in pixels.
+/// Column width of the list of trails, in pixels.
 const COLUMN: f64 = 210.0;
 const ROW: f64 = 20.0;
 
@@ -22,30 +22,30 @@ fn columns_in(width: f64) -> usize {
     ((width - MARGIN) / COLUMN).floor().max(1.0) as usize
 }
 
-/// The whole picture.
+/// Layout of the whole drawing.
 #[derive(Debug)]
 pub(super) struct DrawingPage {
     pub(super) width: f64,
     pub(super) height: f64,
-    /// One for each level.
+    /// A panel for each level.
     pub(super) panels: Vec<Panel>,
-    /// Room for what is said of trails, above the legend.
+    /// Vertical position of the list of trails, above the legend.
     trails_at: f64,
 }
 
-/// Where one level is drawn.
+/// Position and scale of a level in the drawing.
 #[derive(Debug)]
 pub(super) struct Panel {
     /// Pixels per metre.
     pub(super) scale: f64,
-    /// The upper left corner of the floor, in pixels.
+    /// Upper left corner of the drawn area, in pixels.
     corner: Point,
-    /// What is drawn there: least x and greatest y, in metres.
+    /// Upper left corner of the drawn area: least x and greatest y, in metres.
     north_west: Point,
 }
 
 impl Panel {
-    /// Where a point of the floor is on the picture.
+    /// Returns the position of a map point in the drawing.
     pub(super) fn at(&self, (x, y): Point) -> Point {
         let (west, north) = self.north_west;
         (self.corner.0 + (x - west) * self.scale, self.corner.1 + (north - y) * self.scale)
@@ -57,18 +57,19 @@ impl Panel {
 }
 
 impl DrawingPage {
-    pub(super) fn of(map: &Map, bodies: &[&DrawnItem], trails: &[Trail]) -> DrawingPage {
+    pub(super) fn of(map: &Map, items: &[&DrawnItem], trails: &[Trail]) -> DrawingPage {
         let ((mut west, mut south), (mut east, mut north)) = map.bounds();
-        let stand = bodies.iter().map(|body| (body.x_m, body.y_m));
-        for (x, y) in stand.chain(trails.iter().flat_map(Trail::points)) {
+        let item_positions = items.iter().map(|item| (item.x_m, item.y_m));
+        for (x, y) in item_positions.chain(trails.iter().flat_map(Trail::points)) {
             (west, south) = (west.min(x), south.min(y));
             (east, north) = (east.max(x), north.max(y));
         }
-        // Half a metre at least: places may all be on one line.
+        // At least half a metre: all places may be on the same line.
         let (wide, high) = ((east - west).max(0.5), (north - south).max(0.5));
         let count = map.levels().len();
-        // Side by side or on top of each other, whatever comes nearer to a square.
-        let columns = (1..=count).min_by(|a, b| shape(*a, count, wide, high).total_cmp(&shape(*b, count, wide, high)));
+        // Panels are arranged so that the drawing is close to a square.
+        let columns =
+            (1..=count).min_by(|a, b| squareness(*a, count, wide, high).total_cmp(&squareness(*b, count, wide, high)));
         let columns = columns.unwrap_or(1);
         let rows = count.div_ceil(columns);
         let (across, down) = (columns as f64, rows as f64);
@@ -91,7 +92,7 @@ impl DrawingPage {
         (MARGIN / 2.0, 30.0)
     }
 
-    /// Where it is said whose trail this is, by its place among all.
+    /// Returns the position of a trail in the list of trails.
     pub(super) fn trail_at(&self, place: usize) -> Point {
         let (row, column) = (place / columns_in(self.width), place % columns_in(self.width));
         (MARGIN / 2.0 + column as f64 * COLUMN, self.trails_at + (row as f64 + 0.5) * ROW)
@@ -101,7 +102,7 @@ impl DrawingPage {
         (MARGIN / 2.0, self.height - FOOT / 2.0)
     }
 
-    /// A bar of a round number of metres, and its length in pixels.
+    /// Returns a round number of metres for the scale bar, and its length in pixels.
     pub(super) fn bar(&self) -> (f64, f64) {
         let scale = self.panels.first().map_or(1.0, |panel| panel.scale);
         let fits = 140.0 / scale;
@@ -112,8 +113,8 @@ impl DrawingPage {
     }
 }
 
-/// How far from a square so many columns make a picture.
-fn shape(columns: usize, count: usize, wide: f64, high: f64) -> f64 {
+/// Returns how far the drawing is from a square with this number of columns; 0 is a square.
+fn squareness(columns: usize, count: usize, wide: f64, high: f64) -> f64 {
     let rows = count.div_ceil(columns);
     (columns as f64 * wide / (rows as f64 * high)).ln().abs()
 }

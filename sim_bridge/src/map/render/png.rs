@@ -1,32 +1,32 @@
-//! SVG to PNG, with a font of our own: the same picture on every machine.
+//! Conversion of SVG to PNG, with an embedded font: the same image on every machine.
 
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{Options, Tree, fontdb};
 use std::sync::Arc;
 
-/// Why there is no PNG. None of these is ordinary for what [`super::svg`] draws.
+/// A PNG could not be made. None of these errors occurs for the output of [`super::svg`].
 #[derive(Debug, thiserror::Error)]
 pub enum PngError {
-    /// The text is no SVG.
-    #[error("this is no picture: {0}")]
+    /// The text is not SVG.
+    #[error("the text is not an SVG image: {0}")]
     Svg(String),
-    /// The picture is too large to be held.
-    #[error("a picture of {width} x {height} pixels cannot be held")]
+    /// The image does not fit in memory.
+    #[error("an image of {width} x {height} pixels does not fit in memory")]
     Size {
         /// Its width.
         width: u32,
         /// Its height.
         height: u32,
     },
-    /// The pixels cannot be written.
-    #[error("the picture cannot be encoded: {0}")]
+    /// The pixels cannot be encoded.
+    #[error("the image cannot be encoded: {0}")]
     Encoding(String),
 }
 
-/// Makes a PNG of an SVG.
+/// Converts an SVG to a PNG.
 ///
 /// # Errors
-/// [`PngError`] if it is no SVG, or larger than memory.
+/// [`PngError`] if the text is not SVG, or the image does not fit in memory.
 pub fn png(svg: &str) -> Result<Vec<u8>, PngError> {
     let mut fonts = fontdb::Database::new();
     fonts.load_font_data(epaint_default_fonts::HACK_REGULAR.to_vec());

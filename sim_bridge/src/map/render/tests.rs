@@ -1,4 +1,4 @@
-//! Pictures of maps: what is drawn, and that it can be looked at.
+//! Tests of drawn maps: their content, and that they can be converted to images.
 
 use super::*;
 use crate::map::{ImportOptions, parse_drawing, read, shipped};
@@ -7,7 +7,7 @@ use roxmltree::{Document, Node};
 const CLINIC: &str = include_str!("../../../maps/clinic.drawio");
 const OFFICE: &str = include_str!("../../../maps/office.building.yaml");
 
-fn picture(text: &str, file: &str) -> String {
+fn drawing_of(text: &str, file: &str) -> String {
     let drawing = parse_drawing(text, file, &ImportOptions::default()).unwrap();
     svg(&read(text, file).unwrap(), &drawing.items().collect::<Vec<_>>())
 }
@@ -16,44 +16,44 @@ fn of_class<'a>(document: &'a Document<'a>, class: &'a str) -> impl Iterator<Ite
     document.descendants().filter(move |node| node.attribute("class") == Some(class))
 }
 
-/// How often each class stands on the picture.
+/// Returns the number of elements of each class.
 fn counts(svg: &str, classes: &[&str]) -> Vec<usize> {
     let document = Document::parse(svg).unwrap();
     classes.iter().map(|class| of_class(&document, class).count()).collect()
 }
 
-fn said(svg: &str) -> BTreeSet<String> {
+fn texts(svg: &str) -> BTreeSet<String> {
     let document = Document::parse(svg).unwrap();
     let texts = document.descendants().filter(|node| node.has_tag_name("text") || node.has_tag_name("title"));
     texts.filter_map(|node| node.text().map(|text| text.trim().to_owned())).collect()
 }
 
 #[test]
-fn everything_on_a_map_is_on_its_picture() {
+fn everything_on_a_map_is_drawn() {
     let map = shipped("hospital").unwrap();
     let svg = svg(&map, &[]);
     let expected = [map.places().len(), map.lanes().len(), map.walls().len(), 1, 1];
     assert_eq!(counts(&svg, &["place", "lane", "wall", "level", "scale"]), expected);
-    let said = said(&svg);
+    let texts = texts(&svg);
     for name in ["hospital", "IC Room 1", "PC Room 8", "Laboratory", "Dock", "room", "lab", "2 m"] {
-        assert!(said.contains(name), "{name}: {said:?}");
+        assert!(texts.contains(name), "{name}: {texts:?}");
     }
 }
 
 #[test]
-fn levels_have_panels_and_doors_lifts_limits_and_robots_are_drawn() {
-    let svg = picture(OFFICE, "office.building.yaml");
-    assert_eq!(counts(&svg, &["level", "door", "lift", "one-way", "body", "place"]), [2, 1, 2, 2, 1, 10]);
-    let said = said(&svg);
+fn levels_doors_lifts_limits_and_robots_are_drawn() {
+    let svg = drawing_of(OFFICE, "office.building.yaml");
+    assert_eq!(counts(&svg, &["level", "door", "lift", "one-way", "item", "place"]), [2, 1, 2, 2, 1, 10]);
+    let texts = texts(&svg);
     for name in ["L2 (4.5 m)", "pantry_door", "lift_1", "0.5 m/s", "tiny1", "reception", "charger"] {
-        assert!(said.contains(name), "{name}: {said:?}");
+        assert!(texts.contains(name), "{name}: {texts:?}");
     }
-    assert!(said.contains("meeting – lobby (L2), 14.58 m, one way, facing backward"), "{said:?}");
+    assert!(texts.contains("meeting – lobby (L2), 14.58 m, one way, facing backward"), "{texts:?}");
 }
 
 #[test]
-fn one_place_of_the_floor_is_at_one_place_of_each_panel() {
-    let svg = picture(OFFICE, "office.building.yaml");
+fn all_panels_have_the_same_origin_and_scale() {
+    let svg = drawing_of(OFFICE, "office.building.yaml");
     let document = Document::parse(&svg).unwrap();
     let first_wall = |level: Node| {
         let wall = level.descendants().find(|node| node.attribute("class") == Some("wall")).unwrap();
@@ -69,10 +69,10 @@ fn one_place_of_the_floor_is_at_one_place_of_each_panel() {
 }
 
 #[test]
-fn everything_is_within_the_picture() {
+fn everything_is_within_the_image() {
     for svg in [
-        picture(CLINIC, "clinic.drawio"),
-        picture(OFFICE, "office.building.yaml"),
+        drawing_of(CLINIC, "clinic.drawio"),
+        drawing_of(OFFICE, "office.building.yaml"),
         svg(&shipped("hospital").unwrap(), &[]),
     ] {
         let document = Document::parse(&svg).unwrap();
@@ -115,22 +115,22 @@ fn names_do_not_cover_each_other() {
 }
 
 #[test]
-fn names_with_markup_are_written_as_they_are() {
+fn names_with_markup_are_escaped() {
     let text = "{name: odd, places: [{name: '<a & \"b\">', kind: room, x_m: 0, y_m: 0}]}";
     let svg = svg(&read(text, "odd.yaml").unwrap(), &[]);
-    assert!(said(&svg).contains("<a & \"b\">"), "{svg}");
+    assert!(texts(&svg).contains("<a & \"b\">"), "{svg}");
 }
 
 #[test]
-fn a_map_of_one_place_can_be_drawn() {
+fn a_map_with_a_single_place_can_be_drawn() {
     let text = "{name: one, places: [{name: A, kind: room, x_m: 5, y_m: 5}]}";
-    let picture = svg(&read(text, "one.yaml").unwrap(), &[]);
-    png(&picture).unwrap();
+    let drawing_of = svg(&read(text, "one.yaml").unwrap(), &[]);
+    png(&drawing_of).unwrap();
 }
 
 #[test]
-fn a_png_has_the_size_of_the_picture_and_is_not_blank() {
-    for svg in [picture(CLINIC, "clinic.drawio"), svg(&shipped("hospital").unwrap(), &[])] {
+fn a_png_has_the_size_of_the_svg_and_is_not_blank() {
+    for svg in [drawing_of(CLINIC, "clinic.drawio"), svg(&shipped("hospital").unwrap(), &[])] {
         let png = png(&svg).unwrap();
         let pixels = resvg::tiny_skia::Pixmap::decode_png(&png).unwrap();
         let document = Document::parse(&svg).unwrap();
@@ -140,18 +140,18 @@ fn a_png_has_the_size_of_the_picture_and_is_not_blank() {
         let coloured =
             pixels.pixels().iter().filter(|pixel| (pixel.red(), pixel.green(), pixel.blue()) != (255, 255, 255));
         let share = coloured.count() as f64 / pixels.pixels().len() as f64;
-        assert!((0.005..0.5).contains(&share), "{share} of the picture is drawn on");
+        assert!((0.005..0.5).contains(&share), "{share} of the image is drawn on");
     }
 }
 
 #[test]
-fn letters_are_drawn_too() {
+fn letters_are_drawn() {
     let with = png("<svg xmlns='http://www.w3.org/2000/svg' width='80' height='20'><text y='15' font-family='Hack, monospace'>A</text></svg>").unwrap();
     let without = png("<svg xmlns='http://www.w3.org/2000/svg' width='80' height='20'/>").unwrap();
     assert_ne!(with, without);
 }
 
 #[test]
-fn what_is_no_svg_is_refused() {
-    assert!(png("no").unwrap_err().to_string().starts_with("this is no picture: "));
+fn a_text_that_is_not_svg_is_rejected() {
+    assert!(png("no").unwrap_err().to_string().starts_with("the text is not an SVG image: "));
 }

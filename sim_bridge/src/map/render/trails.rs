@@ -1,27 +1,28 @@
-//! Where robots have driven, over the map.
+//! Paths driven by robots, drawn on the map.
 
 use super::colours::{self, INK};
 use super::labels::Weight;
 use super::page::DrawingPage;
-use super::{Floor, NOTE_PX, Point, document, px, text};
+use super::{LevelDrawing, NOTE_PX, Point, document, px, text};
 use crate::map::{DrawnItem, LevelIndex, Map};
 use svg::node::element::{Circle, Group, Polygon, Polyline, Title};
 
-/// How far apart two trails lie that lead the same way, in pixels: side by side they can all be seen.
+/// Distance of two trails on the same lane, in pixels: drawn next to each other, all of them are
+/// visible.
 const APART: f64 = 3.0;
-/// More than so many lie upon one another again.
+/// Number of different offsets; further trails reuse them.
 const LANES: usize = 7;
-/// A straight stretch this long shows which way it was driven, in pixels.
+/// Least length of a straight segment with an arrow, in pixels.
 const LONG: f64 = 70.0;
 
-/// Where one robot has driven.
+/// The path driven by a robot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trail {
-    /// The robot's name.
+    /// Name of the robot.
     pub name: String,
-    /// On which level, and there from where to where as (x, y) in metres, one stretch after the other.
+    /// The segments in driving order, each with its level and its points as (x, y) in metres.
     pub segments: Vec<(LevelIndex, Vec<(f64, f64)>)>,
-    /// How far it has driven, in metres; more than the stretches' length if they were cut short.
+    /// Driven distance in metres; greater than the length of the segments if they were cut.
     pub length_m: f64,
 }
 
@@ -31,58 +32,59 @@ impl Trail {
     }
 }
 
-/// Draws a map, what stands on it, and where robots have driven, as SVG: a ring where each began, an arrow on each long
-/// straight, the robot itself (one of the `bodies` that bears the trail's name) where it ended. `caption` says of when it is.
-pub fn svg_with_trails(map: &Map, bodies: &[&DrawnItem], trails: &[Trail], caption: &str) -> String {
-    let page = DrawingPage::of(map, bodies, trails);
+/// Draws a map, the items on it and the paths of robots as SVG: a ring at the start of each path,
+/// an arrow on each long straight segment, and the robot (the item with the name of the trail) at
+/// the end. `caption` states the time of the drawing.
+pub fn svg_with_trails(map: &Map, items: &[&DrawnItem], trails: &[Trail], caption: &str) -> String {
+    let page = DrawingPage::of(map, items, trails);
     let (x, y) = page.title_at();
     let beside = (x + super::labels::width(map.name(), 18.0) + 16.0, y);
-    let document = document(map, bodies, trails, &page).add(text(caption, beside, NOTE_PX, INK));
+    let document = document(map, items, trails, &page).add(text(caption, beside, NOTE_PX, INK));
     document.add(key(trails, &page)).to_string()
 }
 
-/// Whose trail is whose, and how long it is.
+/// Draws the list of trails with the robot and length of each.
 fn key(trails: &[Trail], page: &DrawingPage) -> Group {
     let mut group = Group::new().set("class", "trails");
-    for (place, trail) in trails.iter().enumerate() {
-        let (x, y) = page.trail_at(place);
+    for (index, trail) in trails.iter().enumerate() {
+        let (x, y) = page.trail_at(index);
         let stroke =
-            super::line((x, y), (x + 22.0, y)).set("stroke", colours::robot_colour(place)).set("stroke-width", 4);
-        let said = format!("{}, {:.0} m", trail.name, trail.length_m);
-        group = group.add(stroke).add(text(&said, (x + 30.0, y + 4.0), NOTE_PX, INK));
+            super::line((x, y), (x + 22.0, y)).set("stroke", colours::robot_colour(index)).set("stroke-width", 4);
+        let label = format!("{}, {:.0} m", trail.name, trail.length_m);
+        group = group.add(stroke).add(text(&label, (x + 30.0, y + 4.0), NOTE_PX, INK));
     }
     group
 }
 
-/// How far a trail is moved aside, by its place among all: every other one to the other side.
-fn aside(place: usize) -> f64 {
-    let step = (place % LANES).div_ceil(2) as f64;
-    if place.is_multiple_of(2) { -step * APART } else { step * APART }
+/// Returns the offset of a trail, by its index: alternately to either side.
+fn offset_of(index: usize) -> f64 {
+    let step = (index % LANES).div_ceil(2) as f64;
+    if index.is_multiple_of(2) { -step * APART } else { step * APART }
 }
 
-impl Floor<'_> {
+impl LevelDrawing<'_> {
     pub(super) fn trails(&mut self, trails: &[Trail]) {
-        for (place, trail) in trails.iter().enumerate() {
-            let (colour, shift) = (colours::robot_colour(place), aside(place));
+        for (index, trail) in trails.iter().enumerate() {
+            let (colour, shift) = (colours::robot_colour(index), offset_of(index));
             let mut group = Group::new()
                 .set("class", "trail")
                 .set("data-robot", trail.name.as_str())
-                // Aside both ways, so that it shows on lanes of either direction.
+                // The offset is diagonal, so that it is visible on lanes of either direction.
                 .set("transform", format!("translate({shift} {shift})"))
                 .add(Title::new(format!("{}, {:.1} m", trail.name, trail.length_m)));
-            for (_, stretch) in trail.segments.iter().filter(|(level, _)| *level == self.level) {
-                let points: Vec<Point> = stretch.iter().map(|point| self.panel.at(*point)).collect();
+            for (_, segment) in trail.segments.iter().filter(|(level, _)| *level == self.level) {
+                let points: Vec<Point> = segment.iter().map(|point| self.panel.at(*point)).collect();
                 group = group.add(polyline(&points, colour));
                 for leg in points.windows(2) {
                     self.labels.line(leg[0], leg[1], Weight::Lane);
                     if let Some(arrow) = arrow(leg[0], leg[1]) {
-                        group = group.add(arrow.set("class", "driven-way").set("fill", colour));
+                        group = group.add(arrow.set("class", "trail-arrow").set("fill", colour));
                     }
                 }
             }
-            if let Some((level, stretch)) = trail.segments.first()
+            if let Some((level, segment)) = trail.segments.first()
                 && *level == self.level
-                && let Some(start) = stretch.first()
+                && let Some(start) = segment.first()
             {
                 group = group.add(ring(self.panel.at(*start), colour));
             }
@@ -93,17 +95,18 @@ impl Floor<'_> {
 
 fn polyline(points: &[Point], colour: &str) -> Polyline {
     let points = points.iter().map(|(x, y)| format!("{},{}", px(*x), px(*y))).collect::<Vec<_>>().join(" ");
-    let line = Polyline::new().set("class", "driven").set("points", points).set("fill", "none").set("stroke", colour);
+    let line =
+        Polyline::new().set("class", "trail-line").set("points", points).set("fill", "none").set("stroke", colour);
     line.set("stroke-width", 2.5).set("stroke-linejoin", "round").set("stroke-linecap", "round")
 }
 
-/// Where it began.
+/// Returns the ring at the start of a trail.
 fn ring((x, y): Point, colour: &str) -> Circle {
-    let ring = Circle::new().set("class", "began").set("cx", px(x)).set("cy", px(y)).set("r", 8);
+    let ring = Circle::new().set("class", "trail-start").set("cx", px(x)).set("cy", px(y)).set("r", 8);
     ring.set("fill", "none").set("stroke", colour).set("stroke-width", 2)
 }
 
-/// Which way a long straight was driven: an arrow at its middle.
+/// Returns the arrow in the middle of a long straight segment, in driving direction.
 fn arrow(a: Point, b: Point) -> Option<Polygon> {
     let long = (b.0 - a.0).hypot(b.1 - a.1) >= LONG;
     long.then(|| super::arrow_head(a, b))

@@ -1,31 +1,36 @@
-//! Buildings of Open-RMF: the `.building.yaml` that its traffic editor writes.
+//! Buildings of Open-RMF: the `.building.yaml` files of its traffic editor.
 //!
-//! What is read, and what becomes of it:
+//! The reader uses these parts of the file:
 //!
-//! - **coordinates.** `reference_image` (if nothing else is said): pixels with y down, which are flipped; the scale is the
-//!   mean of distance by length over the `measurements` of the reference level, or [`Options::scale_m`]. Other levels are
-//!   laid over the reference level by the `fiducials` that both have. `cartesian_meters`: metres as they are. `wgs84`:
-//!   longitude and latitude, taken to metres around the vertex that the parameter `generate_origin_vertex` names, else
-//!   around the least longitude and latitude.
-//! - **graph.** Lanes have a `graph_idx`: robots of one kind drive on one graph. One is read: [`Options::graph`], else that
-//!   of the lowest number. Vertices at its lanes are places, others are not.
-//! - **places.** A vertex without a name is `L1 vertex 7`; a name that stands on several levels is followed by its level,
-//!   as in `lobby (L2)`. With `is_charger` it is a charger, with `is_parking_spot` or `dock_name` a dock.
-//! - **lanes.** `bidirectional`, `speed_limit` (if above 0) and `orientation` (`forward`, `backward`).
-//! - **doors** stand across the lanes that cross them, and are left out if none does. How fast they open is not said.
-//! - **lifts** stop at the places within their cabin, on each level that they have doors on (`level_doors`) between their
-//!   lowest and highest floor, and at those whose `lift_cabin` names them.
+//! - **coordinates.** `reference_image` (default): pixels with y down, which are flipped. The scale
+//!   is the mean of distance divided by length over the `measurements` of the reference level, or
+//!   [`ImportOptions::scale_m`]. Other levels are aligned with the reference level by their common
+//!   `fiducials`. `cartesian_meters`: metres, unchanged. `wgs84`: longitude and latitude, converted
+//!   to metres around the vertex named by the parameter `generate_origin_vertex`, else around the
+//!   least longitude and latitude.
+//! - **graph.** Lanes have a `graph_idx`: robots of the same kind drive on the same graph. Only the
+//!   graph [`ImportOptions::graph`] is read, by default the graph with the lowest number. The
+//!   vertices at its lanes become places; other vertices do not.
+//! - **places.** A vertex without a name becomes `L1 vertex 7`. A name that occurs on several
+//!   levels is followed by its level, as in `lobby (L2)`. A vertex with `is_charger` is a charger;
+//!   a vertex with `is_parking_spot` or `dock_name` is a dock.
+//! - **lanes.** `bidirectional`, `speed_limit` (if above 0) and `orientation` (`forward`,
+//!   `backward`).
+//! - **doors** are placed on the lanes that cross them. Doors without such a lane are ignored. The
+//!   format has no opening time.
+//! - **lifts** stop at the places in their cabin, on each level with doors (`level_doors`) between
+//!   their lowest and highest floor, and at the places with their name in `lift_cabin`.
 //! - **robots** stand at vertices with `spawn_robot_name` ([`Drawing::robots`]).
 //!
-//! Models, floors, lights and crowds are passed over.
+//! Models, floors, lights and crowds are ignored.
 
-mod place;
-mod problem;
+mod coordinates;
+mod diagnostic;
 mod raw;
 #[cfg(test)]
 mod tests;
 
-pub use problem::{EntryError, RmfDiagnostic};
+pub use diagnostic::{EntryError, RmfDiagnostic};
 
 use super::building::intersection;
 use super::drawing::{Drawing, DrawnItem, DrawnRobot};
@@ -33,17 +38,18 @@ use super::file::{DoorEntry, ImportOptions, LaneEntry, LevelEntry, LiftEntry, Pl
 use super::import::{ImportError, round, to_map_name};
 use super::{Facing, MapDiagnostic, PlaceKind};
 use crate::suggest::did_you_mean;
-use place::{Frame, System};
-use raw::{Building, Edge, Entries, Fiducial, Vertex, parameter};
+use coordinates::{CoordinateSystem, LevelTransform};
+use raw::{Building, Edge, EntryReader, Fiducial, Vertex, parameter};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// How far beyond its cabin a lift still has its stops, in metres: the gap to its shaft.
+/// Margin around the cabin in which a place is still a stop, in metres: the gap between cabin and
+/// shaft.
 const GAP_M: f64 = 0.05;
 
 type Point = (f64, f64);
 
-/// A level whose entries are sound.
+/// A level with valid entries.
 struct Level<'a> {
     name: &'a str,
     elevation: f64,
@@ -53,23 +59,23 @@ struct Level<'a> {
     doors: Vec<Edge>,
     measurements: Vec<Edge>,
     fiducials: Vec<Fiducial>,
-    /// None if it cannot be laid over the reference level.
-    frame: Option<Frame>,
-    /// For each vertex at a lane of the graph the name of its place.
+    /// Transform to metres; `None` if the level cannot be aligned with the reference level.
+    frame: Option<LevelTransform>,
+    /// Name of the place at each vertex with a lane of the graph.
     places: BTreeMap<usize, String>,
 }
 
-/// Reads a building; `name` is the map's if the file gives none.
+/// Reads a building; `name` is the name of the map if the file gives none.
 pub(super) fn read(text: &str, name: &str, options: &ImportOptions) -> Result<Drawing, ImportError> {
     let building: Building = serde_saphyr::from_str(text).map_err(|error| ImportError::Syntax(error.to_string()))?;
     let mut reader = Reader::default();
     reader.drawing.map.name = name.to_owned();
     let read = reader.building(&building, options);
-    if let Err(problem) = read {
-        reader.problems.push(problem);
+    if let Err(error) = read {
+        reader.diagnostics.push(error);
     }
-    if !reader.problems.is_empty() {
-        return Err(ImportError::Problems(reader.problems.into_iter().map(MapDiagnostic::from).collect()));
+    if !reader.diagnostics.is_empty() {
+        return Err(ImportError::Invalid(reader.diagnostics.into_iter().map(MapDiagnostic::from).collect()));
     }
     reader.drawing.assign_nearest_places();
     Ok(reader.drawing)
@@ -78,23 +84,23 @@ pub(super) fn read(text: &str, name: &str, options: &ImportOptions) -> Result<Dr
 #[derive(Default)]
 struct Reader {
     drawing: Drawing,
-    problems: Vec<RmfDiagnostic>,
+    diagnostics: Vec<RmfDiagnostic>,
 }
 
 impl Reader {
-    fn say(&mut self, at: String, wrong: EntryError) {
-        self.problems.push(RmfDiagnostic { at, wrong });
+    fn report(&mut self, at: String, error: EntryError) {
+        self.diagnostics.push(RmfDiagnostic { at, error });
     }
 
     fn building(&mut self, building: &Building, options: &ImportOptions) -> Result<(), RmfDiagnostic> {
-        let whole = |wrong| RmfDiagnostic { at: "building".to_owned(), wrong };
+        let whole = |error| RmfDiagnostic { at: "building".to_owned(), error };
         let named = [&building.name, &building.building_name].into_iter().flatten().filter_map(raw::text);
         if let Some(name) = named.into_iter().find(|name| !name.is_empty()) {
             self.drawing.map.name = to_map_name(&name);
         }
-        let system = System::of(building.coordinate_system.as_deref()).map_err(whole)?;
+        let system = CoordinateSystem::of(building.coordinate_system.as_deref()).map_err(whole)?;
         let mut levels: Vec<Level> =
-            building.levels.0.iter().map(|(name, level)| level_of(name, level, &mut self.problems)).collect();
+            building.levels.0.iter().map(|(name, level)| level_of(name, level, &mut self.diagnostics)).collect();
         if levels.is_empty() {
             return Err(whole(EntryError::NoLevels));
         }
@@ -115,23 +121,23 @@ impl Reader {
         Ok(())
     }
 
-    /// The graph to read; none if the lanes are not sound.
+    /// Returns the graph to read; `None` if the lanes are invalid.
     fn graph(&mut self, levels: &[Level], options: &ImportOptions) -> Result<Option<i64>, EntryError> {
         let mut known = BTreeSet::new();
-        let sound = self.problems.is_empty();
+        let sound = self.diagnostics.is_empty();
         for level in levels {
             for lane in &level.lanes {
                 match graph_of(lane) {
                     Ok(graph) => {
                         known.insert(graph);
                     }
-                    Err(wrong) => self.say(format!("level {:?}, lane {}", level.name, lane.number), wrong),
+                    Err(error) => self.report(format!("level {:?}, lane {}", level.name, lane.number), error),
                 }
             }
         }
         let list = |known: &BTreeSet<i64>| known.iter().map(i64::to_string).collect::<Vec<_>>().join(", ");
         match (options.graph, known.first()) {
-            (_, None) if sound && self.problems.is_empty() => Err(EntryError::NoLanes),
+            (_, None) if sound && self.diagnostics.is_empty() => Err(EntryError::NoLanes),
             (_, None) => Ok(None),
             (Some(graph), _) if !known.contains(&graph) => Err(EntryError::UnknownGraph { graph, known: list(&known) }),
             (Some(graph), _) => Ok(Some(graph)),
@@ -140,18 +146,20 @@ impl Reader {
                 known.remove(&first);
                 if !known.is_empty() {
                     let others = list(&known);
-                    self.drawing.notes.push(format!("lanes of graph {first} are read; those of {others} are left out"));
+                    self.drawing
+                        .notes
+                        .push(format!("only lanes of graph {first} are read; lanes of graph {others} are ignored"));
                 }
                 Ok(Some(first))
             }
         }
     }
 
-    /// Finds the frame of each level.
+    /// Computes the transform of each level.
     fn place(
         &mut self,
         building: &Building,
-        system: System,
+        system: CoordinateSystem,
         options: &ImportOptions,
         levels: &mut [Level],
     ) -> Result<(), EntryError> {
@@ -160,35 +168,42 @@ impl Reader {
             Some(name) => level_named(levels, "reference_level_name", name)?,
         };
         let frame = match system {
-            System::CartesianMeters => Some(Frame::METRES),
-            System::Wgs84 => {
+            CoordinateSystem::CartesianMeters => Some(LevelTransform::METRES),
+            CoordinateSystem::Wgs84 => {
                 let parameters = raw::parameters(building.parameters.as_ref())?;
                 let vertices = levels.iter().flat_map(|level| &level.vertices);
-                Some(Frame::around(place::origin(&parameters, vertices)))
+                Some(LevelTransform::local_tangent_plane(coordinates::origin(&parameters, vertices)))
             }
-            System::ReferenceImage => {
+            CoordinateSystem::ReferenceImage => {
                 let level = &levels[reference];
-                let measured = || place::scale(level.name, &level.vertices, &level.measurements, &mut self.problems);
-                options.scale_m.or_else(measured).map(Frame::scaled)
+                let measured = || {
+                    coordinates::metres_per_pixel(
+                        level.name,
+                        &level.vertices,
+                        &level.measurements,
+                        &mut self.diagnostics,
+                    )
+                };
+                options.scale_m.or_else(measured).map(LevelTransform::scaled)
             }
         };
         let Some(frame) = frame else { return Ok(()) };
         let (base, marks) = (levels[reference].name.to_owned(), levels[reference].fiducials.clone());
         for (index, level) in levels.iter_mut().enumerate() {
-            if index == reference || system != System::ReferenceImage {
+            if index == reference || system != CoordinateSystem::ReferenceImage {
                 level.frame = Some(frame);
                 continue;
             }
-            let pairs = place::shared(system, &marks, &level.fiducials);
-            level.frame = Frame::over(&frame, &pairs);
+            let pairs = coordinates::shared_fiducials(system, &marks, &level.fiducials);
+            level.frame = LevelTransform::fit_to_reference(&frame, &pairs);
             if level.frame.is_some() {
                 continue;
             }
-            let wrong = EntryError::Unplaced { reference: base.clone(), shared: pairs.len() };
+            let error = EntryError::NotAligned { reference: base.clone(), shared: pairs.len() };
             if level.lanes.is_empty() {
-                self.drawing.notes.push(format!("level {:?} is left out: it has no lanes, and {wrong}", level.name));
+                self.drawing.notes.push(format!("level {:?} is ignored: it has no lanes, and {error}", level.name));
             } else {
-                self.say(format!("level {:?}", level.name), wrong);
+                self.report(format!("level {:?}", level.name), error);
             }
         }
         Ok(())
@@ -197,7 +212,7 @@ impl Reader {
     /// Names the vertices at lanes.
     fn name(&mut self, levels: &mut [Level]) {
         let mut used: BTreeMap<&str, usize> = BTreeMap::new();
-        let mut same = Vec::new();
+        let mut duplicates = Vec::new();
         for level in levels.iter() {
             let mut here: BTreeMap<&str, usize> = BTreeMap::new();
             for vertex in ends(&level.lanes) {
@@ -211,8 +226,8 @@ impl Reader {
                         *used.entry(name).or_default() += 1;
                     }
                     Some(other) => {
-                        let wrong = EntryError::SameName { name: name.to_owned(), other: *other };
-                        same.push((format!("level {:?}, vertex {vertex}", level.name), wrong));
+                        let error = EntryError::DuplicateName { name: name.to_owned(), other: *other };
+                        duplicates.push((format!("level {:?}, vertex {vertex}", level.name), error));
                     }
                 }
             }
@@ -231,18 +246,18 @@ impl Reader {
         for (level, places) in levels.iter_mut().zip(named) {
             level.places = places;
         }
-        for (at, wrong) in same {
-            self.say(at, wrong);
+        for (at, error) in duplicates {
+            self.report(at, error);
         }
     }
 
-    fn level(&mut self, level: &Level, several: bool, system: System) {
+    fn level(&mut self, level: &Level, several: bool, system: CoordinateSystem) {
         let Some(frame) = level.frame else { return };
         let at = |vertex: usize| {
-            let (x, y) = frame.apply(system.upright(level.vertices[vertex].at));
+            let (x, y) = frame.apply(system.to_y_up(level.vertices[vertex].at));
             (round(x), round(y))
         };
-        let on = several.then(|| level.name.to_owned());
+        let level_name = several.then(|| level.name.to_owned());
         for (vertex, name) in &level.places {
             let ((x_m, y_m), kind) = (at(*vertex), self.kind(level, *vertex));
             self.drawing.map.places.push(PlaceEntry {
@@ -251,13 +266,13 @@ impl Reader {
                 x_m,
                 y_m,
                 yaw_rad: 0.0,
-                level: on.clone(),
+                level: level_name.clone(),
             });
         }
         for lane in &level.lanes {
             match lane_of(level, lane) {
                 Ok(lane) => self.drawing.map.lanes.push(lane),
-                Err(wrong) => self.say(format!("level {:?}, lane {}", level.name, lane.number), wrong),
+                Err(error) => self.report(format!("level {:?}, lane {}", level.name, lane.number), error),
             }
         }
         for door in &level.doors {
@@ -265,7 +280,7 @@ impl Reader {
         }
         for (number, vertex) in level.vertices.iter().enumerate() {
             if let Some(name) = vertex.parameters.get("spawn_robot_name").and_then(raw::text) {
-                self.robot(level, number, name, on.clone(), at);
+                self.robot(level, number, name, level_name.clone(), at);
             }
         }
         let walls = walls(&level.walls, at);
@@ -279,15 +294,15 @@ impl Reader {
 
     fn kind(&mut self, level: &Level, number: usize) -> PlaceKind {
         let vertex = &level.vertices[number];
-        let mut is = |name: &str| {
+        let mut flag = |name: &str| {
             let found = parameter(&vertex.parameters, name, "[4, true] or [4, false]", Value::as_bool);
-            found.unwrap_or_else(|wrong| {
-                self.say(format!("level {:?}, vertex {number}", level.name), wrong);
+            found.unwrap_or_else(|error| {
+                self.report(format!("level {:?}, vertex {number}", level.name), error);
                 None
             })
         };
-        let charges = is("is_charger") == Some(true);
-        let parks = is("is_parking_spot") == Some(true);
+        let charges = flag("is_charger") == Some(true);
+        let parks = flag("is_parking_spot") == Some(true);
         let docks = vertex.parameters.get("dock_name").and_then(Value::as_str).is_some_and(|name| !name.is_empty());
         match (charges, parks || docks, vertex.name.is_empty()) {
             (true, _, _) => PlaceKind::Charger,
@@ -301,8 +316,8 @@ impl Reader {
         let here = || format!("level {:?}, door {}", level.name, door.number);
         let name = match parameter(&door.parameters, "name", "[1, name]", raw::text) {
             Ok(Some(name)) if !name.is_empty() => name,
-            Ok(_) => return self.say(here(), EntryError::Missing { field: "name" }),
-            Err(wrong) => return self.say(here(), wrong),
+            Ok(_) => return self.report(here(), EntryError::Missing { field: "name" }),
+            Err(error) => return self.report(here(), error),
         };
         let [a, b] = door.ends.map(&at);
         let across = level.lanes.iter().filter(|lane| {
@@ -311,13 +326,20 @@ impl Reader {
         });
         let on: Vec<_> = across.map(|lane| between(level, lane)).collect();
         if on.is_empty() {
-            self.drawing.notes.push(format!("{} ({name:?}) is left out: no lane leads through it", here()));
+            self.drawing.notes.push(format!("{} ({name:?}) is ignored: no lane leads through it", here()));
             return;
         }
         self.drawing.map.doors.push(DoorEntry { name, on, span: Some((a, b)), ..DoorEntry::default() });
     }
 
-    fn robot(&mut self, level: &Level, number: usize, name: String, on: Option<String>, at: impl Fn(usize) -> Point) {
+    fn robot(
+        &mut self,
+        level: &Level,
+        number: usize,
+        name: String,
+        level_name: Option<String>,
+        at: impl Fn(usize) -> Point,
+    ) {
         let vertex = &level.vertices[number];
         let (x_m, y_m) = at(number);
         let heading = |lane: &Edge| {
@@ -326,58 +348,59 @@ impl Reader {
         };
         let first = level.lanes.iter().find(|lane| lane.ends.contains(&number));
         let kind = vertex.parameters.get("spawn_robot_type").and_then(raw::text);
-        let body = DrawnItem {
+        let item = DrawnItem {
             id: format!("{} vertex {number}", level.name),
             kind: "robot".to_owned(),
             name,
-            level: on,
+            level: level_name,
             x_m,
             y_m,
             yaw_rad: round(first.map_or(0.0, heading)),
             attributes: kind.into_iter().map(|kind| ("robot_type".to_owned(), kind)).collect(),
             ..DrawnItem::default()
         };
-        self.drawing.robots.push(DrawnRobot { body, ..DrawnRobot::default() });
+        self.drawing.robots.push(DrawnRobot { item, ..DrawnRobot::default() });
     }
 
-    fn lifts(&mut self, building: &Building, system: System, levels: &[Level]) {
+    fn lifts(&mut self, building: &Building, system: CoordinateSystem, levels: &[Level]) {
         let lifts = building.lifts.as_ref().map_or(&[][..], |lifts| &lifts.0);
         let names: BTreeSet<&str> = lifts.iter().map(|(name, _)| name.as_str()).collect();
-        let mut aboard: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+        let mut named_stops: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
         for level in levels {
             for (vertex, place) in &level.places {
                 let named = level.vertices[*vertex].parameters.get("lift_cabin").and_then(Value::as_str);
                 let Some(named) = named.filter(|named| !named.is_empty()) else { continue };
                 if names.contains(named) {
-                    aboard.entry(named).or_default().insert(place);
+                    named_stops.entry(named).or_default().insert(place);
                 } else {
                     let hint = did_you_mean(named, names.iter().copied());
                     let at = format!("level {:?}, vertex {vertex}", level.name);
-                    self.say(at, EntryError::UnknownLift { lift: named.to_owned(), hint });
+                    self.report(at, EntryError::UnknownLift { lift: named.to_owned(), hint });
                 }
             }
         }
         for (name, lift) in lifts {
             let cabin = match Cabin::of(lift, system, levels, &building.reference_level_name) {
                 Ok(cabin) => cabin,
-                Err(wrong) => {
-                    self.say(format!("lift {name:?}"), wrong);
+                Err(error) => {
+                    self.report(format!("lift {name:?}"), error);
                     continue;
                 }
             };
-            let aboard = aboard.get(name.as_str());
+            let named_stops = named_stops.get(name.as_str());
             let stops: Vec<String> = levels
                 .iter()
                 .flat_map(|level| level.places.iter().map(move |(vertex, place)| (level, *vertex, place)))
                 .filter(|(level, vertex, place)| {
-                    aboard.is_some_and(|aboard| aboard.contains(place.as_str())) || cabin.holds(level, *vertex, system)
+                    named_stops.is_some_and(|named_stops| named_stops.contains(place.as_str()))
+                        || cabin.holds(level, *vertex, system)
                 })
                 .map(|(_, _, place)| place.clone())
                 .collect();
             if stops.is_empty() {
                 self.drawing
                     .notes
-                    .push(format!("lift {name:?} is left out: no lane ends in its cabin on a level that it serves"));
+                    .push(format!("lift {name:?} is ignored: no lane ends in its cabin on a level with its doors"));
             } else {
                 self.drawing.map.lifts.push(LiftEntry { name: name.clone(), stops, ..LiftEntry::default() });
             }
@@ -385,7 +408,7 @@ impl Reader {
     }
 }
 
-/// The floor of a lift, and the levels that it serves.
+/// The floor of a lift, and the levels with its doors.
 struct Cabin {
     centre: Point,
     /// Half of its width and depth.
@@ -395,11 +418,16 @@ struct Cabin {
 }
 
 impl Cabin {
-    fn of(lift: &raw::Lift, system: System, levels: &[Level], reference: &Option<String>) -> Result<Cabin, EntryError> {
+    fn of(
+        lift: &raw::Lift,
+        system: CoordinateSystem,
+        levels: &[Level],
+        reference: &Option<String>,
+    ) -> Result<Cabin, EntryError> {
         for (field, value) in [("width", lift.width), ("depth", lift.depth)] {
             if !(value > 0.0 && value.is_finite()) {
                 let (field, text) = (field.to_owned(), value.to_string());
-                return Err(EntryError::Value { field, text, allowed: "a number of metres above 0" });
+                return Err(EntryError::InvalidValue { field, text, allowed: "a number of metres above 0" });
             }
         }
         let floor = |field: &'static str, name: &Option<String>| {
@@ -421,22 +449,22 @@ impl Cabin {
             }
         }
         let frame = own.or(shared).and_then(|level| levels[level].frame);
-        let frame = frame.or_else(|| levels.iter().find_map(|level| level.frame)).unwrap_or(Frame::METRES);
-        let centre = frame.apply(system.upright((lift.x, lift.y)));
+        let frame = frame.or_else(|| levels.iter().find_map(|level| level.frame)).unwrap_or(LevelTransform::METRES);
+        let centre = frame.apply(system.to_y_up((lift.x, lift.y)));
         Ok(Cabin { centre, half: (lift.width / 2.0 + GAP_M, lift.depth / 2.0 + GAP_M), yaw: lift.yaw, levels: served })
     }
 
-    fn holds(&self, level: &Level, vertex: usize, system: System) -> bool {
+    fn holds(&self, level: &Level, vertex: usize, system: CoordinateSystem) -> bool {
         let Some(frame) = level.frame.filter(|_| self.levels.contains(level.name)) else { return false };
-        let (x, y) = frame.apply(system.upright(level.vertices[vertex].at));
+        let (x, y) = frame.apply(system.to_y_up(level.vertices[vertex].at));
         let (dx, dy) = (x - self.centre.0, y - self.centre.1);
         let (sin, cos) = self.yaw.sin_cos();
         (dx * cos + dy * sin).abs() <= self.half.0 && (dy * cos - dx * sin).abs() <= self.half.1
     }
 }
 
-fn level_of<'a>(name: &'a str, raw: &raw::Level, problems: &mut Vec<RmfDiagnostic>) -> Level<'a> {
-    let mut entries = Entries { level: name, problems };
+fn level_of<'a>(name: &'a str, raw: &raw::Level, diagnostics: &mut Vec<RmfDiagnostic>) -> Level<'a> {
+    let mut entries = EntryReader { level: name, diagnostics };
     let vertices = entries.vertices(raw.vertices.as_ref());
     let count = vertices.len();
     Level {
@@ -460,7 +488,7 @@ fn level_named(levels: &[Level], field: &'static str, name: &str) -> Result<usiz
     })
 }
 
-/// The graph of a lane; 0 if it does not say.
+/// Returns the graph of a lane; 0 if the lane gives none.
 fn graph_of(lane: &Edge) -> Result<i64, EntryError> {
     parameter(&lane.parameters, "graph_idx", "a whole number", Value::as_i64).map(|graph| graph.unwrap_or(0))
 }
@@ -492,7 +520,7 @@ fn lane_of(level: &Level, lane: &Edge) -> Result<LaneEntry, EntryError> {
     })
 }
 
-/// Walls as lines; one that begins where the one before ends goes on with it.
+/// Joins walls to polylines: a wall that begins at the end of the wall before continues it.
 fn walls(walls: &[Edge], at: impl Fn(usize) -> Point) -> Vec<Vec<Point>> {
     let mut lines: Vec<Vec<Point>> = Vec::new();
     let mut last = None;

@@ -1,6 +1,6 @@
-//! A building as it is written: lists of lists, with parameters as `[type, value]`.
+//! The building as written: lists of lists, with parameters as `[type, value]`.
 
-use super::problem::{EntryError, RmfDiagnostic};
+use super::diagnostic::{EntryError, RmfDiagnostic};
 use serde::Deserialize;
 use serde::de::{Deserializer, MapAccess, Visitor};
 use serde_json::Value;
@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::marker::PhantomData;
 
-/// The file. What is of no use here (models, floors, lights …) is passed over: the format grows.
+/// The file. Unused content (models, floors, lights …) is ignored: the format grows.
 #[derive(Debug, Deserialize)]
 pub(super) struct Building {
     pub(super) name: Option<Value>,
@@ -56,7 +56,7 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Ordered<T> {
         impl<'de, T: Deserialize<'de>> Visitor<'de> for InOrder<T> {
             type Value = Ordered<T>;
             fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
-                f.write_str("names with what they name")
+                f.write_str("a mapping of names to entries")
             }
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
                 let mut entries = Vec::new();
@@ -70,7 +70,7 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Ordered<T> {
     }
 }
 
-/// The value of each parameter.
+/// The values of parameters by name.
 pub(super) type Parameters = BTreeMap<String, Value>;
 
 /// A point of a level, in the coordinates of the file.
@@ -81,40 +81,40 @@ pub(super) struct Vertex {
     pub(super) parameters: Parameters,
 }
 
-/// Something between two vertices.
+/// An entry between two vertices.
 #[derive(Debug, Clone)]
 pub(super) struct Edge {
-    /// Its number in its list.
+    /// Its index in its list.
     pub(super) number: usize,
     pub(super) ends: [usize; 2],
     pub(super) parameters: Parameters,
 }
 
-/// A mark that is found on several levels.
+/// A marker that occurs on several levels.
 #[derive(Debug, Clone)]
 pub(super) struct Fiducial {
     pub(super) at: (f64, f64),
     pub(super) name: String,
 }
 
-/// Reads entries of one level, and keeps what is wrong with them.
-pub(super) struct Entries<'a> {
+/// Reader of the entries of a level, with the errors found.
+pub(super) struct EntryReader<'a> {
     pub(super) level: &'a str,
-    pub(super) problems: &'a mut Vec<RmfDiagnostic>,
+    pub(super) diagnostics: &'a mut Vec<RmfDiagnostic>,
 }
 
-impl Entries<'_> {
-    pub(super) fn say(&mut self, what: &str, number: usize, wrong: EntryError) {
-        self.problems.push(RmfDiagnostic { at: format!("level {:?}, {what} {number}", self.level), wrong });
+impl EntryReader<'_> {
+    pub(super) fn report(&mut self, what: &str, number: usize, error: EntryError) {
+        self.diagnostics.push(RmfDiagnostic { at: format!("level {:?}, {what} {number}", self.level), error });
     }
 
-    /// All vertices. One that is none keeps its number.
+    /// Returns all vertices. An invalid vertex keeps its number.
     pub(super) fn vertices(&mut self, list: Option<&Vec<Value>>) -> Vec<Vertex> {
         let entries = list.into_iter().flatten().enumerate();
         entries
             .map(|(number, entry)| {
-                vertex(entry).unwrap_or_else(|wrong| {
-                    self.say("vertex", number, wrong);
+                vertex(entry).unwrap_or_else(|error| {
+                    self.report("vertex", number, error);
                     Vertex::default()
                 })
             })
@@ -124,37 +124,37 @@ impl Entries<'_> {
     pub(super) fn fiducials(&mut self, list: Option<&Vec<Value>>) -> Vec<Fiducial> {
         let entries = list.into_iter().flatten().enumerate();
         entries
-            .filter_map(|(number, entry)| fiducial(entry).map_err(|wrong| self.say("fiducial", number, wrong)).ok())
+            .filter_map(|(number, entry)| fiducial(entry).map_err(|error| self.report("fiducial", number, error)).ok())
             .collect()
     }
 
-    /// All edges of one kind between `count` vertices.
+    /// Returns all edges of a kind between `count` vertices.
     pub(super) fn edges(&mut self, what: &str, list: Option<&Vec<Value>>, count: usize) -> Vec<Edge> {
         let entries = list.into_iter().flatten().enumerate();
         entries
             .filter_map(|(number, entry)| {
-                edge(number, entry, count).map_err(|wrong| self.say(what, number, wrong)).ok()
+                edge(number, entry, count).map_err(|error| self.report(what, number, error)).ok()
             })
             .collect()
     }
 }
 
 fn vertex(entry: &Value) -> Result<Vertex, EntryError> {
-    let form = || EntryError::Form { text: entry.to_string(), allowed: "[x, y, z, name, {parameters}]" };
+    let form = || EntryError::Malformed { text: entry.to_string(), allowed: "[x, y, z, name, {parameters}]" };
     let list = entry.as_array().filter(|list| (4..=5).contains(&list.len())).ok_or_else(form)?;
     let at = (number("x", &list[0])?, number("y", &list[1])?);
     Ok(Vertex { at, name: text(&list[3]).ok_or_else(form)?, parameters: parameters(list.get(4))? })
 }
 
 fn fiducial(entry: &Value) -> Result<Fiducial, EntryError> {
-    let form = || EntryError::Form { text: entry.to_string(), allowed: "[x, y, name]" };
+    let form = || EntryError::Malformed { text: entry.to_string(), allowed: "[x, y, name]" };
     let list = entry.as_array().filter(|list| list.len() == 3).ok_or_else(form)?;
     let at = (number("x", &list[0])?, number("y", &list[1])?);
     Ok(Fiducial { at, name: text(&list[2]).ok_or_else(form)? })
 }
 
 fn edge(index: usize, entry: &Value, count: usize) -> Result<Edge, EntryError> {
-    let form = || EntryError::Form { text: entry.to_string(), allowed: "[vertex, vertex, {parameters}]" };
+    let form = || EntryError::Malformed { text: entry.to_string(), allowed: "[vertex, vertex, {parameters}]" };
     let list = entry.as_array().filter(|list| (2..=3).contains(&list.len())).ok_or_else(form)?;
     let end = |value: &Value| {
         let vertex = value.as_i64().ok_or_else(form)?;
@@ -164,14 +164,14 @@ fn edge(index: usize, entry: &Value, count: usize) -> Result<Edge, EntryError> {
     Ok(Edge { number: index, ends: [end(&list[0])?, end(&list[1])?], parameters: parameters(list.get(2))? })
 }
 
-/// The values of parameters, each written as `[type, value]`.
+/// Returns the values of parameters, each written as `[type, value]`.
 pub(super) fn parameters(entry: Option<&Value>) -> Result<Parameters, EntryError> {
     let Some(entry) = entry.filter(|entry| !entry.is_null()) else { return Ok(Parameters::new()) };
-    let form = || EntryError::Form { text: entry.to_string(), allowed: "{parameter: [type, value], …}" };
+    let form = || EntryError::Malformed { text: entry.to_string(), allowed: "{parameter: [type, value], …}" };
     let written = entry.as_object().ok_or_else(form)?;
     let value = |(name, value): (&String, &Value)| match value.as_array().map(Vec::as_slice) {
         Some([_, value]) => Ok((name.clone(), value.clone())),
-        _ => Err(EntryError::Value {
+        _ => Err(EntryError::InvalidValue {
             field: format!("parameter {name}"),
             text: value.to_string(),
             allowed: "[type, value] with type 1 for text, 2 for a whole number, 3 for a number, 4 for true or false",
@@ -180,7 +180,7 @@ pub(super) fn parameters(entry: Option<&Value>) -> Result<Parameters, EntryError
     written.iter().map(value).collect()
 }
 
-/// The value of a parameter; none if it is not given.
+/// Returns the value of a parameter; `None` if it is not given.
 pub(super) fn parameter<T>(
     parameters: &Parameters,
     name: &str,
@@ -188,17 +188,17 @@ pub(super) fn parameter<T>(
     read: fn(&Value) -> Option<T>,
 ) -> Result<Option<T>, EntryError> {
     let Some(value) = parameters.get(name) else { return Ok(None) };
-    let wrong = || EntryError::Value { field: format!("parameter {name}"), text: value.to_string(), allowed };
-    read(value).map(Some).ok_or_else(wrong)
+    let error = || EntryError::InvalidValue { field: format!("parameter {name}"), text: value.to_string(), allowed };
+    read(value).map(Some).ok_or_else(error)
 }
 
 fn number(field: &str, value: &Value) -> Result<f64, EntryError> {
-    // What is no finite number has become null.
-    let wrong = || EntryError::Value { field: field.to_owned(), text: value.to_string(), allowed: "a number" };
-    value.as_f64().ok_or_else(wrong)
+    // A number that is not finite has become null.
+    let error = || EntryError::InvalidValue { field: field.to_owned(), text: value.to_string(), allowed: "a number" };
+    value.as_f64().ok_or_else(error)
 }
 
-/// A name: bare numbers are names, too.
+/// Returns a name: numbers and booleans are names, too.
 pub(super) fn text(value: &Value) -> Option<String> {
     match value {
         Value::String(text) => Some(text.clone()),

@@ -1,4 +1,4 @@
-//! Buildings: what they come to, and all that can be wrong with them.
+//! Tests of Open-RMF buildings: the resulting maps, and every error.
 
 use super::*;
 use crate::map::{Map, MapError, parse_drawing, read};
@@ -24,11 +24,11 @@ fn at(map: &Map, name: &str) -> (f64, f64) {
     (pose.x, pose.y)
 }
 
-fn problems(text: &str) -> Vec<String> {
+fn diagnostics(text: &str) -> Vec<String> {
     read(text, "bad.building.yaml").unwrap_err().to_string().lines().map(str::to_owned).collect()
 }
 
-/// A building of one level in metres, with these entries.
+/// Returns a building with a single level in metres and these entries.
 fn one_level(entries: &str) -> String {
     format!("name: b\ncoordinate_system: cartesian_meters\nlevels:\n  L1:\n{entries}")
 }
@@ -36,7 +36,7 @@ fn one_level(entries: &str) -> String {
 const PAIR: &str = "    vertices: [[0, 0, 0, a], [3, 4, 0, b]]\n    lanes: [[0, 1, {bidirectional: [4, true]}]]\n";
 
 #[test]
-fn the_sample_is_a_sound_map_of_two_levels() {
+fn the_sample_is_a_valid_map_with_two_levels() {
     let map = office();
     assert_eq!(map.name(), "office");
     let levels: Vec<_> = map.levels().iter().map(|level| (level.name.as_str(), level.elevation_m)).collect();
@@ -50,26 +50,30 @@ fn the_sample_is_a_sound_map_of_two_levels() {
 }
 
 #[test]
-fn pixels_are_flipped_and_scaled_by_what_was_measured() {
+fn pixels_are_flipped_and_scaled_by_the_measurements() {
     let map = office();
     assert_eq!(at(&map, "reception"), (7.5, -15.0));
     let twice =
         OFFICE.replace("{ distance: [3, 10] }]", "{ distance: [3, 10] }]\n      - [0, 1, { distance: [3, 90] }]");
     let map = read(&twice, "office.building.yaml").unwrap();
-    assert_eq!(at(&map, "reception"), (15.0, -30.0), "the mean of 0.05 and 0.15 m a pixel");
-    let told = drawn(&twice, &ImportOptions { scale_m: Some(0.02), graph: None });
-    assert_eq!((told.map.places[0].x_m, told.map.places[0].y_m), (3.0, -6.0));
+    assert_eq!(at(&map, "reception"), (15.0, -30.0), "the mean of 0.05 and 0.15 m per pixel");
+    let scaled = drawn(&twice, &ImportOptions { scale_m: Some(0.02), graph: None });
+    assert_eq!((scaled.map.places[0].x_m, scaled.map.places[0].y_m), (3.0, -6.0));
 }
 
 #[test]
-fn other_levels_are_laid_over_the_reference_level_by_shared_fiducials() {
+fn other_levels_are_aligned_by_shared_fiducials() {
     let map = office();
     for (upper, lower) in [("desks", "reception"), ("meeting", "pantry"), ("lobby (L2)", "lobby (L1)")] {
         assert_eq!(at(&map, upper), at(&map, lower), "{upper}");
     }
     let [lower, upper] = ["L1", "L2"].map(|name| map.walls_on(map.level_named(name).unwrap()).next().unwrap());
-    assert_eq!(lower, upper, "the outer walls stand on each other");
-    assert_eq!(lower, [(5.0, -5.0), (35.0, -5.0), (35.0, -25.0), (5.0, -25.0), (5.0, -5.0)], "and are one line");
+    assert_eq!(lower, upper, "the outer walls have the same position");
+    assert_eq!(
+        lower,
+        [(5.0, -5.0), (35.0, -5.0), (35.0, -25.0), (5.0, -25.0), (5.0, -5.0)],
+        "and form a single polyline"
+    );
 }
 
 #[test]
@@ -89,7 +93,7 @@ fn lanes_keep_their_directions_limits_and_headings() {
 }
 
 #[test]
-fn a_door_is_on_the_lanes_that_cross_it_and_a_lift_stops_at_what_is_in_its_cabin() {
+fn doors_are_on_crossing_lanes_and_lifts_stop_at_places_in_the_cabin() {
     let map = office();
     let [door] = map.doors() else { panic!("{:?}", map.doors()) };
     assert_eq!((door.name.as_str(), door.lanes.as_slice()), ("pantry_door", &[(id("L1 vertex 5"), id("pantry"))][..]));
@@ -97,13 +101,13 @@ fn a_door_is_on_the_lanes_that_cross_it_and_a_lift_stops_at_what_is_in_its_cabin
     let [lift] = map.lifts() else { panic!("{:?}", map.lifts()) };
     assert_eq!((lift.name.as_str(), lift.stops.as_slice()), ("lift_1", &[id("L1 vertex 7"), id("L2 vertex 7")][..]));
     let notes = drawn(OFFICE, &ImportOptions::default()).notes.join("\n");
-    for said in ["\"window\"", "\"goods\"", "lanes of graph 0 are read; those of 1 are left out"] {
-        assert!(notes.contains(said), "{said}: {notes}");
+    for errors in ["\"window\"", "\"goods\"", "only lanes of graph 0 are read; lanes of graph 1 are ignored"] {
+        assert!(notes.contains(errors), "{errors}: {notes}");
     }
 }
 
 #[test]
-fn a_turned_cabin_holds_what_is_within_its_turned_walls() {
+fn a_rotated_cabin_contains_the_places_within_its_walls() {
     let stops = |yaw: f64| {
         let lift = OFFICE.replacen(
             "yaw: 0\n    width: 3\n    depth: 2.5",
@@ -112,44 +116,44 @@ fn a_turned_cabin_holds_what_is_within_its_turned_walls() {
         );
         parse_drawing(&lift, "o.building.yaml", &ImportOptions::default()).unwrap().map.lifts[0].stops.len()
     };
-    assert_eq!((stops(0.0), stops(std::f64::consts::FRAC_PI_2)), (2, 4), "turned, it reaches the lobbies");
+    assert_eq!((stops(0.0), stops(std::f64::consts::FRAC_PI_2)), (2, 4), "rotated, it reaches the lobbies");
 }
 
 #[test]
-fn a_vertex_may_name_its_lift_and_a_level_without_doors_is_not_served() {
+fn a_vertex_may_name_its_lift_and_a_level_needs_lift_doors() {
     let named = OFFICE.replace("[235, 300, 0, meeting]", "[235, 300, 0, meeting, { lift_cabin: [1, lift_1] }]");
     let stops = |text: &str| drawn(text, &ImportOptions::default()).map.lifts[0].stops.clone();
     assert_eq!(stops(&named), ["L1 vertex 7", "meeting", "L2 vertex 7"]);
     assert_eq!(stops(&OFFICE.replace("L2: [front]", "L2: []")), ["L1 vertex 7"]);
-    let error = problems(&OFFICE.replace("L2: [front]", "L2: []"));
-    assert_eq!(error, ["map bad.building.yaml: lift \"lift_1\" has stops on 1 level(s) only, needed are two or more"]);
-    let wrong = problems(&named.replace("[1, lift_1]", "[1, lift_2]"));
-    let said = "level \"L2\", vertex 5: lift_cabin: there is no lift \"lift_2\"; did you mean \"lift_1\"?";
-    assert_eq!(wrong, [format!("map bad.building.yaml: {said}")]);
+    let error = diagnostics(&OFFICE.replace("L2: [front]", "L2: []"));
+    assert_eq!(error, ["map bad.building.yaml: lift \"lift_1\" has stops on 1 level(s), needed: 2 or more"]);
+    let invalid = diagnostics(&named.replace("[1, lift_1]", "[1, lift_2]"));
+    let errors = "level \"L2\", vertex 5: lift_cabin: there is no lift \"lift_2\"; did you mean \"lift_1\"?";
+    assert_eq!(invalid, [format!("map bad.building.yaml: {errors}")]);
 }
 
 #[test]
-fn graphs_are_apart() {
+fn graphs_are_read_separately() {
     let other = drawn(OFFICE, &ImportOptions { graph: Some(1), scale_m: None });
     assert_eq!(other.map.places.iter().map(|place| place.name.as_str()).collect::<Vec<_>>(), ["crane_a", "crane_b"]);
     let error = parse_drawing(OFFICE, "o.building.yaml", &ImportOptions { graph: Some(7), scale_m: None })
         .unwrap_err()
         .to_string();
-    assert_eq!(error, "map o.building.yaml: building: no lane is of graph 7; there are lanes of 0, 1");
+    assert_eq!(error, "map o.building.yaml: building: graph 7 has no lanes; graphs with lanes: 0, 1");
 }
 
 #[test]
-fn robots_stand_where_they_are_spawned() {
+fn robots_stand_at_their_spawn_vertex() {
     let drawing = drawn(OFFICE, &ImportOptions::default());
     let [robot] = drawing.robots.as_slice() else { panic!("{:?}", drawing.robots) };
-    assert_eq!((robot.body.name.as_str(), robot.body.place.as_deref()), ("tiny1", Some("base")));
-    assert_eq!((robot.body.x_m, robot.body.y_m), (7.5, -22.5));
-    assert!((robot.body.yaw_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-3, "along its lane, north");
-    assert_eq!(robot.body.attributes["robot_type"], "TinyRobot");
+    assert_eq!((robot.item.name.as_str(), robot.item.place.as_deref()), ("tiny1", Some("base")));
+    assert_eq!((robot.item.x_m, robot.item.y_m), (7.5, -22.5));
+    assert!((robot.item.yaw_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-3, "along its lane, north");
+    assert_eq!(robot.item.attributes["robot_type"], "TinyRobot");
 }
 
 #[test]
-fn metres_are_taken_as_they_are() {
+fn metres_are_not_converted() {
     let map = read(&one_level(PAIR), "b.building.yaml").unwrap();
     assert_eq!((at(&map, "b"), map.lanes()[0].length.get()), ((3.0, 4.0), 5.0));
     assert_eq!(map.levels().len(), 1);
@@ -157,7 +161,7 @@ fn metres_are_taken_as_they_are() {
 
 #[test]
 fn degrees_become_metres_around_the_origin() {
-    // At 60 degrees north a degree of longitude is 55.8 km, and one of latitude 111.4 km.
+    // At 60 degrees north a degree of longitude is 55.8 km, and a degree of latitude 111.4 km.
     let text = |parameters: &str| {
         let vertices = "[[10.0, 60.0, 0, a], [10.001, 60.0, 0, b], [10.001, 60.001, 0, c]]";
         format!(
@@ -174,7 +178,7 @@ fn degrees_become_metres_around_the_origin() {
 }
 
 #[test]
-fn all_that_is_wrong_with_entries_is_said_with_level_and_number() {
+fn every_error_of_an_entry_is_reported_with_level_and_number() {
     let text = one_level(
         "    vertices: [[0, 0, 0, a], [x, 0, 0, b], [1, 0], [5, 5, 0, a], [6, 6, 0, c, {is_charger: [4, 1]}], [7, 7, 0, d, {odd: 1}]]
     lanes:
@@ -194,111 +198,112 @@ fn all_that_is_wrong_with_entries_is_said_with_level_and_number() {
     let at = |place: &str| format!("map bad.building.yaml: level \"L1\", {place}: ");
     let type_value = "[type, value] with type 1 for text, 2 for a whole number, 3 for a number, 4 for true or false";
     assert_eq!(
-        problems(&text),
+        diagnostics(&text),
         [
-            at("vertex 1") + "x is \"x\", allowed is a number",
-            at("vertex 2") + "this is [1,0], allowed is [x, y, z, name, {parameters}]",
-            at("vertex 5") + "parameter odd is 1, allowed is " + type_value,
+            at("vertex 1") + "x is \"x\", allowed: a number",
+            at("vertex 2") + "this is [1,0], allowed: [x, y, z, name, {parameters}]",
+            at("vertex 5") + "parameter odd is 1, allowed: " + type_value,
             at("lane 0") + "there is no vertex 17; allowed are 0 to 5",
             at("lane 1") + "there is no vertex -1; allowed are 0 to 5",
-            at("lane 2") + "this is [0,\"one\",{}], allowed is [vertex, vertex, {parameters}]",
-            at("lane 5") + "parameter speed_limit is \"fast\", allowed is " + type_value,
+            at("lane 2") + "this is [0,\"one\",{}], allowed: [vertex, vertex, {parameters}]",
+            at("lane 5") + "parameter speed_limit is \"fast\", allowed: " + type_value,
             at("wall 0") + "there is no vertex 99; allowed are 0 to 5",
-            at("fiducial 0") + "this is [1,2], allowed is [x, y, name]",
-            at("lane 6") + "parameter graph_idx is \"zero\", allowed is a whole number",
-            at("vertex 3") + "its name \"a\" is that of vertex 0, too",
-            at("vertex 4") + "parameter is_charger is 1, allowed is [4, true] or [4, false]",
-            at("lane 3") + "parameter bidirectional is \"sure\", allowed is [4, true] or [4, false]",
-            at("lane 4") + "parameter orientation is \"sideways\", allowed is forward or backward",
+            at("fiducial 0") + "this is [1,2], allowed: [x, y, name]",
+            at("lane 6") + "parameter graph_idx is \"zero\", allowed: a whole number",
+            at("vertex 3") + "its name \"a\" is already the name of vertex 0",
+            at("vertex 4") + "parameter is_charger is 1, allowed: [4, true] or [4, false]",
+            at("lane 3") + "parameter bidirectional is \"sure\", allowed: [4, true] or [4, false]",
+            at("lane 4") + "parameter orientation is \"sideways\", allowed: forward or backward",
             at("door 0") + "parameter name is missing",
         ]
     );
 }
 
 #[test]
-fn what_is_wrong_with_the_whole_is_said() {
-    let said = |text: &str| problems(text).join("\n").replace("map bad.building.yaml: ", "");
-    assert_eq!(said("levels: {}"), "building: there are no levels");
-    assert_eq!(said(&one_level("    vertices: []\n")), "building: there are no lanes");
+fn errors_of_the_whole_building_are_reported() {
+    let errors = |text: &str| diagnostics(text).join("\n").replace("map bad.building.yaml: ", "");
+    assert_eq!(errors("levels: {}"), "building: the building has no levels");
+    assert_eq!(errors(&one_level("    vertices: []\n")), "building: the building has no lanes");
     assert_eq!(
-        said(&one_level(PAIR).replace("cartesian_meters", "web_mercator")),
-        "building: coordinate_system is \"web_mercator\", allowed is reference_image, cartesian_meters or wgs84"
+        errors(&one_level(PAIR).replace("cartesian_meters", "web_mercator")),
+        "building: coordinate_system is \"web_mercator\", allowed: reference_image, cartesian_meters or wgs84"
     );
     assert_eq!(
-        said(&OFFICE.replace("reference_level_name: L1", "reference_level_name: L3")),
+        errors(&OFFICE.replace("reference_level_name: L1", "reference_level_name: L3")),
         "building: reference_level_name: there is no level \"L3\"; did you mean \"L1\"?"
     );
     assert_eq!(
-        said(&OFFICE.replace("- [12, 13, { distance: [3, 10] }]", "[]")),
-        "level \"L1\": it has no measurements, so a pixel has no length: measure something on it, or give a scale"
+        errors(&OFFICE.replace("- [12, 13, { distance: [3, 10] }]", "[]")),
+        "level \"L1\": it has no measurements, so the scale is unknown: add a measurement, or give a scale"
     );
     assert_eq!(
-        said(&OFFICE.replace("[12, 13, {", "[12, 12, {")),
-        "level \"L1\", measurement 0: both ends are one point, which measures nothing"
+        errors(&OFFICE.replace("[12, 13, {", "[12, 12, {")),
+        "level \"L1\", measurement 0: both ends are the same point: measure between two points"
     );
     assert_eq!(
-        said(&OFFICE.replace("{ distance: [3, 10] }", "{}")),
+        errors(&OFFICE.replace("{ distance: [3, 10] }", "{}")),
         "level \"L1\", measurement 0: parameter distance is missing"
     );
     assert_eq!(
-        said(&OFFICE.replace("[260, 150, south_east]", "[260, 150, elsewhere]")),
-        "level \"L2\": it has 1 fiducial(s) in common with the reference level \"L1\"; needed are 2, apart from each other"
+        errors(&OFFICE.replace("[260, 150, south_east]", "[260, 150, elsewhere]")),
+        "level \"L2\": it has 1 fiducial(s) in common with the reference level \"L1\"; needed: 2 at different points"
     );
     assert_eq!(
-        said(&OFFICE.replace("      L2: [front]", "      L4: [front]")),
+        errors(&OFFICE.replace("      L2: [front]", "      L4: [front]")),
         "lift \"lift_1\": level_doors: there is no level \"L4\"; did you mean \"L1\"?"
     );
     assert_eq!(
-        said(&OFFICE.replace("    width: 3\n", "    width: 0\n")),
-        "lift \"lift_1\": width is 0, allowed is a number of metres above 0"
+        errors(&OFFICE.replace("    width: 3\n", "    width: 0\n")),
+        "lift \"lift_1\": width is 0, allowed: a number of metres above 0"
     );
 }
 
 #[test]
-fn places_cut_off_and_lanes_without_length_are_said() {
-    let apart = PAIR
+fn disconnected_places_and_lanes_without_length_are_reported() {
+    let disconnected = PAIR
         .replace("3, 4, 0, b]", "3, 4, 0, b], [9, 9, 0, c], [9, 8, 0, d]")
         .replace("]]\n    lanes: [", "]]\n    lanes: [[2, 3, {}], ");
-    let said = problems(&one_level(&apart));
+    let errors = diagnostics(&one_level(&disconnected));
     assert_eq!(
-        said,
-        ["c", "d"].map(|name| format!("map bad.building.yaml: place {name:?} is cut off from the rest of the map"))
+        errors,
+        ["c", "d"]
+            .map(|name| format!("map bad.building.yaml: place {name:?} is not connected with the rest of the map"))
     );
-    let said = problems(&one_level(&PAIR.replace("3, 4", "0, 0")));
+    let errors = diagnostics(&one_level(&PAIR.replace("3, 4", "0, 0")));
     assert_eq!(
-        said,
+        errors,
         [
-            "map bad.building.yaml: lane between \"a\" and \"b\": length is 0 m, allowed is a number above 0 and up to 100000"
+            "map bad.building.yaml: lane between \"a\" and \"b\": length is 0 m, allowed: a number above 0 and up to 100000"
         ]
     );
-    let said = problems(&one_level(&PAIR.replace("[0, 1, {", "[1, 1, {")));
-    assert_eq!(said, ["map bad.building.yaml: lane between \"b\" and \"b\": both ends are one place"]);
+    let errors = diagnostics(&one_level(&PAIR.replace("[0, 1, {", "[1, 1, {")));
+    assert_eq!(errors, ["map bad.building.yaml: lane between \"b\" and \"b\": both ends are the same place"]);
 }
 
 #[test]
-fn a_level_without_lanes_that_cannot_be_laid_over_is_left_out() {
+fn a_level_without_lanes_that_cannot_be_aligned_is_ignored() {
     let text = OFFICE.replace("lifts:\n", "  roof:\n    elevation: 9\n    vertices: [[0, 0, 0, x]]\nlifts:\n");
     let drawing = drawn(&text, &ImportOptions::default());
     assert_eq!(drawing.map.levels.len(), 2);
-    assert!(drawing.notes.iter().any(|note| note.starts_with("level \"roof\" is left out")), "{:?}", drawing.notes);
+    assert!(drawing.notes.iter().any(|note| note.starts_with("level \"roof\" is ignored")), "{:?}", drawing.notes);
 }
 
 #[test]
-fn a_file_of_another_form_is_refused_with_line_and_column() {
+fn a_file_of_another_form_is_rejected_with_line_and_column() {
     let error = parse_drawing("levels: {L1: {vertices: 3}}", "x.building.yaml", &ImportOptions::default()).unwrap_err();
     let MapError::Syntax { message, .. } = error else { panic!("{error:?}") };
     assert!(message.contains("line 1") && message.contains("sequence"), "{message}");
 }
 
 #[test]
-fn what_was_read_survives_our_own_form() {
+fn a_building_survives_a_round_trip_through_yaml() {
     let yaml = serde_saphyr::to_string(&drawn(OFFICE, &ImportOptions::default()).map).unwrap();
     assert_eq!(read(&yaml, "office.yaml").unwrap(), office());
 }
 
 proptest! {
     #[test]
-    fn a_mutated_building_is_read_or_refused(
+    fn a_mutated_building_is_read_or_rejected(
         edits in prop::collection::vec((any::<prop::sample::Index>(), 0_usize..30, "[ -~\n]{0,5}"), 1..6),
     ) {
         let mut text = OFFICE.to_owned();
@@ -313,7 +318,7 @@ proptest! {
     }
 
     #[test]
-    fn a_building_with_other_numbers_is_read_or_refused(
+    fn a_building_with_other_numbers_is_read_or_rejected(
         numbers in prop::collection::vec(
             prop_oneof!["-?[0-9]{1,9}", Just("1e308".to_owned()), Just(".nan".to_owned()), Just("-.inf".to_owned())], 1..8),
         from in 0_usize..300,

@@ -1,74 +1,78 @@
-//! What happens, in words.
+//! Text for world events.
 
 use crate::world::{SampleHolder, WorldEvent, goal_name};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_skills::actions::{Goal, GoalStatus};
 
-/// Foxglove's levels.
+/// Foxglove's log levels.
 pub(super) const INFO: u8 = 2;
 pub(super) const WARNING: u8 = 3;
 const ERROR: u8 = 4;
 
-/// How grave it is, who or what it is about, and what it is.
-pub(super) fn log_line(what: &WorldEvent) -> (u8, String, String) {
-    let said = |name: &dyn ToString, message: String| (INFO, name.to_string(), message);
-    match what {
-        WorldEvent::GoalStarted { robot, id, goal } => said(robot, format!("begins {} (goal {})", aim(goal), id.0)),
+/// Returns the log level, the subject and the text of an event.
+pub(super) fn log_line(event: &WorldEvent) -> (u8, String, String) {
+    let info = |name: &dyn ToString, message: String| (INFO, name.to_string(), message);
+    match event {
+        WorldEvent::GoalStarted { robot, id, goal } => {
+            info(robot, format!("begins {} (goal {})", goal_text(goal), id.0))
+        }
         WorldEvent::GoalEnded { robot, id, status } => match status {
-            GoalStatus::Succeeded => said(robot, format!("has done goal {}", id.0)),
-            GoalStatus::Canceled => said(robot, format!("goal {} was canceled", id.0)),
-            GoalStatus::Aborted(why) => (WARNING, robot.to_string(), format!("goal {} failed: {why}", id.0)),
-            GoalStatus::Sent | GoalStatus::Executing(_) => said(robot, format!("goal {} is under way", id.0)),
+            GoalStatus::Succeeded => info(robot, format!("completed goal {}", id.0)),
+            GoalStatus::Canceled => info(robot, format!("goal {} was canceled", id.0)),
+            GoalStatus::Aborted(error) => (WARNING, robot.to_string(), format!("goal {} failed: {error}", id.0)),
+            GoalStatus::Sent | GoalStatus::Executing(_) => info(robot, format!("goal {} is under way", id.0)),
         },
-        WorldEvent::DrawerMoved { robot, open } => said(robot, format!("its drawer is {}", is_open(*open))),
+        WorldEvent::DrawerMoved { robot, open } => info(robot, format!("its drawer is {}", open_text(*open))),
         WorldEvent::Approached { robot, person, authenticated: false } => {
-            said(robot, format!("has approached {person}"))
+            info(robot, format!("has approached {person}"))
         }
         WorldEvent::Approached { robot, person, authenticated: true } => {
-            said(robot, format!("knows that it is {person}"))
+            info(robot, format!("has authenticated {person}"))
         }
         WorldEvent::MissionCanceled { person, robot } => {
-            (WARNING, person.to_string(), format!("calls off what {robot} came for"))
+            (WARNING, person.to_string(), format!("cancels the mission of {robot}"))
         }
         WorldEvent::HandoverDeclined { person, robot } => {
-            (WARNING, person.to_string(), format!("does not do what {robot} waits for"))
+            (WARNING, person.to_string(), format!("declines the handover to {robot}"))
         }
         WorldEvent::PersonLeft { person } => (WARNING, person.to_string(), "has walked away".to_owned()),
-        WorldEvent::PersonReturned { person } => said(person, "is back".to_owned()),
-        WorldEvent::HandoverStarted { person, robot } => said(person, format!("hands a sample over to {robot}")),
-        WorldEvent::SampleMoved { sample, from, to } => said(sample, format!("{} → {}", keeper(from), keeper(to))),
-        WorldEvent::DoorRequested { robot, door } => said(robot, format!("waits for {door} to let it in")),
-        WorldEvent::DoorEntered { robot, door } => said(robot, format!("goes through {door}")),
-        WorldEvent::DoorLeft { robot, door } => said(robot, format!("is no longer at {door}")),
-        WorldEvent::DoorMoved { door, open } => said(door, format!("is {}", is_open(*open))),
-        WorldEvent::LiftRequested { robot, lift, at, to } => said(robot, format!("waits at {at} for {lift} to {to}")),
-        WorldEvent::LiftEntered { robot, lift } => said(robot, format!("is in {lift}")),
-        WorldEvent::LiftLeft { robot, lift, at } => said(robot, format!("is no longer at {lift}, but at {at}")),
+        WorldEvent::PersonReturned { person } => info(person, "has returned".to_owned()),
+        WorldEvent::HandoverStarted { person, robot } => info(person, format!("starts a handover to {robot}")),
+        WorldEvent::SampleMoved { sample, from, to } => {
+            info(sample, format!("{} → {}", holder_text(from), holder_text(to)))
+        }
+        WorldEvent::DoorRequested { robot, door } => info(robot, format!("waits at {door}")),
+        WorldEvent::DoorEntered { robot, door } => info(robot, format!("passes through {door}")),
+        WorldEvent::DoorLeft { robot, door } => info(robot, format!("has left {door}")),
+        WorldEvent::DoorMoved { door, open } => info(door, format!("is {}", open_text(*open))),
+        WorldEvent::LiftRequested { robot, lift, at, to } => info(robot, format!("waits at {at} for {lift} to {to}")),
+        WorldEvent::LiftEntered { robot, lift } => info(robot, format!("has entered {lift}")),
+        WorldEvent::LiftLeft { robot, lift, at } => info(robot, format!("has left {lift} at {at}")),
         WorldEvent::LaneBlocked { obstacle, between } => {
-            (WARNING, obstacle.clone(), format!("stands in the way {}", ends(between)))
+            (WARNING, obstacle.clone(), format!("blocks the lane {}", lane_text(between)))
         }
         WorldEvent::LaneCleared { obstacle, between } => {
-            said(obstacle, format!("has gone from the way {}", ends(between)))
+            info(obstacle, format!("no longer blocks the lane {}", lane_text(between)))
         }
-        WorldEvent::Docked { robot, docked: true } => said(robot, "has docked".to_owned()),
-        WorldEvent::Docked { robot, docked: false } => said(robot, "has undocked".to_owned()),
+        WorldEvent::Docked { robot, docked: true } => info(robot, "has docked".to_owned()),
+        WorldEvent::Docked { robot, docked: false } => info(robot, "has undocked".to_owned()),
         WorldEvent::Collided { robot, with } => {
             let with = with.as_ref().map_or("a wall".to_owned(), ToString::to_string);
-            (ERROR, robot.to_string(), format!("has run into {with}"))
+            (ERROR, robot.to_string(), format!("collided with {with}"))
         }
         WorldEvent::Stranded { robot } => (ERROR, robot.to_string(), "battery empty: stands where it is".to_owned()),
     }
 }
 
-/// Whether it changes something about a robot that its pose does not show.
-pub(super) fn changes_state_of(what: &WorldEvent, of: &RobotId) -> bool {
-    match what {
+/// Checks whether an event changes a part of a robot's state that its pose does not show.
+pub(super) fn changes_state_of(event: &WorldEvent, of: &RobotId) -> bool {
+    match event {
         WorldEvent::GoalEnded { robot, .. }
         | WorldEvent::DrawerMoved { robot, .. }
         | WorldEvent::Docked { robot, .. }
         | WorldEvent::Collided { robot, .. }
         | WorldEvent::Stranded { robot } => robot == of,
-        WorldEvent::SampleMoved { from, to, .. } => [from, to].iter().any(|keeper| match keeper {
+        WorldEvent::SampleMoved { from, to, .. } => [from, to].iter().any(|holder_text| match holder_text {
             SampleHolder::Drawer(robot) | SampleHolder::Arm(robot) => robot == of,
             SampleHolder::Table(_) | SampleHolder::Person(_) => false,
         }),
@@ -91,7 +95,7 @@ pub(super) fn changes_state_of(what: &WorldEvent, of: &RobotId) -> bool {
     }
 }
 
-fn aim(goal: &Goal) -> String {
+fn goal_text(goal: &Goal) -> String {
     match goal {
         Goal::NavigateToPose { place: Some(place), .. } => format!("{} to {place}", goal_name(goal)),
         Goal::FollowWaypoints { waypoints } => format!("{} over {}", goal_name(goal), waypoints.len()),
@@ -99,16 +103,16 @@ fn aim(goal: &Goal) -> String {
     }
 }
 
-fn is_open(open: bool) -> &'static str {
+fn open_text(open: bool) -> &'static str {
     if open { "open" } else { "closed" }
 }
 
-fn ends((a, b): &(PlaceId, PlaceId)) -> String {
+fn lane_text((a, b): &(PlaceId, PlaceId)) -> String {
     format!("between {a} and {b}")
 }
 
-fn keeper(keeper: &SampleHolder) -> String {
-    match keeper {
+fn holder_text(holder_text: &SampleHolder) -> String {
+    match holder_text {
         SampleHolder::Table(place) => format!("table of {place}"),
         SampleHolder::Drawer(robot) => format!("drawer of {robot}"),
         SampleHolder::Arm(robot) => format!("arm of {robot}"),

@@ -1,8 +1,8 @@
-//! A fleet as somebody hears of it, on the topics of a recorded world: whoever tells has no world, but poses, people and
-//! doors. What has not changed is not written again.
+//! A fleet as an observer receives it, on the same topics as a recorded world. The observer has no
+//! world, only poses, people and doors. Unchanged values are not written again.
 //!
-//! Whoever jumps to the middle of a recording is given the latest message of each topic. So that nothing is missing then, a
-//! scene is always told whole.
+//! A viewer that jumps to the middle of a recording receives the latest message of each topic. Each
+//! message therefore contains its whole scene.
 
 use super::message::{Log, Pose, Vector3, elevation_m};
 use super::{McapFile, MessageStamp, Time, scene, schema, write_poses};
@@ -11,32 +11,32 @@ use crate::record::RecordError;
 use consort_protocol::ids::{PlaceId, RobotId};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// How wide robots are drawn of which nobody says it, as a radius in metres.
+/// Radius for drawing robots of unknown size, in metres.
 const RADIUS_M: f64 = 0.3;
 
-/// Where a robot is.
+/// Position of a robot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotPose {
-    /// Which.
+    /// Robot.
     pub robot: RobotId,
-    /// The place that it stands at or passed last: it tells the level.
+    /// The place at which the robot stands, or the last place passed. It determines the level.
     pub place: Option<PlaceId>,
-    /// Where, in metres on its level.
+    /// Pose in metres, on its level.
     pub pose: consort_protocol::pose::Pose,
 }
 
-/// Something that happened, in words.
+/// Log entry of an event, as text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LogMessage {
-    /// Who or what it is about.
+    /// Subject of the event.
     pub name: String,
-    /// What.
+    /// Text of the event.
     pub message: String,
-    /// Whether somebody should look at it.
+    /// True if the event needs attention.
     pub is_warning: bool,
 }
 
-/// What was drawn of a fleet so far.
+/// State of a fleet as drawn so far.
 #[derive(Debug, Default)]
 pub struct FleetScene {
     map: Option<Map>,
@@ -46,10 +46,10 @@ pub struct FleetScene {
 }
 
 impl FleetScene {
-    /// Draws the map. Before there is one, no people and no doors are drawn.
+    /// Draws the map. Without a map, no people and no doors are drawn.
     ///
     /// # Errors
-    /// [`RecordError`] if the file cannot be written to; so with all others.
+    /// [`RecordError`] if the file cannot be written. The same applies to the other methods.
     pub fn set_map(&mut self, file: &mut McapFile, map: Map, at: Time) -> Result<(), RecordError> {
         file.write("/map", &schema::SCENE_UPDATE, MessageStamp::at(at), &scene::map(&map, at))?;
         self.map = Some(map);
@@ -57,7 +57,7 @@ impl FleetScene {
         self.draw_doors(file, at)
     }
 
-    /// Draws robots where they are; what is said of some says nothing of the others.
+    /// Draws robots at their positions. Robots that are not listed keep theirs.
     ///
     /// # Errors
     /// As [`set_map`](Self::set_map).
@@ -86,7 +86,7 @@ impl FleetScene {
         }
     }
 
-    /// Takes robots away that are not among these.
+    /// Removes the robots that are not in `present`.
     ///
     /// # Errors
     /// As [`set_map`](Self::set_map).
@@ -96,21 +96,21 @@ impl FleetScene {
         present: &BTreeSet<RobotId>,
         at: Time,
     ) -> Result<(), RecordError> {
-        let gone: Vec<RobotId> = self.robots.keys().filter(|robot| !present.contains(robot)).cloned().collect();
-        if gone.is_empty() {
+        let removed: Vec<RobotId> = self.robots.keys().filter(|robot| !present.contains(robot)).cloned().collect();
+        if removed.is_empty() {
             return Ok(());
         }
         self.robots.retain(|robot, _| present.contains(robot));
-        self.draw_robots(file, &gone.iter().map(RobotId::as_str).collect::<Vec<_>>(), at)
+        self.draw_robots(file, &removed.iter().map(RobotId::as_str).collect::<Vec<_>>(), at)
     }
 
-    fn draw_robots(&self, file: &mut McapFile, gone: &[&str], at: Time) -> Result<(), RecordError> {
+    fn draw_robots(&self, file: &mut McapFile, removed: &[&str], at: Time) -> Result<(), RecordError> {
         let mut scene = scene::robots(self.robots.keys().map(|robot| (robot.clone(), RADIUS_M)), at);
-        scene.deletions = scene::deletions(gone, at).deletions;
+        scene.deletions = scene::deletions(removed, at).deletions;
         file.write("/robots", &schema::SCENE_UPDATE, MessageStamp::at(at), &scene)
     }
 
-    /// Draws people at their places: those who are there, all of them.
+    /// Draws people at their places. The list is complete: a person missing from it is removed.
     ///
     /// # Errors
     /// As [`set_map`](Self::set_map).
@@ -122,14 +122,14 @@ impl FleetScene {
     ) -> Result<(), RecordError> {
         let Some(map) = self.map.as_ref().filter(|_| people != self.people) else { return Ok(()) };
         let before = std::mem::replace(&mut self.people, people);
-        let gone: Vec<&str> =
+        let removed: Vec<&str> =
             before.keys().filter(|name| !self.people.contains_key(*name)).map(String::as_str).collect();
         let mut scene = scene::people(map, self.people.clone().into_iter(), at);
-        scene.deletions = scene::deletions(&gone, at).deletions;
+        scene.deletions = scene::deletions(&removed, at).deletions;
         file.write("/people", &schema::SCENE_UPDATE, MessageStamp::at(at), &scene)
     }
 
-    /// Draws doors as they stand: by name, whether it is open.
+    /// Draws doors: by name, whether each is open.
     ///
     /// # Errors
     /// As [`set_map`](Self::set_map).
@@ -152,13 +152,13 @@ impl FleetScene {
         file.write("/doors", &schema::SCENE_UPDATE, MessageStamp::at(at), &scene)
     }
 
-    /// Writes what happened into the log.
+    /// Writes an event to the log.
     ///
     /// # Errors
     /// As [`set_map`](Self::set_map).
-    pub fn log(&self, file: &mut McapFile, said: LogMessage, stamp: MessageStamp) -> Result<(), RecordError> {
-        let level = if said.is_warning { super::event_text::WARNING } else { super::event_text::INFO };
-        let LogMessage { name, message, .. } = said;
+    pub fn log(&self, file: &mut McapFile, message: LogMessage, stamp: MessageStamp) -> Result<(), RecordError> {
+        let level = if message.is_warning { super::event_text::WARNING } else { super::event_text::INFO };
+        let LogMessage { name, message, .. } = message;
         let log = Log { timestamp: stamp.publish_time, level, message, name, file: String::new(), line: 0 };
         file.write("/log", &schema::LOG, stamp, &log)
     }

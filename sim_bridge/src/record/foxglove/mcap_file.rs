@@ -1,4 +1,4 @@
-//! An MCAP file that is being written: topics with their schemas, and chunks that reach the disk whole.
+//! Writer of an MCAP file: topics with their schemas, and chunks that reach the disk whole.
 
 use super::message::Time;
 use super::schema::Schema;
@@ -12,55 +12,57 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// After so many bytes a chunk is written to the file, however young it is: what a killed process may lose.
+/// A chunk is written to the file after this many bytes, regardless of its age. A killed process
+/// loses at most this much.
 pub const CHUNK_BYTES: u64 = 256 * 1024;
 
-/// What becomes of a file that is there already.
+/// Treatment of a file that already exists.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ExistingFile {
-    /// It stays as it is, and nothing is recorded.
+    /// Keep the file. Nothing is recorded.
     Keep,
-    /// It is replaced.
+    /// Replace the file.
     Replace,
 }
 
-/// When something was written down and said, and which it is.
+/// Times and sequence number of a message.
 #[derive(Debug, Clone, Copy)]
 pub struct MessageStamp {
-    /// When it was heard: the time by which a recording is played. One that lies before an earlier message's becomes that one's.
+    /// Time of reception, by which a recording is played. If it is earlier than that of a previous
+    /// message, the previous time is written instead.
     pub log_time: Time,
-    /// When it was said, as far as that is known.
+    /// Time of publication, as far as it is known.
     pub publish_time: Time,
-    /// Its number; `None` for one more than the message before on its topic.
+    /// Sequence number; `None` for the number after the previous message on the topic.
     pub sequence: Option<u32>,
 }
 
 impl MessageStamp {
-    /// Of something that was said when it was heard.
+    /// Returns the stamp of a message that was received when it was published.
     pub fn at(time: Time) -> MessageStamp {
         MessageStamp { log_time: time, publish_time: time, sequence: None }
     }
 }
 
-/// An MCAP file that is being written.
+/// An MCAP file being written.
 pub struct McapFile {
     file: PathBuf,
     writer: Writer<BufWriter<File>>,
     schemas: BTreeMap<&'static str, u16>,
-    /// By topic: its number, and that of its latest message.
+    /// Channel id and latest sequence number, by topic.
     channels: BTreeMap<String, (u16, u32)>,
-    /// When the first message of the chunk was written that is not in the file yet.
+    /// Time of the first message of the chunk that is not in the file yet.
     chunk_since: Option<Time>,
-    /// Time of the latest message: later ones are never earlier.
+    /// Time of the latest message. Later messages are never earlier.
     latest: Time,
     messages: u64,
 }
 
 impl McapFile {
-    /// Begins a file.
+    /// Creates the file.
     ///
     /// # Errors
-    /// [`RecordError`] if it cannot be written, or is there already and is to be kept.
+    /// [`RecordError`] if the file cannot be written, or exists and is to be kept.
     pub fn create(file: &Path, existing: ExistingFile) -> Result<McapFile, RecordError> {
         let mut how = OpenOptions::new();
         let sink = match existing {
@@ -71,7 +73,7 @@ impl McapFile {
         let options = WriteOptions::new()
             .compression(None)
             .chunk_size(Some(CHUNK_BYTES))
-            // A chunk reaches the file whole: of one that was begun, nothing could be read.
+            // A chunk reaches the file whole: a partial chunk could not be read.
             .disable_seeking(true)
             .library(concat!("consort ", env!("CARGO_PKG_VERSION")));
         let writer = options.create(BufWriter::new(sink)).map_err(RecordError::of(file))?;
@@ -86,29 +88,29 @@ impl McapFile {
         })
     }
 
-    /// Which file it is.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.file
     }
 
-    /// How many messages it has.
+    /// Number of messages written.
     pub fn messages(&self) -> u64 {
         self.messages
     }
 
-    /// Says something of the whole, as names and values.
+    /// Writes metadata of the whole recording, as names and values.
     ///
     /// # Errors
-    /// [`RecordError`] if the file cannot be written to.
+    /// [`RecordError`] if the file cannot be written.
     pub fn write_metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), RecordError> {
         let record = mcap::write::Metadata { name: name.to_owned(), metadata };
         self.writer.write_metadata(&record).map_err(RecordError::of(&self.file))
     }
 
-    /// Writes a message, as JSON.
+    /// Writes a message as JSON.
     ///
     /// # Errors
-    /// [`RecordError`] if the file cannot be written to.
+    /// [`RecordError`] if the file cannot be written.
     pub fn write(
         &mut self,
         topic: &str,
@@ -131,7 +133,7 @@ impl McapFile {
         Ok(())
     }
 
-    /// A topic's number.
+    /// Returns the channel id of a topic, and registers the topic if it is new.
     fn channel(&mut self, topic: &str, schema: &'static Schema) -> Result<u16, RecordError> {
         if let Some((channel, _)) = self.channels.get(topic) {
             return Ok(*channel);
@@ -152,10 +154,10 @@ impl McapFile {
         Ok(channel)
     }
 
-    /// Has what was written reach the file, if the oldest of it is as old as this.
+    /// Flushes buffered messages to the file if the oldest is at least `age` old.
     ///
     /// # Errors
-    /// [`RecordError`] if the file cannot be written to.
+    /// [`RecordError`] if the file cannot be written.
     pub fn flush_if_older(&mut self, now: Time, age: Duration) -> Result<(), RecordError> {
         let age = u64::try_from(age.as_nanos()).unwrap_or(u64::MAX);
         let due = |since: Time| now.nanoseconds() >= since.nanoseconds().saturating_add(age);
@@ -166,10 +168,10 @@ impl McapFile {
         self.writer.flush().map_err(RecordError::of(&self.file))
     }
 
-    /// Completes the file: its index is written.
+    /// Completes the file: writes its index.
     ///
     /// # Errors
-    /// [`RecordError`] if the file cannot be written to.
+    /// [`RecordError`] if the file cannot be written.
     pub fn finish(&mut self) -> Result<(), RecordError> {
         self.writer.finish().map(drop).map_err(RecordError::of(&self.file))
     }

@@ -1,10 +1,11 @@
-//! Messages, as Foxglove knows them. Lengths in metres, angles as quaternions, colours from 0 to 1.
+//! Messages in Foxglove's format. Lengths in metres, angles as quaternions, colours from 0 to 1.
 
 use crate::map::{LevelIndex, Map};
 use crate::world::MotionState;
 use serde::Serialize;
 
-/// A point in time, or a time span. Of a world's, it counts from the world's beginning; of a fleet's, from 1970.
+/// A point in time, or a duration. In a world's recording it counts from the start of the world; in
+/// a fleet's, from 1970.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct Time {
     sec: u64,
@@ -12,12 +13,12 @@ pub struct Time {
 }
 
 impl Time {
-    /// So many seconds.
+    /// Converts from seconds.
     pub fn from_seconds(seconds: f64) -> Time {
         Time::of_ns((seconds.max(0.0) * 1e9).round() as u64)
     }
 
-    /// So many milliseconds.
+    /// Converts from milliseconds.
     pub fn from_millis(ms: u64) -> Time {
         Time { sec: ms / 1000, nsec: (ms % 1000) as u32 * 1_000_000 }
     }
@@ -26,12 +27,12 @@ impl Time {
         Time { sec: nanoseconds / 1_000_000_000, nsec: (nanoseconds % 1_000_000_000) as u32 }
     }
 
-    /// In nanoseconds.
+    /// Converts to nanoseconds.
     pub fn nanoseconds(self) -> u64 {
         self.sec.saturating_mul(1_000_000_000).saturating_add(u64::from(self.nsec))
     }
 
-    /// A nanosecond later.
+    /// Returns the time a nanosecond later.
     pub(super) fn next(self) -> Time {
         Time::of_ns(self.nanoseconds().saturating_add(1))
     }
@@ -65,7 +66,7 @@ pub(super) struct Pose {
 }
 
 impl Pose {
-    /// Upright, and facing so many radians counter-clockwise from east.
+    /// Returns an upright pose with a heading in radians, counter-clockwise from east.
     pub(super) fn facing(position: Vector3, yaw_rad: f64) -> Pose {
         let (z, w) = (yaw_rad / 2.0).sin_cos();
         Pose { position, orientation: Quaternion { x: 0.0, y: 0.0, z, w } }
@@ -75,10 +76,10 @@ impl Pose {
         Pose::facing(position, 0.0)
     }
 
-    /// Where a robot is: its level's elevation is its height above the lowest.
-    pub(super) fn of(map: &Map, stance: &MotionState) -> Pose {
-        let z = elevation_m(map, stance.level) + stance.height_m;
-        Pose::facing(Vector3::new(stance.pose.x, stance.pose.y, z), stance.pose.yaw)
+    /// Returns the pose of a robot. Its height includes the elevation of its level.
+    pub(super) fn of(map: &Map, position: &MotionState) -> Pose {
+        let z = elevation_m(map, position.level) + position.height_m;
+        Pose::facing(Vector3::new(position.pose.x, position.pose.y, z), position.pose.yaw)
     }
 }
 
@@ -95,7 +96,7 @@ pub(super) struct Colour {
 }
 
 impl Colour {
-    /// Of `#rrggbb`, and how opaque it is.
+    /// Parses `#rrggbb`, with an opacity `a`.
     pub(super) fn of(hex: &str, a: f64) -> Colour {
         let channel =
             |at: usize| u8::from_str_radix(hex.get(at..at + 2).unwrap_or("00"), 16).map_or(0.0, f64::from) / 255.0;
@@ -127,7 +128,7 @@ pub(super) struct FrameTransforms {
 #[derive(Debug, Serialize)]
 pub(super) struct Log {
     pub(super) timestamp: Time,
-    /// See [`words`](super::words).
+    /// See [`event_text`](super::event_text).
     pub(super) level: u8,
     pub(super) message: String,
     pub(super) name: String,
@@ -135,12 +136,12 @@ pub(super) struct Log {
     pub(super) line: u32,
 }
 
-/// What Foxglove has no schema for.
+/// State of a robot, for which Foxglove has no schema.
 #[derive(Debug, Serialize)]
 pub(super) struct RobotState {
     pub(super) timestamp: Time,
     pub(super) place: String,
-    /// Charge left, as a share.
+    /// State of charge, 0 to 1.
     pub(super) battery: f64,
     pub(super) able: bool,
     pub(super) drawer_open: bool,
@@ -162,13 +163,13 @@ impl SceneUpdate {
 #[derive(Debug, Serialize)]
 pub(super) struct SceneEntityDeletion {
     pub(super) timestamp: Time,
-    /// 0: the entity of this id; 1: all.
+    /// 0: the entity with this id; 1: all entities.
     #[serde(rename = "type")]
     pub(super) kind: u8,
     pub(super) id: String,
 }
 
-/// Something that is drawn. A `lifetime` of nothing is for ever.
+/// A drawn entity. A `lifetime` of zero is unlimited.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct SceneEntity {
     pub(super) timestamp: Time,
@@ -187,7 +188,7 @@ pub(super) struct SceneEntity {
     pub(super) models: Vec<Nothing>,
 }
 
-/// What recordings never hold, though messages have room for it.
+/// Placeholder for parts of messages that recordings never contain.
 #[derive(Debug, Serialize)]
 pub(super) enum Nothing {}
 

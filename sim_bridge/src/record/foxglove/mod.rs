@@ -1,16 +1,17 @@
-//! An MCAP file that Foxglove opens: messages of its own schemas, as JSON.
+//! An MCAP file for Foxglove: messages of Foxglove's schemas, as JSON.
 //!
 //! | topic | schema | when |
 //! |---|---|---|
 //! | `/map` | `foxglove.SceneUpdate` | once: walls, lanes, places, lifts, in the frame `world` |
-//! | `/doors`, `/obstacles`, `/people` | `foxglove.SceneUpdate` | at first, and when one changes |
+//! | `/doors`, `/obstacles`, `/people` | `foxglove.SceneUpdate` | at the start, and on each change |
 //! | `/robots` | `foxglove.SceneUpdate` | once: each in its own frame, `robot/NAME` |
-//! | `/tf` | `foxglove.FrameTransforms` | at first all robots, then those that have moved |
+//! | `/tf` | `foxglove.FrameTransforms` | at the start all robots, then those that have moved |
 //! | `/robots/NAME/pose` | `foxglove.PoseInFrame` | likewise |
-//! | `/robots/NAME/state` | `consort.RobotState` | at first, once a second while it moves, and when something happens to it |
-//! | `/log` | `foxglove.Log` | whatever happens, in words |
+//! | `/robots/NAME/state` | `consort.RobotState` | at the start, once a second while the robot moves, and on each event that changes its state |
+//! | `/log` | `foxglove.Log` | every event, as text |
 //!
-//! [`McapFile`] is the file; [`FleetScene`] draws a fleet of which somebody hears instead of a world, on the same topics.
+//! [`McapFile`] is the file. [`FleetScene`] draws an observed fleet instead of a world, on the same
+//! topics.
 
 mod event_text;
 mod fleet;
@@ -35,17 +36,17 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
-/// After so much world time, in seconds, or so many bytes ([`CHUNK_BYTES`]), a chunk is written to the file: what a killed
-/// process may lose.
+/// A chunk is written to the file after this many seconds of world time, or after [`CHUNK_BYTES`].
+/// A killed process loses at most this much.
 pub const CHUNK_S: f64 = 5.0;
 
-/// How often it is written what state a moving robot is in, in seconds.
+/// Interval at which the state of a moving robot is written, in seconds.
 const STATE_EVERY_S: f64 = 1.0;
 
-/// The frame in which the map is.
+/// Frame of the map.
 pub const WORLD_FRAME: &str = "world";
 
-/// The frame that goes with a robot.
+/// Name of a robot's frame.
 pub fn frame_of(robot: &RobotId) -> String {
     format!("robot/{robot}")
 }
@@ -53,13 +54,13 @@ pub fn frame_of(robot: &RobotId) -> String {
 /// See the [module](self).
 pub(super) struct FoxgloveSink {
     file: McapFile,
-    /// When the state of each robot was last written.
-    stated_s: BTreeMap<RobotId, f64>,
+    /// Time at which the state of each robot was last written.
+    state_written_s: BTreeMap<RobotId, f64>,
 }
 
 impl FoxgloveSink {
     pub(super) fn create(file: &Path) -> Result<FoxgloveSink, RecordError> {
-        Ok(FoxgloveSink { file: McapFile::create(file, ExistingFile::Replace)?, stated_s: BTreeMap::new() })
+        Ok(FoxgloveSink { file: McapFile::create(file, ExistingFile::Replace)?, state_written_s: BTreeMap::new() })
     }
 
     fn write(
@@ -72,11 +73,11 @@ impl FoxgloveSink {
         self.file.write(topic, schema, MessageStamp::at(Time::from_seconds(at_s)), message)
     }
 
-    fn stand(&mut self, world: &World, now_s: f64, stances: &[MotionState]) -> Result<(), RecordError> {
-        if stances.is_empty() {
+    fn write_positions(&mut self, world: &World, now_s: f64, positions: &[MotionState]) -> Result<(), RecordError> {
+        if positions.is_empty() {
             return Ok(());
         }
-        let poses = stances.iter().map(|stance| (&stance.robot, message::Pose::of(world.map(), stance)));
+        let poses = positions.iter().map(|position| (&position.robot, message::Pose::of(world.map(), position)));
         write_poses(&mut self.file, poses, Time::from_seconds(now_s))
     }
 
@@ -91,11 +92,11 @@ impl FoxgloveSink {
             drawer_open: body.drawer_open,
             carries,
         };
-        self.stated_s.insert(robot.clone(), now_s);
+        self.state_written_s.insert(robot.clone(), now_s);
         self.write(&format!("/robots/{robot}/state"), &schema::ROBOT_STATE, now_s, &state)
     }
 
-    /// Writes the scenes that change with what has happened.
+    /// Writes the scenes that an event changes.
     fn redraw(&mut self, world: &World, LoggedEvent { time, event }: &LoggedEvent) -> Result<(), RecordError> {
         let (map, at_s) = (world.map(), time.as_secs());
         let at = Time::from_seconds(at_s);
@@ -108,7 +109,7 @@ impl FoxgloveSink {
             WorldEvent::PersonLeft { person } => ("/people", scene::deletions(&[person.as_str()], at)),
             WorldEvent::PersonReturned { person } => {
                 let people = world.people().into_iter().filter(|other| other.name == *person);
-                ("/people", scene::people(map, people.map(where_is), at))
+                ("/people", scene::people(map, people.map(name_and_place), at))
             }
             _ => return Ok(()),
         };
@@ -119,40 +120,43 @@ impl FoxgloveSink {
 impl RecordingSink for FoxgloveSink {
     fn begin(&mut self, world: &World) -> Result<(), RecordError> {
         let (map, now_s) = (world.map(), world.now().as_secs());
-        let said = [("map", map.name()), ("clock", "world time: from 0 when the world begins")];
+        let metadata = [("map", map.name()), ("clock", "world time: from 0 when the world begins")];
         self.file
-            .write_metadata("consort.world", said.map(|(key, value)| (key.to_owned(), value.to_owned())).into())?;
+            .write_metadata("consort.world", metadata.map(|(key, value)| (key.to_owned(), value.to_owned())).into())?;
         let robots: Vec<RobotId> = world.robots();
         let bodies = robots.iter().filter_map(|robot| world.robot_setup(robot)).map(|body| (body.id, body.radius_m));
         let (people, at) = (world.people().into_iter().filter(|person| !person.away), Time::from_seconds(now_s));
         let scenes = [
             ("/map", scene::map(map, at)),
             ("/doors", scene::doors(map, |_| false, at)),
-            ("/people", scene::people(map, people.map(where_is), at)),
+            ("/people", scene::people(map, people.map(name_and_place), at)),
             ("/robots", scene::robots(bodies, at)),
         ];
         for (topic, scene) in scenes.iter().filter(|(_, scene)| !scene.is_empty()) {
             self.write(topic, &schema::SCENE_UPDATE, now_s, scene)?;
         }
-        let stances: Vec<MotionState> = world.motion_states().collect();
-        self.stand(world, now_s, &stances)?;
+        let positions: Vec<MotionState> = world.motion_states().collect();
+        self.write_positions(world, now_s, &positions)?;
         robots.iter().try_for_each(|robot| self.state(world, now_s, robot))
     }
 
-    fn write_changes(&mut self, world: &World, moment: &WorldChanges<'_>) -> Result<(), RecordError> {
-        let now_s = moment.now_s;
-        for entry in moment.events {
+    fn write_changes(&mut self, world: &World, changes: &WorldChanges<'_>) -> Result<(), RecordError> {
+        let now_s = changes.now_s;
+        for entry in changes.events {
             let (level, name, message) = event_text::log_line(&entry.event);
             let timestamp = Time::from_seconds(entry.time.as_secs());
             let log = Log { timestamp, level, message, name, file: String::new(), line: 0 };
             self.write("/log", &schema::LOG, entry.time.as_secs(), &log)?;
             self.redraw(world, entry)?;
         }
-        self.stand(world, now_s, moment.moved)?;
+        self.write_positions(world, now_s, changes.moved)?;
         for robot in world.robots() {
-            let due = self.stated_s.get(&robot).is_none_or(|stated_s| now_s >= stated_s + STATE_EVERY_S - 1e-6);
-            let moved = moment.moved.iter().any(|stance| stance.robot == robot);
-            if due && moved || moment.events.iter().any(|entry| event_text::changes_state_of(&entry.event, &robot)) {
+            let due = self
+                .state_written_s
+                .get(&robot)
+                .is_none_or(|state_written_s| now_s >= state_written_s + STATE_EVERY_S - 1e-6);
+            let moved = changes.moved.iter().any(|position| position.robot == robot);
+            if due && moved || changes.events.iter().any(|entry| event_text::changes_state_of(&entry.event, &robot)) {
                 self.state(world, now_s, &robot)?;
             }
         }
@@ -171,11 +175,11 @@ impl RecordingSink for FoxgloveSink {
     }
 }
 
-fn where_is(person: PersonReport) -> (String, PlaceId) {
+fn name_and_place(person: PersonReport) -> (String, PlaceId) {
     (person.name.to_string(), person.place)
 }
 
-/// Writes where robots are: each as a pose, and all as frames.
+/// Writes the positions of robots: each as a pose, and all as frames.
 fn write_poses<'a>(
     file: &mut McapFile,
     poses: impl Iterator<Item = (&'a RobotId, message::Pose)>,

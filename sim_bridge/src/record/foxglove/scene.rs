@@ -1,4 +1,5 @@
-//! The map and who is on it, as things to be drawn in three dimensions. Colours are those of pictures of maps.
+//! The map and the robots and people on it, as entities in three dimensions. The colours are those
+//! of pictures of maps.
 
 use super::message::{
     Arrow, Colour, Cube, Cylinder, Line, Pose, SceneEntity, SceneEntityDeletion, SceneUpdate, Text, Time, Vector3,
@@ -9,7 +10,7 @@ use crate::map::render::colours::{self, DOOR, INK, LANE, LIFT, WALL};
 use crate::map::{Door, LevelIndex, Map, PlaceKind};
 use consort_protocol::ids::{PlaceId, RobotId};
 
-/// How thick and how high things are drawn that have no size on the map, in metres.
+/// Thickness and height of drawn objects that have no size on the map, in metres.
 const WALL_M: f64 = 0.12;
 const LANE_M: f64 = 0.06;
 const DOOR_M: f64 = 0.1;
@@ -17,11 +18,11 @@ const CABIN_M: f64 = 1.2;
 const PERSON_M: (f64, f64) = (0.4, 1.7);
 const ROBOT_HIGH_M: f64 = 0.6;
 const NAME_M: f64 = 0.3;
-/// A door that stands open.
+/// Colour of an open door.
 const OPEN: &str = "#43a047";
 const BLOCKED: &str = "#d50000";
 
-/// Walls, lanes, places and lifts, an entity for each kind and level.
+/// Walls, lanes, places and lifts: an entity for each kind and level.
 pub(super) fn map(map: &Map, at: Time) -> SceneUpdate {
     let mut entities = vec![];
     for level in map.level_indices() {
@@ -82,7 +83,7 @@ pub(super) fn doors(map: &Map, is_open: impl Fn(&str) -> bool, at: Time) -> Scen
     SceneUpdate { entities, ..SceneUpdate::default() }
 }
 
-/// One door as it stands now.
+/// A door in its current state.
 pub(super) fn door(map: &Map, name: &str, open: bool, at: Time) -> SceneUpdate {
     let entities = map.door(name).map(|door| leaf(map, door, open, at)).into_iter().collect();
     SceneUpdate { entities, ..SceneUpdate::default() }
@@ -98,7 +99,7 @@ fn leaf(map: &Map, door: &Door, open: bool, at: Time) -> SceneEntity {
     drawn
 }
 
-/// What stands in the middle of a lane, for all that is told of it.
+/// An obstacle, in the middle of its lane, since its exact position is not reported.
 pub(super) fn obstacle(map: &Map, name: &str, (a, b): &(PlaceId, PlaceId), at: Time) -> SceneUpdate {
     let mut drawn = entity(name, at);
     if let (Some(a), Some(b)) = (map.place(a), map.place(b)) {
@@ -128,7 +129,7 @@ pub(super) fn people(map: &Map, people: impl Iterator<Item = (String, PlaceId)>,
     SceneUpdate { entities: drawn.collect(), ..SceneUpdate::default() }
 }
 
-/// Robots with their radius in metres, each in its own frame: it goes where that goes.
+/// Robots with their radius in metres, each in its own frame, with which it moves.
 pub(super) fn robots(bodies: impl Iterator<Item = (RobotId, f64)>, at: Time) -> SceneUpdate {
     let drawn = bodies.enumerate().map(|(place, (id, radius_m))| {
         let (wide, colour) = (2.0 * radius_m, colours::robot_colour(place));
@@ -148,9 +149,10 @@ pub(super) fn robots(bodies: impl Iterator<Item = (RobotId, f64)>, at: Time) -> 
     SceneUpdate { entities: drawn.collect(), ..SceneUpdate::default() }
 }
 
-/// Things are there no longer.
+/// Removes entities.
 pub(super) fn deletions(ids: &[&str], at: Time) -> SceneUpdate {
-    // Only what is older is taken away: a nanosecond later it all is.
+    // Foxglove removes only entities that are older than the deletion, so it is stamped a
+    // nanosecond later.
     let timestamp = at.next();
     let deletion = |id: &&str| SceneEntityDeletion { timestamp, kind: 0, id: (*id).to_owned() };
     SceneUpdate { deletions: ids.iter().map(deletion).collect(), ..SceneUpdate::default() }
@@ -173,7 +175,7 @@ fn line(kind: u8, thickness: f64, points: impl Iterator<Item = Vector3>, colour:
     }
 }
 
-/// One that stands at `foot`.
+/// A cylinder that stands at `foot`.
 fn cylinder(foot: Vector3, wide: f64, high: f64, colour: &str, opaque: f64) -> Cylinder {
     Cylinder {
         pose: Pose::upright(Vector3 { z: foot.z + high / 2.0, ..foot }),

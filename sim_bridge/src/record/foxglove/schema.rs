@@ -1,44 +1,44 @@
-//! What each kind of message is called and holds, as JSON schemas: by these names Foxglove knows how to draw them. Fields are
-//! those of <https://docs.foxglove.dev/docs/sdk/schemas>.
+//! JSON schemas of the message types. Foxglove recognises them by name. The fields are those of
+//! <https://docs.foxglove.dev/docs/sdk/schemas>.
 
 use serde_json::{Value, json};
 
-/// A kind of message.
+/// Schema of a message type.
 pub struct Schema {
     name: &'static str,
     shape: Shape,
 }
 
 enum Shape {
-    /// An object with these fields, all of which are always there.
+    /// An object with these fields, all required.
     Fields(fn() -> Vec<Field>),
-    /// What the JSON Schema says but for its title.
-    Said(fn() -> Value),
+    /// A JSON Schema without its title.
+    JsonSchema(fn() -> Value),
 }
 
 type Field = (&'static str, Value);
 
 impl Schema {
-    /// A kind of one's own: its name, and its JSON Schema, an object.
-    pub const fn new(name: &'static str, said: fn() -> Value) -> Schema {
-        Schema { name, shape: Shape::Said(said) }
+    /// Creates a custom schema: its name, and its JSON Schema, an object.
+    pub const fn new(name: &'static str, schema_fn: fn() -> Value) -> Schema {
+        Schema { name, shape: Shape::JsonSchema(schema_fn) }
     }
 
     const fn known(name: &'static str, fields: fn() -> Vec<Field>) -> Schema {
         Schema { name, shape: Shape::Fields(fields) }
     }
 
-    /// Its name.
+    /// Name of the message type.
     pub fn name(&self) -> &'static str {
         self.name
     }
 
-    /// The schema itself, as JSON.
+    /// Returns the JSON Schema.
     pub fn describe(&self) -> Value {
         match self.shape {
             Shape::Fields(fields) => object(self.name, fields()),
-            Shape::Said(said) => {
-                let mut schema = said();
+            Shape::JsonSchema(schema_fn) => {
+                let mut schema = schema_fn();
                 schema["title"] = self.name.into();
                 schema
             }
@@ -77,7 +77,7 @@ pub(super) static LOG: Schema = Schema::known("foxglove.Log", || {
     ]
 });
 
-/// Our own: what a robot's pose does not say of it.
+/// Custom schema: the state of a robot beyond its pose.
 pub(super) static ROBOT_STATE: Schema = Schema::known("consort.RobotState", || {
     vec![
         ("timestamp", time()),
@@ -131,7 +131,7 @@ fn entity() -> Value {
     )
 }
 
-/// All its fields are always there.
+/// An object with all fields required.
 fn object(title: &str, fields: Vec<Field>) -> Value {
     let required: Vec<&str> = fields.iter().map(|(name, _)| *name).collect();
     let properties: serde_json::Map<String, Value> =

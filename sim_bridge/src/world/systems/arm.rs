@@ -1,17 +1,18 @@
-//! Arms that take things out of drawers and off tables, as far as they reach and as much as they lift, and put them down.
+//! Arms: they take objects out of drawers and off tables, within their reach and payload, and put
+//! them down.
 
 use crate::world::components::{CoPresence, DepartureCount, DrawerOpen, PersonInfo, SampleLabel, SimRobot};
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::samples::{Custody, HandoverCount, HolderEntity, PayloadData};
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, kinds};
+use crate::world::system::{ComponentType, System, component_types};
 use consort_protocol::ids::RobotId;
 use consort_skills::actions::{ActionError, ErrorCode, Goal};
 use hecs::Entity;
 
-/// What changes hands: each thing, and to whom, in this order.
-type Moves = Vec<(Entity, HolderEntity)>;
+/// Transfers of objects to new holders, in order.
+type Transfers = Vec<(Entity, HolderEntity)>;
 
 /// See the [module](self).
 pub(crate) struct Arm;
@@ -22,34 +23,34 @@ impl System for Arm {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![CoPresence, SimRobot, DepartureCount, DrawerOpen, SampleLabel, RobotLocation, PersonInfo]
+        component_types![CoPresence, SimRobot, DepartureCount, DrawerOpen, SampleLabel, RobotLocation, PersonInfo]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        kinds![Custody, HandoverCount, PayloadData]
+        component_types![Custody, HandoverCount, PayloadData]
     }
 
-    fn begin_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let takes = match goal {
-            Goal::PickUp { .. } | Goal::Grasp { .. } => floor.durations.pick_up_s,
-            Goal::Deposit { .. } => floor.durations.deposit_s,
+    fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+        let duration_s = match goal {
+            Goal::PickUp { .. } | Goal::Grasp { .. } => state.durations.pick_up_s,
+            Goal::Deposit { .. } => state.durations.deposit_s,
             _ => return None,
         };
-        Some(floor.moves(robot, goal).map(|_| floor.now + takes))
+        Some(state.transfers(robot, goal).map(|_| state.now + duration_s))
     }
 
-    fn finish_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
-        for (thing, to) in floor.moves(robot, goal)? {
-            floor.get_mut::<PayloadData>(thing).distance_m = 0.0;
-            floor.transfer_sample(thing, to);
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
+        for (object, to) in state.transfers(robot, goal)? {
+            state.get_mut::<PayloadData>(object).distance_m = 0.0;
+            state.transfer_sample(object, to);
         }
         Ok(())
     }
 }
 
 impl SimState {
-    /// What would change hands if the goal ended now.
-    fn moves(&self, robot: Entity, goal: &Goal) -> Result<Moves, ActionError> {
+    /// Returns the transfers that the goal would cause if it ended now.
+    fn transfers(&self, robot: Entity, goal: &Goal) -> Result<Transfers, ActionError> {
         match goal {
             Goal::PickUp { from } => self.pick_up(robot, from),
             Goal::Grasp { object } => self.grasp(robot, object),
@@ -58,7 +59,7 @@ impl SimState {
         }
     }
 
-    fn pick_up(&self, robot: Entity, from: &RobotId) -> Result<Moves, ActionError> {
+    fn pick_up(&self, robot: Entity, from: &RobotId) -> Result<Transfers, ActionError> {
         let from = self.require_other_robot(robot, from)?;
         let held = self.in_arm(robot)?;
         if let Some(held) = held.filter(|_| self.get::<SimRobot>(robot).0.mobile) {
@@ -68,12 +69,12 @@ impl SimState {
         self.check_drawer_accessible(robot, from)?;
         let to = HolderEntity::Arm(robot);
         if let Some(sample) = self.held(HolderEntity::Drawer(from)).first() {
-            self.within_strength(robot, *sample)?;
+            self.check_payload(robot, *sample)?;
         }
         match (self.held(HolderEntity::Drawer(from)).first().copied(), held) {
             (Some(sample), None) => Ok(vec![(sample, to)]),
             (Some(sample), Some(held)) => {
-                // A fixed arm lays what it holds on the table beside it, then takes the next.
+                // A stationary arm puts its object on the table next to it, then takes the next.
                 let table = HolderEntity::Table(self.require_place(robot)?);
                 Ok(vec![(held, table), (sample, to)])
             }
@@ -83,39 +84,43 @@ impl SimState {
         }
     }
 
-    fn grasp(&self, robot: Entity, object: &str) -> Result<Moves, ActionError> {
+    fn grasp(&self, robot: Entity, name: &str) -> Result<Transfers, ActionError> {
         let place = self.require_place(robot)?;
         if let Some(held) = self.in_arm(robot)? {
             let message = format!("{} already holds {}", self.robot_id(robot), self.label(held));
             return Err(action_error(ErrorCode::Busy, message));
         }
-        let there = self.held(HolderEntity::Table(place));
-        let Some(thing) = there.iter().copied().find(|thing| self.label(*thing) == object) else {
-            let labels: Vec<String> = there.iter().map(|thing| self.label(*thing)).collect();
-            let lies = if labels.is_empty() { "nothing".to_owned() } else { labels.join(", ") };
-            let message = format!("no {object:?} lies at {}; there lies: {lies}", self.map.place_at(place).id);
+        let on_table = self.held(HolderEntity::Table(place));
+        let Some(object) = on_table.iter().copied().find(|object| self.label(*object) == name) else {
+            let labels: Vec<String> = on_table.iter().map(|object| self.label(*object)).collect();
+            let objects_here = if labels.is_empty() { "nothing".to_owned() } else { labels.join(", ") };
+            let message = format!(
+                "no {name:?} is on the table at {}; objects there: {objects_here}",
+                self.map.place_at(place).id
+            );
             return Err(action_error(ErrorCode::OutOfReach, message));
         };
-        let (distance_m, reach_m) = (self.get::<PayloadData>(thing).distance_m, self.get::<SimRobot>(robot).0.reach_m);
+        let (distance_m, reach_m) = (self.get::<PayloadData>(object).distance_m, self.get::<SimRobot>(robot).0.reach_m);
         if distance_m > reach_m {
-            let message = format!("{object} is {distance_m} m away, {} reaches {reach_m} m", self.robot_id(robot));
+            let message = format!("{name} is {distance_m} m away, {} reaches {reach_m} m", self.robot_id(robot));
             return Err(action_error(ErrorCode::OutOfReach, message));
         }
-        self.within_strength(robot, thing)?;
-        Ok(vec![(thing, HolderEntity::Arm(robot))])
+        self.check_payload(robot, object)?;
+        Ok(vec![(object, HolderEntity::Arm(robot))])
     }
 
-    fn within_strength(&self, robot: Entity, thing: Entity) -> Result<(), ActionError> {
-        let (weight_kg, most) =
-            (self.get::<PayloadData>(thing).weight_kg, self.get::<SimRobot>(robot).0.payload_max_kg);
-        if weight_kg <= most {
+    fn check_payload(&self, robot: Entity, object: Entity) -> Result<(), ActionError> {
+        let (weight_kg, payload_max_kg) =
+            (self.get::<PayloadData>(object).weight_kg, self.get::<SimRobot>(robot).0.payload_max_kg);
+        if weight_kg <= payload_max_kg {
             return Ok(());
         }
-        let message = format!("{} weighs {weight_kg} kg, {} lifts {most} kg", self.label(thing), self.robot_id(robot));
+        let message =
+            format!("{} weighs {weight_kg} kg, {} lifts {payload_max_kg} kg", self.label(object), self.robot_id(robot));
         Err(action_error(ErrorCode::TooHeavy, message))
     }
 
-    fn deposit(&self, robot: Entity, into: Option<&RobotId>) -> Result<Moves, ActionError> {
+    fn deposit(&self, robot: Entity, into: Option<&RobotId>) -> Result<Transfers, ActionError> {
         let Some(sample) = self.in_arm(robot)? else {
             return Err(action_error(ErrorCode::DrawerState, format!("{} holds nothing", self.robot_id(robot))));
         };
@@ -131,7 +136,7 @@ impl SimState {
         Ok(vec![(sample, to)])
     }
 
-    /// What a robot's arm holds, if anything; an error for a robot without an arm.
+    /// Returns the object in a robot's arm, if any.
     fn in_arm(&self, robot: Entity) -> Result<Option<Entity>, ActionError> {
         if !self.get::<SimRobot>(robot).0.has_arm {
             return Err(action_error(ErrorCode::OutOfReach, format!("{} has no arm", self.robot_id(robot))));

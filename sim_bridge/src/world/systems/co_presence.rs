@@ -1,4 +1,4 @@
-//! Coming within reach of people and robots, and having people prove who they are.
+//! Co-presence: approaching people and robots, and authenticating people.
 
 use crate::world::components::{CoPresence, DepartureCount, PersonInfo, SimRobot};
 use crate::world::event_log::WorldEvent;
@@ -6,7 +6,7 @@ use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, kinds};
+use crate::world::system::{ComponentType, System, component_types};
 use crate::world::systems::spontaneous_actions::PersonStates;
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_skills::actions::{ActionError, ErrorCode, Goal};
@@ -17,45 +17,45 @@ pub(crate) struct CoPresenceSystem;
 
 impl System for CoPresenceSystem {
     fn name(&self) -> &'static str {
-        "company"
+        "co_presence"
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![SimRobot, DepartureCount, PersonStates, RobotLocation, PersonInfo]
+        component_types![SimRobot, DepartureCount, PersonStates, RobotLocation, PersonInfo]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        kinds![CoPresence]
+        component_types![CoPresence]
     }
 
-    fn init_robot(&self, floor: &mut SimState, robot: Entity, _body: &RobotSetup) {
-        floor.insert(robot, CoPresence::None);
+    fn init_robot(&self, state: &mut SimState, robot: Entity, _body: &RobotSetup) {
+        state.insert(robot, CoPresence::None);
     }
 
-    fn begin_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let takes = match goal {
-            Goal::ApproachPerson { .. } => floor.durations.approach_person_s,
-            Goal::AuthenticatePerson { .. } => floor.durations.authenticate_person_s,
-            Goal::ApproachRobot { .. } => floor.durations.approach_robot_s,
+    fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+        let duration_s = match goal {
+            Goal::ApproachPerson { .. } => state.durations.approach_person_s,
+            Goal::AuthenticatePerson { .. } => state.durations.authenticate_person_s,
+            Goal::ApproachRobot { .. } => state.durations.approach_robot_s,
             _ => return None,
         };
-        Some(floor.company(robot, goal).map(|_| floor.now + takes))
+        Some(state.co_presence_after(robot, goal).map(|_| state.now + duration_s))
     }
 
-    fn finish_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
-        let beside = floor.company(robot, goal)?;
-        *floor.get_mut::<CoPresence>(robot) = beside;
-        if let CoPresence::Person { person, authenticated } = beside {
-            let person = floor.get::<PersonInfo>(person).name.clone();
-            floor.log_event(WorldEvent::Approached { robot: floor.robot_id(robot), person, authenticated });
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
+        let co_presence = state.co_presence_after(robot, goal)?;
+        *state.get_mut::<CoPresence>(robot) = co_presence;
+        if let CoPresence::Person { person, authenticated } = co_presence {
+            let person = state.get::<PersonInfo>(person).name.clone();
+            state.log_event(WorldEvent::Approached { robot: state.robot_id(robot), person, authenticated });
         }
         Ok(())
     }
 }
 
 impl SimState {
-    /// Whom the robot would be beside if the goal ended now.
-    fn company(&self, robot: Entity, goal: &Goal) -> Result<CoPresence, ActionError> {
+    /// Returns the co-presence that the goal would cause if it ended now.
+    fn co_presence_after(&self, robot: Entity, goal: &Goal) -> Result<CoPresence, ActionError> {
         match goal {
             Goal::ApproachPerson { role } => self.approach_person(robot, role),
             Goal::AuthenticatePerson { role } => self.authenticate_person(robot, role),
@@ -67,8 +67,8 @@ impl SimState {
     fn approach_person(&self, robot: Entity, role: &RoleId) -> Result<CoPresence, ActionError> {
         let place = self.require_place(robot)?;
         let is_here = |person: &&Entity| {
-            let who = self.get::<PersonInfo>(**person);
-            who.role == *role && who.place == place && self.is_present(&who.name)
+            let info = self.get::<PersonInfo>(**person);
+            info.role == *role && info.place == place && self.is_present(&info.name)
         };
         match self.people.values().find(is_here) {
             Some(person) => Ok(CoPresence::Person { person: *person, authenticated: false }),
@@ -84,15 +84,15 @@ impl SimState {
             let message = format!("{} has not approached a {role}", self.robot_id(robot));
             return Err(action_error(ErrorCode::OutOfReach, message));
         };
-        let who = self.get::<PersonInfo>(person);
-        if who.role != *role {
-            let message = format!("{}: {} is a {}, not a {role}", self.robot_id(robot), who.name, who.role);
+        let info = self.get::<PersonInfo>(person);
+        if info.role != *role {
+            let message = format!("{}: {} is a {}, not a {role}", self.robot_id(robot), info.name, info.role);
             return Err(action_error(ErrorCode::NotAuthenticated, message));
         }
-        if !self.is_present(&who.name) {
+        if !self.is_present(&info.name) {
             return Err(action_error(
                 ErrorCode::OutOfReach,
-                format!("{}: {} has walked away", self.robot_id(robot), who.name),
+                format!("{}: {} has walked away", self.robot_id(robot), info.name),
             ));
         }
         Ok(CoPresence::Person { person, authenticated: true })

@@ -1,8 +1,9 @@
-//! Running into things: robots that are steered, into walls and into other bodies.
+//! Collisions of steered robots with walls and other bodies.
 //!
-//! Looked for at every step, among what the grid of bodies has near. Whoever runs into something stands there, and its
-//! goal is broken off; it may go on from there, and what it still touches then is no new collision. Robots that drive
-//! in straight lines computed ahead pass through everything, and are only run into.
+//! Collisions are detected at every step, by queries to the body grid. A robot that collides stops,
+//! and its goal is aborted. It may drive on from there; bodies that it still touches then cause no
+//! new collision. Robots that drive in straight lines computed ahead pass through everything, but
+//! steered robots can collide with them.
 
 use super::steering::{BodyIndex, Footprint, Steered};
 use crate::space::WallGrid;
@@ -12,12 +13,12 @@ use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::setup::WorldSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, kinds};
+use crate::world::system::{ComponentType, System, component_types};
 use consort_skills::actions::ErrorCode;
 use hecs::Entity;
 use std::collections::BTreeSet;
 
-/// Who touches whom, the lesser first; a wall is nobody.
+/// Pairs of touching bodies, the smaller entity first; `None` is a wall.
 #[derive(Default)]
 pub(crate) struct Touching(BTreeSet<(Entity, Option<Entity>)>);
 
@@ -30,34 +31,34 @@ impl System for Collisions {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![SimRobot, BodyIndex, Footprint, RobotLocation]
+        component_types![SimRobot, BodyIndex, Footprint, RobotLocation]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        kinds![Steered, Touching]
+        component_types![Steered, Touching]
     }
 
-    fn init_world(&self, floor: &mut SimState, _setup: &WorldSetup) {
-        floor.insert_resource(Touching::default());
+    fn init_world(&self, state: &mut SimState, _setup: &WorldSetup) {
+        state.insert_resource(Touching::default());
     }
 
-    fn step(&self, floor: &mut SimState) -> bool {
-        if !floor.has_resource::<BodyIndex>() {
+    fn step(&self, state: &mut SimState) -> bool {
+        if !state.has_resource::<BodyIndex>() {
             return false;
         }
-        let touching = floor.resource::<BodyIndex>().touching(&floor.walls);
-        if touching.is_empty() && floor.resource::<Touching>().0.is_empty() {
+        let touching = state.resource::<BodyIndex>().touching(&state.walls);
+        if touching.is_empty() && state.resource::<Touching>().0.is_empty() {
             return false;
         }
-        let mut before = std::mem::take(&mut floor.resource_mut::<Touching>().0);
+        let mut before = std::mem::take(&mut state.resource_mut::<Touching>().0);
         let new: Vec<_> = touching.difference(&before).copied().collect();
-        before.retain(|(one, other)| touching.contains(&(*one, *other)) || floor.still_touch(*one, *other));
+        before.retain(|(first, second)| touching.contains(&(*first, *second)) || state.still_touching(*first, *second));
         before.extend(touching);
-        floor.resource_mut::<Touching>().0 = before;
-        for (one, other) in new {
-            floor.collide(one, other);
-            if let Some(other) = other {
-                floor.collide(other, Some(one));
+        state.resource_mut::<Touching>().0 = before;
+        for (first, second) in new {
+            state.collide(first, second);
+            if let Some(second) = second {
+                state.collide(second, Some(first));
             }
         }
         false
@@ -65,7 +66,7 @@ impl System for Collisions {
 }
 
 impl BodyIndex {
-    /// What touches now, of which at least one moves in steps.
+    /// Returns the touching pairs in which a body is stepping.
     fn touching(&self, walls: &[WallGrid]) -> BTreeSet<(Entity, Option<Entity>)> {
         let mut touching = BTreeSet::new();
         for (name, (robot, _)) in self.owners.iter().enumerate().filter(|(_, (_, moves))| *moves) {
@@ -74,15 +75,17 @@ impl BodyIndex {
                 &disc.at,
                 disc.level,
                 disc.radius_m + self.bodies.max_radius_m(),
-                |other, found| {
+                |second, found| {
                     let touch_m = disc.radius_m + found.radius_m;
-                    if other != name && (found.at - disc.at).norm_squared() < touch_m * touch_m {
-                        let other = self.owners[other].0;
-                        touching.insert((*robot.min(&other), Some(*robot.max(&other))));
+                    if second != name && (found.at - disc.at).norm_squared() < touch_m * touch_m {
+                        let second = self.owners[second].0;
+                        touching.insert((*robot.min(&second), Some(*robot.max(&second))));
                     }
                 },
             );
-            if walls[disc.level].nearest_distance(disc.at.xy(), disc.radius_m).is_some_and(|away| away < disc.radius_m)
+            if walls[disc.level]
+                .nearest_distance(disc.at.xy(), disc.radius_m)
+                .is_some_and(|distance| distance < disc.radius_m)
             {
                 touching.insert((*robot, None));
             }
@@ -92,24 +95,26 @@ impl BodyIndex {
 }
 
 impl SimState {
-    /// Whether two that stand touch as they did; for a wall, whether the robot stands.
-    fn still_touch(&self, one: Entity, other: Option<Entity>) -> bool {
+    /// Checks whether two bodies at standstill still touch; for a wall, whether the robot stands
+    /// still.
+    fn still_touching(&self, first: Entity, second: Option<Entity>) -> bool {
         let moves = |robot: Entity| self.find::<Steered>(robot).is_some_and(|steered| steered.model.is_moving());
-        let Some(other) = other else { return !moves(one) };
+        let Some(second) = second else { return !moves(first) };
         let place = |robot| (self.get::<RobotLocation>(robot).pose(self.now), self.get::<Footprint>(robot).0);
-        let ((a, a_m), (b, b_m)) = (place(one), place(other));
-        !moves(one) && !moves(other) && a.distance(b).get() < a_m + b_m
+        let ((a, a_m), (b, b_m)) = (place(first), place(second));
+        !moves(first) && !moves(second) && a.distance(b).get() < a_m + b_m
     }
 
-    /// A robot ran into another, or into a wall. One that drives in straight lines notices nothing.
+    /// Stops a robot after a collision with another robot or a wall. A robot that drives in
+    /// straight lines is not affected.
     fn collide(&mut self, robot: Entity, with: Option<Entity>) {
         match self.find_mut::<Steered>(robot) {
             Some(mut steered) => steered.model.stop_immediately(),
             None => return,
         }
-        let (name, with) = (self.robot_id(robot), with.map(|other| self.robot_id(other)));
-        let what = with.as_ref().map_or("a wall".to_owned(), ToString::to_string);
-        self.abort_goal(robot, action_error(ErrorCode::NoRoute, format!("{name} ran into {what}")));
+        let (name, with) = (self.robot_id(robot), with.map(|second| self.robot_id(second)));
+        let obstacle = with.as_ref().map_or("a wall".to_owned(), ToString::to_string);
+        self.abort_goal(robot, action_error(ErrorCode::NoRoute, format!("{name} collided with {obstacle}")));
         self.log_after_commands(WorldEvent::Collided { robot: name, with });
     }
 }

@@ -1,4 +1,4 @@
-//! Chargers: a robot that docks at one charges until it undocks or drives off.
+//! Chargers: a docked robot charges until it undocks or drives off.
 
 use crate::map::PlaceKind;
 use crate::world::components::SimRobot;
@@ -8,13 +8,13 @@ use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, kinds};
+use crate::world::system::{ComponentType, System, component_types};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::Seconds;
 use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress};
 use hecs::Entity;
 
-/// Whether a robot is connected to the charger at its place.
+/// True if a robot is connected to the charger at its place.
 pub(crate) struct Docked(pub(crate) bool);
 
 /// See the [module](self).
@@ -26,76 +26,76 @@ impl System for Docking {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![SimRobot, GoalHistory, RobotLocation]
+        component_types![SimRobot, GoalHistory, RobotLocation]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        kinds![Docked]
+        component_types![Docked]
     }
 
-    fn init_robot(&self, floor: &mut SimState, robot: Entity, _body: &RobotSetup) {
-        floor.insert(robot, Docked(false));
+    fn init_robot(&self, state: &mut SimState, robot: Entity, _body: &RobotSetup) {
+        state.insert(robot, Docked(false));
     }
 
-    fn begin_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let takes = floor.durations.dock_s;
-        let may = match goal {
-            Goal::Dock { charger } => floor.charger_here(robot, charger.as_ref()),
-            Goal::Undock if !floor.get::<Docked>(robot).0 => {
-                Err(action_error(ErrorCode::Charger, format!("{} is not docked", floor.robot_id(robot))))
+    fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+        let duration_s = state.durations.dock_s;
+        let allowed = match goal {
+            Goal::Dock { charger } => state.check_charger(robot, charger.as_ref()),
+            Goal::Undock if !state.get::<Docked>(robot).0 => {
+                Err(action_error(ErrorCode::Charger, format!("{} is not docked", state.robot_id(robot))))
             }
             Goal::Undock => Ok(()),
             _ => return None,
         };
-        Some(may.map(|()| floor.now + takes))
+        Some(allowed.map(|()| state.now + duration_s))
     }
 
-    fn finish_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
         if let Goal::Dock { charger } = goal {
-            floor.charger_here(robot, charger.as_ref())?;
+            state.check_charger(robot, charger.as_ref())?;
         }
-        floor.connect(robot, matches!(goal, Goal::Dock { .. }));
+        state.connect(robot, matches!(goal, Goal::Dock { .. }));
         Ok(())
     }
 
-    fn feedback(&self, floor: &SimState, _robot: Entity, _goal: &Goal, usual: Feedback) -> Feedback {
-        let taken_s = floor.durations.dock_s - usual.time_remaining.get();
+    fn feedback(&self, state: &SimState, _robot: Entity, _goal: &Goal, usual: Feedback) -> Feedback {
+        let taken_s = state.durations.dock_s - usual.time_remaining.get();
         Feedback { progress: GoalProgress::Docking(Seconds::new(taken_s.max(0.0)).unwrap_or(Seconds::ZERO)), ..usual }
     }
 
-    fn on_event(&self, floor: &mut SimState, what: &WorldEvent) {
-        if let WorldEvent::GoalStarted { robot, goal, .. } = what
+    fn on_event(&self, state: &mut SimState, event: &WorldEvent) {
+        if let WorldEvent::GoalStarted { robot, goal, .. } = event
             && let Goal::NavigateToPose { .. } | Goal::FollowWaypoints { .. } | Goal::Spin { .. } = goal
-            && let Some(robot) = floor.robots.get(robot).copied()
+            && let Some(robot) = state.robots.get(robot).copied()
         {
-            floor.connect(robot, false);
+            state.connect(robot, false);
         }
     }
 }
 
 impl SimState {
-    /// Whether the robot stands at a charger, and at the one that is meant.
-    fn charger_here(&self, robot: Entity, meant: Option<&PlaceId>) -> Result<(), ActionError> {
+    /// Checks that the robot is at a charger, and at the requested charger, if any.
+    fn check_charger(&self, robot: Entity, required: Option<&PlaceId>) -> Result<(), ActionError> {
         let place = self.map.place_at(self.require_place(robot)?);
-        if let Some(meant) = meant {
-            let Some(charger) = self.map.place(meant) else {
-                let message = format!("there is no place {:?} here{}", meant.as_str(), self.map.suggest(meant));
+        if let Some(required) = required {
+            let Some(charger) = self.map.place(required) else {
+                let message = format!("there is no place {:?} here{}", required.as_str(), self.map.suggest(required));
                 return Err(action_error(ErrorCode::Unknown, message));
             };
             if charger.id != place.id {
-                let message = format!("{} is at {}, not at {meant}", self.robot_id(robot), place.id);
+                let message = format!("{} is at {}, not at {required}", self.robot_id(robot), place.id);
                 return Err(action_error(ErrorCode::OutOfReach, message));
             }
         }
         if place.kind != PlaceKind::Charger {
-            return Err(action_error(ErrorCode::Charger, format!("{} is no charger", place.id)));
+            return Err(action_error(ErrorCode::Charger, format!("{} is not a charger", place.id)));
         }
         Ok(())
     }
 
     fn connect(&mut self, robot: Entity, docked: bool) {
-        let was = std::mem::replace(&mut self.get_mut::<Docked>(robot).0, docked);
-        if was != docked {
+        let before = std::mem::replace(&mut self.get_mut::<Docked>(robot).0, docked);
+        if before != docked {
             self.log_event(WorldEvent::Docked { robot: self.robot_id(robot), docked });
         }
     }

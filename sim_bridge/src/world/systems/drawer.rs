@@ -5,7 +5,7 @@ use crate::world::event_log::WorldEvent;
 use crate::world::preconditions::action_error;
 use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, kinds};
+use crate::world::system::{ComponentType, System, component_types};
 use consort_skills::actions::{ActionError, ErrorCode, Goal};
 use hecs::Entity;
 
@@ -18,31 +18,31 @@ impl System for Drawer {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![SimRobot]
+        component_types![SimRobot]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        kinds![DrawerOpen]
+        component_types![DrawerOpen]
     }
 
-    fn init_robot(&self, floor: &mut SimState, robot: Entity, _body: &RobotSetup) {
-        floor.insert(robot, DrawerOpen(false));
+    fn init_robot(&self, state: &mut SimState, robot: Entity, _body: &RobotSetup) {
+        state.insert(robot, DrawerOpen(false));
     }
 
-    fn begin_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+    fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
         let Goal::OperateDrawer { .. } = goal else { return None };
-        if !floor.get::<SimRobot>(robot).0.has_drawer {
-            let message = format!("{} has no drawer", floor.robot_id(robot));
+        if !state.get::<SimRobot>(robot).0.has_drawer {
+            let message = format!("{} has no drawer", state.robot_id(robot));
             return Some(Err(action_error(ErrorCode::DrawerState, message)));
         }
-        Some(Ok(floor.now + floor.durations.operate_drawer_s))
+        Some(Ok(state.now + state.durations.operate_drawer_s))
     }
 
-    fn finish_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
         let Goal::OperateDrawer { open } = *goal else { return Ok(()) };
-        let was_open = std::mem::replace(&mut floor.get_mut::<DrawerOpen>(robot).0, open);
+        let was_open = std::mem::replace(&mut state.get_mut::<DrawerOpen>(robot).0, open);
         if was_open != open {
-            floor.log_event(WorldEvent::DrawerMoved { robot: floor.robot_id(robot), open });
+            state.log_event(WorldEvent::DrawerMoved { robot: state.robot_id(robot), open });
         }
         Ok(())
     }

@@ -1,16 +1,16 @@
-//! Driving to a pose: a straight line at the robot's own speed or the lane's limit, the same in every direction; and riding
-//! lifts, where the map has one and no lane.
+//! Driving to a pose in a straight line, at the robot's speed or the lane's limit, equally fast in
+//! every direction; and riding lifts between places without a lane.
 //!
-//! Its position is computed from when it last set off, and where it next has something to do is an entry in the queue: a
-//! robot under way costs nothing. Robots may pass through one another; what holds them up are doors, lifts, and what stands
-//! in the way. Off the lanes there are none of these.
+//! A position is computed from the last departure, and the next point of interest is an entry in
+//! the queue, so a driving robot costs nothing. Robots may pass through each other. Doors, lifts
+//! and obstacles stop them. There are none of these off the lanes.
 //!
-//! A robot with kinematics has the same journeys, but each part of one is driven by [`steering`](super::steering), which
-//! says when it is there. It stops only where it may have to stand.
+//! A robot with kinematics takes the same routes, but [`steering`](super::steering) drives each
+//! part and reports its end. It stops only where it may have to wait.
 //!
 //! ```text
-//!  begin ─▶ rolling ─▶ at a door ─▶ rolling ─▶ … ─▶ achieved          at a lift ─▶ in the lift ─▶ achieved
-//!              └─▶ something in the way: blocked                                        └─▶ the next errand
+//!  begin ─▶ driving ─▶ at a door ─▶ driving ─▶ … ─▶ complete          at a lift ─▶ in the lift ─▶ complete
+//!              └─▶ obstacle: blocked                                                   └─▶ the next target
 //! ```
 
 use crate::map::PlaceIndex;
@@ -23,7 +23,7 @@ use crate::world::preconditions::action_error;
 use crate::world::routing::{DriveTarget, LegPlan};
 use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, END_UNKNOWN, System, SystemTimer, kinds};
+use crate::world::system::{ComponentType, END_UNKNOWN, System, SystemTimer, component_types};
 use crate::world::systems::doors::{DoorState, DoorsByName};
 use crate::world::systems::lifts::LiftsByName;
 use crate::world::systems::obstacles::{ActiveObstacles, KnownClosures};
@@ -34,25 +34,25 @@ use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgre
 use hecs::Entity;
 use std::collections::VecDeque;
 
-/// How far a robot's drive has come, beside where it is.
-pub(crate) struct Journey {
-    /// Where it is to go, while a goal says so.
-    errand: Option<DriveTarget>,
-    /// Where it is to go then.
-    afterwards: VecDeque<DriveTarget>,
+/// Progress of a robot's drive, apart from its location.
+pub(crate) struct DriveTask {
+    /// Target of the active goal.
+    target: Option<DriveTarget>,
+    /// Later targets.
+    next_targets: VecDeque<DriveTarget>,
     stage: Stage,
-    wake: Option<TimerId>,
-    /// The doorway that it is in.
-    inside: Option<Entity>,
+    timer: Option<TimerId>,
+    /// The doorway that the robot is in.
+    doorway: Option<Entity>,
 }
 
 enum Stage {
-    /// It goes nowhere.
+    /// No drive.
     Idle,
-    Rolling(DriveProgress),
+    Driving(DriveProgress),
     AtDoor(DriveProgress, Entity),
     AtLift(PlaceIndex),
-    /// Until the lift lets it out, whatever becomes of the goal.
+    /// Until the lift arrives, even if the goal ends.
     InLift,
 }
 
@@ -65,116 +65,117 @@ impl System for Driving {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![SimRobot, DoorState, DoorsByName, ActiveObstacles, LiftsByName, Footprint]
+        component_types![SimRobot, DoorState, DoorsByName, ActiveObstacles, LiftsByName, Footprint]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        kinds![RobotLocation, DepartureCount, CoPresence, Journey, KnownClosures, Steered, BodyIndex]
+        component_types![RobotLocation, DepartureCount, CoPresence, DriveTask, KnownClosures, Steered, BodyIndex]
     }
 
-    fn init_robot(&self, floor: &mut SimState, robot: Entity, _body: &RobotSetup) {
-        floor.insert(robot, DepartureCount(0));
-        floor.insert(
+    fn init_robot(&self, state: &mut SimState, robot: Entity, _body: &RobotSetup) {
+        state.insert(robot, DepartureCount(0));
+        state.insert(
             robot,
-            Journey { errand: None, afterwards: VecDeque::new(), stage: Stage::Idle, wake: None, inside: None },
+            DriveTask { target: None, next_targets: VecDeque::new(), stage: Stage::Idle, timer: None, doorway: None },
         );
     }
 
-    fn begin_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let mut errands: VecDeque<DriveTarget> = match goal {
+    fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+        let mut targets: VecDeque<DriveTarget> = match goal {
             Goal::NavigateToPose { pose, place } => [DriveTarget { pose: *pose, place: place.clone() }].into(),
             Goal::FollowWaypoints { waypoints } => waypoints.iter().map(DriveTarget::from).collect(),
             _ => return None,
         };
-        let Some(first) = errands.pop_front() else {
+        let Some(first) = targets.pop_front() else {
             return Some(Err(action_error(ErrorCode::Unknown, "there are no waypoints to follow".to_owned())));
         };
-        floor.advance_steered(robot);
-        Some(floor.set_errand(robot, first).map(|()| {
-            floor.get_mut::<Journey>(robot).afterwards = errands;
+        state.advance_steered(robot);
+        Some(state.set_target(robot, first).map(|()| {
+            state.get_mut::<DriveTask>(robot).next_targets = targets;
             END_UNKNOWN
         }))
     }
 
-    fn finish_goal(&self, floor: &mut SimState, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
-        floor.drop_errand(robot);
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+        state.end_drive(robot);
         Ok(())
     }
 
-    fn halt_goal(&self, floor: &mut SimState, robot: Entity, _goal: &Goal) {
-        floor.drop_errand(robot);
+    fn halt_goal(&self, state: &mut SimState, robot: Entity, _goal: &Goal) {
+        state.end_drive(robot);
     }
 
-    fn feedback(&self, floor: &SimState, robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
+    fn feedback(&self, state: &SimState, robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
         let progress = match goal {
             Goal::FollowWaypoints { waypoints } => {
-                let to_come = floor.get::<Journey>(robot).afterwards.len();
-                GoalProgress::Waypoint(u32::try_from(waypoints.len().saturating_sub(to_come + 1)).unwrap_or(u32::MAX))
+                let remaining = state.get::<DriveTask>(robot).next_targets.len();
+                GoalProgress::Waypoint(u32::try_from(waypoints.len().saturating_sub(remaining + 1)).unwrap_or(u32::MAX))
             }
             _ => GoalProgress::Unspecified,
         };
-        Feedback { progress, ..floor.journey_left(robot).unwrap_or(usual) }
+        Feedback { progress, ..state.remaining_feedback(robot).unwrap_or(usual) }
     }
 
-    fn on_timer(&self, floor: &mut SimState, SystemTimer { entity: robot, .. }: SystemTimer) {
-        floor.get_mut::<Journey>(robot).wake = None;
-        match floor.take_stage(robot) {
-            Stage::Rolling(course) => floor.part_ends(robot, course),
-            Stage::AtDoor(course, door) => floor.lose_patience(robot, course, door),
+    fn on_timer(&self, state: &mut SimState, SystemTimer { entity: robot, .. }: SystemTimer) {
+        state.get_mut::<DriveTask>(robot).timer = None;
+        match state.take_stage(robot) {
+            Stage::Driving(progress) => state.finish_part(robot, progress),
+            Stage::AtDoor(progress, door) => state.on_door_timeout(robot, progress, door),
             stage @ (Stage::Idle | Stage::AtLift(_) | Stage::InLift) => {
-                floor.get_mut::<Journey>(robot).stage = stage;
+                state.get_mut::<DriveTask>(robot).stage = stage;
             }
         }
     }
 
-    fn on_event(&self, floor: &mut SimState, what: &WorldEvent) {
-        let known = |robot: &RobotId| floor.robots.get(robot).copied();
-        match what {
+    fn on_event(&self, state: &mut SimState, event: &WorldEvent) {
+        let entity_of = |robot: &RobotId| state.robots.get(robot).copied();
+        match event {
             WorldEvent::DoorEntered { robot, .. } => {
-                if let Some(robot) = known(robot) {
-                    floor.enter_doorway(robot);
+                if let Some(robot) = entity_of(robot) {
+                    state.enter_doorway(robot);
                 }
             }
             WorldEvent::LiftEntered { robot, .. } => {
-                if let Some(robot) = known(robot) {
-                    floor.enter_lift(robot);
+                if let Some(robot) = entity_of(robot) {
+                    state.enter_lift(robot);
                 }
             }
             WorldEvent::LiftLeft { robot, at, .. } => {
-                if let Some((robot, at)) = known(robot).zip(floor.map.index(at)) {
-                    floor.leave_lift(robot, at);
+                if let Some((robot, at)) = entity_of(robot).zip(state.map.index(at)) {
+                    state.leave_lift(robot, at);
                 }
             }
-            WorldEvent::LaneBlocked { .. } | WorldEvent::LaneCleared { .. } => floor.look_ahead_again(),
+            WorldEvent::LaneBlocked { .. } | WorldEvent::LaneCleared { .. } => state.recheck_obstacles(),
             _ => {}
         }
     }
 }
 
 impl SimState {
-    /// Sends a robot somewhere, if there is a way. One in a lift goes there once it gets out.
-    fn set_errand(&mut self, robot: Entity, errand: DriveTarget) -> Result<(), ActionError> {
-        let in_lift = matches!(self.get::<Journey>(robot).stage, Stage::InLift);
+    /// Sets the target of a robot, if there is a route. A robot in a lift drives there after it
+    /// gets out.
+    fn set_target(&mut self, robot: Entity, target: DriveTarget) -> Result<(), ActionError> {
+        let in_lift = matches!(self.get::<DriveTask>(robot).stage, Stage::InLift);
         if in_lift {
-            errand.place.as_ref().map(|place| self.destination(place, errand.pose)).transpose()?;
+            target.place.as_ref().map(|place| self.destination(place, target.pose)).transpose()?;
         } else {
-            let way = self.plan_leg(robot, &errand)?;
-            self.set_off(robot, way);
+            let plan = self.plan_leg(robot, &target)?;
+            self.start_leg(robot, plan);
         }
-        self.get_mut::<Journey>(robot).errand = Some(errand);
+        self.get_mut::<DriveTask>(robot).target = Some(target);
         Ok(())
     }
 
-    /// The goal is over: the robot stands still where it is, and waits for nothing any longer.
-    fn drop_errand(&mut self, robot: Entity) {
+    /// Ends the drive with its goal: the robot stops where it is and no longer waits.
+    fn end_drive(&mut self, robot: Entity) {
         {
-            let mut journey = self.get_mut::<Journey>(robot);
-            journey.errand = None;
-            journey.afterwards.clear();
+            let mut task = self.get_mut::<DriveTask>(robot);
+            task.target = None;
+            task.next_targets.clear();
         }
         match self.take_stage(robot) {
             Stage::Idle => {}
-            Stage::Rolling(_) => self.stand_still(robot),
+            Stage::Driving(_) => self.stop_robot(robot),
             Stage::AtDoor(_, door) => {
                 let door = self.get::<DoorState>(door).name.clone();
                 self.log_event(WorldEvent::DoorLeft { robot: self.robot_id(robot), door });
@@ -184,26 +185,26 @@ impl SimState {
                 let lift = self.lift_between(&at, &self.map.place_at(to).id).unwrap_or_default();
                 self.log_event(WorldEvent::LiftLeft { robot: self.robot_id(robot), lift, at });
             }
-            stage @ Stage::InLift => self.get_mut::<Journey>(robot).stage = stage,
+            stage @ Stage::InLift => self.get_mut::<DriveTask>(robot).stage = stage,
         }
     }
 
-    /// Sets a robot in motion, or has it wait for a lift. Whoever it was beside, it is no longer once it moves.
-    fn set_off(&mut self, robot: Entity, way: LegPlan) {
-        match way {
+    /// Starts a drive, or waits for a lift. A robot that departs loses its co-presence.
+    fn start_leg(&mut self, robot: Entity, plan: LegPlan) {
+        match plan {
             LegPlan::Drive(drive, speed_mps) => {
                 if drive.length_m() > 0.0 {
                     self.depart(robot);
                 }
-                let course = DriveProgress::new(drive, speed_mps, self);
-                let inside = self.get::<Journey>(robot).inside.filter(|door| !course.passes_door(*door));
-                if let Some(door) = inside {
+                let progress = DriveProgress::new(drive, speed_mps, self);
+                let doorway = self.get::<DriveTask>(robot).doorway.filter(|door| !progress.passes_door(*door));
+                if let Some(door) = doorway {
                     self.leave_doorway(robot, door);
                 }
-                self.proceed(robot, course, true);
+                self.proceed(robot, progress, true);
             }
             LegPlan::Ride { lift, from, to } => {
-                self.get_mut::<Journey>(robot).stage = Stage::AtLift(to);
+                self.get_mut::<DriveTask>(robot).stage = Stage::AtLift(to);
                 let [at, to] = [from, to].map(|place| self.map.place_at(place).id.clone());
                 self.log_event(WorldEvent::LiftRequested { robot: self.robot_id(robot), lift, at, to });
             }
@@ -217,251 +218,254 @@ impl SimState {
         self.get_mut::<DepartureCount>(robot).0 += 1;
     }
 
-    /// Does what there is to do where a robot has come to, and rolls on from there.
-    fn proceed(&mut self, robot: Entity, mut course: DriveProgress, fresh: bool) {
-        while let Some(stop) = course.current_stop() {
-            let inside = self.get::<Journey>(robot).inside;
+    /// Performs the door actions at the robot's position, and drives on.
+    fn proceed(&mut self, robot: Entity, mut progress: DriveProgress, is_new: bool) {
+        while let Some(stop) = progress.current_stop() {
+            let doorway = self.get::<DriveTask>(robot).doorway;
             match stop {
-                DoorStop::Enter(door) if inside != Some(door) => return self.wait_at(robot, course, door),
+                DoorStop::Enter(door) if doorway != Some(door) => return self.wait_at_door(robot, progress, door),
                 DoorStop::Enter(_) => {}
                 DoorStop::Leave(door) => self.leave_doorway(robot, door),
             }
-            course.finish_stop();
+            progress.finish_stop();
         }
-        if course.is_complete() && !fresh {
-            self.get_mut::<Journey>(robot).stage = Stage::Rolling(course);
-            return self.arrived(robot);
+        if progress.is_complete() && !is_new {
+            self.get_mut::<DriveTask>(robot).stage = Stage::Driving(progress);
+            return self.on_arrival(robot);
         }
-        let seen = self.seen_ahead(&course);
-        if let Some((_, what)) = seen.as_ref().filter(|(at, _)| *at <= course.done_m + LENGTH_EPSILON_M) {
-            return self.give_up(robot, &course, &format!("{what} stands in it"));
+        let obstacle = self.obstacle_ahead(&progress);
+        if let Some((_, event)) = obstacle.as_ref().filter(|(at, _)| *at <= progress.done_m + LENGTH_EPSILON_M) {
+            return self.give_up(robot, &progress, &format!("{event} is in the way"));
         }
-        self.roll(robot, course, seen.map(|(at, _)| at));
+        self.drive_part(robot, progress, obstacle.map(|(at, _)| at));
     }
 
-    /// It has come to the end of the part of its way that was under way.
-    fn part_ends(&mut self, robot: Entity, mut course: DriveProgress) {
-        course.done_m = course.until_m;
-        self.proceed(robot, course, false);
+    /// Handles the end of the current part of the drive.
+    fn finish_part(&mut self, robot: Entity, mut progress: DriveProgress) {
+        progress.done_m = progress.until_m;
+        self.proceed(robot, progress, false);
     }
 
-    /// Rolls to where there is something to do next.
-    fn roll(&mut self, robot: Entity, mut course: DriveProgress, seen_m: Option<f64>) {
+    /// Drives to the next door action or obstacle.
+    fn drive_part(&mut self, robot: Entity, mut progress: DriveProgress, obstacle_m: Option<f64>) {
         let steered = self.is_steered(robot);
-        let stop_m = if steered { course.next_wait_m() } else { course.next_stop_m() };
-        course.until_m = stop_m.min(seen_m.unwrap_or(f64::INFINITY));
-        let part = course.drive.segment(course.done_m, course.until_m, self.now, course.speed_mps);
+        let stop_m = if steered { progress.next_wait_m() } else { progress.next_stop_m() };
+        progress.until_m = stop_m.min(obstacle_m.unwrap_or(f64::INFINITY));
+        let part = progress.drive.segment(progress.done_m, progress.until_m, self.now, progress.speed_mps);
         if steered {
-            self.steer(robot, part, course.speed_mps);
-            self.get_mut::<Journey>(robot).stage = Stage::Rolling(course);
-            return self.watch_for_doors(robot);
+            self.steer(robot, part, progress.speed_mps);
+            self.get_mut::<DriveTask>(robot).stage = Stage::Driving(progress);
+            return self.watch_next_door(robot);
         }
         *self.get_mut::<RobotLocation>(robot) = RobotLocation::Driving(part);
-        let wake = self.schedule(part.end_time(), robot, 0);
-        let mut journey = self.get_mut::<Journey>(robot);
-        (journey.stage, journey.wake) = (Stage::Rolling(course), Some(wake));
+        let timer = self.schedule(part.end_time(), robot, 0);
+        let mut task = self.get_mut::<DriveTask>(robot);
+        (task.stage, task.timer) = (Stage::Driving(progress), Some(timer));
     }
 
-    /// A robot that is steered is at the end of the part of its way that was under way.
+    /// Handles the arrival of a steered robot at the end of the current part.
     pub(crate) fn on_steered_arrival(&mut self, robot: Entity) {
-        if !matches!(self.get::<Journey>(robot).stage, Stage::Rolling(_)) {
-            return; // it was beside the end before, looked ahead again there, and waits at a door already
+        if !matches!(self.get::<DriveTask>(robot).stage, Stage::Driving(_)) {
+            return; // it had already reached the end when the obstacles were rechecked, and waits at a door
         }
-        if let Stage::Rolling(course) = self.take_stage(robot) {
-            self.part_ends(robot, course);
+        if let Stage::Driving(progress) = self.take_stage(robot) {
+            self.finish_part(robot, progress);
         }
     }
 
-    /// A robot that is steered is past a door.
+    /// Handles a steered robot's passage through a door.
     pub(crate) fn on_steered_door_passed(&mut self, robot: Entity) {
-        let passed = match &mut self.get_mut::<Journey>(robot).stage {
-            Stage::Rolling(course) => course.leave_door(),
+        let passed = match &mut self.get_mut::<DriveTask>(robot).stage {
+            Stage::Driving(progress) => progress.leave_door(),
             Stage::Idle | Stage::AtDoor(..) | Stage::AtLift(_) | Stage::InLift => None,
         };
         if let Some(door) = passed {
             self.leave_doorway(robot, door);
         }
-        self.watch_for_doors(robot);
+        self.watch_next_door(robot);
     }
 
-    /// Has it said when a robot that is steered is past the next door, if that is before the end of this part of its way.
-    fn watch_for_doors(&self, robot: Entity) {
-        if let Stage::Rolling(course) = &self.get::<Journey>(robot).stage {
-            let past_m = course.next_stop_m();
-            self.notify_when_remaining(robot, (past_m < course.until_m).then_some(course.until_m - past_m));
+    /// Requests a notification when a steered robot has passed the next door, if that is before the
+    /// end of the current part.
+    fn watch_next_door(&self, robot: Entity) {
+        if let Stage::Driving(progress) = &self.get::<DriveTask>(robot).stage {
+            let past_m = progress.next_stop_m();
+            self.notify_when_remaining(robot, (past_m < progress.until_m).then_some(progress.until_m - past_m));
         }
     }
 
-    /// What stands in the way ahead, and how far along a robot stops before it: the first thing it comes to.
-    fn seen_ahead(&self, course: &DriveProgress) -> Option<(f64, String)> {
-        let (from, to, first, last) = course.drive.lane?;
-        let ahead = self.obstacles_on(from, to).into_iter().filter_map(|(share, what)| {
-            let at = (share - first) / (last - first) * course.drive.length_m();
-            let ahead = at + LENGTH_EPSILON_M >= course.done_m && at <= course.drive.length_m() + LENGTH_EPSILON_M;
-            ahead.then(|| ((at - OBSTACLE_DETECTION_M).max(course.done_m), what))
+    /// Returns the first obstacle ahead, with the distance at which the robot stops before it.
+    fn obstacle_ahead(&self, progress: &DriveProgress) -> Option<(f64, String)> {
+        let (from, to, first, last) = progress.drive.lane?;
+        let ahead = self.obstacles_on(from, to).into_iter().filter_map(|(share, event)| {
+            let at = (share - first) / (last - first) * progress.drive.length_m();
+            let ahead = at + LENGTH_EPSILON_M >= progress.done_m && at <= progress.drive.length_m() + LENGTH_EPSILON_M;
+            ahead.then(|| ((at - OBSTACLE_DETECTION_M).max(progress.done_m), event))
         });
         ahead.min_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)))
     }
 
-    /// Stands before what is in the way: the goal cannot go on, and the robot knows that this way is closed.
-    fn give_up(&mut self, robot: Entity, course: &DriveProgress, why: &str) {
-        self.stand_still(robot);
-        let Some((from, to, first, last)) = course.drive.lane else { return };
+    /// Stops before an obstacle: aborts the goal and remembers the lane as blocked.
+    fn give_up(&mut self, robot: Entity, progress: &DriveProgress, error: &str) {
+        self.stop_robot(robot);
+        let Some((from, to, first, last)) = progress.drive.lane else { return };
         self.remember_closure(robot, from, to);
         let (from, to) = if last >= first { (from, to) } else { (to, from) };
         let message =
-            format!("the way from {} to {} is blocked: {why}", self.map.place_at(from).id, self.map.place_at(to).id);
+            format!("the lane from {} to {} is blocked: {error}", self.map.place_at(from).id, self.map.place_at(to).id);
         self.abort_goal(robot, action_error(ErrorCode::Blocked, message));
     }
 
-    fn wait_at(&mut self, robot: Entity, course: DriveProgress, door: Entity) {
-        self.stand_at(robot, &course);
-        let wake = self.schedule(self.now + self.durations.door_patience_s, robot, 0);
+    fn wait_at_door(&mut self, robot: Entity, progress: DriveProgress, door: Entity) {
+        self.stop_at(robot, &progress);
+        let timer = self.schedule(self.now + self.durations.door_timeout_s, robot, 0);
         {
-            let mut journey = self.get_mut::<Journey>(robot);
-            (journey.stage, journey.wake) = (Stage::AtDoor(course, door), Some(wake));
+            let mut task = self.get_mut::<DriveTask>(robot);
+            (task.stage, task.timer) = (Stage::AtDoor(progress, door), Some(timer));
         }
         let door = self.get::<DoorState>(door).name.clone();
         self.log_event(WorldEvent::DoorRequested { robot: self.robot_id(robot), door });
     }
 
-    /// It has waited for long; if the door lets nobody in, it does so no longer.
-    fn lose_patience(&mut self, robot: Entity, course: DriveProgress, door: Entity) {
+    /// Handles the timeout at a door: if the door has admitted no robot for that time, the robot
+    /// gives up.
+    fn on_door_timeout(&mut self, robot: Entity, progress: DriveProgress, door: Entity) {
         let (name, until) = {
             let doorway = self.get::<DoorState>(door);
-            (doorway.name.clone(), doorway.last_entry_time + self.durations.door_patience_s)
+            (doorway.name.clone(), doorway.last_entry_time + self.durations.door_timeout_s)
         };
         if until > self.now {
-            let wake = self.schedule(until, robot, 0);
-            let mut journey = self.get_mut::<Journey>(robot);
-            (journey.stage, journey.wake) = (Stage::AtDoor(course, door), Some(wake));
+            let timer = self.schedule(until, robot, 0);
+            let mut task = self.get_mut::<DriveTask>(robot);
+            (task.stage, task.timer) = (Stage::AtDoor(progress, door), Some(timer));
             return;
         }
-        self.give_up(robot, &course, &format!("{name} let nobody in for {} s", self.durations.door_patience_s));
+        self.give_up(robot, &progress, &format!("{name} admitted no robot for {} s", self.durations.door_timeout_s));
         self.log_event(WorldEvent::DoorLeft { robot: self.robot_id(robot), door: name });
     }
 
     fn enter_doorway(&mut self, robot: Entity) {
         match self.take_stage(robot) {
-            Stage::AtDoor(mut course, door) => {
-                course.finish_stop();
-                self.get_mut::<Journey>(robot).inside = Some(door);
-                self.proceed(robot, course, false);
+            Stage::AtDoor(mut progress, door) => {
+                progress.finish_stop();
+                self.get_mut::<DriveTask>(robot).doorway = Some(door);
+                self.proceed(robot, progress, false);
             }
-            stage => self.get_mut::<Journey>(robot).stage = stage,
+            stage => self.get_mut::<DriveTask>(robot).stage = stage,
         }
     }
 
     fn leave_doorway(&mut self, robot: Entity, door: Entity) {
-        self.get_mut::<Journey>(robot).inside = None;
+        self.get_mut::<DriveTask>(robot).doorway = None;
         let door = self.get::<DoorState>(door).name.clone();
         self.log_event(WorldEvent::DoorLeft { robot: self.robot_id(robot), door });
     }
 
     fn enter_lift(&mut self, robot: Entity) {
-        let Stage::AtLift(to) = self.get::<Journey>(robot).stage else { return };
+        let Stage::AtLift(to) = self.get::<DriveTask>(robot).stage else { return };
         self.depart(robot);
-        self.get_mut::<Journey>(robot).stage = Stage::InLift;
+        self.get_mut::<DriveTask>(robot).stage = Stage::InLift;
         self.place_robot(robot, MapPosition::Lift { to }, self.map.place_at(to).pose);
     }
 
     fn leave_lift(&mut self, robot: Entity, at: PlaceIndex) {
-        if !matches!(self.get::<Journey>(robot).stage, Stage::InLift) {
+        if !matches!(self.get::<DriveTask>(robot).stage, Stage::InLift) {
             return;
         }
         self.place_robot(robot, MapPosition::Place(at), self.map.place_at(at).pose);
-        let errand = {
-            let mut journey = self.get_mut::<Journey>(robot);
-            journey.stage = Stage::Idle;
-            journey.errand.clone()
+        let target = {
+            let mut task = self.get_mut::<DriveTask>(robot);
+            task.stage = Stage::Idle;
+            task.target.clone()
         };
-        let Some(errand) = errand else { return };
-        if errand.place.as_ref() == Some(&self.map.place_at(at).id) {
-            return self.arrived(robot);
+        let Some(target) = target else { return };
+        if target.place.as_ref() == Some(&self.map.place_at(at).id) {
+            return self.on_arrival(robot);
         }
-        self.go_on(robot, &errand);
+        self.continue_to(robot, &target);
     }
 
-    /// It is where it was to go: it goes where it is to go then, or its goal has come to its end.
-    fn arrived(&mut self, robot: Entity) {
-        let next = self.get_mut::<Journey>(robot).afterwards.pop_front();
+    /// Handles arrival at the target: drives to the next target, or completes the goal.
+    fn on_arrival(&mut self, robot: Entity) {
+        let next = self.get_mut::<DriveTask>(robot).next_targets.pop_front();
         let Some(next) = next else { return self.complete_goal(robot) };
         drop(self.take_stage(robot));
-        self.stand_still(robot);
-        self.go_on(robot, &next);
-        self.get_mut::<Journey>(robot).errand = Some(next);
+        self.stop_robot(robot);
+        self.continue_to(robot, &next);
+        self.get_mut::<DriveTask>(robot).target = Some(next);
     }
 
-    fn go_on(&mut self, robot: Entity, errand: &DriveTarget) {
-        match self.plan_leg(robot, errand) {
-            Ok(way) => self.set_off(robot, way),
-            Err(why) => self.abort_goal(robot, why),
+    fn continue_to(&mut self, robot: Entity, target: &DriveTarget) {
+        match self.plan_leg(robot, target) {
+            Ok(plan) => self.start_leg(robot, plan),
+            Err(error) => self.abort_goal(robot, error),
         }
     }
 
-    /// Something came into a way or went out of one: whoever is under way there looks ahead again.
-    fn look_ahead_again(&mut self) {
+    /// Re-evaluates the obstacles ahead of every driving robot, after an obstacle appeared or
+    /// disappeared.
+    fn recheck_obstacles(&mut self) {
         let robots: Vec<Entity> = self.robots.values().copied().collect();
         for robot in robots {
-            let rolls =
-                matches!(&self.get::<Journey>(robot).stage, Stage::Rolling(course) if course.drive.lane.is_some());
-            if !rolls {
+            let is_driving = matches!(&self.get::<DriveTask>(robot).stage, Stage::Driving(progress) if progress.drive.lane.is_some());
+            if !is_driving {
                 continue;
             }
-            let left = match &*self.get::<RobotLocation>(robot) {
+            let left_m = match &*self.get::<RobotLocation>(robot) {
                 RobotLocation::Driving(part) => part.remaining(self.now).get(),
                 RobotLocation::Standing { .. } => self.steered_remaining_m(robot),
             };
-            let Stage::Rolling(mut course) = self.take_stage(robot) else { continue };
-            course.done_m = course.until_m - left;
-            self.proceed(robot, course, true);
+            let Stage::Driving(mut progress) = self.take_stage(robot) else { continue };
+            progress.done_m = progress.until_m - left_m;
+            self.proceed(robot, progress, true);
         }
     }
 
-    /// What a robot's drive has come to; it is idle until something else is put there, and nothing is due.
+    /// Takes the stage of a robot's drive, leaves `Idle` in its place, and cancels its timer.
     fn take_stage(&mut self, robot: Entity) -> Stage {
-        let (stage, wake) = {
-            let mut journey = self.get_mut::<Journey>(robot);
-            (std::mem::replace(&mut journey.stage, Stage::Idle), journey.wake.take())
+        let (stage, timer) = {
+            let mut task = self.get_mut::<DriveTask>(robot);
+            (std::mem::replace(&mut task.stage, Stage::Idle), task.timer.take())
         };
-        wake.into_iter().for_each(|wake| self.queue.cancel(wake));
+        timer.into_iter().for_each(|timer| self.queue.cancel(timer));
         stage
     }
 
-    fn stand_at(&self, robot: Entity, course: &DriveProgress) {
-        let here = course.drive.segment(course.done_m, course.done_m, self.now, course.speed_mps);
-        // One that is steered comes only close.
+    fn stop_at(&self, robot: Entity, progress: &DriveProgress) {
+        let here = progress.drive.segment(progress.done_m, progress.done_m, self.now, progress.speed_mps);
+        // A steered robot stops only near the point.
         let pose = if self.is_steered(robot) { self.get::<RobotLocation>(robot).pose(self.now) } else { here.end_pose };
         *self.get_mut::<RobotLocation>(robot) = RobotLocation::Standing { position: here.end_position, pose };
     }
 
-    /// Lets a robot stand where it is now, whether it was driving or not; one that is steered brakes.
-    fn stand_still(&mut self, robot: Entity) {
+    /// Stops a robot at its current position; a steered robot brakes.
+    fn stop_robot(&mut self, robot: Entity) {
         self.brake(robot);
-        let mut whereabouts = self.get_mut::<RobotLocation>(robot);
-        *whereabouts =
-            RobotLocation::Standing { position: whereabouts.map_position(self.now), pose: whereabouts.pose(self.now) };
+        let mut location = self.get_mut::<RobotLocation>(robot);
+        *location =
+            RobotLocation::Standing { position: location.map_position(self.now), pose: location.pose(self.now) };
     }
 
-    /// How far it still is, and how long as far as the robot can tell: doors and lifts may keep it waiting.
-    fn journey_left(&self, robot: Entity) -> Option<Feedback> {
-        let journey = self.get::<Journey>(robot);
-        let (course, left_m, left_s) = match (&journey.stage, &*self.get::<RobotLocation>(robot)) {
-            (Stage::Rolling(course), RobotLocation::Driving(part)) => {
-                (course, part.remaining(self.now).get(), (part.end_time() - self.now).max(0.0))
+    /// Returns the remaining distance and time as far as the robot can estimate them, without
+    /// waiting times at doors and lifts.
+    fn remaining_feedback(&self, robot: Entity) -> Option<Feedback> {
+        let task = self.get::<DriveTask>(robot);
+        let (progress, left_m, left_s) = match (&task.stage, &*self.get::<RobotLocation>(robot)) {
+            (Stage::Driving(progress), RobotLocation::Driving(part)) => {
+                (progress, part.remaining(self.now).get(), (part.end_time() - self.now).max(0.0))
             }
-            (Stage::Rolling(course), RobotLocation::Standing { .. }) => {
-                let (left_m, left_s) = self.steered_remaining(robot, course.speed_mps);
-                (course, left_m, left_s)
+            (Stage::Driving(progress), RobotLocation::Standing { .. }) => {
+                let (left_m, left_s) = self.steered_remaining(robot, progress.speed_mps);
+                (progress, left_m, left_s)
             }
-            (Stage::AtDoor(course, _), _) => (course, 0.0, 0.0),
+            (Stage::AtDoor(progress, _), _) => (progress, 0.0, 0.0),
             (Stage::Idle | Stage::AtLift(_) | Stage::InLift, _) => return None,
         };
-        let begun_m = if matches!(journey.stage, Stage::Rolling(_)) { course.until_m } else { course.done_m };
-        let beyond_m = course.drive.length_m() - begun_m;
+        let reached_m = if matches!(task.stage, Stage::Driving(_)) { progress.until_m } else { progress.done_m };
+        let beyond_m = progress.drive.length_m() - reached_m;
         Some(Feedback::remaining(
             Metres::new(left_m + beyond_m).unwrap_or(Metres::ZERO),
-            Seconds::new(left_s + beyond_m / course.speed_mps).unwrap_or(Seconds::ZERO),
+            Seconds::new(left_s + beyond_m / progress.speed_mps).unwrap_or(Seconds::ZERO),
         ))
     }
 }

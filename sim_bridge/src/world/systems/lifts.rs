@@ -1,43 +1,45 @@
-//! Lifts: called to a stop, they open, take in whom they have room for, and go.
+//! Lifts: a lift comes to a stop when called, opens, takes in robots up to its capacity, and
+//! leaves.
 //!
 //! ```text
-//!            LiftAwaited                    LiftEntered                     LiftLeft
+//!            LiftRequested                    LiftEntered                     LiftLeft
 //!  driving ──────────────▶ calls of a lift ─────────────▶ riding, a while ───────────▶ driving
 //! ```
 //!
-//! The cabin always goes where the oldest call wants it: to the stop where the caller waits or, once it is in, to where
-//! it wants to go. At each stop others get in as long as there is room, but they leave one free for whoever
-//! called before them and waits elsewhere. So everybody gets in.
+//! The cabin always serves the oldest call: it moves to the stop where the caller waits or, once
+//! the caller is inside, to the caller's destination. At each stop other robots enter while there
+//! is room, but they leave a slot free if an earlier caller waits elsewhere. Every caller is
+//! therefore served.
 
 use crate::map::PlaceIndex;
 use crate::world::components::SimRobot;
 use crate::world::event_log::WorldEvent;
 use crate::world::setup::WorldSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, SystemTimer, kinds};
+use crate::world::system::{ComponentType, System, SystemTimer, component_types};
 use consort_protocol::ids::PlaceId;
 use hecs::Entity;
 use std::collections::BTreeMap;
 
-/// The lifts of the floor, by name.
+/// Lifts by name.
 pub(crate) struct LiftsByName(BTreeMap<String, Entity>);
 
-/// One lift.
+/// State of a lift.
 pub(crate) struct Cabin {
     name: String,
     capacity: usize,
     opening_s: f64,
-    /// Where it stands, or comes from.
+    /// Current or last stop.
     at: PlaceIndex,
     phase: Phase,
-    /// By the running number of the call.
+    /// Calls by sequence number.
     calls: BTreeMap<u64, Call>,
     next_call: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
-    /// It stands with closed doors, and nobody wants it.
+    /// Doors closed, no calls.
     Idle,
     Opening,
     Closing,
@@ -57,34 +59,34 @@ impl Cabin {
         self.calls.values().filter(|call| call.riding).count()
     }
 
-    /// Where the oldest call that can be served wants it.
-    fn wanted(&self) -> Option<PlaceIndex> {
+    /// Returns the stop for the oldest call that can be served.
+    fn next_destination(&self) -> Option<PlaceIndex> {
         let full = self.riders() >= self.capacity;
         let call = self.calls.values().find(|call| call.riding || !full)?;
         Some(if call.riding { call.to } else { call.from })
     }
 
-    /// Those who want out here, out of the calls.
-    fn let_out(&mut self) -> Vec<Entity> {
+    /// Removes the calls that end here, and returns their robots.
+    fn exit_riders(&mut self) -> Vec<Entity> {
         let here = self.at;
-        let out: Vec<u64> =
+        let left_lift: Vec<u64> =
             self.calls.iter().filter(|(_, call)| call.riding && call.to == here).map(|(number, _)| *number).collect();
-        out.into_iter().filter_map(|number| self.calls.remove(&number)).map(|call| call.robot).collect()
+        left_lift.into_iter().filter_map(|number| self.calls.remove(&number)).map(|call| call.robot).collect()
     }
 
-    /// Those who get in here.
-    fn take_in(&mut self) -> Vec<Entity> {
-        let (mut riders, mut left_behind, mut taken) = (self.riders(), 0, Vec::new());
+    /// Marks the calls that start here as riding, and returns their robots.
+    fn board_riders(&mut self) -> Vec<Entity> {
+        let (mut riders, mut left_behind, mut entered) = (self.riders(), 0, Vec::new());
         for call in self.calls.values_mut().filter(|call| !call.riding) {
             if call.from != self.at {
                 left_behind = 1;
             } else if riders + left_behind < self.capacity {
                 call.riding = true;
                 riders += 1;
-                taken.push(call.robot);
+                entered.push(call.robot);
             }
         }
-        taken
+        entered
     }
 }
 
@@ -97,18 +99,18 @@ impl System for Lifts {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![SimRobot]
+        component_types![SimRobot]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        kinds![Cabin, LiftsByName]
+        component_types![Cabin, LiftsByName]
     }
 
-    fn init_world(&self, floor: &mut SimState, setup: &WorldSetup) {
+    fn init_world(&self, state: &mut SimState, setup: &WorldSetup) {
         let mut lifts = BTreeMap::new();
         for lift in setup.map.lifts() {
-            let at = lift.stops.first().and_then(|stop| setup.map.index(stop)).expect("a sound lift has stops");
-            let entity = floor.spawn();
+            let at = lift.stops.first().and_then(|stop| setup.map.index(stop)).expect("a valid lift has stops");
+            let entity = state.spawn();
             let cabin = Cabin {
                 name: lift.name.clone(),
                 capacity: lift.capacity as usize,
@@ -118,41 +120,41 @@ impl System for Lifts {
                 calls: BTreeMap::new(),
                 next_call: 0,
             };
-            floor.insert(entity, cabin);
+            state.insert(entity, cabin);
             lifts.insert(lift.name.clone(), entity);
         }
-        floor.insert_resource(LiftsByName(lifts));
+        state.insert_resource(LiftsByName(lifts));
     }
 
-    fn on_timer(&self, floor: &mut SimState, SystemTimer { entity: lift, .. }: SystemTimer) {
-        let phase = floor.get::<Cabin>(lift).phase;
+    fn on_timer(&self, state: &mut SimState, SystemTimer { entity: lift, .. }: SystemTimer) {
+        let phase = state.get::<Cabin>(lift).phase;
         match phase {
             Phase::Moving(to) => {
-                floor.get_mut::<Cabin>(lift).at = to;
-                floor.lift_does(lift, Phase::Opening);
+                state.get_mut::<Cabin>(lift).at = to;
+                state.set_phase(lift, Phase::Opening);
             }
             Phase::Opening => {
-                floor.exchange_riders(lift);
-                floor.lift_does(lift, Phase::Closing);
+                state.exchange_riders(lift);
+                state.set_phase(lift, Phase::Closing);
             }
-            Phase::Closing => floor.send_lift(lift),
+            Phase::Closing => state.dispatch_lift(lift),
             Phase::Idle => {}
         }
     }
 
-    fn on_event(&self, floor: &mut SimState, what: &WorldEvent) {
-        match what {
+    fn on_event(&self, state: &mut SimState, event: &WorldEvent) {
+        match event {
             WorldEvent::LiftRequested { robot, lift, at, to } => {
-                let ends = floor.map.index(at).zip(floor.map.index(to));
-                let robot = floor.robots.get(robot).copied();
-                if let (Some(lift), Some(robot), Some((from, to))) = (floor.lift(lift), robot, ends) {
-                    floor.call_lift(lift, Call { robot, from, to, riding: false });
+                let ends = state.map.index(at).zip(state.map.index(to));
+                let robot = state.robots.get(robot).copied();
+                if let (Some(lift), Some(robot), Some((from, to))) = (state.lift(lift), robot, ends) {
+                    state.call_lift(lift, Call { robot, from, to, riding: false });
                 }
             }
             WorldEvent::LiftLeft { robot, lift, .. } => {
-                let robot = floor.robots.get(robot).copied();
-                if let (Some(lift), Some(robot)) = (floor.lift(lift), robot) {
-                    floor.get_mut::<Cabin>(lift).calls.retain(|_, call| call.robot != robot || call.riding);
+                let robot = state.robots.get(robot).copied();
+                if let (Some(lift), Some(robot)) = (state.lift(lift), robot) {
+                    state.get_mut::<Cabin>(lift).calls.retain(|_, call| call.robot != robot || call.riding);
                 }
             }
             _ => {}
@@ -165,7 +167,7 @@ impl SimState {
         self.resource::<LiftsByName>().0.get(name).copied()
     }
 
-    /// The lift that goes from one place to the other, if lifts are among what happens here.
+    /// Returns the lift between two places, if the world has the lifts system.
     pub(crate) fn lift_between(&self, from: &PlaceId, to: &PlaceId) -> Option<String> {
         let ride = self.map.ride(from, to)?;
         self.has_resource::<LiftsByName>().then(|| ride.lift.name.clone())
@@ -180,25 +182,25 @@ impl SimState {
             cabin.phase == Phase::Idle
         };
         if idle {
-            self.send_lift(lift);
+            self.dispatch_lift(lift);
         }
     }
 
-    /// Its doors are closed: it goes where it is wanted, or stays.
-    fn send_lift(&mut self, lift: Entity) {
+    /// After the doors have closed: moves to the next stop, or stays.
+    fn dispatch_lift(&mut self, lift: Entity) {
         let next = {
             let cabin = self.get::<Cabin>(lift);
-            match cabin.wanted() {
+            match cabin.next_destination() {
                 None => Phase::Idle,
                 Some(stop) if stop == cabin.at => Phase::Opening,
                 Some(stop) => Phase::Moving(stop),
             }
         };
-        self.lift_does(lift, next);
+        self.set_phase(lift, next);
     }
 
-    fn lift_does(&mut self, lift: Entity, phase: Phase) {
-        let takes = {
+    fn set_phase(&mut self, lift: Entity, phase: Phase) {
+        let duration_s = {
             let mut cabin = self.get_mut::<Cabin>(lift);
             cabin.phase = phase;
             match phase {
@@ -211,19 +213,19 @@ impl SimState {
                 }
             }
         };
-        self.schedule(self.now + takes, lift, 0);
+        self.schedule(self.now + duration_s, lift, 0);
     }
 
     fn exchange_riders(&mut self, lift: Entity) {
-        let (name, at, out, taken) = {
+        let (name, at, left_lift, entered) = {
             let mut cabin = self.get_mut::<Cabin>(lift);
-            let out = cabin.let_out();
-            (cabin.name.clone(), self.map.place_at(cabin.at).id.clone(), out, cabin.take_in())
+            let left_lift = cabin.exit_riders();
+            (cabin.name.clone(), self.map.place_at(cabin.at).id.clone(), left_lift, cabin.board_riders())
         };
-        for robot in out {
+        for robot in left_lift {
             self.log_event(WorldEvent::LiftLeft { robot: self.robot_id(robot), lift: name.clone(), at: at.clone() });
         }
-        for robot in taken {
+        for robot in entered {
             self.log_event(WorldEvent::LiftEntered { robot: self.robot_id(robot), lift: name.clone() });
         }
     }

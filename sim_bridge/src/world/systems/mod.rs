@@ -1,4 +1,4 @@
-//! What can happen on a floor, a file each.
+//! All systems, each in its own file.
 
 mod arm;
 mod co_presence;
@@ -19,7 +19,7 @@ mod wind;
 
 use super::system::System;
 
-/// All systems that there are, in the order in which they hear of things.
+/// All systems, in the order in which they receive events.
 static ALL: [&dyn System; 16] = [
     &steering::Steering,
     &driving::Driving,
@@ -39,12 +39,12 @@ static ALL: [&dyn System; 16] = [
     &wind::WindSystem,
 ];
 
-/// The names of all systems that there are, in the order in which they hear of things.
+/// Names of all systems, in the order in which they receive events.
 pub fn system_names() -> impl Iterator<Item = &'static str> {
     ALL.iter().map(|system| system.name())
 }
 
-/// The system of a name.
+/// Returns the system with this name.
 pub(crate) fn by_name(name: &str) -> Option<&'static dyn System> {
     ALL.into_iter().find(|system| system.name() == name)
 }

@@ -1,7 +1,8 @@
-//! What stands in the way: a trolley in a corridor, a floor that is being cleaned.
+//! Obstacles: a trolley in a corridor, a floor that is being cleaned.
 //!
-//! A robot learns of it when it comes within sight of it (see [`driving`](super::driving)), or when somebody tells it. It
-//! remembers for a while ([`Durations::closure_remembered_s`](crate::world::Durations)), then it takes the way to be open
+//! A robot detects an obstacle at a short distance (see [`driving`](super::driving)), or receives a
+//! report from outside. It remembers the closure for a while
+//! ([`Durations::closure_memory_s`](crate::world::Durations)), then it regards the lane as open
 //! again.
 
 use crate::map::PlaceIndex;
@@ -10,26 +11,27 @@ use crate::world::environment_setup::Obstacle;
 use crate::world::event_log::WorldEvent;
 use crate::world::setup::{RobotSetup, SetupError, WorldSetup};
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, SystemTimer, kinds};
+use crate::world::system::{ComponentType, System, SystemTimer, component_types};
 use consort_protocol::ids::{PlaceId, RobotId};
 use hecs::Entity;
 use std::collections::BTreeMap;
 
-/// What stands in ways now, by name, and what the setup says will.
+/// Current obstacles by name, and the obstacles of the setup.
 pub(crate) struct ActiveObstacles {
-    standing: BTreeMap<String, Hindrance>,
-    foreseen: Vec<(String, Hindrance)>,
+    active: BTreeMap<String, ObstaclePosition>,
+    planned: Vec<(String, ObstaclePosition)>,
 }
 
-/// Where something stands: after a share of the way from one place to the other.
+/// Position of an obstacle: a share of the lane from the first place to the second.
 #[derive(Debug, Clone, Copy)]
-struct Hindrance {
+struct ObstaclePosition {
     from: PlaceIndex,
     to: PlaceIndex,
     share: f64,
 }
 
-/// The ways that a robot has met closed, or was told are closed: since when it knows, by the two ends in order.
+/// Lanes that a robot has found closed, or that were reported to it: the time of the latest
+/// information, by the two ends in order.
 #[derive(Default)]
 pub(crate) struct KnownClosures(BTreeMap<(PlaceIndex, PlaceIndex), f64>);
 
@@ -42,144 +44,146 @@ impl System for Obstacles {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![]
+        component_types![]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        kinds![ActiveObstacles, KnownClosures]
+        component_types![ActiveObstacles, KnownClosures]
     }
 
-    fn init_world(&self, floor: &mut SimState, setup: &WorldSetup) {
-        let foreseen: Vec<_> = setup
+    fn init_world(&self, state: &mut SimState, setup: &WorldSetup) {
+        let planned: Vec<_> = setup
             .obstacles
             .iter()
-            .map(|obstacle| (obstacle.name.clone(), floor.hindrance(obstacle).expect("checked: the way is on the map")))
+            .map(|obstacle| (obstacle.name.clone(), state.position(obstacle).expect("checked: the way is on the map")))
             .collect();
-        floor.insert_resource(ActiveObstacles { standing: BTreeMap::new(), foreseen });
+        state.insert_resource(ActiveObstacles { active: BTreeMap::new(), planned });
         for (index, obstacle) in setup.obstacles.iter().enumerate() {
-            // Even numbers come, odd ones go.
-            let (about, number) = (floor.spawn(), 2 * index as u64);
+            // Even numbers are appearances, odd numbers disappearances.
+            let (about, number) = (state.spawn(), 2 * index as u64);
             if obstacle.from_s > 0.0 {
-                floor.schedule(obstacle.from_s, about, number);
+                state.schedule(obstacle.from_s, about, number);
             } else {
-                let (name, hindrance) = floor.resource::<ActiveObstacles>().foreseen[index].clone();
-                floor.put_in_the_way(name, hindrance);
+                let (name, position) = state.resource::<ActiveObstacles>().planned[index].clone();
+                state.place_obstacle(name, position);
             }
             if let Some(until) = obstacle.until_s {
-                floor.schedule(until, about, number + 1);
+                state.schedule(until, about, number + 1);
             }
         }
     }
 
-    fn init_robot(&self, floor: &mut SimState, robot: Entity, _body: &RobotSetup) {
-        floor.insert(robot, KnownClosures::default());
+    fn init_robot(&self, state: &mut SimState, robot: Entity, _body: &RobotSetup) {
+        state.insert(robot, KnownClosures::default());
     }
 
-    fn on_timer(&self, floor: &mut SimState, SystemTimer { number, .. }: SystemTimer) {
-        let foreseen = floor.resource::<ActiveObstacles>().foreseen.get((number / 2) as usize).cloned();
-        let Some((name, hindrance)) = foreseen else { return };
+    fn on_timer(&self, state: &mut SimState, SystemTimer { number, .. }: SystemTimer) {
+        let planned = state.resource::<ActiveObstacles>().planned.get((number / 2) as usize).cloned();
+        let Some((name, position)) = planned else { return };
         if number % 2 == 0 {
-            floor.put_in_the_way(name, hindrance);
+            state.place_obstacle(name, position);
         } else {
-            floor.clear_away(&name);
+            state.clear_obstacle(&name);
         }
     }
 }
 
 impl World {
-    /// Puts something into a way from now on, in the place of what bears its name; its times are left aside.
+    /// Adds an obstacle, replacing any obstacle with this name. Its times are ignored.
     ///
     /// # Errors
-    /// [`SetupError`] if it is not on a lane of this map; nothing has changed.
+    /// [`SetupError`] if the obstacle is not on a lane of this map. Nothing has changed.
     pub fn add_obstacle(&mut self, obstacle: &Obstacle) -> Result<(), SetupError> {
         obstacle.check(&self.state.map)?;
-        let hindrance = self.state.hindrance(obstacle).expect("checked: the way is on the map");
-        self.run_as(&Obstacles, |floor| floor.put_in_the_way(obstacle.name.clone(), hindrance));
+        let position = self.state.position(obstacle).expect("checked: the way is on the map");
+        self.run_as(&Obstacles, |state| state.place_obstacle(obstacle.name.clone(), position));
         Ok(())
     }
 
-    /// Takes away what bears this name; if there is nothing of the kind nothing changes. Robots that know of it find out
-    /// when they have forgotten it or are [told](Self::tell_open).
+    /// Removes an obstacle. Without effect if there is none with this name. Robots that remember it
+    /// find out after [`Durations::closure_memory_s`](crate::world::Durations), or by a
+    /// [report](Self::report_lane_open).
     pub fn remove_obstacle(&mut self, obstacle: &str) {
-        self.run_as(&Obstacles, |floor| floor.clear_away(obstacle));
+        self.run_as(&Obstacles, |state| state.clear_obstacle(obstacle));
     }
 
-    /// Somebody tells a robot that the way between two places is closed. It believes it. Of strangers nothing is said.
+    /// Reports to a robot that the lane between two places is closed. The robot accepts the report.
+    /// An unknown robot is ignored.
     pub fn report_lane_closed(&mut self, robot: &RobotId, a: &PlaceId, b: &PlaceId) {
-        self.tell(robot, a, b, true);
+        self.report_lane(robot, a, b, true);
     }
 
-    /// Somebody tells a robot that the way between two places is open.
+    /// Reports to a robot that the lane between two places is open.
     pub fn report_lane_open(&mut self, robot: &RobotId, a: &PlaceId, b: &PlaceId) {
-        self.tell(robot, a, b, false);
+        self.report_lane(robot, a, b, false);
     }
 
-    fn tell(&mut self, robot: &RobotId, a: &PlaceId, b: &PlaceId, closed: bool) {
+    fn report_lane(&mut self, robot: &RobotId, a: &PlaceId, b: &PlaceId, closed: bool) {
         let (robot, ends) =
             (self.state.robots.get(robot).copied(), self.state.map.index(a).zip(self.state.map.index(b)));
         let (Some(robot), Some((a, b))) = (robot, ends) else { return };
-        self.run_as(&Obstacles, |floor| {
+        self.run_as(&Obstacles, |state| {
             if closed {
-                floor.remember_closure(robot, a, b);
+                state.remember_closure(robot, a, b);
             } else {
-                floor.get_mut::<KnownClosures>(robot).0.remove(&(a.min(b), a.max(b)));
+                state.get_mut::<KnownClosures>(robot).0.remove(&(a.min(b), a.max(b)));
             }
         });
     }
 }
 
 impl SimState {
-    fn hindrance(&self, obstacle: &Obstacle) -> Option<Hindrance> {
+    fn position(&self, obstacle: &Obstacle) -> Option<ObstaclePosition> {
         let (a, b) = &obstacle.on;
-        Some(Hindrance { from: self.map.index(a)?, to: self.map.index(b)?, share: obstacle.at })
+        Some(ObstaclePosition { from: self.map.index(a)?, to: self.map.index(b)?, share: obstacle.at })
     }
 
-    fn put_in_the_way(&mut self, name: String, hindrance: Hindrance) {
-        self.resource_mut::<ActiveObstacles>().standing.insert(name.clone(), hindrance);
-        let between = self.ends(hindrance);
+    fn place_obstacle(&mut self, name: String, position: ObstaclePosition) {
+        self.resource_mut::<ActiveObstacles>().active.insert(name.clone(), position);
+        let between = self.ends(position);
         self.log_event(WorldEvent::LaneBlocked { obstacle: name, between });
     }
 
-    fn clear_away(&mut self, name: &str) {
-        let gone = self.resource_mut::<ActiveObstacles>().standing.remove(name);
-        if let Some(hindrance) = gone {
-            let between = self.ends(hindrance);
+    fn clear_obstacle(&mut self, name: &str) {
+        let removed = self.resource_mut::<ActiveObstacles>().active.remove(name);
+        if let Some(position) = removed {
+            let between = self.ends(position);
             self.log_event(WorldEvent::LaneCleared { obstacle: name.to_owned(), between });
         }
     }
 
-    fn ends(&self, Hindrance { from, to, .. }: Hindrance) -> (PlaceId, PlaceId) {
+    fn ends(&self, ObstaclePosition { from, to, .. }: ObstaclePosition) -> (PlaceId, PlaceId) {
         (self.map.place_at(from).id.clone(), self.map.place_at(to).id.clone())
     }
 
-    /// What stands between two neighbouring places, each with the share of the way at which it does.
+    /// Returns the obstacles between two neighbouring places, each with its share of the lane.
     pub(crate) fn obstacles_on(&self, from: PlaceIndex, to: PlaceIndex) -> Vec<(f64, String)> {
         if !self.has_resource::<ActiveObstacles>() {
             return vec![];
         }
-        let way = self.resource::<ActiveObstacles>();
-        let standing = way.standing.iter().filter_map(|(name, hindrance)| match (hindrance.from, hindrance.to) {
-            ends if ends == (from, to) => Some((hindrance.share, name.clone())),
-            ends if ends == (to, from) => Some((1.0 - hindrance.share, name.clone())),
+        let obstacles = self.resource::<ActiveObstacles>();
+        let active = obstacles.active.iter().filter_map(|(name, position)| match (position.from, position.to) {
+            ends if ends == (from, to) => Some((position.share, name.clone())),
+            ends if ends == (to, from) => Some((1.0 - position.share, name.clone())),
             _ => None,
         });
-        standing.collect()
+        active.collect()
     }
 
-    /// From now on a robot knows that a way is closed.
+    /// Remembers a lane as closed for a robot.
     pub(crate) fn remember_closure(&self, robot: Entity, a: PlaceIndex, b: PlaceIndex) {
-        if let Some(mut known) = self.find_mut::<KnownClosures>(robot) {
-            known.0.insert((a.min(b), a.max(b)), self.now);
+        if let Some(mut closures) = self.find_mut::<KnownClosures>(robot) {
+            closures.0.insert((a.min(b), a.max(b)), self.now);
         }
     }
 
-    /// The ways that a robot takes to be closed.
+    /// Returns the lanes that a robot regards as closed.
     pub(crate) fn known_closures(&self, robot: Entity) -> Vec<(PlaceId, PlaceId)> {
-        let Some(known) = self.find::<KnownClosures>(robot) else { return vec![] };
-        let remembered = |since: &f64| self.now - since < self.durations.closure_remembered_s;
+        let Some(closures) = self.find::<KnownClosures>(robot) else { return vec![] };
+        let remembered = |since: &f64| self.now - since < self.durations.closure_memory_s;
         let ends = |((a, b), _): (&(PlaceIndex, PlaceIndex), &f64)| {
             (self.map.place_at(*a).id.clone(), self.map.place_at(*b).id.clone())
         };
-        known.0.iter().filter(|(_, since)| remembered(since)).map(ends).collect()
+        closures.0.iter().filter(|(_, since)| remembered(since)).map(ends).collect()
     }
 }

@@ -1,11 +1,13 @@
-//! People who are asked to do something.
+//! People, and the tasks requested of them.
 //!
-//! An ask waits until a robot that holds a role of the mission has approached someone who plays the asked role and
-//! stands there with an open drawer. Whom it approached is who hands over: of several nurses, the one where the robot
-//! is. She takes her time; if the robot leaves or shuts its drawer meanwhile, she keeps her sample and waits on.
+//! A request waits until a robot that holds a role of the mission has approached a person in the
+//! requested role and stands there with an open drawer. The approached person hands over: of
+//! several nurses, the nurse at the robot's place. A handover takes time. If the robot leaves or
+//! closes its drawer meanwhile, the person keeps the sample and the request waits on.
 //!
-//! While all who play the role are away, an ask waits for one to come back: for the seconds that its task gives in `patience`,
-//! or two minutes. A robot that has stayed where it was is beside her again when she is back.
+//! While every person in the role is away, a request waits for a return: for the seconds of the
+//! task's parameter `patience`, or two minutes. A robot that has stayed at the place is next
+//! to the person again after the return.
 
 use crate::world::components::{CoPresence, DrawerOpen, HandoverRng, HandsBusy, PersonInfo, SampleLabel, SimRobot};
 use crate::world::environment_setup::sample_kg;
@@ -17,7 +19,7 @@ use crate::world::preconditions::action_error;
 use crate::world::samples::{Custody, HandoverCount, HolderEntity, PayloadData};
 use crate::world::setup::{PersonSetup, WorldSetup};
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, SystemTimer, kinds};
+use crate::world::system::{ComponentType, System, SystemTimer, component_types};
 use crate::world::systems::spontaneous_actions::PersonStates;
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_skills::actions::{
@@ -29,69 +31,70 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-/// What people can do, by task type.
-const CAN: &[&str] = &["deposit"];
+/// Tasks that people can do, by task type.
+const TASK_TYPES: &[&str] = &["deposit"];
 
-/// The parameter of a task that names the role whose drawer is meant; without it any robot of the mission may come.
+/// Task parameter with the role of the robot that receives the sample. Without it, any robot of the
+/// mission may come.
 const INTO_ROLE: &str = "into_role";
 
-/// What tells the end of patience from the end of handing over, in the number of a wake.
-const IN_VAIN: u64 = 1 << 63;
+/// Bit in the number of a timer that distinguishes a timeout from the end of a handover.
+const TIMEOUT_FLAG: u64 = 1 << 63;
 
-/// Running number of an ask: earlier ones are served first.
+/// Sequence number of a request. Earlier requests are served first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct AskNumber(u64);
+struct RequestNumber(u64);
 
-/// The asks that have not ended, and the ids of those that lately did.
+/// The open requests, and the ids of those that ended lately.
 #[derive(Default)]
 pub(crate) struct PersonRequests {
-    open: BTreeMap<AskNumber, Ask>,
-    ids: BTreeMap<GoalId, AskNumber>,
-    /// With what came of each; `None` for one that was withdrawn.
+    open: BTreeMap<RequestNumber, Request>,
+    ids: BTreeMap<GoalId, RequestNumber>,
+    /// Ended requests with their results; `None` for a canceled request.
     ended: BTreeMap<GoalId, Option<Result<(), ActionError>>>,
-    /// The same in the order of their ends.
+    /// Ended requests in the order of their ends.
     ended_order: VecDeque<GoalId>,
     next: u64,
 }
 
-struct Ask {
+struct Request {
     id: GoalId,
     role: RoleId,
-    /// The robots whose drawers will do.
+    /// Robots with an acceptable drawer.
     into: BTreeSet<Entity>,
-    under_way: Option<HandingOver>,
-    /// How long those who are away are waited for, in seconds.
-    patience_s: f64,
-    /// While all who could do it are away: when that ends.
-    given_up: Option<TimerId>,
+    under_way: Option<Handover>,
+    /// Time for which the request waits for an absent person, in seconds.
+    timeout_s: f64,
+    /// The timeout, while every person in the role is away.
+    timeout_timer: Option<TimerId>,
 }
 
 #[derive(Clone, Copy)]
-struct HandingOver {
+struct Handover {
     person: Entity,
     robot: Entity,
     ends: TimerId,
 }
 
 impl PersonRequests {
-    fn knows(&self, id: GoalId) -> bool {
+    fn is_known(&self, id: GoalId) -> bool {
         self.ids.contains_key(&id) || self.ended.contains_key(&id)
     }
 
-    fn open(&mut self, ask: Ask) {
-        let number = AskNumber(self.next);
+    fn open(&mut self, request: Request) {
+        let number = RequestNumber(self.next);
         self.next += 1;
-        self.ids.insert(ask.id, number);
-        self.open.insert(number, ask);
+        self.ids.insert(request.id, number);
+        self.open.insert(number, request);
     }
 
-    fn under_way(&self, id: GoalId) -> Option<HandingOver> {
+    fn under_way(&self, id: GoalId) -> Option<Handover> {
         self.open.get(self.ids.get(&id)?)?.under_way
     }
 
-    /// Those that nobody serves yet, earlier ones first.
-    fn waiting(&self) -> Vec<AskNumber> {
-        self.open.iter().filter(|(_, ask)| ask.under_way.is_none()).map(|(number, _)| *number).collect()
+    /// Requests that are not being served, earlier requests first.
+    fn waiting(&self) -> Vec<RequestNumber> {
+        self.open.iter().filter(|(_, request)| request.under_way.is_none()).map(|(number, _)| *number).collect()
     }
 
     fn close(&mut self, id: GoalId, result: Option<Result<(), ActionError>>, kept: usize) {
@@ -108,17 +111,17 @@ impl PersonRequests {
         }
     }
 
-    /// Those that have not ended, earlier ones first.
+    /// Open requests, earlier requests first.
     pub(crate) fn open_requests(&self) -> Vec<GoalId> {
-        self.open.values().map(|ask| ask.id).collect()
+        self.open.values().map(|request| request.id).collect()
     }
 
-    /// Whether an ask was lately withdrawn.
+    /// Checks whether a request was canceled lately.
     pub(crate) fn was_canceled(&self, id: GoalId) -> bool {
         self.ended.get(&id).is_some_and(Option::is_none)
     }
 
-    /// What came of an ask that lately ended.
+    /// Result of a request that ended lately.
     pub(crate) fn result(&self, id: GoalId) -> Option<Result<(), ActionError>> {
         self.ended.get(&id).cloned().flatten()
     }
@@ -133,60 +136,69 @@ impl System for People {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![CoPresence, SimRobot, DrawerOpen, PersonStates, RobotLocation]
+        component_types![CoPresence, SimRobot, DrawerOpen, PersonStates, RobotLocation]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        kinds![PersonRequests, Custody, HandsBusy, HandoverCount, SampleLabel, PayloadData, HandoverRng, PersonInfo]
+        component_types![
+            PersonRequests,
+            Custody,
+            HandsBusy,
+            HandoverCount,
+            SampleLabel,
+            PayloadData,
+            HandoverRng,
+            PersonInfo
+        ]
     }
 
-    fn init_world(&self, floor: &mut SimState, setup: &WorldSetup) {
-        floor.insert_resource(PersonRequests::default());
+    fn init_world(&self, state: &mut SimState, setup: &WorldSetup) {
+        state.insert_resource(PersonRequests::default());
         for (index, person) in setup.people.iter().enumerate() {
-            let mut pace = ChaCha8Rng::seed_from_u64(setup.seed);
-            pace.set_stream(index as u64);
-            floor.spawn_person(person, pace);
+            let mut rng = ChaCha8Rng::seed_from_u64(setup.seed);
+            rng.set_stream(index as u64);
+            state.spawn_person(person, rng);
         }
     }
 
-    fn request_person(&self, floor: &mut SimState, id: GoalId, request_person: &PersonRequest) -> bool {
-        floor.take_ask(id, request_person);
+    fn request_person(&self, state: &mut SimState, id: GoalId, request_person: &PersonRequest) -> bool {
+        state.accept_request(id, request_person);
         true
     }
 
-    fn cancel_person_request(&self, floor: &mut SimState, id: GoalId) {
-        floor.withdraw(id);
+    fn cancel_person_request(&self, state: &mut SimState, id: GoalId) {
+        state.cancel_request(id);
     }
 
-    fn on_timer(&self, floor: &mut SimState, SystemTimer { number, .. }: SystemTimer) {
-        match number & IN_VAIN {
-            0 => floor.handed_over(AskNumber(number)),
-            _ => floor.give_up_waiting(AskNumber(number & !IN_VAIN)),
+    fn on_timer(&self, state: &mut SimState, SystemTimer { number, .. }: SystemTimer) {
+        match number & TIMEOUT_FLAG {
+            0 => state.finish_handover(RequestNumber(number)),
+            _ => state.time_out_request(RequestNumber(number & !TIMEOUT_FLAG)),
         }
     }
 
-    fn on_event(&self, floor: &mut SimState, what: &WorldEvent) {
-        match what {
-            WorldEvent::GoalEnded { .. } => floor.serve_asks(),
+    fn on_event(&self, state: &mut SimState, event: &WorldEvent) {
+        match event {
+            WorldEvent::GoalEnded { .. } => state.serve_requests(),
             WorldEvent::PersonReturned { .. } => {
-                floor.mind_who_is_away();
-                floor.serve_asks();
+                state.update_timeouts();
+                state.serve_requests();
             }
             WorldEvent::MissionCanceled { person, robot } => {
-                floor.hold_back(person, Some(robot));
-                floor.serve_asks();
+                state.interrupt_handover(person, Some(robot));
+                state.serve_requests();
             }
             WorldEvent::HandoverDeclined { person, robot } => {
-                if let Some(id) = floor.hold_back(person, Some(robot)) {
-                    let why = action_error(ErrorCode::NotAuthenticated, format!("{person} declines"));
-                    floor.end_ask(id, Err(why));
-                    floor.serve_asks();
+                if let Some(id) = state.interrupt_handover(person, Some(robot)) {
+                    let error = action_error(ErrorCode::NotAuthenticated, format!("{person} declines"));
+                    state.end_request(id, Err(error));
+                    state.serve_requests();
                 }
             }
             WorldEvent::PersonLeft { person } => {
-                floor.hold_back(person, None);
-                floor.mind_who_is_away();
-                floor.serve_asks();
+                state.interrupt_handover(person, None);
+                state.update_timeouts();
+                state.serve_requests();
             }
             _ => {}
         }
@@ -194,83 +206,89 @@ impl System for People {
 }
 
 impl SimState {
-    fn spawn_person(&mut self, person: &PersonSetup, pace: ChaCha8Rng) {
+    fn spawn_person(&mut self, person: &PersonSetup, rng: ChaCha8Rng) {
         let place = self.map.index(&person.place).expect("checked: the place is on the map");
-        let hands = self.spawn();
-        self.insert(hands, PersonInfo { name: person.name.clone(), role: person.role.clone(), place });
-        self.insert(hands, HandsBusy(false));
-        self.insert(hands, HandoverRng(pace));
-        self.people.insert(person.name.clone(), hands);
+        let entity = self.spawn();
+        self.insert(entity, PersonInfo { name: person.name.clone(), role: person.role.clone(), place });
+        self.insert(entity, HandsBusy(false));
+        self.insert(entity, HandoverRng(rng));
+        self.people.insert(person.name.clone(), entity);
         for sample in &person.samples {
             let load = PayloadData { weight_kg: sample_kg(), distance_m: 0.0 };
-            self.spawn_sample(sample.clone(), HolderEntity::Hands(hands), load);
+            self.spawn_sample(sample.clone(), HolderEntity::Hands(entity), load);
         }
     }
 
-    /// Takes an ask, or answers at once why nobody can do it; an id that was seen before changes nothing.
-    fn take_ask(&mut self, id: GoalId, ask: &PersonRequest) {
-        if self.resource::<PersonRequests>().knows(id) {
+    /// Accepts a request, or ends it at once with the reason why it is impossible. An id seen
+    /// before changes nothing.
+    fn accept_request(&mut self, id: GoalId, request: &PersonRequest) {
+        if self.resource::<PersonRequests>().is_known(id) {
             return;
         }
-        match self.who_will_do(ask) {
+        match self.accepting_robots(request) {
             Ok(into) => {
-                let patience =
-                    ask.task.parameters.get(PERSON_TIMEOUT_PARAMETER).and_then(|seconds| seconds.parse().ok());
-                let patience_s =
-                    patience.filter(|seconds| (0.0..=f64::MAX).contains(seconds)).unwrap_or(PERSON_TIMEOUT_S);
-                let role = ask.role.clone();
-                self.resource_mut::<PersonRequests>().open(Ask {
+                let timeout =
+                    request.task.parameters.get(PERSON_TIMEOUT_PARAMETER).and_then(|seconds| seconds.parse().ok());
+                let timeout_s =
+                    timeout.filter(|seconds| (0.0..=f64::MAX).contains(seconds)).unwrap_or(PERSON_TIMEOUT_S);
+                let role = request.role.clone();
+                self.resource_mut::<PersonRequests>().open(Request {
                     id,
                     role,
                     into,
                     under_way: None,
-                    patience_s,
-                    given_up: None,
+                    timeout_s,
+                    timeout_timer: None,
                 });
-                self.mind_who_is_away();
-                self.serve_asks();
+                self.update_timeouts();
+                self.serve_requests();
             }
             Err(error) => {
-                self.end_ask(id, Err(error));
+                self.end_request(id, Err(error));
             }
         }
     }
 
-    /// Withdraws an ask: nobody waits any longer, and nothing is said. One that was withdrawn before it was heard of is not
-    /// served when it comes.
-    fn withdraw(&mut self, id: GoalId) {
+    /// Cancels a request without emitting an event. A request that is canceled before it arrives is
+    /// not served.
+    fn cancel_request(&mut self, id: GoalId) {
         if self.resource::<PersonRequests>().ended.contains_key(&id) {
             return;
         }
-        let handing = self.resource::<PersonRequests>().under_way(id);
-        if let Some(handing) = handing {
-            self.queue.cancel(handing.ends);
-            self.get_mut::<HandsBusy>(handing.person).0 = false;
+        let handover = self.resource::<PersonRequests>().under_way(id);
+        if let Some(handover) = handover {
+            self.queue.cancel(handover.ends);
+            self.get_mut::<HandsBusy>(handover.person).0 = false;
         }
         self.close(id, None);
-        self.serve_asks();
+        self.serve_requests();
     }
 
-    /// The robots whose drawers will do.
-    fn who_will_do(&self, ask: &PersonRequest) -> Result<BTreeSet<Entity>, ActionError> {
+    /// Returns the robots with an acceptable drawer.
+    fn accepting_robots(&self, request: &PersonRequest) -> Result<BTreeSet<Entity>, ActionError> {
         let roles: BTreeSet<RoleId> =
             self.people.values().map(|person| self.get::<PersonInfo>(*person).role.clone()).collect();
         let unknown = |message| Err(action_error(ErrorCode::Unknown, message));
-        if !roles.contains(&ask.role) {
+        if !roles.contains(&request.role) {
             let known = roles.iter().map(RoleId::as_str).collect::<Vec<_>>().join(", ");
-            let known = if known.is_empty() { "nobody".to_owned() } else { known };
-            return unknown(format!("no {} is here; there is: {known}", ask.role));
+            let known = if known.is_empty() { "none".to_owned() } else { known };
+            return unknown(format!("no {} is here; roles present: {known}", request.role));
         }
-        if !CAN.contains(&ask.task.task_type.as_str()) {
-            return unknown(format!("a {} cannot {}; can: {}", ask.role, ask.task.task_type, CAN.join(", ")));
+        if !TASK_TYPES.contains(&request.task.task_type.as_str()) {
+            return unknown(format!(
+                "a {} cannot {}; supported tasks: {}",
+                request.role,
+                request.task.task_type,
+                TASK_TYPES.join(", ")
+            ));
         }
         let waiting = self.resource::<PersonRequests>().open.len();
-        if waiting >= self.limits.asks_max {
-            let message = format!("{waiting} asks are waiting already");
+        if waiting >= self.limits.person_requests_max {
+            let message = format!("{waiting} person requests are open already");
             return Err(action_error(ErrorCode::Busy, message));
         }
-        let wanted = ask.task.parameters.get(INTO_ROLE);
-        let holders = ask.holders.iter().filter(|(role, _)| wanted.is_none_or(|wanted| role.as_str() == wanted));
+        let wanted = request.task.parameters.get(INTO_ROLE);
+        let holders = request.holders.iter().filter(|(role, _)| wanted.is_none_or(|wanted| role.as_str() == wanted));
         let into: BTreeSet<Entity> = holders
             .filter_map(|(_, robot)| self.robots.get(robot).copied())
             .filter(|robot| self.get::<SimRobot>(*robot).0.has_drawer)
@@ -282,34 +300,37 @@ impl SimState {
         }
     }
 
-    /// Begins to hand over wherever what an ask waits for has come about, earlier asks first.
-    fn serve_asks(&mut self) {
+    /// Starts a handover for each request with its conditions met, earlier requests first.
+    fn serve_requests(&mut self) {
         let waiting = self.resource::<PersonRequests>().waiting();
         for number in waiting {
-            let met = self.resource::<PersonRequests>().open.get(&number).and_then(|ask| self.met(ask));
-            let Some((person, robot)) = met else { continue };
-            let (least, most) = (self.durations.person_min_s, self.durations.person_max_s);
-            let takes = self.get_mut::<HandoverRng>(person).0.random_range(least..=most);
-            let ends = self.schedule(self.now + takes, person, number.0);
+            let ready_pair =
+                self.resource::<PersonRequests>().open.get(&number).and_then(|request| self.ready_pair(request));
+            let Some((person, robot)) = ready_pair else { continue };
+            let (min_s, max_s) = (self.durations.person_min_s, self.durations.person_max_s);
+            let duration_s = self.get_mut::<HandoverRng>(person).0.random_range(min_s..=max_s);
+            let ends = self.schedule(self.now + duration_s, person, number.0);
             self.get_mut::<HandsBusy>(person).0 = true;
             let name = self.get::<PersonInfo>(person).name.clone();
             self.log_event(WorldEvent::HandoverStarted { person: name, robot: self.robot_id(robot) });
-            if let Some(ask) = self.resource_mut::<PersonRequests>().open.get_mut(&number) {
-                ask.under_way = Some(HandingOver { person, robot, ends });
+            if let Some(request) = self.resource_mut::<PersonRequests>().open.get_mut(&number) {
+                request.under_way = Some(Handover { person, robot, ends });
             }
         }
     }
 
-    /// A person free to serve the ask, and the robot with an open drawer that approached her.
-    fn met(&self, ask: &Ask) -> Option<(Entity, Entity)> {
-        let with =
-            |robot: Entity| self.ready_at(robot).filter(|person| self.get::<PersonInfo>(*person).role == ask.role);
-        let mut pairs = ask.into.iter().filter_map(|robot| Some((with(*robot)?, *robot)));
+    /// Returns a free person for the request, and the robot with an open drawer that has approached
+    /// them.
+    fn ready_pair(&self, request: &Request) -> Option<(Entity, Entity)> {
+        let with = |robot: Entity| {
+            self.person_ready_at(robot).filter(|person| self.get::<PersonInfo>(*person).role == request.role)
+        };
+        let mut pairs = request.into.iter().filter_map(|robot| Some((with(*robot)?, *robot)));
         pairs.find(|(person, _)| !self.get::<HandsBusy>(*person).0)
     }
 
-    /// The person whom a robot with an open drawer is beside.
-    fn ready_at(&self, robot: Entity) -> Option<Entity> {
+    /// Returns the person next to a robot with an open drawer.
+    fn person_ready_at(&self, robot: Entity) -> Option<Entity> {
         match *self.get::<CoPresence>(robot) {
             CoPresence::Person { person, .. } if self.get::<DrawerOpen>(robot).0 => {
                 let name = &self.get::<PersonInfo>(person).name;
@@ -319,101 +340,108 @@ impl SimState {
         }
     }
 
-    /// The time a person took is over: what she hands over changes hands, if the robot is still there for it.
-    fn handed_over(&mut self, number: AskNumber) {
+    /// Handles the end of a handover: transfers the sample, if the robot is still there.
+    fn finish_handover(&mut self, number: RequestNumber) {
         let done = self
             .resource_mut::<PersonRequests>()
             .open
             .get_mut(&number)
-            .and_then(|ask| Some((ask.id, ask.under_way.take()?)));
-        let Some((id, handing)) = done else { return };
-        self.get_mut::<HandsBusy>(handing.person).0 = false;
-        if self.ready_at(handing.robot) == Some(handing.person) {
-            let result = self.put_in(handing);
-            self.end_ask(id, result);
+            .and_then(|request| Some((request.id, request.under_way.take()?)));
+        let Some((id, handover)) = done else { return };
+        self.get_mut::<HandsBusy>(handover.person).0 = false;
+        if self.person_ready_at(handover.robot) == Some(handover.person) {
+            let result = self.transfer_to_drawer(handover);
+            self.end_request(id, result);
         }
-        self.serve_asks();
+        self.serve_requests();
     }
 
-    /// She keeps what she was about to hand over, to a robot or to whichever. The ask stays open.
-    fn hold_back(&mut self, person: &PersonName, robot: Option<&RobotId>) -> Option<GoalId> {
+    /// Interrupts a person's handover, to the given robot or to any. The request stays open.
+    fn interrupt_handover(&mut self, person: &PersonName, robot: Option<&RobotId>) -> Option<GoalId> {
         let person = self.people.get(person).copied()?;
         let robot = robot.and_then(|robot| self.robots.get(robot).copied());
-        let (id, handing) = {
-            let mut asks = self.resource_mut::<PersonRequests>();
-            let is_it =
-                |handing: &HandingOver| handing.person == person && robot.is_none_or(|robot| robot == handing.robot);
-            let ask = asks.open.values_mut().find(|ask| ask.under_way.as_ref().is_some_and(is_it))?;
-            (ask.id, ask.under_way.take()?)
+        let (id, handover) = {
+            let mut requests = self.resource_mut::<PersonRequests>();
+            let matches =
+                |handover: &Handover| handover.person == person && robot.is_none_or(|robot| robot == handover.robot);
+            let request = requests.open.values_mut().find(|request| request.under_way.as_ref().is_some_and(matches))?;
+            (request.id, request.under_way.take()?)
         };
-        self.queue.cancel(handing.ends);
+        self.queue.cancel(handover.ends);
         self.get_mut::<HandsBusy>(person).0 = false;
         Some(id)
     }
 
-    /// The roles that somebody plays who is there.
+    /// Roles of the people present.
     fn roles_present(&self) -> BTreeSet<RoleId> {
-        let who = self.people.values().map(|person| self.get::<PersonInfo>(*person));
-        who.filter(|who| self.is_present(&who.name)).map(|who| who.role.clone()).collect()
+        let info = self.people.values().map(|person| self.get::<PersonInfo>(*person));
+        info.filter(|info| self.is_present(&info.name)).map(|info| info.role.clone()).collect()
     }
 
-    /// From now on an ask of a role that nobody here plays waits for so long and no longer; one of another has all the time.
-    fn mind_who_is_away(&mut self) {
+    /// Starts the timeout of each request with an absent role, and stops it for roles that are
+    /// present.
+    fn update_timeouts(&mut self) {
         let present = self.roles_present();
-        let turned: Vec<(AskNumber, f64, Option<TimerId>)> = {
-            let asks = self.resource::<PersonRequests>();
-            let turned = asks.open.iter().filter(|(_, ask)| present.contains(&ask.role) == ask.given_up.is_some());
-            turned.map(|(number, ask)| (*number, ask.patience_s, ask.given_up)).collect()
+        let changed: Vec<(RequestNumber, f64, Option<TimerId>)> = {
+            let requests = self.resource::<PersonRequests>();
+            let changed = requests
+                .open
+                .iter()
+                .filter(|(_, request)| present.contains(&request.role) == request.timeout_timer.is_some());
+            changed.map(|(number, request)| (*number, request.timeout_s, request.timeout_timer)).collect()
         };
-        for (number, patience_s, given_up) in turned {
-            let given_up = match given_up {
-                Some(ticket) => {
-                    self.queue.cancel(ticket);
+        for (number, timeout_s, timeout_timer) in changed {
+            let timeout_timer = match timeout_timer {
+                Some(timer) => {
+                    self.queue.cancel(timer);
                     None
                 }
-                None => Some(self.schedule(self.now + patience_s, self.resource_entity(), number.0 | IN_VAIN)),
+                None => Some(self.schedule(self.now + timeout_s, self.resource_entity(), number.0 | TIMEOUT_FLAG)),
             };
-            if let Some(ask) = self.resource_mut::<PersonRequests>().open.get_mut(&number) {
-                ask.given_up = given_up;
+            if let Some(request) = self.resource_mut::<PersonRequests>().open.get_mut(&number) {
+                request.timeout_timer = timeout_timer;
             }
         }
     }
 
-    /// Nobody has come back in time.
-    fn give_up_waiting(&mut self, number: AskNumber) {
-        let ask =
-            self.resource::<PersonRequests>().open.get(&number).map(|ask| (ask.id, ask.role.clone(), ask.patience_s));
-        let Some((id, role, patience_s)) = ask else { return };
-        let message = format!("every {role} has walked away; waited for {patience_s} s");
-        self.end_ask(id, Err(action_error(ErrorCode::OutOfReach, message)));
+    /// Handles the timeout of a request: no person has returned in time.
+    fn time_out_request(&mut self, number: RequestNumber) {
+        let request = self
+            .resource::<PersonRequests>()
+            .open
+            .get(&number)
+            .map(|request| (request.id, request.role.clone(), request.timeout_s));
+        let Some((id, role, timeout_s)) = request else { return };
+        let message = format!("every {role} has walked away; waited for {timeout_s} s");
+        self.end_request(id, Err(action_error(ErrorCode::OutOfReach, message)));
     }
 
-    fn put_in(&mut self, handing: HandingOver) -> Result<(), ActionError> {
-        self.check_drawer_space(handing.robot)?;
-        let Some(sample) = self.held(HolderEntity::Hands(handing.person)).first().copied() else {
-            let who = self.get::<PersonInfo>(handing.person);
-            let message = format!("{} {} has no sample to hand over", who.role, who.name);
+    fn transfer_to_drawer(&mut self, handover: Handover) -> Result<(), ActionError> {
+        self.check_drawer_space(handover.robot)?;
+        let Some(sample) = self.held(HolderEntity::Hands(handover.person)).first().copied() else {
+            let info = self.get::<PersonInfo>(handover.person);
+            let message = format!("{} {} has no sample to hand over", info.role, info.name);
             return Err(action_error(ErrorCode::DrawerState, message));
         };
-        self.transfer_sample(sample, HolderEntity::Drawer(handing.robot));
+        self.transfer_sample(sample, HolderEntity::Drawer(handover.robot));
         Ok(())
     }
 
-    fn end_ask(&mut self, id: GoalId, result: Result<(), ActionError>) {
+    fn end_request(&mut self, id: GoalId, result: Result<(), ActionError>) {
         self.close(id, Some(result.clone()));
-        self.emit(BackendEvent::PersonRequestEnded { ask: id, result });
+        self.emit(BackendEvent::PersonRequestEnded { request: id, result });
     }
 
     fn close(&mut self, id: GoalId, result: Option<Result<(), ActionError>>) {
-        let given_up = {
-            let mut asks = self.resource_mut::<PersonRequests>();
-            let number = asks.ids.get(&id).copied();
-            number.and_then(|number| asks.open.get_mut(&number)?.given_up.take())
+        let timeout_timer = {
+            let mut requests = self.resource_mut::<PersonRequests>();
+            let number = requests.ids.get(&id).copied();
+            number.and_then(|number| requests.open.get_mut(&number)?.timeout_timer.take())
         };
-        if let Some(ticket) = given_up {
-            self.queue.cancel(ticket);
+        if let Some(timer) = timeout_timer {
+            self.queue.cancel(timer);
         }
-        let kept = self.limits.asks_max;
+        let kept = self.limits.person_requests_max;
         self.resource_mut::<PersonRequests>().close(id, result, kept);
     }
 }

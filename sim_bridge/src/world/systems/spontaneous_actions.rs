@@ -1,7 +1,9 @@
-//! People who change their minds: they call a mission off, decline, or walk away, each at moments that the setup names.
+//! Unrequested actions of people: they cancel a mission, decline, or walk away, at triggers that
+//! the setup names.
 //!
-//! Whether something comes over a person is drawn from a generator of her own, apart from the one for how long she takes.
-//! What she does then is said in news; [`people`](super::people) hears it and breaks off what she has under way.
+//! A generator per person decides whether an action is taken; it is separate from the generator for
+//! handover times. Actions are logged as events. [`people`](super::people) observes them and
+//! interrupts handovers.
 
 use crate::world::World;
 use crate::world::components::{PersonInfo, SimRobot};
@@ -11,7 +13,7 @@ use crate::world::samples::SampleHolder;
 use crate::world::setup::WorldSetup;
 use crate::world::sim_state::SimState;
 use crate::world::spontaneous_action::{PersonAction, PersonTrigger, SpontaneousAction};
-use crate::world::system::{ComponentType, System, SystemTimer, kinds};
+use crate::world::system::{ComponentType, System, SystemTimer, component_types};
 use consort_protocol::ids::RobotId;
 use consort_skills::actions::BackendEvent;
 use rand::RngExt;
@@ -19,30 +21,31 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The streams of people's generators for what comes over them begin here; those for their pace are below.
-const STREAMS: u64 = 1 << 32;
+/// First random stream for actions of people. The streams for handover times are below it.
+const FIRST_STREAM: u64 = 1 << 32;
 
-/// All that is on people's minds.
+/// State of all people with regard to their actions.
 pub(crate) struct PersonStates {
-    of: BTreeMap<PersonName, Mind>,
-    /// What is to be done later, by a running number.
-    intents: BTreeMap<u64, Intent>,
+    people: BTreeMap<PersonName, PersonState>,
+    /// Scheduled actions, by sequence number.
+    scheduled: BTreeMap<u64, ScheduledAction>,
     next: u64,
-    /// Those who are not at their places.
+    /// People away from their places.
     away: BTreeSet<PersonName>,
-    /// Who has called a mission off for which a robot came: it gets nothing until it comes anew.
-    done_with: BTreeSet<(PersonName, RobotId)>,
+    /// People with the robot of the mission they canceled. The robot receives nothing until it
+    /// approaches again.
+    refused_robots: BTreeSet<(PersonName, RobotId)>,
 }
 
-struct Mind {
-    moods: Vec<SpontaneousAction>,
-    chance: ChaCha8Rng,
+struct PersonState {
+    actions: Vec<SpontaneousAction>,
+    rng: ChaCha8Rng,
 }
 
 #[derive(Clone)]
-enum Intent {
-    Does { person: PersonName, does: PersonAction, robot: Option<RobotId>, back_after_s: Option<f64> },
-    ComesBack(PersonName),
+enum ScheduledAction {
+    Act { person: PersonName, action: PersonAction, robot: Option<RobotId>, back_after_s: Option<f64> },
+    Return(PersonName),
 }
 
 /// See the [module](self).
@@ -50,55 +53,57 @@ pub(crate) struct SpontaneousActions;
 
 impl System for SpontaneousActions {
     fn name(&self) -> &'static str {
-        "moods"
+        "spontaneous_actions"
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![SimRobot, PersonInfo]
+        component_types![SimRobot, PersonInfo]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        kinds![PersonStates]
+        component_types![PersonStates]
     }
 
-    fn init_world(&self, floor: &mut SimState, setup: &WorldSetup) {
-        let mind = |(index, person): (usize, &crate::world::setup::PersonSetup)| {
-            let mut chance = ChaCha8Rng::seed_from_u64(setup.seed);
-            chance.set_stream(STREAMS + index as u64);
-            (person.name.clone(), Mind { moods: person.mood.clone(), chance })
+    fn init_world(&self, state: &mut SimState, setup: &WorldSetup) {
+        let person_state = |(index, person): (usize, &crate::world::setup::PersonSetup)| {
+            let mut rng = ChaCha8Rng::seed_from_u64(setup.seed);
+            rng.set_stream(FIRST_STREAM + index as u64);
+            (person.name.clone(), PersonState { actions: person.spontaneous_actions.clone(), rng })
         };
-        let of: BTreeMap<_, _> = setup.people.iter().enumerate().map(mind).collect();
-        let people: Vec<PersonName> = of.keys().cloned().collect();
-        let (intents, away, done_with) = (BTreeMap::new(), BTreeSet::new(), BTreeSet::new());
-        floor.insert_resource(PersonStates { of, intents, next: 0, away, done_with });
-        for person in people {
-            floor.comes_over(&person, PersonTrigger::Waiting, None);
+        let people: BTreeMap<_, _> = setup.people.iter().enumerate().map(person_state).collect();
+        let names: Vec<PersonName> = people.keys().cloned().collect();
+        let (scheduled, away, refused_robots) = (BTreeMap::new(), BTreeSet::new(), BTreeSet::new());
+        state.insert_resource(PersonStates { people, scheduled, next: 0, away, refused_robots });
+        for person in names {
+            state.evaluate_trigger(&person, PersonTrigger::Waiting, None);
         }
     }
 
-    fn on_timer(&self, floor: &mut SimState, SystemTimer { number, .. }: SystemTimer) {
-        let intent = floor.resource_mut::<PersonStates>().intents.remove(&number);
-        match intent {
-            Some(Intent::Does { person, does, robot, back_after_s }) => floor.do_it(&person, does, robot, back_after_s),
-            Some(Intent::ComesBack(person)) => floor.come_back(&person),
+    fn on_timer(&self, state: &mut SimState, SystemTimer { number, .. }: SystemTimer) {
+        let scheduled_action = state.resource_mut::<PersonStates>().scheduled.remove(&number);
+        match scheduled_action {
+            Some(ScheduledAction::Act { person, action, robot, back_after_s }) => {
+                state.act(&person, action, robot, back_after_s)
+            }
+            Some(ScheduledAction::Return(person)) => state.return_to_place(&person),
             None => {}
         }
     }
 
-    fn on_event(&self, floor: &mut SimState, what: &WorldEvent) {
-        match what {
+    fn on_event(&self, state: &mut SimState, event: &WorldEvent) {
+        match event {
             WorldEvent::Approached { robot, person, authenticated } => {
                 if !authenticated {
-                    floor.resource_mut::<PersonStates>().done_with.remove(&(person.clone(), robot.clone()));
+                    state.resource_mut::<PersonStates>().refused_robots.remove(&(person.clone(), robot.clone()));
                 }
-                let moment = if *authenticated { PersonTrigger::Authenticated } else { PersonTrigger::Approached };
-                floor.comes_over(person, moment, Some(robot.clone()));
+                let trigger = if *authenticated { PersonTrigger::Authenticated } else { PersonTrigger::Approached };
+                state.evaluate_trigger(person, trigger, Some(robot.clone()));
             }
             WorldEvent::HandoverStarted { person, robot } => {
-                floor.comes_over(person, PersonTrigger::HandingOver, Some(robot.clone()));
+                state.evaluate_trigger(person, PersonTrigger::HandingOver, Some(robot.clone()));
             }
             WorldEvent::SampleMoved { from: SampleHolder::Person(person), to: SampleHolder::Drawer(robot), .. } => {
-                floor.comes_over(person, PersonTrigger::HandedOver, Some(robot.clone()));
+                state.evaluate_trigger(person, PersonTrigger::HandedOver, Some(robot.clone()));
             }
             _ => {}
         }
@@ -106,60 +111,62 @@ impl System for SpontaneousActions {
 }
 
 impl World {
-    /// Has a person do something now, whatever the setup says: to the robot that came to her, if it is about one. A person
-    /// who is not here does nothing.
-    pub fn trigger_person_action(&mut self, person: &PersonName, does: PersonAction, robot: Option<&RobotId>) {
-        self.run_as(&SpontaneousActions, |floor| floor.do_it(person, does, robot.cloned(), None));
+    /// Triggers an action of a person now, regardless of the setup. `robot` is the robot concerned,
+    /// if any. An unknown person is ignored.
+    pub fn trigger_person_action(&mut self, person: &PersonName, action: PersonAction, robot: Option<&RobotId>) {
+        self.run_as(&SpontaneousActions, |state| state.act(person, action, robot.cloned(), None));
     }
 
-    /// Has a person who is away be back at her place now. One who is not away stays where she is.
+    /// Returns a person who is away to their place now. Without effect if the person is not away.
     pub fn return_person(&mut self, person: &PersonName) {
-        self.run_as(&SpontaneousActions, |floor| floor.come_back(person));
+        self.run_as(&SpontaneousActions, |state| state.return_to_place(person));
     }
 }
 
 impl SimState {
-    /// Whether a person is at her place.
+    /// Checks whether a person is at their place.
     pub(crate) fn is_present(&self, person: &PersonName) -> bool {
         !self.has_resource::<PersonStates>() || !self.resource::<PersonStates>().away.contains(person)
     }
 
-    /// Whether a person has something left for a robot that came.
+    /// Checks whether a person still serves a robot that came.
     pub(crate) fn is_willing(&self, person: &PersonName, robot: &RobotId) -> bool {
         !self.has_resource::<PersonStates>()
-            || !self.resource::<PersonStates>().done_with.contains(&(person.clone(), robot.clone()))
+            || !self.resource::<PersonStates>().refused_robots.contains(&(person.clone(), robot.clone()))
     }
 
-    /// Things have come so far: each mood that there may be now is drawn for.
-    fn comes_over(&mut self, person: &PersonName, moment: PersonTrigger, robot: Option<RobotId>) {
-        let mut felt = Vec::new();
-        if let Some(mind) = self.resource_mut::<PersonStates>().of.get_mut(person) {
-            let moods: Vec<SpontaneousAction> = mind.moods.iter().filter(|mood| mood.at == moment).copied().collect();
-            felt.extend(moods.into_iter().filter(|mood| mind.chance.random_bool(mood.probability)));
+    /// Evaluates a trigger: draws for each action that may follow it.
+    fn evaluate_trigger(&mut self, person: &PersonName, trigger: PersonTrigger, robot: Option<RobotId>) {
+        let mut triggered = Vec::new();
+        if let Some(person_state) = self.resource_mut::<PersonStates>().people.get_mut(person) {
+            let actions: Vec<SpontaneousAction> =
+                person_state.actions.iter().filter(|action| action.trigger == trigger).copied().collect();
+            triggered.extend(actions.into_iter().filter(|action| person_state.rng.random_bool(action.probability)));
         }
-        for SpontaneousAction { does, after_s, back_after_s, .. } in felt {
-            let intent = Intent::Does { person: person.clone(), does, robot: robot.clone(), back_after_s };
-            self.intend(after_s, intent);
+        for SpontaneousAction { action, after_s, back_after_s, .. } in triggered {
+            let scheduled_action =
+                ScheduledAction::Act { person: person.clone(), action, robot: robot.clone(), back_after_s };
+            self.schedule_action(after_s, scheduled_action);
         }
     }
 
-    fn intend(&mut self, after_s: f64, intent: Intent) {
+    fn schedule_action(&mut self, after_s: f64, scheduled_action: ScheduledAction) {
         let number = {
             let mut minds = self.resource_mut::<PersonStates>();
             let number = minds.next;
             minds.next += 1;
-            minds.intents.insert(number, intent);
+            minds.scheduled.insert(number, scheduled_action);
             number
         };
         let about = self.resource_entity();
         self.schedule(self.now + after_s, about, number);
     }
 
-    fn do_it(&mut self, person: &PersonName, does: PersonAction, robot: Option<RobotId>, back_after_s: Option<f64>) {
-        match (does, robot) {
+    fn act(&mut self, person: &PersonName, action: PersonAction, robot: Option<RobotId>, back_after_s: Option<f64>) {
+        match (action, robot) {
             (PersonAction::Cancels, Some(robot)) => {
-                let fresh = self.resource_mut::<PersonStates>().done_with.insert((person.clone(), robot.clone()));
-                let Some(role) = self.role_of(person).filter(|_| fresh) else { return };
+                let is_new = self.resource_mut::<PersonStates>().refused_robots.insert((person.clone(), robot.clone()));
+                let Some(role) = self.role_of(person).filter(|_| is_new) else { return };
                 self.log_event(WorldEvent::MissionCanceled { person: person.clone(), robot: robot.clone() });
                 self.emit(BackendEvent::MissionCanceled { by: person.to_string(), role, robot });
             }
@@ -173,14 +180,14 @@ impl SimState {
                 }
                 self.log_event(WorldEvent::PersonLeft { person: person.clone() });
                 if let Some(back) = back_after_s {
-                    self.intend(back, Intent::ComesBack(person.clone()));
+                    self.schedule_action(back, ScheduledAction::Return(person.clone()));
                 }
             }
             (PersonAction::Cancels | PersonAction::Declines, None) => {}
         }
     }
 
-    fn come_back(&mut self, person: &PersonName) {
+    fn return_to_place(&mut self, person: &PersonName) {
         if self.resource_mut::<PersonStates>().away.remove(person) {
             self.log_event(WorldEvent::PersonReturned { person: person.clone() });
         }

@@ -4,16 +4,16 @@ use crate::world::components::SimRobot;
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, kinds};
+use crate::world::system::{ComponentType, System, component_types};
 use crate::world::systems::steering::Steered;
 use consort_protocol::pose::Pose;
 use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress};
 use hecs::Entity;
 
-/// Radians per second at which robots turn: Nav2's greatest for its spin behavior.
+/// Turn rate in radians per second: Nav2's maximum for its spin behavior.
 const TURN_RADPS: f64 = 1.0;
 
-/// Most that a robot turns at a time, either way: a hundred times round.
+/// Greatest angle of a spin, in either direction: a hundred turns.
 const TURN_MAX_RAD: f64 = 200.0 * std::f64::consts::PI;
 
 /// See the [module](self).
@@ -25,16 +25,16 @@ impl System for Turning {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![SimRobot]
+        component_types![SimRobot]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        kinds![RobotLocation, Steered]
+        component_types![RobotLocation, Steered]
     }
 
-    fn begin_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+    fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
         let Goal::Spin { angle_rad } = *goal else { return None };
-        let body = &floor.get::<SimRobot>(robot).0;
+        let body = &state.get::<SimRobot>(robot).0;
         if !body.mobile {
             return Some(Err(action_error(ErrorCode::Unknown, format!("{} cannot turn", body.id))));
         }
@@ -43,21 +43,21 @@ impl System for Turning {
                 format!("{angle_rad} rad is no angle to turn by, allowed is -{TURN_MAX_RAD:.0} to {TURN_MAX_RAD:.0}");
             return Some(Err(action_error(ErrorCode::Unknown, message)));
         }
-        Some(Ok(floor.now + angle_rad.abs() / TURN_RADPS))
+        Some(Ok(state.now + angle_rad.abs() / TURN_RADPS))
     }
 
-    fn feedback(&self, _floor: &SimState, _robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
+    fn feedback(&self, _state: &SimState, _robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
         let Goal::Spin { angle_rad } = *goal else { return usual };
         let left_rad = (usual.time_remaining.get() * TURN_RADPS).min(angle_rad.abs());
         Feedback { progress: GoalProgress::Turned(angle_rad - left_rad.copysign(angle_rad)), ..usual }
     }
 
-    fn finish_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
         let Goal::Spin { angle_rad } = *goal else { return Ok(()) };
-        if let RobotLocation::Standing { pose, .. } = &mut *floor.get_mut::<RobotLocation>(robot) {
+        if let RobotLocation::Standing { pose, .. } = &mut *state.get_mut::<RobotLocation>(robot) {
             let yaw = pose.yaw + angle_rad;
             *pose = Pose::new(pose.x, pose.y, yaw.sin().atan2(yaw.cos()));
-            if let Some(mut steered) = floor.find_mut::<Steered>(robot) {
+            if let Some(mut steered) = state.find_mut::<Steered>(robot) {
                 steered.model.set_heading(pose.yaw);
             }
         }

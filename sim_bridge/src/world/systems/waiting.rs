@@ -1,7 +1,7 @@
-//! Standing still for a while.
+//! Waiting at standstill.
 
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, kinds};
+use crate::world::system::{ComponentType, System, component_types};
 use consort_skills::actions::{ActionError, Goal};
 use hecs::Entity;
 
@@ -14,15 +14,15 @@ impl System for Waiting {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![]
+        component_types![]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        kinds![]
+        component_types![]
     }
 
-    fn begin_goal(&self, floor: &mut SimState, _robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+    fn begin_goal(&self, state: &mut SimState, _robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
         let Goal::Wait { time } = goal else { return None };
-        Some(Ok(floor.now + time.get()))
+        Some(Ok(state.now + time.get()))
     }
 }

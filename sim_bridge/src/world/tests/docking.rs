@@ -11,7 +11,7 @@ fn yard() -> WorldSetup {
     WorldSetup::new(map::read(text, "yard.yaml").unwrap(), 1)
 }
 
-/// Loses 0.1 % a second at work, 0.01 % idle, gains 0.4 % docked.
+/// Loses 0.1 % a second with a goal, 0.01 % idle, and gains 0.4 % docked.
 fn half_full(name: &str, at: &str) -> RobotSetup {
     let (battery, charging) = (BatteryShare::new(0.5).unwrap(), SharePerSecond::new(0.004).unwrap());
     RobotSetup { battery, charging, ..carrier(name, at) }
@@ -42,7 +42,7 @@ fn a_docked_robot_charges_until_it_is_full() {
 }
 
 #[test]
-fn a_robot_that_drives_off_charges_no_longer() {
+fn a_robot_that_drives_off_stops_charging() {
     let mut world = World::new(yard().robot(half_full("r1", "Charger"))).unwrap();
     run_to_success(&mut world, "r1", 1, dock());
     let goal = drive_goal(&world, "Gate");
@@ -65,11 +65,11 @@ fn a_robot_that_charges_in_time_does_not_strand() {
 }
 
 #[test]
-fn one_docks_at_chargers_alone() {
+fn a_robot_docks_only_at_chargers() {
     let mut world = World::new(yard().robot(carrier("r1", "Gate"))).unwrap();
     let meant = |name| Goal::Dock { charger: Some(place(name)) };
     for (goal, code, message, nav2) in [
-        (dock(), ErrorCode::Charger, "Gate is no charger", 902),
+        (dock(), ErrorCode::Charger, "Gate is not a charger", 902),
         (meant("Charger"), ErrorCode::OutOfReach, "r1 is at Gate, not at Charger", 903),
         (meant("Chargr"), ErrorCode::Unknown, "there is no place \"Chargr\" here; did you mean \"Charger\"?", 901),
     ] {
@@ -123,7 +123,7 @@ fn feedback_is_in_the_terms_of_the_goal() {
     let free = |x: f64| Waypoint { pose: Pose::new(x, 0.0, 0.0), place: None };
     let waypoints = vec![free(1.0), free(2.0), free(3.0)];
     world.start(&robot("r1"), GoalId(1), Goal::FollowWaypoints { waypoints });
-    // A metre in two seconds.
+    // One metre takes two seconds.
     let reached = [1.0, 3.0, 5.0].map(|seconds| {
         world.advance(at(seconds));
         progress(&world, 1)

@@ -1,4 +1,4 @@
-//! Automatic doors: they open for who waits, let in so many at a time, and close.
+//! Automatic doors: opening for waiting robots, capacity, closing.
 
 use super::*;
 use consort_protocol::units::Metres;
@@ -6,7 +6,8 @@ use consort_skills::actions::Feedback;
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A – B – C in a line, 10 m each; a door of 3 s in the middle of each lane, the second wide enough for two.
+/// A – B – C in a line, 10 m each; a door of 3 s in the middle of each lane, the second with a
+/// capacity of two.
 pub(super) fn passage() -> WorldSetup {
     let text = "{name: passage, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}, \
         {name: C, kind: other, x_m: 20, y_m: 0}], lanes: [{between: [A, B]}, {between: [B, C]}], \
@@ -31,7 +32,7 @@ fn told(lines: &[(f64, &str)]) -> Vec<(f64, String)> {
     lines.iter().map(|(time, line)| (*time, (*line).to_owned())).collect()
 }
 
-/// Starts robots towards a place at once, in this order.
+/// Starts drives of several robots to a place at the same instant, in this order.
 fn all_go(world: &mut World, names: &[&str], id: u64, to: &str) {
     for name in names {
         let goal = drive_goal(world, to);
@@ -39,7 +40,7 @@ fn all_go(world: &mut World, names: &[&str], id: u64, to: &str) {
     }
 }
 
-/// Lets time pass until a time: who reached the end of a goal, and when.
+/// Advances time to `until`; returns the completed goals with their times.
 fn arrivals(world: &mut World, until: f64) -> Vec<(f64, String)> {
     let mut arrived = Vec::new();
     while let Some(due) = world.next_due().filter(|due| due.as_secs() <= until) {
@@ -54,7 +55,7 @@ fn arrivals(world: &mut World, until: f64) -> Vec<(f64, String)> {
 }
 
 #[test]
-fn a_robot_waits_until_the_door_stands_open_and_it_closes_behind_it() {
+fn a_robot_waits_for_the_door_which_closes_behind_it() {
     let mut world = World::new(passage().robot(carrier("r1", "A"))).unwrap();
     all_go(&mut world, &["r1"], 1, "B");
     world.advance(at(10.0));
@@ -72,7 +73,7 @@ fn a_robot_waits_until_the_door_stands_open_and_it_closes_behind_it() {
 }
 
 #[test]
-fn one_at_a_time_where_it_is_narrow_and_first_come_first_served() {
+fn a_narrow_door_admits_robots_singly_in_order_of_arrival() {
     let setup = passage().robot(carrier("r1", "A")).robot(carrier("r2", "B")).robot(carrier("r3", "A"));
     let mut world = World::new(setup).unwrap();
     all_go(&mut world, &["r3", "r1"], 1, "B");
@@ -82,7 +83,7 @@ fn one_at_a_time_where_it_is_narrow_and_first_come_first_served() {
 }
 
 #[test]
-fn as_many_at_a_time_as_there_is_room_for() {
+fn a_wide_door_admits_robots_up_to_its_capacity() {
     let setup = passage().robot(carrier("r1", "B")).robot(carrier("r2", "C")).robot(carrier("r3", "B"));
     let mut world = World::new(setup).unwrap();
     all_go(&mut world, &["r1", "r3"], 1, "C");
@@ -92,7 +93,7 @@ fn as_many_at_a_time_as_there_is_room_for() {
 }
 
 #[test]
-fn a_door_that_closes_opens_again_from_where_it_is() {
+fn a_closing_door_opens_again_from_its_position() {
     let mut slow = carrier("r2", "A");
     slow.speed = MetresPerSecond::new(0.25).unwrap();
     let mut world = World::new(passage().robot(carrier("r1", "A")).robot(slow)).unwrap();
@@ -104,7 +105,7 @@ fn a_door_that_closes_opens_again_from_where_it_is() {
 }
 
 #[test]
-fn who_waits_no_longer_keeps_nobody_waiting() {
+fn a_canceled_robot_leaves_the_queue_of_a_door() {
     let mut world = World::new(passage().robot(carrier("r1", "A")).robot(carrier("r2", "A"))).unwrap();
     all_go(&mut world, &["r1", "r2"], 1, "B");
     world.advance(at(10.0));
@@ -115,7 +116,7 @@ fn who_waits_no_longer_keeps_nobody_waiting() {
 }
 
 #[test]
-fn who_stands_in_the_doorway_keeps_it_until_it_moves_on() {
+fn a_robot_in_a_doorway_keeps_its_slot_until_it_leaves() {
     let mut world = World::new(passage().robot(carrier("r1", "A")).robot(carrier("r2", "A"))).unwrap();
     all_go(&mut world, &["r1", "r2"], 1, "B");
     world.advance(at(13.0));
@@ -127,12 +128,12 @@ fn who_stands_in_the_doorway_keeps_it_until_it_moves_on() {
 }
 
 #[test]
-fn nobody_waits_for_ever_before_a_doorway_that_does_not_get_free() {
+fn a_robot_gives_up_at_a_permanently_occupied_doorway() {
     let mut world = World::new(passage().robot(carrier("r1", "A")).robot(carrier("r2", "A"))).unwrap();
     all_go(&mut world, &["r1", "r2"], 1, "B");
     world.advance(at(13.0));
     world.cancel(&robot("r1"), GoalId(1));
-    let message = "the way from A to B is blocked: Narrow let nobody in for 120 s";
+    let message = "the lane from A to B is blocked: Narrow admitted no robot for 120 s";
     let events = world.advance(at(500.0));
     let blocked = ended("r2", 1, aborted(ErrorCode::Blocked, message));
     assert_eq!(events, [ended("r1", 1, GoalStatus::Canceled), blocked]);
@@ -141,7 +142,7 @@ fn nobody_waits_for_ever_before_a_doorway_that_does_not_get_free() {
 }
 
 #[test]
-fn limits_are_kept_to_and_one_drives_backward_where_the_lane_says_so() {
+fn a_robot_keeps_lane_limits_and_drives_backward() {
     let text = "{name: two, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}], \
         lanes: [{between: [A, B], speed_limit_mps: 0.2, facing: backward}]}";
     let mut world =
@@ -161,7 +162,7 @@ fn limits_are_kept_to_and_one_drives_backward_where_the_lane_says_so() {
 }
 
 #[test]
-fn a_setup_with_a_door_that_is_not_there_is_refused() {
+fn a_setup_with_an_unknown_door_is_rejected() {
     let mut setup = passage();
     setup.doors.push(DoorSetup { capacity: 0, ..DoorSetup::named("Narow".to_owned()) });
     setup.doors.push(DoorSetup { open_for_s: -1.0, ..DoorSetup::named("Narow".to_owned()) });
@@ -174,17 +175,18 @@ fn a_setup_with_a_door_that_is_not_there_is_refused() {
             "door Narow: capacity is 0, allowed is 1 or more",
             unknown,
             "door Narow: open_for_s is -1, allowed is a number of seconds from 0 to 86400",
-            "door Narow stands more than once",
+            "door Narow is defined more than once",
         ]
     );
 }
 
-/// Robots that set off at random times and are stopped at random times.
+/// Drives of robots that start at random times and are canceled at random times.
 fn errands() -> impl Strategy<Value = Vec<(usize, f64, bool, Option<f64>)>> {
     prop::collection::vec((0..6usize, 0.0..40.0f64, any::<bool>(), prop::option::weighted(0.2, 0.0..30.0f64)), 1..12)
 }
 
-/// Plays errands: each a robot, the time it sets off, whether over the narrow door, and after how long it is stopped.
+/// Runs drives: each has a robot, a start time, whether it uses the narrow door, and the delay of
+/// its cancelation.
 fn play(errands: &[(usize, f64, bool, Option<f64>)]) -> (World, BTreeSet<GoalId>, BTreeMap<GoalId, GoalStatus>) {
     let names = ["a", "b", "c", "d", "e", "f"];
     let start = |name: &&str| carrier(name, if *name < "d" { "A" } else { "C" });
@@ -231,10 +233,10 @@ fn play(errands: &[(usize, f64, bool, Option<f64>)]) -> (World, BTreeSet<GoalId>
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
-    /// Never are more in a doorway than there is room for, and whoever is not stopped gets through, as long as nobody
-    /// stands in a doorway.
+    /// A doorway never contains more robots than its capacity. Every robot that is not canceled
+    /// gets through, as long as no robot stands in a doorway.
     #[test]
-    fn doorways_are_never_crowded_and_all_get_through(errands in errands()) {
+    fn doorways_respect_capacity_and_all_robots_get_through(errands in errands()) {
         let (mut world, stopped, ends) = play(&errands);
         let mut inside: BTreeMap<String, BTreeSet<RobotId>> = BTreeMap::new();
         for entry in world.drain_event_log() {
@@ -259,7 +261,7 @@ proptest! {
         }
     }
 
-    /// The same errands, the same run.
+    /// The same drives give the same run.
     #[test]
     fn doors_are_fair_in_the_same_way_each_time(errands in errands()) {
         let ((mut first, ..), (mut again, ..)) = (play(&errands), play(&errands));

@@ -1,4 +1,4 @@
-//! Driving: straight, at the robot's own speed, along lanes.
+//! Driving: straight lines, the robot's own speed, lanes.
 
 use super::*;
 use consort_protocol::pose::Pose;
@@ -28,7 +28,7 @@ fn a_leg_takes_its_length_over_the_speed_in_every_direction() {
 }
 
 #[test]
-fn feedback_counts_down_and_the_end_is_said_once() {
+fn feedback_counts_down_and_the_end_is_reported_once() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Laboratory"))).unwrap();
     let goal = drive_goal(&world, "Laboratory Corridor");
     world.start(&robot("r1"), GoalId(1), goal);
@@ -42,7 +42,7 @@ fn feedback_counts_down_and_the_end_is_said_once() {
 }
 
 #[test]
-fn without_a_lane_there_is_no_way() {
+fn a_goal_without_a_lane_is_rejected() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Laboratory"))).unwrap();
     let goal = drive_goal(&world, "Dock");
     let status = rejected_status(&mut world, "r1", 1, goal);
@@ -61,7 +61,7 @@ fn without_a_lane_there_is_no_way() {
 }
 
 #[test]
-fn canceled_in_mid_lane_it_stands_there_and_may_go_on_to_either_end() {
+fn a_drive_canceled_on_a_lane_continues_to_either_end() {
     for (next, message) in [
         ("Laboratory", None),
         ("Laboratory Corridor", None),
@@ -110,7 +110,7 @@ fn a_one_way_lane_is_not_driven_back() {
 }
 
 #[test]
-fn off_the_lanes_the_way_back_is_to_the_last_place() {
+fn a_robot_off_the_lanes_returns_to_the_last_place() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Dock"))).unwrap();
     run_to_success(&mut world, "r1", 1, Goal::NavigateToPose { pose: Pose::new(9.0, 6.5, 0.0), place: None });
     assert_eq!(world.now(), at(10.0));
@@ -123,7 +123,7 @@ fn off_the_lanes_the_way_back_is_to_the_last_place() {
 }
 
 #[test]
-fn one_goal_at_a_time_and_each_id_once() {
+fn a_robot_executes_a_single_goal_and_each_id_once() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Dock"))).unwrap();
     let goal = drive_goal(&world, "Crossing");
     world.start(&robot("r1"), GoalId(1), goal.clone());
@@ -131,7 +131,7 @@ fn one_goal_at_a_time_and_each_id_once() {
     world.start(&robot("r1"), GoalId(2), Goal::Wait { time: Seconds::new(1.0).unwrap() });
     world.start(&robot("r2"), GoalId(1), goal.clone());
     assert_eq!(world.next_due(), Some(at(0.0)), "refusals are due at once");
-    let busy = aborted(ErrorCode::Busy, "r1 is doing navigate_to_pose (goal 1)");
+    let busy = aborted(ErrorCode::Busy, "r1 is executing navigate_to_pose (goal 1)");
     let stranger = aborted(ErrorCode::Unknown, "there is no robot r2 here; did you mean \"r1\"?");
     assert_eq!(world.advance(at(0.0)), [ended("r1", 2, busy.clone()), ended("r2", 1, stranger)]);
     assert_eq!(world.advance(at(9.0)), [ended("r1", 1, GoalStatus::Succeeded)]);
@@ -144,9 +144,9 @@ fn one_goal_at_a_time_and_each_id_once() {
 }
 
 #[test]
-fn ended_goals_are_forgotten_in_the_end_and_not_begun_again() {
+fn ended_goals_are_dropped_and_not_started_again() {
     let mut setup = hospital(1).robot(carrier("r1", "Dock"));
-    setup.limits.ended_kept = 2;
+    setup.limits.ended_goals_kept = 2;
     let mut world = World::new(setup).unwrap();
     let wait = Goal::Wait { time: Seconds::new(1.0).unwrap() };
     for id in 1..=3 {

@@ -1,4 +1,4 @@
-//! The lab-samples mission, played by hand through the host.
+//! The lab-samples mission, run step by step through the backend.
 
 use super::*;
 
@@ -14,7 +14,7 @@ const WAY: [&str; 7] = [
 ];
 
 #[test]
-fn the_sample_comes_to_the_laboratory() {
+fn the_sample_reaches_the_laboratory() {
     let setup = hospital(11)
         .robot(carrier("r1", "PC Corridor 3"))
         .robot(RobotSetup::arm(robot("lab_arm"), place("Laboratory")))
@@ -28,7 +28,7 @@ fn the_sample_comes_to_the_laboratory() {
     run_to_success(&mut world, "r1", 4, Goal::OperateDrawer { open: true });
     world.request_person(GoalId(1), deposit("r1"));
     let due = world.next_due().unwrap();
-    assert_eq!(world.advance(due), [BackendEvent::PersonRequestEnded { ask: GoalId(1), result: Ok(()) }]);
+    assert_eq!(world.advance(due), [BackendEvent::PersonRequestEnded { request: GoalId(1), result: Ok(()) }]);
     let handed_over = world.now();
     run_to_success(&mut world, "r1", 5, Goal::OperateDrawer { open: false });
     for (id, to) in (6..).zip(WAY) {
@@ -45,7 +45,7 @@ fn the_sample_comes_to_the_laboratory() {
         world.samples(),
         [SampleReport {
             id: "s1".into(),
-            keeper: SampleHolder::Arm(robot("lab_arm")),
+            holder: SampleHolder::Arm(robot("lab_arm")),
             place: place("Laboratory"),
             history: vec![
                 (handed_over, SampleHolder::Person("Nia".into())),
@@ -57,7 +57,7 @@ fn the_sample_comes_to_the_laboratory() {
     let took = world.now().as_secs() - driven - 8.0 * 2.0;
     assert!((2.0..=4.0).contains(&took), "driving, eight steps of 2 s, and the nurse: {took}");
     run_to_success(&mut world, "lab_arm", 2, Goal::Deposit { into: None });
-    assert_eq!(world.samples()[0].keeper, SampleHolder::Table(place("Laboratory")));
+    assert_eq!(world.samples()[0].holder, SampleHolder::Table(place("Laboratory")));
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn an_arm_on_wheels_carries_a_sample_from_one_drawer_to_another() {
         .robot(porter)
         .person(nurse("Ana", "PC Room 1", "s1"));
     let mut world = World::new(setup).unwrap();
-    let keeper = |world: &World| world.samples()[0].keeper.clone();
+    let sample_holder = |world: &World| world.samples()[0].holder.clone();
     run_to_success(&mut world, "r1", 1, Goal::ApproachPerson { role: role("nurse") });
     run_to_success(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
     world.request_person(GoalId(1), deposit("r1"));
@@ -81,16 +81,16 @@ fn an_arm_on_wheels_carries_a_sample_from_one_drawer_to_another() {
     assert_eq!(status, aborted(ErrorCode::Busy, "porter already holds s1"));
     let out = drive_goal(&world, "PC Corridor 1");
     run_to_success(&mut world, "porter", 4, out);
-    assert_eq!(keeper(&world), SampleHolder::Arm(robot("porter")));
+    assert_eq!(sample_holder(&world), SampleHolder::Arm(robot("porter")));
     run_to_success(&mut world, "r2", 1, Goal::OperateDrawer { open: true });
     run_to_success(&mut world, "porter", 5, Goal::ApproachRobot { robot: robot("r2") });
     run_to_success(&mut world, "porter", 6, Goal::Deposit { into: Some(robot("r2")) });
-    assert_eq!(keeper(&world), SampleHolder::Drawer(robot("r2")));
+    assert_eq!(sample_holder(&world), SampleHolder::Drawer(robot("r2")));
     assert_eq!(world.samples()[0].place, place("PC Corridor 1"));
 }
 
 #[test]
-fn a_fixed_arm_lays_down_what_it_holds_before_it_takes_the_next() {
+fn a_stationary_arm_puts_an_object_down_before_the_next() {
     let mut nurse = nurse("Ana", "Laboratory", "s1");
     nurse.samples.push("s2".into());
     let setup = hospital(1)
@@ -107,6 +107,6 @@ fn a_fixed_arm_lays_down_what_it_holds_before_it_takes_the_next() {
         run_to_success(&mut world, "r1", goals[1], Goal::ApproachRobot { robot: robot("lab_arm") });
         run_to_success(&mut world, "lab_arm", turn, Goal::PickUp { from: robot("r1") });
     }
-    let keepers: Vec<SampleHolder> = world.samples().into_iter().map(|sample| sample.keeper).collect();
-    assert_eq!(keepers, [SampleHolder::Table(place("Laboratory")), SampleHolder::Arm(robot("lab_arm"))]);
+    let sample_holders: Vec<SampleHolder> = world.samples().into_iter().map(|sample| sample.holder).collect();
+    assert_eq!(sample_holders, [SampleHolder::Table(place("Laboratory")), SampleHolder::Arm(robot("lab_arm"))]);
 }

@@ -1,10 +1,10 @@
-//! Lifts: called, waited for, ridden.
+//! Lifts: calls, waiting, rides.
 
 use super::*;
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Three levels, 4 m from one to the next, a lobby on each, a room behind the uppermost; the lift takes 3 s to open.
+/// Three levels, 4 m apart, a lobby on each, a room on the highest; the lift takes 3 s to open.
 pub(super) fn tower(capacity: u32) -> WorldSetup {
     let text = format!(
         "{{name: tower, levels: [{{name: low}}, {{name: mid, elevation_m: 4}}, {{name: top, elevation_m: 8}}], \
@@ -53,14 +53,14 @@ fn a_lift_opens_closes_goes_and_opens() {
 }
 
 #[test]
-fn it_is_called_from_where_it_is() {
+fn a_lift_starts_from_its_current_stop() {
     let mut world = World::new(tower(1).robot(carrier("r1", "L2"))).unwrap();
     rides(&mut world, "r1", 1, "L1");
     assert_eq!(ends(&mut world, 60.0), arrived(&[(8.0 + 3.0 + 3.0 + 4.0 + 3.0, "r1")]));
 }
 
 #[test]
-fn who_called_first_rides_first_and_others_ride_along_if_there_is_room() {
+fn the_oldest_call_is_served_first_and_others_share_the_ride() {
     let both = |capacity| {
         let mut world = World::new(tower(capacity).robot(carrier("a", "L0")).robot(carrier("b", "L0"))).unwrap();
         rides(&mut world, "b", 1, "L1");
@@ -72,7 +72,7 @@ fn who_called_first_rides_first_and_others_ride_along_if_there_is_room() {
 }
 
 #[test]
-fn who_is_stopped_in_the_lift_gets_out_where_it_wanted_and_may_be_sent_on_meanwhile() {
+fn a_drive_canceled_in_a_lift_ends_at_its_stop() {
     let mut world = World::new(tower(1).robot(carrier("r1", "L0"))).unwrap();
     rides(&mut world, "r1", 1, "L2");
     world.advance(at(5.0));
@@ -83,7 +83,7 @@ fn who_is_stopped_in_the_lift_gets_out_where_it_wanted_and_may_be_sent_on_meanwh
 }
 
 #[test]
-fn who_is_stopped_before_the_lift_is_not_waited_for() {
+fn a_lift_drops_the_call_of_a_canceled_drive() {
     let mut world = World::new(tower(1).robot(carrier("r1", "L2")).robot(carrier("r2", "L0"))).unwrap();
     rides(&mut world, "r1", 1, "L0");
     rides(&mut world, "r2", 1, "L1");
@@ -92,12 +92,12 @@ fn who_is_stopped_before_the_lift_is_not_waited_for() {
     world.advance(at(2.0));
     let there = world.telemetry(&robot("r1")).unwrap();
     assert_eq!(there.place, place("L2"));
-    // Up to L2 for nobody, down again, and up.
+    // Up to L2 for a canceled call, down again, and up.
     assert_eq!(ends(&mut world, 100.0), arrived(&[(8.0 + 3.0 + 3.0 + 8.0 + 3.0 + 3.0 + 4.0 + 3.0, "r2")]));
 }
 
 #[test]
-fn without_lifts_among_what_happens_there_is_no_way_up() {
+fn without_the_lifts_system_levels_are_not_connected() {
     let mut setup = tower(1).robot(carrier("r1", "L0"));
     setup.systems.retain(|name| name != "lifts");
     let mut world = World::new(setup).unwrap();
@@ -109,9 +109,9 @@ fn without_lifts_among_what_happens_there_is_no_way_up() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
-    /// Whoever calls gets there, wherever the others want to go; and never are more in the lift than fit.
+    /// Every caller arrives, whatever the other calls are, and the lift never exceeds its capacity.
     #[test]
-    fn everybody_gets_there_and_the_lift_is_never_overfull(
+    fn every_caller_arrives_and_the_lift_respects_its_capacity(
         capacity in 1u32..4,
         calls in prop::collection::vec((0..3usize, 0..3usize, 0.0..100.0f64), 1..20),
     ) {

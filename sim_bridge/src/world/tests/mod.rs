@@ -1,4 +1,4 @@
-//! Stories of the world, each file one theme.
+//! Tests of the world, a subject per file.
 
 mod docking;
 mod doors;
@@ -44,21 +44,27 @@ fn at(seconds: f64) -> WorldTime {
     WorldTime::from_secs(seconds)
 }
 
-/// A carrier of 0.5 m/s with a full battery that loses 0.1 % a second at work.
+/// A carrier of 0.5 m/s with a full battery that loses 0.1 % a second with a goal.
 fn carrier(name: &str, at: &str) -> RobotSetup {
     let (speed, discharge) = (MetresPerSecond::new(0.5).unwrap(), SharePerSecond::new(0.001).unwrap());
     RobotSetup::carrier(robot(name), place(at), speed, BatteryShare::FULL, discharge)
 }
 
 fn nurse(name: &str, at: &str, sample: &str) -> PersonSetup {
-    PersonSetup { name: name.into(), role: role("nurse"), place: place(at), samples: vec![sample.into()], mood: vec![] }
+    PersonSetup {
+        name: name.into(),
+        role: role("nurse"),
+        place: place(at),
+        samples: vec![sample.into()],
+        spontaneous_actions: vec![],
+    }
 }
 
 fn hospital(seed: u64) -> WorldSetup {
     WorldSetup::new(map::shipped("hospital").unwrap(), seed)
 }
 
-/// What the journal says since it was last asked, of those that `of` has something to say of: when, and what.
+/// Drains the event log and returns the events that `of` maps to a value, with their times.
 fn logged<T>(world: &mut World, of: impl Fn(&WorldEvent) -> Option<T>) -> Vec<(f64, T)> {
     let journal = world.drain_event_log().into_iter();
     journal.filter_map(|entry| Some((entry.time.as_secs(), of(&entry.event)?))).collect()
@@ -76,7 +82,7 @@ fn aborted(code: ErrorCode, message: &str) -> GoalStatus {
     GoalStatus::Aborted(ActionError { code, message: message.to_owned() })
 }
 
-/// Asks a nurse to deposit into the drawer of whoever holds `r1`.
+/// A request to a nurse to deposit into the drawer of the robot that holds `r1`.
 fn deposit(holder: &str) -> PersonRequest {
     let task = TaskSpec {
         parameters: [("into_role".to_owned(), "r1".to_owned())].into(),
@@ -85,7 +91,7 @@ fn deposit(holder: &str) -> PersonRequest {
     PersonRequest { role: role("nurse"), task, holders: [(role("r1"), robot(holder))].into() }
 }
 
-/// Begins a goal and lets time pass until it ends: how, and what else happened.
+/// Starts a goal and advances time until it ends. Returns its status and the other events.
 fn run(world: &mut World, name: &str, id: u64, goal: Goal) -> (GoalStatus, Vec<BackendEvent>) {
     world.start(&robot(name), GoalId(id), goal);
     let mut others = Vec::new();
@@ -103,7 +109,7 @@ fn run(world: &mut World, name: &str, id: u64, goal: Goal) -> (GoalStatus, Vec<B
     panic!("goal {id} of {name} did not end");
 }
 
-/// The same for a goal that is to succeed while nothing else happens.
+/// The same for a goal that must succeed without other events.
 fn run_to_success(world: &mut World, name: &str, id: u64, goal: Goal) {
     assert_eq!(run(world, name, id, goal), (GoalStatus::Succeeded, vec![]), "{name}, goal {id}");
 }

@@ -1,4 +1,4 @@
-//! What stands in the way: met, seen from near, remembered for a while.
+//! Obstacles: encountered, detected, remembered for a while.
 
 use super::*;
 
@@ -12,7 +12,7 @@ pub(super) fn trolley() -> Obstacle {
     Obstacle::between("trolley", place("A"), place("B"))
 }
 
-pub(super) const BLOCKED: &str = "the way from A to B is blocked: trolley stands in it";
+pub(super) const BLOCKED: &str = "the lane from A to B is blocked: trolley is in the way";
 
 pub(super) fn x(world: &World, name: &str) -> f64 {
     world.telemetry(&robot(name)).unwrap().pose.x
@@ -23,7 +23,7 @@ pub(super) fn known(world: &World, name: &str) -> Vec<(PlaceId, PlaceId)> {
 }
 
 #[test]
-fn a_robot_drives_until_it_sees_what_stands_in_the_way() {
+fn a_robot_stops_before_an_obstacle() {
     let mut setup = corridor().robot(carrier("r1", "A")).robot(carrier("r2", "A"));
     setup.obstacles.push(trolley());
     let mut world = World::new(setup).unwrap();
@@ -40,7 +40,7 @@ fn a_robot_drives_until_it_sees_what_stands_in_the_way() {
 }
 
 #[test]
-fn what_comes_while_a_robot_is_under_way_stops_it_unless_it_has_passed() {
+fn a_new_obstacle_stops_a_robot_before_it() {
     for (comes, ends) in [(4.0, 8.0), (9.0, 9.0), (11.0, 20.0)] {
         let mut setup = corridor().robot(carrier("r1", "A"));
         setup.obstacles.push(Obstacle { from_s: comes, ..trolley() });
@@ -54,7 +54,7 @@ fn what_comes_while_a_robot_is_under_way_stops_it_unless_it_has_passed() {
 }
 
 #[test]
-fn what_has_gone_before_it_is_met_stops_nobody() {
+fn an_obstacle_removed_in_time_stops_no_robot() {
     let mut setup = corridor().robot(carrier("r1", "B"));
     setup.obstacles.push(Obstacle { until_s: Some(7.0), ..trolley() });
     let mut world = World::new(setup).unwrap();
@@ -64,7 +64,7 @@ fn what_has_gone_before_it_is_met_stops_nobody() {
 }
 
 #[test]
-fn a_way_is_closed_and_opened_from_outside_and_knowledge_of_it_fades() {
+fn a_remembered_closure_expires() {
     let mut world = World::new(corridor().robot(carrier("r1", "A"))).unwrap();
     world.add_obstacle(&Obstacle { at: 0.0, ..trolley() }).unwrap();
     let goal = drive_goal(&world, "B");
@@ -79,7 +79,7 @@ fn a_way_is_closed_and_opened_from_outside_and_knowledge_of_it_fades() {
 }
 
 #[test]
-fn a_robot_believes_what_it_is_told() {
+fn a_robot_accepts_reports_of_closed_lanes() {
     let mut world = World::new(corridor().robot(carrier("r1", "A"))).unwrap();
     world.report_lane_closed(&robot("r1"), &place("B"), &place("A"));
     assert_eq!(known(&world, "r1"), [(place("A"), place("B"))]);
@@ -88,7 +88,7 @@ fn a_robot_believes_what_it_is_told() {
 }
 
 #[test]
-fn a_setup_with_an_obstacle_nowhere_is_refused() {
+fn a_setup_with_an_invalid_obstacle_is_rejected() {
     let mut setup = corridor();
     setup.obstacles = vec![
         Obstacle { on: (place("B"), place("C")), ..trolley() },
@@ -104,7 +104,7 @@ fn a_setup_with_an_obstacle_nowhere_is_refused() {
             "obstacle cart: there is no place \"D\" on map corridor; did you mean \"A\"?",
             "obstacle bed: at is 1.5, allowed is a number from 0 to 1",
             "obstacle trolley: until_s is 8, allowed is a number of seconds, no less than from_s",
-            "obstacle trolley stands more than once",
+            "obstacle trolley is defined more than once",
         ]
     );
 }

@@ -1,4 +1,4 @@
-//! People: whom an ask concerns, what they wait for, and what they say when it cannot be.
+//! Person requests: the serving person, its conditions, and its error messages.
 
 use super::*;
 
@@ -10,7 +10,7 @@ fn open() -> Goal {
     Goal::OperateDrawer { open: true }
 }
 
-/// A nurse in each of two rooms; r1 beside the second with an open drawer.
+/// A nurse in each of two rooms; r1 next to the second, with an open drawer.
 fn ready() -> World {
     let setup = hospital(3).robot(carrier("r1", "PC Room 2")).person(nurse("Ana", "PC Room 1", "s1")).person(nurse(
         "Bea",
@@ -24,28 +24,28 @@ fn ready() -> World {
 }
 
 fn answer(ask: u64, result: Result<(), ActionError>) -> BackendEvent {
-    BackendEvent::PersonRequestEnded { ask: GoalId(ask), result }
+    BackendEvent::PersonRequestEnded { request: GoalId(ask), result }
 }
 
-fn keepers(world: &World) -> Vec<SampleHolder> {
-    world.samples().into_iter().map(|sample| sample.keeper).collect()
+fn sample_holders(world: &World) -> Vec<SampleHolder> {
+    world.samples().into_iter().map(|sample| sample.holder).collect()
 }
 
 #[test]
-fn the_nurse_where_the_robot_is_hands_over() {
+fn the_approached_nurse_hands_over() {
     let mut world = ready();
     world.request_person(GoalId(7), deposit("r1"));
     world.request_person(GoalId(7), deposit("r1"));
     let due = world.next_due().unwrap().as_secs() - 4.0;
     assert!((2.0..=4.0).contains(&due), "she takes 2 to 4 s, not {due}");
     assert_eq!(world.advance(at(60.0)), [answer(7, Ok(()))]);
-    assert_eq!(keepers(&world), [SampleHolder::Person("Ana".into()), SampleHolder::Drawer(robot("r1"))]);
+    assert_eq!(sample_holders(&world), [SampleHolder::Person("Ana".into()), SampleHolder::Drawer(robot("r1"))]);
     world.request_person(GoalId(7), deposit("r1"));
     assert_eq!(world.advance(at(99.0)), [], "a repeated ask changes nothing");
 }
 
 #[test]
-fn an_ask_waits_for_the_open_drawer() {
+fn a_request_waits_for_the_open_drawer() {
     let setup = hospital(3).robot(carrier("r1", "PC Room 2")).person(nurse("Bea", "PC Room 2", "s2"));
     let mut world = World::new(setup).unwrap();
     world.request_person(GoalId(7), deposit("r1"));
@@ -57,12 +57,12 @@ fn an_ask_waits_for_the_open_drawer() {
 }
 
 #[test]
-fn if_the_robot_leaves_meanwhile_she_keeps_the_sample_and_waits_on() {
+fn a_departing_robot_interrupts_the_handover() {
     let mut world = ready();
     world.request_person(GoalId(7), deposit("r1"));
     let (out, back) = (drive_goal(&world, "PC Corridor 2"), drive_goal(&world, "PC Room 2"));
     run_to_success(&mut world, "r1", 3, out);
-    assert_eq!(keepers(&world)[1], SampleHolder::Person("Bea".into()));
+    assert_eq!(sample_holders(&world)[1], SampleHolder::Person("Bea".into()));
     run_to_success(&mut world, "r1", 4, back);
     assert_eq!(world.advance(at(100.0)), [], "it has yet to approach her again");
     run_to_success(&mut world, "r1", 5, approach());
@@ -70,7 +70,7 @@ fn if_the_robot_leaves_meanwhile_she_keeps_the_sample_and_waits_on() {
 }
 
 #[test]
-fn a_dismissed_nurse_keeps_her_sample() {
+fn a_canceled_request_leaves_the_sample_with_the_nurse() {
     let mut world = ready();
     world.request_person(GoalId(7), deposit("r1"));
     world.advance(at(5.0));
@@ -78,13 +78,13 @@ fn a_dismissed_nurse_keeps_her_sample() {
     world.cancel_person_request(GoalId(7));
     assert_eq!(world.open_person_requests(), []);
     assert_eq!(world.advance(at(99.0)), []);
-    assert_eq!(keepers(&world)[1], SampleHolder::Person("Bea".into()));
+    assert_eq!(sample_holders(&world)[1], SampleHolder::Person("Bea".into()));
     world.request_person(GoalId(8), deposit("r1"));
     assert_eq!(world.advance(at(199.0)), [answer(8, Ok(()))]);
 }
 
 #[test]
-fn an_ask_that_was_withdrawn_is_not_served_when_it_comes_late() {
+fn a_request_canceled_before_its_arrival_is_not_served() {
     let mut world = ready();
     world.cancel_person_request(GoalId(7));
     world.request_person(GoalId(7), deposit("r1"));
@@ -99,7 +99,7 @@ fn an_ask_that_was_withdrawn_is_not_served_when_it_comes_late() {
 }
 
 #[test]
-fn what_cannot_be_is_answered_with_a_reason() {
+fn an_impossible_request_ends_with_its_reason() {
     let error = |code, message: &str| Err(ActionError { code, message: message.to_owned() });
     let mut world = ready();
     let mut dance = deposit("r1");
@@ -110,8 +110,8 @@ fn what_cannot_be_is_answered_with_a_reason() {
     assert_eq!(
         world.advance(at(4.0)),
         [
-            answer(1, error(ErrorCode::Unknown, "a nurse cannot dance; can: deposit")),
-            answer(2, error(ErrorCode::Unknown, "no doctor is here; there is: nurse")),
+            answer(1, error(ErrorCode::Unknown, "a nurse cannot dance; supported tasks: deposit")),
+            answer(2, error(ErrorCode::Unknown, "no doctor is here; roles present: nurse")),
             answer(3, error(ErrorCode::Unknown, "no robot here that has a drawer holds role r1")),
         ]
     );
@@ -122,7 +122,7 @@ fn what_cannot_be_is_answered_with_a_reason() {
 }
 
 #[test]
-fn one_nurse_serves_two_robots_one_after_the_other() {
+fn a_nurse_serves_two_robots_in_turn() {
     let mut mia = nurse("Mia", "PC Room 2", "s1");
     mia.samples.push("s2".into());
     let setup = hospital(3).robot(carrier("a", "PC Room 2")).robot(carrier("b", "PC Room 2")).person(mia);
@@ -142,5 +142,5 @@ fn one_nurse_serves_two_robots_one_after_the_other() {
     }
     assert_eq!([&answers[0].1, &answers[1].1], [&answer(2, Ok(())), &answer(1, Ok(()))], "a's drawer was open first");
     assert!(answers[1].0 >= answers[0].0 + 2.0, "she has two hands and one pace: {answers:?}");
-    assert_eq!(keepers(&world), [SampleHolder::Drawer(robot("a")), SampleHolder::Drawer(robot("b"))]);
+    assert_eq!(sample_holders(&world), [SampleHolder::Drawer(robot("a")), SampleHolder::Drawer(robot("b"))]);
 }

@@ -1,4 +1,4 @@
-//! Batteries: one rate for the world and for estimates, straight lines, and a dead stop at 5 %.
+//! Batteries: a single rate for the world and for estimates, linear charge, and a stop at 5 %.
 
 use super::*;
 use crate::map::{MapFile, PlaceEntry, PlaceKind};
@@ -23,7 +23,7 @@ fn a_goal_costs_its_time_at_the_rate_that_estimates_use() {
 }
 
 #[test]
-fn a_battery_that_fails_stops_its_robot_at_once() {
+fn a_failed_battery_stops_its_robot_at_once() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Laboratory"))).unwrap();
     let goal = drive_goal(&world, "Laboratory Corridor");
     world.start(&robot("r1"), GoalId(1), goal);
@@ -34,7 +34,7 @@ fn a_battery_that_fails_stops_its_robot_at_once() {
 }
 
 #[test]
-fn under_five_percent_it_stops_dead_where_it_is() {
+fn a_robot_below_five_percent_stops() {
     let mut world = World::new(hospital(1).robot(weak(0.054))).unwrap();
     let goal = drive_goal(&world, "Laboratory Corridor");
     world.start(&robot("r1"), GoalId(1), goal);
@@ -53,7 +53,7 @@ fn under_five_percent_it_stops_dead_where_it_is() {
 }
 
 #[test]
-fn a_robot_that_stands_empty_moves_again_once_its_battery_was_exchanged() {
+fn an_empty_robot_moves_again_after_a_battery_replacement() {
     let mut world = World::new(hospital(1).robot(weak(0.03))).unwrap();
     assert_eq!(world.advance(at(1.0)), [BackendEvent::Stranded { robot: robot("r1") }]);
     world.set_charge(&robot("r1"), BatteryShare::FULL);
@@ -65,7 +65,7 @@ fn a_robot_that_stands_empty_moves_again_once_its_battery_was_exchanged() {
 }
 
 #[test]
-fn an_idle_robot_runs_down_too_and_one_that_starts_low_never_moves() {
+fn an_idle_battery_drains_and_a_low_start_strands() {
     let mut world = World::new(hospital(1).robot(weak(0.06))).unwrap();
     assert!((world.next_due().unwrap().as_secs() - 100.0).abs() < 1e-9);
     let mut low = World::new(hospital(1).robot(weak(0.03))).unwrap();
@@ -77,7 +77,7 @@ fn an_idle_robot_runs_down_too_and_one_that_starts_low_never_moves() {
 }
 
 #[test]
-fn on_mains_power_nothing_is_lost() {
+fn a_robot_on_mains_power_does_not_discharge() {
     let mut world = World::new(hospital(1).robot(RobotSetup::arm(robot("lab_arm"), place("Laboratory")))).unwrap();
     run_to_success(&mut world, "lab_arm", 1, Goal::Wait { time: Seconds::new(1e6).unwrap() });
     assert_eq!(charge(&world, "lab_arm"), 1.0);
@@ -85,7 +85,7 @@ fn on_mains_power_nothing_is_lost() {
 }
 
 #[test]
-fn an_hour_of_two_hundred_idle_robots_is_nothing_to_do() {
+fn idle_robots_cause_no_events() {
     let file = MapFile {
         name: "yard".into(),
         places: vec![PlaceEntry { name: "Yard".into(), kind: PlaceKind::Other, ..PlaceEntry::default() }],

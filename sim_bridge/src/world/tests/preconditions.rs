@@ -1,4 +1,4 @@
-//! What goals need, when they begin and when they end.
+//! Preconditions of goals, at the start and at the end.
 
 use super::*;
 
@@ -16,7 +16,7 @@ fn pick_up() -> Goal {
 }
 
 #[test]
-fn refusals_name_who_which_and_where() {
+fn rejections_name_the_objects_involved() {
     use ErrorCode::*;
     let nurse = role("nurse");
     let corridor = drive_goal(&lab(), "Laboratory Corridor");
@@ -42,7 +42,7 @@ fn refusals_name_who_which_and_where() {
 }
 
 #[test]
-fn a_drawer_must_be_open_and_hold_something_to_be_picked_from() {
+fn picking_up_needs_an_open_drawer_with_content() {
     let mut world = lab();
     run_to_success(&mut world, "r1", 1, Goal::ApproachRobot { robot: robot("lab_arm") });
     let status = rejected_status(&mut world, "lab_arm", 1, pick_up());
@@ -53,7 +53,7 @@ fn a_drawer_must_be_open_and_hold_something_to_be_picked_from() {
 }
 
 #[test]
-fn a_robot_that_left_is_no_longer_beside_anyone() {
+fn a_departed_robot_loses_its_co_presence() {
     let mut world = lab();
     run_to_success(&mut world, "lab_arm", 1, Goal::ApproachRobot { robot: robot("r1") });
     run_to_success(&mut world, "r1", 1, Goal::OperateDrawer { open: true });
@@ -67,7 +67,7 @@ fn a_robot_that_left_is_no_longer_beside_anyone() {
 }
 
 #[test]
-fn preconditions_hold_to_the_end_or_nothing_changes() {
+fn a_goal_fails_if_its_preconditions_end() {
     let mut world = lab();
     world.start(&robot("r1"), GoalId(1), Goal::ApproachRobot { robot: robot("r2") });
     world.advance(at(1.0));
@@ -96,7 +96,7 @@ fn the_wrong_person_is_not_authenticated() {
         role: role("visitor"),
         place: place("PC Room 1"),
         samples: vec![],
-        mood: vec![],
+        spontaneous_actions: vec![],
     });
     let mut world = World::new(setup).unwrap();
     run_to_success(&mut world, "r1", 1, Goal::ApproachPerson { role: role("visitor") });

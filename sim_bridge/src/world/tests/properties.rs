@@ -1,10 +1,10 @@
-//! What holds for every run.
+//! Properties of every run.
 
 use super::*;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
-/// Something done to the world from outside at a time.
+/// An input to the world from outside.
 #[derive(Debug, Clone)]
 enum Deed {
     Start(usize, Goal),
@@ -46,7 +46,7 @@ fn goals() -> impl Strategy<Value = Goal> {
     ]
 }
 
-/// Deeds, each after a pause of some seconds.
+/// Inputs, each after a pause of some seconds.
 fn deeds() -> impl Strategy<Value = Vec<(f64, Deed)>> {
     let deed = prop_oneof![
         6 => (0..ROBOTS.len(), goals()).prop_map(|(who, goal)| Deed::Start(who, goal)),
@@ -58,7 +58,8 @@ fn deeds() -> impl Strategy<Value = Vec<(f64, Deed)>> {
     prop::collection::vec((pause, deed), 1..40)
 }
 
-/// Plays the deeds, each pause in so many steps: what happened, and every robot's telemetry at each deed and at the end.
+/// Applies the inputs, with each pause cut into a number of steps. Returns the events, and every
+/// robot's telemetry at each input and at the end.
 fn play(seed: u64, deeds: &[(f64, Deed)], mut steps: impl FnMut() -> u32) -> (Vec<BackendEvent>, Vec<[f64; 4]>, World) {
     let mut world = stage(seed);
     let (mut events, mut telemetry) = (Vec::new(), Vec::new());
@@ -89,9 +90,9 @@ fn play(seed: u64, deeds: &[(f64, Deed)], mut steps: impl FnMut() -> u32) -> (Ve
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
-    /// How time is cut into steps changes nothing.
+    /// The division of time into steps makes no difference.
     #[test]
-    fn steps_do_not_matter(seed in any::<u64>(), deeds in deeds(), cuts in prop::collection::vec(1u32..9, 41)) {
+    fn the_size_of_time_steps_makes_no_difference(seed in any::<u64>(), deeds in deeds(), cuts in prop::collection::vec(1u32..9, 41)) {
         let (events, telemetry, mut whole) = play(seed, &deeds, || 1);
         let mut cuts = cuts.into_iter();
         let (events_cut, telemetry_cut, mut cut) = play(seed, &deeds, || cuts.next().unwrap_or(1));
@@ -103,7 +104,7 @@ proptest! {
         prop_assert_eq!(whole.drain_event_log(), cut.drain_event_log());
     }
 
-    /// One seed, one run; and a world between two others is none the worse for it.
+    /// A seed gives the same run again, even after another world has run.
     #[test]
     fn worlds_share_nothing(seed in any::<u64>(), deeds in deeds(), others in deeds()) {
         let (events, telemetry, mut first) = play(seed, &deeds, || 1);
@@ -114,7 +115,7 @@ proptest! {
         prop_assert_eq!(first.drain_event_log(), again.drain_event_log());
     }
 
-    /// Every goal that was accepted or refused ends once, or is still under way.
+    /// Every goal that was accepted or rejected ends exactly once, or is still active.
     #[test]
     fn each_goal_ends_once(seed in any::<u64>(), deeds in deeds()) {
         let (events, _, world) = play(seed, &deeds, || 1);
@@ -135,7 +136,7 @@ proptest! {
 }
 
 proptest! {
-    /// Arrival is length over speed, whatever the direction.
+    /// The arrival time is length over speed in every direction.
     #[test]
     fn arrival_is_length_over_speed(dx in -50.0..50.0f64, dy in -50.0..50.0f64, speed in 0.05..3.0f64) {
         prop_assume!(dx.hypot(dy) > 0.01);
@@ -157,7 +158,7 @@ proptest! {
 }
 
 #[test]
-fn another_seed_is_another_pace() {
+fn another_seed_gives_other_handover_times() {
     let pace = |seed| {
         let mut world = stage(seed);
         run_to_success(&mut world, "r2", 1, Goal::ApproachPerson { role: role("nurse") });
@@ -170,7 +171,7 @@ fn another_seed_is_another_pace() {
 }
 
 #[test]
-fn each_person_has_a_pace_of_their_own() {
+fn each_person_has_their_own_handover_times() {
     let pace = |people: &[PersonSetup]| {
         let mut setup = hospital(5).robot(carrier("r1", "PC Room 1"));
         setup.people = people.to_vec();
@@ -185,9 +186,9 @@ fn each_person_has_a_pace_of_their_own() {
     assert_ne!(pace(std::slice::from_ref(&ana)), pace(&[bea, ana]));
 }
 
-/// The random runs are worth something only if samples do change hands and robots do strand in them.
+/// The random runs are useful only if samples are transferred and robots strand in them.
 #[test]
-fn random_runs_come_to_the_point() {
+fn random_runs_reach_the_interesting_cases() {
     use proptest::strategy::ValueTree;
     use proptest::test_runner::TestRunner;
     let mut runner = TestRunner::deterministic();

@@ -1,4 +1,4 @@
-//! What robots perceive of walls, of each other and of people.
+//! Detection of walls, robots and people.
 
 use super::*;
 use crate::space::Sensor;
@@ -48,8 +48,8 @@ fn a_ray_ends_at_the_first_wall_or_body() {
 }
 
 #[test]
-fn a_camera_sees_what_is_in_its_cone_and_not_behind_a_wall() {
-    let camera = |bearing_rad, opening_rad, reach_m| Sensor::Camera { bearing_rad, opening_rad, reach_m };
+fn a_camera_detects_bodies_in_view_and_not_behind_a_wall() {
+    let camera = |bearing_rad, field_of_view_rad, reach_m| Sensor::Camera { bearing_rad, field_of_view_rad, reach_m };
     let tau = std::f64::consts::TAU;
     let world = world_with(vec![
         camera(0.0, 1.0, 10.0),
@@ -66,7 +66,7 @@ fn a_camera_sees_what_is_in_its_cone_and_not_behind_a_wall() {
 }
 
 #[test]
-fn a_feeler_notices_what_is_near_through_walls_too() {
+fn a_proximity_sensor_detects_through_walls() {
     let world = world_with(vec![Sensor::Proximity { reach_m: 3.5 }, Sensor::Proximity { reach_m: 1.0 }]);
     let seen: Vec<Vec<String>> = world.read_sensors(&robot("r1")).unwrap().iter().map(names).collect();
     assert_eq!(seen, [vec!["Nia", "east", "north"], vec![]]);
@@ -76,8 +76,8 @@ fn a_feeler_notices_what_is_near_through_walls_too() {
 
 #[test]
 fn sensors_are_read_from_files_and_checked() {
-    let sensor: Sensor = serde_json::from_str(r#"{"kind": "camera", "opening_rad": 1.2, "reach_m": 8}"#).unwrap();
-    assert_eq!(sensor, Sensor::Camera { bearing_rad: 0.0, opening_rad: 1.2, reach_m: 8.0 });
+    let sensor: Sensor = serde_json::from_str(r#"{"kind": "camera", "field_of_view_rad": 1.2, "reach_m": 8}"#).unwrap();
+    assert_eq!(sensor, Sensor::Camera { bearing_rad: 0.0, field_of_view_rad: 1.2, reach_m: 8.0 });
     let body = RobotSetup { sensors: vec![Sensor::Proximity { reach_m: f64::NAN }], ..carrier("r1", "A") };
     let said = World::new(WorldSetup::new(rooms(), 1).robot(body)).unwrap_err().to_string();
     assert_eq!(said, "robot r1: reach_m is NaN, allowed is a number of metres from 0 to 1000");

@@ -1,11 +1,11 @@
-//! Robots whose speed is changed from outside.
+//! Changes of a robot's speed from outside.
 
 use super::steering::{all, steered, until_ended};
 use super::*;
 use crate::kinematics::Kinematics;
 
-/// How long a robot of 0.5 m/s takes to drive from A to B, 10 m away, and back, having been told to drive so fast once it
-/// had left A.
+/// Returns the durations of a drive from A to B, 10 m away, and back, for a robot of 0.5 m/s with a
+/// change of speed after it has left A.
 fn there_and_back(body: RobotSetup, speed: f64) -> (f64, f64) {
     let text = "{name: hall, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}], \
                 lanes: [{between: [A, B]}]}";
@@ -25,19 +25,19 @@ fn there_and_back(body: RobotSetup, speed: f64) -> (f64, f64) {
 }
 
 #[test]
-fn a_drive_begun_later_goes_at_the_new_speed_and_one_under_way_at_the_old() {
+fn a_new_speed_applies_from_the_next_drive() {
     assert_eq!(there_and_back(carrier("r1", "A"), 0.25), (20.0, 40.0));
     assert_eq!(there_and_back(carrier("r1", "A"), 1.0), (20.0, 10.0));
 }
 
 #[test]
-fn robots_with_kinematics_heed_it_too() {
+fn a_speed_change_affects_robots_with_kinematics() {
     for kinematics in all() {
         let (there, back) = there_and_back(steered("r1", "A", kinematics), 0.5);
         let (same, slow) = there_and_back(steered("r1", "A", kinematics), 0.25);
         assert_eq!(same, there, "{kinematics:?}");
-        // Ten metres take 20 s more. Speeding up, braking and turning on the spot take the same, turning in a curve as much
-        // longer as the curve is long.
+        // Ten metres take 20 s more. Accelerating, braking and turning on the spot take the same
+        // time. Turning in a curve takes longer in proportion to the length of the curve.
         let more = match kinematics {
             Kinematics::Ackermann(_) => back,
             _ => 20.0,

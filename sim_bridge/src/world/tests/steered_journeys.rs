@@ -1,4 +1,4 @@
-//! Robots with kinematics on the way that the others go too: through doors, up lifts, to where something stands.
+//! Robots with kinematics on the same routes: through doors, in lifts, up to obstacles.
 
 use super::doors::{doors_only, passage};
 use super::lifts::tower;
@@ -18,7 +18,7 @@ fn waypoint(world: &World, name: &str) -> Waypoint {
 }
 
 #[test]
-fn every_chassis_waits_before_a_door_and_is_there_only_when_it_has_passed() {
+fn every_chassis_waits_at_a_door_and_passes_it() {
     for kinematics in all() {
         let mut world = World::new(passage().robot(steered("r1", "A", kinematics))).unwrap();
         set_off(&mut world, "r1", 1, "B");
@@ -51,7 +51,7 @@ fn every_chassis_waits_before_a_door_and_is_there_only_when_it_has_passed() {
 }
 
 #[test]
-fn a_door_does_not_stop_what_has_been_let_in() {
+fn a_door_does_not_stop_an_admitted_robot() {
     let mut world = World::new(passage().robot(differential("r1", "A"))).unwrap();
     set_off(&mut world, "r1", 1, "B");
     let mut slowest = f64::INFINITY;
@@ -66,9 +66,9 @@ fn a_door_does_not_stop_what_has_been_let_in() {
 }
 
 #[test]
-fn canceled_before_the_door_it_keeps_nobody_waiting_and_canceled_in_it_it_keeps_it() {
+fn a_canceled_robot_frees_the_door_unless_it_stands_in_it() {
     let mut setup = passage().robot(differential("r1", "A")).robot(carrier("r2", "B"));
-    // They meet on the lane, and this is about the door.
+    // The robots meet on the lane, but this test is about the door.
     setup.systems.retain(|name| name != "collisions");
     let mut world = World::new(setup).unwrap();
     set_off(&mut world, "r1", 1, "B");
@@ -95,7 +95,7 @@ fn canceled_before_the_door_it_keeps_nobody_waiting_and_canceled_in_it_it_keeps_
 }
 
 #[test]
-fn every_chassis_stops_where_it_sees_what_stands_in_the_way() {
+fn every_chassis_stops_before_an_obstacle() {
     for kinematics in all() {
         let mut setup = corridor().robot(steered("r1", "A", kinematics));
         setup.obstacles.push(trolley());
@@ -112,7 +112,7 @@ fn every_chassis_stops_where_it_sees_what_stands_in_the_way() {
 }
 
 #[test]
-fn what_comes_while_a_chassis_is_under_way_stops_it_unless_it_has_passed() {
+fn a_new_obstacle_stops_a_chassis_before_it() {
     for (comes, stops) in [(4.0, Some(3.9..4.1)), (9.5, Some(4.6..4.9)), (14.0, None)] {
         let mut setup = corridor().robot(differential("r1", "A"));
         setup.obstacles.push(Obstacle { from_s: comes, ..trolley() });
@@ -132,7 +132,7 @@ fn what_comes_while_a_chassis_is_under_way_stops_it_unless_it_has_passed() {
 }
 
 #[test]
-fn what_goes_away_while_a_chassis_is_under_way_stops_it_no_longer() {
+fn a_removed_obstacle_does_not_stop_a_chassis() {
     let mut setup = corridor().robot(differential("r1", "A"));
     setup.obstacles.push(Obstacle { until_s: Some(5.0), ..trolley() });
     let mut world = World::new(setup).unwrap();
@@ -142,7 +142,7 @@ fn what_goes_away_while_a_chassis_is_under_way_stops_it_no_longer() {
 }
 
 #[test]
-fn every_chassis_rides_the_lift_and_drives_on_from_where_it_gets_out() {
+fn every_chassis_rides_the_lift_and_drives_on() {
     for kinematics in all() {
         let mut world = World::new(tower(1).robot(steered("r1", "L0", kinematics))).unwrap();
         set_off(&mut world, "r1", 1, "L2");
@@ -161,7 +161,7 @@ fn every_chassis_rides_the_lift_and_drives_on_from_where_it_gets_out() {
 }
 
 #[test]
-fn in_a_lift_it_is_in_nobodys_way() {
+fn a_robot_in_a_lift_blocks_no_other() {
     let quick = RobotSetup { speed: MetresPerSecond::new(1.0).unwrap(), ..steered("r2", "Room", all()[1]) };
     let setup = tower(2).robot(differential("r1", "L0")).robot(quick);
     let mut world = World::new(setup).unwrap();
@@ -173,7 +173,7 @@ fn in_a_lift_it_is_in_nobodys_way() {
 }
 
 #[test]
-fn it_follows_waypoints_to_the_last() {
+fn a_steered_robot_follows_waypoints_to_the_last() {
     let mut world = World::new(passage().robot(differential("r1", "A"))).unwrap();
     let waypoints = ["B", "C", "B"].map(|name| waypoint(&world, name)).to_vec();
     world.start(&robot("r1"), GoalId(1), Goal::FollowWaypoints { waypoints });
@@ -190,7 +190,7 @@ fn it_follows_waypoints_to_the_last() {
 }
 
 #[test]
-fn it_keeps_to_limits_and_drives_backward_where_the_lane_says_so() {
+fn a_steered_robot_keeps_limits_and_drives_backward() {
     let text = "{name: two, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}], \
         lanes: [{between: [A, B], speed_limit_mps: 0.2, facing: backward}]}";
     for (kinematics, backward) in all().into_iter().zip([true, false, true, false]) {
@@ -214,7 +214,7 @@ fn it_keeps_to_limits_and_drives_backward_where_the_lane_says_so() {
 }
 
 #[test]
-fn it_looks_where_it_has_turned_to_and_drives_off_from_there() {
+fn a_steered_robot_departs_with_its_turned_heading() {
     for kinematics in all() {
         let mut world = World::new(corridor().robot(steered("r1", "A", kinematics))).unwrap();
         run_to_success(&mut world, "r1", 1, Goal::Spin { angle_rad: 2.0 });

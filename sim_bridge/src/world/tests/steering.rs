@@ -1,4 +1,4 @@
-//! Robots with kinematics: on the lanes, in steps, around and into one another.
+//! Robots with kinematics: on lanes, in steps, around each other and in collisions.
 
 use super::*;
 use crate::kinematics::{AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, OmnidirectionalSettings};
@@ -13,7 +13,7 @@ pub(super) fn all() -> [Kinematics; 4] {
     ]
 }
 
-/// On a battery that never runs down, so that nothing is due but what it does.
+/// A robot without discharge, so that the queue contains only its own motion.
 pub(super) fn steered(name: &str, at: &str, kinematics: Kinematics) -> RobotSetup {
     RobotSetup { kinematics: Some(kinematics), discharge: SharePerSecond::new(0.0).unwrap(), ..carrier(name, at) }
 }
@@ -40,7 +40,7 @@ pub(super) fn pose_of(world: &World, name: &str) -> Pose {
     world.telemetry(&robot(name)).unwrap().pose
 }
 
-/// Lets time pass until a robot's goal has ended.
+/// Advances time until a robot's goal has ended.
 pub(super) fn until_ended(world: &mut World, name: &str, id: u64) -> GoalStatus {
     for _ in 0..100_000 {
         let due = world.next_due().expect("the goal has not ended");
@@ -87,7 +87,7 @@ fn steps_of_any_length_give_the_same_arrival() {
 }
 
 #[test]
-fn under_way_it_tells_how_far_it_is_and_may_be_looked_at_at_any_time() {
+fn a_driving_robot_reports_progress_at_any_time() {
     let mut world = World::new(WorldSetup::new(hall(), 1).robot(differential("r1", "A"))).unwrap();
     let goal = drive_goal(&world, "B");
     world.start(&robot("r1"), GoalId(1), goal);
@@ -102,7 +102,7 @@ fn under_way_it_tells_how_far_it_is_and_may_be_looked_at_at_any_time() {
 }
 
 #[test]
-fn canceled_it_brakes_and_drives_on_from_there() {
+fn a_canceled_robot_brakes_and_drives_on_from_there() {
     let mut world = World::new(WorldSetup::new(hall(), 1).robot(differential("r1", "A"))).unwrap();
     let goal = drive_goal(&world, "B");
     world.start(&robot("r1"), GoalId(1), goal.clone());
@@ -118,7 +118,7 @@ fn canceled_it_brakes_and_drives_on_from_there() {
 }
 
 #[test]
-fn without_a_lane_there_is_no_way_for_a_chassis_either() {
+fn a_chassis_needs_a_lane_too() {
     let mut world = World::new(WorldSetup::new(hall(), 1).robot(differential("r1", "A"))).unwrap();
     let goal = drive_goal(&world, "C");
     assert_eq!(rejected_status(&mut world, "r1", 1, goal), aborted(ErrorCode::NoRoute, "no lane from A to C"));
@@ -126,12 +126,12 @@ fn without_a_lane_there_is_no_way_for_a_chassis_either() {
 }
 
 #[test]
-fn a_wall_stops_it_and_is_said_once() {
+fn a_wall_stops_a_robot_and_is_reported_once() {
     let mut world = World::new(WorldSetup::new(walled(), 1).robot(differential("r1", "A"))).unwrap();
     let (there, back) = (drive_goal(&world, "B"), drive_goal(&world, "A"));
     world.start(&robot("r1"), GoalId(1), there);
     let status = until_ended(&mut world, "r1", 1);
-    assert_eq!(status, aborted(ErrorCode::NoRoute, "r1 ran into a wall"));
+    assert_eq!(status, aborted(ErrorCode::NoRoute, "r1 collided with a wall"));
     let x = pose_of(&world, "r1").x;
     assert!((4.74..4.8).contains(&x), "its edge is 0.25 m ahead of its middle: {x}");
     world.start(&robot("r1"), GoalId(2), back);
@@ -142,20 +142,20 @@ fn a_wall_stops_it_and_is_said_once() {
 }
 
 #[test]
-fn two_that_meet_on_a_lane_run_into_each_other() {
+fn two_robots_that_meet_on_a_lane_collide() {
     let setup = WorldSetup::new(hall(), 1).robot(differential("r1", "A")).robot(differential("r2", "B"));
     let mut world = World::new(setup).unwrap();
     let (there, back) = (drive_goal(&world, "B"), drive_goal(&world, "A"));
     world.start(&robot("r1"), GoalId(1), there);
     world.start(&robot("r2"), GoalId(1), back);
-    assert_eq!(until_ended(&mut world, "r1", 1), aborted(ErrorCode::NoRoute, "r1 ran into r2"));
-    assert_eq!(world.status(&robot("r2"), GoalId(1)), Some(aborted(ErrorCode::NoRoute, "r2 ran into r1")));
+    assert_eq!(until_ended(&mut world, "r1", 1), aborted(ErrorCode::NoRoute, "r1 collided with r2"));
+    assert_eq!(world.status(&robot("r2"), GoalId(1)), Some(aborted(ErrorCode::NoRoute, "r2 collided with r1")));
     let apart = pose_of(&world, "r1").distance(pose_of(&world, "r2")).get();
     assert!((0.4..0.5).contains(&apart), "they touch: {apart} m");
 }
 
 #[test]
-fn drones_pass_each_other_where_others_collide() {
+fn drones_avoid_each_other_on_a_lane() {
     let drone = |name, at| RobotSetup { speed: MetresPerSecond::new(3.0).unwrap(), ..steered(name, at, all()[3]) };
     let setup = WorldSetup::new(hall(), 1).robot(drone("r1", "A")).robot(drone("r2", "B"));
     let mut world = World::new(setup).unwrap();
@@ -167,7 +167,7 @@ fn drones_pass_each_other_where_others_collide() {
 }
 
 #[test]
-fn where_another_stands_already_it_stops_beside_and_is_there() {
+fn a_robot_arrives_next_to_a_robot_at_its_target() {
     let setup = WorldSetup::new(hall(), 1).robot(differential("r1", "A")).robot(carrier("r2", "B"));
     let mut world = World::new(setup).unwrap();
     let goal = drive_goal(&world, "B");
@@ -179,9 +179,9 @@ fn where_another_stands_already_it_stops_beside_and_is_there() {
 }
 
 #[test]
-fn gusts_push_what_hovers_and_nothing_else() {
-    let gusts = Some(WindSettings { every_s: 0.7, chance: 1.0, strength_mps: 0.5 });
-    let setup = WorldSetup { gusts, ..WorldSetup::new(hall(), 1) };
+fn gusts_push_only_hovering_robots() {
+    let wind = Some(WindSettings { interval_s: 0.7, probability: 1.0, max_speed_change_mps: 0.5 });
+    let setup = WorldSetup { wind, ..WorldSetup::new(hall(), 1) };
     let setup = setup.robot(steered("r1", "A", all()[3])).robot(differential("r2", "B"));
     let mut world = World::new(setup).unwrap();
     let goal = drive_goal(&world, "B");
@@ -198,22 +198,22 @@ fn gusts_push_what_hovers_and_nothing_else() {
 }
 
 #[test]
-fn what_a_chassis_is_set_up_with_is_checked() {
+fn invalid_kinematics_are_rejected() {
     let settings = AckermannSettings { turning_radius_m: 0.0, ..AckermannSettings::default() };
     let mut setup = WorldSetup::new(hall(), 1).robot(steered("r1", "A", Kinematics::Ackermann(settings)));
     setup.robots[0].radius_m = -1.0;
-    (setup.step_s, setup.gusts) = (0.0, Some(WindSettings { chance: 2.0, ..WindSettings::default() }));
+    (setup.step_s, setup.wind) = (0.0, Some(WindSettings { probability: 2.0, ..WindSettings::default() }));
     setup.systems.retain(|name| name != "steering");
     let said = World::new(setup).unwrap_err().to_string();
     assert_eq!(
         said.lines().collect::<Vec<_>>(),
         [
             "world: step_s is 0, allowed is a number of seconds from 0.001 to 10",
-            "gusts: chance is 2, allowed is a number from 0 to 1",
+            "wind: probability is 2, allowed is a number from 0 to 1",
             "robot r1: radius_m is -1, allowed is a number of metres from 0.01 to 10",
             "robot r1, kinematics: turning_radius_m is 0, allowed is a number from 0.001 to 1000",
-            "robot r1 has kinematics, so the systems must name driving and steering; they are: driving, doors, lifts, \
-             obstacles, turning, waiting, company, drawer, arm, docking, power, moods, people, collisions, gusts",
+            "robot r1 has kinematics, so the systems must include driving and steering; they are: driving, doors, lifts, \
+             obstacles, turning, waiting, co_presence, drawer, arm, docking, power, spontaneous_actions, people, collisions, wind",
         ]
     );
 }

@@ -1,14 +1,14 @@
-//! Systems are held to what they say of themselves.
+//! Component access is limited to a system's declarations.
 
 use super::*;
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::samples::Custody;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, kinds};
+use crate::world::system::{ComponentType, System, component_types};
 use hecs::Entity;
 
-/// Looks at where robots are, and says that it does; looks at who has what, and does not say so.
+/// Declares that it reads locations, and reads custody without declaring it.
 struct Nosy {
     whereabouts_are_named_as_written: bool,
     looks_at_custody: bool,
@@ -20,17 +20,17 @@ impl System for Nosy {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        kinds![RobotLocation]
+        component_types![RobotLocation]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        if self.whereabouts_are_named_as_written { kinds![RobotLocation] } else { kinds![] }
+        if self.whereabouts_are_named_as_written { component_types![RobotLocation] } else { component_types![] }
     }
 
-    fn check_goal_allowed(&self, floor: &SimState, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
-        drop(floor.get::<RobotLocation>(robot));
-        drop(floor.get_mut::<RobotLocation>(robot));
-        if self.looks_at_custody && floor.find::<Custody>(robot).is_some() {
+    fn check_goal_allowed(&self, state: &SimState, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+        drop(state.get::<RobotLocation>(robot));
+        drop(state.get_mut::<RobotLocation>(robot));
+        if self.looks_at_custody && state.find::<Custody>(robot).is_some() {
             return Err(action_error(ErrorCode::Busy, "a robot is no sample".to_owned()));
         }
         Ok(())
@@ -44,18 +44,18 @@ fn with(system: &'static dyn System) {
 }
 
 #[test]
-fn what_is_named_may_be_read_and_written() {
+fn declared_components_are_accessible() {
     with(&Nosy { whereabouts_are_named_as_written: true, looks_at_custody: false });
 }
 
 #[test]
-#[should_panic(expected = "system nosy writes Whereabouts, which it does not name")]
-fn what_is_named_as_read_alone_is_not_written() {
+#[should_panic(expected = "system nosy writes RobotLocation, which it does not declare")]
+fn a_component_declared_as_read_is_not_writable() {
     with(&Nosy { whereabouts_are_named_as_written: false, looks_at_custody: false });
 }
 
 #[test]
-#[should_panic(expected = "system nosy reads Custody, which it does not name")]
-fn what_is_not_named_is_not_read() {
+#[should_panic(expected = "system nosy reads Custody, which it does not declare")]
+fn an_undeclared_component_is_not_readable() {
     with(&Nosy { whereabouts_are_named_as_written: true, looks_at_custody: true });
 }

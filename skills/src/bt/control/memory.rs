@@ -1,26 +1,26 @@
-//! `Sequence` and `Fallback`: children one after the other, remembering where they are.
+//! `Sequence` and `Fallback`: control nodes with memory, which tick their children in turn.
 
 use crate::bt::node::{ChildNode, Node, halt_all};
 use crate::bt::status::NodeStatus;
 use crate::bt::tick::Tick;
 
-/// Ticks children in order while they answer `go_on`; any other final answer ends it. A child that is running is
-/// where the next tick goes on; children before it are not asked again.
+/// Ticks children in order while they return `continue_on`; any other final status ends the node.
+/// The next tick continues with the running child; earlier children are not ticked again.
 pub(crate) struct MemoryControl {
-    go_on: NodeStatus,
+    continue_on: NodeStatus,
     children: Vec<ChildNode>,
     current: usize,
 }
 
 impl MemoryControl {
-    /// Succeeds when all children do, and fails with the first that fails.
+    /// Succeeds when all children succeed, and fails with the first failure.
     pub(crate) fn sequence(children: Vec<ChildNode>) -> MemoryControl {
-        MemoryControl { go_on: NodeStatus::Success, children, current: 0 }
+        MemoryControl { continue_on: NodeStatus::Success, children, current: 0 }
     }
 
-    /// Succeeds with the first child that does, and fails when all fail.
+    /// Succeeds with the first success, and fails when all children fail.
     pub(crate) fn fallback(children: Vec<ChildNode>) -> MemoryControl {
-        MemoryControl { go_on: NodeStatus::Failure, children, current: 0 }
+        MemoryControl { continue_on: NodeStatus::Failure, children, current: 0 }
     }
 }
 
@@ -29,7 +29,7 @@ impl Node for MemoryControl {
         while let Some(child) = self.children.get_mut(self.current) {
             match child.tick(tick) {
                 NodeStatus::Running => return NodeStatus::Running,
-                status if status == self.go_on => self.current += 1,
+                status if status == self.continue_on => self.current += 1,
                 status => {
                     self.current = 0;
                     return status;
@@ -37,7 +37,7 @@ impl Node for MemoryControl {
             }
         }
         self.current = 0;
-        self.go_on
+        self.continue_on
     }
 
     fn halt(&mut self, tick: &mut Tick<'_>) {

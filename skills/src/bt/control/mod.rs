@@ -1,4 +1,5 @@
-//! Control nodes: several children, and a rule for which to tick. The rules are those of BehaviorTree.CPP 4.
+//! Control nodes: they have several children and a rule for ticking them. The rules are those of
+//! BehaviorTree.CPP 4.
 
 mod memory;
 mod parallel;

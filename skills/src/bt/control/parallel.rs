@@ -1,13 +1,14 @@
-//! `Parallel`: children side by side, until enough of them have ended.
+//! `Parallel`: ticks all children until enough of them have ended.
 
 use crate::bt::node::{ChildNode, Node, halt_all};
 use crate::bt::ports::{PortError, Ports};
 use crate::bt::status::NodeStatus;
 use crate::bt::tick::{Cause, Tick};
 
-/// Ticks every child that has not ended. Succeeds once `success_count` of them did; fails once `failure_count` of them
-/// failed, or so many that `success_count` is out of reach. A negative count is taken from the number of children: -1
-/// is all of them. Children that are still running at the end are halted.
+/// Ticks every child that has not ended. Succeeds once `success_count` children succeeded. Fails
+/// once `failure_count` children failed, or so many that `success_count` cannot be reached. A
+/// negative count is relative to the number of children: -1 means all of them. Children that are
+/// still running at the end are halted.
 pub(crate) struct Parallel {
     ports: Ports,
     children: Vec<ChildNode>,

@@ -1,25 +1,25 @@
-//! `ReactiveSequence` and `ReactiveFallback`: children are asked anew from the first at every tick.
+//! `ReactiveSequence` and `ReactiveFallback`: every tick starts again with the first child.
 
 use crate::bt::node::{ChildNode, Node, halt_all};
 use crate::bt::status::NodeStatus;
 use crate::bt::tick::Tick;
 
-/// Like its namesake without memory. While one child is running, all others are halted: an earlier child that changes
-/// its answer interrupts a later one.
+/// Like its counterpart, but without memory. While a child is running, all others are halted: an
+/// earlier child interrupts, by a change of status, a later child.
 pub(crate) struct ReactiveControl {
-    go_on: NodeStatus,
+    continue_on: NodeStatus,
     children: Vec<ChildNode>,
 }
 
 impl ReactiveControl {
-    /// Succeeds when all children do in one tick.
+    /// Succeeds when all children succeed in the same tick.
     pub(crate) fn sequence(children: Vec<ChildNode>) -> ReactiveControl {
-        ReactiveControl { go_on: NodeStatus::Success, children }
+        ReactiveControl { continue_on: NodeStatus::Success, children }
     }
 
-    /// Fails when all children do in one tick.
+    /// Fails when all children fail in the same tick.
     pub(crate) fn fallback(children: Vec<ChildNode>) -> ReactiveControl {
-        ReactiveControl { go_on: NodeStatus::Failure, children }
+        ReactiveControl { continue_on: NodeStatus::Failure, children }
     }
 }
 
@@ -27,7 +27,7 @@ impl Node for ReactiveControl {
     fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
         for index in 0..self.children.len() {
             let status = self.children[index].tick(tick);
-            if status == self.go_on {
+            if status == self.continue_on {
                 continue;
             }
             for (other, child) in self.children.iter_mut().enumerate() {
@@ -38,7 +38,7 @@ impl Node for ReactiveControl {
             return status;
         }
         halt_all(&mut self.children, tick);
-        self.go_on
+        self.continue_on
     }
 
     fn halt(&mut self, tick: &mut Tick<'_>) {

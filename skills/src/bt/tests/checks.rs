@@ -1,4 +1,4 @@
-//! What is refused before a tree is started, and in which words.
+//! Errors reported before a tree is created, with their texts.
 
 use super::*;
 
@@ -7,7 +7,7 @@ fn main(root: NodeSpec) -> TreeSpec {
 }
 
 #[test]
-fn an_unknown_node_names_those_there_are() {
+fn an_unknown_node_is_reported_with_the_known_nodes() {
     let error = check_error(&main(sequence([NodeSpec::new("Pay")])));
     assert!(error.starts_with("main: main/Pay: there is no node `Pay`; known are Sequence, Fallback, "), "{error}");
     assert!(error.ends_with("Copy, IsHome, Play"), "{error}");
@@ -28,7 +28,7 @@ fn ports_are_checked() {
         ),
         (
             retry(1, home().port("place", "A")).port("num_attempts", "-2"),
-            "main: main/RetryUntilSuccessful: port `num_attempts`: \"-2\" will not do: allowed is -1 to 2147483647",
+            "main: main/RetryUntilSuccessful: port `num_attempts`: \"-2\" is rejected: allowed is -1 to 2147483647",
         ),
         (
             NodeSpec::new("Copy").port("value", "1").port("to", "here"),
@@ -67,14 +67,14 @@ fn an_explicit_kind_must_be_the_right_one() {
 }
 
 #[test]
-fn sub_trees_must_be_there_and_not_go_in_circles() {
+fn sub_trees_must_exist_and_not_form_cycles() {
     assert_eq!(
         check_error(&main(NodeSpec::subtree("sub"))),
         "main: main/sub: there is no tree `sub` in this file; there are main"
     );
     let circle =
         main(sequence([NodeSpec::subtree("a")])).with("a", NodeSpec::subtree("b")).with("b", NodeSpec::subtree("a"));
-    assert_eq!(check_error(&circle), "main: b/a: the sub-trees go round in a circle: main → a → b → a");
+    assert_eq!(check_error(&circle), "main: b/a: the sub-trees form a cycle: main → a → b → a");
     let given = main(NodeSpec::subtree("a").port("x", "1").port("y", "2"))
         .with("a", NodeSpec::new("IsHome").port("place", "{x}"));
     assert_eq!(check_error(&given), "main: main/a: there is no port `y`; allowed are x");
@@ -83,7 +83,7 @@ fn sub_trees_must_be_there_and_not_go_in_circles() {
 }
 
 #[test]
-fn sub_trees_that_double_at_every_level_are_refused() {
+fn sub_trees_that_double_at_every_level_are_rejected() {
     let mut spec = main(NodeSpec::subtree("t0"));
     for level in 0..40 {
         let next = || NodeSpec::subtree(&format!("t{}", level + 1));
@@ -94,10 +94,10 @@ fn sub_trees_that_double_at_every_level_are_refused() {
 }
 
 #[test]
-fn a_tree_that_is_too_deep_is_refused_and_the_deepest_allowed_runs() {
+fn the_depth_limit_rejects_deeper_trees_only() {
     let deep = |levels: usize| (1..levels).fold(play("a", "RS"), |tree, _| inverter(inverter(tree)));
     let error = check_error(&main(deep(51)));
-    assert!(error.ends_with("it stands deeper than 100 levels, sub-trees included"), "{error}");
+    assert!(error.ends_with("it is nested deeper than 100 levels, sub-trees included"), "{error}");
     let mut stage = TreeFixture::from_root(deep(50));
     stage.expect(&[('R', "a"), ('S', "a")]);
 }
@@ -106,8 +106,8 @@ fn a_tree_that_is_too_deep_is_refused_and_the_deepest_allowed_runs() {
 fn a_name_is_registered_once_and_for_a_leaf() {
     let mut registry = registry();
     let never = |_: &CallLog| -> Box<dyn Leaf> { Box::new(SyncLeaf(|_: &mut LeafContext<'_, '_>| Ok(true))) };
-    let mut refuse = |id, kind| registry.register(NodeManifest::new(id, kind, []), never).unwrap_err().to_string();
-    assert_eq!(refuse("Play", NodeKind::Action), "a node `Play` is there already");
-    assert_eq!(refuse("Sequence", NodeKind::Action), "a node `Sequence` is there already");
-    assert_eq!(refuse("Mine", NodeKind::Control), "`Mine` is of kind <Control>; allowed are <Action> and <Condition>");
+    let mut reject = |id, kind| registry.register(NodeManifest::new(id, kind, []), never).unwrap_err().to_string();
+    assert_eq!(reject("Play", NodeKind::Action), "a node `Play` is already registered");
+    assert_eq!(reject("Sequence", NodeKind::Action), "a node `Sequence` is already registered");
+    assert_eq!(reject("Mine", NodeKind::Control), "`Mine` is of kind <Control>; allowed are <Action> and <Condition>");
 }

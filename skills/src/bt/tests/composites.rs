@@ -3,13 +3,13 @@
 use super::*;
 
 #[test]
-fn a_sequence_goes_on_where_it_was() {
+fn a_sequence_continues_with_the_running_child() {
     let mut stage = TreeFixture::from_root(sequence([play("a", "S"), play("b", "RRS"), play("c", "S")]));
     stage.expect(&[('R', "a b"), ('R', "b"), ('S', "b c")]);
 }
 
 #[test]
-fn a_sequence_ends_with_the_first_failure_and_starts_afresh() {
+fn a_sequence_ends_with_the_first_failure_and_restarts() {
     let mut stage = TreeFixture::from_root(sequence([play("a", "S"), play("b", "FS"), play("c", "S")]));
     stage.expect(&[('F', "a b"), ('S', "a b c")]);
 }
@@ -50,7 +50,7 @@ fn a_parallel_fails_when_more_than_n_minus_m_do() {
 }
 
 #[test]
-fn a_parallel_from_a_file_fails_with_the_first_failure_unless_told_otherwise() {
+fn a_parallel_fails_with_the_first_failure_by_default() {
     let mut stage = TreeFixture::from_root(
         NodeSpec::new("Parallel").port("success_count", "1").children([play("a", "R"), play("b", "F")]),
     );
@@ -60,7 +60,7 @@ fn a_parallel_from_a_file_fails_with_the_first_failure_unless_told_otherwise() {
 }
 
 #[test]
-fn a_halted_parallel_forgets_who_had_ended() {
+fn a_halted_parallel_restarts_all_children() {
     let mut stage = TreeFixture::from_root(parallel(3, [play("a", "S"), play("b", "R"), play("c", "R")]));
     stage.expect(&[('R', "a b c"), ('R', "b c")]);
     assert_eq!(stage.halt(), "b! c!");
@@ -103,7 +103,7 @@ fn a_panic_in_a_leaf_passes_through() {
 }
 
 #[test]
-fn a_cause_does_not_outlive_its_run() {
+fn a_cause_is_cleared_at_the_next_run() {
     let mut stage = TreeFixture::from_root(sequence([
         NodeSpec::new("ForceSuccess").child(play("a", "FS")),
         NodeSpec::new("AlwaysFailure"),

@@ -1,5 +1,5 @@
-//! The engine's tests: a fake child plays a written list of statuses (as py_trees tests its composites), and notes when
-//! it is ticked and halted.
+//! Tests of the engine. A fake leaf returns a given list of statuses (as py_trees tests its
+//! composites), and records when it is ticked and halted.
 
 mod checks;
 mod composites;
@@ -13,7 +13,7 @@ use consort_protocol::units::WorldTime;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-/// What happened to the fake children: `a` when `a` was ticked, `a!` when it was halted.
+/// Calls of the fake leaves: `a` for a tick of `a`, `a!` for a halt.
 #[derive(Clone, Default)]
 struct CallLog(Arc<Mutex<Vec<String>>>);
 
@@ -22,16 +22,16 @@ impl CallLog {
         self.0.lock().unwrap().push(what);
     }
 
-    /// What happened since the last call.
+    /// Returns the calls since the last time.
     fn take(&self) -> String {
         std::mem::take(&mut *self.0.lock().unwrap()).join(" ")
     }
 }
 
-/// A body that is never asked for anything.
-struct NoBody;
+/// A robot that must never receive a goal.
+struct NoRobot;
 
-impl RobotActions for NoBody {
+impl RobotActions for NoRobot {
     fn send_goal(&mut self, goal: Goal) -> GoalId {
         panic!("nobody sends {goal:?} here")
     }
@@ -46,7 +46,8 @@ impl RobotActions for NoBody {
     }
 }
 
-/// Answers from its port `plays`, a letter a tick: `R`, `S`, `F`; the last one for ever.
+/// Returns the statuses in its port `plays`, a letter per tick: `R`, `S`, `F`. The last letter
+/// repeats.
 struct Play {
     name: String,
     left: Option<VecDeque<char>>,
@@ -97,12 +98,12 @@ fn registry() -> Registry<CallLog> {
     registry
 }
 
-/// A child called `name` that plays these statuses.
+/// A fake leaf with a name and its statuses.
 fn play(name: &str, plays: &str) -> NodeSpec {
     NodeSpec::new("Play").port("as", name).port("plays", plays)
 }
 
-/// A tree under test, on a clock of its own.
+/// A tree under test, with its own clock.
 struct TreeFixture {
     tree: Tree,
     log: CallLog,
@@ -120,9 +121,9 @@ impl TreeFixture {
         TreeFixture { tree, log, now: WorldTime::ZERO }
     }
 
-    /// Ticks once: the status's letter, and what happened.
+    /// Ticks once. Returns the letter of the status, and the calls.
     fn tick(&mut self) -> (char, String) {
-        let status = match self.tree.tick(&mut NoBody, self.now) {
+        let status = match self.tree.tick(&mut NoRobot, self.now) {
             NodeStatus::Running => 'R',
             NodeStatus::Success => 'S',
             NodeStatus::Failure => 'F',
@@ -130,7 +131,7 @@ impl TreeFixture {
         (status, self.log.take())
     }
 
-    /// Ticks as often as there are expectations.
+    /// Ticks once for each expectation.
     fn expect(&mut self, expected: &[(char, &str)]) {
         for (number, (status, log)) in expected.iter().enumerate() {
             assert_eq!(self.tick(), (*status, (*log).to_owned()), "tick {}", number + 1);
@@ -138,7 +139,7 @@ impl TreeFixture {
     }
 
     fn halt(&mut self) -> String {
-        self.tree.halt(&mut NoBody, self.now);
+        self.tree.halt(&mut NoRobot, self.now);
         self.log.take()
     }
 
@@ -148,7 +149,7 @@ impl TreeFixture {
     }
 }
 
-/// Why a description is refused.
+/// Returns the error for a description.
 fn check_error(spec: &TreeSpec) -> String {
     match registry().check(spec) {
         Ok(_) => panic!("it was accepted"),

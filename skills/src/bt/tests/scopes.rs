@@ -16,14 +16,14 @@ fn main(root: NodeSpec) -> TreeSpec {
 }
 
 #[test]
-fn text_becomes_what_the_ports_of_its_key_take() {
+fn text_is_converted_to_the_type_of_its_key() {
     let mut stage = TreeFixture::from_root(sequence([copy("Home", "{here}"), is_home("{here}")]));
     stage.expect(&[('S', "")]);
     assert_eq!(stage.tree.get("here").unwrap(), Some(PlaceId::new("Home").unwrap()));
 }
 
 #[test]
-fn a_value_that_is_not_what_the_key_takes_fails_the_writer_and_says_so() {
+fn a_value_of_the_wrong_type_fails_the_writer() {
     let mut stage = TreeFixture::from_root(sequence([copy(" bad", "{here}"), is_home("{here}")]));
     stage.expect(&[('F', "")]);
     let cause = &stage.tree.cause().unwrap().text;
@@ -34,11 +34,11 @@ fn a_value_that_is_not_what_the_key_takes_fails_the_writer_and_says_so() {
 fn a_key_read_before_it_is_written_is_named() {
     let mut stage = TreeFixture::from_root(sequence([is_home("{here}"), copy("Home", "{here}")]));
     stage.expect(&[('F', "")]);
-    assert_eq!(stage.tree.cause().unwrap().text, "IsHome: port `place`: {here} holds nothing yet");
+    assert_eq!(stage.tree.cause().unwrap().text, "IsHome: port `place`: {here} is empty");
 }
 
 #[test]
-fn a_sub_tree_sees_only_what_it_is_given() {
+fn a_sub_tree_sees_only_its_remapped_keys() {
     let spec = main(sequence([copy("Home", "{here}"), NodeSpec::subtree("sub").port("where", "{here}")]))
         .with("sub", sequence([is_home("{where}"), copy("1", "{here}")]));
     let mut stage = TreeFixture::from_spec(&spec);
@@ -48,7 +48,7 @@ fn a_sub_tree_sees_only_what_it_is_given() {
 }
 
 #[test]
-fn a_sub_tree_hands_back_through_a_remapped_key() {
+fn a_sub_tree_returns_a_value_through_a_remapped_key() {
     let spec = main(NodeSpec::subtree("sub").port("out", "{result}")).with("sub", copy("7", "{out}"));
     let mut stage = TreeFixture::from_spec(&spec);
     stage.expect(&[('S', "")]);
@@ -88,16 +88,16 @@ fn an_explicit_remapping_goes_before_autoremap() {
 }
 
 #[test]
-fn a_sub_tree_that_is_not_given_what_it_reads_is_refused() {
+fn a_sub_tree_with_an_unset_input_is_rejected() {
     let spec = main(NodeSpec::subtree("sub")).with("sub", is_home("{where}"));
     assert_eq!(
         check_error(&spec),
-        "main: sub/IsHome: port `place` reads {where}, which nothing writes and the sub-tree is not given"
+        "main: sub/IsHome: port `place` reads {where}, which is neither written nor passed to the sub-tree"
     );
 }
 
 #[test]
-fn what_the_main_tree_reads_and_nobody_writes_are_its_inputs() {
+fn unwritten_keys_of_the_main_tree_are_its_inputs() {
     let root = sequence([is_home("{to}"), copy("{mine}", "{mine}"), copy("1", "{written}"), copy("{written}", "{_}")]);
     let blueprint = registry().check(&main(root)).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(blueprint.inputs(), [TreeInput { key: "to".to_owned(), port_type: PortType::Place, required: true }]);

@@ -3,7 +3,7 @@
 use super::super::xml::{MAX_BYTES, read_xml, write_xml};
 use super::*;
 
-fn refused(text: &str) -> String {
+fn read_error(text: &str) -> String {
     match read_xml("t.xml", text).and_then(|spec| registry().check(&spec).map(|_| ())) {
         Ok(()) => panic!("it was accepted"),
         Err(error) => error.to_string(),
@@ -37,7 +37,7 @@ fn compact_and_explicit_forms_are_read() {
 }
 
 #[test]
-fn what_is_written_is_read_back() {
+fn a_written_tree_is_read_back() {
     fn without_lines(node: &mut NodeSpec) {
         node.line = None;
         node.children.iter_mut().for_each(without_lines);
@@ -58,61 +58,61 @@ fn what_is_written_is_read_back() {
 #[test]
 fn mistakes_name_file_line_and_node() {
     assert_eq!(
-        refused(&file("<Sequence>\n<IsHome/></Sequence>")),
+        read_error(&file("<Sequence>\n<IsHome/></Sequence>")),
         "t.xml:4: main/IsHome: port `place` (a place) is missing"
     );
     for (nodes, expected) in [
         ("<Action/>", "t.xml:3: <Action> needs an ID"),
         ("<Play ID=\"Play\"/>", "t.xml:3: <Play> takes no ID: its kind is its tag"),
         ("<AlwaysSuccess/><AlwaysSuccess/>", "t.xml:2: tree `main` has 2 root nodes; allowed is 1"),
-        ("<Sequence>hello</Sequence>", "t.xml:3: <Sequence> holds the text \"hello\"; allowed are nodes only"),
+        ("<Sequence>hello</Sequence>", "t.xml:3: <Sequence> contains the text \"hello\"; allowed are nodes only"),
         (
             "<AlwaysSuccess _skipIf=\"x\"/>",
             "t.xml:3: <AlwaysSuccess> has `_skipIf`: scripts and conditions in attributes are not supported",
         ),
         ("<SubTree ID=\"x\" _autoremap=\"maybe\"/>", "t.xml:3: _autoremap is \"maybe\"; allowed are true and false"),
     ] {
-        assert_eq!(refused(&file(nodes)), expected);
+        assert_eq!(read_error(&file(nodes)), expected);
     }
 }
 
 #[test]
-fn what_is_not_a_tree_file_is_refused() {
+fn a_text_that_is_not_a_tree_file_is_rejected() {
     for (text, expected) in [
         ("<tree/>", "t.xml:1: the file begins with <tree>, not <root>"),
-        ("<root/>", "t.xml:1: BTCPP_format is missing; read here is \"4\""),
-        ("<root BTCPP_format=\"3\"/>", "t.xml:1: BTCPP_format is \"3\"; read here is \"4\""),
+        ("<root/>", "t.xml:1: BTCPP_format is missing; supported is \"4\""),
+        ("<root BTCPP_format=\"3\"/>", "t.xml:1: BTCPP_format is \"3\"; supported is \"4\""),
         ("<root BTCPP_format=\"4\"/>", "t.xml:1: there is no <BehaviorTree>"),
         (
             "<root BTCPP_format=\"4\">\n<include path=\"x\"/></root>",
-            "t.xml:2: <include> stands in <root>; allowed are <BehaviorTree> and <TreeNodesModel>",
+            "t.xml:2: <include> is not allowed in <root>; allowed are <BehaviorTree> and <TreeNodesModel>",
         ),
     ] {
-        assert_eq!(refused(text), expected);
+        assert_eq!(read_error(text), expected);
     }
     let tree = "<BehaviorTree ID=\"a\"><AlwaysSuccess/></BehaviorTree>";
     let two = format!("<root BTCPP_format=\"4\">{tree}{tree}</root>");
-    assert_eq!(refused(&two), "t.xml:1: there are two trees `a`");
+    assert_eq!(read_error(&two), "t.xml:1: there are two trees `a`");
     let other = tree.replace("\"a\"", "\"b\"");
     let unclear = format!("<root BTCPP_format=\"4\">{tree}{other}</root>");
-    assert_eq!(refused(&unclear), "t.xml:1: main_tree_to_execute is missing; the trees are a, b");
+    assert_eq!(read_error(&unclear), "t.xml:1: main_tree_to_execute is missing; the trees are a, b");
     assert!(
-        refused("<root BTCPP_format=\"4\">\n<a></b></root>").starts_with("t.xml:2: this is not XML as read here: ")
+        read_error("<root BTCPP_format=\"4\">\n<a></b></root>").starts_with("t.xml:2: the text is not valid XML: ")
     );
 }
 
 #[test]
-fn hostile_files_are_refused_without_harm() {
+fn hostile_files_are_rejected() {
     let bomb = "<!DOCTYPE r [<!ENTITY a \"aaaa\"><!ENTITY b \"&a;&a;\">]><root BTCPP_format=\"4\">&b;</root>";
-    assert!(refused(bomb).contains("not XML as read here"), "{}", refused(bomb));
+    assert!(read_error(bomb).contains("not valid XML"), "{}", read_error(bomb));
     let deep = format!("{}{}", "<Inverter>".repeat(20_000), "</Inverter>".repeat(20_000));
-    assert!(refused(&file(&deep)).ends_with("it stands deeper than 100 levels, sub-trees included"));
+    assert!(read_error(&file(&deep)).ends_with("it is nested deeper than 100 levels, sub-trees included"));
     let deeper = "<a>".repeat(MAX_BYTES / 3);
-    assert!(refused(&deeper).contains("not XML as read here"));
+    assert!(read_error(&deeper).contains("not valid XML"));
     let large = file(&format!("<!--{}-->", " ".repeat(MAX_BYTES)));
-    assert!(refused(&large).contains("bytes; allowed are 1048576"));
+    assert!(read_error(&large).contains("bytes; allowed are at most 1048576"));
     let wide = file(&format!("<Sequence>{}</Sequence>", "<AlwaysSuccess/>".repeat(11_000)));
-    assert!(refused(&wide).contains("more than 10000 nodes"), "{}", refused(&wide));
+    assert!(read_error(&wide).contains("more than 10000 nodes"), "{}", read_error(&wide));
 }
 
 proptest::proptest! {

@@ -1,4 +1,4 @@
-//! Trees as files: the XML of BehaviorTree.CPP 4, which Groot2 shows and edits.
+//! Trees as files: the XML of BehaviorTree.CPP 4, which Groot2 displays and edits.
 
 mod read;
 mod write;

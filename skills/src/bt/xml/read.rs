@@ -1,4 +1,5 @@
-//! Reading. What is not a tree is refused with its line; whether the tree makes sense is for [`Registry::check`].
+//! The XML reader. It rejects a text that is not a tree file, with the line. [`Registry::check`]
+//! checks the tree itself.
 //!
 //! [`Registry::check`]: crate::bt::Registry::check
 
@@ -10,54 +11,54 @@ use crate::xml;
 use roxmltree::Node;
 use std::collections::BTreeMap;
 
-/// Largest file read, in bytes.
+/// Greatest size of a file, in bytes.
 pub const MAX_BYTES: usize = 1 << 20;
 
-/// Attributes by which editors remember things; they change nothing.
+/// Attributes that editors use for their own data; they have no effect.
 const EDITORS_OWN: [&str; 4] = ["_uid", "_fullpath", "_collapsed", "_description"];
 
-/// Reads a description; `source` names the file in messages.
+/// Reads a description. `source` names the file in messages.
 ///
-/// Accepted is `<root BTCPP_format="4">` with `<BehaviorTree ID="…">` elements, nodes in compact (`<Wait …/>`) or
-/// explicit form (`<Action ID="Wait" …/>`). `main_tree_to_execute` may be left out where there is one tree only.
-/// `<TreeNodesModel>` is for editors and is skipped. Refused are includes, scripts, DTDs and files above
-/// [`MAX_BYTES`].
+/// The reader accepts `<root BTCPP_format="4">` with `<BehaviorTree ID="…">` elements, and nodes in
+/// compact (`<Wait …/>`) or explicit form (`<Action ID="Wait" …/>`). `main_tree_to_execute` may be
+/// omitted if there is only a single tree. `<TreeNodesModel>` is for editors and is skipped.
+/// Includes, scripts, DTDs and files above [`MAX_BYTES`] are rejected.
 ///
 /// # Errors
 /// [`TreeError`] with the line.
 pub fn read_xml(source: &str, text: &str) -> Result<TreeSpec, TreeError> {
-    let refuse = |line, problem: String| TreeError {
+    let reject = |line, problem: String| TreeError {
         source: source.to_owned(),
         line,
         node: None,
         kind: Box::new(TreeErrorKind::Syntax(problem)),
     };
     if text.len() > MAX_BYTES {
-        return Err(refuse(None, format!("the file has {} bytes; allowed are {MAX_BYTES}", text.len())));
+        return Err(reject(None, format!("the file has {} bytes; allowed are at most {MAX_BYTES}", text.len())));
     }
-    // Attributes count as no nodes; texts and comments between elements do.
+    // Attributes do not count as nodes; texts and comments between elements do.
     let document = xml::parse(text, (4 * MAX_NODES) as u32)
-        .map_err(|error| refuse(Some(error.line()), format!("this is not XML as read here: {error}")))?;
-    // Asking the document for each line would search the text anew each time.
+        .map_err(|error| reject(Some(error.line()), format!("the text is not valid XML: {error}")))?;
+    // The document would search the text again for each line number.
     let lines = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
     Reader { source, lines }.root(document.root_element())
 }
 
 struct Reader<'a> {
     source: &'a str,
-    /// Where the lines end, in bytes.
+    /// Positions of line ends, in bytes.
     lines: Vec<usize>,
 }
 
 impl Reader<'_> {
     fn root(&self, root: Node<'_, '_>) -> Result<TreeSpec, TreeError> {
         if root.tag_name().name() != "root" {
-            return Err(self.refuse(root, format!("the file begins with <{}>, not <root>", root.tag_name().name())));
+            return Err(self.reject(root, format!("the file begins with <{}>, not <root>", root.tag_name().name())));
         }
         match root.attribute("BTCPP_format") {
             Some("4") => {}
-            Some(other) => return Err(self.refuse(root, format!("BTCPP_format is {other:?}; read here is \"4\""))),
-            None => return Err(self.refuse(root, "BTCPP_format is missing; read here is \"4\"".to_owned())),
+            Some(other) => return Err(self.reject(root, format!("BTCPP_format is {other:?}; supported is \"4\""))),
+            None => return Err(self.reject(root, "BTCPP_format is missing; supported is \"4\"".to_owned())),
         }
         let mut trees = BTreeMap::new();
         for element in root.children().filter(Node::is_element) {
@@ -65,24 +66,25 @@ impl Reader<'_> {
                 "BehaviorTree" => {
                     let (id, tree) = self.tree(element)?;
                     if trees.insert(id.clone(), tree).is_some() {
-                        return Err(self.refuse(element, format!("there are two trees `{id}`")));
+                        return Err(self.reject(element, format!("there are two trees `{id}`")));
                     }
                 }
                 "TreeNodesModel" => {}
                 other => {
-                    let text = format!("<{other}> stands in <root>; allowed are <BehaviorTree> and <TreeNodesModel>");
-                    return Err(self.refuse(element, text));
+                    let text =
+                        format!("<{other}> is not allowed in <root>; allowed are <BehaviorTree> and <TreeNodesModel>");
+                    return Err(self.reject(element, text));
                 }
             }
         }
         let main = match (root.attribute("main_tree_to_execute"), trees.len()) {
             (Some(main), _) => main.to_owned(),
             (None, 1) => trees.keys().next().cloned().unwrap_or_default(),
-            (None, 0) => return Err(self.refuse(root, "there is no <BehaviorTree>".to_owned())),
+            (None, 0) => return Err(self.reject(root, "there is no <BehaviorTree>".to_owned())),
             (None, _) => {
                 let known = join_names(trees.keys().map(String::as_str));
                 let text = format!("main_tree_to_execute is missing; the trees are {known}");
-                return Err(self.refuse(root, text));
+                return Err(self.reject(root, text));
             }
         };
         Ok(TreeSpec { source: self.source.to_owned(), main, trees })
@@ -90,12 +92,12 @@ impl Reader<'_> {
 
     fn tree(&self, element: Node<'_, '_>) -> Result<(String, NodeSpec), TreeError> {
         let Some(id) = element.attribute("ID").filter(|id| !id.is_empty()) else {
-            return Err(self.refuse(element, "a <BehaviorTree> needs an ID".to_owned()));
+            return Err(self.reject(element, "a <BehaviorTree> needs an ID".to_owned()));
         };
         let roots: Vec<_> = element.children().filter(Node::is_element).collect();
         match roots[..] {
             [root] => Ok((id.to_owned(), self.node(root, 1)?)),
-            _ => Err(self.refuse(element, format!("tree `{id}` has {} root nodes; allowed is 1", roots.len()))),
+            _ => Err(self.reject(element, format!("tree `{id}` has {} root nodes; allowed is 1", roots.len()))),
         }
     }
 
@@ -109,10 +111,10 @@ impl Reader<'_> {
         let id = match (kind, element.attribute("ID")) {
             (None, None) => tag,
             (None, Some(_)) => {
-                return Err(self.refuse(element, format!("<{tag}> takes no ID: its kind is its tag")));
+                return Err(self.reject(element, format!("<{tag}> takes no ID: its kind is its tag")));
             }
             (Some(_), Some(id)) if !id.is_empty() => id,
-            (Some(_), _) => return Err(self.refuse(element, format!("<{tag}> needs an ID"))),
+            (Some(_), _) => return Err(self.reject(element, format!("<{tag}> needs an ID"))),
         };
         let mut node = NodeSpec { kind, line: Some(self.line(element)), ..NodeSpec::new(id) };
         for attribute in element.attributes() {
@@ -124,7 +126,7 @@ impl Reader<'_> {
                 _ if EDITORS_OWN.contains(&name) => {}
                 _ if name.starts_with('_') => {
                     let text = format!("<{tag}> has `{name}`: scripts and conditions in attributes are not supported");
-                    return Err(self.refuse(element, text));
+                    return Err(self.reject(element, text));
                 }
                 _ => {
                     node.ports.insert(name.to_owned(), value.to_owned());
@@ -133,7 +135,7 @@ impl Reader<'_> {
         }
         let mut texts = element.children().filter(Node::is_text).filter_map(|node| node.text().map(str::trim));
         if let Some(text) = texts.find(|text| !text.is_empty()) {
-            return Err(self.refuse(element, format!("<{tag}> holds the text {text:?}; allowed are nodes only")));
+            return Err(self.reject(element, format!("<{tag}> contains the text {text:?}; allowed are nodes only")));
         }
         for child in element.children().filter(Node::is_element) {
             node.children.push(self.node(child, depth + 1)?);
@@ -145,7 +147,7 @@ impl Reader<'_> {
         match text {
             "true" | "1" => Ok(true),
             "false" | "0" => Ok(false),
-            _ => Err(self.refuse(element, format!("_autoremap is {text:?}; allowed are true and false"))),
+            _ => Err(self.reject(element, format!("_autoremap is {text:?}; allowed are true and false"))),
         }
     }
 
@@ -154,7 +156,7 @@ impl Reader<'_> {
         self.lines.partition_point(|end| *end < element.range().start) as u32 + 1
     }
 
-    fn refuse(&self, element: Node<'_, '_>, problem: String) -> TreeError {
+    fn reject(&self, element: Node<'_, '_>, problem: String) -> TreeError {
         self.error(element, TreeErrorKind::Syntax(problem))
     }
 

@@ -1,11 +1,12 @@
-//! Writing, with the model of our leaves so that an editor knows their ports.
+//! The XML writer. It adds the model of the registered leaves, so that editors have their ports.
 
 use crate::bt::ports::{NodeKind, NodeManifest, PortDirection, PortPresence, PortSpec};
 use crate::bt::registry::Registry;
 use crate::bt::spec::{NodeSpec, TreeSpec};
 use std::fmt::Write;
 
-/// Writes a description as [`read_xml`](super::read_xml) reads it, followed by the model of the registry's leaves.
+/// Writes a description in the form that [`read_xml`](super::read_xml) reads, followed by the model
+/// of the registry's leaves.
 pub fn write_xml<C>(spec: &TreeSpec, registry: &Registry<C>) -> String {
     let mut xml = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
     line(&mut xml, 0, &format!("<root BTCPP_format=\"4\"{}>", attribute("main_tree_to_execute", &spec.main)));
@@ -79,7 +80,7 @@ fn line(xml: &mut String, depth: usize, text: &str) {
     let _ = writeln!(xml, "{:1$}{text}", "", depth * 2);
 }
 
-/// ` name="value"`, escaped.
+/// Returns ` name="value"`, escaped.
 fn attribute(name: &str, value: &str) -> String {
     let mut text = format!(" {name}=\"");
     for c in value.chars() {

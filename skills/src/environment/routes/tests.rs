@@ -1,4 +1,4 @@
-//! Routes, against hand-drawn maps and against a slow search of all ways.
+//! Routes, compared with hand-drawn maps and with a slow search.
 
 use super::*;
 use crate::environment::Edge;
@@ -30,7 +30,7 @@ fn names(places: &[PlaceId]) -> Vec<&str> {
 }
 
 #[test]
-fn the_shortest_route_wins_over_the_one_with_fewer_hops() {
+fn the_shortest_route_wins_over_fewer_hops() {
     let routes = map(
         &[("A", 0.0, 0.0), ("B", 0.0, 1.0), ("C", 0.0, 2.0)],
         &[("A", "C", 10.0, false), ("A", "B", 2.0, false), ("B", "C", 3.0, false)],
@@ -56,7 +56,7 @@ fn a_one_way_edge_is_driven_one_way() {
 }
 
 #[test]
-fn no_way_is_an_error_that_names_both_ends_and_never_0_m() {
+fn a_missing_route_is_an_error_with_both_ends() {
     let routes = corridor();
     let unreachable = routes.distance(&place("W"), &place("I")).unwrap_err();
     assert_eq!(unreachable.to_string(), "no route from W to I: the map has no way between them");
@@ -70,7 +70,7 @@ fn no_way_is_an_error_that_names_both_ends_and_never_0_m() {
 }
 
 #[test]
-fn where_it_stands_is_0_m_away() {
+fn the_distance_to_the_same_place_is_zero() {
     let routes = corridor();
     assert_eq!(
         routes.route(&place("I"), &place("I")).unwrap(),
@@ -79,7 +79,7 @@ fn where_it_stands_is_0_m_away() {
 }
 
 #[test]
-fn a_body_on_a_leg_goes_on_or_turns_back_whichever_is_shorter() {
+fn a_robot_on_a_leg_takes_the_shorter_of_both_directions() {
     let routes = corridor();
     let legs = |passed: &str, x: f64, y: f64, to: &str| {
         routes
@@ -108,7 +108,7 @@ fn on_a_one_way_leg_it_cannot_turn_back() {
 }
 
 #[test]
-fn a_thousand_questions_about_one_destination_search_once() {
+fn a_thousand_queries_of_a_destination_search_once() {
     let routes = corridor();
     for _ in 0..1000 {
         routes.distance(&place("W"), &place("E")).unwrap();
@@ -116,7 +116,7 @@ fn a_thousand_questions_about_one_destination_search_once() {
     assert_eq!(routes.distances.iter().filter(|distances| distances.get().is_some()).count(), 1);
 }
 
-/// Bellman–Ford in its plainest form.
+/// Bellman–Ford in its simplest form.
 fn slow_distance(count: usize, edges: &[(usize, usize, f64)], from: usize, to: usize) -> f64 {
     let mut best = vec![f64::INFINITY; count];
     best[from] = 0.0;

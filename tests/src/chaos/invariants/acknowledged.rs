@@ -1,5 +1,5 @@
-//! A mission that was acknowledged is there, once, for whoever coordinates from then on. A request that the client gave no
-//! name is one of its own, each time that it is made.
+//! An acknowledged mission is in the ledger of every later coordinator, exactly once. A request
+//! without a name counts as a new request each time it is sent.
 
 use super::Invariant;
 use crate::{Fleet, Observation, slug};
@@ -10,10 +10,10 @@ use std::time::Duration;
 
 #[derive(Default)]
 pub(super) struct Acknowledged {
-    /// By request.
+    /// Missions of named requests.
     missions: BTreeMap<String, MissionId>,
-    /// Those of requests without a name.
-    nameless: BTreeSet<MissionId>,
+    /// Missions of unnamed requests.
+    unnamed: BTreeSet<MissionId>,
 }
 
 impl Acknowledged {
@@ -27,12 +27,12 @@ impl Acknowledged {
                 if found != Some(mission) {
                     let found = found.map_or("no mission".to_owned(), ToString::to_string);
                     return Err(format!(
-                        "{request} was acknowledged as {mission}; {node}, who leads, has {found} for it"
+                        "{request} was acknowledged as {mission}, but the leader {node} has {found} for it"
                     ));
                 }
             }
-            if let Some(lost) = self.nameless.iter().find(|mission| ledger.mission(mission).is_none()) {
-                return Err(format!("{lost} was acknowledged; {node}, who leads, does not have it"));
+            if let Some(lost) = self.unnamed.iter().find(|mission| ledger.mission(mission).is_none()) {
+                return Err(format!("{lost} was acknowledged, but the leader {node} does not have it"));
             }
             once_each(ledger)
         })
@@ -58,8 +58,8 @@ impl Invariant for Acknowledged {
         match entry {
             Observation::RequestAcknowledged { request: None, mission, .. } => {
                 let asked_for = self.missions.values().any(|known| known == mission);
-                if asked_for || !self.nameless.insert(mission.clone()) {
-                    return Err(format!("{mission} was acknowledged to a request without a name, and to another one"));
+                if asked_for || !self.unnamed.insert(mission.clone()) {
+                    return Err(format!("{mission} was acknowledged to an unnamed request and to another request"));
                 }
                 Ok(())
             }

@@ -1,7 +1,7 @@
 //! A node ends only when it is killed.
 //!
-//! An actor that fails takes its node with it, by design: its supervisor starts it anew. No fault of the network, of
-//! another node or of a slow disk may cause that.
+//! By design, a failing actor ends its node, and the supervisor of the node restarts it. No fault
+//! of the network, of another node or of a slow disk may cause that.
 
 use super::Invariant;
 use crate::{Fleet, Observation};

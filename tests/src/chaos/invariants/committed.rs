@@ -1,8 +1,7 @@
-//! What was committed is never lost and never changed.
+//! A committed entry is never lost and never changed.
 //!
-//! A copy of the ledger takes in nothing but committed entries. So whatever stands at an index on one node stands there,
-//! word for word and of the same term, on every node that ever takes that index in: before and after takeovers, restarts
-//! and lost disks.
+//! A replica applies only committed entries. So every node that applies an index applies the same
+//! entry of the same term there: before and after takeovers, restarts and lost disks.
 
 use super::Invariant;
 use crate::{Fleet, Observation};
@@ -12,9 +11,9 @@ use std::time::Duration;
 
 #[derive(Default)]
 pub(super) struct Committed {
-    /// By index: the term, a digest of the command, and who took it in first.
+    /// Term, digest of the commands and first node, by index.
     entries: BTreeMap<u64, (u64, Option<u64>, NodeId)>,
-    /// The last index that each node has taken in, in this life.
+    /// Last applied index of each node in its current incarnation.
     last: BTreeMap<NodeId, u64>,
 }
 
@@ -31,9 +30,9 @@ impl Invariant for Committed {
             Observation::EntryApplied { node, at, digest, .. } => {
                 let known = self.entries.entry(at.index).or_insert_with(|| (at.term, *digest, node.clone()));
                 if (known.0, known.1) != (at.term, *digest) {
-                    let (term, _, who) = known;
+                    let (term, _, first) = known;
                     return Err(format!(
-                        "entry {} is of term {term} on {who} and of term {} on {node}, with commands that {}",
+                        "entry {} is of term {term} on {first} and of term {} on {node}, with commands that {}",
                         at.index,
                         at.term,
                         if known.1 == *digest { "agree" } else { "differ" }

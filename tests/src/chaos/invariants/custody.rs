@@ -1,4 +1,4 @@
-//! A sample goes its way once: from a person into one drawer, from there to one arm.
+//! A sample moves along its path once: from a person into a drawer, and from there to an arm.
 
 use super::Invariant;
 use crate::{Fleet, Observation};
@@ -8,7 +8,7 @@ use std::time::Duration;
 
 #[derive(Default)]
 pub(super) struct Custody {
-    /// How often each sample was handed out by a person, and how often it was delivered to an arm.
+    /// Number of times that each sample left a person, and that it reached an arm.
     samples: BTreeMap<SampleId, (u32, u32)>,
 }
 

@@ -1,6 +1,8 @@
-//! A robot takes an item over, or lets another do so, only after the ledger holds all that it had to do before.
+//! A robot takes an item over, or lets another robot take it, only after the ledger contains all of
+//! its preceding steps.
 //!
-//! Else the loss of the robot at that instant would leave a ledger that cannot tell whether it has the item.
+//! Otherwise, if the robot were lost at that instant, the ledger could not show whether the robot
+//! has the item.
 
 use super::Invariant;
 use super::reference_ledger::ReferenceLedger;
@@ -17,7 +19,7 @@ pub(super) struct Guarded {
 }
 
 impl Guarded {
-    /// A robot performs the step that `is` knows by its action.
+    /// Checks a step that a robot performs; `is` selects the step by its action.
     fn performs(
         &self,
         node: &NodeId,
@@ -27,7 +29,7 @@ impl Guarded {
     ) -> Result<(), String> {
         let Some(entry) = self.reference.ledger.mission(mission) else { return Ok(()) };
         let (Some(plan), Some(held)) = (entry.plan(role), entry.roles.get(role)) else { return Ok(()) };
-        // Whether somebody may act at all who does not hold the role is for others to judge.
+        // Another invariant checks whether a robot that does not hold the role may act at all.
         if held.holder.as_ref().is_none_or(|holder| holder.robot.as_str() != node.as_str()) {
             return Ok(());
         }
@@ -44,7 +46,7 @@ impl Guarded {
     }
 }
 
-/// All steps that must have ended before this one begins.
+/// Returns all steps that must end before this step begins.
 fn before(plan: &LocalPlan, step: StepIndex) -> BTreeSet<StepIndex> {
     let mut all = BTreeSet::new();
     let mut open = vec![step];

@@ -1,7 +1,7 @@
-//! What must hold at every step, whatever is done to a fleet: one file each.
+//! Invariants: conditions that hold at every step under all faults. Each has its own file.
 //!
-//! An invariant is told of everything that happens, in order, and looks at the fleet as it is at that instant. It keeps
-//! only what it needs in order to judge the next step.
+//! An invariant receives everything that happens, in order, and reads the state of the fleet at
+//! that instant. It stores only the state that it needs to check the next step.
 
 mod acknowledged;
 mod alive;
@@ -21,35 +21,35 @@ use crate::{Fleet, Observation};
 use consort_sim::world::LoggedEvent;
 use std::time::Duration;
 
-/// Something that must hold.
+/// A condition that must hold.
 pub trait Invariant {
-    /// Its name, which is that of its file.
+    /// Returns its name, which is that of its file.
     fn name(&self) -> &'static str;
 
-    /// Something has happened.
+    /// Checks an entry of the event log.
     ///
     /// # Errors
-    /// Why it does not hold any more, in words.
+    /// The description of the violation.
     fn observe(&mut self, at: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String>;
 
-    /// Something has happened in the world.
+    /// Checks an event of the world.
     ///
     /// # Errors
-    /// As [`see`](Invariant::see).
+    /// Same as [`observe`](Invariant::observe).
     fn observe_world(&mut self, _at: Duration, _entry: &LoggedEvent, _fleet: &Fleet) -> Result<(), String> {
         Ok(())
     }
 
-    /// All is over: missions have ended, and everybody runs.
+    /// Checks the final state: all missions have ended and all nodes run.
     ///
     /// # Errors
-    /// As [`see`](Invariant::see).
+    /// Same as [`observe`](Invariant::observe).
     fn check_end(&mut self, _fleet: &Fleet) -> Result<(), String> {
         Ok(())
     }
 }
 
-/// All of them.
+/// Returns all invariants.
 pub fn all() -> Vec<Box<dyn Invariant>> {
     vec![
         Box::new(alive::Alive),

@@ -1,8 +1,8 @@
-//! A role has one active holder at most, a robot one role at most, and awards of a role follow one another in the order of
-//! their epochs.
+//! A role has at most a single active holder, a robot acts in at most a single role, and the awards
+//! of a role have increasing epochs.
 //!
-//! Active is who has begun or resumed a role and has not suspended it, put it down or been killed since: as the robots
-//! themselves tell, each at its own place.
+//! A robot is active from the start or resumption of a role until it suspends the role, halts it or
+//! is killed. Each robot records these events locally.
 
 use super::Invariant;
 use crate::{Fleet, Observation};

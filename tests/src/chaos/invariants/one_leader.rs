@@ -1,8 +1,8 @@
-//! One leads at a time, and reigns only grow.
+//! There is at most a single leader at a time, and leader ids only increase.
 //!
-//! A reign is a term and its leader; openraft orders leaders within a term too. Whoever leads was elected later than all
-//! who led before, so nobody leads again after another has begun: not even for an instant, and not after a restart that
-//! made voters forget whom they had voted for.
+//! A leader id consists of a term and a leader; openraft orders leaders within a term too. A leader
+//! was elected later than all previous leaders. So a node never leads again after another leader
+//! has begun: not even for an instant, and not after a restart that made voters forget their votes.
 
 use super::Invariant;
 use crate::{Fleet, Observation};
@@ -13,7 +13,7 @@ use std::time::Duration;
 
 #[derive(Default)]
 pub(super) struct OneLeader {
-    /// Who believes at this instant that it leads.
+    /// Nodes that currently count themselves leader.
     leading: BTreeMap<NodeId, LeaderId>,
     latest: Option<(LeaderId, NodeId)>,
 }
@@ -31,16 +31,16 @@ impl Invariant for OneLeader {
             Observation::LeadershipChanged { node, leading_as: None, .. } => {
                 self.leading.remove(node);
             }
-            Observation::LeadershipChanged { node, leading_as: Some(reign), .. } => {
-                self.leading.insert(node.clone(), *reign);
+            Observation::LeadershipChanged { node, leading_as: Some(leader_id), .. } => {
+                self.leading.insert(node.clone(), *leader_id);
                 if let Some((other, since)) = self.leading.iter().find(|(other, _)| *other != node) {
-                    return Err(format!("{node} leads in reign {reign} while {other} leads in {since}"));
+                    return Err(format!("{node} leads as {leader_id} while {other} leads as {since}"));
                 }
                 match &self.latest {
-                    Some((latest, who)) if latest > reign || (latest == reign && who != node) => {
-                        return Err(format!("{node} leads in reign {reign} after {who} has led in {latest}"));
+                    Some((latest, previous)) if latest > leader_id || (latest == leader_id && previous != node) => {
+                        return Err(format!("{node} leads as {leader_id} after {previous} has led as {latest}"));
                     }
-                    _ => self.latest = Some((*reign, node.clone())),
+                    _ => self.latest = Some((*leader_id, node.clone())),
                 }
             }
             _ => {}

@@ -1,19 +1,20 @@
-//! The ledger as the log alone gives it, kept by the judge.
+//! Reference ledger, computed from the log alone.
 
 use crate::Observation;
 use consort_protocol::ledger::Ledger;
 use consort_protocol::mutants;
 
-/// A ledger that takes in each committed entry as soon as any node has, and is never restarted.
+/// Ledger that applies each committed entry as soon as any node does, and never restarts.
 #[derive(Default)]
 pub(super) struct ReferenceLedger {
     pub(super) ledger: Ledger,
-    /// The last entry that it has taken in.
+    /// Index of the last applied entry.
     pub(super) index: u64,
 }
 
 impl ReferenceLedger {
-    /// Takes in what is new to it. That entries agree from node to node is seen to by [`committed`](super::committed).
+    /// Applies new entries. [`committed`](super::committed) checks that the entries agree between
+    /// nodes.
     pub(super) fn observe(&mut self, entry: &Observation) {
         if let Observation::EntryApplied { at, commands, .. } = entry
             && at.index > self.index

@@ -1,7 +1,8 @@
-//! A copy of the ledger is what its log says: no more, no less.
+//! A replica equals the result of its log.
 //!
-//! Entries are the same everywhere ([`committed`](super::committed)); so must be what they add up to, whether a copy was kept
-//! from the first entry on, read from a disk after a restart, or handed over as a snapshot.
+//! Entries are the same everywhere ([`committed`](super::committed)). So the resulting ledgers must
+//! be equal, no matter whether a replica applied all entries, was read from a disk after a restart,
+//! or was received as a snapshot.
 
 use super::Invariant;
 use super::reference_ledger::ReferenceLedger;
@@ -14,26 +15,29 @@ pub(super) struct Replayed {
 }
 
 impl Replayed {
-    /// Compares all copies that are as far as the log is known.
+    /// Compares all replicas that have applied the known log.
     fn compare(&self, fleet: &Fleet) -> Result<(), String> {
         for (name, node) in &fleet.nodes {
             let Some(replica) = &node.replica else { continue };
             if replica.applied().borrow().index != self.reference.index {
                 continue;
             }
-            let astray = replica.read(|ledger| {
+            let difference = replica.read(|ledger| {
                 let differs = self.reference.ledger.missions().find(|entry| ledger.mission(&entry.id) != Some(*entry));
                 (*ledger != self.reference.ledger)
                     .then(|| differs.map(|entry| (entry, ledger.mission(&entry.id).cloned())))
             });
-            match astray {
+            match difference {
                 None => {}
                 Some(Some((entry, found))) => {
-                    let (said, has) =
+                    let (expected, actual) =
                         (format!("{:?} {:?}", entry.state, entry.roles), found.map(|f| (f.state, f.roles)));
-                    return Err(format!("the ledger of {name} has {has:?} for {}, and the log says {said}", entry.id));
+                    return Err(format!(
+                        "the ledger of {name} has {actual:?} for {}, but the log contains {expected}",
+                        entry.id
+                    ));
                 }
-                Some(None) => return Err(format!("the ledger of {name} has what its log does not say")),
+                Some(None) => return Err(format!("the ledger of {name} differs from its log")),
             }
         }
         Ok(())

@@ -1,7 +1,7 @@
-//! What a robot was told of the ledger is in the ledger.
+//! Everything that the coordinator confirms to a robot is in the ledger.
 //!
-//! A role is begun only under an award that was committed. And a robot that puts its role down because it was carried out
-//! may do so only once some copy of the ledger says the same: what was reported is written down before it is acknowledged.
+//! A role begins only under a committed award. A robot halts a finished role only after some
+//! replica contains the end of the role, because a report is committed before it is acknowledged.
 
 use super::Invariant;
 use crate::{Fleet, Observation};
@@ -14,9 +14,9 @@ use std::time::Duration;
 
 #[derive(Default)]
 pub(super) struct Settled {
-    /// Places of the log that some copy has taken in.
+    /// Applied positions of the log.
     applied: BTreeSet<(u64, u64)>,
-    /// Roles that were seen to be over on a copy that may have been killed since.
+    /// Roles that had ended on some replica, which may have been killed since.
     over: BTreeSet<(MissionId, RoleId)>,
 }
 
@@ -45,7 +45,9 @@ impl Invariant for Settled {
                 if somewhere {
                     self.over.insert(part);
                 } else if !self.over.contains(&part) {
-                    return Err(format!("{node} was told that {role} of {mission} is over, which no ledger says"));
+                    return Err(format!(
+                        "{node} halted {role} of {mission} as ended, but it has not ended in any ledger"
+                    ));
                 }
             }
             _ => {}

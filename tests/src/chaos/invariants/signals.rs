@@ -1,9 +1,9 @@
-//! Every send has its wait, and every wait that was passed its send.
+//! Every wait that passes has its send, and every send has its wait.
 //!
-//! A wait is passed only after what it waits for was said, by somebody who was active in that role then (which
-//! [`under_lease`](super::under_lease) sees to). When a mission was carried out, nothing that was said in it is unheard, but by
-//! a role that was taken from its holder when only cleaning up was left of it. What was said before a recovery branch was taken
-//! is of no account then.
+//! A wait passes only after its signal was sent by the active holder of the role
+//! ([`under_lease`](super::under_lease) checks that it is active). When a mission has completed,
+//! every sent signal was received. There are two exceptions: the receiving role was released when
+//! only cleanup remained, or the signal was sent before a recovery branch was taken.
 
 use super::Invariant;
 use super::reference_ledger::ReferenceLedger;
@@ -17,23 +17,24 @@ use std::time::Duration;
 
 #[derive(Default)]
 pub(super) struct Signals {
-    said: BTreeMap<MissionId, BTreeSet<Signal>>,
-    heard: BTreeMap<MissionId, BTreeSet<Signal>>,
-    /// Of what was told to the ledger, for when nobody who keeps one is left.
+    sent: BTreeMap<MissionId, BTreeSet<Signal>>,
+    received: BTreeMap<MissionId, BTreeSet<Signal>>,
+    /// Signals in the ledger, for cases in which no voter is left.
     reference: ReferenceLedger,
 }
 
-/// Whether a role ended before all its steps had, because it was taken from its holder.
+/// Checks whether a role ended before all of its steps because it was released.
 fn cut_short(entry: &MissionEntry, role: &RoleId) -> bool {
     let steps = entry.plan(role).map_or(0, |plan| plan.steps.len());
     let ended = entry.roles.get(role).map_or(0, |role| role.ended.len());
     ended < steps && entry.releases.iter().any(|released| released.role == *role)
 }
 
-/// Whether the plans that were carried out have it: those of a recovery branch do not have what was said before.
+/// Checks whether the executed plans contain the signal. Plans of a recovery branch do not contain
+/// earlier signals.
 fn concerns(entry: &MissionEntry, signal: &Signal) -> bool {
-    let says = |step: &Step| matches!(&step.action, StepAction::Send(of) if of == signal);
-    entry.plan(&signal.from).is_some_and(|plan| plan.steps.iter().any(says))
+    let sends = |step: &Step| matches!(&step.action, StepAction::Send(of) if of == signal);
+    entry.plan(&signal.from).is_some_and(|plan| plan.steps.iter().any(sends))
 }
 
 impl Invariant for Signals {
@@ -45,17 +46,21 @@ impl Invariant for Signals {
         self.reference.observe(entry);
         match entry.event_kind() {
             Some(EventKind::Sent { mission, signal }) => {
-                self.said.entry(mission.clone()).or_default().insert(signal.clone());
+                self.sent.entry(mission.clone()).or_default().insert(signal.clone());
             }
-            Some(EventKind::Heard { mission, signal }) => {
-                let said = self.said.get(mission).is_some_and(|said| said.contains(signal));
-                // A teller that was lost in the act has told the ledger before it told anybody.
+            Some(EventKind::Received { mission, signal }) => {
+                let sent = self.sent.get(mission).is_some_and(|sent| sent.contains(signal));
+                // A sender that was lost while sending has reported to the ledger before it sent to
+                // any robot.
                 let of_mission = self.reference.ledger.mission(mission);
-                let told = of_mission.is_some_and(|entry| entry.signals_to(&signal.to).contains(signal));
-                if !said && !told {
-                    return Err(format!("{} goes on in {mission} after {signal:?}, which nobody said", entry.node()));
+                let in_ledger = of_mission.is_some_and(|entry| entry.signals_to(&signal.to).contains(signal));
+                if !sent && !in_ledger {
+                    return Err(format!(
+                        "{} continues in {mission} after {signal:?}, which was never sent",
+                        entry.node()
+                    ));
                 }
-                self.heard.entry(mission.clone()).or_default().insert(signal.clone());
+                self.received.entry(mission.clone()).or_default().insert(signal.clone());
             }
             _ => {}
         }
@@ -63,16 +68,16 @@ impl Invariant for Signals {
     }
 
     fn check_end(&mut self, fleet: &Fleet) -> Result<(), String> {
-        for (mission, said) in &self.said {
+        for (mission, sent) in &self.sent {
             if fleet.mission_state(mission) != Some(MissionState::Completed) {
                 continue;
             }
-            let heard = self.heard.get(mission);
-            let unheard = said.iter().filter(|signal| !heard.is_some_and(|heard| heard.contains(signal)));
-            for signal in unheard {
-                let excused = |entry: &MissionEntry| cut_short(entry, &signal.to) || !concerns(entry, signal);
-                if fleet.ledger(|ledger| ledger.mission(mission).is_some_and(excused)) != Some(true) {
-                    return Err(format!("{mission} was carried out, and nobody heard {signal:?}"));
+            let received = self.received.get(mission);
+            let not_received = sent.iter().filter(|signal| !received.is_some_and(|received| received.contains(signal)));
+            for signal in not_received {
+                let is_exempt = |entry: &MissionEntry| cut_short(entry, &signal.to) || !concerns(entry, signal);
+                if fleet.ledger(|ledger| ledger.mission(mission).is_some_and(is_exempt)) != Some(true) {
+                    return Err(format!("{mission} has completed, but {signal:?} was never received"));
                 }
             }
         }

@@ -1,4 +1,4 @@
-//! Who keeps the ledger changes one at a time: no change takes more than one voter out.
+//! A membership change removes at most a single voter.
 
 use super::Invariant;
 use crate::{Fleet, Observation};
@@ -9,27 +9,28 @@ use std::time::Duration;
 
 #[derive(Default)]
 pub(super) struct SingleVoterChange {
-    /// The voters, as the last coordinator told them that was elected or has changed them.
+    /// Voters, as published by the last coordinator that was elected or changed them.
     voters: BTreeSet<NodeId>,
 }
 
 impl Invariant for SingleVoterChange {
     fn name(&self) -> &'static str {
-        "keepers"
+        "single_voter_change"
     }
 
     fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), String> {
         match entry.event_kind() {
-            // Elected in the midst of a change, it may know of the former and the later ones together, and completes it.
+            // A leader that is elected during a membership change may list the old and the new
+            // voters together. It completes the change.
             Some(EventKind::Elected { voters, .. }) => {
                 self.voters = voters.iter().cloned().collect();
                 Ok(())
             }
             Some(EventKind::Voters { voters, reason }) => {
                 let voters: BTreeSet<NodeId> = voters.iter().cloned().collect();
-                let out: Vec<_> = self.voters.difference(&voters).map(NodeId::as_str).collect();
-                if out.len() > 1 {
-                    return Err(format!("{} are taken out in one change: {reason}", out.join(" and ")));
+                let removed: Vec<_> = self.voters.difference(&voters).map(NodeId::as_str).collect();
+                if removed.len() > 1 {
+                    return Err(format!("{} were removed in a single change: {reason}", removed.join(" and ")));
                 }
                 self.voters = voters;
                 Ok(())

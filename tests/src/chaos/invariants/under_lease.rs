@@ -1,7 +1,8 @@
-//! Nothing is done in a role under a lease that has ended.
+//! A robot does nothing in a role after its lease has ended.
 //!
-//! Two sides of it. A robot begins tasks, tells and passes waits only while it is active in the role. And when somebody
-//! begins a role, the body of whoever had it before is at rest: in the world, where messages under way no longer count.
+//! There are two parts. A robot begins tasks, sends signals and passes waits only while it is
+//! active in the role. And when a robot begins a role, the simulated robot of the previous holder
+//! is at rest. This is checked in the world, where messages in flight no longer matter.
 
 use super::Invariant;
 use crate::{Fleet, Observation};
@@ -16,9 +17,9 @@ type Part = (MissionId, RoleId);
 #[derive(Default)]
 pub(super) struct UnderLease {
     active: BTreeSet<(NodeId, Part)>,
-    /// What each robot acted as last.
+    /// Latest role of each robot.
     last: BTreeMap<String, Part>,
-    /// Goals under way in the world, and for which role they were begun.
+    /// Active goals in the world, with the role they were begun for.
     at_work: BTreeMap<(String, u64), Option<Part>>,
 }
 
@@ -65,9 +66,9 @@ impl Invariant for UnderLease {
                 self.acts(node, mission, role, &format!("begins {task}"), fleet)
             }
             Some(EventKind::Sent { mission, signal }) => {
-                self.acts(node, mission, &signal.from, &format!("says {:?} of {}", signal.kind, signal.task), fleet)
+                self.acts(node, mission, &signal.from, &format!("sends {:?} of {}", signal.kind, signal.task), fleet)
             }
-            Some(EventKind::Heard { mission, signal }) => self.acts(
+            Some(EventKind::Received { mission, signal }) => self.acts(
                 node,
                 mission,
                 &signal.to,

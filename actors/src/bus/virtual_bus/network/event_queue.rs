@@ -1,4 +1,4 @@
-//! What will happen, in the order in which it will.
+//! Scheduled events, in the order of their processing.
 
 use super::publications::Publication;
 use super::{EntityId, Incarnation, NodeIndex};
@@ -8,7 +8,7 @@ use std::cmp::Ordering;
 use std::sync::Arc;
 use tokio::time::Instant;
 
-/// Something that happens at its time.
+/// An event and its time.
 pub(super) struct ScheduledEvent {
     pub(super) due: Instant,
     pub(super) id: u64,
@@ -18,22 +18,22 @@ pub(super) struct ScheduledEvent {
 pub(super) enum Event {
     /// A publication reaches a node.
     Publication { from: NodeIndex, to: Incarnation, publication: Arc<Publication> },
-    /// A question reaches a service.
-    Query { from: NodeIndex, to: Incarnation, leg: QueryPart },
-    /// An answer reaches the asker.
-    Reply { from: NodeIndex, to: NodeIndex, leg: QueryPart, reply: Reply },
-    /// A service has said all it will.
-    Finished { from: NodeIndex, to: NodeIndex, leg: QueryPart },
-    /// A query has reached its limit.
+    /// A query reaches a service.
+    Query { from: NodeIndex, to: Incarnation, part: QueryPart },
+    /// A reply reaches the requester.
+    Reply { from: NodeIndex, to: NodeIndex, part: QueryPart, reply: Reply },
+    /// A service has sent its last reply.
+    Finished { from: NodeIndex, to: NodeIndex, part: QueryPart },
+    /// A query has reached its timeout.
     QueryTimeout { query: EntityId },
-    /// `at` learns where `of` stands: connected or not, and with which tokens.
+    /// `at` receives the state of `of`: connected or not, and its tokens.
     PresenceUpdate { at: NodeIndex, of: NodeIndex },
-    /// `at` gives `of` up, if it has been silent since `change`.
+    /// The lease of `of` at `at` expires, if `of` has been silent since `change`.
     LeaseExpired { at: NodeIndex, of: NodeIndex, change: u32 },
 }
 
 impl Event {
-    /// Between whom a message travels; `None` for what is no message.
+    /// Returns the sender and the receiver of a message; `None` for other events.
     pub(super) fn endpoints(&self) -> Option<(NodeIndex, NodeIndex)> {
         match self {
             Event::Publication { from, to, .. } | Event::Query { from, to, .. } => Some((*from, to.index)),

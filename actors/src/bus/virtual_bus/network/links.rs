@@ -1,4 +1,4 @@
-//! Who can hear whom, and how long it takes.
+//! Reachability between nodes, and latencies.
 
 use super::event_queue::Event;
 use super::{Network, NodeIndex};
@@ -23,11 +23,11 @@ impl Network {
     }
 
     pub(super) fn refresh_models(&mut self) {
-        let place = |id: &NodeId| self.indexes.get(id).copied();
+        let index = |id: &NodeId| self.indexes.get(id).copied();
         self.models_by_index = self
             .models
             .iter()
-            .filter_map(|((from, to), model)| Some(((place(from)?, place(to)?), model.clone())))
+            .filter_map(|((from, to), model)| Some(((index(from)?, index(to)?), model.clone())))
             .collect();
     }
 
@@ -40,8 +40,8 @@ impl Network {
         self.refresh_reachability();
     }
 
-    /// Compares who can hear whom with the faults in force; a lease begins where silence falls, and news travel where
-    /// it ends.
+    /// Recomputes the reachability from the faults in force. A lease begins when a node falls
+    /// silent; a presence update is sent when the silence ends.
     pub(super) fn refresh_reachability(&mut self) {
         for at in 0..self.nodes.len() {
             for of in (0..self.nodes.len()).filter(|of| *of != at) {
@@ -66,7 +66,8 @@ impl Network {
         }
     }
 
-    /// When a message that leaves now arrives, unless it is lost. What has no size costs nothing.
+    /// Returns the arrival time of a message sent now, or `None` if it is lost. A message without a
+    /// size does not count as traffic.
     pub(super) fn transmit(
         &mut self,
         from: NodeIndex,

@@ -1,11 +1,12 @@
-//! The state of a virtual network: who has declared what, and what is under way.
+//! State of a virtual network: all declarations, and the messages in transit.
 //!
 //! ```text
-//!   VirtualBus ── publish, query, reply ──▶ Network ──▶ agenda (due, number) ──▶ hand_over ──▶ streams
+//!   VirtualBus ── publish, query, reply ──▶ Network ──▶ event queue (due, id) ──▶ dispatch ──▶ streams
 //! ```
 //!
-//! All that happens is an entry of one agenda, ordered by when it is due and then by a running number, so that one
-//! seed gives one run. Nothing here waits: the driver in the parent module calls [`Network::run`] when entries are due.
+//! Everything that happens is an event in a single queue, ordered by due time and then by id, so
+//! that a seed determines the run. Nothing here waits: the driver task in the parent module calls
+//! [`Network::run`] when events are due.
 
 mod event_queue;
 mod links;
@@ -37,56 +38,59 @@ use std::time::Duration;
 use tokio::time::Instant;
 use zenoh_keyexpr::OwnedKeyExpr;
 
-/// Where a node stands in [`Network::nodes`].
+/// Index of a node in [`Network::nodes`].
 pub(super) type NodeIndex = usize;
 
-/// A node from its start to its crash. What an earlier life declared or is owed is void.
+/// A node between its start and its crash. Declarations and pending replies of an earlier
+/// incarnation are void.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Incarnation {
     pub(super) index: NodeIndex,
     number: u32,
 }
 
-/// Names a declaration or a query.
+/// Id of a declaration or a query.
 pub(super) type EntityId = u64;
 
 struct Node {
     id: NodeId,
-    life: u32,
+    incarnation: u32,
     alive: bool,
     paused: bool,
-    /// What came due while it could not be handed over because this node was paused.
-    held: Vec<ScheduledEvent>,
-    /// Tokens this node has announced.
+    /// Events that became due but could not be delivered while this node was paused.
+    held_back: Vec<ScheduledEvent>,
+    /// Tokens announced by this node.
     tokens: BTreeMap<EntityId, OwnedKeyExpr>,
-    /// How this node sees each node, itself included, by place.
+    /// This node's view of each node, itself included, by index.
     peers: Vec<PeerView>,
     traffic: TrafficByKind,
 }
 
-/// How one node sees another.
+/// A node's view of another node.
 #[derive(Default)]
 struct PeerView {
-    /// Whether what the other says is lost.
+    /// Messages from the other node are lost.
     blocked: bool,
-    /// Whether nothing is heard from the other now, because it is cut off or one of the two is paused.
+    /// No messages arrive from the other node now, because of a fault or because either node is
+    /// paused.
     silent: bool,
-    /// Grows with every change of `silent`, so that the end of a lease which was renewed is void.
+    /// Incremented on every change of `silent`, so that the expiry of a renewed lease is void.
     silence_changes: u32,
-    /// Whether the other counts as connected: it was heard, and not silent for a whole lease since.
+    /// The other node counts as connected: a message has arrived, and it has not been silent for a
+    /// whole lease since.
     connected: bool,
-    /// The other's tokens, as far as known here.
+    /// Known tokens of the other node.
     tokens: BTreeMap<EntityId, OwnedKeyExpr>,
 }
 
 pub(super) struct Network {
-    /// Where the network lives, for those who answer queries.
+    /// Owner of the network, for the repliers to queries.
     shared: Weak<Shared>,
     rng: ChaCha8Rng,
     model: LinkModel,
-    /// Links that differ from `model`, from and to.
+    /// Models of links that differ from `model`: from, to.
     models: BTreeMap<(NodeId, NodeId), LinkModel>,
-    /// The same by place, for those that exist.
+    /// The same by node index, for existing nodes.
     models_by_index: BTreeMap<(NodeIndex, NodeIndex), LinkModel>,
     lease: Duration,
     faults: Faults,
@@ -97,10 +101,11 @@ pub(super) struct Network {
     watches: BTreeMap<EntityId, PresenceWatch>,
     queries: BTreeMap<EntityId, PendingQuery>,
     event_queue: BinaryHeap<Reverse<ScheduledEvent>>,
-    /// When the latest publication arrives, by publisher, receiver and key: none on this key arrives before it.
+    /// Arrival time of the latest publication, by publisher, receiver and key. Later publications
+    /// on the key arrive no earlier.
     earliest_arrivals: HashMap<(NodeIndex, NodeIndex, u64), Instant>,
     earliest_arrivals_max: usize,
-    /// Last number given, to anything.
+    /// Last assigned id of any kind.
     last_id: u64,
     now: Instant,
     pub(super) counters: NetworkCounters,
@@ -133,24 +138,24 @@ impl Network {
         }
     }
 
-    /// Tells the time; it never runs backwards.
+    /// Advances the time; it never runs backwards.
     pub(super) fn advance_to(&mut self, now: Instant) {
         self.now = self.now.max(now);
     }
 
-    /// When the next entry is due.
+    /// Returns the due time of the next event.
     pub(super) fn next_due(&self) -> Option<Instant> {
         self.event_queue.peek().map(|Reverse(entry)| entry.due)
     }
 
-    /// Carries out all that is due, in order.
+    /// Processes all due events, in order.
     pub(super) fn run(&mut self) {
         while let Some(due) = self.next_due() {
             if due > self.now {
                 break;
             }
             let Some(Reverse(entry)) = self.event_queue.pop() else { break };
-            self.hand_over(entry);
+            self.dispatch(entry);
         }
     }
 
@@ -164,73 +169,73 @@ impl Network {
         self.event_queue.push(Reverse(ScheduledEvent { due, id: number, event }));
     }
 
-    /// The present life of a node, which begins now if it has none.
+    /// Returns the present incarnation of a node, and starts the node if it is not running.
     pub(super) fn start(&mut self, id: NodeId) -> Incarnation {
-        let place = match self.indexes.get(&id) {
-            Some(&place) if self.nodes[place].alive => return self.incarnation(place),
-            Some(&place) => place,
-            None => self.add(id),
+        let index = match self.indexes.get(&id) {
+            Some(&index) if self.nodes[index].alive => return self.incarnation(index),
+            Some(&index) => index,
+            None => self.add_node(id),
         };
-        self.nodes[place].alive = true;
-        self.nodes[place].paused = false;
+        self.nodes[index].alive = true;
+        self.nodes[index].paused = false;
         self.refresh_reachability();
         for other in 0..self.nodes.len() {
-            self.send_presence_update(other, place);
-            if other != place {
-                self.send_presence_update(place, other);
+            self.send_presence_update(other, index);
+            if other != index {
+                self.send_presence_update(index, other);
             }
         }
-        self.incarnation(place)
+        self.incarnation(index)
     }
 
-    fn add(&mut self, id: NodeId) -> NodeIndex {
-        let place = self.nodes.len();
-        self.indexes.insert(id.clone(), place);
+    fn add_node(&mut self, id: NodeId) -> NodeIndex {
+        let index = self.nodes.len();
+        self.indexes.insert(id.clone(), index);
         for node in &mut self.nodes {
             node.peers.push(PeerView::default());
         }
         self.nodes.push(Node {
             id,
-            life: 0,
+            incarnation: 0,
             alive: false,
             paused: false,
-            held: Vec::new(),
+            held_back: Vec::new(),
             tokens: BTreeMap::new(),
-            peers: (0..=place).map(|_| PeerView::default()).collect(),
+            peers: (0..=index).map(|_| PeerView::default()).collect(),
             traffic: TrafficByKind::default(),
         });
         self.refresh_models();
-        place
+        index
     }
 
-    fn incarnation(&self, place: NodeIndex) -> Incarnation {
-        Incarnation { index: place, number: self.nodes[place].life }
+    fn incarnation(&self, index: NodeIndex) -> Incarnation {
+        Incarnation { index, number: self.nodes[index].incarnation }
     }
 
-    /// Whether a life goes on.
-    pub(super) fn is_running(&self, life: Incarnation) -> bool {
-        let node = &self.nodes[life.index];
-        node.alive && node.life == life.number
+    /// Checks whether an incarnation is still running.
+    pub(super) fn is_running(&self, incarnation: Incarnation) -> bool {
+        let node = &self.nodes[incarnation.index];
+        node.alive && node.incarnation == incarnation.number
     }
 
-    /// Nodes that `place` is connected to.
-    pub(super) fn neighbours(&self, place: NodeIndex) -> impl Iterator<Item = &NodeId> {
+    /// Returns the nodes that node `index` is connected to.
+    pub(super) fn neighbours(&self, index: NodeIndex) -> impl Iterator<Item = &NodeId> {
         self.indexes
             .iter()
-            .filter(move |(_, p)| **p != place && self.nodes[place].peers[**p].connected)
+            .filter(move |(_, p)| **p != index && self.nodes[index].peers[**p].connected)
             .map(|(id, _)| id)
     }
 
-    /// Ends a node's life. What it has sent stays under way.
+    /// Crashes a node. Messages that it has sent remain in transit.
     pub(super) fn crash(&mut self, id: &NodeId) {
-        let Some(&place) = self.indexes.get(id) else { return };
-        if !self.nodes[place].alive {
+        let Some(&index) = self.indexes.get(id) else { return };
+        if !self.nodes[index].alive {
             return;
         }
         self.resume(id);
-        let node = &mut self.nodes[place];
+        let node = &mut self.nodes[index];
         node.alive = false;
-        node.life += 1;
+        node.incarnation += 1;
         node.tokens.clear();
         for peer in &mut node.peers {
             *peer = PeerView {
@@ -240,75 +245,75 @@ impl Network {
                 ..PeerView::default()
             };
         }
-        self.subscriptions.remove_node(place);
-        self.services.remove_node(place);
-        self.watches.retain(|_, watch| watch.node != place);
-        self.queries.retain(|_, query| query.requester != place);
-        for other in (0..self.nodes.len()).filter(|other| *other != place) {
-            self.send_presence_update(other, place);
+        self.subscriptions.remove_node(index);
+        self.services.remove_node(index);
+        self.watches.retain(|_, watch| watch.node != index);
+        self.queries.retain(|_, query| query.requester != index);
+        for other in (0..self.nodes.len()).filter(|other| *other != index) {
+            self.send_presence_update(other, index);
         }
     }
 
     pub(super) fn pause(&mut self, id: &NodeId) {
-        if let Some(&place) = self.indexes.get(id) {
-            self.nodes[place].paused = self.nodes[place].alive;
+        if let Some(&index) = self.indexes.get(id) {
+            self.nodes[index].paused = self.nodes[index].alive;
             self.refresh_reachability();
         }
     }
 
     pub(super) fn resume(&mut self, id: &NodeId) {
-        if let Some(&place) = self.indexes.get(id) {
-            self.nodes[place].paused = false;
-            // With their old times and numbers, so that they keep their order among themselves and before later ones.
-            let held = std::mem::take(&mut self.nodes[place].held);
-            self.event_queue.extend(held.into_iter().map(Reverse));
+        if let Some(&index) = self.indexes.get(id) {
+            self.nodes[index].paused = false;
+            // The old times and ids keep their order among themselves and before later events.
+            let held_back = std::mem::take(&mut self.nodes[index].held_back);
+            self.event_queue.extend(held_back.into_iter().map(Reverse));
             self.refresh_reachability();
         }
     }
 
-    fn hand_over(&mut self, entry: ScheduledEvent) {
+    fn dispatch(&mut self, entry: ScheduledEvent) {
         if let Some((from, to)) = entry.event.endpoints() {
             if self.nodes[to].paused {
-                return self.nodes[to].held.push(entry);
+                return self.nodes[to].held_back.push(entry);
             }
             if self.nodes[from].paused {
-                return self.nodes[from].held.push(entry);
+                return self.nodes[from].held_back.push(entry);
             }
             if self.nodes[to].peers[from].blocked {
                 if !matches!(entry.event, Event::Finished { .. }) {
                     self.counters.dropped += 1;
                 }
-                if let Event::Reply { leg, .. } | Event::Finished { leg, .. } = entry.event {
-                    self.break_part(leg);
+                if let Event::Reply { part, .. } | Event::Finished { part, .. } = entry.event {
+                    self.break_part(part);
                 }
                 return;
             }
         }
         match entry.event {
             Event::Publication { from, to, publication } => self.deliver_publication(from, to, &publication),
-            Event::Query { from, to, leg } => self.deliver_query(from, to, leg),
-            Event::Reply { from, to, leg, reply } => self.deliver_reply(from, to, leg, reply),
-            Event::Finished { leg, .. } => self.end_part(leg),
+            Event::Query { from, to, part } => self.deliver_query(from, to, part),
+            Event::Reply { from, to, part, reply } => self.deliver_reply(from, to, part, reply),
+            Event::Finished { part, .. } => self.end_part(part),
             Event::QueryTimeout { query } => drop(self.queries.remove(&query)),
             Event::PresenceUpdate { at, of } => self.deliver_presence_update(at, of),
             Event::LeaseExpired { at, of, change } => self.expire_lease(at, of, change),
         }
     }
 
-    /// What a node has sent and received in all its lives.
+    /// Returns the traffic of a node over all its incarnations.
     pub(super) fn traffic(&self, id: &NodeId) -> TrafficByKind {
-        self.indexes.get(id).map(|place| self.nodes[*place].traffic.clone()).unwrap_or_default()
+        self.indexes.get(id).map(|index| self.nodes[*index].traffic.clone()).unwrap_or_default()
     }
 
-    /// Counts what a node takes from the wire.
+    /// Counts the traffic received by a node.
     fn count_received(&mut self, from: NodeIndex, to: NodeIndex, kind: KeyKind, bytes: usize) {
         if from != to {
             self.nodes[to].traffic.received(kind, bytes);
         }
     }
 
-    fn count_delivery(&mut self, handed_over: bool) {
-        if handed_over {
+    fn count_delivery(&mut self, delivered: bool) {
+        if delivered {
             self.counters.delivered += 1;
         } else {
             self.counters.dropped += 1;

@@ -1,4 +1,4 @@
-//! Presence: tokens as each node knows them, which is later than they are, and what watchers hear of it.
+//! Presence: each node's delayed view of the tokens, and the notification of watchers.
 
 use super::event_queue::Event;
 use super::{EntityId, Incarnation, Network, NodeIndex};
@@ -9,28 +9,28 @@ use zenoh_keyexpr::OwnedKeyExpr;
 
 pub(super) struct PresenceWatch {
     pub(super) node: NodeIndex,
-    wanted: OwnedKeyExpr,
+    key_expr: OwnedKeyExpr,
     mailbox: UnboundedSender<Presence>,
-    /// How many tokens are known under each key.
+    /// Number of known tokens per key.
     present: BTreeMap<String, u32>,
 }
 
 impl Network {
-    pub(in super::super) fn announce(&mut self, life: Incarnation, key: OwnedKeyExpr) -> EntityId {
-        let number = self.next_id();
-        self.nodes[life.index].tokens.insert(number, key);
-        self.spread(life.index);
-        number
+    pub(in super::super) fn announce(&mut self, incarnation: Incarnation, key: OwnedKeyExpr) -> EntityId {
+        let id = self.next_id();
+        self.nodes[incarnation.index].tokens.insert(id, key);
+        self.send_presence_to_all(incarnation.index);
+        id
     }
 
-    pub(in super::super) fn withdraw_token(&mut self, number: EntityId) {
-        let owner = self.nodes.iter_mut().position(|node| node.tokens.remove(&number).is_some());
-        if let Some(place) = owner {
-            self.spread(place);
+    pub(in super::super) fn withdraw_token(&mut self, id: EntityId) {
+        let owner = self.nodes.iter_mut().position(|node| node.tokens.remove(&id).is_some());
+        if let Some(index) = owner {
+            self.send_presence_to_all(index);
         }
     }
 
-    fn spread(&mut self, of: NodeIndex) {
+    fn send_presence_to_all(&mut self, of: NodeIndex) {
         for at in 0..self.nodes.len() {
             self.send_presence_update(at, of);
         }
@@ -45,62 +45,63 @@ impl Network {
 
     pub(in super::super) fn watch(
         &mut self,
-        life: Incarnation,
-        wanted: OwnedKeyExpr,
+        incarnation: Incarnation,
+        key_expr: OwnedKeyExpr,
         mailbox: UnboundedSender<Presence>,
     ) -> EntityId {
-        let number = self.next_id();
-        let mut watch = PresenceWatch { node: life.index, wanted, mailbox, present: BTreeMap::new() };
-        for peer in &self.nodes[life.index].peers {
+        let id = self.next_id();
+        let mut watch = PresenceWatch { node: incarnation.index, key_expr, mailbox, present: BTreeMap::new() };
+        for peer in &self.nodes[incarnation.index].peers {
             for key in peer.tokens.values() {
-                watch.see(key, true);
+                watch.update(key, true);
             }
         }
-        self.watches.insert(number, watch);
-        number
+        self.watches.insert(id, watch);
+        id
     }
 
-    pub(in super::super) fn stop_watching(&mut self, number: EntityId) {
-        self.watches.remove(&number);
+    pub(in super::super) fn stop_watching(&mut self, id: EntityId) {
+        self.watches.remove(&id);
     }
 
-    /// Brings what `at` knows of `of` to `connected` and `tokens`, and tells those who watch at `at`.
-    fn learn(&mut self, at: NodeIndex, of: NodeIndex, connected: bool, tokens: BTreeMap<EntityId, OwnedKeyExpr>) {
+    /// Sets the view of `of` at `at` to `connected` and `tokens`, and notifies the watchers at
+    /// `at`.
+    fn update_peer(&mut self, at: NodeIndex, of: NodeIndex, connected: bool, tokens: BTreeMap<EntityId, OwnedKeyExpr>) {
         let peer = &mut self.nodes[at].peers[of];
         peer.connected = connected;
         let before = std::mem::replace(&mut peer.tokens, tokens);
         let after = &self.nodes[at].peers[of].tokens;
-        let gone = before.iter().filter(|(number, _)| !after.contains_key(number)).map(|(_, key)| (key, false));
-        let new = after.iter().filter(|(number, _)| !before.contains_key(number)).map(|(_, key)| (key, true));
+        let gone = before.iter().filter(|(id, _)| !after.contains_key(id)).map(|(_, key)| (key, false));
+        let new = after.iter().filter(|(id, _)| !before.contains_key(id)).map(|(_, key)| (key, true));
         for (key, alive) in gone.chain(new) {
             for watch in self.watches.values_mut().filter(|watch| watch.node == at) {
-                watch.see(key, alive);
+                watch.update(key, alive);
             }
         }
     }
 
     pub(super) fn deliver_presence_update(&mut self, at: NodeIndex, of: NodeIndex) {
         if self.nodes[at].peers[of].silent || !self.nodes[at].alive {
-            return; // news travel again when the silence ends
+            return; // another update is sent when the silence ends
         }
         let of_now = self.incarnation(of);
         let alive = self.is_running(of_now);
-        self.learn(at, of, alive, self.nodes[of].tokens.clone());
-        self.drop_parts(at, of, |leg| !alive || leg.service != of_now);
+        self.update_peer(at, of, alive, self.nodes[of].tokens.clone());
+        self.drop_parts(at, of, |part| !alive || part.service != of_now);
     }
 
     pub(super) fn expire_lease(&mut self, at: NodeIndex, of: NodeIndex, change: u32) {
         let peer = &self.nodes[at].peers[of];
         if peer.silent && peer.silence_changes == change {
-            self.learn(at, of, false, BTreeMap::new());
+            self.update_peer(at, of, false, BTreeMap::new());
             self.drop_parts(at, of, |_| true);
         }
     }
 }
 
 impl PresenceWatch {
-    fn see(&mut self, key: &OwnedKeyExpr, alive: bool) {
-        if !self.wanted.intersects(key) {
+    fn update(&mut self, key: &OwnedKeyExpr, alive: bool) {
+        if !self.key_expr.intersects(key) {
             return;
         }
         let count = self.present.entry(key.to_string()).or_insert(0);
@@ -111,7 +112,7 @@ impl PresenceWatch {
             self.present.remove(key.as_str());
         }
         if (before == 0) != (after == 0) {
-            // A watcher that is gone has no ear for this.
+            // The watcher may be gone: ignore the error.
             let _ = self.mailbox.send(Presence { key: key.to_string(), alive });
         }
     }

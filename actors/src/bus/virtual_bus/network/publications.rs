@@ -1,4 +1,5 @@
-//! Publications: once over each link, in order for each publisher and key, and then to all who want them there.
+//! Publications: each crosses a link once, in order per publisher and key, and is then delivered to
+//! all subscribers of the node.
 
 use super::event_queue::Event;
 use super::routing_table::{Declaration, Route};
@@ -11,10 +12,10 @@ use tokio::sync::mpsc::UnboundedSender;
 use tokio::time::Instant;
 use zenoh_keyexpr::OwnedKeyExpr;
 
-/// Ends of order (see [`Network::floors`]) kept before those in the past are swept out.
+/// Number of entries in [`Network::earliest_arrivals`] before past entries are removed.
 pub(super) const EARLIEST_ARRIVALS_MIN: usize = 4_096;
 
-/// A publication under way, shared by all who will receive it.
+/// A publication in transit, shared by all its receivers.
 pub(super) struct Publication {
     sample: Sample,
     route: Arc<Route>,
@@ -28,29 +29,28 @@ impl Publication {
 }
 
 impl Network {
-    /// The key, if it was used lately and hence is known to be one.
+    /// Returns the key if it was used recently, and hence is known to be valid.
     pub(in super::super) fn cached_key(&self, key: &str) -> Option<OwnedKeyExpr> {
         self.subscriptions.cached_route(key).map(|route| route.key.clone())
     }
 
     pub(in super::super) fn subscribe(
         &mut self,
-        life: Incarnation,
-        wanted: OwnedKeyExpr,
+        incarnation: Incarnation,
+        key_expr: OwnedKeyExpr,
         mailbox: UnboundedSender<Sample>,
     ) -> EntityId {
-        let number = self.next_id();
-        self.subscriptions
-            .declare(number, Declaration { node: life.index, key_expr: wanted, complete: false, mailbox });
-        number
+        let id = self.next_id();
+        self.subscriptions.declare(id, Declaration { node: incarnation.index, key_expr, complete: false, mailbox });
+        id
     }
 
-    pub(in super::super) fn unsubscribe(&mut self, number: EntityId) {
-        self.subscriptions.remove(number);
+    pub(in super::super) fn unsubscribe(&mut self, id: EntityId) {
+        self.subscriptions.remove(id);
     }
 
-    pub(in super::super) fn publish(&mut self, life: Incarnation, key: &OwnedKeyExpr, sample: Sample) {
-        let from = life.index;
+    pub(in super::super) fn publish(&mut self, incarnation: Incarnation, key: &OwnedKeyExpr, sample: Sample) {
+        let from = incarnation.index;
         let route = self.subscriptions.route(key);
         if route.targets.is_empty() {
             return;
@@ -65,10 +65,10 @@ impl Network {
     fn send_publication(&mut self, from: NodeIndex, to: NodeIndex, publication: &Arc<Publication>) {
         let bytes = publication.bytes();
         let Some(arrival) = self.transmit(from, to, publication.route.kind, Some(bytes)) else { return };
-        let to_life = self.incarnation(to);
+        let receiver = self.incarnation(to);
         let event = |publication: &Arc<Publication>| Event::Publication {
             from,
-            to: to_life,
+            to: receiver,
             publication: Arc::clone(publication),
         };
         if from == to {
@@ -92,37 +92,37 @@ impl Network {
         }
     }
 
-    /// The arrival, put off until no earlier publication on the key is overtaken.
+    /// Returns the arrival time, delayed so that no earlier publication on the key is overtaken.
     fn in_order(&mut self, from: NodeIndex, to: NodeIndex, key: u64, arrival: Instant) -> Instant {
         if self.earliest_arrivals.len() >= self.earliest_arrivals_max {
             let now = self.now;
-            self.earliest_arrivals.retain(|_, floor| *floor > now);
+            self.earliest_arrivals.retain(|_, earliest| *earliest > now);
             self.earliest_arrivals_max = EARLIEST_ARRIVALS_MIN.max(2 * self.earliest_arrivals.len());
         }
-        let floor = self.earliest_arrivals.entry((from, to, key)).or_insert(arrival);
-        *floor = arrival.max(*floor);
-        *floor
+        let earliest = self.earliest_arrivals.entry((from, to, key)).or_insert(arrival);
+        *earliest = arrival.max(*earliest);
+        *earliest
     }
 
     pub(super) fn deliver_publication(&mut self, from: NodeIndex, to: Incarnation, publication: &Publication) {
-        let mut heard = false;
+        let mut delivered = false;
         if self.is_running(to) {
             let subscriptions = &mut self.subscriptions;
             let newer =
                 (subscriptions.version != publication.edition).then(|| subscriptions.route(&publication.route.key));
             let route = newer.as_ref().unwrap_or(&publication.route);
-            if let Ok(found) = route.targets.binary_search_by_key(&to.index, |(place, _)| *place) {
-                for number in &route.targets[found].1 {
-                    if let Some(subscription) = subscriptions.declared.get(number) {
-                        heard |= subscription.mailbox.send(publication.sample.clone()).is_ok();
+            if let Ok(found) = route.targets.binary_search_by_key(&to.index, |(index, _)| *index) {
+                for id in &route.targets[found].1 {
+                    if let Some(subscription) = subscriptions.declared.get(id) {
+                        delivered |= subscription.mailbox.send(publication.sample.clone()).is_ok();
                     }
                 }
             }
         }
-        if heard {
+        if delivered {
             self.count_received(from, to.index, publication.route.kind, publication.bytes());
             self.trace.record(self.now, from, to.index, publication.route.hash, &publication.sample.payload);
         }
-        self.count_delivery(heard);
+        self.count_delivery(delivered);
     }
 }

@@ -1,4 +1,4 @@
-//! Queries: one leg to each service, which ends when the service lets go of it.
+//! Queries: a part per service, which ends when the service drops its replier.
 
 use super::event_queue::Event;
 use super::routing_table::Declaration;
@@ -18,18 +18,18 @@ use zenoh_keyexpr::OwnedKeyExpr;
 pub(super) struct PendingQuery {
     pub(super) requester: NodeIndex,
     replies: UnboundedSender<Reply>,
-    /// The latest answer on each key, to be given at the end, where one is enough.
+    /// Latest reply per key, delivered at the end. Only for queries with a single reply per key.
     latest: Option<BTreeMap<String, Reply>>,
-    question: Arc<QueryRequest>,
+    request: Arc<QueryRequest>,
     kind: KeyKind,
-    /// By number of the service asked.
-    legs: BTreeMap<EntityId, QueryPartState>,
+    /// Parts, by id of the service.
+    parts: BTreeMap<EntityId, QueryPartState>,
 }
 
 impl Drop for PendingQuery {
     fn drop(&mut self) {
         for (_, reply) in self.latest.take().unwrap_or_default() {
-            // Nobody may listen any more.
+            // The receiver may be gone: ignore the error.
             let _ = self.replies.send(reply);
         }
     }
@@ -48,16 +48,16 @@ impl QueryRequest {
     }
 }
 
-/// What is left of one service's part in a query.
+/// State of a service's part in a query.
 pub(super) struct QueryPartState {
     pub(super) service: Incarnation,
-    /// Something of it got lost, and so will all that follows.
+    /// A message of this part was lost, so all later messages are lost as well.
     broken: bool,
-    /// When the latest answer arrives; none arrives before it.
-    floor: Instant,
+    /// Arrival time of the latest reply; no reply arrives earlier.
+    earliest: Instant,
 }
 
-/// Bytes of an answer.
+/// Returns the size of a reply in bytes.
 fn size(reply: &Reply) -> usize {
     reply.key.len() + reply.payload.as_ref().map_or_else(String::len, Bytes::len) + reply.attachment.len()
 }
@@ -65,63 +65,63 @@ fn size(reply: &Reply) -> usize {
 impl Network {
     pub(in super::super) fn serve(
         &mut self,
-        life: Incarnation,
-        wanted: OwnedKeyExpr,
+        incarnation: Incarnation,
+        key_expr: OwnedKeyExpr,
         complete: bool,
         mailbox: UnboundedSender<Query>,
     ) -> EntityId {
-        let number = self.next_id();
-        self.services.declare(number, Declaration { node: life.index, key_expr: wanted, complete, mailbox });
-        number
+        let id = self.next_id();
+        self.services.declare(id, Declaration { node: incarnation.index, key_expr: key_expr, complete, mailbox });
+        id
     }
 
-    pub(in super::super) fn stop_serving(&mut self, number: EntityId) {
-        self.services.remove(number);
+    pub(in super::super) fn stop_serving(&mut self, id: EntityId) {
+        self.services.remove(id);
     }
 
     pub(in super::super) fn query(
         &mut self,
-        life: Incarnation,
-        question: QueryRequest,
-        limit: Duration,
-        whom: ServiceSelection,
+        incarnation: Incarnation,
+        request: QueryRequest,
+        timeout: Duration,
+        target: ServiceSelection,
         replies: UnboundedSender<Reply>,
     ) -> EntityId {
-        let asker = life.index;
+        let requester = incarnation.index;
         let query = self.next_id();
-        let route = self.services.route(&question.key_expr);
-        let mut legs = BTreeMap::new();
-        // What is given up is known no more.
-        let is_known = |network: &Network, place: NodeIndex| {
-            !network.nodes[place].peers[asker].blocked || network.nodes[asker].peers[place].connected
+        let route = self.services.route(&request.key_expr);
+        let mut parts = BTreeMap::new();
+        // A peer with an expired lease no longer counts as present.
+        let is_present = |network: &Network, index: NodeIndex| {
+            !network.nodes[index].peers[requester].blocked || network.nodes[requester].peers[index].connected
         };
-        let nearest = match whom {
+        let nearest = match target {
             ServiceSelection::All => None,
             ServiceSelection::Nearest => {
-                let known = || route.complete.iter().filter(|(place, _)| is_known(self, *place));
-                known().find(|(place, _)| *place == asker).or_else(|| known().next())
+                let present = || route.complete.iter().filter(|(index, _)| is_present(self, *index));
+                present().find(|(index, _)| *index == requester).or_else(|| present().next())
             }
         };
-        let alone = nearest.map(|(place, service)| vec![(*place, vec![*service])]);
-        for (place, services) in alone.as_ref().unwrap_or(&route.targets) {
-            if !is_known(self, *place) {
+        let selected = nearest.map(|(index, service)| vec![(*index, vec![*service])]);
+        for (index, services) in selected.as_ref().unwrap_or(&route.targets) {
+            if !is_present(self, *index) {
                 continue;
             }
             for service in services {
-                let arrival = self.transmit(asker, *place, route.kind, Some(question.bytes()));
-                let state = QueryPartState { service: self.incarnation(*place), broken: false, floor: self.now };
+                let arrival = self.transmit(requester, *index, route.kind, Some(request.bytes()));
+                let state = QueryPartState { service: self.incarnation(*index), broken: false, earliest: self.now };
                 if let Some(arrival) = arrival {
-                    let leg = QueryPart { query, service: *service };
-                    self.schedule(arrival, Event::Query { from: asker, to: state.service, leg });
+                    let part = QueryPart { query, service: *service };
+                    self.schedule(arrival, Event::Query { from: requester, to: state.service, part });
                 }
-                legs.insert(*service, state);
+                parts.insert(*service, state);
             }
         }
-        if !legs.is_empty() {
-            let (kind, question) = (route.kind, Arc::new(question));
-            let latest = (whom == ServiceSelection::Nearest).then(BTreeMap::new);
-            self.queries.insert(query, PendingQuery { requester: asker, replies, latest, question, kind, legs });
-            if let Some(end) = self.now.checked_add(limit) {
+        if !parts.is_empty() {
+            let (kind, request) = (route.kind, Arc::new(request));
+            let latest = (target == ServiceSelection::Nearest).then(BTreeMap::new);
+            self.queries.insert(query, PendingQuery { requester, replies, latest, request, kind, parts });
+            if let Some(end) = self.now.checked_add(timeout) {
                 self.schedule(end, Event::QueryTimeout { query });
             }
         }
@@ -132,23 +132,28 @@ impl Network {
         self.queries.remove(&query);
     }
 
-    pub(in super::super) fn reply(&mut self, leg: QueryPart, reply: Reply) {
-        if let Some((from, to, due)) = self.send_answer(leg, Some(size(&reply))) {
-            self.schedule(due, Event::Reply { from, to, leg, reply });
+    pub(in super::super) fn reply(&mut self, part: QueryPart, reply: Reply) {
+        if let Some((from, to, due)) = self.transmit_from_service(part, Some(size(&reply))) {
+            self.schedule(due, Event::Reply { from, to, part, reply });
         }
     }
 
-    pub(in super::super) fn finish_part(&mut self, leg: QueryPart) {
-        if let Some((from, to, due)) = self.send_answer(leg, None) {
-            self.schedule(due, Event::Finished { from, to, leg });
+    pub(in super::super) fn finish_part(&mut self, part: QueryPart) {
+        if let Some((from, to, due)) = self.transmit_from_service(part, None) {
+            self.schedule(due, Event::Finished { from, to, part });
         }
     }
 
-    /// From, to and arrival of the next message of a leg, if the query goes on and the message is not lost. Only
-    /// answers, which have a size, are counted; the end of a leg is a message like any other in every other respect.
-    fn send_answer(&mut self, leg: QueryPart, bytes: Option<usize>) -> Option<(NodeIndex, NodeIndex, Instant)> {
-        let pending = self.queries.get(&leg.query)?;
-        let state = pending.legs.get(&leg.service)?;
+    /// Returns sender, receiver and arrival time of the next message of a part, if the query is
+    /// active and the message is not lost. Only replies, which have a size, are counted; in all
+    /// other respects the end of a part is a message like any other.
+    fn transmit_from_service(
+        &mut self,
+        part: QueryPart,
+        bytes: Option<usize>,
+    ) -> Option<(NodeIndex, NodeIndex, Instant)> {
+        let pending = self.queries.get(&part.query)?;
+        let state = pending.parts.get(&part.service)?;
         let (from, to, kind) = (state.service.index, pending.requester, pending.kind);
         if state.broken || !self.is_running(state.service) {
             return None;
@@ -158,11 +163,11 @@ impl Network {
         if bytes.is_none() {
             self.counters = before;
         }
-        let state = self.queries.get_mut(&leg.query)?.legs.get_mut(&leg.service)?;
+        let state = self.queries.get_mut(&part.query)?.parts.get_mut(&part.service)?;
         match arrival {
             Some(arrival) => {
-                state.floor = state.floor.max(arrival);
-                Some((from, to, state.floor))
+                state.earliest = state.earliest.max(arrival);
+                Some((from, to, state.earliest))
             }
             None => {
                 state.broken = true;
@@ -171,35 +176,35 @@ impl Network {
         }
     }
 
-    pub(super) fn deliver_query(&mut self, from: NodeIndex, to: Incarnation, leg: QueryPart) {
-        let question = self.queries.get(&leg.query).map(|query| (Arc::clone(&query.question), query.kind));
-        let service = self.services.declared.get(&leg.service).filter(|_| self.is_running(to));
-        let (Some((question, kind)), Some(service)) = (question, service) else {
+    pub(super) fn deliver_query(&mut self, from: NodeIndex, to: Incarnation, part: QueryPart) {
+        let request = self.queries.get(&part.query).map(|query| (Arc::clone(&query.request), query.kind));
+        let service = self.services.declared.get(&part.service).filter(|_| self.is_running(to));
+        let (Some((request, kind)), Some(service)) = (request, service) else {
             self.count_delivery(false);
-            return self.finish_part(leg); // nobody listens there any more
+            return self.finish_part(part); // the service has ended
         };
         let query = Query {
-            key: question.key_expr.to_string(),
-            parameters: question.parameters.clone(),
-            payload: question.payload.clone(),
-            attachment: question.attachment.clone(),
-            replier: Box::new(VirtualReplier::new(self.shared.clone(), leg, to, Arc::clone(&question))),
+            key: request.key_expr.to_string(),
+            parameters: request.parameters.clone(),
+            payload: request.payload.clone(),
+            attachment: request.attachment.clone(),
+            replier: Box::new(VirtualReplier::new(self.shared.clone(), part, to, Arc::clone(&request))),
         };
-        let heard = service.mailbox.send(query).is_ok();
-        self.count_received(from, to.index, kind, question.bytes());
-        self.trace.record(self.now, from, to.index, leg.service, &question.payload);
-        self.count_delivery(heard);
+        let delivered = service.mailbox.send(query).is_ok();
+        self.count_received(from, to.index, kind, request.bytes());
+        self.trace.record(self.now, from, to.index, part.service, &request.payload);
+        self.count_delivery(delivered);
     }
 
-    pub(super) fn deliver_reply(&mut self, from: NodeIndex, to: NodeIndex, leg: QueryPart, reply: Reply) {
-        let Some(query) = self.queries.get_mut(&leg.query) else { return self.count_delivery(false) };
+    pub(super) fn deliver_reply(&mut self, from: NodeIndex, to: NodeIndex, part: QueryPart, reply: Reply) {
+        let Some(query) = self.queries.get_mut(&part.query) else { return self.count_delivery(false) };
         let content = match &reply.payload {
             Ok(payload) => payload.clone(),
             Err(reason) => Bytes::copy_from_slice(reason.as_bytes()),
         };
         let bytes = size(&reply);
         let kind = query.kind;
-        let heard = match &mut query.latest {
+        let delivered = match &mut query.latest {
             Some(latest) if reply.payload.is_ok() => {
                 latest.insert(reply.key.clone(), reply);
                 !query.replies.is_closed()
@@ -207,32 +212,32 @@ impl Network {
             _ => query.replies.send(reply).is_ok(),
         };
         self.count_received(from, to, kind, bytes);
-        self.trace.record(self.now, from, to, leg.service, &content);
-        self.count_delivery(heard);
+        self.trace.record(self.now, from, to, part.service, &content);
+        self.count_delivery(delivered);
     }
 
-    pub(super) fn break_part(&mut self, leg: QueryPart) {
-        if let Some(state) = self.queries.get_mut(&leg.query).and_then(|query| query.legs.get_mut(&leg.service)) {
+    pub(super) fn break_part(&mut self, part: QueryPart) {
+        if let Some(state) = self.queries.get_mut(&part.query).and_then(|query| query.parts.get_mut(&part.service)) {
             state.broken = true;
         }
     }
 
-    pub(super) fn end_part(&mut self, leg: QueryPart) {
-        if let Some(query) = self.queries.get_mut(&leg.query) {
-            query.legs.remove(&leg.service);
-            if query.legs.is_empty() {
-                self.queries.remove(&leg.query);
+    pub(super) fn end_part(&mut self, part: QueryPart) {
+        if let Some(query) = self.queries.get_mut(&part.query) {
+            query.parts.remove(&part.service);
+            if query.parts.is_empty() {
+                self.queries.remove(&part.query);
             }
         }
     }
 
-    /// Ends the legs of `at`'s queries at services of `of` that fit.
+    /// Ends the parts of queries of node `at` that are served by node `of` and match `fits`.
     pub(super) fn drop_parts(&mut self, at: NodeIndex, of: NodeIndex, fits: impl Fn(&QueryPartState) -> bool) {
         self.queries.retain(|_, query| {
             if query.requester == at {
-                query.legs.retain(|_, leg| leg.service.index != of || !fits(leg));
+                query.parts.retain(|_, part| part.service.index != of || !fits(part));
             }
-            !query.legs.is_empty()
+            !query.parts.is_empty()
         });
     }
 }

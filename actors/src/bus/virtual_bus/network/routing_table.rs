@@ -1,4 +1,4 @@
-//! Which declarations match a key, found once for each key.
+//! Matching of declarations to keys, cached per key.
 
 use super::{EntityId, NodeIndex};
 use consort_protocol::keys::KeyKind;
@@ -8,35 +8,36 @@ use std::sync::Arc;
 use tokio::sync::mpsc::UnboundedSender;
 use zenoh_keyexpr::OwnedKeyExpr;
 
-/// Keys whose receivers are remembered; beyond this all are forgotten and found anew.
+/// Maximum number of cached keys. Beyond this the whole cache is cleared.
 const ROUTES_MAX: usize = 65_536;
 
-/// A subscription or a service: where it is and what it wants.
+/// A subscription or a service: its node and its key expression.
 pub(super) struct Declaration<T> {
     pub(super) node: NodeIndex,
     pub(super) key_expr: OwnedKeyExpr,
-    /// Whether it knows all there is below its key: of services alone.
+    /// Set for a complete service, which has every value below its key. Services only.
     pub(super) complete: bool,
     pub(super) mailbox: UnboundedSender<T>,
 }
 
-/// Declarations of one kind, and which of them match keys used lately.
+/// Declarations of a single kind, and cached matches for recently used keys.
 pub(super) struct RoutingTable<T> {
     pub(super) declared: BTreeMap<EntityId, Declaration<T>>,
     routes: HashMap<String, Arc<Route>>,
-    /// Grows whenever a declaration comes or goes: a route found under the same number is still right.
+    /// Incremented when a declaration is added or removed: a route with the same version is still
+    /// valid.
     pub(super) version: u64,
 }
 
 /// The declarations that match a key.
 pub(super) struct Route {
     pub(super) key: OwnedKeyExpr,
-    /// Stands for the key where a number is handier. Two keys with one hash would merely be ordered together.
+    /// Hash of the key. Two keys with the same hash would merely be ordered together.
     pub(super) hash: u64,
     pub(super) kind: KeyKind,
-    /// By place, in order.
+    /// Receivers by node index, in order.
     pub(super) targets: Vec<(NodeIndex, Vec<EntityId>)>,
-    /// Those that know all that is asked for, in the order of their places.
+    /// Services that are complete for the key, in the order of their node indexes.
     pub(super) complete: Vec<(NodeIndex, EntityId)>,
 }
 
@@ -45,26 +46,26 @@ impl<T> RoutingTable<T> {
         RoutingTable { declared: BTreeMap::new(), routes: HashMap::new(), version: 0 }
     }
 
-    pub(super) fn declare(&mut self, number: EntityId, declaration: Declaration<T>) {
-        self.changed(&declaration.key_expr);
-        self.declared.insert(number, declaration);
+    pub(super) fn declare(&mut self, id: EntityId, declaration: Declaration<T>) {
+        self.invalidate(&declaration.key_expr);
+        self.declared.insert(id, declaration);
     }
 
-    pub(super) fn remove(&mut self, number: EntityId) {
-        if let Some(gone) = self.declared.remove(&number) {
-            self.changed(&gone.key_expr);
+    pub(super) fn remove(&mut self, id: EntityId) {
+        if let Some(removed) = self.declared.remove(&id) {
+            self.invalidate(&removed.key_expr);
         }
     }
 
-    pub(super) fn remove_node(&mut self, place: NodeIndex) {
-        self.declared.retain(|_, declaration| declaration.node != place);
+    pub(super) fn remove_node(&mut self, index: NodeIndex) {
+        self.declared.retain(|_, declaration| declaration.node != index);
         self.version += 1;
         self.routes.clear();
     }
 
-    fn changed(&mut self, wanted: &OwnedKeyExpr) {
+    fn invalidate(&mut self, key_expr: &OwnedKeyExpr) {
         self.version += 1;
-        self.routes.retain(|_, route| !route.key.intersects(wanted));
+        self.routes.retain(|_, route| !route.key.intersects(key_expr));
     }
 
     pub(super) fn cached_route(&self, key: &str) -> Option<Arc<Route>> {
@@ -77,11 +78,11 @@ impl<T> RoutingTable<T> {
         }
         let mut targets: BTreeMap<NodeIndex, Vec<EntityId>> = BTreeMap::new();
         let mut complete = Vec::new();
-        for (number, declaration) in &self.declared {
+        for (id, declaration) in &self.declared {
             if declaration.key_expr.intersects(key) {
-                targets.entry(declaration.node).or_default().push(*number);
+                targets.entry(declaration.node).or_default().push(*id);
                 if declaration.complete && declaration.key_expr.includes(key) {
-                    complete.push((declaration.node, *number));
+                    complete.push((declaration.node, *id));
                 }
             }
         }

@@ -1,10 +1,10 @@
-//! A journal with something in the way of its writes.
+//! Log store that calls a hook around its writes.
 
 use async_trait::async_trait;
 use consort_actors::raft::{LogStore, PersistentState, StoreIdentity};
 use std::io;
 
-/// A kind of write.
+/// Kind of write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Write {
     Vote,
@@ -14,26 +14,26 @@ pub(super) enum Write {
     Snapshot,
 }
 
-/// What is in the way.
+/// Hook around the writes of a log store.
 #[async_trait]
 pub(super) trait WriteHook: Send + Sync + 'static {
-    /// Comes before each write, which is not carried out after an error.
+    /// Called before each write. After an error the write is not carried out.
     async fn before(&self, write: Write) -> io::Result<()>;
 
-    /// Comes after each write, with all that the journal has recorded.
+    /// Called after each write, with the whole stored state.
     fn after(&self, _: Write, _: PersistentState) {}
 }
 
-/// The journal.
+/// Log store with a hook.
 pub(super) struct HookedLogStore<J, H> {
     pub(super) inner: J,
     pub(super) hook: H,
 }
 
 impl<J: LogStore, H: WriteHook> HookedLogStore<J, H> {
-    async fn around(&self, write: Write, carried_out: impl Future<Output = io::Result<()>>) -> io::Result<()> {
+    async fn with_hooks(&self, write: Write, operation: impl Future<Output = io::Result<()>>) -> io::Result<()> {
         self.hook.before(write).await?;
-        carried_out.await?;
+        operation.await?;
         self.hook.after(write, self.inner.load().await?);
         Ok(())
     }
@@ -50,7 +50,7 @@ impl<J: LogStore, H: WriteHook> LogStore for HookedLogStore<J, H> {
     }
 
     async fn save_vote(&self, vote: Vec<u8>) -> io::Result<()> {
-        self.around(Write::Vote, self.inner.save_vote(vote)).await
+        self.with_hooks(Write::Vote, self.inner.save_vote(vote)).await
     }
 
     async fn save_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
@@ -58,18 +58,18 @@ impl<J: LogStore, H: WriteHook> LogStore for HookedLogStore<J, H> {
     }
 
     async fn append(&self, entries: Vec<(u64, Vec<u8>)>) -> io::Result<()> {
-        self.around(Write::Append, self.inner.append(entries)).await
+        self.with_hooks(Write::Append, self.inner.append(entries)).await
     }
 
     async fn truncate(&self, index: u64) -> io::Result<()> {
-        self.around(Write::Truncate, self.inner.truncate(index)).await
+        self.with_hooks(Write::Truncate, self.inner.truncate(index)).await
     }
 
     async fn purge(&self, index: u64, last: Vec<u8>) -> io::Result<()> {
-        self.around(Write::Purge, self.inner.purge(index, last)).await
+        self.with_hooks(Write::Purge, self.inner.purge(index, last)).await
     }
 
     async fn save_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
-        self.around(Write::Snapshot, self.inner.save_snapshot(snapshot)).await
+        self.with_hooks(Write::Snapshot, self.inner.save_snapshot(snapshot)).await
     }
 }

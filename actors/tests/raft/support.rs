@@ -1,4 +1,4 @@
-//! A fleet of replicas on the virtual bus, and what it agrees on.
+//! Fleet of replicas on the virtual bus.
 
 use consort_actors::bus::SharedBus;
 use consort_actors::bus::virtual_bus::{LinkModel, VirtualNetwork};
@@ -16,7 +16,7 @@ use tokio::time::Instant;
 pub(crate) const TIMEOUT: Duration = Duration::from_secs(5);
 pub(crate) const NAMES: [&str; 7] = ["ada", "bob", "cyd", "dan", "eve", "fay", "gus"];
 
-/// A list of numbers, each with the place at which it was written.
+/// List of numbers, each with its log position.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct NumberList {
     pub(crate) written: Vec<(Epoch, u64)>,
@@ -52,14 +52,14 @@ pub(crate) fn node(name: &str) -> NodeId {
     NodeId::new(name).expect("a slug")
 }
 
-/// Runs a story on virtual time.
-pub(crate) fn on_virtual_time<T>(story: impl Future<Output = T>) -> T {
+/// Runs a test on virtual time.
+pub(crate) fn on_virtual_time<T>(test: impl Future<Output = T>) -> T {
     tokio::runtime::Builder::new_current_thread()
         .enable_time()
         .start_paused(true)
         .build()
-        .expect("runtime")
-        .block_on(story)
+        .expect("a runtime")
+        .block_on(test)
 }
 
 pub(crate) struct Fleet {
@@ -68,7 +68,7 @@ pub(crate) struct Fleet {
     pub(crate) settings: fn(NodeId) -> RaftSettings,
     pub(crate) replicas: BTreeMap<NodeId, Replica<NumberList>>,
     pub(crate) log_stores: BTreeMap<NodeId, MemoryLogStore>,
-    pub(crate) began: Instant,
+    pub(crate) started_at: Instant,
     pub(crate) starts: u64,
 }
 
@@ -81,7 +81,7 @@ pub(crate) fn with_short_logs(node: NodeId) -> RaftSettings {
 }
 
 impl Fleet {
-    /// `size` nodes that have met and founded a fleet; no leader yet.
+    /// Starts `size` nodes and bootstraps the cluster; there is no leader yet.
     pub(crate) async fn bootstrapped(seed: u64, size: usize, settings: fn(NodeId) -> RaftSettings) -> Fleet {
         let mut fleet = Fleet {
             seed,
@@ -89,7 +89,7 @@ impl Fleet {
             settings,
             replicas: BTreeMap::new(),
             log_stores: BTreeMap::new(),
-            began: Instant::now(),
+            started_at: Instant::now(),
             starts: 0,
         };
         for name in &NAMES[..size] {
@@ -97,11 +97,11 @@ impl Fleet {
         }
         let members: BTreeMap<_, _> =
             fleet.replicas.iter().map(|(name, replica)| (replica.id(), name.clone())).collect();
-        fleet.on("ada").bootstrap(members).await.expect("a first founding");
+        fleet.on("ada").bootstrap(members).await.expect("the first bootstrap");
         fleet
     }
 
-    /// Starts a node with a store of its own that nobody has written to.
+    /// Starts a node with a new, empty log store.
     pub(crate) async fn start_empty(&mut self, name: &str) -> RaftId {
         self.starts += 1;
         let seed = self.seed.wrapping_mul(1000) + self.starts;
@@ -109,19 +109,19 @@ impl Fleet {
         self.start(name).await
     }
 
-    /// Starts a node with the store it had.
+    /// Starts a node with its previous log store.
     pub(crate) async fn start(&mut self, name: &str) -> RaftId {
         self.starts += 1;
         let seed = self.seed.wrapping_mul(1000) + self.starts;
-        let disk: Arc<dyn LogStore> = Arc::new(self.log_stores[&node(name)].clone());
+        let log_store: Arc<dyn LogStore> = Arc::new(self.log_stores[&node(name)].clone());
         let bus: SharedBus = Arc::new(self.network.bus(node(name)));
-        let replica = Replica::start((self.settings)(node(name)), bus, disk, seed).await.expect("a start");
+        let replica = Replica::start((self.settings)(node(name)), bus, log_store, seed).await.expect("a start");
         let id = replica.id();
         self.replicas.insert(node(name), replica);
         id
     }
 
-    /// Ends a node as a power cut does.
+    /// Stops a node as a power failure does.
     pub(crate) fn kill(&mut self, name: &NodeId) {
         self.network.crash(name);
         self.replicas.remove(name).expect("a live node");
@@ -135,26 +135,31 @@ impl Fleet {
         self.replicas[name].leadership().borrow().clone()
     }
 
-    /// Who count themselves leader at this moment.
+    /// Returns the nodes that count themselves leader at this moment.
     pub(crate) fn leaders(&self) -> Vec<NodeId> {
         self.replicas.keys().filter(|name| self.view(name).is_leader).cloned().collect()
     }
 
-    /// Waits until `done`, looking every virtual millisecond.
-    pub(crate) async fn until(&self, what: &str, mut done: impl FnMut(&Fleet) -> bool) {
-        let began = Instant::now();
-        while !done(self) {
-            assert!(began.elapsed() < Duration::from_secs(20), "waited in vain until {what}, seed {}", self.seed);
+    /// Waits until `is_met` returns true; checks it every virtual millisecond.
+    pub(crate) async fn until(&self, condition: &str, mut is_met: impl FnMut(&Fleet) -> bool) {
+        let started_at = Instant::now();
+        while !is_met(self) {
+            assert!(
+                started_at.elapsed() < Duration::from_secs(20),
+                "timed out waiting until {condition}, seed {}",
+                self.seed
+            );
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     }
 
     pub(crate) async fn leader(&self) -> NodeId {
-        self.until("there is one leader", |fleet| fleet.leaders().len() == 1).await;
+        self.until("there is a single leader", |fleet| fleet.leaders().len() == 1).await;
         self.leaders().remove(0)
     }
 
-    /// Writes a number through whoever leads, as often as it takes; tells where it stands.
+    /// Appends a number through the current leader, and retries until it succeeds; returns its log
+    /// position.
     pub(crate) async fn write(&self, number: u64) -> Epoch {
         loop {
             let leader = self.leader().await;
@@ -168,23 +173,24 @@ impl Fleet {
     }
 
     pub(crate) async fn until_all_hold(&self, count: usize) {
-        self.until("all have applied everything", |fleet| {
-            fleet.replicas.values().all(|replica| replica.read(|tally| tally.written.len()) >= count)
+        self.until("all replicas have applied everything", |fleet| {
+            fleet.replicas.values().all(|replica| replica.read(|list| list.written.len()) >= count)
         })
         .await;
     }
 
-    /// Waits until all have applied the same, which is all that was acknowledged: whoever leads had it applied before.
+    /// Waits until all nodes have applied the same entries. These include all acknowledged entries:
+    /// a leader applies an entry before it acknowledges it.
     pub(crate) async fn until_all_agree(&self) {
-        self.until("all hold the same", |fleet| {
-            let mut held = fleet.replicas.values().map(|replica| replica.read(NumberList::clone));
-            let first = held.next();
-            held.all(|tally| Some(&tally) == first.as_ref())
+        self.until("all replicas have the same state", |fleet| {
+            let mut states = fleet.replicas.values().map(|replica| replica.read(NumberList::clone));
+            let first = states.next();
+            states.all(|list| Some(&list) == first.as_ref())
         })
         .await;
     }
 
-    /// What all nodes hold, which must be one and the same.
+    /// Returns the state of all nodes, which must be identical.
     pub(crate) fn common(&self) -> NumberList {
         let mut all = self.replicas.values().map(|replica| replica.read(NumberList::clone));
         let first = all.next().expect("a live node");

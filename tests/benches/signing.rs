@@ -1,15 +1,18 @@
-//! What seals cost: messages of usual sizes sealed and opened, beside what it takes to write and read them.
+//! Cost of signing: messages of usual sizes are signed and verified, compared with encoding and
+//! decoding them.
 //!
 //! ```text
-//! cargo bench -p consort-tests --bench seal
+//! cargo bench -p consort-tests --bench signing
 //! ```
 //!
-//! A seal is an Ed25519 signature, which takes as long for a small message as for a large one but for the hash of it. Opening is what
-//! `SealedBus` does with what it hears: signature, right to say it, and whether it was heard before. Each figure is the least of many
-//! rounds, and a ratio to writing and reading the same message in the same round is beside it: what else the machine does matters less so.
+//! A signature is an Ed25519 signature. Apart from the hash of the message, it takes the same time
+//! for small and large messages. Verification is the work of `SigningBus` for a received message:
+//! signature, permission of the signer, and replay check. Each figure is the minimum of many
+//! rounds. The ratio to encoding and decoding the same message in the same round is reported as
+//! well: it depends less on other load of the machine.
 
 #[path = "support/figures.rs"]
-#[expect(dead_code, reason = "others measure spans between instants")]
+#[expect(dead_code, reason = "other benchmarks measure durations between instants")]
 mod support;
 
 use consort_protocol::codec;
@@ -31,10 +34,10 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 const ROUNDS: usize = 200;
-const OF_EACH: u32 = 50;
+const CALLS_PER_ROUND: u32 = 50;
 
 fn main() -> ExitCode {
-    support::main("seal", async { Ok(measure()) })
+    support::main("signing", async { Ok(measure()) })
 }
 
 fn name<T: std::str::FromStr<Err: std::fmt::Debug>>(text: &str) -> T {
@@ -69,7 +72,7 @@ fn measure() -> Value {
     };
     let stamp = RecordStamp { incarnation: 1_800_000_000_000, version: 9 };
     let statement = RecordUpdate::Record(Record { owner: node.clone(), stamp, knowledge, proof: None });
-    // Entries as an append has them: each with its place in the log.
+    // Entries as in an append message: each with its position in the log.
     let entries = |count: u64| -> Vec<(u64, u64, Command)> {
         let progress = || Command::Progress {
             mission: name("lab-samples-1"),
@@ -82,68 +85,74 @@ fn measure() -> Value {
     };
     let append = Key::Raft(1, RaftCall::Append);
     json!({
-        "beacon": costs(&Key::Beacon, Operation::Publish, &beacon, written, read::<ClusterEnvelope>),
-        "statement": costs(&Key::Knowledge(node), Operation::Publish, &statement, stated, understood),
-        "append_of_1": costs(&append, Operation::Query, &entries(1), written, read::<Vec<(u64, u64, Command)>>),
-        "append_of_64": costs(&append, Operation::Query, &entries(64), written, read::<Vec<(u64, u64, Command)>>),
+        "beacon": costs(&Key::Beacon, Operation::Publish, &beacon, encode_message, decode_message::<ClusterEnvelope>),
+        "statement": costs(&Key::Knowledge(node), Operation::Publish, &statement, encode_statement, decode_statement),
+        "append_of_1": costs(&append, Operation::Query, &entries(1), encode_message, decode_message::<Vec<(u64, u64, Command)>>),
+        "append_of_64": costs(&append, Operation::Query, &entries(64), encode_message, decode_message::<Vec<(u64, u64, Command)>>),
     })
 }
 
-/// The least time that each of many takes, in microseconds.
+/// Returns the least mean duration of a call, in microseconds.
 fn least_us(mut work: impl FnMut()) -> f64 {
     let round = |work: &mut dyn FnMut()| {
         let began = Instant::now();
-        (0..OF_EACH).for_each(|_| work());
-        began.elapsed() / OF_EACH
+        (0..CALLS_PER_ROUND).for_each(|_| work());
+        began.elapsed() / CALLS_PER_ROUND
     };
     let least = (0..ROUNDS).map(|_| round(&mut work)).min().unwrap_or(Duration::ZERO);
     (least.as_nanos() as f64 / 10.0).round() / 100.0
 }
 
-fn written<T: Serialize>(message: &T) -> Vec<u8> {
+fn encode_message<T: Serialize>(message: &T) -> Vec<u8> {
     codec::encode(message).expect("a message")
 }
 
-fn read<T: DeserializeOwned>(bytes: &[u8]) {
+fn decode_message<T: DeserializeOwned>(bytes: &[u8]) {
     std::hint::black_box(codec::decode::<T>(bytes).expect("a message"));
 }
 
-fn stated(statement: &RecordUpdate) -> Vec<u8> {
+fn encode_statement(statement: &RecordUpdate) -> Vec<u8> {
     codec::encode_for_version(VersionRange::OWN.newest, statement.clone()).expect("a message")
 }
 
-fn understood(bytes: &[u8]) {
+fn decode_statement(bytes: &[u8]) {
     std::hint::black_box(codec::decode_any_version::<RecordUpdate>(bytes).expect("a message"));
 }
 
-fn costs<T>(key: &Key, act: Operation, message: &T, write: impl Fn(&T) -> Vec<u8>, read: impl Fn(&[u8])) -> Value {
-    let papers = Credentials::new(name("ward"), 1);
-    let ada = papers.keyring_of(&name("ada"), [NodeRole::Robot, NodeRole::Voter].into(), 1);
+fn costs<T>(
+    key: &Key,
+    operation: Operation,
+    message: &T,
+    write: impl Fn(&T) -> Vec<u8>,
+    decode_message: impl Fn(&[u8]),
+) -> Value {
+    let credentials = Credentials::new(name("ward"), 1);
+    let ada = credentials.keyring_of(&name("ada"), [NodeRole::Robot, NodeRole::Voter].into(), 1);
     let keys = Keys::new(&name("ward"));
     let key = keys.write(key);
-    let below = keys.strip_fleet(&key).expect("a key of the fleet's").to_owned();
-    let kind = if act == Operation::Publish { MessageKind::Publication } else { MessageKind::Query };
+    let suffix = keys.strip_fleet(&key).expect("a key of the fleet's").to_owned();
+    let kind = if operation == Operation::Publish { MessageKind::Publication } else { MessageKind::Query };
     let payload = write(message);
-    let card = ada.certificate(ada.fingerprint()).expect("its own");
-    let seal = || ada.sign_envelope(kind, ada.next_number(), &key, &payload);
-    let sealing = least_us(|| {
-        std::hint::black_box(seal());
+    let certificate = ada.certificate(ada.fingerprint()).expect("the own certificate");
+    let sign = || ada.sign_envelope(kind, ada.next_number(), &key, &payload);
+    let sign_us = least_us(|| {
+        std::hint::black_box(sign());
     });
-    let sealed = seal();
-    let opening = least_us(|| {
-        let heard = decode_envelope(kind, &sealed).expect("a seal");
-        let signed = signed_part(kind, heard.signer, heard.number, &key, heard.payload);
-        assert!(card.verify(&signed, heard.signature));
-        authorize(&card.identity, act, &below, heard.payload).expect("ada may");
-        std::hint::black_box(ReplayWindow::default().accept(heard.number));
+    let signed_message = sign();
+    let verify_us = least_us(|| {
+        let envelope = decode_envelope(kind, &signed_message).expect("a signed envelope");
+        let signed = signed_part(kind, envelope.signer, envelope.number, &key, envelope.payload);
+        assert!(certificate.verify(&signed, envelope.signature));
+        authorize(&certificate.identity, operation, &suffix, envelope.payload).expect("ada is authorized");
+        std::hint::black_box(ReplayWindow::default().accept(envelope.number));
     });
-    let plain = least_us(|| {
-        read(&write(message));
+    let encode_and_decode_us = least_us(|| {
+        decode_message(&write(message));
     });
-    let ratio = |part: f64| (part / plain * 10.0).round() / 10.0;
+    let ratio = |part: f64| (part / encode_and_decode_us * 10.0).round() / 10.0;
     json!({
-        "bytes": payload.len(), "sealed": payload.len() + ENVELOPE_BYTES,
-        "write_and_read_us": plain, "seal_us": sealing, "open_us": opening,
-        "seal_ratio": ratio(sealing), "open_ratio": ratio(opening),
+        "bytes": payload.len(), "signed_bytes": payload.len() + ENVELOPE_BYTES,
+        "encode_and_decode_us": encode_and_decode_us, "sign_us": sign_us, "verify_us": verify_us,
+        "sign_ratio": ratio(sign_us), "verify_ratio": ratio(verify_us),
     })
 }

@@ -1,4 +1,4 @@
-//! A replicated ledger on the virtual bus.
+//! Replicated ledger on the virtual bus.
 
 mod failover;
 mod group_commit;

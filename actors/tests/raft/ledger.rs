@@ -1,4 +1,4 @@
-//! Elections, crashes, partitions, restarts: one ledger, whatever happens.
+//! Elections, crashes, partitions and restarts: all nodes have the same ledger in every case.
 
 use crate::support::{Fleet, NumberCommand, TIMEOUT, default_settings, node, on_virtual_time, with_short_logs};
 use consort_actors::bus::Bus as _;
@@ -12,7 +12,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 #[test]
-fn three_and_five_nodes_elect_one_leader_and_apply_all_writes_in_one_order() {
+fn fleets_elect_a_leader_and_apply_all_writes_in_one_order() {
     for size in [3, 5] {
         on_virtual_time(async {
             let fleet = Fleet::bootstrapped(1, size, default_settings).await;
@@ -24,17 +24,17 @@ fn three_and_five_nodes_elect_one_leader_and_apply_all_writes_in_one_order() {
             assert_eq!(fleet.common().numbers(), (0..300).collect::<Vec<_>>());
             assert!(fleet.common().written.is_sorted());
             for name in fleet.replicas.keys() {
-                let believed = fleet.view(name);
-                assert_eq!(believed.leader, Some(leader.clone()));
-                assert_eq!(believed.voters.len(), size);
-                assert_eq!(believed.is_leader, *name == leader);
+                let view = fleet.view(name);
+                assert_eq!(view.leader, Some(leader.clone()));
+                assert_eq!(view.voters.len(), size);
+                assert_eq!(view.is_leader, *name == leader);
             }
         });
     }
 }
 
 #[test]
-fn a_killed_leader_is_replaced_and_nothing_acknowledged_is_lost() {
+fn a_killed_leader_is_replaced_without_a_lost_commit() {
     for seed in 0..50 {
         on_virtual_time(async {
             let mut fleet = Fleet::bootstrapped(seed, 5, default_settings).await;
@@ -43,42 +43,45 @@ fn a_killed_leader_is_replaced_and_nothing_acknowledged_is_lost() {
                 for number in round * 100..round * 100 + 20 {
                     acknowledged.insert(fleet.write(number).await, number);
                 }
-                // One more is under way when the leader dies: whether it is committed, nobody can say.
+                // Another command is in progress when the leader fails: it may or may not be
+                // committed.
                 let leader = fleet.leader().await;
-                let dying = fleet.replicas[&leader].clone();
-                let open =
-                    tokio::spawn(async move { dying.propose(NumberCommand::Append(1_000_000 + round), TIMEOUT).await });
+                let failing_leader = fleet.replicas[&leader].clone();
+                let pending = tokio::spawn(async move {
+                    failing_leader.propose(NumberCommand::Append(1_000_000 + round), TIMEOUT).await
+                });
                 tokio::time::sleep(Duration::from_micros(500)).await;
-                open.abort();
+                pending.abort();
                 fleet.kill(&leader);
                 acknowledged.insert(fleet.write(round * 100 + 50).await, round * 100 + 50);
             }
             fleet.until_all_hold(acknowledged.len()).await;
             fleet.until_all_agree().await;
-            let held: BTreeMap<_, _> = fleet.common().written.into_iter().collect();
+            let log: BTreeMap<_, _> = fleet.common().written.into_iter().collect();
             for (at, number) in acknowledged {
-                assert_eq!(held.get(&at), Some(&number), "at {at}, seed {seed}");
+                assert_eq!(log.get(&at), Some(&number), "at {at}, seed {seed}");
             }
         });
     }
 }
 
-/// What happened when: virtual time, term and leader, on every change that any node believes in.
-type Chronicle = Vec<(Duration, NodeId, u64, Option<NodeId>, bool)>;
+/// Trace of a run: virtual time, node, term, leader and `is_leader`, for each change of a node's
+/// view.
+type Trace = Vec<(Duration, NodeId, u64, Option<NodeId>, bool)>;
 
-/// Tells a run with two dead leaders, and the digest of all its messages.
-async fn chronicle(seed: u64) -> (Chronicle, u64) {
+/// Runs a fleet in which two leaders fail; returns the trace and the digest of all messages.
+async fn run_with_trace(seed: u64) -> (Trace, u64) {
     let mut fleet = Fleet::bootstrapped(seed, 5, default_settings).await;
-    let mut told = Vec::new();
+    let mut trace = Vec::new();
     let mut last: BTreeMap<NodeId, LeadershipView> = BTreeMap::new();
     let mut number = 0;
     for step in 0..3000 {
         for name in fleet.replicas.keys() {
-            let believed = fleet.view(name);
-            if last.get(name) != Some(&believed) {
-                let leader = believed.leader.clone();
-                told.push((fleet.began.elapsed(), name.clone(), believed.term, leader, believed.is_leader));
-                last.insert(name.clone(), believed);
+            let view = fleet.view(name);
+            if last.get(name) != Some(&view) {
+                let leader = view.leader.clone();
+                trace.push((fleet.started_at.elapsed(), name.clone(), view.term, leader, view.is_leader));
+                last.insert(name.clone(), view);
             }
         }
         if step == 900 || step == 1900 {
@@ -93,43 +96,44 @@ async fn chronicle(seed: u64) -> (Chronicle, u64) {
         }
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
-    (told, fleet.network.digest())
+    (trace, fleet.network.digest())
 }
 
 #[test]
-fn one_seed_gives_one_run_and_another_gives_another() {
-    let runs: Vec<_> = (0..6).map(|seed| on_virtual_time(chronicle(seed))).collect();
+fn each_seed_gives_a_reproducible_run_of_its_own() {
+    let runs: Vec<_> = (0..6).map(|seed| on_virtual_time(run_with_trace(seed))).collect();
     for (seed, run) in (0..).zip(&runs) {
         assert!(run.0.len() > 20, "{run:#?}");
-        assert_eq!(*run, on_virtual_time(chronicle(seed)), "seed {seed}");
+        assert_eq!(*run, on_virtual_time(run_with_trace(seed)), "seed {seed}");
     }
     assert_eq!(runs.iter().collect::<BTreeSet<_>>().len(), runs.len());
 }
 
 #[test]
-fn a_leader_in_the_minority_knows_it_and_refuses_while_the_majority_goes_on() {
+fn a_leader_in_the_minority_steps_down_and_rejects_proposals() {
     for seed in 0..20 {
         on_virtual_time(async {
             let fleet = Fleet::bootstrapped(seed, 5, default_settings).await;
             fleet.write(1).await;
             let old = fleet.leader().await;
-            let companion = fleet.replicas.keys().find(|name| **name != old).expect("five nodes").clone();
+            let follower = fleet.replicas.keys().find(|name| **name != old).expect("five nodes").clone();
             let majority: Vec<_> =
-                fleet.replicas.keys().filter(|name| ![&old, &companion].contains(name)).cloned().collect();
-            let old_reign = fleet.view(&old).leader_id.expect("a reign");
-            fleet.network.partition([vec![old.clone(), companion.clone()], majority.clone()]);
+                fleet.replicas.keys().filter(|name| ![&old, &follower].contains(name)).cloned().collect();
+            let old_leadership = fleet.view(&old).leader_id.expect("a leader");
+            fleet.network.partition([vec![old.clone(), follower.clone()], majority.clone()]);
 
-            // It cannot know yet: what it proposes now is open for ever, as far as the caller can tell.
+            // The leader has not detected the partition yet: the outcome of its proposal is unknown
+            // to the caller.
             let cut_at = Instant::now();
             let limit = Duration::from_millis(100);
-            let open = fleet.replicas[&old].propose(NumberCommand::Append(2), limit).await;
-            assert_eq!(open, Err(ProposeError::TimedOut { limit }));
+            let pending = fleet.replicas[&old].propose(NumberCommand::Append(2), limit).await;
+            assert_eq!(pending, Err(ProposeError::TimedOut { limit }));
             assert!(cut_at.elapsed() <= limit + Duration::from_millis(2), "{:?}", cut_at.elapsed());
 
-            let mut believed = fleet.replicas[&old].leadership();
-            believed.wait_for(|now| !now.is_leader).await.expect("a replica");
-            let doubted_after = cut_at.elapsed();
-            assert!(doubted_after <= Duration::from_millis(281), "{doubted_after:?}, seed {seed}");
+            let mut view = fleet.replicas[&old].leadership();
+            view.wait_for(|now| !now.is_leader).await.expect("a replica");
+            let detected_after = cut_at.elapsed();
+            assert!(detected_after <= Duration::from_millis(281), "{detected_after:?}, seed {seed}");
             assert!(fleet.leaders().is_empty(), "another led at the same time, seed {seed}");
             let now = fleet.view(&old);
             assert!(now.lost_quorum && now.leader_id.is_none() && now.leader.is_none());
@@ -141,8 +145,8 @@ fn a_leader_in_the_minority_knows_it_and_refuses_while_the_majority_goes_on() {
 
             let new = fleet.leader().await;
             assert!(majority.contains(&new));
-            let new_reign = fleet.view(&new).leader_id.expect("a reign");
-            assert!(new_reign > old_reign);
+            let new_leadership = fleet.view(&new).leader_id.expect("a leader");
+            assert!(new_leadership > old_leadership);
             fleet.replicas[&new].ensure_leader(TIMEOUT).await.expect("a confirmation");
             fleet.replicas[&new].propose(NumberCommand::Append(4), TIMEOUT).await.expect("a commit");
 
@@ -155,7 +159,7 @@ fn a_leader_in_the_minority_knows_it_and_refuses_while_the_majority_goes_on() {
 }
 
 #[test]
-fn at_no_instant_do_two_nodes_count_themselves_leader() {
+fn two_nodes_never_count_themselves_leader() {
     for seed in 0..12 {
         on_virtual_time(async {
             let fleet = Fleet::bootstrapped(seed, 5, default_settings).await;
@@ -173,9 +177,9 @@ fn at_no_instant_do_two_nodes_count_themselves_leader() {
                     let leaders = fleet.leaders();
                     assert!(leaders.len() <= 1, "{leaders:?} at once, seed {seed}, round {round}");
                     if let [leader] = &leaders[..] {
-                        let reign = fleet.view(leader).leader_id.expect("a reign");
-                        assert!(reign >= last, "{reign} after {last}, seed {seed}");
-                        last = reign;
+                        let leadership = fleet.view(leader).leader_id.expect("a leader");
+                        assert!(leadership >= last, "{leadership} after {last}, seed {seed}");
+                        last = leadership;
                     }
                     if step == 800 {
                         fleet.network.heal();
@@ -189,7 +193,7 @@ fn at_no_instant_do_two_nodes_count_themselves_leader() {
 }
 
 #[test]
-fn a_leader_that_no_one_hears_is_replaced_and_a_leader_that_hears_no_one_steps_down() {
+fn a_leader_with_a_one_way_link_is_replaced() {
     for seed in 0..20 {
         for sending in [true, false] {
             on_virtual_time(async {
@@ -201,7 +205,7 @@ fn a_leader_that_no_one_hears_is_replaced_and_a_leader_that_hears_no_one_steps_d
                 } else {
                     fleet.network.block_incoming(old.clone());
                 }
-                fleet.until("the old leader doubts", |fleet| !fleet.view(&old).is_leader).await;
+                fleet.until("the old leader steps down", |fleet| !fleet.view(&old).is_leader).await;
                 fleet.until("another leads", |fleet| fleet.leaders().iter().any(|leader| *leader != old)).await;
                 fleet.write(2).await;
                 fleet.network.heal();
@@ -214,7 +218,7 @@ fn a_leader_that_no_one_hears_is_replaced_and_a_leader_that_hears_no_one_steps_d
 }
 
 #[test]
-fn a_node_that_was_cut_off_for_long_catches_up_by_a_snapshot_of_many_chunks() {
+fn a_node_that_was_cut_off_catches_up_by_a_chunked_snapshot() {
     on_virtual_time(async {
         let fleet = Fleet::bootstrapped(3, 3, with_short_logs).await;
         let leader = fleet.leader().await;
@@ -225,20 +229,20 @@ fn a_node_that_was_cut_off_for_long_catches_up_by_a_snapshot_of_many_chunks() {
         for number in 0..200 {
             fleet.replicas[&leader].propose(NumberCommand::Append(number), TIMEOUT).await.expect("a commit");
         }
-        assert!(fleet.replicas[&lost].read(|tally| tally.written.is_empty()));
+        assert!(fleet.replicas[&lost].read(|list| list.written.is_empty()));
         fleet.network.heal();
         fleet.until_all_hold(200).await;
         fleet.write(200).await;
         fleet.until_all_hold(201).await;
         assert_eq!(fleet.common().numbers(), (0..=200).collect::<Vec<_>>());
-        let kept = fleet.log_stores[&lost].load().await.expect("a memory journal");
-        assert!(kept.snapshot.is_some_and(|bytes| bytes.len() > 300_000));
-        assert!(kept.entries.len() <= 30, "{} entries kept", kept.entries.len());
+        let stored = fleet.log_stores[&lost].load().await.expect("a log store in memory");
+        assert!(stored.snapshot.is_some_and(|bytes| bytes.len() > 300_000));
+        assert!(stored.entries.len() <= 30, "{} entries kept", stored.entries.len());
     });
 }
 
 #[test]
-fn a_fleet_that_lost_power_takes_up_where_its_journals_end() {
+fn a_fleet_continues_after_a_power_failure() {
     for seed in 0..10 {
         on_virtual_time(async {
             let mut fleet = Fleet::bootstrapped(seed, 3, with_short_logs).await;
@@ -262,7 +266,7 @@ fn a_fleet_that_lost_power_takes_up_where_its_journals_end() {
 }
 
 #[test]
-fn a_node_that_comes_back_empty_is_another_voter_and_may_take_the_place_of_the_former() {
+fn a_node_with_an_empty_store_comes_back_as_another_member() {
     on_virtual_time(async {
         let mut fleet = Fleet::bootstrapped(5, 3, default_settings).await;
         fleet.write(1).await;
@@ -273,30 +277,30 @@ fn a_node_that_comes_back_empty_is_another_voter_and_may_take_the_place_of_the_f
         let present = fleet.start_empty(lost.as_str()).await;
         assert_ne!(present, former);
 
-        // It is nobody to Raft: it neither stands for election nor counts towards a majority.
+        // It is not a member: it neither campaigns nor counts towards a majority.
         tokio::time::sleep(TIMEOUT).await;
-        let newcomer = fleet.view(&lost);
-        assert_eq!((newcomer.term, newcomer.leader_id, newcomer.voters.len()), (0, None, 0));
+        let replaced_node = fleet.view(&lost);
+        assert_eq!((replaced_node.term, replaced_node.leader_id, replaced_node.voters.len()), (0, None, 0));
         let leader = fleet.leader().await;
         let voters = fleet.view(&leader).voters;
         assert!(voters.contains_key(&former) && !voters.contains_key(&present));
 
-        let chief = fleet.replicas[&leader].clone();
-        let kept: BTreeSet<_> = voters.keys().copied().filter(|id| *id != former).chain([present]).collect();
-        let refused = chief.set_voters(kept.clone(), TIMEOUT).await;
+        let leader_replica = fleet.replicas[&leader].clone();
+        let new_voters: BTreeSet<_> = voters.keys().copied().filter(|id| *id != former).chain([present]).collect();
+        let refused = leader_replica.set_voters(new_voters.clone(), TIMEOUT).await;
         assert_eq!(refused, Err(MemberError::NotLearner(present)));
-        chief.add_learner(present, lost.clone(), TIMEOUT).await.expect("a commit");
+        leader_replica.add_learner(present, lost.clone(), TIMEOUT).await.expect("a commit");
         fleet.until_all_hold(1).await;
-        chief.set_voters(kept.clone(), TIMEOUT).await.expect("a commit");
+        leader_replica.set_voters(new_voters.clone(), TIMEOUT).await.expect("a commit");
         fleet
-            .until("all know", |fleet| {
+            .until("all nodes have the new voters", |fleet| {
                 fleet
                     .replicas
                     .keys()
-                    .all(|name| fleet.view(name).voters.keys().copied().collect::<BTreeSet<_>>() == kept)
+                    .all(|name| fleet.view(name).voters.keys().copied().collect::<BTreeSet<_>>() == new_voters)
             })
             .await;
-        // The other old voter dies: the newcomer's vote is needed, and given.
+        // The other former voter fails: the vote of the new voter is needed, and granted.
         let third = fleet.replicas.keys().find(|name| ![&lost, &leader].contains(name)).expect("three nodes").clone();
         fleet.kill(&third);
         fleet.write(2).await;
@@ -306,16 +310,16 @@ fn a_node_that_comes_back_empty_is_another_voter_and_may_take_the_place_of_the_f
 }
 
 #[test]
-fn what_cannot_be_read_is_refused_and_counted_and_what_is_too_large_is_not_proposed() {
+fn undecodable_requests_are_rejected_and_counted() {
     on_virtual_time(async {
         let fleet = Fleet::bootstrapped(6, 3, default_settings).await;
         fleet.write(1).await;
         let target = fleet.on("bob").id();
         let stranger = fleet.network.bus(node("zed"));
-        for verb in ["vote", "append", "snapshot", "canvass", "succeed", "dance"] {
-            let key = format!("consort/ward/wire/raft/{target}/{verb}");
+        for call in ["vote", "append", "snapshot", "pre_vote", "transfer_leadership", "dance"] {
+            let key = format!("consort/ward/wire/raft/{target}/{call}");
             let mut replies = stranger.query(&key, vec![1, 255, 255].into(), TIMEOUT).await.expect("a query");
-            assert!(replies.recv().await.is_some_and(|reply| reply.payload.is_err()), "{verb}");
+            assert!(replies.recv().await.is_some_and(|reply| reply.payload.is_err()), "{call}");
         }
         assert_eq!(fleet.on("bob").rejected_requests(), 6);
         fleet.write(2).await;
@@ -324,7 +328,7 @@ fn what_cannot_be_read_is_refused_and_counted_and_what_is_too_large_is_not_propo
 }
 
 #[test]
-fn a_bad_link_delays_commits_and_loses_none() {
+fn bad_links_delay_commits_and_lose_none() {
     for seed in 0..10 {
         on_virtual_time(async {
             let fleet = Fleet::bootstrapped(seed, 5, with_short_logs).await;
@@ -340,21 +344,24 @@ fn a_bad_link_delays_commits_and_loses_none() {
             acknowledged.insert(fleet.write(100).await, 100);
             let last = *acknowledged.keys().last().expect("a commit");
             fleet
-                .until("all have applied it", |fleet| fleet.replicas.values().all(|r| *r.applied().borrow() >= last))
+                .until("all nodes have applied it", |fleet| {
+                    fleet.replicas.values().all(|r| *r.applied().borrow() >= last)
+                })
                 .await;
-            let held: BTreeMap<_, _> = fleet.common().written.into_iter().collect();
-            assert!(acknowledged.iter().all(|(at, number)| held.get(at) == Some(number)), "seed {seed}");
+            let log: BTreeMap<_, _> = fleet.common().written.into_iter().collect();
+            assert!(acknowledged.iter().all(|(at, number)| log.get(at) == Some(number)), "seed {seed}");
         });
     }
 }
 
 #[test]
-fn founding_twice_changes_nothing() {
+fn a_second_bootstrap_changes_nothing() {
     on_virtual_time(async {
         let fleet = Fleet::bootstrapped(7, 3, default_settings).await;
         let members: BTreeMap<_, _> =
             fleet.replicas.iter().map(|(name, replica)| (replica.id(), name.clone())).collect();
-        // Two of them founded the same fleet, the second perhaps before it heard of the first.
+        // Two nodes bootstrap the same cluster; the second may call it before it receives messages
+        // of the first.
         let _ = fleet.on("bob").bootstrap(members.clone()).await;
         fleet.write(1).await;
         fleet.until_all_hold(1).await;
@@ -365,13 +372,13 @@ fn founding_twice_changes_nothing() {
 }
 
 #[test]
-fn a_voter_that_returns_does_not_unseat_the_leader() {
+fn a_returning_voter_does_not_depose_the_leader() {
     for seed in 0..15 {
         on_virtual_time(async {
             let fleet = Fleet::bootstrapped(seed, 5, default_settings).await;
             fleet.write(1).await;
             let leader = fleet.leader().await;
-            let reign = fleet.view(&leader).leader_id;
+            let leadership = fleet.view(&leader).leader_id;
             let lost = fleet.replicas.keys().find(|name| **name != leader).expect("five nodes").clone();
             let others = fleet.replicas.keys().filter(|name| **name != lost).cloned().collect();
             fleet.network.partition([vec![lost.clone()], others]);
@@ -381,7 +388,7 @@ fn a_voter_that_returns_does_not_unseat_the_leader() {
             fleet.write(2).await;
             fleet.until_all_hold(2).await;
             for name in fleet.replicas.keys() {
-                assert_eq!(fleet.view(name).leader_id, reign, "{name}, seed {seed}");
+                assert_eq!(fleet.view(name).leader_id, leadership, "{name}, seed {seed}");
             }
         });
     }
