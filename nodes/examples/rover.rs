@@ -1,7 +1,7 @@
 //! The adapter of a rover: a robot driver on the fleet's bus. The rover itself is simulated in
 //! `current_pose`.
 
-use consort_actors::node::{DriverServerPart, NodeSettings};
+use consort_fleet::node::{DriverServerPart, NodeSettings};
 use consort_nodes::config::{NodeFile, StationConfig, load};
 use consort_nodes::wiring::{NodeIncarnation, station_node};
 use consort_nodes::{exit::Failure, map_loader, node_runtime};

@@ -3,7 +3,7 @@
 
 use crate::inputs::WorkerEntry;
 use crate::wiring::SkillResources;
-use consort_actors::robot::{BidContext, Bidder};
+use consort_fleet::robot::{BidContext, Bidder};
 use consort_protocol::auction::{
     AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, RoleReply, clear_auction,
 };

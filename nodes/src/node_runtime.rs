@@ -12,11 +12,11 @@ use crate::telemetry::Telemetry;
 use crate::trust::NodeCredentials;
 use crate::wiring::bus_settings;
 use crate::{map_loader, output, service_manager};
-use consort_actors::autopilot::DecommissionReport;
-use consort_actors::bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
-use consort_actors::clock::Clock;
-use consort_actors::node::{NodeHandle, NodeSettings};
-use consort_actors::observe::SharedObserver;
+use consort_bus::clock::Clock;
+use consort_bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
+use consort_fleet::autopilot::DecommissionReport;
+use consort_fleet::node::{NodeHandle, NodeSettings};
+use consort_fleet::observe::SharedObserver;
 use consort_protocol::count::count;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
@@ -57,7 +57,7 @@ pub fn rust_log() -> Option<String> {
 /// [`Failure::Usage`] if the filter is invalid.
 pub fn start_log(text: &str, format: LogFormat) -> Result<(), Failure> {
     let filter = EnvFilter::try_new(text).map_err(|problem| {
-        let allowed = "allowed is error, warn, info, debug or trace, also by module, as info,consort_actors=debug";
+        let allowed = "allowed is error, warn, info, debug or trace, also by module, as info,consort_fleet=debug";
         Failure::Usage(format!("{text:?} is not a filter for the log: {problem}; {allowed}"))
     })?;
     // A second call, as in tests, keeps the first log. If the reader of the log has gone, a log

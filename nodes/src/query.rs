@@ -1,7 +1,7 @@
 //! A single query to a fleet: returns the first reply that settles it.
 
 use bytes::Bytes;
-use consort_actors::bus::Bus;
+use consort_bus::Bus;
 use serde_json::Value;
 use std::time::Duration;
 use tokio::time::Instant;

@@ -5,7 +5,7 @@
 //! stop a node: the manager has its own means of detection.
 
 use crate::query::{self, QueryTarget};
-use consort_actors::bus::Bus;
+use consort_bus::Bus;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
 use sd_notify::NotifyState;
@@ -62,7 +62,7 @@ fn notify(states: &[NotifyState<'_>]) {
 mod tests {
     use super::*;
     use bytes::Bytes;
-    use consort_actors::bus::{Encoding, LinkModel, VirtualNetwork};
+    use consort_bus::{Encoding, LinkModel, VirtualNetwork};
     use consort_protocol::ids::FleetId;
 
     #[tokio::test(start_paused = true)]

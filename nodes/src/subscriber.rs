@@ -2,8 +2,8 @@
 
 use crate::fleet_model::{FleetInput, FleetListener};
 use crate::query::{self, QueryTarget};
-use consort_actors::bus::{Bus, SharedBus};
-use consort_actors::robot_driver::DriverState;
+use consort_bus::{Bus, SharedBus};
+use consort_fleet::robot_driver::DriverState;
 use consort_protocol::codec;
 use consort_protocol::event::Event;
 use consort_protocol::ids::MissionId;

@@ -2,10 +2,10 @@
 
 use crate::config::{BusConfig, trust_files};
 use crate::exit::Failure;
-use consort_actors::bus::SharedBus;
-use consort_actors::clock::Clock;
-use consort_actors::node::NodeSettings;
-use consort_actors::trust::{Keyring, SigningBus, TrustFiles};
+use consort_bus::SharedBus;
+use consort_bus::clock::Clock;
+use consort_bus::trust::{Keyring, SigningBus, TrustFiles};
+use consort_fleet::node::NodeSettings;
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::Keys;
 use consort_protocol::trust::{NodeRole, Principal};

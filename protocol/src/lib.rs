@@ -48,6 +48,7 @@ pub mod mutants;
 pub mod plan;
 pub mod pose;
 mod schema;
+pub mod timing;
 pub mod trust;
 pub mod units;
 pub mod versions;

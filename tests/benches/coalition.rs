@@ -9,7 +9,7 @@
 //! `clear_auction` of the coordinator with its record of all responses. `responses` and `clear` are
 //! its two halves. `lean` is the same estimates and choice without responses, refusals and record.
 
-use consort_actors::robot::{BidContext, Bidder};
+use consort_fleet::robot::{BidContext, Bidder};
 use consort_protocol::auction::{
     AuctionContext, AuctionId, AuctionOutcome, Bid, BidLimits, BidResponse, CallForBids, clear_auction,
     optimal_assignment,

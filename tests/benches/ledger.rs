@@ -20,15 +20,15 @@
 mod support;
 
 use bytes::Bytes;
-use consort_actors::bus::zenoh_bus::Mode;
-use consort_actors::bus::{Encoding, SharedBus, ZenohBus, ZenohSettings};
-use consort_actors::raft::{LeadershipView, RaftId, RaftSettings, Replica, StoreIdentity};
-use consort_actors::store::{DurableStore, LEDGER_FILE, StoreOwner};
+use consort_bus::zenoh_bus::Mode;
+use consort_bus::{Encoding, SharedBus, ZenohBus, ZenohSettings};
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger, Submission};
 use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::plan::divide_and_check;
+use consort_raft::store::{DurableStore, LEDGER_FILE, StoreOwner};
+use consort_raft::{LeadershipView, RaftId, RaftSettings, Replica, StoreIdentity};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs::{self, File};

@@ -13,12 +13,12 @@
 
 mod support;
 
-use consort_actors::timing::Timing;
 use consort_nodes::config::{FleetConfig, StationConfig, WorldConfig};
 use consort_nodes::demo::{DemoFleet, DemoScenario};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{ApiCall, Key};
+use consort_protocol::timing::Timing;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};

@@ -2,7 +2,7 @@
 
 use crate::browser::Browser;
 use crate::support::Folder;
-use consort_actors::clock::Clock;
+use consort_bus::clock::Clock;
 use consort_nodes::address::BoundAddress;
 use consort_nodes::dashboard::{Dashboard, FramePublisher};
 use consort_nodes::fleet_model::{FleetModel, FloorPlan};

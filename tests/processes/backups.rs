@@ -3,8 +3,8 @@
 
 use crate::crashes::{STATIONS, reign, start_hospital, submit, with};
 use crate::support::{Client, Fleet, example, until};
-use consort_actors::store::Backup;
 use consort_protocol::ledger::Ledger;
+use consort_raft::store::Backup;
 use serde_json::json;
 use std::fs;
 use std::path::Path;

@@ -3,10 +3,10 @@
 
 use crate::support::{Answer, Closed, Folder, Program, config, example, http, until};
 use bytes::Bytes;
-use consort_actors::bus::zenoh_bus::{LinkTrust, Mode};
-use consort_actors::bus::{Bus, Delivery, Encoding, ZenohBus, ZenohSettings};
-use consort_actors::clock::Clock;
-use consort_actors::trust::SigningBus;
+use consort_bus::clock::Clock;
+use consort_bus::trust::SigningBus;
+use consort_bus::zenoh_bus::{LinkTrust, Mode};
+use consort_bus::{Bus, Delivery, Encoding, ZenohBus, ZenohSettings};
 use consort_nodes::config::trust_files;
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, NodeId};

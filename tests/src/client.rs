@@ -1,7 +1,7 @@
 //! Client functions: requests, views and presence tokens.
 
 use crate::{Fleet, slug};
-use consort_actors::bus::{Bus, Reply, Stream};
+use consort_bus::{Bus, Reply, Stream};
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{ApiCall, Key};
 use serde_json::{Value, json};

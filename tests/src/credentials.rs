@@ -1,13 +1,13 @@
 //! Certificates of a closed virtual fleet. All of them derive from its seed; none is stored in a
 //! file.
 
-use consort_actors::bus::SharedBus;
-use consort_actors::clock::Clock;
-use consort_actors::node::NodeSettings;
-use consort_actors::trust::issue::{
+use consort_bus::SharedBus;
+use consort_bus::clock::Clock;
+use consort_bus::trust::issue::{
     CertificateAuthority, IssuedCertificate, KeyMaterial, Validity, create_authority_from,
 };
-use consort_actors::trust::{Keyring, SigningBus};
+use consort_bus::trust::{Keyring, SigningBus};
+use consort_fleet::node::NodeSettings;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::Keys;
 use consort_protocol::trust::{Identity, NodeRole, Principal};

@@ -6,8 +6,8 @@
 //! been ordered to flush.
 
 use async_trait::async_trait;
-use consort_actors::raft::{LogStore, PersistentState, StoreIdentity};
-use consort_actors::store::{CheckpointStore, NodeStore};
+use consort_raft::store::{CheckpointStore, NodeStore};
+use consort_raft::{LogStore, PersistentState, StoreIdentity};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;

@@ -1,13 +1,13 @@
 //! Log of everything that happens in a fleet. Each node appends its events locally, so network
 //! faults hide none of them.
 
-use consort_actors::observe::Observer;
-use consort_actors::raft::LeaderId;
+use consort_fleet::observe::Observer;
 use consort_protocol::codec;
 use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Command;
+use consort_raft::LeaderId;
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hasher};
 use std::sync::{Arc, Mutex, MutexGuard};

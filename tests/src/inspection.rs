@@ -1,9 +1,9 @@
 //! Inspection of a fleet: from the state of its nodes and from the world.
 
 use crate::{Fleet, slug};
-use consort_actors::bus::LinkModel;
-use consort_actors::gossip::SharedKnowledge;
-use consort_actors::node::NodeHandle;
+use consort_bus::LinkModel;
+use consort_fleet::node::NodeHandle;
+use consort_gossip::SharedKnowledge;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RobotId};
 use consort_protocol::knowledge::RobotKnowledge;

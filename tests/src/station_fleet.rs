@@ -2,15 +2,15 @@
 
 use crate::slug;
 use crate::ward::ward;
-use consort_actors::autopilot::VOTERS;
-use consort_actors::bus::{Bus as _, LinkModel, VirtualBus, VirtualNetwork};
-use consort_actors::clock::Clock;
-use consort_actors::node::{FleetSettings, NodeHandle, NodeSettings};
-use consort_actors::raft::LeadershipView;
-use consort_actors::store::NodeStore;
+use consort_bus::clock::Clock;
+use consort_bus::{Bus as _, LinkModel, VirtualBus, VirtualNetwork};
+use consort_fleet::autopilot::VOTERS;
+use consort_fleet::node::{FleetSettings, NodeHandle, NodeSettings};
 use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
+use consort_raft::LeadershipView;
+use consort_raft::store::NodeStore;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};

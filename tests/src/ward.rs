@@ -1,15 +1,15 @@
 //! Default fleet of the tests.
 
 use crate::slug;
-use consort_actors::autopilot::VOTERS;
-use consort_actors::coordinator::RequestLimits;
-use consort_actors::node::FleetSettings;
-use consort_actors::timing::Timing;
+use consort_fleet::autopilot::VOTERS;
+use consort_fleet::coordinator::RequestLimits;
+use consort_fleet::node::FleetSettings;
 use consort_protocol::auction::{BidLimits, OptimalAssignment};
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::EnsembleId;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::Domain;
+use consort_protocol::timing::Timing;
 use consort_sim::map::shipped;
 use std::sync::Arc;
 use std::time::Duration;

@@ -84,10 +84,7 @@ fn a_large_web_socket_frame_is_rejected() {
         let address =
             BoundAddress::bind("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.expect("a free port");
         let picture = FleetModel::new("ward", "ada", FloorPlan::default(), 1000);
-        Dashboard::serve_view_only(
-            address,
-            Arc::new(FramePublisher::new(picture, consort_actors::clock::Clock::real())),
-        )
+        Dashboard::serve_view_only(address, Arc::new(FramePublisher::new(picture, consort_bus::clock::Clock::real())))
     });
     let address = dashboard.address();
     let mut stream = TcpStream::connect(address).expect("the dashboard takes connections");

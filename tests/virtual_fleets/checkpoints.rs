@@ -2,12 +2,12 @@
 
 use crate::support::task_began;
 use async_trait::async_trait;
-use consort_actors::node::NodeSettings;
-use consort_actors::store::CheckpointStore;
+use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::knowledge::Availability;
 use consort_protocol::message::FailureKind;
+use consort_raft::store::CheckpointStore;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use std::io;
 use std::sync::Arc;

@@ -3,9 +3,9 @@
 
 use crate::support::released;
 use bytes::Bytes;
-use consort_actors::bus::Bus as _;
-use consort_actors::bus::{Delivery, Encoding, SharedBus};
-use consort_actors::clock::Clock;
+use consort_bus::Bus as _;
+use consort_bus::clock::Clock;
+use consort_bus::{Delivery, Encoding, SharedBus};
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;

@@ -1,6 +1,6 @@
 //! Nodes that leave for a while or for good: a coordinator, a voter, and neither.
 
-use consort_actors::bus::Bus;
+use consort_bus::Bus;
 use consort_tests::{StationFleet, for_each_seed};
 use std::cell::Cell;
 use std::collections::BTreeSet;

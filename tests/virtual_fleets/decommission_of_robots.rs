@@ -1,7 +1,7 @@
 //! Robots that leave while they hold a role, for good or for a while.
 
 use crate::support::{release_reason, released, task_began};
-use consort_actors::node::NodeSettings;
+use consort_fleet::node::NodeSettings;
 use consort_protocol::ids::MissionId;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::MissionState;

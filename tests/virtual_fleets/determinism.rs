@@ -1,6 +1,6 @@
 //! A seed determines a run.
 
-use consort_actors::bus::LinkModel;
+use consort_bus::LinkModel;
 use consort_protocol::event::EventKind;
 use consort_tests::{Fleet, Observation, RobotSpec, for_each_seed};
 use std::cell::RefCell;

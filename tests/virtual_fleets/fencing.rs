@@ -1,8 +1,8 @@
 //! Messages under an outdated award are ignored.
 
 use crate::support::task_began;
-use consort_actors::bus::{Bus, Delivery, Encoding};
-use consort_actors::cluster_membership::{ClusterBus, ClusterMembership};
+use consort_bus::cluster_membership::{ClusterBus, ClusterMembership};
+use consort_bus::{Bus, Delivery, Encoding};
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;

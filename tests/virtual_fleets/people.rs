@@ -1,7 +1,7 @@
 //! Requests to people while robots are lost and replaced.
 
 use crate::support::task_began;
-use consort_actors::bus::Bus;
+use consort_bus::Bus;
 use consort_protocol::codec;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{ApiCall, Key};

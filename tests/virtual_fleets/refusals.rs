@@ -1,6 +1,6 @@
 //! Reasons why a robot does not win a role are published for people and programs.
 
-use consort_actors::node::NodeSettings;
+use consort_fleet::node::NodeSettings;
 use consort_protocol::auction::{AuctionRecord, BidVerdict, RefusalReason, ViabilityError};
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;

@@ -1,7 +1,7 @@
 //! Requests of clients and their replies.
 
 use crate::support::{fleet, task_began};
-use consort_actors::node::NodeSettings;
+use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::lease::EndReason;

@@ -27,7 +27,7 @@ async fn stands_still(seed: u64, stall_after: Duration, at: &'static str) -> (Fl
         RobotSpec::carrier("gorse", "IC Room 4").with_speed(1.5).with_library(fails_with_others),
         RobotSpec::carrier("fern", "Dock").with_speed(1.5),
     ];
-    let adjust = Box::new(move |settings: &mut consort_actors::node::NodeSettings| {
+    let adjust = Box::new(move |settings: &mut consort_fleet::node::NodeSettings| {
         settings.fleet.stall_timeout = stall_after;
     });
     let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM], adjust).await;

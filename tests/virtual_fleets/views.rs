@@ -1,7 +1,7 @@
 //! Views of a fleet for any client.
 
 use crate::support::{fleet, task_began};
-use consort_actors::bus::{Bus, VirtualBus};
+use consort_bus::{Bus, VirtualBus};
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;

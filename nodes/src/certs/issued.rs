@@ -2,7 +2,7 @@
 
 use super::{file_error, unix_time};
 use crate::config::Diagnostic;
-use consort_actors::trust::issue::{RevokedCertificate, fleet_of_authority};
+use consort_bus::trust::issue::{RevokedCertificate, fleet_of_authority};
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::Identity;
 use std::fs;

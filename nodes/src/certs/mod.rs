@@ -13,7 +13,7 @@ pub use issued::{CertificateEntry, CertificateState, read_fleet_of_authority};
 
 use crate::config::{Diagnostic, trust_files};
 use crate::file::write_atomically;
-use consort_actors::trust::issue::{
+use consort_bus::trust::issue::{
     CertificateAuthority, IssuedCertificate, RevokedCertificate, Validity, create_authority,
 };
 use consort_protocol::ids::FleetId;

@@ -4,9 +4,9 @@ use crate::client::ClientFlags;
 use crate::exit::Failure;
 use crate::file::{already_exists, write_atomically};
 use crate::output;
-use consort_actors::store::Backup;
 use consort_protocol::count::count;
 use consort_protocol::keys::ApiCall;
+use consort_raft::store::Backup;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 

@@ -6,9 +6,9 @@ use crate::config::{
 use crate::exit::Failure;
 use crate::wiring::NodeIncarnation;
 use crate::{node_runtime, output};
-use consort_actors::node::NodeSettings;
-use consort_actors::timing::Timing;
+use consort_fleet::node::NodeSettings;
 use consort_protocol::ids::FleetId;
+use consort_protocol::timing::Timing;
 use consort_protocol::units::{BatteryShare, Seconds};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -51,7 +51,7 @@ fn timing(text: &str) -> Result<Timing, String> {
 #[command(next_help_heading = "Running")]
 pub struct RunFlags {
     /// Log filter for the standard error, warn, info, debug or trace, also by module
-    /// (info,consort_actors=debug)
+    /// (info,consort_fleet=debug)
     #[arg(long, env = "CONSORT_LOG", value_name = "FILTER")]
     pub log: Option<String>,
     /// Log format: text for people, or a JSON object per line for programs. Default: text

@@ -9,7 +9,7 @@ use crate::output::{self, Progress};
 use crate::recording::{Recorder, RecordingStats, RecordingWriter};
 use crate::shutdown_signals::ShutdownSignals;
 use crate::subscriber::subscribe_fleet;
-use consort_actors::clock::Clock;
+use consort_bus::clock::Clock;
 use consort_protocol::count::count;
 use consort_sim::record::foxglove::ExistingFile;
 use indicatif::HumanBytes;

@@ -5,7 +5,7 @@ use crate::command::duration::parse_duration;
 use crate::exit::Failure;
 use crate::output;
 use crate::trust::person_keyring;
-use consort_actors::clock::Clock;
+use consort_bus::clock::Clock;
 use consort_protocol::trust::{AccessScope, Principal};
 use std::path::PathBuf;
 use std::time::Duration;

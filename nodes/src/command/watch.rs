@@ -6,7 +6,7 @@ use crate::exit::Failure;
 use crate::fleet_model::{FleetModel, FloorPlan};
 use crate::subscriber::subscribe_fleet;
 use crate::tui::{ColorMode, KeyOutcome, Tui};
-use consort_actors::clock::Clock;
+use consort_bus::clock::Clock;
 use ratatui::crossterm::event::{Event, read};
 use std::io::IsTerminal;
 use std::sync::Arc;

@@ -1,7 +1,7 @@
 //! Network settings of a node, and its credentials.
 
 use super::read::resolve_path;
-use consort_actors::trust::TrustFiles;
+use consort_bus::trust::TrustFiles;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

@@ -9,7 +9,7 @@ use std::net::SocketAddr;
 #[serde(deny_unknown_fields, default)]
 pub struct TelemetryConfig {
     /// Log filter: `error`, `warn`, `info`, `debug` or `trace`, also by module, as
-    /// `info,consort_actors=debug`. Default: the node's own actions, and only errors and warnings
+    /// `info,consort_fleet=debug`. Default: the node's own actions, and only errors and warnings
     /// of libraries.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub log: Option<String>,

@@ -1,7 +1,7 @@
 //! Forwards requests of the page to the coordinator.
 
 use crate::query::{QueryError, QueryTarget, RETRY_DELAY, query_once};
-use consort_actors::bus::SharedBus;
+use consort_bus::SharedBus;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use serde_json::{Value, json};

@@ -2,7 +2,7 @@
 
 use crate::fleet_model::{FleetInput, FleetListener, FleetModel, delta};
 use axum::extract::ws::Utf8Bytes;
-use consort_actors::clock::Clock;
+use consort_bus::clock::Clock;
 use serde_json::{Value, json};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;

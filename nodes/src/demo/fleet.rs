@@ -1,7 +1,7 @@
 //! The interface of a fleet for the demo's runner.
 
 use crate::exit::Failure;
-use consort_actors::bus::SharedBus;
+use consort_bus::SharedBus;
 use consort_protocol::ids::NodeId;
 use std::future::Future;
 use std::time::Duration;

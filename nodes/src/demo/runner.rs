@@ -8,7 +8,7 @@ use crate::dashboard::Dashboard;
 use crate::exit::Failure;
 use crate::query::{QueryError, QueryTarget, query_once};
 use crate::{extensions, inputs};
-use consort_actors::bus::{Sample, Stream};
+use consort_bus::{Sample, Stream};
 use consort_protocol::count::count;
 use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::{MissionId, NodeId};

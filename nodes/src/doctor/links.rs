@@ -2,7 +2,7 @@
 
 use super::{DiagnosisTarget, Finding};
 use crate::config::trust_files;
-use consort_actors::trust::ProbeError;
+use consort_bus::trust::ProbeError;
 use std::io::Read;
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Duration;

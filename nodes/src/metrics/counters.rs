@@ -1,6 +1,6 @@
 //! Counters of events.
 
-use consort_actors::bus::Direction;
+use consort_bus::Direction;
 use consort_protocol::auction::{AuctionRecord, BidVerdict};
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::KeyKind;

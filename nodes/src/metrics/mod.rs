@@ -46,8 +46,8 @@ mod serve;
 pub use node_collector::MetricSources;
 pub use serve::serve;
 
-use consort_actors::bus::{Direction, Meter};
-use consort_actors::observe::Observer;
+use consort_bus::{Direction, Meter};
+use consort_fleet::observe::Observer;
 use consort_protocol::event::Event;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::KeyKind;

@@ -1,11 +1,11 @@
 //! Metrics sampled from a node's state: the fleet as seen by this node.
 
 use super::sampled_metric::SampledMetric;
-use consort_actors::clock::Clock;
-use consort_actors::gossip::SharedKnowledge;
-use consort_actors::raft::Replica;
+use consort_bus::clock::Clock;
+use consort_gossip::SharedKnowledge;
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::ledger::Ledger;
+use consort_raft::Replica;
 use prometheus_client::collector::Collector;
 use prometheus_client::encoding::DescriptorEncoder;
 use std::collections::BTreeMap;

@@ -2,7 +2,7 @@
 
 use super::writer::{RecordingStats, RecordingWriter};
 use crate::fleet_model::{CoordinatorModel, FleetInput, FleetListener, FleetModel};
-use consort_actors::clock::Clock;
+use consort_bus::clock::Clock;
 use consort_sim::record::RecordError;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;

@@ -4,7 +4,7 @@
 use super::ClusterCell;
 use super::ids::TraceId;
 use crate::event_text::describe_event;
-use consort_actors::observe::Observer;
+use consort_fleet::observe::Observer;
 use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::NodeId;
 use consort_protocol::lease::Epoch;

@@ -10,9 +10,9 @@ pub mod spans;
 
 pub use log::EventLogger;
 
-use consort_actors::cluster_membership::ClusterMembership;
-use consort_actors::node::NodeSettings;
-use consort_actors::observe::SharedObserver;
+use consort_bus::cluster_membership::ClusterMembership;
+use consort_fleet::node::NodeSettings;
+use consort_fleet::observe::SharedObserver;
 use consort_protocol::ids::ClusterId;
 use std::sync::{Arc, OnceLock};
 

@@ -2,8 +2,8 @@
 
 use super::ClusterCell;
 use super::spans::{Span, SpanTracker};
-use consort_actors::node::NodeSettings;
-use consort_actors::observe::{Observer, SharedObserver};
+use consort_fleet::node::NodeSettings;
+use consort_fleet::observe::{Observer, SharedObserver};
 use consort_protocol::event::Event;
 use consort_protocol::ids::NodeId;
 use consort_protocol::lease::Epoch;

@@ -1,12 +1,12 @@
 use super::support::{CommandOutput, Running, consort, free_address, run};
-use consort_actors::bus::{LinkModel, VirtualNetwork};
-use consort_actors::raft::{RaftSettings, Replica, StoreIdentity};
-use consort_actors::store::{DurableStore, LEDGER_FILE, StoreOwner, inspect_ledger};
+use consort_bus::{LinkModel, VirtualNetwork};
 use consort_nodes::config::FleetConfig;
 use consort_protocol::ids::{ClusterId, NodeId, RequestId};
 use consort_protocol::ledger::{Command, Ledger, Submission};
 use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::plan::divide_and_check;
+use consort_raft::store::{DurableStore, LEDGER_FILE, StoreOwner, inspect_ledger};
+use consort_raft::{RaftSettings, Replica, StoreIdentity};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};

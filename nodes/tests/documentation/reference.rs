@@ -99,7 +99,7 @@ fn doc_table(path: &str) -> String {
 /// Returns the calls on `api/**`, from the help of the program.
 fn calls() -> String {
     let mut text = String::new();
-    let help = consort_actors::api_help();
+    let help = consort_fleet::api_help();
     for call in help["calls"].as_array().expect("a list of calls") {
         let word = |key: &str| call[key].as_str().expect("words");
         writeln!(text, "### `{}`\n\n{}; answered by {}.\n", word("key"), word("what"), word("answered_by"))

@@ -1,7 +1,7 @@
 //! `consort-ros2`: simulated robots for ROS 2, and ROS 2 robots for the fleet.
 
 use clap::{Args, Parser, Subcommand};
-use consort_actors::bus::{Bus, SharedBus, ZenohBus, ZenohSettings};
+use consort_bus::{Bus, SharedBus, ZenohBus, ZenohSettings};
 use consort_protocol::ids::{FleetId, PlaceId, RobotId};
 use consort_protocol::keys::Keys;
 use consort_ros2::drive::{DriveSettings, drive};

@@ -2,7 +2,7 @@
 
 mod figures;
 
-use consort_actors::bus::{Sample, SharedBus, Stream};
+use consort_bus::{Sample, SharedBus, Stream};
 use consort_nodes::config::{FleetConfig, FleetRef};
 use consort_nodes::demo::{DemoFleet, DemoScenario, ProcessFleet};
 use consort_protocol::event::Event;

@@ -78,7 +78,7 @@ impl ChaosFleet {
         let mut all: Vec<_> = self.stations.iter().copied().chain([ARM]).collect();
         all.sort_unstable();
         all.extend(&self.carriers);
-        let most = all.len().min(consort_actors::autopilot::VOTERS);
+        let most = all.len().min(consort_fleet::autopilot::VOTERS);
         all.truncate(if most % 2 == 0 { most - 1 } else { most });
         all
     }

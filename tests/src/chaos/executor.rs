@@ -4,7 +4,7 @@ use super::chaos_fleet::{ChaosFleet, WORLD};
 use super::fault_injector::FaultInjector;
 use super::schedule::{ChaosAction, DiskAfterCrash};
 use crate::{Fleet, Observation, slug};
-use consort_actors::bus::{Bus, BusError, LinkModel, Reply, Stream};
+use consort_bus::{Bus, BusError, LinkModel, Reply, Stream};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::units::BatteryShare;

@@ -273,7 +273,7 @@ impl Run {
     }
 }
 
-fn leads(node: &consort_actors::node::NodeHandle) -> bool {
+fn leads(node: &consort_fleet::node::NodeHandle) -> bool {
     node.replica.as_ref().is_some_and(|replica| replica.leadership().borrow().is_leader)
 }
 

@@ -1,6 +1,6 @@
 //! Observes all nodes of a trial, and sets the speed of robots according to the travel model.
 
-use consort_actors::observe::Observer;
+use consort_fleet::observe::Observer;
 use consort_protocol::auction::{AuctionRecord, BidVerdict};
 use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, RoleId, TaskId, TaskType};

@@ -1,11 +1,11 @@
 //! Messages of a fleet that carries out a mission.
 
 use super::fleet;
-use consort_actors::gossip::{GossipHarness, GossipInput as How};
-use consort_actors::robot::{AlternativeProgress, Checkpoint};
-use consort_actors::robot_driver::{
+use consort_fleet::robot::{AlternativeProgress, Checkpoint};
+use consort_fleet::robot_driver::{
     DriverCommand, DriverState, GoalRequest, PersonCommand, PersonEvent, PersonRequestState,
 };
+use consort_gossip::{GossipHarness, GossipInput as How};
 use consort_protocol::auction::{AuctionId, AuctionRecord, Bid, BidPart, BidResponse, CallForBids, RoleReply};
 use consort_protocol::codec::{encode, encode_for_version, encode_record};
 use consort_protocol::ids::{ClusterId, NodeId, RoleId};

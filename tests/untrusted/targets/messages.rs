@@ -1,9 +1,9 @@
 //! Messages between nodes.
 
 use super::frames::frames;
-use consort_actors::fuzz_api;
-use consort_actors::gossip::{GossipHarness, GossipInput as How};
-use consort_actors::robot_driver::{DriverCommand, DriverState, PersonCommand, PersonEvent, PersonRequestState};
+use consort_fleet::fuzz_api;
+use consort_fleet::robot_driver::{DriverCommand, DriverState, PersonCommand, PersonEvent, PersonRequestState};
+use consort_gossip::{GossipHarness, GossipInput as How};
 use consort_protocol::auction::{
     AuctionContext, BidLimits, BidResponse, CallForBids, RoleReply, clear_auction, explain,
 };

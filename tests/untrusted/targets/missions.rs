@@ -1,7 +1,7 @@
 //! Missions in files and requests.
 
 use super::frames::text;
-use consort_actors::fuzz_api::{ApiRequest, request as asked};
+use consort_fleet::fuzz_api::{ApiRequest, request as asked};
 use consort_protocol::codec;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::mission::{Domain, Format, IhtnOptions, Mission, MissionTemplate, TemplateKind, import_ihtn};

@@ -2,8 +2,8 @@
 
 use super::frames::{frames, text};
 use super::scratch;
-use consort_actors::clock::Clock;
-use consort_actors::robot_driver::DriverState;
+use consort_bus::clock::Clock;
+use consort_fleet::robot_driver::DriverState;
 use consort_nodes::address::BoundAddress;
 use consort_nodes::dashboard::{Dashboard, FramePublisher};
 use consort_nodes::fleet_model::{FleetInput, FleetModel, FloorPlan, delta};

@@ -1,7 +1,7 @@
 //! Awards and checkpoints of robots.
 
 use super::frames::frames;
-use consort_actors::robot::{Checkpoint, Sequencer, SequencerAction};
+use consort_fleet::robot::{Checkpoint, Sequencer, SequencerAction};
 use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
 use consort_protocol::lease::{Action, Award, Event, LeaseTerms, RoleLease};

@@ -1,9 +1,9 @@
 //! Stores on disks.
 
 use super::frames::frames;
-use consort_actors::raft::{PersistentState, StoreIdentity, inspect_log_store};
-use consort_actors::store::{DurableStore, OpenError, StoreOwner};
 use consort_protocol::ledger::Ledger;
+use consort_raft::store::{DurableStore, OpenError, StoreOwner};
+use consort_raft::{PersistentState, StoreIdentity, inspect_log_store};
 use redb::StorageBackend;
 use redb::backends::InMemoryBackend;
 use std::sync::{Arc, OnceLock};

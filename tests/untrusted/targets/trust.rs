@@ -2,7 +2,7 @@
 
 use super::frames::{frames, text};
 use super::scratch;
-use consort_actors::trust::Keyring;
+use consort_bus::trust::Keyring;
 use consort_nodes::certs::{CertificateEntry, CertificateStore, unix_time};
 use consort_nodes::config::trust_files;
 use consort_protocol::ids::{FleetId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskType};
@@ -133,7 +133,7 @@ pub(super) fn pem(bytes: &[u8]) -> bool {
         }
     };
     let named = |problem: &dyn Display| assert!(problem.to_string().contains("cert.pem"), "{problem}");
-    let files = consort_actors::trust::TrustFiles {
+    let files = consort_bus::trust::TrustFiles {
         authority: file.clone(),
         certificate: file.clone(),
         key: file.clone(),

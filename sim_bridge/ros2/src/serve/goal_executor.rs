@@ -11,7 +11,7 @@ use crate::goals::{EndState, GoalUuid};
 use crate::mapping::{PoseError, to_nav2_result};
 use crate::messages::NavigateResult;
 use crate::route_planner::{PlannedRoute, RoutePlanner};
-use consort_actors::robot_driver::{CLIENT_TIMEOUT, DriverState, GoalRequest};
+use consort_fleet::robot_driver::{CLIENT_TIMEOUT, DriverState, GoalRequest};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{Metres, WorldTime};

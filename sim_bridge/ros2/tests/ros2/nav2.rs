@@ -2,8 +2,8 @@
 
 use crate::support::{LIMIT, Router, bus, carrier, hospital, host_world, keys, until, within};
 use bytes::Bytes;
-use consort_actors::bus::{Bus, Encoding, ZenohBus};
-use consort_actors::robot_driver::{DriverClientSettings, DriverCommand, DriverState, RobotDriver};
+use consort_bus::{Bus, Encoding, ZenohBus};
+use consort_fleet::robot_driver::{DriverClientSettings, DriverCommand, DriverState, RobotDriver};
 use consort_protocol::codec;
 use consort_protocol::ids::{RobotId, TaskType};
 use consort_protocol::keys::{BodyCall, Key};

@@ -2,7 +2,7 @@
 
 use crate::support::{LIMIT, Offered, carrier, keys, to_place, until, within};
 use bytes::Bytes;
-use consort_actors::bus::Bus;
+use consort_bus::Bus;
 use consort_protocol::keys::{BodyCall, Key};
 use consort_ros2::messages::{NavigateResult, NavigateToPose};
 use consort_skills::actions::RobotBackend;
@@ -56,7 +56,7 @@ async fn it_runs_the_driver_server_of_a_robot_under_nav2() {
     let robot = ["--robot", "bob", "--place", "IC Room 6"];
     let _running = Running(program(&["drive"]).args(ends).args(robot).spawn().unwrap());
     let command = keys().write(&Key::Body("bob".parse().unwrap(), BodyCall::Command));
-    let heartbeat = consort_actors::robot_driver::DriverCommand { request: None };
+    let heartbeat = consort_fleet::robot_driver::DriverCommand { request: None };
     let bytes = Bytes::from(consort_protocol::codec::encode(&heartbeat).unwrap());
     let mut state = None;
     until("the state of the robot", async || {
@@ -67,7 +67,7 @@ async fn it_runs_the_driver_server_of_a_robot_under_nav2() {
         state.is_some()
     })
     .await;
-    let state: consort_actors::robot_driver::DriverState = consort_protocol::codec::decode(&state.unwrap()).unwrap();
+    let state: consort_fleet::robot_driver::DriverState = consort_protocol::codec::decode(&state.unwrap()).unwrap();
     assert_eq!((state.robot.as_str(), state.telemetry.place.as_str()), ("bob", "IC Room 6"));
 }
 

@@ -1,9 +1,9 @@
 //! A router like `rmw_zenohd`, a ROS 2 graph around it, and a world of the fleet; all on loopback,
 //! at free ports.
 
-use consort_actors::bus::{SharedBus, ZenohBus, ZenohSettings};
-use consort_actors::clock::Clock;
-use consort_actors::robot_driver::{CLIENT_TIMEOUT, DriverServer, DriverServerMessage, DriverServerSettings};
+use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
+use consort_bus::clock::Clock;
+use consort_fleet::robot_driver::{CLIENT_TIMEOUT, DriverServer, DriverServerMessage, DriverServerSettings};
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::Keys;
 use consort_protocol::pose::Pose;

@@ -6,8 +6,8 @@
 
 use super::Invariant;
 use crate::{Fleet, Observation};
-use consort_actors::raft::LeaderId;
 use consort_protocol::ids::NodeId;
+use consort_raft::LeaderId;
 use std::collections::BTreeMap;
 use std::time::Duration;
 

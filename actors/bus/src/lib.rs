@@ -1,0 +1,26 @@
+//! The message bus of the nodes, with its implementations and layers.
+//!
+//! - [`Bus`] is the trait that actors use. [`ZenohBus`] implements it on Zenoh, [`VirtualBus`] in one process on virtual
+//!   time with injected faults.
+//! - [`trust`] signs and verifies messages, [`cluster_membership`] drops messages of other clusters, [`MeteredBus`]
+//!   counts: each is a layer over another bus ([`layer`]).
+//! - [`clock`], [`tasks`], [`reply`] and [`wire_version`] are shared by all actors of a node.
+
+pub mod bus;
+pub mod clock;
+pub mod cluster_membership;
+mod keys;
+pub mod layer;
+pub mod metered;
+pub mod record_signer;
+pub mod reply;
+pub mod tasks;
+pub mod trust;
+pub mod virtual_bus;
+pub mod wire_version;
+pub mod zenoh_bus;
+
+pub use bus::*;
+pub use metered::{Direction, Meter, MeteredBus};
+pub use virtual_bus::{LinkModel, Traffic, TrafficByKind, VirtualBus, VirtualNetwork};
+pub use zenoh_bus::{ZenohBus, ZenohSettings};

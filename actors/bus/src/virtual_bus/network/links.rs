@@ -1,0 +1,120 @@
+//! Reachability between nodes, and latencies.
+
+use super::event_queue::Event;
+use super::{Network, NodeIndex};
+use crate::virtual_bus::LinkModel;
+use crate::virtual_bus::faults::Faults;
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::KeyKind;
+use rand::RngExt;
+use std::time::Duration;
+use tokio::time::Instant;
+
+impl Network {
+    pub(in super::super) fn set_model(&mut self, model: LinkModel) {
+        self.model = model.validated();
+        self.models.clear();
+        self.refresh_models();
+    }
+
+    pub(in super::super) fn set_model_between(&mut self, from: NodeId, to: NodeId, model: LinkModel) {
+        self.models.insert((from, to), model.validated());
+        self.refresh_models();
+    }
+
+    pub(super) fn refresh_models(&mut self) {
+        let index = |id: &NodeId| self.indexes.get(id).copied();
+        self.models_by_index = self
+            .models
+            .iter()
+            .filter_map(|((from, to), model)| Some(((index(from)?, index(to)?), model.clone())))
+            .collect();
+    }
+
+    pub(in super::super) fn set_lease(&mut self, lease: Duration) {
+        self.lease = lease;
+    }
+
+    pub(in super::super) fn change_faults(&mut self, change: impl FnOnce(&mut Faults)) {
+        change(&mut self.faults);
+        self.refresh_reachability();
+    }
+
+    /// Recomputes the reachability from the faults in force. A lease begins when a node falls
+    /// silent; a presence update is sent when the silence ends.
+    pub(super) fn refresh_reachability(&mut self) {
+        for at in 0..self.nodes.len() {
+            for of in (0..self.nodes.len()).filter(|of| *of != at) {
+                let cut = self.faults.blocks(&self.nodes[of].id, &self.nodes[at].id);
+                let silent = cut || self.nodes[at].paused || self.nodes[of].paused;
+                let peer = &mut self.nodes[at].peers[of];
+                peer.blocked = cut;
+                if peer.silent == silent {
+                    continue;
+                }
+                peer.silent = silent;
+                peer.silence_changes += 1;
+                let change = peer.silence_changes;
+                if silent {
+                    if let Some(end) = self.now.checked_add(self.lease) {
+                        self.schedule(end, Event::LeaseExpired { at, of, change });
+                    }
+                } else {
+                    self.send_presence_update(at, of);
+                }
+            }
+        }
+    }
+
+    /// Returns the arrival time of a message sent now, or `None` if it is lost. A message without a
+    /// size does not count as traffic.
+    pub(super) fn transmit(
+        &mut self,
+        from: NodeIndex,
+        to: NodeIndex,
+        kind: KeyKind,
+        bytes: Option<usize>,
+    ) -> Option<Instant> {
+        self.counters.sent += 1;
+        if from == to {
+            return Some(self.now);
+        }
+        if let Some(bytes) = bytes {
+            self.nodes[from].traffic.sent(kind, bytes);
+        }
+        if self.nodes[to].peers[from].blocked {
+            self.counters.dropped += 1;
+            return None;
+        }
+        let loss = self.model_between(from, to).loss;
+        if loss > 0.0 && self.rng.random_bool(loss) {
+            self.counters.dropped += 1;
+            return None;
+        }
+        Some(self.now + self.latency(from, to))
+    }
+
+    pub(super) fn latency(&mut self, from: NodeIndex, to: NodeIndex) -> Duration {
+        if from == to {
+            return Duration::ZERO;
+        }
+        let model = self.model_between(from, to);
+        let (min, max) = (model.latency_min, model.latency_max);
+        self.random_duration(min, max)
+    }
+
+    pub(super) fn random_duration(&mut self, min: Duration, max: Duration) -> Duration {
+        if min >= max {
+            return min;
+        }
+        let spread = u64::try_from((max - min).as_nanos()).unwrap_or(u64::MAX);
+        min + Duration::from_nanos(self.rng.random_range(0..=spread))
+    }
+
+    pub(super) fn model_between(&self, from: NodeIndex, to: NodeIndex) -> &LinkModel {
+        if self.models_by_index.is_empty() {
+            return &self.model;
+        }
+        self.models_by_index.get(&(from, to)).unwrap_or(&self.model)
+    }
+}

@@ -1,0 +1,169 @@
+//! Bootstrap of the cluster: selects the first voters. [`BootstrapPromise`] decides, and this
+//! module performs the I/O.
+
+use super::VOTERS_MAX;
+use super::bootstrap_promise::{BootstrapPromise, ObservedFleet};
+use bytes::Bytes;
+use consort_bus::cluster_membership::ClusterMembership;
+use consort_bus::reply;
+use consort_bus::{Query, SharedBus, Stream};
+use consort_gossip::SharedKnowledge;
+use consort_protocol::codec;
+use consort_protocol::keys::{Key, Keys};
+use consort_protocol::ledger::Ledger;
+use consort_protocol::message::{BootstrapReply, BootstrapRequest};
+use consort_raft::{RaftId, Replica};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use tokio::time::Instant;
+use tracing::{debug, info, warn};
+
+/// Time from its start for which a node only listens, before it bootstraps a cluster. It learns of
+/// an existing cluster within a single exchange of gossip, some milliseconds after the first link
+/// is up.
+const LISTEN_TIME: Duration = Duration::from_millis(600);
+
+/// Duration of a promise to let another node bootstrap, as a multiple of the time limit of its
+/// requests: that node bootstraps before this time has passed, and soon afterwards all nodes have
+/// received the result. A guess.
+const PROMISE_REPLY_TIMEOUTS: u32 = 3;
+
+/// State needed to bootstrap a cluster, or to leave the bootstrap to another node.
+pub(crate) struct Bootstrap {
+    /// This node as a candidate for the bootstrap.
+    pub(crate) me: BootstrapRequest,
+    pub(crate) keys: Keys,
+    pub(crate) bus: SharedBus,
+    pub(crate) replica: Replica<Ledger>,
+    pub(crate) knowledge: SharedKnowledge,
+    pub(crate) membership: ClusterMembership,
+    /// Number of nodes with the right to vote that must be reachable and agree.
+    pub(crate) expected_nodes: usize,
+    /// Target number of voters.
+    pub(crate) target_voters: usize,
+    /// Time limit for the replies of other nodes.
+    pub(crate) reply_timeout: Duration,
+}
+
+impl Bootstrap {
+    /// Bootstraps the cluster if it is this node's turn, and replies to the bootstrap requests of
+    /// other nodes.
+    ///
+    /// The bootstrap starts once `expected_nodes` nodes with the right to vote are known. The first
+    /// voters are up to `target_voters` of these nodes, an odd number, stationary and mains-powered
+    /// nodes before others. It is the turn of the first of them by name. That node asks all nodes
+    /// that it can reach, and then bootstraps the cluster. A node that knows of a cluster of this
+    /// fleet's name never bootstraps, even if little of that cluster is left: its ledger may
+    /// contain promises. The autopilot of that cluster adds new nodes.
+    pub(crate) async fn run(self, requests: Stream<Query>) {
+        let promise = Mutex::new(BootstrapPromise::new(self.me.clone(), self.reply_timeout * PROMISE_REPLY_TIMEOUTS));
+        tokio::join!(self.reply_to_all(&promise, requests), self.bootstrap_in_turn(&promise));
+    }
+
+    async fn reply_to_all(&self, promise: &Mutex<BootstrapPromise>, mut requests: Stream<Query>) {
+        let key = self.keys.write(&Key::Bootstrap(self.me.node.clone()));
+        while let Some(query) = requests.recv().await {
+            let Some(request) = reply::decode_or_refuse::<BootstrapRequest>(&query).await else { continue };
+            let answer = lock(promise).reply(&request, &self.observed_fleet(), Instant::now());
+            reply::wire(&query, &key, &answer).await;
+        }
+    }
+
+    async fn bootstrap_in_turn(&self, promise: &Mutex<BootstrapPromise>) {
+        let node = &self.me.node;
+        let listen_deadline = Instant::now() + LISTEN_TIME;
+        let mut changed = self.knowledge.changes();
+        loop {
+            let observed_fleet = self.observed_fleet();
+            if observed_fleet.has_voters {
+                return; // another node has bootstrapped the cluster
+            }
+            let knows_enough = self.candidates().len() >= self.expected_nodes.max(1);
+            let now = Instant::now();
+            if now >= listen_deadline && knows_enough && lock(promise).begin_request(&observed_fleet, now) {
+                match self.all_agree().await {
+                    Ok(()) if lock(promise).confirm(&self.observed_fleet(), Instant::now()) => {
+                        let candidates = self.candidates();
+                        let voters = first_voters(candidates.keys().cloned().collect(), self.target_voters);
+                        let voters: BTreeMap<_, _> = voters.map(|voter| (candidates[&voter], voter.node)).collect();
+                        info!(%node, voters = voters.len(), "bootstrapping the cluster");
+                        if let Err(error) = self.replica.bootstrap(voters).await {
+                            warn!(%node, %error, "bootstrap failed");
+                        }
+                        return;
+                    }
+                    Ok(()) => debug!(%node, "no bootstrap: this node has given way"),
+                    Err(reason) => debug!(%node, reason, "no bootstrap"),
+                }
+                tokio::time::sleep(self.reply_timeout).await;
+                continue;
+            }
+            // The record of a cluster may expire without a notification, and so may a promise.
+            let wait =
+                if now < listen_deadline { listen_deadline - now } else { self.reply_timeout * PROMISE_REPLY_TIMEOUTS };
+            if let Ok(Err(_)) = tokio::time::timeout(wait, changed.changed()).await {
+                return;
+            }
+        }
+    }
+
+    /// Asks all reachable nodes, known or not, whether this node may bootstrap the cluster.
+    async fn all_agree(&self) -> Result<(), String> {
+        let request = codec::encode(&self.me).map_err(|error| error.to_string())?;
+        let replies = self.bus.query(&self.keys.any_bootstrap(), Bytes::from(request), self.reply_timeout).await;
+        let mut replies = replies.map_err(|error| error.to_string())?;
+        let mut agreed = BTreeSet::from([self.me.node.clone()]);
+        while let Some(reply) = replies.recv().await {
+            let answer = reply.payload.ok().and_then(|payload| codec::decode(&payload).ok());
+            match (self.keys.read(&reply.key), answer) {
+                (Some(Key::Bootstrap(node)), Some(BootstrapReply::Agreed)) => drop(agreed.insert(node)),
+                (Some(Key::Bootstrap(node)), Some(BootstrapReply::Refused { reason })) => {
+                    return Err(format!("{node} refused: {reason}"));
+                }
+                (key, answer) => debug!(?key, ?answer, "unexpected reply to the bootstrap request"),
+            }
+        }
+        match agreed.len() >= self.expected_nodes {
+            true => Ok(()),
+            false => Err(format!("{} of {} expected nodes have agreed", agreed.len(), self.expected_nodes)),
+        }
+    }
+
+    fn observed_fleet(&self) -> ObservedFleet {
+        let known_cluster =
+            self.knowledge.read(|base| base.iter().find_map(|(_, entry)| entry.record.knowledge.cluster));
+        let candidates = self.candidates().into_keys().collect();
+        ObservedFleet {
+            cluster: self.membership.cluster().or(known_cluster),
+            has_voters: !self.replica.leadership().borrow().voters.is_empty(),
+            next_founder: first_voters(candidates, self.target_voters).map(|voter| voter.node).min(),
+        }
+    }
+
+    /// Returns all nodes that could bootstrap the cluster, with their raft ids.
+    fn candidates(&self) -> BTreeMap<BootstrapRequest, RaftId> {
+        let mut candidates: BTreeMap<BootstrapRequest, RaftId> = self.knowledge.read(|base| {
+            let known_nodes = base.iter().filter_map(|(node, entry)| {
+                let knowledge = &entry.record.knowledge;
+                let id = knowledge.replica.filter(|_| knowledge.may_vote && !knowledge.leaving)?;
+                let (mobile, on_battery) = (!knowledge.stationary, !knowledge.mains_powered);
+                Some((BootstrapRequest { mobile, on_battery, node: node.clone() }, RaftId(id)))
+            });
+            known_nodes.collect()
+        });
+        candidates.retain(|request, _| self.knowledge.is_alive(&request.node));
+        candidates
+    }
+}
+
+fn lock(promise: &Mutex<BootstrapPromise>) -> MutexGuard<'_, BootstrapPromise> {
+    promise.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Returns an odd number of the candidates, the most suitable first.
+fn first_voters(candidates: BTreeSet<BootstrapRequest>, target: usize) -> impl Iterator<Item = BootstrapRequest> {
+    let count = candidates.len().min(target.clamp(1, VOTERS_MAX));
+    let odd = if count.is_multiple_of(2) { count.saturating_sub(1) } else { count };
+    candidates.into_iter().take(odd)
+}

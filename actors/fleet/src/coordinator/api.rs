@@ -1,0 +1,256 @@
+//! State-changing requests, executed by the coordinator: see [`crate::api_types`] for their
+//! payloads.
+
+use super::last_known_place::last_known_places;
+use super::no_leader::{RETRY_AFTER_MS, busy_reply};
+use crate::api_types::{
+    MissionChangeReply, MissionChangeRequest, NodeVersions, SubmitReply, SubmitRequest, UpgradeRequest, UpgradeStatus,
+    parse_request,
+};
+use consort_bus::MESSAGE_MAX;
+use consort_gossip::SharedKnowledge;
+use consort_protocol::codec;
+use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
+use consort_protocol::keys::ApiCall;
+use consort_protocol::ledger::{
+    Command, CommandOutcome, Ledger, Priority, RecoveryBranch, Submission, time_until_deadline,
+};
+use consort_protocol::mission::{Domain, Format, MissionTemplate, shipped};
+use consort_protocol::plan::divide_and_check;
+use consort_protocol::versions::{self, VersionRange};
+use consort_raft::store::Backup;
+use consort_raft::{ProposeError, Replica};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Timeout for the ledger to commit a request.
+const COMMIT_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// Maximum size of a mission in bytes, divided and encoded: its award and its call for bids must
+/// each fit in a message.
+const MISSION_MAX: usize = codec::MESSAGE_BYTES_MAX / 2;
+
+/// Handler of a single request, with the state it needs.
+#[derive(Clone)]
+pub(super) struct ApiHandler {
+    pub(super) fleet: FleetId,
+    pub(super) node: NodeId,
+    pub(super) replica: Replica<Ledger>,
+    pub(super) knowledge: SharedKnowledge,
+    pub(super) domain: Arc<Domain>,
+    /// Prefix of generated request ids, different from the prefixes of other coordinators.
+    pub(super) request_prefix: String,
+    pub(super) at_ms: u64,
+    pub(super) request_number: u64,
+    /// Maximum number of active missions; 0 for no limit.
+    pub(super) missions_max: usize,
+}
+
+/// Error reply.
+struct ApiError {
+    text: String,
+    /// The same request may be repeated.
+    may_retry: bool,
+}
+
+impl From<String> for ApiError {
+    fn from(text: String) -> ApiError {
+        ApiError { text, may_retry: false }
+    }
+}
+
+impl ApiHandler {
+    /// Executes a request and returns the reply.
+    pub(super) async fn handle(self, call: ApiCall, payload: &[u8]) -> Value {
+        let reply = match call {
+            ApiCall::Submit => self.submit(payload).await,
+            ApiCall::Cancel => self.cancel(payload).await,
+            ApiCall::Resolve => self.resolve(payload).await,
+            ApiCall::Backup => self.backup().await,
+            ApiCall::Upgrade => self.upgrade(payload).await,
+            ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => {
+                Err(format!("{} is served by any node", call.as_str()).into())
+            }
+        };
+        reply.unwrap_or_else(|ApiError { text, may_retry }| match may_retry {
+            true => busy_reply(&text, Duration::from_millis(RETRY_AFTER_MS)),
+            false => json!({ "error": text }),
+        })
+    }
+
+    async fn submit(&self, payload: &[u8]) -> Result<Value, ApiError> {
+        let request_fields: SubmitRequest = parse_request(ApiCall::Submit, payload)?;
+        let submission = self.prepare(request_fields)?;
+        if let Some(overload) = self.replica.read(|ledger| self.overload(ledger, &submission.request)) {
+            return Err(overload);
+        }
+        match self.replica.propose(Command::Submit(Box::new(submission)), COMMIT_TIMEOUT).await {
+            Ok(CommandOutcome::Submitted { mission, again }) => Ok(json!(SubmitReply { mission, again })),
+            Ok(other) => Err(format!("unexpected outcome of the ledger: {other:?}").into()),
+            Err(problem) => Err(not_committed(&problem)),
+        }
+    }
+
+    /// Returns an error if the fleet accepts no new missions. A repeated request for an accepted
+    /// mission still gets its reply.
+    fn overload(&self, ledger: &Ledger, request: &RequestId) -> Option<ApiError> {
+        let is_full = self.missions_max > 0 && ledger.has_active(self.missions_max);
+        (is_full && ledger.mission_of_request(request).is_none()).then(|| ApiError {
+            text: format!("{} missions are active, the maximum of this fleet", self.missions_max),
+            may_retry: true,
+        })
+    }
+
+    fn prepare(&self, request_fields: SubmitRequest) -> Result<Submission, String> {
+        let template = match &request_fields.mission {
+            Value::String(name) => shipped().get(name).cloned().ok_or_else(|| {
+                let known: Vec<_> = shipped().keys().map(String::as_str).collect();
+                format!("no mission {name:?} is shipped; there are {}", known.join(", "))
+            })?,
+            file => MissionTemplate::parse(&file.to_string(), Format::Json).map_err(|e| e.to_string())?,
+        };
+        let instance = template.instantiate_with_recovery(&request_fields.parameters, &self.domain);
+        let (mission, recovery) = instance.map_err(|e| e.to_string())?;
+        let division = divide_and_check(&mission).map_err(|e| e.to_string())?;
+        let recovery = recovery.map(|mission| match divide_and_check(&mission) {
+            Ok(division) => Ok(RecoveryBranch { mission, division }),
+            Err(problem) => Err(format!("recovery: {problem}")),
+        });
+        let recovery = recovery.transpose()?;
+        let priority = Priority::new(request_fields.priority).map_err(|e| e.to_string())?;
+        let deadline_ms = match request_fields.deadline_s {
+            None => None,
+            Some(seconds) => {
+                let time = time_until_deadline(seconds).map_err(|e| format!("deadline_s is {seconds}; {e}"))?;
+                Some(self.at_ms.saturating_add(u64::try_from(time.as_millis()).unwrap_or(u64::MAX)))
+            }
+        };
+        let request = match request_fields.request {
+            Some(request) => request,
+            None => {
+                RequestId::new(format!("{}-{}", self.request_prefix, self.request_number)).map_err(|e| e.to_string())?
+            }
+        };
+        let (parameters, at_ms) = (request_fields.parameters, self.at_ms);
+        let submission = Submission { request, mission, division, parameters, recovery, priority, deadline_ms, at_ms };
+        match codec::encode(&submission) {
+            Ok(bytes) if bytes.len() <= MISSION_MAX => Ok(submission),
+            Ok(bytes) => Err(format!("the mission takes {} bytes; the limit is {MISSION_MAX}", bytes.len())),
+            Err(problem) => Err(format!("the mission is too large: {problem}")),
+        }
+    }
+
+    async fn cancel(&self, payload: &[u8]) -> Result<Value, ApiError> {
+        let MissionChangeRequest { mission, by } = parse_request(ApiCall::Cancel, payload)?;
+        let places = self.replica.read(|ledger| last_known_places(&self.knowledge, ledger.mission(&mission)));
+        self.change(mission.clone(), Command::Cancel { mission, by, places }).await
+    }
+
+    async fn resolve(&self, payload: &[u8]) -> Result<Value, ApiError> {
+        let MissionChangeRequest { mission, by } = parse_request(ApiCall::Resolve, payload)?;
+        self.change(mission.clone(), Command::Resolve { mission, by }).await
+    }
+
+    /// Returns a copy of the ledger. A majority first confirms that this node still leads, so the
+    /// copy contains everything that was acknowledged.
+    async fn backup(&self) -> Result<Value, ApiError> {
+        self.replica.ensure_leader(COMMIT_TIMEOUT).await.map_err(|problem| not_committed(&problem))?;
+        let (last, ledger) = self.replica.copy();
+        let last = last.ok_or_else(|| "the ledger is empty".to_owned())?;
+        let backup = Backup::new(&ledger, last, self.fleet.clone(), self.node.clone(), self.at_ms)?;
+        let copy = json!(backup);
+        match copy.to_string().len() {
+            size if size > MESSAGE_MAX => Err(format!(
+                "the copy takes {size} bytes; a message is limited to {MESSAGE_MAX}. Stop a voter and copy its data \
+                 directory"
+            )
+            .into()),
+            _ => Ok(copy),
+        }
+    }
+
+    /// Returns the wire versions that each node reads and, on request, raises the version that the
+    /// fleet writes.
+    async fn upgrade(&self, payload: &[u8]) -> Result<Value, ApiError> {
+        let UpgradeRequest { finish } = parse_request(ApiCall::Upgrade, payload)?;
+        let wire = self.replica.read(Ledger::wire).unwrap_or(VersionRange::OWN.oldest);
+        let required_readers = self.required_readers();
+        let step = self
+            .knowledge
+            .read(|base| versions::UpgradeStatus::of(wire, VersionRange::OWN, required_readers.clone(), base));
+        match (finish, step) {
+            (false, _) => Ok(json!(self.upgrade_status(wire, &required_readers))),
+            (true, versions::UpgradeStatus::Newest) => Err(format!(
+                "the fleet writes wire version {wire}, and the coordinator {} reads no later version: upgrade \
+                 the nodes first",
+                self.node
+            )
+            .into()),
+            (true, versions::UpgradeStatus::Blocked { next, behind }) => {
+                let alive = |node: &NodeId| if self.knowledge.is_alive(node) { "" } else { ", is down" };
+                let describe = |(node, reads): (&NodeId, &Option<VersionRange>)| match reads {
+                    Some(reads) => format!("{node} (reads {reads}{})", alive(node)),
+                    None => format!("{node} (no record of it)"),
+                };
+                Err(format!(
+                    "not yet: wire version {next} is not read by {}; upgrade these nodes first",
+                    behind.iter().map(describe).collect::<Vec<_>>().join(", ")
+                )
+                .into())
+            }
+            (true, versions::UpgradeStatus::Ready { next }) => {
+                let raised = self.replica.propose(Command::RaiseWireVersion { wire: next }, COMMIT_TIMEOUT).await;
+                raised.map_err(|problem| not_committed(&problem))?;
+                Ok(json!(self.upgrade_status(next, &required_readers)))
+            }
+        }
+    }
+
+    /// Returns the nodes that must read what the fleet writes, with or without a record here:
+    /// voters of the ledger and holders of roles.
+    fn required_readers(&self) -> BTreeSet<NodeId> {
+        let voters: Vec<NodeId> = self.replica.leadership().borrow().voters.values().cloned().collect();
+        let holders = self.replica.read(|ledger| {
+            let holders = ledger.active_missions().into_iter().flat_map(|entry| entry.holders().into_values());
+            holders.map(NodeId::from).collect::<Vec<_>>()
+        });
+        voters.into_iter().chain(holders).collect()
+    }
+
+    fn upgrade_status(&self, wire: u8, required_readers: &BTreeSet<NodeId>) -> UpgradeStatus {
+        let next = wire.checked_add(1).filter(|next| VersionRange::OWN.contains(*next));
+        let reads: BTreeMap<NodeId, Option<VersionRange>> = self.knowledge.read(|base| {
+            let known =
+                base.iter().map(|(node, stored)| (node.clone(), Some(stored.record.knowledge.supported_versions)));
+            required_readers.iter().map(|node| (node.clone(), None)).chain(known).collect()
+        });
+        let versions = |(node, reads): (NodeId, Option<VersionRange>)| NodeVersions {
+            alive: node == self.node || self.knowledge.is_alive(&node),
+            oldest: reads.map(|reads| reads.oldest),
+            newest: reads.map(|reads| reads.newest),
+            ready: next.map(|next| reads.is_some_and(|reads| reads.contains(next))),
+            node: node.to_string(),
+        };
+        UpgradeStatus { wire, next, nodes: reads.into_iter().map(versions).collect() }
+    }
+
+    async fn change(&self, mission: MissionId, command: Command) -> Result<Value, ApiError> {
+        match self.replica.propose(command, COMMIT_TIMEOUT).await {
+            Ok(CommandOutcome::Refused(refused)) => Err(refused.to_string().into()),
+            Ok(_) => {
+                let state = self.replica.read(|ledger| ledger.mission(&mission).map(|entry| entry.state.clone()));
+                Ok(json!(MissionChangeReply { mission, state }))
+            }
+            Err(problem) => Err(not_committed(&problem)),
+        }
+    }
+}
+
+fn not_committed(problem: &ProposeError) -> ApiError {
+    match problem {
+        ProposeError::TooLarge { .. } | ProposeError::Unencodable { .. } => problem.to_string().into(),
+        _ => ApiError { text: format!("{problem}; the same request may be sent again"), may_retry: true },
+    }
+}

@@ -1,0 +1,72 @@
+//! Replies to clients while there is no leader: at once, and from a single node.
+//!
+//! Every node that may vote receives requests. While it receives beacons of a live coordinator, it
+//! leaves requests to that coordinator. Otherwise the first live voter by name replies that the
+//! client should retry; the other nodes send no reply. Before the ledger is founded, the first live
+//! node that may vote replies instead. A node that has ever received a beacon concludes that the
+//! ledger is founded and that the reply is up to the voters. Nodes with different information may
+//! for a moment both reply, or neither: two replies do no harm, and without a reply the query times
+//! out.
+
+use consort_gossip::SharedKnowledge;
+use consort_protocol::ids::NodeId;
+use consort_raft::LeadershipView;
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// Suggested delay of a retry in milliseconds: about the duration of a takeover.
+pub(super) const RETRY_AFTER_MS: u64 = 300;
+
+/// Timeout of a coordinator without beacons: a little more than 2 beacon intervals. The ledger's
+/// voters detect the failure sooner.
+const BEACON_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// Returns this node's reply to a request, or `None` if the reply is up to another node.
+/// `last_beacon` contains the last other coordinator and the age of its beacon.
+pub(super) fn no_leader_reply(
+    node: &NodeId,
+    leadership: &LeadershipView,
+    knowledge: &SharedKnowledge,
+    last_beacon: Option<(&NodeId, Duration)>,
+) -> Option<Value> {
+    let is_active = |(other, age): &(&NodeId, Duration)| *age < BEACON_TIMEOUT && knowledge.is_alive(other);
+    let voters_are_known = !leadership.voters.is_empty();
+    if last_beacon.as_ref().is_some_and(is_active) || (last_beacon.is_some() && !voters_are_known) {
+        return None;
+    }
+    let other = leadership.leader.as_ref().filter(|leader| *leader != node);
+    let deposed = last_beacon.is_some_and(|(_, age)| age >= BEACON_TIMEOUT);
+    if !deposed && leadership.leader_id.is_some() && other.is_some_and(|leader| knowledge.is_alive(leader)) {
+        return None;
+    }
+    let alive = |voter: &NodeId| voter == node || knowledge.is_alive(voter);
+    let voters: BTreeSet<NodeId> = leadership.voters.values().cloned().collect();
+    let repliers = match voters.is_empty() {
+        true => knowledge.read(|base| {
+            let may_vote = base.iter().filter(|(_, stored)| stored.record.knowledge.may_vote);
+            may_vote.map(|(node, _)| node.clone()).collect()
+        }),
+        false => voters.clone(),
+    };
+    if repliers.iter().filter(|replier| alive(replier)).min() != Some(node) {
+        return None;
+    }
+    let reachable = voters.iter().filter(|voter| alive(voter)).count();
+    let quorum = match reachable > voters.len() / 2 || voters.is_empty() {
+        true => String::new(),
+        false => format!(" (no quorum: {reachable} of {} voters reachable)", voters.len()),
+    };
+    Some(retry_reply(quorum))
+}
+
+/// Returns a reply that asks the client to retry.
+pub(super) fn retry_reply(quorum: String) -> Value {
+    let error = format!("no coordinator yet{quorum}: retry after {RETRY_AFTER_MS} ms");
+    busy_reply(&error, Duration::from_millis(RETRY_AFTER_MS))
+}
+
+/// Returns an error with a retry delay.
+pub(super) fn busy_reply(error: &str, after: Duration) -> Value {
+    json!({ "error": error, "retry_after_ms": u64::try_from(after.as_millis()).unwrap_or(u64::MAX).max(1) })
+}

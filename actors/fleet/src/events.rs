@@ -1,0 +1,74 @@
+//! Publisher of a node's events.
+
+use crate::observe::SharedObserver;
+use bytes::Bytes;
+use consort_bus::clock::Clock;
+use consort_bus::{Delivery, Encoding, SharedBus};
+use consort_protocol::event::{Event, EventKind};
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::{Key, Keys};
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
+use tracing::debug;
+
+/// Publishes the events of this node, in order. Clones share a single sequence of numbers.
+/// Publishing never blocks.
+#[derive(Clone)]
+pub struct EventPublisher(Arc<Shared>);
+
+struct Shared {
+    node: NodeId,
+    clock: Clock,
+    observer: Option<SharedObserver>,
+    stream: Mutex<NumberedStream>,
+    _task: tokio::task::JoinSet<()>,
+}
+
+struct NumberedStream {
+    count: u64,
+    sender: UnboundedSender<Event>,
+}
+
+impl EventPublisher {
+    /// Opens the stream. An observer receives each event first, at the moment it is published.
+    pub fn open(
+        node: NodeId,
+        keys: &Keys,
+        bus: SharedBus,
+        clock: Clock,
+        observer: Option<SharedObserver>,
+    ) -> EventPublisher {
+        let (sender, mut events) = unbounded_channel::<Event>();
+        let key = keys.write(&Key::Events(node.clone()));
+        let mut task = tokio::task::JoinSet::new();
+        task.spawn(async move {
+            while let Some(event) = events.recv().await {
+                let json = serde_json::to_vec(&event).expect("an event serializes to JSON");
+                if let Err(error) = bus.publish(&key, Bytes::from(json), Encoding::Json, Delivery::Drop).await {
+                    debug!(%error, "event not published");
+                }
+            }
+        });
+        EventPublisher(Arc::new(Shared {
+            node,
+            clock,
+            observer,
+            stream: Mutex::new(NumberedStream { count: 0, sender }),
+            _task: task,
+        }))
+    }
+
+    /// Publishes an event that has just happened on this node.
+    pub fn publish(&self, kind: EventKind) {
+        let Shared { node, clock, observer, stream, .. } = &*self.0;
+        // Counted and sent under the same lock, so that the numbers follow the order of the stream.
+        let mut stream = stream.lock().unwrap_or_else(PoisonError::into_inner);
+        stream.count += 1;
+        let event = Event { node: node.clone(), sequence: stream.count, at_ms: clock.wall_ms(), kind };
+        if let Some(observer) = observer {
+            observer.on_event(&event);
+        }
+        // The task behind the channel lives as long as any clone.
+        let _ = stream.sender.send(event);
+    }
+}

@@ -1,0 +1,21 @@
+//! Performs the actions that the pure crates decide: the bus, and the robot, coordinator, gossip
+//! and Raft actors.
+//!
+//! An actor owns its mailbox, its timers and its declarations on the bus. Its decisions are values
+//! from `consort-protocol` and `consort-skills`. A whole fleet repeats exactly on paused time: only
+//! tokio's clock is used, all randomness comes from a seeded generator passed in, and every
+//! collection that is iterated to choose or to send is ordered.
+
+mod api_types;
+pub mod autopilot;
+pub mod coordinator;
+pub mod events;
+pub mod fuzz_api;
+pub mod human_task_proxy;
+pub mod node;
+pub mod observe;
+pub mod robot;
+pub mod robot_driver;
+pub mod views;
+
+pub use api_types::help as api_help;

@@ -1,0 +1,399 @@
+//! Start of a node: its parts start in the order of their dependencies.
+
+use super::handle::NodeError;
+use super::root::NodeMessage;
+use super::settings::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
+use crate::autopilot::{Bootstrap, Decommission, DecommissionReport};
+use crate::coordinator::{Coordinator, CoordinatorMessage, CoordinatorSettings};
+use crate::events::EventPublisher;
+use crate::human_task_proxy::{HumanTaskProxy, HumanTaskProxySettings};
+use crate::observe::SharedObserver;
+use crate::robot::{Robot, RobotMessage, RobotSettings, TaskTimeout};
+use crate::robot_driver::{CLIENT_TIMEOUT, DriverClientSettings, DriverServer, DriverServerSettings, RobotDriver};
+use crate::views::Views;
+use consort_bus::clock::Clock;
+use consort_bus::cluster_membership::{ClusterBus, ClusterMembership};
+use consort_bus::reply;
+use consort_bus::tasks::Tasks;
+use consort_bus::wire_version::WireVersion;
+use consort_bus::{Query, SharedBus, Stream};
+use consort_gossip::{Gossip, GossipHandle, SharedKnowledge};
+use consort_protocol::ids::{ClusterId, NodeId, RobotId};
+use consort_protocol::keys::{Key, Keys};
+use consort_protocol::knowledge::Knowledge;
+use consort_protocol::ledger::{Command, Ledger};
+use consort_protocol::message::BootstrapRequest;
+use consort_protocol::timing::TimingParameters;
+use consort_protocol::versions::VersionRange;
+use consort_raft::store::CheckpointStore;
+use consort_raft::{ApplyObserver, LogStore, RaftSettings, Replica};
+use ractor::{Actor, ActorRef};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::watch;
+use tracing::warn;
+
+/// Parts that a node handle needs.
+pub(super) struct StartedParts {
+    pub(super) decommission_handle: Decommission,
+    pub(super) decommissioned: watch::Receiver<Option<DecommissionReport>>,
+    pub(super) membership: ClusterMembership,
+    pub(super) tasks: Tasks,
+}
+
+/// Starts all parts of a node as children of `root`. On an error the caller stops the started parts
+/// together with the root.
+pub(super) async fn start_parts(
+    settings: NodeSettings,
+    bus: SharedBus,
+    root: &ActorRef<NodeMessage>,
+) -> Result<StartedParts, NodeError> {
+    let NodeSettings { fleet, node, incarnation, seed, store, clock, record_signer, observer, .. } = settings;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let keys = Keys::new(&fleet.fleet);
+    let events = EventPublisher::open(node.clone(), &keys, bus.clone(), clock, observer.clone());
+    let replica = match settings.may_vote {
+        true => Some(start_replica(&fleet, &node, bus.clone(), store.log_store, rng.next_u64(), observer).await?),
+        false => None,
+    };
+    let knowledge = Knowledge {
+        may_vote: settings.may_vote,
+        stationary: settings.stationary,
+        mains_powered: settings.mains_powered,
+        replica: replica.as_ref().map(|replica| replica.id().0),
+        cluster: None,
+        leaving: false,
+        supported_versions: VersionRange::OWN,
+        robot: settings.robot.as_ref().map(|robot| robot.worker.clone()),
+    };
+    let wire_version = WireVersion::default();
+    let start = consort_gossip::GossipStart {
+        settings: consort_gossip::Settings::new(fleet.fleet.clone(), node.clone(), incarnation)
+            .with_timing(fleet.timing),
+        knowledge,
+        shared: SharedKnowledge::default(),
+        bus: bus.clone(),
+        clock,
+        rng: ChaCha8Rng::from_rng(&mut rng),
+        wire_version: wire_version.clone(),
+        signer: record_signer,
+    };
+    let (gossip, _) = Gossip::start(start, Some(root.get_cell())).await.map_err(|problem| NodeError::from(*problem))?;
+    let membership = ClusterMembership::default();
+    // Only consensus and gossip cross the border of a cluster, because they detect other clusters.
+    let bus = Arc::new(ClusterBus::new(bus, keys.clone(), membership.clone()));
+    let mut assembly = Assembly {
+        root: root.clone(),
+        times: fleet.timing.parameters(),
+        fleet,
+        node,
+        keys,
+        bus,
+        clock,
+        events,
+        replica,
+        gossip,
+        membership,
+        wire_version,
+        tasks: Tasks::default(),
+    };
+    assembly.publish_cluster();
+    assembly.follow_wire_version().await?;
+    let coordinator = match assembly.replica.clone() {
+        Some(replica) => {
+            assembly.follow_ledger_cluster(&replica);
+            let coordinator = assembly.start_coordinator(&replica, rng.next_u64()).await?;
+            assembly.end_with_ledger(&replica);
+            let (mobile, on_battery) = (!settings.stationary, !settings.mains_powered);
+            let founder = BootstrapRequest { mobile, on_battery, node: assembly.node.clone() };
+            assembly.found_ledger(replica, founder).await?;
+            Some(coordinator)
+        }
+        None => None,
+    };
+    assembly.serve_views(coordinator).await?;
+    if let Some(server) = settings.driver_server {
+        assembly.start_driver_server(server).await?;
+    }
+    let robot = match settings.robot {
+        Some(part) => Some(assembly.start_robot(part, incarnation, store.checkpoints).await?),
+        None => None,
+    };
+    assembly.serve_decommission_requests(robot).await
+}
+
+/// Starts the local copy of the ledger from `log_store`.
+async fn start_replica(
+    fleet: &FleetSettings,
+    node: &NodeId,
+    bus: SharedBus,
+    log_store: Arc<dyn LogStore>,
+    seed: u64,
+    observer: Option<SharedObserver>,
+) -> Result<Replica<Ledger>, NodeError> {
+    let settings = RaftSettings::new(fleet.fleet.clone(), node.clone()).with_timing(fleet.timing);
+    let applied = observer.map(|observer| {
+        let node = node.clone();
+        Arc::new(move |at, commands: &[Command]| observer.on_applied(&node, at, commands)) as ApplyObserver<Ledger>
+    });
+    Ok(Replica::start_observed(settings, bus, log_store, seed, applied).await?)
+}
+
+/// Foundation of a node: everything the other parts depend on.
+struct Assembly {
+    root: ActorRef<NodeMessage>,
+    fleet: FleetSettings,
+    times: TimingParameters,
+    node: NodeId,
+    keys: Keys,
+    /// Bus that keeps mission traffic within the node's cluster.
+    bus: SharedBus,
+    clock: Clock,
+    events: EventPublisher,
+    replica: Option<Replica<Ledger>>,
+    gossip: GossipHandle,
+    membership: ClusterMembership,
+    wire_version: WireVersion,
+    tasks: Tasks,
+}
+
+impl Assembly {
+    /// Returns the records received from other nodes.
+    fn knowledge(&self) -> SharedKnowledge {
+        self.gossip.shared().clone()
+    }
+
+    /// Publishes the node's cluster through gossip.
+    fn publish_cluster(&mut self) {
+        let gossip = self.gossip.clone();
+        let publish =
+            move |own: Option<ClusterId>| gossip.update_with(move |knowledge| knowledge.cluster = own).is_ok();
+        self.tasks.spawn(self.membership.clone().report_changes(publish));
+    }
+
+    /// Follows the wire version of the fleet. The node ends if it cannot read that version.
+    async fn follow_wire_version(&mut self) -> Result<(), NodeError> {
+        self.wire_version.clone().follow_beacons(&self.bus, &self.keys, &mut self.tasks).await?;
+        let (wire_version, root) = (self.wire_version.clone(), self.root.clone());
+        self.tasks.spawn(async move {
+            let advice = wire_version.wait_unsupported().await;
+            // The root may have ended already.
+            let _ = root.send_message(NodeMessage::UnsupportedWireVersion(advice));
+        });
+        Ok(())
+    }
+
+    /// Sets the node's cluster to the cluster of its own ledger.
+    fn follow_ledger_cluster(&mut self, replica: &Replica<Ledger>) {
+        let (mut own, membership) = (replica.cluster(), self.membership.clone());
+        self.tasks.spawn(async move {
+            loop {
+                let cluster = *own.borrow_and_update();
+                if let Some(cluster) = cluster {
+                    membership.set_from_ledger(cluster);
+                }
+                if own.changed().await.is_err() {
+                    return;
+                }
+            }
+        });
+    }
+
+    async fn start_coordinator(
+        &self,
+        replica: &Replica<Ledger>,
+        cluster_seed: u64,
+    ) -> Result<ActorRef<CoordinatorMessage>, NodeError> {
+        let settings = CoordinatorSettings {
+            node: self.node.clone(),
+            keys: self.keys.clone(),
+            bus: self.bus.clone(),
+            clock: self.clock,
+            replica: replica.clone(),
+            knowledge: self.knowledge(),
+            wire_version: self.wire_version.clone(),
+            events: self.events.clone(),
+            ensemble: Arc::clone(&self.fleet.ensemble),
+            domain: Arc::clone(&self.fleet.domain),
+            limits: self.fleet.limits,
+            request_limits: self.fleet.request_limits,
+            allocator: Arc::clone(&self.fleet.allocator),
+            lease_terms: self.fleet.lease_terms,
+            bid_window: self.fleet.bid_window,
+            stall_timeout: self.fleet.stall_timeout,
+            tick_interval: self.times.beacon_interval,
+            cluster_seed,
+            voters: self.fleet.voters,
+            dead_after: self.fleet.dead_after,
+            contact_timeout: self.times.election_max,
+        };
+        let (coordinator, _) = Actor::spawn_linked(None, Coordinator, settings, self.root.get_cell()).await?;
+        Ok(coordinator)
+    }
+
+    /// Ends the node when its copy of the ledger fails.
+    fn end_with_ledger(&mut self, replica: &Replica<Ledger>) {
+        let (replica, root) = (replica.clone(), self.root.clone());
+        self.tasks.spawn(async move {
+            let problem = replica.wait_failed().await;
+            // The root may have ended already.
+            let _ = root.send_message(NodeMessage::LedgerFailed(problem));
+        });
+    }
+
+    /// Founds the fleet's ledger if there is none and it is this node's turn.
+    async fn found_ledger(&mut self, replica: Replica<Ledger>, founder: BootstrapRequest) -> Result<(), NodeError> {
+        let requests = self.bus.serve(&self.keys.write(&Key::Bootstrap(self.node.clone()))).await?;
+        let bootstrap = Bootstrap {
+            me: founder,
+            keys: self.keys.clone(),
+            bus: self.bus.clone(),
+            replica,
+            knowledge: self.knowledge(),
+            membership: self.membership.clone(),
+            expected_nodes: self.fleet.bootstrap_expect,
+            target_voters: self.fleet.voters,
+            reply_timeout: self.times.auction_window,
+        };
+        self.tasks.spawn(bootstrap.run(requests));
+        Ok(())
+    }
+
+    async fn serve_views(&mut self, coordinator: Option<ActorRef<CoordinatorMessage>>) -> Result<(), NodeError> {
+        let views = Views {
+            node: self.node.clone(),
+            keys: self.keys.clone(),
+            bus: self.bus.clone(),
+            clock: self.clock,
+            replica: self.replica.clone(),
+            coordinator,
+            knowledge: self.knowledge(),
+            membership: self.membership.clone(),
+            ensemble: Arc::clone(&self.fleet.ensemble),
+            map: self.fleet.map.clone(),
+            beacon_interval: self.times.beacon_interval,
+        };
+        Ok(views.serve(&mut self.tasks).await?)
+    }
+
+    /// Starts the driver server and the human task proxy.
+    async fn start_driver_server(&self, part: DriverServerPart) -> Result<(), NodeError> {
+        let server = DriverServerSettings {
+            keys: self.keys.clone(),
+            bus: self.bus.clone(),
+            clock: self.clock,
+            speed: part.speed,
+            publish_interval: Duration::from_millis(500),
+            client_timeout: CLIENT_TIMEOUT,
+        };
+        Actor::spawn_linked(None, DriverServer, (server, part.world), self.root.get_cell()).await?;
+        let proxy = HumanTaskProxySettings {
+            node: self.node.clone(),
+            keys: self.keys.clone(),
+            bus: self.bus.clone(),
+            events: self.events.clone(),
+            tick_interval: Duration::from_secs(1),
+        };
+        Actor::spawn_linked(None, HumanTaskProxy, proxy, self.root.get_cell()).await?;
+        Ok(())
+    }
+
+    /// Starts the driver client and the robot.
+    async fn start_robot(
+        &mut self,
+        part: RobotPart,
+        incarnation: u64,
+        checkpoint_store: Arc<dyn CheckpointStore>,
+    ) -> Result<ActorRef<RobotMessage>, NodeError> {
+        let robot = RobotId::from(self.node.clone());
+        let client = DriverClientSettings {
+            robot: robot.clone(),
+            keys: self.keys.clone(),
+            bus: self.bus.clone(),
+            // 20 bits of goal ids per incarnation; incarnations start at least 1 ms apart.
+            first_goal: incarnation << 20,
+            heartbeat_interval: Duration::from_millis(300),
+        };
+        let driver = RobotDriver::connect(client, &self.root.get_cell()).await?;
+        let token = self.bus.announce(&self.keys.write(&Key::AliveRobot(robot.clone()))).await?;
+        self.tasks.spawn(async move {
+            std::future::pending::<()>().await;
+            drop(token);
+        });
+        let settings = RobotSettings {
+            robot,
+            incarnation,
+            worker: part.worker,
+            keys: self.keys.clone(),
+            bus: self.bus.clone(),
+            clock: self.clock,
+            events: self.events.clone(),
+            knowledge: self.knowledge(),
+            gossip: self.gossip.clone(),
+            ensemble: Arc::clone(&self.fleet.ensemble),
+            limits: self.fleet.limits,
+            lease_terms: self.fleet.lease_terms,
+            estimator: part.estimator,
+            library: part.library,
+            driver,
+            checkpoint_store,
+            task_timeout: TaskTimeout::default(),
+            retry_delay: Duration::from_millis(500),
+            update_interval: Duration::from_millis(250),
+            skill_tick_interval: Duration::from_millis(100),
+        };
+        let (robot, _) = Actor::spawn_linked(None, Robot, settings, self.root.get_cell()).await?;
+        Ok(robot)
+    }
+
+    /// Starts to accept decommission requests.
+    async fn serve_decommission_requests(
+        mut self,
+        robot: Option<ActorRef<RobotMessage>>,
+    ) -> Result<StartedParts, NodeError> {
+        let decommission = Decommission {
+            node: self.node.clone(),
+            keys: self.keys.clone(),
+            bus: self.bus.clone(),
+            replica: self.replica.clone(),
+            gossip: self.gossip.clone(),
+            knowledge: self.knowledge(),
+            robot,
+            terms: self.fleet.lease_terms,
+            timing: self.times,
+        };
+        let (decommissioned_sender, decommissioned) = watch::channel(None);
+        let requests = self.bus.serve(&self.keys.write(&Key::Leave(self.node))).await?;
+        self.tasks.spawn(serve_decommission(decommission.clone(), requests, decommissioned_sender));
+        Ok(StartedParts {
+            decommission_handle: decommission,
+            decommissioned,
+            membership: self.membership,
+            tasks: self.tasks,
+        })
+    }
+}
+
+/// Decommissions the node on request, and replies with the result or the error.
+async fn serve_decommission(
+    decommission: Decommission,
+    mut requests: Stream<Query>,
+    decommissioned: watch::Sender<Option<DecommissionReport>>,
+) {
+    while let Some(query) = requests.recv().await {
+        match decommission.run().await {
+            Ok(report) => {
+                reply::json(&query, &query.key, &report).await;
+                decommissioned.send_replace(Some(report));
+                // The program that runs the node ends it now.
+                return;
+            }
+            Err(problem) => {
+                warn!(node = %decommission.node, %problem, "decommission failed: the node keeps running");
+                reply::json(&query, &query.key, &serde_json::json!({ "error": problem.to_string() })).await;
+            }
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! Settings of a node.
+
+use crate::coordinator::RequestLimits;
+use crate::observe::SharedObserver;
+use consort_bus::clock::Clock;
+use consort_gossip::SharedRecordSigner;
+use consort_protocol::auction::{Allocator, BidLimits};
+use consort_protocol::ensemble::Ensemble;
+use consort_protocol::ids::{FleetId, NodeId};
+use consort_protocol::knowledge::RobotKnowledge;
+use consort_protocol::lease::LeaseTerms;
+use consort_protocol::mission::Domain;
+use consort_protocol::timing::Timing;
+use consort_raft::store::NodeStore;
+use consort_skills::actions::RobotBackend;
+use consort_skills::descriptor::Estimator;
+use consort_skills::library::SkillLibrary;
+use serde_json::Value;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Settings shared by all nodes of a fleet.
+#[derive(Clone)]
+pub struct FleetSettings {
+    /// Id of the fleet.
+    pub fleet: FleetId,
+    /// The ensemble: its members receive calls for bids.
+    pub ensemble: Arc<Ensemble>,
+    /// The task types that missions may use.
+    pub domain: Arc<Domain>,
+    /// Limits that bids must meet.
+    pub limits: BidLimits,
+    /// Limits of accepted requests and missions.
+    pub request_limits: RequestLimits,
+    /// Allocation rule: [`OptimalAssignment`](consort_protocol::auction::OptimalAssignment), except
+    /// in evaluations.
+    pub allocator: Arc<dyn Allocator>,
+    /// Durations of leases.
+    pub lease_terms: LeaseTerms,
+    /// Time for which an auction waits for missing bids.
+    pub bid_window: Duration,
+    /// Maximum time for a held role without an ended step, while it could make progress. Then the
+    /// role is taken from its holder. Zero means never.
+    pub stall_timeout: Duration,
+    /// Number of voting nodes that must be in contact and agree on a founder before it founds the
+    /// fleet's ledger. If this is not more than half of all, partitions of the fleet may each found
+    /// a ledger.
+    pub bootstrap_expect: usize,
+    /// Timing profile: speed of detection and reaction.
+    pub timing: Timing,
+    /// Number of voters that the autopilot aims at: odd, up to [`crate::autopilot::VOTERS_MAX`].
+    pub voters: usize,
+    /// Time without contact after which the autopilot replaces a voter.
+    pub dead_after: Duration,
+    /// The fleet's map, served as `view/map`. No decision depends on it.
+    pub map: Option<Arc<Value>>,
+}
+
+/// Settings of a single node.
+pub struct NodeSettings {
+    /// Settings of the fleet.
+    pub fleet: FleetSettings,
+    /// Id of the node.
+    pub node: NodeId,
+    /// Incarnation of the node: larger than any previous incarnation.
+    pub incarnation: u64,
+    /// Seed of all random decisions.
+    pub seed: u64,
+    /// Persistent store.
+    pub store: NodeStore,
+    /// Clock of the node.
+    pub clock: Clock,
+    /// The node keeps a copy of the ledger and may coordinate.
+    pub may_vote: bool,
+    /// The node does not move.
+    pub stationary: bool,
+    /// The node has mains power.
+    pub mains_powered: bool,
+    /// Signs the node's own records and verifies forwarded records, in a fleet with certificates.
+    pub record_signer: Option<SharedRecordSigner>,
+    /// The robot of the node, if any.
+    pub robot: Option<RobotPart>,
+    /// The driver server of the node, if any.
+    pub driver_server: Option<DriverServerPart>,
+    /// Observer of the node's events, called synchronously; usually none.
+    pub observer: Option<SharedObserver>,
+}
+
+/// The robot of a node.
+pub struct RobotPart {
+    /// Published worker until the driver has reported.
+    pub worker: RobotKnowledge,
+    /// Estimator of time and energy.
+    pub estimator: Arc<Estimator>,
+    /// Skills of the robot.
+    pub library: Arc<SkillLibrary>,
+}
+
+/// The driver server of a node.
+pub struct DriverServerPart {
+    /// The simulated world or robot adapter.
+    pub world: Box<dyn RobotBackend>,
+    /// World seconds per second of node time.
+    pub speed: f64,
+}

@@ -1,0 +1,192 @@
+//! Signals between the roles of a mission, from robot to robot without the coordinator.
+//!
+//! A signal is published once, when it is sent. A node that has missed it sends a query: the sender
+//! replies with the role's complete signal history while it still stores the mission. Both
+//! operations are idempotent.
+
+use bytes::Bytes;
+use consort_bus::reply;
+use consort_bus::tasks::Tasks;
+use consort_bus::{BusError, Delivery, Encoding, SharedBus};
+use consort_protocol::codec;
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::{MissionId, RoleId};
+use consort_protocol::keys::{Key, Keys};
+use consort_protocol::lease::Epoch;
+use consort_protocol::message::SignalHistory;
+use consort_protocol::plan::Signal;
+use std::collections::{BTreeSet, VecDeque};
+use std::time::Duration;
+use tokio::sync::watch;
+use tracing::{debug, warn};
+
+/// Number of ended roles for which a node still replies with the signal history.
+const ENDED_ROLES_KEPT: usize = 16;
+
+/// Signal exchange of a single node for all its missions.
+pub(crate) struct SignalExchange {
+    bus: SharedBus,
+    keys: Keys,
+    /// Roles that send signals. Ended roles are in the order in which they ended.
+    senders: VecDeque<RoleSender>,
+    /// Number of stale signals received since the start.
+    stale_count: u64,
+}
+
+/// Signals received under awards that are no longer in force.
+pub(crate) type StaleSignals = BTreeSet<(Signal, Epoch)>;
+
+struct RoleSender {
+    mission: MissionId,
+    role: RoleId,
+    history: watch::Sender<SignalHistory>,
+    /// The role has ended: it sends no more signals and will be removed.
+    ended: bool,
+    _serving: Tasks,
+}
+
+impl SignalExchange {
+    pub(crate) fn new(bus: SharedBus, keys: Keys) -> SignalExchange {
+        SignalExchange { bus, keys, senders: VecDeque::new(), stale_count: 0 }
+    }
+
+    /// Starts to serve the signal history of a role, beginning with the signals already sent.
+    pub(crate) async fn start_role(
+        &mut self,
+        mission: &MissionId,
+        role: &RoleId,
+        epoch: Epoch,
+        history: BTreeSet<Signal>,
+    ) -> Result<(), BusError> {
+        self.senders.retain(|sender| sender.mission != *mission || sender.role != *role);
+        let mut queries = self.bus.serve(&self.keys.write(&Key::SignalHistory(mission.clone(), role.clone()))).await?;
+        let (history, latest) = watch::channel(SignalHistory { mission: mission.clone(), epoch, signals: history });
+        let mut serving = Tasks::default();
+        serving.spawn(async move {
+            while let Some(query) = queries.recv().await {
+                let history = latest.borrow().clone();
+                reply::wire(&query, &query.key, &history).await;
+            }
+        });
+        let (mission, role) = (mission.clone(), role.clone());
+        self.senders.push_back(RoleSender { mission, role, history, ended: false, _serving: serving });
+        Ok(())
+    }
+
+    /// Ends a role. Its signal history is still served until later roles replace it.
+    pub(crate) fn end_role(&mut self, mission: &MissionId, role: &RoleId) {
+        let Some(at) = self.senders.iter().position(|t| t.mission == *mission && t.role == *role) else { return };
+        if let Some(sender) = self.senders.remove(at) {
+            self.senders.push_back(RoleSender { ended: true, ..sender });
+        }
+        if self.senders.iter().filter(|sender| sender.ended).count() > ENDED_ROLES_KEPT
+            && let Some(oldest) = self.senders.iter().position(|sender| sender.ended)
+        {
+            self.senders.remove(oldest);
+        }
+    }
+
+    /// Sends a signal of a started role.
+    pub(crate) async fn send(&self, mission: &MissionId, signal: &Signal) {
+        let Some(sender) = self.senders.iter().find(|t| t.mission == *mission && t.role == signal.from) else { return };
+        sender.history.send_modify(|history| {
+            history.signals.insert(signal.clone());
+        });
+        let history = SignalHistory { signals: BTreeSet::from([signal.clone()]), ..sender.history.borrow().clone() };
+        let bytes = Bytes::from(codec::encode(&history).expect("a signal fits a message"));
+        let key = self.keys.write(&Key::Signal(mission.clone(), signal.to.clone()));
+        if let Err(problem) = self.bus.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await {
+            debug!(%problem, "signal was not published; its receiver will query it");
+        }
+    }
+
+    /// Counts a signal that was sent under an award no longer in force. Returns an event when the
+    /// receiver gets it for the first time.
+    pub(crate) fn record_stale(
+        &mut self,
+        received: &mut StaleSignals,
+        history: &SignalHistory,
+        signal: &Signal,
+        known: Epoch,
+    ) -> Option<EventKind> {
+        self.stale_count += 1;
+        let (mission, epoch, count) = (history.mission.clone(), history.epoch, self.stale_count);
+        let first = received.insert((signal.clone(), epoch));
+        first.then(|| EventKind::StaleSignal { mission, signal: signal.clone(), epoch, known, count })
+    }
+
+    /// Queries the signal histories of all roles with an awaited signal. Each history is passed to
+    /// `deliver`.
+    pub(crate) fn query_history(
+        &self,
+        mission: &MissionId,
+        awaited: &BTreeSet<Signal>,
+        tasks: &mut Tasks,
+        deliver: impl Fn(SignalHistory) + Send + Clone + 'static,
+    ) {
+        let senders: BTreeSet<&RoleId> = awaited.iter().map(|signal| &signal.from).collect();
+        for role in senders {
+            let key = self.keys.write(&Key::SignalHistory(mission.clone(), role.clone()));
+            let (bus, deliver) = (self.bus.clone(), deliver.clone());
+            tasks.spawn(async move {
+                let Ok(mut replies) = bus.query(&key, Bytes::new(), Duration::from_millis(500)).await else { return };
+                while let Some(reply) = replies.recv().await {
+                    match reply.payload.map(|bytes| codec::decode::<SignalHistory>(&bytes)) {
+                        Ok(Ok(history)) => deliver(history),
+                        Ok(Err(problem)) => warn!(key, %problem, "reply cannot be decoded"),
+                        Err(problem) => debug!(key, problem, "no reply"),
+                    }
+                }
+            });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_bus::{Bus, LinkModel, VirtualNetwork};
+    use consort_protocol::ids::{FleetId, NodeId, TaskId};
+    use consort_protocol::plan::SignalKind;
+    use std::sync::Arc;
+
+    /// Returns the size of the nurse's signal history in a mission; `None` without a reply.
+    async fn history_size(bus: &dyn Bus, keys: &Keys, mission: &MissionId) -> Option<usize> {
+        let key = keys.write(&Key::SignalHistory(mission.clone(), RoleId::new("nurse").unwrap()));
+        let mut replies = bus.query(&key, Bytes::new(), Duration::from_millis(500)).await.unwrap();
+        let bytes = replies.recv().await?.payload.unwrap();
+        Some(codec::decode::<SignalHistory>(&bytes).unwrap().signals.len())
+    }
+
+    #[tokio::test(flavor = "current_thread", start_paused = true)]
+    async fn only_the_histories_of_ended_roles_are_removed() {
+        let network = VirtualNetwork::new(1, LinkModel::steady(Duration::from_millis(1)));
+        let bus = network.bus(NodeId::new("ward").unwrap());
+        let other = network.bus(NodeId::new("amber").unwrap());
+        let keys = Keys::new(&FleetId::new("fleet").unwrap());
+        let mut exchange = SignalExchange::new(Arc::new(bus), keys.clone());
+        let nurse = RoleId::new("nurse").unwrap();
+        let missions: Vec<_> = (0..2 * ENDED_ROLES_KEPT + 3)
+            .map(|number| MissionId::new(format!("mission-{number:02}")).unwrap())
+            .collect();
+        for mission in &missions {
+            exchange.start_role(mission, &nurse, Epoch::default(), BTreeSet::new()).await.unwrap();
+        }
+        for mission in &missions {
+            let (task, to) = (TaskId::new("deposit").unwrap(), RoleId::new("r1").unwrap());
+            exchange.send(mission, &Signal { kind: SignalKind::Done, task, from: nurse.clone(), to }).await;
+            assert_eq!(history_size(&other, &keys, mission).await, Some(1), "{mission} is active");
+        }
+        let (ended_missions, active) = missions.split_at(ENDED_ROLES_KEPT + 2);
+        // The order differs from the order in which the roles started.
+        for mission in ended_missions.iter().rev() {
+            exchange.end_role(mission, &nurse);
+        }
+        for mission in active.iter().chain(&ended_missions[..ENDED_ROLES_KEPT]) {
+            assert_eq!(history_size(&other, &keys, mission).await, Some(1), "{mission} is active or ended lately");
+        }
+        for mission in &ended_missions[ENDED_ROLES_KEPT..] {
+            assert_eq!(history_size(&other, &keys, mission).await, None, "{mission} ended first");
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! Execution of a single skill: an actor ticks the behavior tree until it ends. A panic in the
+//! skill ends only this actor.
+
+use crate::robot_driver::RobotDriver;
+use consort_bus::tasks::Tasks;
+use consort_skills::library::{ActiveSkill, SkillStatus};
+use ractor::{Actor, ActorProcessingErr, ActorRef};
+use std::time::Duration;
+
+/// Outcome of a skill.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum SkillOutcome {
+    /// The skill has reached its goal.
+    Succeeded,
+    /// The skill has failed, with the cause.
+    Failed(String),
+}
+
+/// Message for a skill runner.
+pub(super) enum RunnerMessage {
+    /// Tick the tree.
+    Tick,
+    /// Stop the robot safely, and end.
+    Halt,
+}
+
+/// Arguments of a skill runner.
+pub(super) struct SkillRun {
+    pub(super) skill: ActiveSkill,
+    pub(super) driver: RobotDriver,
+    /// Tick interval while the driver sends no state (thesis: 100 ms).
+    pub(super) period: Duration,
+    /// Called once, when the skill has ended by itself.
+    pub(super) on_end: Box<dyn FnOnce(SkillOutcome) + Send + Sync>,
+}
+
+/// The skill runner actor.
+pub(super) struct SkillRunner;
+
+/// State of [`SkillRunner`].
+pub(super) struct RunnerState {
+    started: bool,
+    skill: ActiveSkill,
+    driver: RobotDriver,
+    done: Option<Box<dyn FnOnce(SkillOutcome) + Send + Sync>>,
+    _tasks: Tasks,
+}
+
+#[ractor::async_trait]
+impl Actor for SkillRunner {
+    type Msg = RunnerMessage;
+    type State = RunnerState;
+    type Arguments = SkillRun;
+
+    async fn pre_start(&self, myself: ActorRef<Self::Msg>, run: SkillRun) -> Result<Self::State, ActorProcessingErr> {
+        let mut tasks = Tasks::default();
+        tasks.on_change(run.driver.changes(), &myself, || RunnerMessage::Tick);
+        tasks.send_every(run.period, &myself, || RunnerMessage::Tick);
+        myself.cast(RunnerMessage::Tick)?;
+        Ok(RunnerState { started: false, skill: run.skill, driver: run.driver, done: Some(run.on_end), _tasks: tasks })
+    }
+
+    async fn handle(
+        &self,
+        myself: ActorRef<Self::Msg>,
+        message: Self::Msg,
+        state: &mut Self::State,
+    ) -> Result<(), ActorProcessingErr> {
+        state.driver.refresh();
+        state.started |= state.driver.is_idle();
+        let outcome = match message {
+            // A goal of an earlier attempt, perhaps of a previous incarnation, must end first: the
+            // driver executes a single goal at a time.
+            RunnerMessage::Tick if !state.started => return Ok(()),
+            RunnerMessage::Tick => match state.skill.tick(&mut state.driver) {
+                SkillStatus::Running => return Ok(()),
+                SkillStatus::Succeeded => Some(SkillOutcome::Succeeded),
+                SkillStatus::Failed { cause } => Some(SkillOutcome::Failed(cause)),
+            },
+            RunnerMessage::Halt => {
+                state.skill.halt(&mut state.driver);
+                None
+            }
+        };
+        if let (Some(outcome), Some(done)) = (outcome, state.done.take()) {
+            done(outcome);
+        }
+        state.done = None;
+        myself.stop(None);
+        Ok(())
+    }
+}

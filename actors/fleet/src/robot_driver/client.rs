@@ -1,0 +1,276 @@
+//! The driver client: a goal tracker that skills use without waiting, and the actor that keeps it
+//! up to date.
+
+use super::goal_tracker::GoalTracker;
+use super::messages::{DriverCommand, DriverState, GoalRequest};
+use bytes::Bytes;
+use consort_bus::tasks::Tasks;
+use consort_bus::{Reply, Sample, SharedBus, Stream};
+use consort_protocol::codec;
+use consort_protocol::ids::RobotId;
+use consort_protocol::keys::{BodyCall, Key, Keys};
+use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotActions, Telemetry};
+use ractor::{Actor, ActorCell, ActorProcessingErr, ActorRef};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio::time::Instant;
+use tracing::{debug, warn};
+
+/// Interval of commands while the driver is idle. A guess: well below the 3 s after which a server
+/// declares a client timeout, which matters only while a goal is in progress.
+const IDLE_INTERVAL: Duration = Duration::from_millis(800);
+
+/// Settings of a driver client.
+#[derive(Clone)]
+pub struct DriverClientSettings {
+    /// The robot.
+    pub robot: RobotId,
+    /// The fleet's keys.
+    pub keys: Keys,
+    /// The bus.
+    pub bus: SharedBus,
+    /// First goal id: different for each incarnation of the node, so that no id is used twice.
+    pub first_goal: u64,
+    /// Interval of commands to the server while a goal is in progress or the server does not reply.
+    /// An idle driver gets a command only when the last reply is 0.8 s old. Raised: a lost command
+    /// is repeated later. Default 300 ms.
+    pub heartbeat_interval: Duration,
+}
+
+/// Driver of a robot. Clones share the same goal tracker; each clone has its own copy of the
+/// telemetry.
+#[derive(Clone)]
+pub struct RobotDriver {
+    tracker: Arc<Mutex<GoalTracker>>,
+    requests: ActorRef<DriverClientMessage>,
+    /// Telemetry as of this clone's last [`refresh`](RobotDriver::refresh).
+    telemetry: Option<Telemetry>,
+}
+
+/// Message for the driver client.
+pub enum DriverClientMessage {
+    /// Requests wait to be sent.
+    SendRequests,
+    /// Periodic timer: send a heartbeat and repeat requests without a reply.
+    Heartbeat,
+    /// The server has published a state.
+    State(Sample),
+    /// The server has replied to a command with this request.
+    CommandReplied(Option<GoalRequest>, Reply),
+}
+
+/// The driver client actor.
+pub struct DriverClient;
+
+/// State of [`DriverClient`].
+pub struct DriverClientState {
+    settings: DriverClientSettings,
+    driver: RobotDriver,
+    /// Time of the latest reply to a command.
+    last_reply_at: Option<Instant>,
+    tasks: Tasks,
+}
+
+impl RobotDriver {
+    /// Starts a driver client under a supervisor.
+    ///
+    /// # Errors
+    /// The actor cannot start because the bus is closed.
+    pub async fn connect(
+        settings: DriverClientSettings,
+        supervisor: &ActorCell,
+    ) -> Result<RobotDriver, ractor::SpawnErr> {
+        let (driver_sender, mut driver_receiver) = tokio::sync::mpsc::unbounded_channel();
+        Actor::spawn_linked(None, DriverClient, (settings, driver_sender), supervisor.clone()).await?;
+        Ok(driver_receiver.recv().await.expect("the actor hands out its driver before it has started"))
+    }
+
+    /// Returns a counter of received states, which notifies its receivers of each new state.
+    pub fn changes(&self) -> watch::Receiver<u64> {
+        self.lock().changes()
+    }
+
+    /// Copies the latest telemetry, which [`RobotActions::telemetry`] then returns.
+    pub fn refresh(&mut self) {
+        let latest = self.lock().telemetry().cloned();
+        self.telemetry = latest;
+    }
+
+    /// Returns the age of the latest telemetry in milliseconds; 0 before the first.
+    pub fn telemetry_age_ms(&self) -> u64 {
+        let reported_at = self.lock().last_report_at();
+        reported_at.map_or(0, |at| u64::try_from(at.elapsed().as_millis()).unwrap_or(u64::MAX))
+    }
+
+    /// Returns the time since the latest state of the driver.
+    pub fn silent_for(&self) -> Duration {
+        self.lock().silent_for()
+    }
+
+    /// Checks whether a state has arrived and no goal is in progress, including goals of previous
+    /// incarnations of the client.
+    pub fn is_idle(&self) -> bool {
+        self.lock().is_idle()
+    }
+
+    /// Cancels every goal in progress: the robot stops safely.
+    pub fn stop(&self) {
+        self.lock().cancel_all();
+        self.notify_client();
+    }
+
+    /// Returns the id of the next goal.
+    pub fn next_goal(&self) -> GoalId {
+        self.lock().next_goal()
+    }
+
+    /// Begins an attempt at a task. `first` is the first goal of the task, perhaps of a previous
+    /// incarnation of this node.
+    pub fn begin_attempt(&self, first: GoalId) {
+        self.lock().begin_attempt(first);
+    }
+
+    fn lock(&self) -> MutexGuard<'_, GoalTracker> {
+        // A panic of a skill under the lock leaves no partial write, because each write is a single
+        // step.
+        self.tracker.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn notify_client(&self) {
+        // Without its actor the tracker is outdated. The robot's supervisor handles the failure.
+        let _ = self.requests.cast(DriverClientMessage::SendRequests);
+    }
+}
+
+impl RobotActions for RobotDriver {
+    fn send_goal(&mut self, goal: Goal) -> GoalId {
+        let id = self.lock().start_goal(goal);
+        self.notify_client();
+        id
+    }
+
+    fn status(&self, goal: GoalId) -> Option<GoalStatus> {
+        self.lock().status(goal).cloned()
+    }
+
+    fn cancel(&mut self, goal: GoalId) {
+        if self.lock().cancel(goal) {
+            self.notify_client();
+        }
+    }
+
+    fn telemetry(&self) -> Option<&Telemetry> {
+        self.telemetry.as_ref()
+    }
+
+    fn take_completed(&mut self, goal: &Goal) -> bool {
+        self.lock().claim_completed(goal)
+    }
+}
+
+/// Returns the first reply without an error, else the last error: servers of other robots receive
+/// the command, too.
+async fn first_reply(mut replies: Stream<Reply>) -> Option<Reply> {
+    let mut error_reply = None;
+    while let Some(reply) = replies.recv().await {
+        if reply.payload.is_ok() {
+            return Some(reply);
+        }
+        error_reply = Some(reply);
+    }
+    error_reply
+}
+
+#[ractor::async_trait]
+impl Actor for DriverClient {
+    type Msg = DriverClientMessage;
+    type State = DriverClientState;
+    type Arguments = (DriverClientSettings, tokio::sync::mpsc::UnboundedSender<RobotDriver>);
+
+    async fn pre_start(
+        &self,
+        myself: ActorRef<Self::Msg>,
+        (settings, driver_sender): Self::Arguments,
+    ) -> Result<Self::State, ActorProcessingErr> {
+        let driver = RobotDriver {
+            tracker: Arc::new(Mutex::new(GoalTracker::new(settings.first_goal))),
+            requests: myself.clone(),
+            telemetry: None,
+        };
+        let mut tasks = Tasks::default();
+        let state_key = settings.keys.write(&Key::Body(settings.robot.clone(), BodyCall::State));
+        tasks.forward(settings.bus.subscribe(&state_key).await?, &myself, DriverClientMessage::State);
+        tasks.send_every(settings.heartbeat_interval, &myself, || DriverClientMessage::Heartbeat);
+        myself.cast(DriverClientMessage::Heartbeat)?;
+        driver_sender.send(driver.clone())?;
+        Ok(DriverClientState { settings, driver, last_reply_at: None, tasks })
+    }
+
+    async fn handle(
+        &self,
+        myself: ActorRef<Self::Msg>,
+        message: Self::Msg,
+        state: &mut Self::State,
+    ) -> Result<(), ActorProcessingErr> {
+        match message {
+            DriverClientMessage::SendRequests => state.send(&myself, false),
+            DriverClientMessage::Heartbeat => state.send(&myself, true),
+            DriverClientMessage::State(sample) => state.receive_state(&sample.payload),
+            DriverClientMessage::CommandReplied(request, reply) => state.handle_reply(request, reply),
+        }
+        Ok(())
+    }
+}
+
+impl DriverClientState {
+    /// Sends the requests without a reply. On a timer, sends a heartbeat if there is none.
+    fn send(&mut self, myself: &ActorRef<DriverClientMessage>, on_timer: bool) {
+        let requests = self.driver.lock().pending_requests().to_vec();
+        let replied_recently = self.last_reply_at.is_some_and(|at| at.elapsed() < IDLE_INTERVAL);
+        if requests.is_empty() && (!on_timer || replied_recently && self.driver.is_idle()) {
+            return;
+        }
+        let commands: Vec<Option<GoalRequest>> =
+            if requests.is_empty() { vec![None] } else { requests.into_iter().map(Some).collect() };
+        let key = self.settings.keys.write(&Key::Body(self.settings.robot.clone(), BodyCall::Command));
+        let (bus, limit, to) = (self.settings.bus.clone(), self.settings.heartbeat_interval, myself.clone());
+        self.tasks.spawn(async move {
+            for request in commands {
+                let bytes = codec::encode(&DriverCommand { request: request.clone() }).expect("a goal fits a message");
+                let Ok(replies) = bus.query(&key, Bytes::from(bytes), limit).await else { return };
+                // The next request waits for this reply: a goal must not be canceled before its
+                // start.
+                let Some(reply) = first_reply(replies).await else { return };
+                if to.cast(DriverClientMessage::CommandReplied(request, reply)).is_err() {
+                    return;
+                }
+            }
+        });
+    }
+
+    fn handle_reply(&mut self, request: Option<GoalRequest>, reply: Reply) {
+        match reply.payload {
+            Ok(payload) => {
+                self.last_reply_at = Some(Instant::now());
+                if let Some(request) = request {
+                    self.driver.lock().confirm(&request);
+                }
+                self.receive_state(&payload);
+            }
+            Err(problem) => debug!(robot = %self.settings.robot, problem, "driver server refused a command"),
+        }
+    }
+
+    fn receive_state(&mut self, payload: &[u8]) {
+        match codec::decode::<DriverState>(payload) {
+            Ok(state) if state.robot == self.settings.robot => {
+                if self.driver.lock().apply_state(state) {
+                    self.driver.notify_client();
+                }
+            }
+            Ok(state) => warn!(robot = %self.settings.robot, other = %state.robot, "state of another robot"),
+            Err(problem) => warn!(robot = %self.settings.robot, %problem, "state cannot be decoded"),
+        }
+    }
+}

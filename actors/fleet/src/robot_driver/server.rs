@@ -1,0 +1,380 @@
+//! The driver server: an actor that advances a [`RobotBackend`] in time and passes commands to it.
+
+use super::messages::{DriverCommand, DriverState, GoalRequest, PersonCommand, PersonEvent, PersonRequestState};
+use bytes::Bytes;
+use consort_bus::clock::Clock;
+use consort_bus::reply;
+use consort_bus::tasks::Tasks;
+use consort_bus::{Delivery, Encoding, Query, SharedBus};
+use consort_protocol::codec;
+use consort_protocol::ids::RobotId;
+use consort_protocol::keys::{BodyCall, Key, Keys, PeopleCall};
+use consort_protocol::units::{NodeTime, WorldTime};
+use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, GoalId, GoalStatus, RobotBackend};
+use ractor::{Actor, ActorProcessingErr, ActorRef};
+use serde::Serialize;
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+use tracing::{info, warn};
+
+/// Number of latest goals per robot in a published state.
+const GOALS_PUBLISHED: usize = 8;
+
+/// Number of repetitions of an event without a reply, 1 per publish interval: the event may be
+/// lost.
+const EVENT_REPETITIONS: u32 = 5;
+
+/// Maximum sleep while an event is due; then the actor checks again.
+const SLEEP_MAX: Duration = Duration::from_secs(3600);
+
+/// Settings of a driver server.
+pub struct DriverServerSettings {
+    /// The fleet's keys.
+    pub keys: Keys,
+    /// The bus.
+    pub bus: SharedBus,
+    /// The node's clock.
+    pub clock: Clock,
+    /// World seconds per second of node time.
+    pub speed: f64,
+    /// Interval of published states without changes. Default 500 ms.
+    pub publish_interval: Duration,
+    /// Client timeout: a robot stops when its driver client has sent nothing for this long, and a
+    /// person request that was not repeated for this long is canceled. Longer than several
+    /// intervals of a human task proxy. Default 3 s.
+    pub client_timeout: Duration,
+}
+
+/// Message for the driver server.
+pub enum DriverServerMessage {
+    /// Command of a driver client.
+    Command(Query),
+    /// Command of a human task proxy.
+    PersonRequest(Query),
+    /// Query for the state of the world.
+    WorldView(Query),
+    /// A world event is due.
+    WorldEventDue,
+    /// Periodic timer: publish all states.
+    Tick,
+}
+
+/// The driver server actor.
+pub struct DriverServer;
+
+/// State of [`DriverServer`].
+pub struct DriverServerState {
+    settings: DriverServerSettings,
+    world: Box<dyn RobotBackend>,
+    started: NodeTime,
+    /// World time at the start of the server.
+    origin: WorldTime,
+    drivers: BTreeMap<RobotId, DriverEntry>,
+    /// Person requests in progress, with the time of the latest repetition.
+    person_requests: BTreeMap<GoalId, NodeTime>,
+    /// Events of people without a reply, with the number of repetitions left.
+    repeated_events: Vec<(PersonEvent, u32)>,
+    sequence: u64,
+    /// World time of the earliest scheduled wake-up.
+    next_wake: Option<WorldTime>,
+    tasks: Tasks,
+}
+
+/// Returns the sleep until an event that is due in `seconds` of node time. It is slightly too long
+/// rather than too short, because an early wake-up would find nothing due and sleep again. It never
+/// exceeds [`SLEEP_MAX`].
+fn sleep_for(seconds: f64) -> Duration {
+    match Duration::try_from_secs_f64(seconds.max(0.0)) {
+        Ok(ahead) if ahead < SLEEP_MAX => ahead + Duration::from_micros(1),
+        Ok(_) | Err(_) => SLEEP_MAX,
+    }
+}
+
+#[derive(Default)]
+struct DriverEntry {
+    goals: VecDeque<GoalId>,
+    /// Last command of the driver client; `None` before the first, and after a client timeout.
+    last_command_at: Option<NodeTime>,
+}
+
+impl DriverEntry {
+    fn track(&mut self, goal: GoalId) {
+        self.goals.push_back(goal);
+        while self.goals.len() > GOALS_PUBLISHED {
+            self.goals.pop_front();
+        }
+    }
+}
+
+#[ractor::async_trait]
+impl Actor for DriverServer {
+    type Msg = DriverServerMessage;
+    type State = DriverServerState;
+    type Arguments = (DriverServerSettings, Box<dyn RobotBackend>);
+
+    async fn pre_start(
+        &self,
+        myself: ActorRef<Self::Msg>,
+        (settings, world): Self::Arguments,
+    ) -> Result<Self::State, ActorProcessingErr> {
+        let mut tasks = Tasks::default();
+        tasks.forward(
+            settings.bus.serve(&settings.keys.any_body_command()).await?,
+            &myself,
+            DriverServerMessage::Command,
+        );
+        if world.serves_people() {
+            let person_key = settings.keys.write(&Key::People(PeopleCall::Ask));
+            tasks.forward(settings.bus.serve(&person_key).await?, &myself, DriverServerMessage::PersonRequest);
+            let view = settings.keys.write(&Key::World);
+            tasks.forward(settings.bus.serve(&view).await?, &myself, DriverServerMessage::WorldView);
+        }
+        tasks.send_every(settings.publish_interval, &myself, || DriverServerMessage::Tick);
+        let (now, mut drivers) = (settings.clock.now(), BTreeMap::new());
+        for robot in world.robots() {
+            // Robots may still execute goals that clients sent to a previous server.
+            let mut entry = DriverEntry::default();
+            world.goals(&robot).into_iter().for_each(|goal| entry.track(goal));
+            entry.last_command_at = (!entry.goals.is_empty()).then_some(now);
+            drivers.insert(robot, entry);
+        }
+        // People may still work on requests from proxies that used a previous server, or that are
+        // gone.
+        let person_requests = world.open_person_requests().into_iter().map(|ask| (ask, now)).collect();
+        let (started, origin, sequence) = (settings.clock.now(), world.now(), settings.clock.wall_ms() << 16);
+        Ok(DriverServerState {
+            settings,
+            world,
+            started,
+            origin,
+            drivers,
+            person_requests,
+            repeated_events: vec![],
+            sequence,
+            next_wake: None,
+            tasks,
+        })
+    }
+
+    async fn handle(
+        &self,
+        myself: ActorRef<Self::Msg>,
+        message: Self::Msg,
+        state: &mut Self::State,
+    ) -> Result<(), ActorProcessingErr> {
+        let changed = state.advance();
+        match message {
+            DriverServerMessage::Command(query) => state.handle_command(query).await,
+            DriverServerMessage::PersonRequest(query) => state.handle_person_command(query).await,
+            DriverServerMessage::WorldView(query) => {
+                let report = state.world.report();
+                reply::json(&query, &state.settings.keys.write(&Key::World), &report).await;
+            }
+            DriverServerMessage::WorldEventDue => state.next_wake = None,
+            DriverServerMessage::Tick => {
+                state.stop_timed_out_robots();
+                state.cancel_unrepeated_requests();
+                state.publish_all().await;
+            }
+        }
+        state.publish_events(changed).await;
+        let after = state.advance();
+        state.publish_events(after).await;
+        state.wake_when_due(&myself);
+        Ok(())
+    }
+}
+
+impl DriverServerState {
+    fn world_now(&self) -> WorldTime {
+        let elapsed = self.settings.clock.now().since(self.started).as_secs_f64();
+        WorldTime::from_secs(self.origin.as_secs() + elapsed * self.settings.speed)
+    }
+
+    fn advance(&mut self) -> Vec<BackendEvent> {
+        let now = self.world_now();
+        self.world.advance(now)
+    }
+
+    fn wake_when_due(&mut self, myself: &ActorRef<DriverServerMessage>) {
+        let Some(due) = self.world.next_due() else { return };
+        if self.next_wake.is_some_and(|next_wake| next_wake <= due) {
+            return;
+        }
+        let ahead = (due.as_secs() - self.world_now().as_secs()) / self.settings.speed;
+        self.tasks.send_after(sleep_for(ahead), myself, DriverServerMessage::WorldEventDue);
+        self.next_wake = Some(due);
+    }
+
+    async fn handle_command(&mut self, query: Query) {
+        let Some(Key::Body(robot, BodyCall::Command)) = self.settings.keys.read(&query.key) else {
+            return reply::refuse(&query, "not a command to a driver").await;
+        };
+        let Some(command) = reply::decode_or_refuse::<DriverCommand>(&query).await else { return };
+        let now = self.settings.clock.now();
+        let Some(entry) = self.drivers.get_mut(&robot) else {
+            let available: Vec<_> = self.drivers.keys().map(RobotId::as_str).collect();
+            return reply::refuse(&query, &format!("no driver of {robot} here; available: {}", available.join(", ")))
+                .await;
+        };
+        entry.last_command_at = Some(now);
+        match command.request {
+            Some(GoalRequest::Start { id, goal }) if !entry.goals.contains(&id) => {
+                entry.track(id);
+                self.world.start(&robot, id, goal);
+            }
+            // Canceled before its start arrived: the late start must have no effect.
+            Some(GoalRequest::Cancel { id }) if !entry.goals.contains(&id) => entry.track(id),
+            Some(GoalRequest::Cancel { id }) => self.world.cancel(&robot, id),
+            Some(GoalRequest::Start { .. }) | None => {}
+        }
+        // Rejections and cancellations take effect at once.
+        let events = self.advance();
+        if let Some(state) = self.state_of(&robot) {
+            reply::wire(&query, &query.key, &state).await;
+        }
+        self.publish_events(events).await;
+    }
+
+    async fn handle_person_command(&mut self, query: Query) {
+        let Some(command) = reply::decode_or_refuse::<PersonCommand>(&query).await else { return };
+        match command.request {
+            Some(request) => {
+                self.world.request_person(command.id, request);
+                self.person_requests.insert(command.id, self.settings.clock.now());
+            }
+            None => self.world.cancel_person_request(command.id),
+        }
+        let events = self.advance();
+        self.publish_events(events).await;
+        // The world also contains the results that a previous server returned.
+        let reply = match self.world.person_result(command.id) {
+            Some(result) => PersonRequestState::Ended(result),
+            None if self.world.was_person_request_canceled(command.id) => PersonRequestState::Canceled,
+            None => PersonRequestState::Requested,
+        };
+        reply::wire(&query, &query.key, &reply).await;
+    }
+
+    /// Stops each robot after the timeout of its client: a fault would go unnoticed.
+    fn stop_timed_out_robots(&mut self) {
+        let now = self.settings.clock.now();
+        for (robot, entry) in &mut self.drivers {
+            if entry.last_command_at.is_some_and(|last| now.since(last) > self.settings.client_timeout) {
+                entry.last_command_at = None;
+                let running =
+                    entry.goals.iter().filter(|id| self.world.status(robot, **id).is_some_and(|s| !s.is_final()));
+                for id in running.copied().collect::<Vec<_>>() {
+                    info!(%robot, "driver client timed out: robot stopped");
+                    self.world.cancel(robot, id);
+                }
+            }
+        }
+    }
+
+    /// Cancels each person request that is no longer repeated: its proxy is gone, and the mission
+    /// may be over. A proxy that still needs the request gets the state `Canceled` and sends a new
+    /// request.
+    fn cancel_unrepeated_requests(&mut self) {
+        let (now, open) = (self.settings.clock.now(), self.world.open_person_requests());
+        self.person_requests.retain(|ask, _| open.contains(ask));
+        for (ask, _) in self
+            .person_requests
+            .iter()
+            .filter(|(_, repeated_at)| now.since(**repeated_at) > self.settings.client_timeout)
+        {
+            info!(ask = ask.0, "person request no longer repeated: canceled");
+            self.world.cancel_person_request(*ask);
+        }
+    }
+
+    async fn publish_events(&mut self, events: Vec<BackendEvent>) {
+        let mut changed_robots: Vec<RobotId> = vec![];
+        for event in events {
+            match event {
+                BackendEvent::GoalEnded { robot, .. } => changed_robots.push(robot),
+                BackendEvent::Stranded { robot } => {
+                    warn!(%robot, "battery empty: robot stopped");
+                    changed_robots.push(robot);
+                }
+                BackendEvent::MissionCanceled { by, role, robot } => {
+                    info!(by, %robot, "a person cancels the mission");
+                    let at_ms = (self.world.now().as_secs() * 1000.0) as u64;
+                    let event = PersonEvent::CancelMission { by, role, robot, at_ms };
+                    self.publish_person_event(&event).await;
+                    self.repeated_events.push((event, EVENT_REPETITIONS));
+                }
+                BackendEvent::PersonRequestEnded { request: ask, result } => {
+                    self.publish_person_event(&PersonEvent::RequestEnded { id: ask, result }).await;
+                }
+            }
+        }
+        changed_robots.dedup();
+        for robot in changed_robots {
+            self.publish_state(&robot).await;
+        }
+    }
+
+    /// Publishes the event of a person.
+    async fn publish_person_event(&self, event: &PersonEvent) {
+        let key = self.settings.keys.write(&Key::People(PeopleCall::Done));
+        self.publish(&key, event).await;
+    }
+
+    async fn publish_all(&mut self) {
+        for (event, left) in std::mem::take(&mut self.repeated_events) {
+            self.publish_person_event(&event).await;
+            if left > 1 {
+                self.repeated_events.push((event, left - 1));
+            }
+        }
+        for robot in self.drivers.keys().cloned().collect::<Vec<_>>() {
+            self.publish_state(&robot).await;
+        }
+    }
+
+    async fn publish_state(&mut self, robot: &RobotId) {
+        if let Some(state) = self.state_of(robot) {
+            let key = self.settings.keys.write(&Key::Body(robot.clone(), BodyCall::State));
+            self.publish(&key, &state).await;
+        }
+    }
+
+    async fn publish<T: Serialize>(&self, key: &str, message: &T) {
+        let bytes = Bytes::from(codec::encode(message).expect("a state fits a message"));
+        if let Err(problem) = self.settings.bus.publish(key, bytes, Encoding::Wire, Delivery::Drop).await {
+            warn!(%problem, "a state was not published");
+        }
+    }
+
+    fn state_of(&mut self, robot: &RobotId) -> Option<DriverState> {
+        let telemetry = self.world.telemetry(robot)?;
+        let entry = self.drivers.get(robot)?;
+        let status = |id: &GoalId| {
+            let unknown_goal =
+                || ActionError { code: ErrorCode::Unknown, message: format!("goal {} is unknown here", id.0) };
+            (*id, self.world.status(robot, *id).unwrap_or_else(|| GoalStatus::Aborted(unknown_goal())))
+        };
+        let goals: Vec<(GoalId, GoalStatus)> = entry.goals.iter().map(status).collect();
+        let succeeded = goals.iter().filter(|(_, status)| *status == GoalStatus::Succeeded);
+        let done = succeeded.filter_map(|(id, _)| Some((*id, self.world.goal(robot, *id)?)));
+        let done = done.filter(|(_, goal)| !goal.is_repeatable()).collect();
+        self.sequence += 1;
+        Some(DriverState { robot: robot.clone(), sequence: self.sequence, telemetry, goals, completed: done })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sleep_is_bounded_for_any_due_time() {
+        assert_eq!(sleep_for(2.5), Duration::from_micros(2_500_001));
+        assert_eq!(sleep_for(-1.0), Duration::from_micros(1), "an overdue event");
+        for far in [3600.0, 1e19, 1e20, f64::MAX, f64::INFINITY, f64::NAN] {
+            assert!(sleep_for(far) <= SLEEP_MAX, "{far} s");
+        }
+        assert_eq!(sleep_for(1e300), SLEEP_MAX);
+    }
+}

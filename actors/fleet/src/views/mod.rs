@@ -1,0 +1,340 @@
+//! Views of a fleet for people. Any node replies, from its own copy of the ledger and from the
+//! records it has received.
+//!
+//! ```text
+//!  client ── get view/** ──▶ the nearest node ── from its knowledge, its copy of the ledger, its map
+//!                               │
+//!                               ├─ seen/{voter}/** ───▶ a voter of the ledger, if it has no copy itself
+//!                               └─ wire/world ────────▶ the driver server
+//! ```
+//!
+//! All nodes declare `view/**` as complete, so a client with Zenoh's default target gets a single
+//! reply, from the nearest node. Each reply contains its source and its age. A node that Zenoh
+//! queries in addition replies too; the client then gets the replies of only 1 of these nodes: see
+//! `bus`. `seen/{node}/**` serves the same views, computed by that node alone.
+//!
+//! Views are computed on request and cost nothing otherwise. The read-only requests (`get`, `list`,
+//! `explain` and `help`) are also served here.
+
+mod api;
+mod cluster_status;
+mod draw;
+mod health;
+mod mission;
+
+pub use cluster_status::CoordinatorStatus;
+
+use crate::api_types::call_help;
+use crate::coordinator::CoordinatorMessage;
+use bytes::Bytes;
+use cluster_status::ClusterStatus;
+use consort_bus::clock::Clock;
+use consort_bus::cluster_membership::ClusterMembership;
+use consort_bus::reply;
+use consort_bus::tasks::Tasks;
+use consort_bus::{BusError, Query, Sample, SharedBus, Stream};
+use consort_gossip::SharedKnowledge;
+use consort_protocol::codec;
+use consort_protocol::ensemble::Ensemble;
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::{ApiCall, Key, Keys};
+use consort_protocol::ledger::Ledger;
+use consort_protocol::message::Beacon;
+use consort_protocol::units::NodeTime;
+use consort_raft::{RaftId, Replica};
+use draw::ViewContext;
+use ractor::ActorRef;
+use serde_json::{Value, json};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::sync::oneshot;
+use tokio::task::JoinSet;
+use zenoh_keyexpr::keyexpr;
+
+/// Timeout for a voter to reply on behalf of a node without a ledger. A failed voter is detected
+/// earlier.
+const VOTER_TIMEOUT: Duration = Duration::from_millis(400);
+
+/// Maximum number of voters that are queried in sequence.
+const VOTERS_QUERIED_MAX: usize = 3;
+
+/// Timeout for the driver server to return the state of its world.
+const WORLD_TIMEOUT: Duration = Duration::from_millis(400);
+
+/// Timeout for this node's own coordinator to return its status.
+const STATUS_TIMEOUT: Duration = Duration::from_millis(100);
+
+/// Number of missed beacons after which a coordinator no longer counts as active.
+const MISSED_BEACONS_MAX: u32 = 4;
+
+/// Inputs of the views of a node.
+#[derive(Clone)]
+pub(crate) struct Views {
+    pub(crate) node: NodeId,
+    pub(crate) keys: Keys,
+    pub(crate) bus: SharedBus,
+    pub(crate) clock: Clock,
+    /// The node's copy of the ledger, if any.
+    pub(crate) replica: Option<Replica<Ledger>>,
+    /// The node's own coordinator actor, if it may coordinate.
+    pub(crate) coordinator: Option<ActorRef<CoordinatorMessage>>,
+    pub(crate) knowledge: SharedKnowledge,
+    pub(crate) membership: ClusterMembership,
+    pub(crate) ensemble: Arc<Ensemble>,
+    /// The fleet's map, to be served.
+    pub(crate) map: Option<Arc<Value>>,
+    /// Interval of a coordinator's beacons.
+    pub(crate) beacon_interval: Duration,
+}
+
+/// Latest beacon and its arrival time.
+type LastBeacon = Arc<Mutex<Option<(Beacon, NodeTime)>>>;
+
+impl Views {
+    /// Serves views and read-only requests for as long as `tasks` lives.
+    pub(crate) async fn serve(self, tasks: &mut Tasks) -> Result<(), BusError> {
+        let (bus, keys) = (self.bus.clone(), self.keys.clone());
+        let latest_beacon = LastBeacon::default();
+        tasks.spawn(follow_beacons(
+            bus.subscribe(&keys.write(&Key::Beacon)).await?,
+            Arc::clone(&latest_beacon),
+            self.clock,
+        ));
+        let service = ViewService { views: Arc::new(self), latest_beacon };
+        tasks.spawn(service.clone().serve(bus.serve_complete(&keys.any_view()).await?, Service::Views));
+        tasks.spawn(service.clone().serve(bus.serve_complete(&keys.any_help()).await?, Service::Help));
+        for call in ApiCall::ALL.iter().copied().filter(|call| call.is_read_only()) {
+            let queries = bus.serve_complete(&keys.write(&Key::Api(call))).await?;
+            tasks.spawn(service.clone().serve(queries, Service::Request(call)));
+        }
+        let queries = bus.serve(&keys.any_seen(&service.views.node)).await?;
+        tasks.spawn(service.serve(queries, Service::Seen));
+        Ok(())
+    }
+}
+
+/// Kind of query. A key expression may match several views.
+#[derive(Debug, Clone, Copy)]
+enum Service {
+    /// Views from any source.
+    Views,
+    /// Views computed by this node alone.
+    Seen,
+    /// A read-only request.
+    Request(ApiCall),
+    /// Help on requests.
+    Help,
+}
+
+/// Stores the latest beacon.
+async fn follow_beacons(mut beacons: Stream<Sample>, latest_beacon: LastBeacon, clock: Clock) {
+    while let Some(sample) = beacons.recv().await {
+        let Ok(beacon) = codec::decode::<Beacon>(&sample.payload) else { continue };
+        let mut latest_beacon = latest_beacon.lock().unwrap_or_else(PoisonError::into_inner);
+        if beacon.supersedes(latest_beacon.as_ref().map(|(known, _)| known)) {
+            *latest_beacon = Some((beacon, clock.now()));
+        }
+    }
+}
+
+/// Server of queries.
+#[derive(Clone)]
+struct ViewService {
+    views: Arc<Views>,
+    latest_beacon: LastBeacon,
+}
+
+impl ViewService {
+    async fn serve(self, mut queries: Stream<Query>, service: Service) {
+        let mut replies = JoinSet::new();
+        while let Some(query) = queries.recv().await {
+            while replies.try_join_next().is_some() {}
+            replies.spawn(self.clone().reply_to(query, service));
+        }
+    }
+
+    async fn reply_to(self, query: Query, service: Service) {
+        let Ok(requested) = keyexpr::new(query.key.as_str()) else { return };
+        let replies = match service {
+            Service::Views => self.requested_views(requested).await,
+            Service::Seen => {
+                let seen = |key: &Key| Key::Seen(self.views.node.clone(), Box::new(key.clone()));
+                let own_views = self.own_views(&|key: &Key| self.is_requested(requested, &seen(key))).await;
+                own_views.into_iter().map(|(key, value)| (seen(&key), value)).collect()
+            }
+            Service::Request(call) => vec![(Key::Api(call), self.answer_request(call, &query.payload).await)],
+            Service::Help => {
+                let keys = ApiCall::ALL.iter().map(|call| (Key::Help(*call), *call));
+                let requested = keys.filter(|(key, _)| self.is_requested(requested, key));
+                requested.map(|(key, call)| (key, call_help(call))).collect()
+            }
+        };
+        for (key, value) in replies {
+            reply::json(&query, &self.views.keys.write(&key), &value).await;
+        }
+    }
+
+    fn is_requested(&self, requested: &keyexpr, key: &Key) -> bool {
+        keyexpr::new(self.views.keys.write(key).as_str()).is_ok_and(|key| requested.intersects(key))
+    }
+
+    /// Returns the views that this node computes by itself.
+    async fn own_views(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
+        self.context().await.draw(wanted)
+    }
+
+    /// Returns the requested views. A voter and the driver server contribute what this node lacks.
+    async fn requested_views(&self, requested: &keyexpr) -> Vec<(Key, Value)> {
+        let wanted = |key: &Key| self.is_requested(requested, key);
+        let context = self.context().await;
+        let mut views = context.draw(&wanted);
+        let missions = self.views.keys.write(&Key::ViewMissions).replace("/missions", "/mission/*");
+        let needs_ledger = wanted(&Key::ViewMissions)
+            || wanted(&Key::ViewAuctions)
+            || wanted(&Key::ViewHealth)
+            || keyexpr::new(missions.as_str()).is_ok_and(|missions| missions.intersects(requested));
+        if needs_ledger && !context.status.has_ledger {
+            match self.from_voter(requested, &context.status).await {
+                Some(voter_views) => {
+                    for (key, value) in voter_views.into_iter().filter(|(key, _)| is_of_ledger(key) && wanted(key)) {
+                        views.retain(|(own, _)| *own != key);
+                        views.push((key, value));
+                    }
+                }
+                None => {
+                    let error = json!({ "error": "no voter of the ledger replies", "retry_after_ms": 300 });
+                    for key in [Key::ViewMissions, Key::ViewAuctions].into_iter().filter(&wanted) {
+                        views.push((key, context.with_provenance(error.clone())));
+                    }
+                }
+            }
+        }
+        if wanted(&Key::ViewWorld)
+            && let Some(world) = self.world().await
+        {
+            views.push((Key::ViewWorld, context.with_provenance(world)));
+        }
+        views
+    }
+
+    /// Returns the views of the ledger from the coordinator, else from any other voter.
+    async fn from_voter(&self, requested: &keyexpr, status: &ClusterStatus) -> Option<Vec<(Key, Value)>> {
+        let Views { keys, bus, knowledge, node, .. } = &*self.views;
+        let only_health = requested.as_str() == keys.write(&Key::ViewHealth);
+        let coordinator = status.coordinator.iter();
+        let others = status.voters.iter().filter(|voter| Some(*voter) != status.coordinator.as_ref());
+        let voters = coordinator.chain(others).filter(|voter| *voter != node && knowledge.is_alive(voter));
+        for voter in voters.take(VOTERS_QUERIED_MAX) {
+            let any = keys.any_seen(voter);
+            let seen = match (keys.any_view().strip_suffix("**"), any.strip_suffix("**")) {
+                (Some(views), Some(seen)) => requested.as_str().strip_prefix(views).map(|view| format!("{seen}{view}")),
+                _ => None,
+            };
+            let Ok(mut replies) = bus.query(&seen.unwrap_or(any), Bytes::new(), VOTER_TIMEOUT).await else { continue };
+            let mut views = vec![];
+            while let Some(reply) = replies.recv().await {
+                let value = reply.payload.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+                if let (Some(Key::Seen(_, view)), Some(value)) = (keys.read(&reply.key), value) {
+                    views.push((*view, value));
+                }
+            }
+            // A former voter has no missions to show.
+            let is_shown = |key: &Key| is_of_ledger(key) && (only_health || *key != Key::ViewHealth);
+            if views.iter().any(|(key, _)| is_shown(key)) {
+                return Some(views);
+            }
+        }
+        None
+    }
+
+    async fn world(&self) -> Option<Value> {
+        let key = self.views.keys.write(&Key::World);
+        let mut replies = self.views.bus.query(&key, Bytes::new(), WORLD_TIMEOUT).await.ok()?;
+        serde_json::from_slice(&replies.recv().await?.payload.ok()?).ok()
+    }
+
+    async fn context(&self) -> ViewContext<'_> {
+        let coordinator_status = match &self.views.coordinator {
+            Some(coordinator) => {
+                let (to, status) = oneshot::channel();
+                // An inactive coordinator drops the query.
+                match coordinator.cast(CoordinatorMessage::QueryStatus(to)) {
+                    Ok(()) => tokio::time::timeout(STATUS_TIMEOUT, status).await.ok().and_then(Result::ok),
+                    Err(_) => None,
+                }
+            }
+            None => None,
+        };
+        let now = self.views.clock.now();
+        ViewContext { views: &self.views, status: self.status(coordinator_status, now), now }
+    }
+
+    fn status(&self, coordinator_status: Option<CoordinatorStatus>, now: NodeTime) -> ClusterStatus {
+        let Views { node, knowledge, replica, beacon_interval, .. } = &*self.views;
+        let latest_beacon = self.latest_beacon.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let leadership = replica.as_ref().map(|replica| replica.leadership().borrow().clone()).unwrap_or_default();
+        let last_beacon = latest_beacon.as_ref().map(|(beacon, at)| (beacon, now.since(*at)));
+        let millis = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
+        let own_id = replica.as_ref().map(Replica::id);
+        let is_member = |id: &RaftId| leadership.voters.contains_key(id) || leadership.learners.contains_key(id);
+        // A voter that was replaced while it was away does not know it; the beacon shows it.
+        let is_listed = last_beacon.is_none_or(|(beacon, _)| {
+            beacon.voters.contains(node) || leadership.learners.values().any(|learner| learner == node)
+        });
+        // An entry that a leader commits in its own term follows all entries committed before. A
+        // copy with such an entry is complete; a restarted copy may lack any entry.
+        let is_complete = last_beacon.zip(replica.as_ref()).is_some_and(|((beacon, _), replica)| {
+            let applied = *replica.applied().borrow();
+            applied.term >= beacon.term
+        });
+        let is_current_member = own_id.as_ref().is_some_and(is_member) && is_listed;
+        let has_ledger = coordinator_status.is_some() || is_current_member && is_complete;
+        let mut status = ClusterStatus {
+            has_ledger,
+            observers: leadership.learners.values().cloned().collect(),
+            quorum_age_ms: replica.as_ref().and_then(Replica::quorum_ack_age).map(millis),
+            ..ClusterStatus::default()
+        };
+        match (coordinator_status, last_beacon) {
+            (Some(coordinator_status), _) => {
+                status.coordinator = Some(node.clone());
+                (status.term, status.since_ms, status.age_ms) =
+                    (coordinator_status.term, Some(coordinator_status.since_ms), Some(0));
+                status.autopilot = Some(coordinator_status.autopilot);
+            }
+            (None, Some((beacon, age))) => {
+                let is_active = beacon.node != *node
+                    && knowledge.is_alive(&beacon.node)
+                    && age < *beacon_interval * MISSED_BEACONS_MAX;
+                status.term = beacon.term;
+                status.age_ms = Some(millis(age));
+                if is_active {
+                    status.coordinator = Some(beacon.node.clone());
+                    status.since_ms = Some(beacon.since_ms.saturating_add(millis(age)));
+                }
+            }
+            (None, None) => status.term = leadership.term,
+        }
+        let from_beacon = || last_beacon.map(|(beacon, _)| beacon.voters.iter().cloned().collect()).unwrap_or_default();
+        status.voters = if has_ledger { leadership.voters.values().cloned().collect() } else { from_beacon() };
+        // A node that came back with an empty store is not the same member as the voter of its
+        // name.
+        status.voters_lost = knowledge.read(|base| {
+            let known_replica = |node: &NodeId| base.get(node).map(|stored| stored.record.knowledge.replica);
+            if has_ledger {
+                let lost = leadership.voters.iter().filter(|(id, voter)| known_replica(voter) != Some(Some(id.0)));
+                lost.map(|(_, voter)| voter.clone()).collect::<Vec<_>>()
+            } else {
+                status.voters.iter().filter(|voter| known_replica(voter).is_none()).cloned().collect()
+            }
+        });
+        status.voters_lost.sort();
+        status.voters_lost.dedup();
+        status
+    }
+}
+
+/// Checks whether a view contains data of the ledger.
+fn is_of_ledger(key: &Key) -> bool {
+    matches!(key, Key::ViewMissions | Key::ViewMission(_) | Key::ViewAuctions | Key::ViewHealth)
+}

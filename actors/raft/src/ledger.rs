@@ -1,0 +1,35 @@
+//! The mission ledger as the replicated state machine.
+
+use crate::StateMachine;
+use consort_protocol::ids::ClusterId;
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
+
+impl StateMachine for Ledger {
+    type Command = Command;
+    type Outcome = CommandOutcome;
+
+    fn apply(&mut self, at: Epoch, command: Command) -> CommandOutcome {
+        Ledger::apply(self, at, command)
+    }
+
+    fn grants_epoch(command: &Command) -> bool {
+        match command {
+            Command::Award { .. } => true,
+            Command::Submit(_)
+            | Command::Defer { .. }
+            | Command::Accept { .. }
+            | Command::Progress { .. }
+            | Command::Release { .. }
+            | Command::Fail { .. }
+            | Command::Cancel { .. }
+            | Command::Resolve { .. }
+            | Command::RaiseWireVersion { .. }
+            | Command::Bootstrap { .. } => false,
+        }
+    }
+
+    fn cluster(&self) -> Option<ClusterId> {
+        Ledger::cluster(self)
+    }
+}

@@ -1,0 +1,394 @@
+//! Raft requests to other voters, as queries on the bus.
+//!
+//! A voter with a slow disk replies late to an append, and to every other request to its openraft:
+//! the core is a single task. So a leader that has waited for a heartbeat interval asks outside
+//! openraft whether the voter is still alive and has the append pending
+//! ([`PeerClient::heartbeat`]). If so, the leader keeps waiting, and counts the reply as an
+//! acknowledgement of its leadership. If not, the append or its reply was lost, and the append is
+//! sent again.
+
+use super::election::PreVoteRequest;
+use super::leadership_transfer::TransferRequest;
+use super::settings::APPEND_TIMEOUT;
+use super::types::{Peer, RaftId, StateMachine, TypeConfig, Vote};
+use consort_bus::SharedBus;
+use consort_protocol::codec::{self, CodecError};
+use consort_protocol::ids::ClusterId;
+use consort_protocol::keys::{Key, Keys, RaftCall};
+use futures::StreamExt as _;
+use futures::stream::FuturesUnordered;
+use openraft::error::{
+    InstallSnapshotError, NetworkError, RPCError, RaftError, RemoteError, SnapshotMismatch, Timeout, Unreachable,
+};
+use openraft::network::{Backoff, RPCOption, RPCTypes};
+use openraft::raft::{
+    AppendEntriesRequest, AppendEntriesResponse, InstallSnapshotRequest, InstallSnapshotResponse, VoteRequest,
+    VoteResponse,
+};
+use openraft::{AnyError, RaftNetwork, RaftNetworkFactory};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::future::Future;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio::time::{Instant, timeout};
+
+/// Size of a snapshot chunk, in bytes; with its frame, the message stays within [`codec::LIMIT`].
+pub(super) const SNAPSHOT_CHUNK: usize = 48 * 1024;
+
+/// Size limit of an append of several entries, in bytes. A follower writes it with a single sync,
+/// and a slow link carries it within a second; larger appends save little. A single entry may fill
+/// a message.
+pub(super) const APPEND_BYTES: usize = 32 * 1024;
+
+/// Heartbeat request of a leader, handled outside openraft.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct HeartbeatRequest {
+    /// Vote that made it leader.
+    pub(super) vote: Vote,
+}
+
+/// Reply of a voter to a heartbeat request.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(super) struct HeartbeatReply {
+    /// The voter follows that leader, and grants no other vote within `election_min` of the
+    /// request.
+    pub(super) follows: bool,
+    /// The voter has an append pending.
+    pub(super) busy: bool,
+}
+
+/// Acknowledgements of a leader: send time of the last acknowledged request, by voter.
+#[derive(Debug, Clone, Default)]
+pub(super) struct LeaderAcks {
+    vote: Option<Vote>,
+    sent: BTreeMap<RaftId, Instant>,
+}
+
+impl LeaderAcks {
+    fn record(&mut self, vote: Vote, voter: RaftId, sent_at: Instant) {
+        if self.vote != Some(vote) {
+            *self = LeaderAcks { vote: Some(vote), sent: BTreeMap::new() };
+        }
+        let last = self.sent.entry(voter).or_insert(sent_at);
+        *last = sent_at.max(*last);
+    }
+
+    /// Returns the send time of the newest request that a majority of each of `halves` has
+    /// acknowledged for the leader `vote`. `me` counts as part of the majority.
+    pub(super) fn quorum_ack(&self, vote: &Vote, me: RaftId, halves: &[BTreeSet<RaftId>]) -> Option<Instant> {
+        if self.vote.as_ref() != Some(vote) {
+            return None;
+        }
+        let now = Instant::now();
+        let of_half = |half: &BTreeSet<RaftId>| {
+            let sent = |voter: &RaftId| if *voter == me { Some(now) } else { self.sent.get(voter).copied() };
+            let mut sent: Vec<Instant> = half.iter().filter_map(sent).collect();
+            sent.sort_unstable_by(|a, b| b.cmp(a));
+            sent.get(half.len() / 2).copied()
+        };
+        halves.iter().map(of_half).min().flatten()
+    }
+}
+
+/// Reply of a voter to a request that it could decode.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) enum RaftReply<A> {
+    Done(A),
+    /// Reply to a snapshot chunk only: it is not the expected chunk.
+    Mismatch(SnapshotMismatch),
+}
+
+/// Decodes the reply of a voter.
+pub(super) fn decode_reply<A: DeserializeOwned>(bytes: &[u8]) -> Result<RaftReply<A>, CodecError> {
+    codec::decode(bytes)
+}
+
+/// Last contact with each voter, as the send time of the last request that it replied to. The age
+/// of the quorum's acknowledgement is measured in the same way.
+#[derive(Debug, Default)]
+pub(super) struct LastContacts(Mutex<BTreeMap<RaftId, Instant>>);
+
+impl LastContacts {
+    fn record(&self, voter: RaftId, sent_at: Instant) {
+        let mut contacts = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let last = contacts.entry(voter).or_insert(sent_at);
+        *last = sent_at.max(*last);
+    }
+
+    /// Returns the send time of the last request that `voter` has replied to.
+    pub(super) fn of(&self, voter: RaftId) -> Option<Instant> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&voter).copied()
+    }
+}
+
+/// Client of the other voters; creates a [`PeerClient`] for each.
+#[derive(Clone)]
+pub(super) struct RaftClient {
+    pub(super) bus: SharedBus,
+    pub(super) keys: Keys,
+    pub(super) me: RaftId,
+    /// Cluster of this node's ledger; part of every request.
+    pub(super) cluster: watch::Receiver<Option<ClusterId>>,
+    pub(super) last_contacts: Arc<LastContacts>,
+    /// Acknowledgements of this node as leader.
+    pub(super) acks: Arc<watch::Sender<LeaderAcks>>,
+    /// Heartbeat interval: the pause before an unreachable voter is contacted again.
+    pub(super) retry_interval: Duration,
+    /// This node does not send its appends and heartbeats (check-quorum); see [`super::election`].
+    pub(super) appends_suspended: Arc<AtomicBool>,
+}
+
+impl RaftClient {
+    /// Returns the client for `target`.
+    pub(super) fn peer(&self, target: RaftId) -> PeerClient {
+        PeerClient { client: self.clone(), target }
+    }
+
+    /// Sends a request to all `targets` concurrently, adds those with a positive reply to
+    /// `granted_by`, and ends as soon as `granted_by` has a majority of each of `halves` (during a
+    /// membership change, of the old and of the new voters). Returns whether it has.
+    pub(super) async fn query_until_majority<F: Future<Output = bool>>(
+        &self,
+        halves: &[BTreeSet<RaftId>],
+        granted_by: &mut BTreeSet<RaftId>,
+        targets: &BTreeSet<RaftId>,
+        send: impl Fn(PeerClient) -> F,
+    ) -> bool {
+        let majority = |granted_by: &BTreeSet<RaftId>| {
+            halves.iter().all(|half| half.intersection(granted_by).count() * 2 > half.len())
+        };
+        let requests = targets.iter().map(|voter| {
+            let reply = send(self.peer(*voter));
+            async move { reply.await.then_some(*voter) }
+        });
+        let mut requests: FuturesUnordered<_> = requests.collect();
+        while !majority(granted_by) {
+            match requests.next().await {
+                Some(reply) => granted_by.extend(reply),
+                None => return false,
+            }
+        }
+        true
+    }
+}
+
+impl<S: StateMachine> RaftNetworkFactory<TypeConfig<S>> for RaftClient {
+    type Network = PeerClient;
+
+    async fn new_client(&mut self, target: RaftId, _node: &Peer) -> PeerClient {
+        self.peer(target)
+    }
+}
+
+/// Client of a single voter.
+pub(super) struct PeerClient {
+    client: RaftClient,
+    target: RaftId,
+}
+
+/// There is no usable reply.
+#[derive(Debug, thiserror::Error)]
+enum RequestError {
+    #[error("no node serves the requests for {0}")]
+    NoService(RaftId),
+    #[error("no reply within {0:?}")]
+    TimedOut(Duration),
+    #[error("the voter rejected the request: {0}")]
+    Rejected(String),
+    #[error("its reply cannot be decoded: {0}")]
+    Undecodable(CodecError),
+    #[error(transparent)]
+    Bus(#[from] consort_bus::BusError),
+    #[error("appends are suspended: no majority has replied within the check-quorum timeout")]
+    Suspended,
+}
+
+impl PeerClient {
+    fn encode<T: Serialize>(&self, request: &T) -> Result<Vec<u8>, CodecError> {
+        codec::encode(&(*self.client.cluster.borrow(), request))
+    }
+
+    /// Sends a pre-vote request and returns whether it was granted; a missing reply counts as a
+    /// rejection.
+    pub(super) async fn pre_vote(&self, request: &PreVoteRequest, limit: Duration) -> bool {
+        let Ok(request) = self.encode(request) else { return false };
+        matches!(self.send(RaftCall::PreVote, request, limit).await, Ok(RaftReply::Done(true)))
+    }
+
+    /// Sends a leadership transfer and returns whether `target` accepted it; a missing reply counts
+    /// as a rejection.
+    pub(super) async fn transfer_leadership(&self, request: &TransferRequest, limit: Duration) -> bool {
+        let Ok(request) = self.encode(request) else { return false };
+        matches!(self.send(RaftCall::TransferLeadership, request, limit).await, Ok(RaftReply::Done(true)))
+    }
+
+    /// Sends a heartbeat request. An acknowledgement is recorded. `None` without a reply.
+    pub(super) async fn heartbeat(&self, vote: Vote) -> Option<HeartbeatReply> {
+        let request = self.encode(&HeartbeatRequest { vote }).ok()?;
+        let sent_at = Instant::now();
+        let Ok(RaftReply::Done(heartbeat)) =
+            self.send::<HeartbeatReply>(RaftCall::Heartbeat, request, self.client.retry_interval).await
+        else {
+            return None;
+        };
+        if heartbeat.follows {
+            self.record_ack(vote, sent_at);
+        }
+        Some(heartbeat)
+    }
+
+    fn record_ack(&self, vote: Vote, sent_at: Instant) {
+        self.client.acks.send_modify(|acks| acks.record(vote, self.target, sent_at));
+    }
+
+    /// Sends an append, and waits for the reply as long as the voter reports that the append is
+    /// pending.
+    async fn append(
+        &self,
+        vote: Vote,
+        bytes: Vec<u8>,
+        limit: Duration,
+    ) -> Result<RaftReply<AppendEntriesResponse<RaftId>>, RequestError> {
+        let retry_interval = self.client.retry_interval;
+        let pending = self.send(RaftCall::Append, bytes, limit);
+        tokio::pin!(pending);
+        loop {
+            if let Ok(reply) = timeout(retry_interval, &mut pending).await {
+                return reply;
+            }
+            let heartbeat = tokio::select! {
+                biased;
+                reply = &mut pending => return reply,
+                heartbeat = self.heartbeat(vote) => heartbeat,
+            };
+            if !heartbeat.is_some_and(|heartbeat| heartbeat.busy) {
+                // The reply may have been sent just before.
+                return timeout(retry_interval / 4, &mut pending)
+                    .await
+                    .unwrap_or(Err(RequestError::TimedOut(retry_interval)));
+            }
+        }
+    }
+
+    async fn send<A: DeserializeOwned>(
+        &self,
+        call: RaftCall,
+        request: Vec<u8>,
+        limit: Duration,
+    ) -> Result<RaftReply<A>, RequestError> {
+        if matches!(call, RaftCall::Append | RaftCall::Heartbeat)
+            && self.client.appends_suspended.load(Ordering::Relaxed)
+        {
+            return Err(RequestError::Suspended);
+        }
+        let sent_at = Instant::now();
+        let key = self.client.keys.write(&Key::Raft(self.target.0, call));
+        let mut replies = self.client.bus.query(&key, request.into(), limit).await?;
+        let Some(reply) = replies.recv().await else {
+            let timed_out = sent_at.elapsed() >= limit;
+            return Err(if timed_out { RequestError::TimedOut(limit) } else { RequestError::NoService(self.target) });
+        };
+        let reply = reply.payload.map_err(RequestError::Rejected)?;
+        let reply = decode_reply(&reply).map_err(RequestError::Undecodable)?;
+        self.client.last_contacts.record(self.target, sent_at);
+        Ok(reply)
+    }
+
+    fn to_rpc_error<E: std::error::Error>(
+        &self,
+        action: RPCTypes,
+        error: &RequestError,
+    ) -> RPCError<RaftId, Peer, RaftError<RaftId, E>> {
+        match error {
+            RequestError::TimedOut(timeout) => {
+                Timeout { action, id: self.client.me, target: self.target, timeout: *timeout }.into()
+            }
+            RequestError::NoService(_) | RequestError::Bus(_) | RequestError::Suspended => {
+                Unreachable::new(error).into()
+            }
+            RequestError::Rejected(_) | RequestError::Undecodable(_) => NetworkError::new(error).into(),
+        }
+    }
+}
+
+fn unencodable<E: std::error::Error>(error: &CodecError) -> RPCError<RaftId, Peer, RaftError<RaftId, E>> {
+    NetworkError::new(error).into()
+}
+
+fn unexpected_mismatch<E: std::error::Error>() -> RPCError<RaftId, Peer, RaftError<RaftId, E>> {
+    NetworkError::new(&AnyError::error("the reply belongs to a snapshot request")).into()
+}
+
+impl<S: StateMachine> RaftNetwork<TypeConfig<S>> for PeerClient {
+    async fn append_entries(
+        &mut self,
+        request: AppendEntriesRequest<TypeConfig<S>>,
+        option: RPCOption,
+    ) -> Result<AppendEntriesResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
+        // openraft read as many entries as fit: the log storage returns no more at once.
+        let bytes = self.encode(&request).map_err(|error| unencodable(&error))?;
+        let sent_at = Instant::now();
+        let error = match self.append(request.vote, bytes, option.hard_ttl()).await {
+            Ok(RaftReply::Done(reply)) => {
+                if !matches!(reply, AppendEntriesResponse::HigherVote(_)) {
+                    self.record_ack(request.vote, sent_at);
+                }
+                return Ok(reply);
+            }
+            Ok(RaftReply::Mismatch(_)) => return Err(unexpected_mismatch()),
+            Err(error) => error,
+        };
+        match error {
+            RequestError::TimedOut(_) => Err(self.to_rpc_error(RPCTypes::AppendEntries, &error)),
+            RequestError::NoService(_)
+            | RequestError::Rejected(_)
+            | RequestError::Undecodable(_)
+            | RequestError::Bus(_)
+            | RequestError::Suspended => {
+                // openraft would retry at once. It does pause for an unreachable peer, but in a
+                // `select!` with random order, so that runs would not be reproducible. So the pause
+                // is here.
+                tokio::time::sleep(self.client.retry_interval.min(option.soft_ttl())).await;
+                Err(NetworkError::new(&error).into())
+            }
+        }
+    }
+
+    async fn install_snapshot(
+        &mut self,
+        request: InstallSnapshotRequest<TypeConfig<S>>,
+        option: RPCOption,
+    ) -> Result<InstallSnapshotResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId, InstallSnapshotError>>> {
+        let bytes = self.encode(&request).map_err(|error| unencodable(&error))?;
+        match self.send(RaftCall::Snapshot, bytes, option.hard_ttl()).await {
+            Ok(RaftReply::Done(reply)) => Ok(reply),
+            Ok(RaftReply::Mismatch(mismatch)) => {
+                let error = RaftError::APIError(InstallSnapshotError::SnapshotMismatch(mismatch));
+                Err(RemoteError::new(self.target, error).into())
+            }
+            Err(error) => Err(self.to_rpc_error(RPCTypes::InstallSnapshot, &error)),
+        }
+    }
+
+    async fn vote(
+        &mut self,
+        request: VoteRequest<RaftId>,
+        _: RPCOption,
+    ) -> Result<VoteResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
+        let bytes = self.encode(&request).map_err(|error| unencodable(&error))?;
+        // openraft's own limit is too short for a slow disk that writes the vote: see `runtime`.
+        match self.send(RaftCall::Vote, bytes, APPEND_TIMEOUT).await {
+            Ok(RaftReply::Done(reply)) => Ok(reply),
+            Ok(RaftReply::Mismatch(_)) => Err(unexpected_mismatch()),
+            Err(error) => Err(self.to_rpc_error(RPCTypes::Vote, &error)),
+        }
+    }
+
+    fn backoff(&self) -> Backoff {
+        Backoff::new(std::iter::repeat(self.client.retry_interval))
+    }
+}

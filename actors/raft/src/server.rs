@@ -1,0 +1,235 @@
+//! Server for the Raft requests of other voters. A single task serves them concurrently; a slow
+//! request delays no other.
+
+use super::election::{LeaderContact, PreVoteRequest};
+use super::leadership_transfer::{self, TransferRequest};
+use super::leadership_view::LeadershipView;
+use super::network::{HeartbeatRequest, RaftReply};
+use super::types::{Raft, RaftId, StateMachine, TypeConfig, Vote};
+use consort_bus::{BusError, Encoding, Query, Stream};
+use consort_protocol::codec::{self, CodecError};
+use consort_protocol::ids::ClusterId;
+use consort_protocol::keys::{Key, Keys, RaftCall};
+use futures::StreamExt as _;
+use futures::stream::FuturesUnordered;
+use openraft::error::{InstallSnapshotError, RaftError};
+use openraft::raft::{AppendEntriesRequest, InstallSnapshotRequest, VoteRequest, VoteResponse};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::fmt::Display;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+use tokio::sync::watch;
+use tracing::{debug, warn};
+
+/// Limit of concurrent requests. A voter has a single open request per peer, so more indicates a
+/// fault or an attack. A guess.
+const REQUESTS_MAX: usize = 256;
+
+/// State needed to serve requests.
+pub(super) struct RaftServer<S: StateMachine> {
+    pub(super) me: RaftId,
+    pub(super) raft: Raft<S>,
+    pub(super) leader_contact: Arc<LeaderContact>,
+    pub(super) leadership: watch::Receiver<LeadershipView>,
+    pub(super) election_min: Duration,
+    pub(super) heartbeat: Duration,
+    /// Number of requests rejected so far.
+    pub(super) rejected: Arc<AtomicU64>,
+    pub(super) keys: Keys,
+    /// Cluster of this node's ledger.
+    pub(super) cluster: watch::Receiver<Option<ClusterId>>,
+    /// Cluster of the first leader that this node followed. Until its own ledger records a cluster,
+    /// it follows no other.
+    pub(super) followed: OnceLock<ClusterId>,
+}
+
+impl<S: StateMachine> RaftServer<S> {
+    /// Serves requests until the bus closes.
+    pub(super) async fn run(self, mut queries: Stream<Query>) {
+        let mut requests = FuturesUnordered::new();
+        loop {
+            tokio::select! {
+                biased;
+                Some(()) = requests.next() => {}
+                query = queries.recv(), if requests.len() < REQUESTS_MAX => match query {
+                    Some(query) => requests.push(self.handle(query)),
+                    None => return,
+                },
+            }
+        }
+    }
+
+    async fn handle(&self, query: Query) {
+        let outcome = match self.keys.read(&query.key) {
+            Some(Key::Raft(_, RaftCall::Vote)) => self.vote(&query).await,
+            Some(Key::Raft(_, RaftCall::Append)) => self.append(&query).await,
+            Some(Key::Raft(_, RaftCall::Snapshot)) => self.snapshot(&query).await,
+            Some(Key::Raft(_, RaftCall::PreVote)) => self.pre_vote(&query),
+            Some(Key::Raft(_, RaftCall::TransferLeadership)) => self.transfer_leadership(&query).await,
+            Some(Key::Raft(_, RaftCall::Heartbeat)) => self.heartbeat(&query),
+            _ => Err("unknown request".to_owned()),
+        };
+        let sent = match outcome {
+            Ok(bytes) => query.replier.reply(&query.key, bytes.into(), Encoding::Wire).await,
+            Err(reason) => reject(&query, &reason, &self.rejected).await,
+        };
+        if let Err(error) = sent {
+            debug!(key = query.key, %error, "raft reply not sent");
+        }
+    }
+
+    async fn vote(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let request: VoteRequest<RaftId> = self.decode(query)?;
+        if !self.leader_contact.try_begin_vote(self.election_min) {
+            let vote = self.raft.server_metrics().borrow().vote;
+            let last = self.raft.data_metrics().borrow().last_log;
+            return encode_reply(&RaftReply::Done(VoteResponse { vote, vote_granted: false, last_log_id: last }));
+        }
+        let reply = self.raft.vote(request).await;
+        self.leader_contact.end_vote(reply.as_ref().ok().map(|reply| reply.vote));
+        let reply = reply.map_err(to_text)?;
+        if reply.vote_granted {
+            self.leader_contact.record_vote_granted();
+        }
+        encode_reply(&RaftReply::Done(reply))
+    }
+
+    async fn append(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let request: AppendEntriesRequest<TypeConfig<S>> = self.decode_and_follow(query)?;
+        self.record_leader(&request.vote);
+        let _pending = self.leader_contact.begin_append();
+        let reply = self.raft.append_entries(request).await.map_err(to_text)?;
+        encode_reply(&RaftReply::Done(reply))
+    }
+
+    async fn snapshot(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let request: InstallSnapshotRequest<TypeConfig<S>> = self.decode_and_follow(query)?;
+        check_chunk_size(request.offset, request.data.len())?;
+        self.record_leader(&request.vote);
+        match self.raft.install_snapshot(request).await {
+            Ok(reply) => encode_reply(&RaftReply::Done(reply)),
+            Err(RaftError::APIError(InstallSnapshotError::SnapshotMismatch(mismatch))) => {
+                encode_reply(&RaftReply::<()>::Mismatch(mismatch))
+            }
+            Err(RaftError::Fatal(fatal)) => Err(to_text(fatal)),
+        }
+    }
+
+    /// Records contact from the leader, unless its term is over. This happens before openraft
+    /// receives the request. So a campaign that is about to start sees the contact first, and the
+    /// leader gets no misleading acknowledgement.
+    fn record_leader(&self, vote: &Vote) {
+        let known = self.raft.server_metrics().borrow().vote;
+        self.leader_contact.record_leader(vote, &known);
+    }
+
+    /// Replies outside openraft: its core may be waiting for the disk.
+    fn heartbeat(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let request: HeartbeatRequest = self.decode_and_follow(query)?;
+        let known = self.raft.server_metrics().borrow().vote;
+        encode_reply(&RaftReply::Done(self.leader_contact.answer_heartbeat(&request.vote, &known)))
+    }
+
+    async fn transfer_leadership(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let request: TransferRequest = self.decode(query)?;
+        let is_current = self.raft.server_metrics().borrow().vote == request.leader_vote;
+        let accepted = if request.target != self.me {
+            self.leader_contact.record_vote_granted();
+            let released = leadership_transfer::release_vote(&self.raft, &request).await;
+            if released && is_current {
+                self.leader_contact.record_release(request.target_vote());
+            }
+            released
+        } else if is_current {
+            self.leader_contact.record_leader_resigned();
+            // Its own vote: it waits for no other candidate during its campaign.
+            self.leader_contact.record_vote_granted();
+            self.raft.trigger().elect().await.map_err(to_text)?;
+            true
+        } else {
+            // A duplicate, or too late: the election is in progress or over.
+            true
+        };
+        encode_reply(&RaftReply::Done(accepted))
+    }
+
+    /// Decodes a request, unless it comes from another cluster.
+    fn decode<T: DeserializeOwned>(&self, query: &Query) -> Result<T, String> {
+        self.decode_with_cluster(query).map(|(_, request)| request)
+    }
+
+    /// Decodes a request of a leader. A node without a cluster stays with the cluster of the first
+    /// leader it follows.
+    fn decode_and_follow<T: DeserializeOwned>(&self, query: &Query) -> Result<T, String> {
+        let (sender, request) = self.decode_with_cluster(query)?;
+        if let Some(sender) = sender {
+            self.followed.get_or_init(|| sender);
+        }
+        Ok(request)
+    }
+
+    fn decode_with_cluster<T: DeserializeOwned>(&self, query: &Query) -> Result<(Option<ClusterId>, T), String> {
+        let (sender, request) = decode_request(&query.payload).map_err(to_text)?;
+        let own_cluster = self.cluster.borrow().or_else(|| self.followed.get().copied());
+        match (sender, own_cluster) {
+            (Some(sender), Some(own_cluster)) if sender != own_cluster => Err(format!(
+                "the request comes from cluster {sender}, but this node belongs to cluster {own_cluster}: clusters do not merge"
+            )),
+            _ => Ok((sender, request)),
+        }
+    }
+
+    fn pre_vote(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let request: PreVoteRequest = self.decode(query)?;
+        let no_leader =
+            self.leader_contact.no_leader_for(self.election_min, self.heartbeat) && !self.leadership.borrow().is_leader;
+        let log_is_current = request.last_log_id >= self.raft.data_metrics().borrow().last_log;
+        encode_reply(&RaftReply::Done(no_leader && log_is_current))
+    }
+}
+
+/// Checks the size of a snapshot chunk: openraft allocates memory for everything before its offset.
+fn check_chunk_size(offset: u64, length: usize) -> Result<(), String> {
+    let end = offset.saturating_add(length as u64);
+    match end > codec::RECORD_BYTES_MAX as u64 {
+        true => {
+            Err(format!("a snapshot of at least {end} bytes exceeds the limit of {} bytes", codec::RECORD_BYTES_MAX))
+        }
+        false => Ok(()),
+    }
+}
+
+/// Decodes a request of a voter, and the cluster of the voter.
+pub(super) fn decode_request<T: DeserializeOwned>(bytes: &[u8]) -> Result<(Option<ClusterId>, T), CodecError> {
+    codec::decode(bytes)
+}
+
+async fn reject(query: &Query, reason: &str, rejected: &AtomicU64) -> Result<(), BusError> {
+    let count = rejected.fetch_add(1, Ordering::Relaxed) + 1;
+    warn!(key = query.key, bytes = query.payload.len(), count, reason, "raft request rejected");
+    query.replier.refuse(reason).await
+}
+
+fn encode_reply<T: Serialize>(reply: &T) -> Result<Vec<u8>, String> {
+    codec::encode(reply).map_err(to_text)
+}
+
+fn to_text(error: impl Display) -> String {
+    error.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_snapshot_chunk_stays_within_the_limit_of_a_snapshot() {
+        let limit = codec::RECORD_BYTES_MAX as u64;
+        assert_eq!(check_chunk_size(limit - 3, 3), Ok(()));
+        let rejected = "a snapshot of at least 268435457 bytes exceeds the limit of 268435456 bytes";
+        assert_eq!(check_chunk_size(limit - 3, 4), Err(rejected.to_owned()));
+        assert!(check_chunk_size(u64::MAX, 1).is_err());
+    }
+}

@@ -1,0 +1,292 @@
+//! The ledger file: the content of a store as tables of `redb`.
+//!
+//! Each call of [`LedgerFile::write`] is a transaction, numbered from 1 (the creation of the
+//! store). When it returns, the whole transaction is on disk; after a crash it is there as a whole
+//! or not at all. `redb` keeps a checksum of every page in the parent page; opening the file
+//! verifies all of them.
+
+use super::StoreOwner;
+use crate::{PersistentState, StoreIdentity};
+use consort_protocol::ids::{FleetId, NodeId};
+use redb::{Database, ReadableDatabase, ReadableTable, StorageBackend, Table, TableDefinition};
+use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// Version of the table format. It is increased by a change that older programs cannot read.
+const FORMAT: u64 = 1;
+
+/// Single values by name. The table name `values` is part of the stored format.
+const VALUES: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("ones");
+
+/// Log entries by index.
+const LOG: TableDefinition<'_, u64, &[u8]> = TableDefinition::new("log");
+
+const FORMAT_KEY: &str = "format";
+const FLEET_KEY: &str = "fleet";
+const NODE_KEY: &str = "node";
+const IDENTITY_KEY: &str = "identity";
+const COMMITS_KEY: &str = "commits";
+const INCARNATION_KEY: &str = "incarnation";
+const VOTE_KEY: &str = "vote";
+const COMMITTED_KEY: &str = "committed";
+const PURGED_KEY: &str = "purged";
+const SNAPSHOT_KEY: &str = "snapshot";
+const CHECKPOINT_KEY: &str = "page";
+
+/// Page cache in bytes. The replica keeps the log in memory, so little is read.
+const CACHE_BYTES: usize = 8 << 20;
+
+/// A file smaller than this, in bytes, is not compacted.
+const COMPACT_BYTES_MIN: u64 = 1 << 20;
+
+/// A file is compacted when it is this many times larger than its stored content. A guess.
+const COMPACT_RATIO: u64 = 4;
+
+/// A change to the ledger file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum LedgerWrite {
+    Vote(Vec<u8>),
+    Committed(Option<Vec<u8>>),
+    Append(Vec<(u64, Vec<u8>)>),
+    /// Removes all entries from this index to the end.
+    Truncate(u64),
+    /// Removes all entries up to this index, and stores the id of the last of them.
+    Purge(u64, Vec<u8>),
+    Snapshot(Vec<u8>),
+    Checkpoint(Option<Vec<u8>>),
+    Incarnation(u64),
+    /// Replaces log, vote and snapshot.
+    Replace(Box<PersistentState>),
+}
+
+/// The open ledger file.
+#[derive(Debug)]
+pub(super) struct LedgerFile {
+    database: Database,
+    owner: StoreOwner,
+    identity: StoreIdentity,
+    commits: u64,
+}
+
+/// The file cannot be opened.
+pub(super) enum LedgerFileError {
+    /// The content differs from what was written.
+    Damaged(String),
+    /// The format belongs to another release.
+    Format(u64),
+    Io(io::Error),
+}
+
+impl From<io::Error> for LedgerFileError {
+    fn from(error: io::Error) -> LedgerFileError {
+        match error.kind() {
+            io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => LedgerFileError::Damaged(error.to_string()),
+            _ => LedgerFileError::Io(error),
+        }
+    }
+}
+
+/// Converts an error of `redb` to an I/O error.
+fn io_error(error: impl Into<redb::Error>) -> io::Error {
+    use redb::Error::{DatabaseAlreadyOpen, DatabaseClosed, Io, LockPoisoned, PreviousIo, ValueTooLarge};
+    match error.into() {
+        Io(error) => error,
+        other @ (DatabaseAlreadyOpen | DatabaseClosed | LockPoisoned(_) | PreviousIo | ValueTooLarge(_)) => {
+            io::Error::other(other.to_string())
+        }
+        // All other errors mean that the file was changed or damaged, including its format and its
+        // tables.
+        other => io::Error::new(io::ErrorKind::InvalidData, other.to_string()),
+    }
+}
+
+fn malformed(name: &str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, format!("its value `{name}` cannot be decoded"))
+}
+
+impl LedgerFile {
+    /// Creates a ledger file in an empty file, and syncs it to disk.
+    pub(super) fn create(
+        file: impl StorageBackend,
+        owner: &StoreOwner,
+        identity: StoreIdentity,
+    ) -> io::Result<LedgerFile> {
+        let mut builder = Database::builder();
+        let database = builder.set_cache_size(CACHE_BYTES).create_with_backend(file).map_err(io_error)?;
+        let mut ledger = LedgerFile { database, owner: owner.clone(), identity, commits: 0 };
+        ledger.transact(|values, _| {
+            values.insert(FORMAT_KEY, &FORMAT.to_be_bytes()[..]).map_err(io_error)?;
+            values.insert(FLEET_KEY, owner.fleet.as_str().as_bytes()).map_err(io_error)?;
+            values.insert(NODE_KEY, owner.node.as_str().as_bytes()).map_err(io_error)?;
+            values.insert(IDENTITY_KEY, &identity.0.to_be_bytes()[..]).map_err(io_error)?;
+            Ok(())
+        })?;
+        Ok(ledger)
+    }
+
+    /// Opens a ledger file, verifies all checksums, and releases unused space.
+    pub(super) fn open(file: impl StorageBackend) -> Result<LedgerFile, LedgerFileError> {
+        // redb 4.4 panics over some damage to its header.
+        let opened = catch_unwind(AssertUnwindSafe(|| LedgerFile::open_checked(file)));
+        opened.unwrap_or_else(|_| Err(LedgerFileError::Damaged("redb cannot interpret its content".to_owned())))
+    }
+
+    fn open_checked(file: impl StorageBackend) -> Result<LedgerFile, LedgerFileError> {
+        let bytes = file.len()?;
+        if bytes == 0 {
+            return Err(LedgerFileError::Damaged("it is empty".to_owned()));
+        }
+        // redb would treat a file without its first bytes as an interrupted creation. Files of this
+        // store are created under another name.
+        let mut first = [0; 4];
+        if bytes < first.len() as u64 || file.read(0, &mut first).is_err() || first != *b"redb" {
+            return Err(LedgerFileError::Damaged("it does not begin with the header of a ledger file".to_owned()));
+        }
+        let mut builder = Database::builder();
+        let mut database = builder.set_cache_size(CACHE_BYTES).create_with_backend(file).map_err(io_error)?;
+        // redb repairs a file by a rollback to the previous write. The commit marker shows whether
+        // that is acceptable.
+        database.check_integrity().map_err(io_error)?;
+        let stored_bytes = {
+            let write_transaction = database.begin_write().map_err(io_error)?;
+            let stats = write_transaction.stats().map_err(io_error)?;
+            write_transaction.abort().map_err(io_error)?;
+            stats.stored_bytes() + stats.metadata_bytes()
+        };
+        if bytes > COMPACT_BYTES_MIN.max(stored_bytes * COMPACT_RATIO) {
+            database.compact().map_err(io_error)?;
+        }
+        let read_transaction = database.begin_read().map_err(io_error)?;
+        let values = read_transaction.open_table(VALUES).map_err(io_error)?;
+        let value_of = |name: &str| -> io::Result<Vec<u8>> {
+            let value = values.get(name).map_err(io_error)?;
+            value.map(|value| value.value().to_vec()).ok_or_else(|| malformed(name))
+        };
+        let format = number(FORMAT_KEY, &value_of(FORMAT_KEY)?)?;
+        if format != FORMAT {
+            return Err(LedgerFileError::Format(format));
+        }
+        let text = |name: &str| value_of(name).and_then(|bytes| String::from_utf8(bytes).map_err(|_| malformed(name)));
+        let owner = StoreOwner {
+            fleet: FleetId::new(&text(FLEET_KEY)?).map_err(|_| malformed(FLEET_KEY))?,
+            node: NodeId::new(&text(NODE_KEY)?).map_err(|_| malformed(NODE_KEY))?,
+        };
+        let identity = value_of(IDENTITY_KEY)?.try_into().map_err(|_| malformed(IDENTITY_KEY))?;
+        let commits = number(COMMITS_KEY, &value_of(COMMITS_KEY)?)?;
+        drop((values, read_transaction));
+        Ok(LedgerFile { database, owner, identity: StoreIdentity(u128::from_be_bytes(identity)), commits })
+    }
+
+    pub(super) fn owner(&self) -> &StoreOwner {
+        &self.owner
+    }
+
+    pub(super) fn identity(&self) -> StoreIdentity {
+        self.identity
+    }
+
+    /// Returns the number of the last write.
+    pub(super) fn commits(&self) -> u64 {
+        self.commits
+    }
+
+    /// Reads the persistent state of the replica.
+    pub(super) fn persistent_state(&self) -> io::Result<PersistentState> {
+        let read_transaction = self.database.begin_read().map_err(io_error)?;
+        let log = read_transaction.open_table(LOG).map_err(io_error)?;
+        let entries = log.iter().map_err(io_error)?.map(|entry| {
+            let (index, bytes) = entry.map_err(io_error)?;
+            Ok((index.value(), bytes.value().to_vec()))
+        });
+        Ok(PersistentState {
+            vote: self.value_of(VOTE_KEY)?,
+            committed: self.value_of(COMMITTED_KEY)?,
+            purged: self.value_of(PURGED_KEY)?,
+            snapshot: self.value_of(SNAPSHOT_KEY)?,
+            entries: entries.collect::<io::Result<_>>()?,
+        })
+    }
+
+    /// Reads the checkpoint of the robot.
+    pub(super) fn checkpoint(&self) -> io::Result<Option<Vec<u8>>> {
+        self.value_of(CHECKPOINT_KEY)
+    }
+
+    /// Reads the last incarnation; 0 before the first.
+    pub(super) fn incarnation(&self) -> io::Result<u64> {
+        self.value_of(INCARNATION_KEY)?.map_or(Ok(0), |bytes| number(INCARNATION_KEY, &bytes))
+    }
+
+    /// Applies all changes, in order, in a single transaction. When it returns `Ok`, they are on
+    /// disk.
+    pub(super) fn write(&mut self, changes: &[LedgerWrite]) -> io::Result<()> {
+        self.transact(|values, log| changes.iter().try_for_each(|change| apply(change, values, log)))
+    }
+
+    fn value_of(&self, name: &str) -> io::Result<Option<Vec<u8>>> {
+        let read_transaction = self.database.begin_read().map_err(io_error)?;
+        let values = read_transaction.open_table(VALUES).map_err(io_error)?;
+        let value = values.get(name).map_err(io_error)?;
+        Ok(value.map(|value| value.value().to_vec()))
+    }
+
+    fn transact(
+        &mut self,
+        change: impl FnOnce(&mut Table<'_, &str, &[u8]>, &mut Table<'_, u64, &[u8]>) -> io::Result<()>,
+    ) -> io::Result<()> {
+        let commits = self.commits + 1;
+        // Durability is redb's default: `commit` returns after the file was synced.
+        let write_transaction = self.database.begin_write().map_err(io_error)?;
+        {
+            let mut values = write_transaction.open_table(VALUES).map_err(io_error)?;
+            let mut log = write_transaction.open_table(LOG).map_err(io_error)?;
+            change(&mut values, &mut log)?;
+            values.insert(COMMITS_KEY, &commits.to_be_bytes()[..]).map_err(io_error)?;
+        }
+        write_transaction.commit().map_err(io_error)?;
+        self.commits = commits;
+        Ok(())
+    }
+}
+
+fn number(name: &str, bytes: &[u8]) -> io::Result<u64> {
+    bytes.try_into().map(u64::from_be_bytes).map_err(|_| malformed(name))
+}
+
+fn apply(change: &LedgerWrite, values: &mut Table<'_, &str, &[u8]>, log: &mut Table<'_, u64, &[u8]>) -> io::Result<()> {
+    match change {
+        LedgerWrite::Vote(vote) => put(values, VOTE_KEY, Some(vote)),
+        LedgerWrite::Committed(committed) => put(values, COMMITTED_KEY, committed.as_deref()),
+        LedgerWrite::Append(entries) => append(log, entries.iter().map(|(index, entry)| (*index, &entry[..]))),
+        LedgerWrite::Truncate(from) => log.retain_in(*from.., |_, _| false).map_err(io_error),
+        LedgerWrite::Purge(through, last) => {
+            log.retain_in(..=*through, |_, _| false).map_err(io_error)?;
+            put(values, PURGED_KEY, Some(last))
+        }
+        LedgerWrite::Snapshot(snapshot) => put(values, SNAPSHOT_KEY, Some(snapshot)),
+        LedgerWrite::Checkpoint(checkpoint) => put(values, CHECKPOINT_KEY, checkpoint.as_deref()),
+        LedgerWrite::Incarnation(incarnation) => put(values, INCARNATION_KEY, Some(&incarnation.to_be_bytes())),
+        LedgerWrite::Replace(state) => {
+            put(values, VOTE_KEY, state.vote.as_deref())?;
+            put(values, COMMITTED_KEY, state.committed.as_deref())?;
+            put(values, PURGED_KEY, state.purged.as_deref())?;
+            put(values, SNAPSHOT_KEY, state.snapshot.as_deref())?;
+            log.retain_in(0.., |_, _| false).map_err(io_error)?;
+            append(log, state.entries.iter().map(|(index, entry)| (*index, &entry[..])))
+        }
+    }
+}
+
+fn put(values: &mut Table<'_, &str, &[u8]>, name: &str, value: Option<&[u8]>) -> io::Result<()> {
+    match value {
+        Some(value) => values.insert(name, value).map(drop).map_err(io_error),
+        None => values.remove(name).map(drop).map_err(io_error),
+    }
+}
+
+fn append<'a>(log: &mut Table<'_, u64, &[u8]>, entries: impl Iterator<Item = (u64, &'a [u8])>) -> io::Result<()> {
+    for (index, entry) in entries {
+        log.insert(index, entry).map_err(io_error)?;
+    }
+    Ok(())
+}
