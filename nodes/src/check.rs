@@ -3,12 +3,12 @@
 use crate::config::{self, Diagnostic, Diagnostics, FleetConfig, RobotConfig, StationConfig, WorldConfig};
 use crate::evaluation::{Evaluation, InputOverrides};
 use crate::{extensions, inputs, map_loader, wiring};
+use consort_evaluation::calibration::Calibration;
 use consort_protocol::count::count;
 use consort_protocol::ids::TaskId;
 use consort_protocol::mission::{Format, IhtnOptions, Mission, MissionTemplate, TemplateKind, import_ihtn};
 use consort_protocol::plan::divide_and_check;
-use consort_sim::experiment::calibration::Calibration;
-use consort_sim::map::MapFormat;
+use consort_world::map::MapFormat;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;

@@ -3,12 +3,12 @@
 use crate::config::{Diagnostic, Diagnostics};
 use crate::inputs::read_text;
 use crate::map_loader;
-use consort_sim::experiment::calibration::Calibration;
-use consort_sim::experiment::design::{self, Design, Scenario};
-use consort_sim::experiment::published_format;
-use consort_sim::experiment::travel::{MeasuredLegs, TravelModel};
-use consort_sim::map::{self, Map};
+use consort_evaluation::calibration::Calibration;
+use consort_evaluation::design::{self, Design, Scenario};
+use consort_evaluation::published_format;
+use consort_evaluation::travel::{MeasuredLegs, TravelModel};
 use consort_tests::experiment::ExperimentSetup;
+use consort_world::map::{self, Map};
 use std::fmt::Display;
 use std::path::Path;
 use std::sync::Arc;

@@ -2,8 +2,8 @@
 
 use crate::config::{Diagnostic, Diagnostics};
 use crate::file::{self, BYTES_MAX, FileReadError};
-use consort_sim::map::{self, DEFAULT_LEVEL, Map, MapError};
 use consort_skills::environment::TopologicalMap;
+use consort_world::map::{self, DEFAULT_LEVEL, Map, MapError};
 use serde_json::{Value, json};
 use std::path::Path;
 

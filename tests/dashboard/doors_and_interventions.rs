@@ -13,7 +13,7 @@ const ON_ITS_WAY: Duration = Duration::from_secs(120);
 /// Returns the shipped ward with a door across its corridor, on the way from the dock to the
 /// intensive care rooms.
 fn ward(folder: &Folder) -> String {
-    let map = include_str!("../../sim_bridge/maps/hospital.yaml");
+    let map = include_str!("../../sim_bridge/world/maps/hospital.yaml");
     let door = "doors:\n  - { name: Ward Door, on: [[Crossing, IC Corridor 1]], opening_s: 6 }\n";
     folder.write("ward.yaml", &format!("{map}\n{door}")).display().to_string()
 }

@@ -1,9 +1,9 @@
 //! The published scenarios on the published map: the same inputs give the same assignments.
 
-use consort_sim::experiment::design::shipped;
-use consort_sim::experiment::policy::Policy;
-use consort_sim::experiment::published_format;
-use consort_sim::experiment::travel::{MeasuredLegs, TravelModel, TravelSettings};
+use consort_evaluation::design::shipped;
+use consort_evaluation::policy::Policy;
+use consort_evaluation::published_format;
+use consort_evaluation::travel::{MeasuredLegs, TravelModel, TravelSettings};
 use consort_tests::experiment::{ExperimentSetup, run, trials};
 use serde_json::Value;
 use std::collections::BTreeMap;

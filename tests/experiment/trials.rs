@@ -1,10 +1,10 @@
 //! Outcomes of trials.
 
-use consort_sim::experiment::design::{Design, FactorLevels, scenarios, shipped};
-use consort_sim::experiment::outcome::EndState;
-use consort_sim::experiment::policy::Policy;
-use consort_sim::experiment::results::{Treatment, TrialRow, write};
-use consort_sim::experiment::travel::TravelModel;
+use consort_evaluation::design::{Design, FactorLevels, scenarios, shipped};
+use consort_evaluation::outcome::EndState;
+use consort_evaluation::policy::Policy;
+use consort_evaluation::results::{Treatment, TrialRow, write};
+use consort_evaluation::travel::TravelModel;
 use consort_tests::experiment::{ExperimentSetup, run, trials};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,7 +16,7 @@ pub(crate) fn reduced_setup(name: &str, scenarios_max: usize, change: impl FnOnc
     // Scenarios at equal distances, so that all levels occur.
     let step = (chosen.len() / scenarios_max).max(1);
     chosen = chosen.into_iter().step_by(step).take(scenarios_max).collect();
-    let map = consort_sim::map::shipped(&design.map).unwrap();
+    let map = consort_world::map::shipped(&design.map).unwrap();
     let travel = TravelModel::Kinematic(design.travel.clone());
     ExperimentSetup::new(design, chosen, map, travel, None).unwrap()
 }
@@ -144,7 +144,7 @@ fn an_unknown_place_is_reported_before_any_trial() {
     chosen.truncate(1);
     chosen[0].robots[0].place = "IC Rom 1".parse().unwrap();
     chosen[0].levels = FactorLevels::default();
-    let map = consort_sim::map::shipped("hospital").unwrap();
+    let map = consort_world::map::shipped("hospital").unwrap();
     let travel = TravelModel::Kinematic(design.travel.clone());
     let violations = ExperimentSetup::new(design, chosen, map, travel, None).err().unwrap();
     assert_eq!(

@@ -2,7 +2,7 @@
 
 use crate::{Fleet, RoleInterval};
 use consort_protocol::ids::MissionId;
-use consort_sim::world::SampleHolder;
+use consort_world::world::SampleHolder;
 
 impl Fleet {
     /// Asserts that each task of the mission began once and ended once.

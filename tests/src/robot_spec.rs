@@ -5,9 +5,9 @@ use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
-use consort_sim::map::Map;
-use consort_sim::world::RobotSetup;
 use consort_skills::library::SkillLibrary;
+use consort_world::map::Map;
+use consort_world::world::RobotSetup;
 
 /// Setup of a robot.
 #[derive(Debug, Clone)]

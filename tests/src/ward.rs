@@ -10,7 +10,7 @@ use consort_protocol::ids::EnsembleId;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::Domain;
 use consort_protocol::timing::Timing;
-use consort_sim::map::shipped;
+use consort_world::map::shipped;
 use std::sync::Arc;
 use std::time::Duration;
 

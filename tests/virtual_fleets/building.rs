@@ -3,8 +3,8 @@
 use crate::support::task_began;
 use consort_protocol::event::EventKind;
 use consort_protocol::ledger::MissionState;
-use consort_sim::world::{Obstacle, PersonAction};
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
+use consort_world::world::{Obstacle, PersonAction};
 use std::time::Duration;
 
 const ROOM: &str = "IC Room 6";

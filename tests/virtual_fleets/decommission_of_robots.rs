@@ -5,8 +5,8 @@ use consort_fleet::node::NodeSettings;
 use consort_protocol::ids::MissionId;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::MissionState;
-use consort_sim::world::SampleHolder;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
+use consort_world::world::SampleHolder;
 use serde_json::{Value, json};
 use std::time::Duration;
 

@@ -4,9 +4,9 @@ use crate::support::{released, task_began};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::lease::{EndReason, LeaseTerms};
-use consort_sim::world::{LoggedEvent, WorldEvent as InWorld};
 use consort_skills::actions::Goal;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
+use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
 use std::time::Duration;
 
 const SEEDS: [u64; 3] = [81, 82, 83];

@@ -5,9 +5,9 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::lease::EndReason;
-use consort_sim::world::WorldEvent as InWorld;
 use consort_skills::actions::{Goal, GoalStatus};
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
+use consort_world::world::WorldEvent as InWorld;
 use serde_json::{Value, json};
 use std::time::Duration;
 

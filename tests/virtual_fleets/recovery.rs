@@ -4,9 +4,9 @@ use crate::support::task_began;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, TaskId};
 use consort_protocol::message::FailureKind;
-use consort_sim::world::SampleHolder;
 use consort_skills::actions::RobotBackend;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
+use consort_world::world::SampleHolder;
 use std::time::Duration;
 
 const ROOM: &str = "IC Room 6";

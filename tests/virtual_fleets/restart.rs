@@ -3,8 +3,8 @@
 use crate::support::{released, task_began};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
-use consort_sim::world::{LoggedEvent, SampleHolder, WorldEvent as InWorld};
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
+use consort_world::world::{LoggedEvent, SampleHolder, WorldEvent as InWorld};
 use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::time::Duration;

@@ -149,7 +149,7 @@ fn a_crash_of_a_skill_does_not_affect_its_robot() {
 #[test]
 fn a_canceled_mission_leaves_robot_and_drawer_at_rest() {
     use consort_protocol::keys::ApiCall;
-    use consort_sim::world::WorldEvent as InWorld;
+    use consort_world::world::WorldEvent as InWorld;
     // The mission is canceled during each of these tasks.
     for (number, task) in (0..).zip(["navto_room", "approach_nurse", "open_drawer_for_nurse", "close_drawer_nurse"]) {
         for_each_seed([210 + number], async |seed| {

@@ -3,7 +3,7 @@
 use crate::exit::Failure;
 use crate::output::{self, Progress};
 use clap::{Args as ClapArgs, Subcommand};
-use consort_sim::swarm::{Swarm, TABLE_HEADER, run_swarm};
+use consort_world::swarm::{Swarm, TABLE_HEADER, run_swarm};
 use std::time::{Duration, Instant};
 
 /// Measures the speed of the simulator on this machine.

@@ -3,8 +3,8 @@
 use crate::config::{FleetConfig, FleetRef, WorldConfig};
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
-use consort_sim::map::{Drawing, DrawnItem, DrawnObject, DrawnPerson, DrawnRobot};
-use consort_sim::world::{ObjectSetup, PersonName, PersonSetup, RobotSetup, SampleId};
+use consort_world::map::{Drawing, DrawnItem, DrawnObject, DrawnPerson, DrawnRobot};
+use consort_world::world::{ObjectSetup, PersonName, PersonSetup, RobotSetup, SampleId};
 use std::str::FromStr;
 
 /// Values that drawings do not contain: robots drive at 0.5 m/s, and their battery lasts for 40

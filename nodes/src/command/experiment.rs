@@ -5,15 +5,15 @@ use crate::evaluation::{Evaluation, InputOverrides};
 use crate::exit::Failure;
 use crate::output::{self, Progress};
 use clap::{Args as ClapArgs, Subcommand};
+use consort_evaluation::calibration::{Calibration, DEFAULT_QUANTILE, Observation};
+use consort_evaluation::design::{self, Design};
+use consort_evaluation::outcome::EndState;
+use consort_evaluation::policy::Policy;
+use consort_evaluation::report::{CalibrationGain, ReportFile, ReportHeader, report, tallies};
+use consort_evaluation::results::{self, Treatment, TrialRow};
+use consort_evaluation::seeds::derive;
+use consort_evaluation::stats::Summary;
 use consort_protocol::count::count;
-use consort_sim::experiment::calibration::{Calibration, DEFAULT_QUANTILE, Observation};
-use consort_sim::experiment::design::{self, Design};
-use consort_sim::experiment::outcome::EndState;
-use consort_sim::experiment::policy::Policy;
-use consort_sim::experiment::report::{CalibrationGain, ReportFile, ReportHeader, report, tallies};
-use consort_sim::experiment::results::{self, Treatment, TrialRow};
-use consort_sim::experiment::seeds::derive;
-use consort_sim::experiment::stats::Summary;
 use consort_tests::experiment::{ExperimentSetup, TrialOutcome, run as run_trials, trials};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Display;
@@ -54,7 +54,7 @@ Examples:
   consort experiment run my-design.toml --out results --legs legs.csv
   consort experiment run published --out repeated --scenarios scenarios_81.json --map hospital_map.json --legs nav_legs.csv
 
-Bundled designs: published, food, rounds (in sim_bridge/designs/ of the source). A design file is TOML; an unknown key is
+Bundled designs: published, food, rounds (in sim_bridge/evaluation/designs/ of the source). A design file is TOML; an unknown key is
 rejected with a list of the allowed keys.
 
 Output: rows.csv, a row for each trial; tasks.csv, the estimated and actual cost of each task; report.md, for people, with

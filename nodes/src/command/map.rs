@@ -5,7 +5,7 @@ use crate::config::{Diagnostic, Diagnostics, to_toml};
 use crate::exit::Failure;
 use crate::{map_loader, output};
 use consort_protocol::count::count;
-use consort_sim::map::{self, Drawing, ImportOptions, Map, render};
+use consort_world::map::{self, Drawing, ImportOptions, Map, render};
 use std::path::{Path, PathBuf};
 
 /// Draw, check and convert maps

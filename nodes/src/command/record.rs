@@ -11,7 +11,7 @@ use crate::shutdown_signals::ShutdownSignals;
 use crate::subscriber::subscribe_fleet;
 use consort_bus::clock::Clock;
 use consort_protocol::count::count;
-use consort_sim::record::foxglove::ExistingFile;
+use consort_world::record::foxglove::ExistingFile;
 use indicatif::HumanBytes;
 use std::path::PathBuf;
 use std::sync::Arc;

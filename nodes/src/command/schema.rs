@@ -4,10 +4,10 @@ use crate::check::FileKind;
 use crate::config::{FleetConfig, RobotConfig, StationConfig, WorldConfig};
 use crate::exit::Failure;
 use crate::{inputs, output};
+use consort_evaluation::calibration::Calibration;
+use consort_evaluation::design::Design;
 use consort_protocol::mission::MissionTemplate;
-use consort_sim::experiment::calibration::Calibration;
-use consort_sim::experiment::design::Design;
-use consort_sim::map::MapFile;
+use consort_world::map::MapFile;
 use schemars::{Schema, schema_for};
 
 /// Print the JSON Schema of a kind of file

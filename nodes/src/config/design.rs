@@ -1,10 +1,10 @@
 //! Configuration files of evaluation designs. Their keys are documented in
-//! [`consort_sim::experiment::design`].
+//! [`consort_evaluation::design`].
 
 use super::read::{ConfigFile, join_normalized, resolve_path};
 use crate::map_loader::is_shipped;
-use consort_sim::experiment::calibration::{Calibration, TimeFactor};
-use consort_sim::experiment::design::Design;
+use consort_evaluation::calibration::{Calibration, TimeFactor};
+use consort_evaluation::design::Design;
 use std::path::Path;
 
 impl ConfigFile for Design {

@@ -5,7 +5,7 @@ use super::read::join_normalized;
 use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig};
 use crate::map_loader::is_shipped;
 use consort_protocol::ids::NodeId;
-use consort_sim::world::{
+use consort_world::world::{
     DoorSetup, Durations, ObjectSetup, Obstacle, PersonSetup, RobotSetup, WindSettings, WorldLimits, default_step_s,
     system_names,
 };

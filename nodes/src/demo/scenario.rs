@@ -4,7 +4,7 @@ use crate::config::{FleetConfig, FleetRef, RobotConfig, StationConfig, WorldConf
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::ids::{EnsembleId, FleetId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskType};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
-use consort_sim::world::{PersonSetup, RobotSetup};
+use consort_world::world::{PersonSetup, RobotSetup};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

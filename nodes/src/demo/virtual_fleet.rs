@@ -11,7 +11,7 @@ use consort_fleet::node::{NodeHandle, NodeSettings};
 use consort_protocol::count::count;
 use consort_protocol::ids::NodeId;
 use consort_raft::store::NodeStore;
-use consort_sim::world::SharedWorld;
+use consort_world::world::SharedWorld;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;

@@ -3,7 +3,7 @@
 use super::writer::{RecordingStats, RecordingWriter};
 use crate::fleet_model::{CoordinatorModel, FleetInput, FleetListener, FleetModel};
 use consort_bus::clock::Clock;
-use consort_sim::record::RecordError;
+use consort_world::record::RecordError;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 

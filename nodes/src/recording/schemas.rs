@@ -3,8 +3,8 @@
 use crate::fleet_model::FleetInput;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::message::Beacon;
-use consort_sim::record::foxglove::Schema;
 use consort_skills::actions::Telemetry;
+use consort_world::record::foxglove::Schema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 

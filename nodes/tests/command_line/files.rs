@@ -11,11 +11,11 @@ fn the_shipped_examples_missions_and_maps_are_valid() {
         ("examples/workers.toml", "workers: 4 of them"),
         ("examples/follow-path.yaml", "a mission: follow-path, 1 role, 2 steps"),
         ("examples/calibration.toml", "a calibration: 0 skills, 0 legs"),
-        ("../sim_bridge/designs/published.toml", "a design: published, 1296 trials"),
+        ("../sim_bridge/evaluation/designs/published.toml", "a design: published, 1296 trials"),
         ("tests/data/ward_map.json", "a map: 5 places, 4 ways"),
         ("tests/data/ward_scenarios.json", "scenarios: 1 of them"),
         ("../protocol/missions/lab-samples.yaml", "a mission: lab-samples, 3 roles, 19 steps"),
-        ("../sim_bridge/maps/hospital.yaml", "a map: 32 places, 31 ways"),
+        ("../sim_bridge/world/maps/hospital.yaml", "a map: 32 places, 31 ways"),
     ];
     let paths: Vec<String> = files.iter().map(|(path, _)| crate_file(path)).collect();
     let mut args = vec!["check"];

@@ -89,8 +89,8 @@ fn shipped_files_satisfy_their_schemas() {
     paths.extend(files("protocol/missions", &[".yaml"]));
     paths.extend(files("tests/features/missions", &[".yaml"]));
     paths.extend(files("tests/features/maps", &[".yaml"]));
-    paths.extend(files("sim_bridge/designs", &[".toml"]));
-    paths.extend(["hospital", "clinic"].map(|name| repository().join(format!("sim_bridge/maps/{name}.yaml"))));
+    paths.extend(files("sim_bridge/evaluation/designs", &[".toml"]));
+    paths.extend(["hospital", "clinic"].map(|name| repository().join(format!("sim_bridge/world/maps/{name}.yaml"))));
     let asked: Vec<(FileKind, Value)> = paths
         .iter()
         .map(|path| {

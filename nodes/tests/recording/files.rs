@@ -3,7 +3,7 @@
 use crate::support::*;
 use consort_nodes::fleet_model::FleetInput;
 use consort_nodes::recording::{FLUSH_AFTER, RecordingReader, RecordingWriter};
-use consort_sim::record::foxglove::ExistingFile;
+use consort_world::record::foxglove::ExistingFile;
 use mcap::MessageStream;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};

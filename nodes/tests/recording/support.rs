@@ -7,7 +7,7 @@ use consort_protocol::event::Event;
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::Key;
 use consort_protocol::message::Beacon;
-use consort_sim::record::foxglove::ExistingFile;
+use consort_world::record::foxglove::ExistingFile;
 use serde_json::{Value, json};
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -8,7 +8,7 @@ use consort_ros2::drive::{DriveSettings, drive};
 use consort_ros2::ros::{Ros, RosSettings};
 use consort_ros2::route_planner::RoutePlanner;
 use consort_ros2::serve::{ServeSettings, serve};
-use consort_sim::map::{self, Map};
+use consort_world::map::{self, Map};
 use std::error::Error;
 use std::path::Path;
 use std::process::ExitCode;

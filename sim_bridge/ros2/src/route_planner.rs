@@ -8,8 +8,8 @@
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Metres;
-use consort_sim::map::Map;
-use consort_sim::space::WallGrid;
+use consort_world::map::Map;
+use consort_world::space::WallGrid;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, Telemetry, Waypoint};
 use consort_skills::environment::{MapError, RouteError, Routes};
 use nalgebra::Vector2;
@@ -144,7 +144,7 @@ mod tests {
         let text = "{name: flat, walls: [[[-1, 2], [9, 2]], [[11, 2], [12, 2]], [[-1, 3], [1, 3], [1, 5], [-1, 5], [-1, 3]]], \
             places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}, \
             {name: C, kind: other, x_m: 10, y_m: 5}], lanes: [{between: [A, B]}, {between: [B, C]}]}";
-        RoutePlanner::new(consort_sim::map::read(text, "flat.yaml").unwrap()).unwrap()
+        RoutePlanner::new(consort_world::map::read(text, "flat.yaml").unwrap()).unwrap()
     }
 
     fn at(place: &str, x: f64, y: f64) -> Telemetry {

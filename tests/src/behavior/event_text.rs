@@ -2,8 +2,8 @@
 
 use crate::Observation;
 use consort_protocol::event::EventKind;
-use consort_sim::world::{SampleHolder, WorldEvent as InWorld};
 use consort_skills::actions::GoalStatus;
+use consort_world::world::{SampleHolder, WorldEvent as InWorld};
 
 /// Describes an event of a node or an action of the scenario; `None` for events that are too
 /// frequent for a report.

@@ -6,7 +6,7 @@ use super::settings::{obstacle_name, person_action};
 use super::step_arguments::{StepArguments, name};
 use super::step_pattern::{ActionFn, StepFailure, StepPattern, ready};
 use consort_protocol::units::BatteryShare;
-use consort_sim::world::{Obstacle, PersonName};
+use consort_world::world::{Obstacle, PersonName};
 use futures::FutureExt;
 
 /// Returns the patterns of these actions.

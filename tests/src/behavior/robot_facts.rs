@@ -5,8 +5,8 @@ use super::scenario_setup::coordinates;
 use super::step_arguments::{StepArguments, name};
 use super::step_pattern::{FactFn, StepFailure, StepPattern, StepResult, expect_that};
 use consort_protocol::ids::RobotId;
-use consort_sim::world::{DetectedObject, RobotReport, SampleHolder, SampleReport, SensorReading, WorldEvent};
 use consort_skills::actions::{GoalStatus, RobotBackend, Telemetry};
+use consort_world::world::{DetectedObject, RobotReport, SampleHolder, SampleReport, SensorReading, WorldEvent};
 
 /// Returns the patterns of these facts.
 pub(super) fn patterns() -> Vec<StepPattern<FactFn>> {

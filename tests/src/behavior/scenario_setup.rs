@@ -3,10 +3,10 @@
 use super::step_pattern::StepFailure;
 use crate::RobotSpec;
 use consort_protocol::units::{BatteryShare, SharePerSecond};
-use consort_sim::kinematics::Kinematics;
-use consort_sim::map::{LaneEntry, Map, MapFile, PlaceEntry, PlaceKind};
-use consort_sim::space::Sensor;
-use consort_sim::world::{DoorSetup, ObjectSetup, Obstacle, PersonSetup, RobotSetup, SharedWorld, World, WorldSetup};
+use consort_world::kinematics::Kinematics;
+use consort_world::map::{LaneEntry, Map, MapFile, PlaceEntry, PlaceKind};
+use consort_world::space::Sensor;
+use consort_world::world::{DoorSetup, ObjectSetup, Obstacle, PersonSetup, RobotSetup, SharedWorld, World, WorldSetup};
 use std::path::PathBuf;
 
 /// Robots, people, items and the building from the settings so far.
@@ -80,7 +80,7 @@ impl ScenarioRobot {
 impl ScenarioSetup {
     /// Creates an empty setup in the shipped hospital.
     pub(super) fn new(folder: PathBuf, seed: u64) -> ScenarioSetup {
-        let hospital = consort_sim::map::shipped("hospital").expect("the shipped map is sound");
+        let hospital = consort_world::map::shipped("hospital").expect("the shipped map is sound");
         ScenarioSetup {
             seed,
             speed: 1.0,

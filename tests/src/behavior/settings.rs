@@ -5,12 +5,12 @@ use super::step_arguments::{TableRow, name, split_list};
 use super::step_pattern::{SettingFn, StepFailure, StepPattern};
 use crate::RobotSpec;
 use crate::fleet::nurse_in;
-use consort_sim::kinematics::{
+use consort_world::kinematics::{
     AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, OmnidirectionalSettings,
 };
-use consort_sim::map;
-use consort_sim::space::Sensor;
-use consort_sim::world::{
+use consort_world::map;
+use consort_world::space::Sensor;
+use consort_world::world::{
     DoorSetup, ObjectSetup, Obstacle, PersonAction, PersonSetup, PersonTrigger, SpontaneousAction,
 };
 

@@ -14,7 +14,7 @@ use super::run_counters::RunCounters;
 use super::schedule::{DiskAfterCrash, Schedule};
 use crate::{Fleet, Observation, slug};
 use consort_protocol::ids::{MissionId, NodeId};
-use consort_sim::world::World;
+use consort_world::world::World;
 use serde::Serialize;
 use std::any::Any;
 use std::collections::BTreeMap;

@@ -1,5 +1,5 @@
 //! Execution of the evaluation of thesis chapter 4: each trial is a whole fleet on virtual time.
-//! The design and the conclusions are values, in [`consort_sim::experiment`].
+//! The design and the conclusions are values, in [`consort_evaluation`].
 //!
 //! ```text
 //!  design ─▶ scenarios × policies × treatments × repetitions ─▶ trials, on all cores

@@ -2,8 +2,8 @@
 
 use super::setup::ExperimentSetup;
 use super::trial::{TrialOutcome, run_trial};
-use consort_sim::experiment::policy::Policy;
-use consort_sim::experiment::results::Treatment;
+use consort_evaluation::policy::Policy;
+use consort_evaluation::results::Treatment;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
 use std::thread;

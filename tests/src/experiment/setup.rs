@@ -1,14 +1,14 @@
 //! Shared setup of all trials of a design.
 
+use consort_evaluation::calibration::Calibration;
+use consort_evaluation::design::{Design, Scenario};
+use consort_evaluation::travel::TravelModel;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::TaskType;
 use consort_protocol::mission::{Domain, MissionTemplate, shipped};
-use consort_sim::experiment::calibration::Calibration;
-use consort_sim::experiment::design::{Design, Scenario};
-use consort_sim::experiment::travel::TravelModel;
-use consort_sim::map::Map;
 use consort_skills::descriptor::{DescriptorRegistry, Estimator};
 use consort_skills::library::SkillLibrary;
+use consort_world::map::Map;
 use std::sync::Arc;
 
 /// Shared setup of all trials of a design.

@@ -6,6 +6,13 @@ use super::trial_observer::{ObserverSettings, TrialObserver, TrialState};
 use crate::inspection::current_coordinator;
 use consort_bus::clock::Clock;
 use consort_bus::{Bus as _, LinkModel, VirtualBus, VirtualNetwork};
+use consort_evaluation::calibration::Observation;
+use consort_evaluation::design::{Scenario, ScenarioRobot};
+use consort_evaluation::outcome::{BatteryFacts, TrialFacts, classify};
+use consort_evaluation::policy::{GreedyAllocator, OracleAllocator, Policy, RandomAllocator};
+use consort_evaluation::results::{Treatment, TrialRow};
+use consort_evaluation::seeds::{derive, generator};
+use consort_evaluation::success_estimate::{estimate_success, start_context};
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSettings, RobotPart};
 use consort_protocol::auction::{Allocator, BidLimits, OptimalAssignment};
@@ -19,15 +26,8 @@ use consort_protocol::pose::Pose;
 use consort_protocol::timing::Timing;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WorldTime};
 use consort_raft::store::NodeStore;
-use consort_sim::experiment::calibration::Observation;
-use consort_sim::experiment::design::{Scenario, ScenarioRobot};
-use consort_sim::experiment::outcome::{BatteryFacts, TrialFacts, classify};
-use consort_sim::experiment::policy::{GreedyAllocator, OracleAllocator, Policy, RandomAllocator};
-use consort_sim::experiment::results::{Treatment, TrialRow};
-use consort_sim::experiment::seeds::{derive, generator};
-use consort_sim::experiment::success_estimate::{estimate_success, start_context};
-use consort_sim::world::{PersonSetup, RobotSetup, SampleHolder, SharedWorld, World, WorldEvent, WorldSetup};
 use consort_skills::actions::RobotBackend;
+use consort_world::world::{PersonSetup, RobotSetup, SampleHolder, SharedWorld, World, WorldEvent, WorldSetup};
 use rand::RngExt;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -517,7 +517,7 @@ fn allocator_of_policy(
                             )
                         }
                         // A stationary robot on mains power always succeeds in its only role.
-                        None => consort_sim::experiment::policy::SuccessEstimate { success: 1.0, time_s: 0.0 },
+                        None => consort_evaluation::policy::SuccessEstimate { success: 1.0, time_s: 0.0 },
                     };
                     estimates.insert((role.clone(), robot), estimate);
                 }

@@ -1,5 +1,10 @@
 //! Observes all nodes of a trial, and sets the speed of robots according to the travel model.
 
+use consort_evaluation::calibration::Observation;
+use consort_evaluation::design::ScenarioRobot;
+use consort_evaluation::seeds::generator;
+use consort_evaluation::success_estimate::start_context;
+use consort_evaluation::travel::TravelModel;
 use consort_fleet::observe::Observer;
 use consort_protocol::auction::{AuctionRecord, BidVerdict};
 use consort_protocol::event::{Event, EventKind};
@@ -8,14 +13,9 @@ use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Command, MissionState};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::MetresPerSecond;
-use consort_sim::experiment::calibration::Observation;
-use consort_sim::experiment::design::ScenarioRobot;
-use consort_sim::experiment::seeds::generator;
-use consort_sim::experiment::success_estimate::start_context;
-use consort_sim::experiment::travel::TravelModel;
-use consort_sim::world::SharedWorld;
 use consort_skills::actions::RobotBackend;
 use consort_skills::descriptor::{EstimateContext, Estimator};
+use consort_world::world::SharedWorld;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;

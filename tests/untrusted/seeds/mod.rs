@@ -41,10 +41,10 @@ pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
         "mission_yaml" => files("protocol/missions", ".yaml"),
         "mission_json" => fleet::TEMPLATES.iter().map(|name| fleet::template(name).to_string().into_bytes()).collect(),
         "ihtn" => vec![ihtn().to_string().into_bytes()],
-        "map_yaml" => [files("sim_bridge/maps", "c.yaml"), files("tests/features/maps", ".yaml")].concat(),
+        "map_yaml" => [files("sim_bridge/world/maps", "c.yaml"), files("tests/features/maps", ".yaml")].concat(),
         "map_json" => vec![file("nodes/tests/data/ward_map.json"), fleet::map_in_json()],
-        "drawing" => files("sim_bridge/maps", ".drawio"),
-        "building" => files("sim_bridge/maps", ".building.yaml"),
+        "drawing" => files("sim_bridge/world/maps", ".drawio"),
+        "building" => files("sim_bridge/world/maps", ".building.yaml"),
         "tree" => files("skills/trees", ".xml"),
         "condition" => texts(&[
             "member.robot || member.skills.exists(s, s in ensemble.skills)\ncoordinator.mains_powered",
@@ -55,7 +55,7 @@ pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
         "config" => ["fleet", "robot", "arm", "station", "world"]
             .map(|name| file(&format!("nodes/examples/{name}.toml")))
             .into(),
-        "design" => files("sim_bridge/designs", ".toml"),
+        "design" => files("sim_bridge/evaluation/designs", ".toml"),
         "calibration" => vec![file("nodes/examples/calibration.toml"), fleet::calibration()],
         "tables" => vec![
             file("nodes/examples/workers.toml"),

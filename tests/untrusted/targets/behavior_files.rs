@@ -17,7 +17,7 @@ use std::sync::OnceLock;
 fn library() -> &'static SkillLibrary {
     static LIBRARY: OnceLock<SkillLibrary> = OnceLock::new();
     LIBRARY.get_or_init(|| {
-        let map = consort_sim::map::shipped("hospital").expect("it is shipped");
+        let map = consort_world::map::shipped("hospital").expect("it is shipped");
         SkillLibrary::standard(map.environment().expect("it is sound"))
     })
 }

@@ -2,7 +2,7 @@
 
 use super::frames::text;
 use consort_nodes::map_loader;
-use consort_sim::map::{self, ImportOptions, Map, MapError, MapFile, render};
+use consort_world::map::{self, ImportOptions, Map, MapError, MapFile, render};
 
 /// An accepted map is valid, can be encoded and drawn, and reads back as the same map.
 fn sound(file: &MapFile, name: &str) -> bool {

@@ -1,11 +1,11 @@
 //! Configuration files of fleets and evaluations.
 
 use super::frames::text;
+use consort_evaluation::calibration::Calibration;
+use consort_evaluation::design::{self, Design};
+use consort_evaluation::{results, travel};
 use consort_nodes::config::{ConfigFile, FleetConfig, RobotConfig, StationConfig, WorldConfig, from_text, to_toml};
 use consort_nodes::inputs;
-use consort_sim::experiment::calibration::Calibration;
-use consort_sim::experiment::design::{self, Design};
-use consort_sim::experiment::{results, travel};
 use consort_tests::chaos::Schedule;
 
 /// An accepted file can be printed and reads back as the same; an error contains the file and, if

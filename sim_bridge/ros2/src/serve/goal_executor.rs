@@ -306,7 +306,7 @@ mod tests {
         let text = "{name: square, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}, \
             {name: C, kind: other, x_m: 10, y_m: 10}, {name: D, kind: other, x_m: 0, y_m: 10}], \
             lanes: [{between: [A, B]}, {between: [B, C]}, {between: [C, D]}, {between: [D, A]}]}";
-        let planner = RoutePlanner::new(consort_sim::map::read(text, "square.yaml").unwrap()).unwrap();
+        let planner = RoutePlanner::new(consort_world::map::read(text, "square.yaml").unwrap()).unwrap();
         let mut executor = GoalExecutor::new("ada".parse().unwrap(), Arc::new(planner), 100);
         assert_eq!(executor.handle_state(state(&[]), s(0)), []);
         executor

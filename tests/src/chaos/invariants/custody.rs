@@ -2,7 +2,7 @@
 
 use super::Invariant;
 use crate::{Fleet, Observation};
-use consort_sim::world::{LoggedEvent, SampleHolder, SampleId, WorldEvent as InWorld};
+use consort_world::world::{LoggedEvent, SampleHolder, SampleId, WorldEvent as InWorld};
 use std::collections::BTreeMap;
 use std::time::Duration;
 

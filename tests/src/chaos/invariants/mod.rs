@@ -18,7 +18,7 @@ mod single_voter_change;
 mod under_lease;
 
 use crate::{Fleet, Observation};
-use consort_sim::world::LoggedEvent;
+use consort_world::world::LoggedEvent;
 use std::time::Duration;
 
 /// A condition that must hold.

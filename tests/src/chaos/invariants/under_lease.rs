@@ -8,7 +8,7 @@ use super::Invariant;
 use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
-use consort_sim::world::{LoggedEvent, WorldEvent as InWorld};
+use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 

@@ -1,11 +1,11 @@
 //! Validation of a design; each error contains its key.
 
 use super::{Design, Scenario, UniformRange};
-use crate::map::Map;
-use crate::suggest::did_you_mean;
-use crate::world::STOPPING_SHARE;
 use consort_protocol::ids::{PlaceId, RoleId};
 use consort_protocol::mission::{Domain, Mission, RoleKind, shipped};
+use consort_world::map::Map;
+use consort_world::suggest::did_you_mean;
+use consort_world::world::STOPPING_SHARE;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Most levels of a factor: letters name the levels.

@@ -2,7 +2,7 @@
 
 /// Returns `; did you mean "…"?` with the known name nearest to `text`, or an empty text if none is
 /// near.
-pub(crate) fn did_you_mean<'a>(text: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+pub fn did_you_mean<'a>(text: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     let wanted = text.to_lowercase();
     let near = (wanted.chars().count() / 3).max(1);
     known

@@ -3,14 +3,12 @@
 //! [`map`] is the site: places, lanes between them, walls. [`world`] simulates it as discrete
 //! events on a clock that only its owner advances: robots that drive, people with samples to hand
 //! over, batteries that run down. [`kinematics`] models how robots move. [`record`] writes
-//! recordings. [`experiment`] is the arithmetic of the evaluation. This crate contains nothing
-//! about missions, auctions or coordinators.
+//! recordings. This crate contains nothing about missions, auctions or coordinators.
 
-pub mod experiment;
 pub mod kinematics;
 pub mod map;
 pub mod record;
 pub mod space;
-mod suggest;
+pub mod suggest;
 pub mod swarm;
 pub mod world;

@@ -1,8 +1,8 @@
 //! MCAP files for Foxglove.
 
 use super::*;
-use consort_sim::record::foxglove::CHUNK_S;
-use consort_sim::world::Obstacle;
+use consort_world::record::foxglove::CHUNK_S;
+use consort_world::world::Obstacle;
 use mcap::MessageStream;
 use mcap::read::Options as ReadOptions;
 use serde_json::Value;

@@ -92,7 +92,7 @@ mod tests {
         let mission = missions()["lab-samples"].instantiate(&parameters, &Domain::hospital()).unwrap();
         let plan =
             divide_and_check(&mission).unwrap().plans[&"r1".parse::<consort_protocol::ids::RoleId>().unwrap()].clone();
-        let map = crate::map::shipped("hospital").unwrap();
+        let map = consort_world::map::shipped("hospital").unwrap();
         let environment = Environment::new().with(Routes::new(&map.topology()).unwrap());
         let estimator = DescriptorRegistry::standard().resolve(environment).unwrap();
         let skills = design.robots[0].skills.clone();

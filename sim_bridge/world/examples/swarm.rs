@@ -1,10 +1,10 @@
 //! How long a simulated second of a drone swarm takes (thesis Table 5.1).
 //!
-//! `cargo run --release -p consort-sim --example swarm -- 20 80 200 10000`
+//! `cargo run --release -p consort-world --example swarm -- 20 80 200 10000`
 
 #![expect(clippy::print_stdout, reason = "an example answers on the terminal")]
 
-use consort_sim::swarm::{Swarm, TABLE_HEADER, run_swarm};
+use consort_world::swarm::{Swarm, TABLE_HEADER, run_swarm};
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

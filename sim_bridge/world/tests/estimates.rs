@@ -3,11 +3,11 @@
 use consort_protocol::ids::{PlaceId, RobotId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
-use consort_sim::map::{self, Map};
-use consort_sim::world::{RobotSetup, World, WorldSetup};
 use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotBackend};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext};
 use consort_skills::environment::{Environment, Routes};
+use consort_world::map::{self, Map};
+use consort_world::world::{RobotSetup, World, WorldSetup};
 
 /// Two levels: a corridor with a door and a slow lane, a lift, and a room.
 const TOWER: &str = "{name: tower, levels: [{name: low}, {name: top, elevation_m: 8}], \

@@ -2,9 +2,9 @@
 //! 2022 article).
 
 use super::design::{Design, FactorLevels, Scenario, ScenarioRobot};
-use crate::map::{LaneEntry, Map, MapError, MapFile, PlaceEntry, PlaceKind};
 use consort_protocol::ids::{PlaceId, RobotId, TaskType};
 use consort_skills::environment::{ReferenceMapError, TopologicalMap};
+use consort_world::map::{LaneEntry, Map, MapError, MapFile, PlaceEntry, PlaceKind};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 

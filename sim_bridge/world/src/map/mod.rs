@@ -226,7 +226,7 @@ impl Map {
     }
 
     /// Returns `; did you mean "…"?` for a place name that is not on the map.
-    pub(crate) fn suggest(&self, id: &PlaceId) -> String {
+    pub fn suggest(&self, id: &PlaceId) -> String {
         crate::suggest::did_you_mean(id.as_str(), self.places.iter().map(|place| place.id.as_str()))
     }
 }

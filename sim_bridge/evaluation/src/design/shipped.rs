@@ -4,9 +4,9 @@ use super::Design;
 
 /// Names and texts of the shipped designs.
 pub const SHIPPED: &[(&str, &str)] = &[
-    ("published", include_str!("../../../designs/published.toml")),
-    ("food", include_str!("../../../designs/food.toml")),
-    ("rounds", include_str!("../../../designs/rounds.toml")),
+    ("published", include_str!("../../designs/published.toml")),
+    ("food", include_str!("../../designs/food.toml")),
+    ("rounds", include_str!("../../designs/rounds.toml")),
 ];
 
 /// Parses a shipped design; `None` for any other name.
@@ -24,7 +24,7 @@ mod tests {
             let design = shipped(name).unwrap().unwrap_or_else(|error| panic!("{name}: {error}"));
             assert_eq!(design.name, *name);
             assert_eq!(design.validation_errors(), Vec::<String>::new(), "{name}");
-            let map = crate::map::shipped(&design.map).unwrap();
+            let map = consort_world::map::shipped(&design.map).unwrap();
             for scenario in super::super::scenarios(&design) {
                 assert_eq!(design.unknown_places(&scenario, &map), Vec::<String>::new(), "{name}");
             }

@@ -31,8 +31,8 @@
 //! ```
 //! use consort_protocol::ids::RobotId;
 //! use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WorldTime};
-//! use consort_sim::map;
-//! use consort_sim::world::{RobotSetup, World, WorldSetup};
+//! use consort_world::map;
+//! use consort_world::world::{RobotSetup, World, WorldSetup};
 //! use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotBackend};
 //!
 //! let ada = RobotId::new("ada")?;

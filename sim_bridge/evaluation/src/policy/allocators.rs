@@ -1,7 +1,7 @@
 //! The policies as allocators for a fleet.
 
 use super::{SuccessEstimate, greedy, optimal, random};
-use crate::experiment::seeds::generator;
+use crate::seeds::generator;
 use consort_protocol::auction::{Allocator, AllocatorInput, Bid};
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_protocol::units::Seconds;
