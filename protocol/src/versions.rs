@@ -31,6 +31,23 @@ impl VersionRange {
     /// Versions of this program.
     pub const OWN: VersionRange = VersionRange { oldest: 1, newest: 2 };
 
+    /// Returns the versions that this process reads: [`OWN`](Self::OWN).
+    ///
+    /// A build with the feature `mutants` reads the environment variable
+    /// `CONSORT_NEWEST_WIRE_VERSION` once. Tests set it to a lower version to run the program as an
+    /// earlier release.
+    pub fn own() -> VersionRange {
+        #[cfg(feature = "mutants")]
+        {
+            static NEWEST: std::sync::OnceLock<u8> = std::sync::OnceLock::new();
+            let limit = || std::env::var("CONSORT_NEWEST_WIRE_VERSION").ok().and_then(|text| text.parse().ok());
+            let newest = *NEWEST.get_or_init(|| limit().unwrap_or(Self::OWN.newest).min(Self::OWN.newest));
+            VersionRange { newest, ..Self::OWN }
+        }
+        #[cfg(not(feature = "mutants"))]
+        Self::OWN
+    }
+
     /// Checks whether the range contains this version.
     pub fn contains(self, version: u8) -> bool {
         (self.oldest..=self.newest).contains(&version)

@@ -1,15 +1,11 @@
 //! Rolling upgrade of a fleet from the previous release to this version, while missions continue.
 //!
-//! The previous release is a stored binary: `kept/consort-0.1.0-x86_64-linux-gnu.xz`. On other
-//! platforms, or without `xz`, these tests are skipped with a message.
+//! The previous release is this program, limited to wire version 1. The layouts of version 1 itself
+//! are compared with stored bytes in `tests/untrusted/golden_bytes.rs`.
 
 use crate::crashes::{STATIONS, reign, submit, with, world};
 use crate::support::{Client, Closed, Ended, Fleet, example, until};
 use serde_json::Value;
-use std::fs;
-use std::os::unix::fs::PermissionsExt;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -18,51 +14,24 @@ use toml::Table;
 const LONG: Duration = Duration::from_secs(120);
 const ROBOTS: [&str; 2] = ["ada", "lab-arm"];
 
-/// Returns the program of the previous release, if it runs here.
-#[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
-fn former(folder: &Path) -> Option<PathBuf> {
-    let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/kept/consort-0.1.0-x86_64-linux-gnu.xz");
-    let here = cfg!(all(target_arch = "x86_64", target_os = "linux", target_env = "gnu"));
-    let packed = fs::File::open(&kept).unwrap_or_else(|problem| panic!("{}: {problem}", kept.display()));
-    let unpacked = here.then(|| Command::new("xz").arg("-dc").stdin(Stdio::from(packed)).output().ok()).flatten();
-    let Some(unpacked) = unpacked.filter(|unpacked| unpacked.status.success()) else {
-        eprintln!("skipped: the release before is kept for x86-64 Linux, packed by xz");
-        return None;
-    };
-    let program = folder.join("consort-0.1.0");
-    fs::write(&program, unpacked.stdout).expect("the folder can be written to");
-    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).expect("it is ours");
-    let runs = Command::new(&program).arg("--version").output().expect("it can be begun");
-    if !runs.status.success() {
-        eprintln!("skipped: the release before does not run here: {}", String::from_utf8_lossy(&runs.stderr));
-        return None;
-    }
-    assert_eq!(String::from_utf8_lossy(&runs.stdout), "consort 0.1.0\n");
-    Some(program)
-}
-
-/// Returns a command that starts the previous release in the place of this program: the shell
-/// receives `consort` as an argument and executes the other program instead.
-fn by(former: &str) -> [&str; 4] {
-    ["sh", "-c", "shift; exec \"$0\" \"$@\"", former]
-}
+/// Arguments in front of the program that make it read wire version 1 only, as the previous release
+/// does. Only builds for tests honour the variable.
+const PREVIOUS: [&str; 2] = ["env", "CONSORT_NEWEST_WIRE_VERSION=1"];
 
 /// A hospital whose nodes run either program.
 struct Hospital {
     fleet: Fleet,
-    former: String,
     speed: f64,
 }
 
 impl Hospital {
-    fn open(name: &str, speed: f64) -> Option<Hospital> {
+    fn open(name: &str, speed: f64) -> Hospital {
         let fleet = Fleet::new(&with(example("fleet"), "name", name));
-        let former = former(&fleet.path("."))?.display().to_string();
-        let mut hospital = Hospital { fleet, former, speed };
+        let mut hospital = Hospital { fleet, speed };
         for node in ["world"].into_iter().chain(STATIONS).chain(ROBOTS) {
             hospital.start(node, true);
         }
-        Some(hospital)
+        hospital
     }
 
     fn file(&self, node: &str) -> (&'static str, Table) {
@@ -76,21 +45,19 @@ impl Hospital {
     }
 
     /// Starts a node, linked with all running nodes.
-    fn start(&mut self, node: &str, by_former: bool) {
+    fn start(&mut self, node: &str, previous: bool) {
         let others: Vec<String> = self.fleet.names().into_iter().map(str::to_owned).collect();
         let others: Vec<&str> = others.iter().map(String::as_str).collect();
         let (kind, file) = self.file(node);
-        let former = self.former.clone();
-        let former = by(&former);
-        self.fleet.start_by(if by_former { &former } else { &[] }, kind, file, &others);
+        self.fleet.start_by(if previous { &PREVIOUS } else { &[] }, kind, file, &others);
     }
 
     /// Stops a node, waits until the others have noticed, and starts it with the chosen program.
     /// Waits until it is back.
-    fn move_over(&mut self, node: &str, by_former: bool, seen_by: &Client) {
+    fn move_over(&mut self, node: &str, previous: bool, seen_by: &Client) {
         self.fleet.node(node).signal("TERM");
         self.fleet.ends(node);
-        self.start(node, by_former);
+        self.start(node, previous);
         self.back(node, seen_by);
     }
 
@@ -131,7 +98,7 @@ fn work(address: &str, fleet: &'static str, ended: &AtomicBool) -> Vec<String> {
 
 #[test]
 fn a_fleet_is_upgraded_node_by_node_during_missions() {
-    let Some(mut hospital) = Hospital::open("upgrade", 10.0) else { return };
+    let mut hospital = Hospital::open("upgrade", 10.0);
     let address = hospital.fleet.address("world");
     let mut client = Client::open(&address, "upgrade");
     let (leader, _) = reign(&client);
@@ -217,8 +184,9 @@ fn a_fleet_is_upgraded_node_by_node_during_missions() {
     hospital.fleet.ends("lab-arm");
     hospital.start("lab-arm", true);
     let left = hospital.fleet.take("lab-arm").end(LONG).expect(1);
-    let says = "the fleet writes wire version 2, but this program, 0.1.0, reads 1: install the release that the other nodes run";
-    assert!(left.stderr.contains(says), "{}", left.stderr);
+    let reason = "reads 1: install the release that the other nodes run";
+    assert!(left.stderr.contains("the fleet writes wire version 2, but this program, "), "{}", left.stderr);
+    assert!(left.stderr.contains(reason), "{}", left.stderr);
     hospital.start("lab-arm", false);
     hospital.back("lab-arm", &client);
     hospital.fleet.stop();
@@ -227,20 +195,16 @@ fn a_fleet_is_upgraded_node_by_node_during_missions() {
 #[test]
 fn two_releases_accept_each_other_in_a_closed_fleet() {
     let mut closed = Closed::new();
-    let Some(former) = former(&closed.fleet.path(".")) else { return };
-    let former = former.display().to_string();
-    let former = by(&former);
     let operator = closed.of("operate").display().to_string();
-    // All three stations are voters, two of them with 0.1.0.
+    // All three nodes with a store are voters, two of them with the previous release.
     let folder = closed.fleet.path(".");
     let file = |kind: &str| with(example(kind), "data_dir", folder.join(format!("{kind}-data")).display().to_string());
-    closed.start_by(&former, "station", file("station"), &[]);
+    closed.start_by(&PREVIOUS, "station", file("station"), &[]);
     closed.start("world", world(20.0), &["station-1"]);
     closed.start("robot", file("robot"), &["station-1", "world"]);
-    closed.start_by(&former, "robot", file("arm"), &["station-1", "world"]);
+    closed.start_by(&PREVIOUS, "robot", file("arm"), &["station-1", "world"]);
     let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--wait", "--certs", &operator];
-    // Replies of a station with 0.1.0 are unsigned; its own commands accept them.
-    let ended = closed.fleet.begin_by(&former, &submit, "world").end(LONG).expect(0);
+    let ended = closed.fleet.begin_by(&PREVIOUS, &submit, "world").end(LONG).expect(0);
     assert!(ended.stdout.ends_with("completed\n"), "{}", ended.stdout);
     for name in ["station-1", "world", "ada", "lab-arm"] {
         assert_eq!(closed.refused(name), "", "{name} takes friends for foes");

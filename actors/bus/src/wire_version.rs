@@ -27,7 +27,7 @@ pub struct WrittenVersion {
 
 impl Default for WireVersion {
     fn default() -> Self {
-        WireVersion(Arc::new(watch::Sender::new(WrittenVersion { cluster: None, version: VersionRange::OWN.oldest })))
+        WireVersion(Arc::new(watch::Sender::new(WrittenVersion { cluster: None, version: VersionRange::own().oldest })))
     }
 }
 
@@ -76,14 +76,14 @@ impl WireVersion {
     /// operator.
     pub async fn wait_unsupported(&self) -> String {
         let mut versions = self.0.subscribe();
-        let version = versions.wait_for(|own| !VersionRange::OWN.contains(own.version)).await.map(|own| own.version);
+        let version = versions.wait_for(|own| !VersionRange::own().contains(own.version)).await.map(|own| own.version);
         unsupported_advice(version.expect("this is the sender"))
     }
 }
 
 fn unsupported_advice(fleet: u8) -> String {
     let release = env!("CARGO_PKG_VERSION");
-    let own = VersionRange::OWN;
+    let own = VersionRange::own();
     let advice = match fleet > own.newest {
         true => "install the release that the other nodes run",
         false => {

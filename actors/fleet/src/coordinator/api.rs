@@ -175,11 +175,11 @@ impl ApiHandler {
     /// fleet writes.
     async fn upgrade(&self, payload: &[u8]) -> Result<Value, ApiError> {
         let UpgradeRequest { finish } = parse_request(ApiCall::Upgrade, payload)?;
-        let wire = self.replica.read(Ledger::wire).unwrap_or(VersionRange::OWN.oldest);
+        let wire = self.replica.read(Ledger::wire).unwrap_or(VersionRange::own().oldest);
         let required_readers = self.required_readers();
         let step = self
             .knowledge
-            .read(|base| versions::UpgradeStatus::of(wire, VersionRange::OWN, required_readers.clone(), base));
+            .read(|base| versions::UpgradeStatus::of(wire, VersionRange::own(), required_readers.clone(), base));
         match (finish, step) {
             (false, _) => Ok(json!(self.upgrade_status(wire, &required_readers))),
             (true, versions::UpgradeStatus::Newest) => Err(format!(
@@ -220,7 +220,7 @@ impl ApiHandler {
     }
 
     fn upgrade_status(&self, wire: u8, required_readers: &BTreeSet<NodeId>) -> UpgradeStatus {
-        let next = wire.checked_add(1).filter(|next| VersionRange::OWN.contains(*next));
+        let next = wire.checked_add(1).filter(|next| VersionRange::own().contains(*next));
         let reads: BTreeMap<NodeId, Option<VersionRange>> = self.knowledge.read(|base| {
             let known =
                 base.iter().map(|(node, stored)| (node.clone(), Some(stored.record.knowledge.supported_versions)));

@@ -443,7 +443,7 @@ impl LeaderSession {
 /// Returns the wire version of a newly founded fleet: the newest, unless a known node cannot read
 /// it.
 fn first_version(settings: &CoordinatorSettings) -> u8 {
-    let VersionRange { oldest, newest } = VersionRange::OWN;
+    let VersionRange { oldest, newest } = VersionRange::own();
     let read_by_all = settings
         .knowledge
         .read(|base| base.iter().all(|(_, stored)| stored.record.knowledge.supported_versions.contains(newest)));

@@ -65,7 +65,7 @@ pub(super) async fn start_parts(
         replica: replica.as_ref().map(|replica| replica.id().0),
         cluster: None,
         leaving: false,
-        supported_versions: VersionRange::OWN,
+        supported_versions: VersionRange::own(),
         robot: settings.robot.as_ref().map(|robot| robot.worker.clone()),
     };
     let wire_version = WireVersion::default();
