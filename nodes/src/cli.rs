@@ -32,13 +32,13 @@ Examples:
   consort demo
 
   # the result of an auction, without a fleet
-  consort dry-run lab-samples --workers nodes/examples/workers.toml
+  consort dry-run lab-samples --workers examples/workers.toml
 
   # a fleet on a single machine, each node in its own terminal
-  consort world   --config nodes/examples/world.toml
-  consort station --config nodes/examples/station.toml
-  consort robot   --config nodes/examples/robot.toml
-  consort robot   --config nodes/examples/arm.toml
+  consort world   --config examples/world.toml
+  consort station --config examples/station.toml
+  consort robot   --config examples/robot.toml
+  consort robot   --config examples/arm.toml
   consort submit lab-samples --set room='IC Room 6' --wait
 
   # the same from another machine

@@ -1,7 +1,7 @@
 //! Extensions for programs with skills of their own.
 //!
 //! Such a program is `consort` itself, with all its commands, and with additional [`Extensions`]:
-//! see `nodes/docs/tutorials/skill.md`. All nodes of a fleet need the same extensions: the
+//! see `docs/tutorials/skill.md`. All nodes of a fleet need the same extensions: the
 //! coordinator accepts only missions of its own task types.
 
 use crate::config::{Diagnostic, Diagnostics};

@@ -189,7 +189,7 @@ impl Browser {
     pub(crate) fn documentation_screenshot(&self, name: &str) {
         self.screenshot(name);
         if std::env::var_os("CONSORT_PICTURES").is_some() {
-            let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
+            let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
             fs::create_dir_all(&docs).expect("the folder can be made");
             let taken = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("dashboard/{name}.png"));
             fs::copy(taken, docs.join(format!("dashboard-{name}.png"))).expect("a file can be copied");

@@ -3,7 +3,7 @@
 //! The tests need the programs `chromium` and `chromedriver` (Debian:
 //! `apt-get install chromium chromium-driver`); without them each test is skipped with a message.
 //! Screenshots are stored in `target/tmp/dashboard/`. With `CONSORT_PICTURES` set, the same tests
-//! also write the screenshots in `nodes/docs/`.
+//! also write the screenshots in `docs/`.
 
 mod browser;
 mod closed;

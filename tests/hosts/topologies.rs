@@ -149,7 +149,7 @@ fn certify(shipped: &mut ShippedTopology) {
 
 /// Returns the arguments of documented command lines that begin with `command`.
 fn documented(command: &str) -> Vec<Vec<String>> {
-    let text = include_str!("../../nodes/docs/deployment.md");
+    let text = include_str!("../../docs/deployment.md");
     let lines: Vec<_> = text.lines().filter_map(|line| line.strip_prefix(command)).collect();
     assert!(lines.len() > 5, "the documentation has too few certificate commands: {lines:?}");
     lines.iter().map(|line| line.split_whitespace().map(str::to_owned).collect()).collect()

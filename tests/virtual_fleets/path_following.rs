@@ -11,7 +11,7 @@ use consort_world::world::WorldEvent as InWorld;
 use serde_json::{Value, json};
 use std::time::Duration;
 
-const MISSION: &str = include_str!("../../nodes/examples/follow-path.yaml");
+const MISSION: &str = include_str!("../../examples/follow-path.yaml");
 const SEEDS: [u64; 2] = [781, 782];
 const SOON: Duration = Duration::from_secs(60);
 

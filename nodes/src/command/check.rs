@@ -13,7 +13,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
-  consort check nodes/examples/*.toml
+  consort check examples/*.toml
   consort check my-mission.yaml my-map.yaml
   consort check --kind station node.toml")]
 pub struct Args {

@@ -16,7 +16,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
-  consort doctor --config nodes/examples/robot.toml
+  consort doctor --config examples/robot.toml
   consort doctor --certs certs/kim --connect tls/192.0.2.7:7447
   consort doctor --json | jq '.[] | select(.state != \"ok\")'")]
 pub struct Args {

@@ -22,7 +22,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
-  consort dry-run lab-samples --workers nodes/examples/workers.toml --set room='PC Room 3'
+  consort dry-run lab-samples --workers examples/workers.toml --set room='PC Room 3'
   consort dry-run my-mission.yaml --map my-map.yaml --workers workers.json --json
   consort dry-run lab-samples --map hospital_map.json --scenarios scenarios_81.json --json
 

@@ -16,11 +16,11 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
-  consort robot --config nodes/examples/robot.toml
+  consort robot --config examples/robot.toml
   consort robot --config robot.toml --connect tcp/192.0.2.7:7447 --listen tcp/0.0.0.0:7447
   consort robot --name ada --place Dock --skills navigation,operate_drawer --speed-mps 0.4 --print-config
 
-The keys of the file are those of nodes/examples/robot.toml, each explained there.")]
+The keys of the file are those of examples/robot.toml, each explained there.")]
 pub struct Args {
     /// The robot file. Without it, name, place and skills are given as flags
     #[arg(long, env = "CONSORT_CONFIG", value_name = "FILE")]

@@ -14,7 +14,7 @@ use schemars::{Schema, schema_for};
 ///
 /// For editors, which then complete keys and mark mistakes, and for programs that write such files.
 /// `consort check` checks what a schema cannot express (for example, that a place is on the map, or
-/// that a skill exists). The schemas are also in nodes/schemas/.
+/// that a skill exists). The schemas are also in docs/schemas/.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:

@@ -14,11 +14,11 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
-  consort station --config nodes/examples/station.toml
+  consort station --config examples/station.toml
   consort station --name ward-1 --data-dir /var/lib/consort --listen tcp/0.0.0.0:7447 --bootstrap-expect 3
   consort station --name ward-2 --connect tcp/192.0.2.7:7447 --bootstrap-expect 3
 
-The keys of the file are those of nodes/examples/station.toml, each explained there.")]
+The keys of the file are those of examples/station.toml, each explained there.")]
 pub struct Args {
     /// The station file. Without it, the name is given as a flag
     #[arg(long, env = "CONSORT_CONFIG", value_name = "FILE")]

@@ -17,11 +17,11 @@ use tracing::info;
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
-  consort world --config nodes/examples/world.toml
-  consort world --config nodes/examples/world.toml --speed 20 --seed 7
-  consort world --config nodes/examples/world.toml --record run.mcap --svg paths.svg
+  consort world --config examples/world.toml
+  consort world --config examples/world.toml --speed 20 --seed 7
+  consort world --config examples/world.toml --record run.mcap --svg paths.svg
 
-The keys of the file are those of nodes/examples/world.toml, each explained there.
+The keys of the file are those of examples/world.toml, each explained there.
 
 Both files are complete once the world has ended by Ctrl-C or SIGTERM. If it is killed, the SVG is empty, and the MCAP file
 lacks the last 5 s of world time (or half a second, if that is more of it) and its index: `mcap recover` repairs it.")]

@@ -46,7 +46,7 @@ fn bids_match_a_small_ward_computed_by_hand() {
 
 #[test]
 fn every_role_is_auctioned_among_the_workers_of_a_file() {
-    let workers = crate_file("examples/workers.toml");
+    let workers = crate_file("../examples/workers.toml");
     let args = ["dry-run", "lab-samples", "--workers", &workers, "--set", "room=IC Room 6"];
     let ran = run(&args);
     assert_eq!(ran.code, Some(0), "{}", ran.err);

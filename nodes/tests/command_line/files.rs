@@ -3,14 +3,14 @@ use super::support::{consort, crate_file, run, test_file};
 #[test]
 fn the_shipped_examples_missions_and_maps_are_valid() {
     let files = [
-        ("examples/fleet.toml", "a fleet: ward"),
-        ("examples/robot.toml", "a robot: ada"),
-        ("examples/arm.toml", "a robot: lab-arm"),
-        ("examples/station.toml", "a station: station-1"),
-        ("examples/world.toml", "a world: 2 robots, 1 person"),
-        ("examples/workers.toml", "workers: 4 of them"),
-        ("examples/follow-path.yaml", "a mission: follow-path, 1 role, 2 steps"),
-        ("examples/calibration.toml", "a calibration: 0 skills, 0 legs"),
+        ("../examples/fleet.toml", "a fleet: ward"),
+        ("../examples/robot.toml", "a robot: ada"),
+        ("../examples/arm.toml", "a robot: lab-arm"),
+        ("../examples/station.toml", "a station: station-1"),
+        ("../examples/world.toml", "a world: 2 robots, 1 person"),
+        ("../examples/workers.toml", "workers: 4 of them"),
+        ("../examples/follow-path.yaml", "a mission: follow-path, 1 role, 2 steps"),
+        ("../examples/calibration.toml", "a calibration: 0 skills, 0 legs"),
         ("../sim_bridge/evaluation/designs/published.toml", "a design: published, 1296 trials"),
         ("tests/data/ward_map.json", "a map: 5 places, 4 ways"),
         ("tests/data/ward_scenarios.json", "scenarios: 1 of them"),
@@ -66,7 +66,7 @@ fn a_node_with_an_unknown_key_does_not_start() {
 #[test]
 fn the_output_of_print_config_reads_back_unchanged() {
     for (command, file) in [("robot", "robot.toml"), ("station", "station.toml"), ("world", "world.toml")] {
-        let first = run(&[command, "--config", &crate_file(&format!("examples/{file}")), "--print-config"]);
+        let first = run(&[command, "--config", &crate_file(&format!("../examples/{file}")), "--print-config"]);
         assert_eq!(first.code, Some(0), "{}", first.err);
         let copy = test_file(&format!("printed_{file}"), &first.out);
         let second = run(&[command, "--config", &copy, "--print-config"]);
@@ -76,7 +76,7 @@ fn the_output_of_print_config_reads_back_unchanged() {
 
 #[test]
 fn flags_override_variables_and_variables_override_files() {
-    let file = crate_file("examples/robot.toml");
+    let file = crate_file("../examples/robot.toml");
     let args = ["robot", "--config", &file, "--print-config", "--lease-ms", "7000"];
     let mut command = consort(&args);
     command.env("CONSORT_LEASE_MS", "9000").env("CONSORT_SPEED_MPS", "0.25").env("CONSORT_CONNECT", "tcp/a:1,tcp/b:2");
@@ -93,7 +93,7 @@ fn flags_override_variables_and_variables_override_files() {
 
 #[test]
 fn a_flag_value_is_validated_like_a_file_value() {
-    let file = crate_file("examples/station.toml");
+    let file = crate_file("../examples/station.toml");
     let ran = run(&["station", "--config", &file, "--print-config", "--lease-ms", "1"]);
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains("lease.lease_ms is 1, allowed is 500 to 3600000"), "{}", ran.err);
@@ -111,7 +111,7 @@ fn allowed_keys(kind: &str, table: &str) -> Vec<String> {
 
 #[test]
 fn the_example_fleet_file_contains_every_key() {
-    let text = std::fs::read_to_string(crate_file("examples/fleet.toml")).expect("an example");
+    let text = std::fs::read_to_string(crate_file("../examples/fleet.toml")).expect("an example");
     let example: toml::Table = text.parse().expect("TOML");
     let part = |name: &str| match &example[name] {
         toml::Value::Array(list) => list[0].as_table().expect("a table").clone(),
@@ -135,7 +135,7 @@ fn the_example_fleet_file_contains_every_key() {
 #[test]
 fn the_example_node_files_mention_every_common_key() {
     for kind in ["robot", "station", "world"] {
-        let text = std::fs::read_to_string(crate_file(&format!("examples/{kind}.toml"))).expect("an example");
+        let text = std::fs::read_to_string(crate_file(&format!("../examples/{kind}.toml"))).expect("an example");
         // Omitted keys are in the example behind a `#`.
         let lines: Vec<&str> = text.lines().map(|line| line.trim_start_matches("# ")).collect();
         let names = |key: &str| {

@@ -60,7 +60,7 @@ fn every_page_is_reachable_from_the_readme() {
         }
     }
     let mut all = vec![];
-    pages(&repository().join("nodes/docs"), &mut all);
+    pages(&repository().join("docs"), &mut all);
     let lost: Vec<PathBuf> = all.iter().map(|path| whole(path)).filter(|path| !come_upon.contains(path)).collect();
     assert!(lost.is_empty(), "these pages are not reachable: {lost:?}");
 }

@@ -175,7 +175,7 @@ fn exit_codes() -> String {
 
 #[test]
 fn the_reference_matches_the_code() {
-    let folder = repository().join("nodes/docs/reference");
+    let folder = repository().join("docs/reference");
     let mut names = vec![];
     for entry in std::fs::read_dir(&folder).expect("a folder of the repository").flatten() {
         names.extend(compared(&entry.path()));

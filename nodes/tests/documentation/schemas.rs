@@ -28,7 +28,7 @@ fn of(kind: FileKind) -> Value {
 
 #[test]
 fn the_shipped_schemas_match_the_code() {
-    let folder = repository().join("nodes/schemas");
+    let folder = repository().join("docs/schemas");
     for (name, kind) in KINDS {
         let path = folder.join(format!("{name}.json"));
         let text = serde_json::to_string_pretty(&of(kind)).expect("JSON") + "\n";
@@ -85,7 +85,7 @@ fn skipped() {
 
 #[test]
 fn shipped_files_satisfy_their_schemas() {
-    let mut paths = files("nodes/examples", &[".toml", ".yaml"]);
+    let mut paths = files("examples", &[".toml", ".yaml"]);
     paths.extend(files("protocol/missions", &[".yaml"]));
     paths.extend(files("tests/features/missions", &[".yaml"]));
     paths.extend(files("tests/features/maps", &[".yaml"]));

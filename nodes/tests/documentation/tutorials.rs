@@ -10,20 +10,20 @@ use std::process::ExitCode;
 
 /// Programs that readers of tutorials write. They are next to the example files, where cargo builds
 /// them.
-#[path = "../../examples/look_around.rs"]
+#[path = "../../../examples/look_around.rs"]
 #[expect(dead_code, reason = "its `main` is for the program alone")]
 mod look_around;
 
-#[path = "../../examples/rover.rs"]
+#[path = "../../../examples/rover.rs"]
 #[expect(dead_code, reason = "its `main` is for the program alone")]
 mod rover;
 
-#[path = "../../examples/round_planner.rs"]
+#[path = "../../../examples/round_planner.rs"]
 #[expect(dead_code, reason = "its `main` is for the program alone")]
 mod round_planner;
 
 fn tutorial(name: &str) -> Page {
-    Page::open(Path::new(&format!("nodes/docs/tutorials/{name}.md")))
+    Page::open(Path::new(&format!("docs/tutorials/{name}.md")))
 }
 
 /// This is not a test by itself: another process runs this test as the program of a tutorial.
@@ -48,9 +48,9 @@ fn it_runs_as_a_program() {
 /// Checks that a page contains the example that a test builds, and no other Rust code. Returns the
 /// code of the page.
 fn shows(page: &Page, example: &str) -> String {
-    let code = std::fs::read_to_string(repository().join("nodes/examples").join(example)).expect("the example");
+    let code = std::fs::read_to_string(repository().join("examples").join(example)).expect("the example");
     let shown: Vec<&str> = page.blocks.iter().filter(|b| b.language == "rust").map(|b| b.text.as_str()).collect();
-    assert!(shown == [code.as_str()], "{} does not show what nodes/examples/{example} is", page.path.display());
+    assert!(shown == [code.as_str()], "{} does not show what examples/{example} is", page.path.display());
     code
 }
 
@@ -89,7 +89,7 @@ fn the_ensemble_tutorial_works() {
 
 #[test]
 fn the_operations_tutorial_works() {
-    run_page(&Page::open(Path::new("nodes/docs/operations.md")), &[]);
+    run_page(&Page::open(Path::new("docs/operations.md")), &[]);
 }
 
 #[test]

@@ -14,11 +14,11 @@ const ANSWER_LIMIT: Duration = Duration::from_secs(60);
 /// Returns an example file for changes.
 pub(crate) fn example(kind: &str) -> Table {
     let text = match kind {
-        "fleet" => include_str!("../../../nodes/examples/fleet.toml"),
-        "station" => include_str!("../../../nodes/examples/station.toml"),
-        "world" => include_str!("../../../nodes/examples/world.toml"),
-        "robot" => include_str!("../../../nodes/examples/robot.toml"),
-        "arm" => include_str!("../../../nodes/examples/arm.toml"),
+        "fleet" => include_str!("../../../examples/fleet.toml"),
+        "station" => include_str!("../../../examples/station.toml"),
+        "world" => include_str!("../../../examples/world.toml"),
+        "robot" => include_str!("../../../examples/robot.toml"),
+        "arm" => include_str!("../../../examples/arm.toml"),
         other => panic!("there is no example of a {other}"),
     };
     let mut table: Table = text.parse().expect("the examples are TOML");

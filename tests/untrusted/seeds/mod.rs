@@ -53,12 +53,12 @@ pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
         ]),
         "feature" => files("tests/features", ".feature"),
         "config" => ["fleet", "robot", "arm", "station", "world"]
-            .map(|name| file(&format!("nodes/examples/{name}.toml")))
+            .map(|name| file(&format!("examples/{name}.toml")))
             .into(),
         "design" => files("sim_bridge/evaluation/designs", ".toml"),
-        "calibration" => vec![file("nodes/examples/calibration.toml"), fleet::calibration()],
+        "calibration" => vec![file("examples/calibration.toml"), fleet::calibration()],
         "tables" => vec![
-            file("nodes/examples/workers.toml"),
+            file("examples/workers.toml"),
             file("nodes/tests/data/ward_scenarios.json"),
             b"origin,dest,duration_s,estimate_s\nDock,IC Room 2,30.5,28\n".to_vec(),
             fleet::schedule(),

@@ -295,7 +295,7 @@ fn disks_slower_than_any_election_depose_no_leader() {
     }
 }
 
-/// Longest sync with which a leader can be elected, according to `nodes/docs/operations.md`, less a
+/// Longest sync with which a leader can be elected, according to `docs/operations.md`, less a
 /// margin.
 const SLOWEST_SYNC_TIME: Duration = Duration::from_millis(900);
 
