@@ -1,5 +1,4 @@
-//! A Consort program with an extra skill: the robot turns in four steps and stands still after
-//! each.
+//! A Consort program with an extra skill: the robot turns in four steps, with a pause after each.
 
 use consort_nodes::{cli, extensions::Extensions};
 use consort_protocol::mission::{TaskSchema, TaskSpec, ValueKind};

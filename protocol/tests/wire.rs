@@ -504,7 +504,7 @@ proptest! {
         assert_round_trip(&BootstrapReply::Refused { reason: founder.node.to_string() })?;
         assert_round_trip(&founder)?;
         assert_round_trip(&MissionsChanged { node, term })?;
-        let live = ActivePlan { mission, branch, plan, ended, holders, vacant, signals: signals };
+        let live = ActivePlan { mission, branch, plan, ended, holders, vacant, signals };
         assert_round_trip(&ActiveMissions { cluster: Some(ClusterId(term)), count: 1, plans: vec![live] })?;
     }
 

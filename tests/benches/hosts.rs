@@ -41,7 +41,7 @@ fn main() {
     match arguments.first().map(String::as_str) {
         Some("idle") => inside_again(&own_arguments, &[], || print(&idle(Duration::from_secs(number(60)), false))),
         Some("idle-closed") => {
-            inside_again(&own_arguments, &[], || print(&idle(Duration::from_secs(number(60)), true)))
+            inside_again(&own_arguments, &[], || print(&idle(Duration::from_secs(number(60)), true)));
         }
         Some("signing") => std::thread::scope(|both| {
             for which in ["idle", "idle-closed"] {

@@ -147,7 +147,7 @@ fn two_hundred_robots_are_drawn_in_every_frame() {
     // any machine:
     let number = |key: &str| page[key].as_u64().unwrap_or_else(|| panic!("{key} in {page}"));
     // It received changes, in sequence; a page that misses a change receives a full frame again.
-    assert!(number("patches") > 0 && number("wholes") == 0, "{page}");
+    assert!(number("patches") > 0 && number("fulls") == 0, "{page}");
     // It drew each report, except reports between which the browser requested no frame; the last
     // report may still be pending.
     let undrawn = number("patches").saturating_sub(number("reports") + number("missed"));

@@ -62,7 +62,7 @@ fn replay(folder: &Folder, name: &str, file: &str) -> (Program, String) {
 fn check_nothing_is_of_later(browser: &Browser) {
     let later = browser.value(
         "(() => { const { model, now } = consort.connection; return Object.values(model.robots ?? {}).filter((one) => one.telemetry_ms > now()).length
-            + Object.values(picture.log ?? {}).filter((one) => one.at_ms > now() + 50).length; })()",
+            + Object.values(model.log ?? {}).filter((one) => one.at_ms > now() + 50).length; })()",
     );
     assert_eq!(later, 0, "robots and events of later");
 }

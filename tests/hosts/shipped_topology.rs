@@ -217,7 +217,7 @@ impl ShippedTopology {
         until(&format!("{name} is linked with {others:?} alone"), LONG, || {
             let ids: BTreeSet<String> = others.iter().map(|other| id(other)).collect::<Option<_>>()?;
             let log = self.log(name);
-            let said = log.lines().rfind(|line| line.contains(" linked "))?;
+            let said = log.lines().rfind(|line| line.contains(" linked ") || line.contains(" no links"))?;
             let links = said.split_once("links=\"").map_or("", |(_, links)| links.trim_end_matches('"'));
             let linked = links.split(", ").filter_map(|link| link.split_once(" ("));
             (linked.map(|(id, _)| id.to_owned()).collect::<BTreeSet<_>>() == ids).then_some(())

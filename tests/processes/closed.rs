@@ -101,7 +101,7 @@ fn a_client_without_a_valid_certificate_gets_no_link() {
     let stranger = other.of("operate").display().to_string();
     let missions = ["missions", "--certs", &stranger, "--connect", &address, "--timeout", "2"];
     let ended = other.fleet.tool(&missions).expect(3);
-    assert!(ended.stderr.contains("`consort doctor` says what it is that does not fit"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("`consort doctor` finds the cause"), "{}", ended.stderr);
     drop(own);
     closed.fleet.stop();
 }
@@ -424,7 +424,7 @@ fn a_node_with_a_wrong_certificate_does_not_start() {
     }
     let certs = closed.of("world").display().to_string();
     let ended = closed.fleet.tool(&["station", "--name", "world", "--certs", &certs]).expect(2);
-    assert!(ended.stderr.contains("it does not permit world be a voter, and may_vote is true"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("it does not permit world to be a voter, and may_vote is true"), "{}", ended.stderr);
     let listens = ["station", "--name", "world", "--certs", &certs, "--listen", "tcp/127.0.0.1:0"];
     let ended = closed.fleet.tool(&listens).expect(2);
     assert!(ended.stderr.contains("the protocol is tls for a node that has certificates"), "{}", ended.stderr);
@@ -459,7 +459,7 @@ fn an_http_token_determines_identity_and_permissions() {
     for (at, shut) in [(&page, "GET /api/fleet"), (&page, "GET /api/history.csv"), (&metrics, "GET /metrics")] {
         let answer = http(at, shut, &[], "");
         assert_eq!(answer.status, 401, "{shut}");
-        assert!(told(&answer).contains("`consort token --certs DIR` makes one"), "{}", answer.body);
+        assert!(told(&answer).contains("`consort token --certs DIR` makes a token"), "{}", answer.body);
         assert!(answer.heads.contains("www-authenticate: Bearer"), "{}", answer.heads);
     }
     let knocks = [
@@ -479,7 +479,10 @@ fn an_http_token_determines_identity_and_permissions() {
     assert_eq!(http(&metrics, "GET /metrics", &[("Authorization", &format!("Bearer {reads}"))], "").status, 200);
     let order = json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" } }).to_string();
     let refused = with(&reads, "POST /api/missions", &order);
-    assert_eq!((refused.status, told(&refused)), (403, "read may read; this request needs scope submit".to_owned()));
+    assert_eq!(
+        (refused.status, told(&refused)),
+        (403, "the token of read has scope read; this request needs scope submit".to_owned())
+    );
     let taken = until("a coordinator accepts the mission", LIMIT, || {
         let answer = with(&submits, "POST /api/missions", &order);
         (answer.status == 200).then(|| answer.json())
@@ -536,7 +539,7 @@ fn an_http_token_determines_identity_and_permissions() {
 fn a_token_is_limited_to_people_and_their_scope() {
     let mut closed = Closed::new();
     for (who, more, says) in [
-        ("station-1", &[][..], "the certificate belongs to node station-1 (voter); tokens are for persons only"),
+        ("station-1", &[][..], "it belongs to node station-1 (voter), and only people have tokens"),
         ("submit", &["--scope", "operate"], "the token claims scope operate, but submit has scope submit"),
         ("nobody", &[], "ca.pem: "),
     ] {

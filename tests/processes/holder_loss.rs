@@ -90,7 +90,7 @@ fn a_person_resolves_the_mission_of_a_robot_lost_with_a_sample() {
     let said = fleet.run(&submit, "world").expect(0).stdout;
     assert_eq!(said, "lab-samples-1\n");
     // A running mission needs no intervention.
-    let refused = fleet.run(&["rescue", "lab-samples-1"], "world").expect(1).stderr;
+    let refused = fleet.run(&["resolve", "lab-samples-1"], "world").expect(1).stderr;
     assert!(refused.contains("only a mission that needs intervention can be resolved"), "{refused}");
 
     let is = |event: &Value, name: &str| event["event"] == name && event["mission"] == "lab-samples-1";
@@ -103,14 +103,15 @@ fn a_person_resolves_the_mission_of_a_robot_lost_with_a_sample() {
     });
     let missions = fleet.run(&["missions"], "station-1").expect(0).stdout;
     let what = format!("{lost} was lost as r1 and has the sample: {lost} silent for ");
-    let line = missions.lines().find(|line| line.starts_with("lab-samples-1  needs rescue")).expect("it is listed");
+    let line =
+        missions.lines().find(|line| line.starts_with("lab-samples-1  needs intervention")).expect("it is listed");
     assert!(line.contains(&what), "{missions}");
     assert!(line.contains(&format!("sample with {lost} (r1) at ")), "{missions}");
 
-    let said = fleet.run(&["rescue", "lab-samples-1", "--by", "ward 3, Nia"], "lab-arm").expect(0).stdout;
+    let said = fleet.run(&["resolve", "lab-samples-1", "--by", "ward 3, Nia"], "lab-arm").expect(0).stdout;
     assert!(said.starts_with(&format!("lab-samples-1 closed: {lost} was lost as r1 and has the sample: ")), "{said}");
     assert!(said.ends_with("; resolved by ward 3, Nia\n"), "{said}");
-    let again = fleet.run(&["rescue", "lab-samples-1"], "world").expect(1).stderr;
+    let again = fleet.run(&["resolve", "lab-samples-1"], "world").expect(1).stderr;
     assert!(
         again.contains("lab-samples-1 is failed; only a mission that needs intervention can be resolved"),
         "{again}"

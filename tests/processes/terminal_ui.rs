@@ -129,7 +129,7 @@ fn watch_draws_the_fleet_and_restores_the_terminal() {
         fn has<'a>(parts: &'a [&'a str]) -> impl Fn(&String) -> bool + 'a {
             move |screen| parts.iter().all(|part| screen.contains(part))
         }
-        let parts = ["coordinator ada, term", "90 %", "q quit"];
+        let parts = ["coordinator ", ", term ", "ada", "90 %", "q quit"];
         let mut screen = String::new();
         until("the fleet is drawn", LONG, || {
             screen = terminal.screen();

@@ -132,7 +132,7 @@ fn a_fleet_is_upgraded_node_by_node_during_missions() {
     });
     let refused = hospital.upgrade(&["--finish"], "world").expect(1).stderr;
     assert!(
-        refused.contains("version 2 of the wire is not read by ada (reads 1), lab-arm (reads 1), world (reads 1)"),
+        refused.contains("wire version 2 is not read by ada (reads 1), lab-arm (reads 1), world (reads 1)"),
         "{refused}"
     );
     let shown = hospital.upgrade(&[], "world").expect(0).stdout;

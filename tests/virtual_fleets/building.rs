@@ -32,7 +32,7 @@ fn a_nurse_can_cancel_the_mission_at_the_robot() {
             fleet.wait_until("that she is met", SOON, begun).await;
             let nurse = format!("nurse of {ROOM}");
             fleet.world.with(|world| {
-                world.trigger_person_action(&nurse.as_str().into(), PersonAction::Cancels, Some(&slug("gorse")))
+                world.trigger_person_action(&nurse.as_str().into(), PersonAction::Cancels, Some(&slug("gorse")));
             });
             let end = fleet.wait_for_end(&mission).await;
             let story = format!("seed {seed}, {stage}: {end:?}\n{}", fleet.event_log_text());

@@ -213,12 +213,12 @@ fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
             "node fern (robot) may not publish on wire/changed",
             "node fern (robot) may not publish on wire/knowledge/gorse",
             "node fern (robot) may not publish on wire/body/gorse/state",
-            "node fern (robot) may not answer on wire/report/aster",
-            "node fern (robot) may not answer on wire/body/gorse/command",
+            "node fern (robot) may not reply on wire/report/aster",
+            "node fern (robot) may not reply on wire/body/gorse/command",
         ] {
             assert!(told.contains(reason), "seed {seed}: {reason}: {told:#?}");
         }
-        let raft = told.iter().any(|told| told.starts_with("node fern (robot) may not answer on wire/raft/"));
+        let raft = told.iter().any(|told| told.starts_with("node fern (robot) may not reply on wire/raft/"));
         assert!(raft, "seed {seed}: {told:#?}");
         tasks.shutdown().await;
     });

@@ -107,8 +107,8 @@ fn an_invalid_priority_or_deadline_is_rejected() {
         fleet.wait_for_coordinator().await;
         for (more, says) in [
             (json!({ "priority": 101 }), "101 is not a valid priority; allowed are -100 to 100"),
-            (json!({ "deadline_s": 0 }), "deadline_s is 0; allowed are more than 0"),
-            (json!({ "deadline_s": -3.5 }), "deadline_s is -3.5; allowed are more than 0"),
+            (json!({ "deadline_s": 0 }), "deadline_s is 0; the time must be more than 0"),
+            (json!({ "deadline_s": -3.5 }), "deadline_s is -3.5; the time must be more than 0"),
         ] {
             let mut asked = json!({ "mission": "lab-samples" });
             asked.as_object_mut().expect("a map").extend(more.as_object().expect("a map").clone());

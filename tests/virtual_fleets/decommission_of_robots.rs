@@ -134,7 +134,7 @@ async fn of_one_voter(seed: u64) -> Fleet {
 fn must_stay(said: &Value) -> bool {
     said["error"].as_str().is_some_and(|problem| {
         problem.starts_with("gorse is the only voter, and there is no other node that may vote")
-            && problem.ends_with("stop this one (SIGTERM) and keep its data")
+            && problem.ends_with("stop gorse (SIGTERM) and keep its data")
     })
 }
 

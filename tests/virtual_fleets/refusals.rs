@@ -84,7 +84,7 @@ fn every_refusal_reason_is_in_the_events_and_the_view() {
         let mut shown = shown.find(|shown| shown["auction"]["mission"] == "lab-samples-2").expect("the second").clone();
         // The view also contains the record as text.
         let explanation = shown.as_object_mut().and_then(|shown| shown.remove("explanation")).expect("it is explained");
-        let silent = explanation.to_string().contains("did not answer within 200 ms");
+        let silent = explanation.to_string().contains("did not reply within 200 ms");
         assert!(silent, "seed {seed}: {explanation}");
         let expected = serde_json::to_value(newest(&fleet)).expect("JSON");
         assert_eq!(shown, expected, "seed {seed}");

@@ -1,9 +1,9 @@
 //! The message bus of the nodes, with its implementations and layers.
 //!
-//! - [`Bus`] is the trait that actors use. [`ZenohBus`] implements it on Zenoh, [`VirtualBus`] in one process on virtual
-//!   time with injected faults.
-//! - [`trust`] signs and verifies messages, [`cluster_membership`] drops messages of other clusters, [`MeteredBus`]
-//!   counts: each is a layer over another bus ([`layer`]).
+//! - [`Bus`] is the trait that actors use. [`ZenohBus`] implements it on Zenoh, [`VirtualBus`] in
+//!   one process on virtual time with injected faults.
+//! - [`trust`] signs and verifies messages, [`cluster_membership`] drops messages of other
+//!   clusters, [`MeteredBus`] counts: each is a layer over another bus ([`layer`]).
 //! - [`clock`], [`tasks`], [`reply`] and [`wire_version`] are shared by all actors of a node.
 
 pub mod bus;

@@ -204,7 +204,7 @@ impl Gossiper {
             Event::Token(node, present) => self.token(node, present, state, now, &mut actions)?,
             Event::RequestReceived(exchange) => self.handle_request(exchange, state, now, &mut actions)?,
             Event::ReplyReceived(number, Some(exchange)) => {
-                self.handle_reply(number, exchange, state, now, &mut actions)?
+                self.handle_reply(number, exchange, state, now, &mut actions)?;
             }
             Event::ReplyReceived(number, None) => {
                 if self.round.take_if(|round| round.number == number).is_some() {
@@ -456,7 +456,7 @@ impl Gossiper {
                     self.perform_swim(swim_actions, state, now, actions);
                 }
                 ScheduledTimer::QueryTimeout(node, number) => {
-                    self.handle_query_timeout(node, number, state, now, actions)?
+                    self.handle_query_timeout(node, number, state, now, actions)?;
                 }
                 ScheduledTimer::SuspicionTimeout(suspicion, node, number) => {
                     if self.queried.get(&node) == Some(&number) {

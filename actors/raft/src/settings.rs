@@ -19,7 +19,8 @@ pub struct RaftSettings {
     /// This node.
     pub node: NodeId,
     /// Interval of a leader's heartbeats; must exceed a round trip. Lower detects a dead leader
-    /// sooner and costs messages. For this and the next two fields see [`consort_protocol::timing`].
+    /// sooner and costs messages. For this and the next two fields see
+    /// [`consort_protocol::timing`].
     pub heartbeat: Duration,
     /// Shortest time without leader contact after which a node campaigns, and the time for which a
     /// voter rejects every candidate after the last contact from its leader. At least three

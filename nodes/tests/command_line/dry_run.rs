@@ -55,7 +55,7 @@ fn every_role_is_auctioned_among_the_workers_of_a_file() {
         "    ada      140.3 s  uses 5.6 %  leaves 84.4 %  chosen",
         "not viable: 3.2 % charge left is not above 8.0 %",
         "refuses: lacks approach_person, authenticate_person",
-        "  choice: lab_arm = lab-arm, r1 = ada (the viable bids of different robots that are fastest together)",
+        "  assignment: lab_arm = lab-arm, r1 = ada (the viable bids of different robots that are fastest together)",
     ] {
         assert!(ran.out.contains(expected), "{expected:?} is missing in\n{}", ran.out);
     }

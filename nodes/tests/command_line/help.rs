@@ -7,7 +7,6 @@ const COMMANDS: [&str; 25] = [
     "submit",
     "missions",
     "cancel",
-    "rescue",
     "fleet",
     "explain",
     "keys",
@@ -26,6 +25,7 @@ const COMMANDS: [&str; 25] = [
     "test",
     "record",
     "replay",
+    "resolve",
 ];
 
 #[test]
@@ -35,7 +35,7 @@ fn the_help_names_every_command_and_the_exit_codes() {
     for command in COMMANDS {
         assert!(help.out.contains(&format!("  {command} ")), "{command} is missing in\n{}", help.out);
     }
-    assert!(help.out.contains("Exit codes: 0 it succeeded; 1"), "{}", help.out);
+    assert!(help.out.contains("Exit codes: 0 success; 1"), "{}", help.out);
 }
 
 #[test]

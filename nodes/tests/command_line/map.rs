@@ -21,7 +21,7 @@ fn check_summarizes_maps_of_every_format_and_lists_omissions() {
     for expected in [
         "hospital: ok, hospital: 1 level, 32 places, 31 lanes".to_owned(),
         format!("{clinic}: ok, clinic: 1 level, 11 places, 11 lanes, 1 door, 1 robot, 1 object, 1 person"),
-        format!("{office}: note: lanes of graph 0 are read; those of 1 are left out"),
+        format!("{office}: note: only lanes of graph 0 are read; lanes of graph 1 are ignored"),
         format!("{office}: ok, office: 2 levels, 10 places, 9 lanes, 1 door, 1 lift, 1 robot"),
     ] {
         assert!(ran.out.lines().any(|line| line == expected), "{expected:?} is missing in\n{}", ran.out);
@@ -40,7 +40,8 @@ fn check_reports_all_map_errors_with_file_and_place() {
     let missing = run(&["map", "show", "ward.drawio"]);
     assert_eq!(missing.code, Some(2));
     assert!(
-        missing.err.contains("ward.drawio: this map cannot be read: ") && missing.err.contains("one of hospital"),
+        missing.err.contains("ward.drawio: this map cannot be read: ")
+            && missing.err.contains("a bundled map: hospital"),
         "{}",
         missing.err
     );
@@ -94,7 +95,7 @@ fn convert_writes_an_equivalent_map_in_our_format() {
     assert!(ran.err.contains("allowed is a number from 0.000001 to 1000000"), "{}", ran.err);
     let ran = run(&["map", "convert", &sample("office.building.yaml"), "--graph", "3"]);
     assert_eq!(ran.code, Some(2));
-    assert!(ran.err.contains("no lane is of graph 3; there are lanes of 0, 1"), "{}", ran.err);
+    assert!(ran.err.contains("graph 3 has no lanes; graphs with lanes: 0, 1"), "{}", ran.err);
 }
 
 #[test]

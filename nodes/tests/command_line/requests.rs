@@ -65,11 +65,11 @@ fn a_mission_without_need_of_intervention_cannot_be_resolved() {
         ("lab-samples-1", "lab-samples-1 is pending; only a mission that needs intervention can be resolved"),
         ("lab-samples-9", "no mission lab-samples-9"),
     ] {
-        let ran = ask(&["rescue", mission, "--by", "Nia"]);
+        let ran = ask(&["resolve", mission, "--by", "Nia"]);
         assert_eq!((ran.code, ran.out.as_str()), (Some(1), ""), "{}", ran.err);
         assert!(ran.err.contains(expected), "{}", ran.err);
     }
-    let ran = ask(&["rescue", "Lab Samples"]);
+    let ran = ask(&["resolve", "Lab Samples"]);
     assert_eq!(ran.code, Some(2), "{}", ran.err);
     assert!(ran.err.contains("invalid value 'Lab Samples' for '<MISSION>'"), "{}", ran.err);
 }

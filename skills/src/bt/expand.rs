@@ -115,7 +115,7 @@ impl<'a, C> Expansion<'a, C> {
             self.check_counts(node, &ports)?;
         }
         let children = node.children.iter().map(|child| self.node(child, depth + 1)).collect::<Result<_, _>>()?;
-        Ok(CheckedNode { name: node.label().to_owned(), implementation: implementation, ports, children })
+        Ok(CheckedNode { name: node.label().to_owned(), implementation, ports, children })
     }
 
     fn subtree(&mut self, node: &NodeSpec, depth: usize) -> Result<CheckedNode<C>, TreeError> {

@@ -31,7 +31,7 @@ Feature: Arms, drawers and things
       | robot | thing | why                              |
       | amber | crate | crate weighs 2.5 kg, amber lifts         |
       | amber | box   | box is 1.5 m away                |
-      | amber | cup   | lies at Laboratory; there lies |
+      | amber | cup   | is on the table at Laboratory; objects there |
       | birch | tray  | birch has no arm                 |
 
   Scenario: A drawer opens and closes

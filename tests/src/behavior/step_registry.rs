@@ -92,7 +92,7 @@ impl StepRegistry {
     pub(super) fn read(&self, step: &Step) -> Result<StepMeaning, String> {
         let text = step.value.trim();
         let more = |values| StepArguments {
-            values: values,
+            values,
             table: step.table.as_ref().map(|table| table.rows.clone()),
             docstring: step.docstring.clone(),
         };
@@ -176,7 +176,7 @@ fn timed<'a>(text: &'a str, word: &str) -> Option<(f64, &'a str)> {
     let unit = rest.find(' ')? + 1;
     let end = unit + rest[unit..].find(' ')?;
     let values = time.parse(&rest[..end])?;
-    Some((StepArguments { values: values, ..StepArguments::default() }.seconds(0), &rest[end + 1..]))
+    Some((StepArguments { values, ..StepArguments::default() }.seconds(0), &rest[end + 1..]))
 }
 
 fn keyword(ty: StepType) -> &'static str {

@@ -327,7 +327,7 @@ impl Schedule {
                 ChaosAction::Cancel { .. } | ChaosAction::Blackout { .. } => {}
                 ChaosAction::Crash { node, .. } => check_known(step, node, &nodes, &["coordinator"])?,
                 ChaosAction::Pause { node, .. } | ChaosAction::SlowDisk { node, .. } => {
-                    check_known(step, node, &nodes, &[])?
+                    check_known(step, node, &nodes, &[])?;
                 }
                 ChaosAction::Partition { groups, .. } => {
                     groups.iter().flatten().try_for_each(|node| check_known(step, node, &nodes, &["client"]))?;
@@ -348,7 +348,7 @@ impl Schedule {
                     }
                 }
                 ChaosAction::Battery { robot } | ChaosAction::Skill { robot, .. } => {
-                    check_known(step, robot, &robots, &[])?
+                    check_known(step, robot, &robots, &[])?;
                 }
             }
         }

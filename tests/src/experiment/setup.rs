@@ -76,7 +76,7 @@ impl ExperimentSetup {
             match scenario.parameters(&design.mission).map(|given| template.instantiate(&given, &domain)) {
                 Ok(Ok(_)) => {}
                 Ok(Err(errors)) => {
-                    violations.extend(errors.diagnostics.iter().map(|error| in_scenario(error.to_string())))
+                    violations.extend(errors.diagnostics.iter().map(|error| in_scenario(error.to_string())));
                 }
                 Err(error) => violations.push(in_scenario(error.to_string())),
             }

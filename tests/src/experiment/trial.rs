@@ -522,7 +522,7 @@ fn allocator_of_policy(
                     estimates.insert((role.clone(), robot), estimate);
                 }
             }
-            Arc::new(OracleAllocator { estimates: estimates })
+            Arc::new(OracleAllocator { estimates })
         }
     }
 }

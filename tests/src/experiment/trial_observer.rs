@@ -140,10 +140,10 @@ impl TrialObserver {
             }
             EventKind::Mission { state, .. } if state.is_final() => observed.end_state = Some(state.clone()),
             EventKind::TaskBegan { task, .. } => {
-                self.task_began(&mut observed, &RobotId::from(node.clone()), task, now_s)
+                self.task_began(&mut observed, &RobotId::from(node.clone()), task, now_s);
             }
             EventKind::TaskEnded { task, .. } => {
-                self.task_ended(&mut observed, &RobotId::from(node.clone()), task, now_s)
+                self.task_ended(&mut observed, &RobotId::from(node.clone()), task, now_s);
             }
             EventKind::Suspended { .. } | EventKind::TaskRetried { .. } => {
                 let robot = RobotId::from(node.clone());

@@ -52,9 +52,9 @@ pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
             "member.x_m - coordinator.x_m < 10.0 && {'a': [1, 2.5, b'x']}['a'].size() == 3",
         ]),
         "feature" => files("tests/features", ".feature"),
-        "config" => ["fleet", "robot", "arm", "station", "world"]
-            .map(|name| file(&format!("examples/{name}.toml")))
-            .into(),
+        "config" => {
+            ["fleet", "robot", "arm", "station", "world"].map(|name| file(&format!("examples/{name}.toml"))).into()
+        }
         "design" => files("sim_bridge/evaluation/designs", ".toml"),
         "calibration" => vec![file("examples/calibration.toml"), fleet::calibration()],
         "tables" => vec![

@@ -126,7 +126,9 @@ async fn query_certificate(context: Context, requested: Fingerprint) {
             }
             Ok(_) => {}
             Err(problem) => {
-                context.rejections.record(format!("reply to the query for certificate {requested} rejected: {problem}"))
+                context
+                    .rejections
+                    .record(format!("reply to the query for certificate {requested} rejected: {problem}"));
             }
         }
     }

@@ -57,7 +57,7 @@ impl Replier for VirtualReplier {
     ) -> Result<(), BusError> {
         keys::reply_key(key, &self.request.key_expr)?;
         keys::check_payload_size("reply to a query", &payload, MESSAGE_MAX)?;
-        self.send(Reply { key: key.to_owned(), payload: Ok(payload), attachment: attachment })
+        self.send(Reply { key: key.to_owned(), payload: Ok(payload), attachment })
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {

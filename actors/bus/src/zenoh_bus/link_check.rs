@@ -126,7 +126,7 @@ async fn check_link(current: Weak<CurrentSession>, own: ZenohId, neighbour: Zeno
             current.request_replacement(own);
         }
         _ => {
-            warn!(%neighbour, "link is up, but messages are not delivered after several new sessions; the neighbour may not be a Consort node")
+            warn!(%neighbour, "link is up, but messages are not delivered after several new sessions; the neighbour may not be a Consort node");
         }
     }
 }

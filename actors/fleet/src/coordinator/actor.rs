@@ -214,7 +214,7 @@ impl Actor for Coordinator {
             }
             (CoordinatorMessage::Report(query), Some(session)) => session.handle_report(settings, query).await,
             (CoordinatorMessage::ActiveMissions(query), Some(session)) => {
-                session.handle_active_missions(settings, query).await
+                session.handle_active_missions(settings, query).await;
             }
             (CoordinatorMessage::Api(query), Some(session)) => session.handle_api(settings, query),
             (CoordinatorMessage::ApiRecheck(query), Some(_)) => {

@@ -141,7 +141,7 @@ impl Actor for HumanTaskProxy {
             HumanTaskProxyMessage::PersonEvent(sample) => match codec::decode::<PersonEvent>(&sample.payload) {
                 Ok(PersonEvent::RequestEnded { id, result }) => state.handle_request_ended(&myself, id, result).await,
                 Ok(PersonEvent::CancelMission { by, role, robot, at_ms }) => {
-                    state.cancel_mission(&by, &role, &robot, at_ms)
+                    state.cancel_mission(&by, &role, &robot, at_ms);
                 }
                 Err(problem) => warn!(%problem, "event of a person cannot be decoded"),
             },

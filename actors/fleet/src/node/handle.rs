@@ -106,7 +106,7 @@ impl NodeHandle {
     /// Ends the node for good: its robot releases its role, and its vote is transferred or removed.
     ///
     /// # Errors
-    /// The [`LeaveError`], and the handle of the node, which keeps running.
+    /// The [`DecommissionError`], and the handle of the node, which keeps running.
     pub async fn decommission(self) -> Result<DecommissionReport, (DecommissionError, Box<NodeHandle>)> {
         match self.decommission_handle.run().await {
             Ok(report) => {

@@ -68,7 +68,7 @@ pub(super) fn findings(inputs: &HealthInputs) -> Vec<Finding> {
     match (&inputs.coordinator, inputs.coordinator_age_ms) {
         (Some(_), _) => {}
         (None, None) => {
-            add(HealthLevel::Error, "coordinator", None, "no beacon of a coordinator has arrived yet".to_owned())
+            add(HealthLevel::Error, "coordinator", None, "no beacon of a coordinator has arrived yet".to_owned());
         }
         (None, Some(age)) => {
             let text = format!("no coordinator; the last beacon is {:.1} s old", age as f64 / 1e3);

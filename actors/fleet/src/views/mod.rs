@@ -194,7 +194,7 @@ impl ViewService {
             || wanted(&Key::ViewHealth)
             || keyexpr::new(missions.as_str()).is_ok_and(|missions| missions.intersects(requested));
         if needs_ledger && !context.status.has_ledger {
-            match self.from_voter(requested, &context.status).await {
+            match self.query_voter(requested, &context.status).await {
                 Some(voter_views) => {
                     for (key, value) in voter_views.into_iter().filter(|(key, _)| is_of_ledger(key) && wanted(key)) {
                         views.retain(|(own, _)| *own != key);
@@ -218,7 +218,7 @@ impl ViewService {
     }
 
     /// Returns the views of the ledger from the coordinator, else from any other voter.
-    async fn from_voter(&self, requested: &keyexpr, status: &ClusterStatus) -> Option<Vec<(Key, Value)>> {
+    async fn query_voter(&self, requested: &keyexpr, status: &ClusterStatus) -> Option<Vec<(Key, Value)>> {
         let Views { keys, bus, knowledge, node, .. } = &*self.views;
         let only_health = requested.as_str() == keys.write(&Key::ViewHealth);
         let coordinator = status.coordinator.iter();

@@ -1,6 +1,6 @@
 //! Assignment of roles to robots, by four policies. The policy `consort` is
-//! [`consort_protocol::auction::select`]; this module contains the policies that it is compared
-//! with, as calculations on bids.
+//! [`consort_protocol::auction::optimal_assignment`]; this module contains the policies that it is
+//! compared with, as calculations on bids.
 
 mod allocators;
 mod greedy;

@@ -23,7 +23,7 @@ impl World {
             }
             ScheduledEvent::Step => self.step(),
             ScheduledEvent::SystemTimer(place, wake) => {
-                self.run_system(super::SystemIndex(place), |system, state| system.on_timer(state, wake))
+                self.run_system(super::SystemIndex(place), |system, state| system.on_timer(state, wake));
             }
         }
     }
@@ -51,7 +51,7 @@ impl World {
                 Some(SimCommand::Emit(event)) => events.push(event),
                 Some(SimCommand::Log(event)) => self.state.log_event(event),
                 Some(SimCommand::AbortGoal(robot, error)) => {
-                    events.extend(self.interrupt_goal(robot, GoalStatus::Aborted(error)))
+                    events.extend(self.interrupt_goal(robot, GoalStatus::Aborted(error)));
                 }
                 Some(SimCommand::CompleteGoal(robot)) => events.extend(self.complete_goal(robot)),
                 None => return events,

@@ -41,7 +41,7 @@ pub(crate) enum DoorStop {
 impl DriveProgress {
     pub(crate) fn new(drive: StraightDrive, speed_mps: f64, state: &SimState) -> DriveProgress {
         let stops = drive.lane.map_or(vec![], |stretch| stops(state, stretch, drive.length_m()));
-        DriveProgress { drive: drive, speed_mps, done_m: 0.0, until_m: 0.0, stops, next: 0 }
+        DriveProgress { drive, speed_mps, done_m: 0.0, until_m: 0.0, stops, next: 0 }
     }
 
     /// Returns the door action at the robot's current position.

@@ -197,7 +197,7 @@ pub(super) struct EventLog {
 
 impl EventLog {
     pub(super) fn write(&mut self, now: f64, event: WorldEvent, kept: usize) {
-        self.entries.push_back(LoggedEvent { time: WorldTime::from_secs(now), event: event });
+        self.entries.push_back(LoggedEvent { time: WorldTime::from_secs(now), event });
         self.written += 1;
         if self.entries.len() > kept {
             self.entries.pop_front();

@@ -74,16 +74,8 @@ impl SimState {
         let (limit, backward) = lane.map_or((None, false), |stretch| self.lane_rules(stretch));
         let speed_mps = limit.map_or(body.speed.get(), |limit| body.speed.get().min(limit));
         let (start_time, profile) = (self.now, TrapezoidProfile::constant_speed(length_m, speed_mps));
-        let drive = StraightDrive {
-            start_position: start_position,
-            start_pose,
-            start_time: start_time,
-            end_position: end_position,
-            end_pose,
-            profile: profile,
-            lane,
-            backward,
-        };
+        let drive =
+            StraightDrive { start_position, start_pose, start_time, end_position, end_pose, profile, lane, backward };
         Ok(LegPlan::Drive(drive, speed_mps))
     }
 

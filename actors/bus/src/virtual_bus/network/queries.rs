@@ -71,7 +71,7 @@ impl Network {
         mailbox: UnboundedSender<Query>,
     ) -> EntityId {
         let id = self.next_id();
-        self.services.declare(id, Declaration { node: incarnation.index, key_expr: key_expr, complete, mailbox });
+        self.services.declare(id, Declaration { node: incarnation.index, key_expr, complete, mailbox });
         id
     }
 

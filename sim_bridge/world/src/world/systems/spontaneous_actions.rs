@@ -83,7 +83,7 @@ impl System for SpontaneousActions {
         let scheduled_action = state.resource_mut::<PersonStates>().scheduled.remove(&number);
         match scheduled_action {
             Some(ScheduledAction::Act { person, action, robot, back_after_s }) => {
-                state.act(&person, action, robot, back_after_s)
+                state.act(&person, action, robot, back_after_s);
             }
             Some(ScheduledAction::Return(person)) => state.return_to_place(&person),
             None => {}
@@ -171,7 +171,7 @@ impl SimState {
                 self.emit(BackendEvent::MissionCanceled { by: person.to_string(), role, robot });
             }
             (PersonAction::Declines, Some(robot)) => {
-                self.log_event(WorldEvent::HandoverDeclined { person: person.clone(), robot })
+                self.log_event(WorldEvent::HandoverDeclined { person: person.clone(), robot });
             }
             (PersonAction::WalksAway, _) if !self.people.contains_key(person) => {}
             (PersonAction::WalksAway, _) => {

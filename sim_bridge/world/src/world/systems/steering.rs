@@ -80,7 +80,7 @@ impl System for Steering {
             let pose = isometry(state.get::<RobotLocation>(robot).pose(state.now));
             let model = KinematicModel::new(kinematics, body.speed.get(), body.radius_m, pose);
             let level = state.level_of(state.map_position(robot));
-            state.insert(robot, Steered { model: model, since: state.now, part: None, notify_at_m: None, level });
+            state.insert(robot, Steered { model, since: state.now, part: None, notify_at_m: None, level });
         }
     }
 
@@ -258,7 +258,7 @@ impl SimState {
         let body = &self.get::<SimRobot>(robot).0;
         if let (Some(kinematics), Some(mut steered)) = (&body.kinematics, self.find_mut::<Steered>(robot)) {
             let model = KinematicModel::new(kinematics, body.speed.get(), body.radius_m, isometry(pose));
-            *steered = Steered { model: model, since: self.now, part: None, notify_at_m: None, level };
+            *steered = Steered { model, since: self.now, part: None, notify_at_m: None, level };
         }
     }
 
