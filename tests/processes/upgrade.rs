@@ -184,9 +184,11 @@ fn a_fleet_is_upgraded_node_by_node_during_missions() {
     hospital.fleet.ends("lab-arm");
     hospital.start("lab-arm", true);
     let left = hospital.fleet.take("lab-arm").end(LONG).expect(1);
-    let reason = "reads 1: install the release that the other nodes run";
-    assert!(left.stderr.contains("the fleet writes wire version 2, but this program, "), "{}", left.stderr);
-    assert!(left.stderr.contains(reason), "{}", left.stderr);
+    let release = env!("CARGO_PKG_VERSION");
+    let reason = format!(
+        "the fleet writes wire version 2, but this program, {release}, reads 1: install the release that the other nodes run"
+    );
+    assert!(left.stderr.contains(&reason), "{}", left.stderr);
     hospital.start("lab-arm", false);
     hospital.back("lab-arm", &client);
     hospital.fleet.stop();

@@ -110,7 +110,7 @@ fn an_unrecoverable_store_is_reported_and_left_unchanged() {
     drop(store);
     let ran = recover(&folder.of("ada"), &["--yes"]);
     assert_eq!(ran.code, Some(1));
-    assert!(ran.err.contains(": there is nothing to recover"), "{}", ran.err);
+    assert!(ran.err.contains("it has no entries: there is nothing to recover"), "{}", ran.err);
 
     let file = folder.of("ada").join(LEDGER_FILE);
     let whole = fs::read(&file).expect("a file");
