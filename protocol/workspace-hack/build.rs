@@ -1,0 +1,3 @@
+//! Makes Cargo consider the build dependencies.
+
+fn main() {}
