@@ -3,6 +3,7 @@
 
 use consort_fleet::node::{DriverServerPart, NodeSettings};
 use consort_nodes::config::{NodeFile, StationConfig, load};
+use consort_nodes::extensions::Extensions;
 use consort_nodes::wiring::{NodeIncarnation, station_node};
 use consort_nodes::{exit::Failure, map_loader, node_runtime};
 use consort_protocol::ids::{PlaceId, RobotId};
@@ -139,8 +140,9 @@ impl RobotBackend for Rover {
 /// Runs the adapter's node: `rover FILE ROBOT PLACE`.
 pub(crate) fn adapt(file: &str, robot: &str, place: &str) -> Result<(), Failure> {
     let wrong = Failure::Usage;
-    let mut station: StationConfig = load(Path::new(file))?;
-    let fleet = station.fleet.resolve()?;
+    let extensions = Extensions::default();
+    let mut station: StationConfig = load(Path::new(file), &extensions.domain())?;
+    let fleet = station.fleet.resolve(&extensions.domain())?;
     let place: PlaceId = place.parse().map_err(|problem| wrong(format!("{problem}")))?;
     let name: RobotId = robot.parse().map_err(|problem| wrong(format!("{problem}")))?;
     let Some(pose) = map_loader::load(&fleet.map)?.topology.places.get(&place).copied() else {
@@ -150,9 +152,9 @@ pub(crate) fn adapt(file: &str, robot: &str, place: &str) -> Result<(), Failure>
     let rover = Rover { name, place, pose, now, work, ended, news };
     let node = station.clone();
     node_runtime::run_node(false, &station.common_mut(), &fleet, || {
-        let life = NodeIncarnation::start(&node.name, &fleet, node.data_dir.as_deref())?;
+        let incarnation = NodeIncarnation::start(&node.name, &fleet, node.data_dir.as_deref())?;
         let host = DriverServerPart { world: Box::new(rover), speed: 1.0 };
-        Ok(NodeSettings { driver_server: Some(host), ..station_node(&node, &fleet, life)? })
+        Ok(NodeSettings { driver_server: Some(host), ..station_node(&node, &fleet, incarnation, extensions)? })
     })
 }
 

@@ -4,7 +4,7 @@
 #     nodes/deploy/package.sh              # of a release build, which takes its time
 #     nodes/deploy/package.sh dev          # of what `cargo build` builds: to look at the package, not to use it
 #
-# It needs cargo-deb (cargo install cargo-deb). What it packs is listed in nodes/Cargo.toml, [package.metadata.deb].
+# It needs cargo-deb (cargo install cargo-deb). What it packs is listed in nodes/consort/Cargo.toml, [package.metadata.deb].
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 profile=${1:-release}

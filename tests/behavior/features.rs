@@ -1,4 +1,4 @@
-//! The shipped features, as `consort test` runs them.
+//! The shipped features, as `consort-lab test` runs them.
 
 use consort_tests::behavior::{Features, RunOptions, ScenarioFilter, run};
 use std::path::PathBuf;

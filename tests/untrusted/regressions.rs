@@ -1,11 +1,13 @@
 //! Named regression tests of former findings. Small inputs are also in `tests/fuzz/corpus/`.
 
 use super::{SOON, STACK};
-use consort_nodes::address::BoundAddress;
-use consort_nodes::config::{Diagnostics, FleetConfig, WorldConfig, from_text};
-use consort_nodes::dashboard::{Dashboard, FramePublisher};
-use consort_nodes::fleet_model::{FleetModel, FloorPlan};
-use consort_nodes::recording::RecordingReader;
+use consort_dashboard::address::BoundAddress;
+use consort_dashboard::fleet_model::{FleetModel, FloorPlan};
+use consort_dashboard::recording::RecordingReader;
+use consort_dashboard::server::{Dashboard, FramePublisher};
+use consort_nodes::config::{FleetConfig, WorldConfig, from_text};
+use consort_nodes::diagnostic::Diagnostics;
+use consort_nodes::extensions::Extensions;
 use consort_skills::bt::xml::read_xml;
 use consort_world::map;
 use std::io::{Read, Write};
@@ -62,7 +64,8 @@ fn a_drawing_that_inflates_to_many_nodes_is_rejected() {
 #[test]
 fn a_file_with_many_unknown_keys_reports_fifty() {
     let text: String = (0..20_000).map(|nth| format!("a{nth} = 1\n")).collect();
-    let Diagnostics(problems) = soon(|| from_text::<FleetConfig>(&text, "a.toml")).unwrap_err();
+    let Diagnostics(problems) =
+        soon(|| from_text::<FleetConfig>(&text, "a.toml", &Extensions::default().domain())).unwrap_err();
     assert_eq!(problems.len(), 50);
     assert!(problems[0].to_string().starts_with("a.toml:1:1: unknown key `a0` in a fleet file; allowed: name, "));
 }
@@ -71,7 +74,7 @@ fn a_file_with_many_unknown_keys_reports_fifty() {
 fn a_deeply_nested_file_is_rejected() {
     let deep = "a.".repeat(50_000);
     for text in [format!("[{deep}a]\n"), format!("{deep}a = 1\n"), format!("a = {}", "{ b = ".repeat(50_000))] {
-        assert!(soon(|| from_text::<WorldConfig>(&text, "a.toml").is_err()));
+        assert!(soon(|| from_text::<WorldConfig>(&text, "a.toml", &Extensions::default().domain()).is_err()));
     }
 }
 

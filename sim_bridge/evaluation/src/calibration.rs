@@ -25,7 +25,7 @@ use std::sync::Arc;
 /// greatest values.
 pub const MIN_OBSERVATIONS: usize = 5;
 
-/// Share of cases in which the battery is to last. Default of `consort experiment calibrate`.
+/// Share of cases in which the battery is to last. Default of `consort-lab experiment calibrate`.
 pub const DEFAULT_QUANTILE: f64 = 0.9;
 
 /// The only skill with tasks that drive from place to place.

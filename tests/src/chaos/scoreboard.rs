@@ -101,7 +101,7 @@ pub fn run_row(
         converged_p50_ms: convergence.map(|(p50, _)| p50),
         converged_p99_ms: convergence.map(|(_, p99)| p99),
         violations,
-        command: format!("consort chaos --seeds 1..{runs}{faults}{minutes}"),
+        command: format!("consort-lab chaos --seeds 1..{runs}{faults}{minutes}"),
     }
 }
 

@@ -1,9 +1,9 @@
 //! A fleet with a mission: its files, views and recordings.
 
 use super::sample_messages::{body_state, frame};
-use consort_nodes::fleet_model::{FleetInput, FleetModel, FloorPlan};
+use consort_dashboard::fleet_model::{FleetInput, FleetModel, FloorPlan};
+use consort_dashboard::recording::RecordingWriter;
 use consort_nodes::map_loader;
-use consort_nodes::recording::RecordingWriter;
 use consort_protocol::event::Event;
 use consort_protocol::keys::Key;
 use consort_protocol::ledger::Submission;

@@ -42,7 +42,7 @@ pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
         "mission_json" => fleet::TEMPLATES.iter().map(|name| fleet::template(name).to_string().into_bytes()).collect(),
         "ihtn" => vec![ihtn().to_string().into_bytes()],
         "map_yaml" => [files("sim_bridge/world/maps", "c.yaml"), files("tests/features/maps", ".yaml")].concat(),
-        "map_json" => vec![file("nodes/tests/data/ward_map.json"), fleet::map_in_json()],
+        "map_json" => vec![file("nodes/consort/tests/data/ward_map.json"), fleet::map_in_json()],
         "drawing" => files("sim_bridge/world/maps", ".drawio"),
         "building" => files("sim_bridge/world/maps", ".building.yaml"),
         "tree" => files("skills/trees", ".xml"),
@@ -59,7 +59,7 @@ pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
         "calibration" => vec![file("examples/calibration.toml"), fleet::calibration()],
         "tables" => vec![
             file("examples/workers.toml"),
-            file("nodes/tests/data/ward_scenarios.json"),
+            file("nodes/consort/tests/data/ward_scenarios.json"),
             b"origin,dest,duration_s,estimate_s\nDock,IC Room 2,30.5,28\n".to_vec(),
             fleet::schedule(),
         ],

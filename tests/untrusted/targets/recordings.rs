@@ -3,12 +3,12 @@
 use super::frames::{frames, text};
 use super::scratch;
 use consort_bus::clock::Clock;
+use consort_dashboard::address::BoundAddress;
+use consort_dashboard::fleet_model::{FleetInput, FleetModel, FloorPlan, delta};
+use consort_dashboard::loaded_map::LoadedMap;
+use consort_dashboard::recording::RecordingReader;
+use consort_dashboard::server::{Dashboard, FramePublisher};
 use consort_fleet::robot_driver::DriverState;
-use consort_nodes::address::BoundAddress;
-use consort_nodes::dashboard::{Dashboard, FramePublisher};
-use consort_nodes::fleet_model::{FleetInput, FleetModel, FloorPlan, delta};
-use consort_nodes::map_loader::LoadedMap;
-use consort_nodes::recording::RecordingReader;
 use consort_protocol::codec;
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::{Key, Keys};

@@ -2,19 +2,26 @@
 
 use super::frames::text;
 use consort_evaluation::calibration::Calibration;
-use consort_evaluation::design::{self, Design};
+use consort_evaluation::design;
 use consort_evaluation::{results, travel};
+use consort_lab::design_file::DesignFile;
 use consort_nodes::config::{ConfigFile, FleetConfig, RobotConfig, StationConfig, WorldConfig, from_text, to_toml};
+use consort_nodes::extensions::Extensions;
 use consort_nodes::inputs;
+use consort_protocol::mission::Domain;
 use consort_tests::chaos::Schedule;
+
+fn domain() -> Domain {
+    Extensions::default().domain()
+}
 
 /// An accepted file can be printed and reads back as the same; an error contains the file and, if
 /// there is one, the key.
 fn survives<C: ConfigFile>(text: &str) -> Option<C> {
-    match from_text::<C>(text, "a.toml") {
+    match from_text::<C>(text, "a.toml", &domain()) {
         Ok(config) => {
             let once = to_toml(&config);
-            let again: C = from_text(&once, "a.toml").expect("what was printed can be read");
+            let again: C = from_text(&once, "a.toml", &domain()).expect("what was printed can be read");
             assert_eq!(to_toml(&again), once, "it reads back as something else");
             Some(config)
         }
@@ -33,7 +40,7 @@ pub(super) fn config(bytes: &[u8]) -> bool {
 }
 
 pub(super) fn design(bytes: &[u8]) -> bool {
-    let Some(design) = text(bytes).and_then(survives::<Design>) else { return false };
+    let Some(DesignFile(design)) = text(bytes).and_then(survives::<DesignFile>) else { return false };
     if design.trials() <= 1000 {
         let runs = design.policies.len() * design.treatments.len() * design.repetitions as usize;
         assert_eq!(design::scenarios(&design).len() * runs, design.trials());

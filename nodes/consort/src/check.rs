@@ -1,0 +1,270 @@
+//! Checks files, each by its kind.
+
+use crate::config::{self, FleetConfig, RobotConfig, StationConfig, WorldConfig};
+use crate::diagnostic::{Diagnostic, Diagnostics};
+use crate::extensions::Extensions;
+use crate::{inputs, map_loader, wiring};
+use consort_evaluation::calibration::Calibration;
+use consort_protocol::count::count;
+use consort_protocol::ids::TaskId;
+use consort_protocol::mission::{Domain, Format, IhtnOptions, Mission, MissionTemplate, TemplateKind, import_ihtn};
+use consort_protocol::plan::divide_and_check;
+use consort_world::map::MapFormat;
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::path::Path;
+
+/// Kind of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum FileKind {
+    /// A mission, in YAML or JSON.
+    Mission,
+    /// A mission in the flat iHTN form of the MissionControl replication package.
+    Ihtn,
+    /// A map, in YAML or JSON, as a drawing or as an Open-RMF building.
+    Map,
+    /// A fleet, in TOML.
+    Fleet,
+    /// A robot's node, in TOML.
+    Robot,
+    /// A node without a robot, in TOML.
+    Station,
+    /// A world's node, in TOML.
+    World,
+    /// Workers for `dry-run`.
+    Workers,
+    /// Scenarios of the published evaluation.
+    Scenarios,
+    /// The design of an evaluation, in TOML.
+    Design,
+    /// Corrections to robots' estimates, learned from experiments, in TOML.
+    Calibration,
+}
+
+impl fmt::Display for FileKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            FileKind::Mission => "a mission",
+            FileKind::Ihtn => "a flat iHTN",
+            FileKind::Map => "a map",
+            FileKind::Fleet => "a fleet",
+            FileKind::Robot => "a robot",
+            FileKind::Station => "a station",
+            FileKind::World => "a world",
+            FileKind::Workers => "workers",
+            FileKind::Scenarios => "scenarios",
+            FileKind::Design => "a design",
+            FileKind::Calibration => "a calibration",
+        })
+    }
+}
+
+/// Checks a file and returns a short description of its content.
+///
+/// # Errors
+/// [`Diagnostics`] with all problems found.
+pub fn check_file(path: &Path, kind: Option<FileKind>, extensions: Extensions) -> Result<String, Diagnostics> {
+    let file = path.display().to_string();
+    let text = inputs::read_text(path)?;
+    let kind = match kind {
+        Some(kind) => kind,
+        None => detect(&text, &file)?,
+    };
+    // Problems of a referenced object come without a file name.
+    check_kind(kind, path, &text, extensions)
+        .map(|what| format!("{kind}: {what}"))
+        .map_err(|problems| problems.with_file(&file))
+}
+
+/// Detects the kind of a file by its content.
+///
+/// # Errors
+/// [`Diagnostics`] if the file cannot be read, or is of no known kind.
+pub fn detect_kind(path: &Path) -> Result<FileKind, Diagnostics> {
+    detect(&inputs::read_text(path)?, &path.display().to_string())
+}
+
+fn check_kind(kind: FileKind, path: &Path, text: &str, extensions: Extensions) -> Result<String, Diagnostics> {
+    let file = &*path.display().to_string();
+    let domain = &extensions.domain();
+    match kind {
+        FileKind::Mission => mission(text, path, domain),
+        FileKind::Ihtn => ihtn(text, path, domain),
+        FileKind::Map => {
+            let floor = map_loader::parse(text, file)?;
+            wiring::skill_resources(&floor, extensions)?;
+            let (places, ways) = (floor.topology.places.len(), floor.topology.edges.len());
+            Ok(format!("{}, {}", count(places, "place", "places"), count(ways, "way", "ways")))
+        }
+        FileKind::Fleet => {
+            let fleet: FleetConfig = config::load(path, domain)?;
+            wiring::fleet_settings(&fleet, extensions)?;
+            wiring::fleet_skill_resources(&fleet, extensions)?;
+            Ok(fleet.name.to_string())
+        }
+        FileKind::Robot => {
+            let robot: RobotConfig = config::load(path, domain)?;
+            let equipment = wiring::fleet_skill_resources(&robot.fleet.resolve(domain)?, extensions)?;
+            wiring::worker(&robot, &equipment.places)?;
+            Ok(robot.name.to_string())
+        }
+        FileKind::Station => {
+            let station: StationConfig = config::load(path, domain)?;
+            wiring::fleet_settings(&station.fleet.resolve(domain)?, extensions)?;
+            Ok(station.name.to_string())
+        }
+        FileKind::World => {
+            let world: WorldConfig = config::load(path, domain)?;
+            wiring::build_world(&world, &world.fleet.resolve(domain)?)?;
+            let robots = count(world.robot.len(), "robot", "robots");
+            Ok(format!("{robots}, {}", count(world.person.len(), "person", "people")))
+        }
+        FileKind::Workers => inputs::workers(text, file).map(|workers| format!("{} of them", workers.len())),
+        FileKind::Scenarios => inputs::scenarios(text, file).map(|scenarios| format!("{} of them", scenarios.len())),
+        FileKind::Design => {
+            Err(Diagnostic::for_file(file, "designs of evaluations are checked by consort-lab check").into())
+        }
+        FileKind::Calibration => {
+            let learned: Calibration = config::load(path, domain)?;
+            let skills = count(learned.skills.len(), "skill", "skills");
+            Ok(format!("{skills}, {}", count(learned.legs.len(), "leg", "legs")))
+        }
+    }
+}
+
+/// Checks a mission with its defaults. A parameter without a default gets a value of its kind.
+fn mission(text: &str, path: &Path, domain: &Domain) -> Result<String, Diagnostics> {
+    let file = &*path.display().to_string();
+    let template = MissionTemplate::parse(text, Format::of(Some(path), text))
+        .map_err(|error| Diagnostics::from(Diagnostic::for_file(file, error)))?;
+    let open = template.parameters().iter().filter(|(_, parameter)| parameter.default.is_none());
+    let sample = |kind: TemplateKind| match kind {
+        TemplateKind::Place => "Some Place",
+        TemplateKind::Seconds => "1",
+        TemplateKind::Text => "some text",
+    };
+    let given: BTreeMap<String, String> =
+        open.map(|(name, parameter)| (name.clone(), sample(parameter.kind).to_owned())).collect();
+    let (mission, recovery) = template.instantiate_with_recovery(&given, domain).map_err(|errors| {
+        Diagnostics(errors.diagnostics.iter().map(|problem| Diagnostic::for_file(file, problem)).collect())
+    })?;
+    let recovery = recovery.map(|recovery| size(&recovery, file)).transpose()?;
+    let of_recovery = recovery.map(|size| format!(", recovery with {size}"));
+    Ok(format!("{}, {}{}", template.name(), size(&mission, file)?, of_recovery.unwrap_or_default()))
+}
+
+/// Checks a flat iHTN. The format does not mark human roles: `nurse` is taken as a person.
+fn ihtn(text: &str, path: &Path, domain: &Domain) -> Result<String, Diagnostics> {
+    let file = &*path.display().to_string();
+    let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    let name = TaskId::new(stem).or_else(|_| TaskId::new("mission")).expect("a slug");
+    let slug = |text: &str| text.parse().expect("a slug");
+    let reading = IhtnOptions {
+        name,
+        unmanaged: BTreeSet::from(["nurse".parse().expect("a slug")]),
+        aliases: BTreeMap::from([("navto".to_owned(), slug("navigation"))]),
+    };
+    let mission = import_ihtn(text, &reading, domain).map_err(|errors| {
+        Diagnostics(errors.diagnostics.iter().map(|problem| Diagnostic::for_file(file, problem)).collect())
+    })?;
+    size(&mission, file)
+}
+
+/// Describes the size of a mission, after checking that it can be carried out.
+fn size(mission: &Mission, file: &str) -> Result<String, Diagnostics> {
+    let division = divide_and_check(mission).map_err(|error| Diagnostics::from(Diagnostic::for_file(file, error)))?;
+    let steps = division.plans.values().map(|plan| plan.steps.len()).sum();
+    let roles = count(mission.roles.len(), "role", "roles");
+    Ok(format!("{roles}, {}", count::<usize>(steps, "step", "steps")))
+}
+
+/// Detects the kind of a text.
+fn detect(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
+    if file.ends_with(".toml") {
+        return detect_toml(text, file);
+    }
+    if MapFormat::of(file).is_foreign() {
+        return Ok(FileKind::Map);
+    }
+    let value: Value = inputs::parse_any_format(text, file)?;
+    let all_tasks = |map: &serde_json::Map<String, Value>| {
+        !map.is_empty() && map.values().all(|node| node.get("parent").is_some() && node.get("type").is_some())
+    };
+    match &value {
+        Value::Array(list) if list.iter().any(|entry| entry.get("robots").is_some()) => Ok(FileKind::Scenarios),
+        Value::Array(list) if list.iter().any(|entry| entry.get("skills").is_some()) => Ok(FileKind::Workers),
+        Value::Object(map) => {
+            let has = |keys: &[&str]| keys.iter().any(|key| map.contains_key(*key));
+            if has(&["mission", "root"]) {
+                Ok(FileKind::Mission)
+            } else if has(&["places", "lanes"]) || (has(&["nodes"]) && has(&["edges"])) {
+                Ok(FileKind::Map)
+            } else if has(&["worker"]) {
+                Ok(FileKind::Workers)
+            } else if all_tasks(map) {
+                Ok(FileKind::Ihtn)
+            } else {
+                Err(unknown_kind(file, "a mission has `mission` and `root`, a map `places` and `lanes`"))
+            }
+        }
+        _ => Err(unknown_kind(file, "a mission has `mission` and `root`, a map `places` and `lanes`")),
+    }
+}
+
+fn unknown_kind(file: &str, hint: &str) -> Diagnostics {
+    Diagnostic::for_file(file, format!("the kind of this file cannot be detected: {hint}; name it with --kind")).into()
+}
+
+/// Detects the kind of a TOML file: the kind with most of its keys.
+fn detect_toml(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
+    let table: toml::Table = text.parse().map_err(|_| {
+        // Any kind serves to locate the syntax error.
+        config::from_text::<FleetConfig>(text, file, &Extensions::default().domain())
+            .err()
+            .unwrap_or_else(|| unknown_kind(file, "it is not TOML"))
+    })?;
+    // Keys that identify a kind. Robot and station files share most keys; only a robot has a place
+    // and skills.
+    const KEYS: [(FileKind, &[&str]); 6] = [
+        (FileKind::Workers, &["worker"]),
+        (FileKind::World, &["robot", "person", "seed", "speed", "durations"]),
+        (FileKind::Robot, &["place", "skills", "speed_mps", "battery", "discharge_share_per_s", "useful_charge"]),
+        (
+            FileKind::Fleet,
+            &[
+                "map",
+                "calibration",
+                "bootstrap_expect",
+                "timing",
+                "voters",
+                "dead_after_ms",
+                "link_lease_ms",
+                "stall_after_s",
+                "limits",
+                "requests",
+                "lease",
+                "auction",
+                "ensemble",
+            ],
+        ),
+        (
+            FileKind::Design,
+            &["repetitions", "policies", "treatments", "mission", "robots", "fixed", "factors", "travel"],
+        ),
+        (FileKind::Calibration, &["quantile", "to", "from", "legs"]),
+    ];
+    const STATION: &[&str] = &["fleet", "stationary", "mains_powered", "may_vote", "bus"];
+    let count = |keys: &[&str]| keys.iter().filter(|mark| table.contains_key(**mark)).count();
+    // Of equal counts the first kind wins; a station is the fallback.
+    let most = KEYS.iter().map(|(kind, keys)| (count(keys), *kind)).rev().max_by_key(|(count, _)| *count);
+    match most {
+        Some((1.., kind)) => Ok(kind),
+        _ if count(STATION) > 0 => Ok(FileKind::Station),
+        _ if table.contains_key("name") => Ok(FileKind::Fleet),
+        _ => Err(unknown_kind(
+            file,
+            "it has no key of a fleet, robot, station, world, workers, design or calibration file",
+        )),
+    }
+}

@@ -1,0 +1,320 @@
+//! Flags shared by several commands.
+
+use crate::config::{
+    BusConfig, ConfigFile, FleetConfig, FleetRef, LogFormat, NodeFile, TelemetryConfig, load, to_toml,
+};
+use crate::diagnostic::Diagnostics;
+use crate::exit::Failure;
+use crate::extensions::Extensions;
+use crate::wiring::NodeIncarnation;
+use crate::{node_runtime, output};
+use consort_fleet::node::NodeSettings;
+use consort_protocol::ids::FleetId;
+use consort_protocol::mission::Domain;
+use consort_protocol::timing::Timing;
+use consort_protocol::units::{BatteryShare, Seconds};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+/// Reads `NAME=VALUE`.
+pub(super) fn key_value(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
+        _ => Err("expected NAME=VALUE, as room='IC Room 6'".to_owned()),
+    }
+}
+
+/// Parses a battery share.
+pub(super) fn share(text: &str) -> Result<BatteryShare, String> {
+    quantity(text, BatteryShare::new)
+}
+
+pub(super) fn seconds(text: &str) -> Result<Seconds, String> {
+    quantity(text, Seconds::new)
+}
+
+pub(super) fn quantity<Q>(
+    text: &str,
+    new: impl Fn(f64) -> Result<Q, consort_protocol::units::UnitError>,
+) -> Result<Q, String> {
+    let number: f64 = text.parse().map_err(|_| format!("{text:?} is not a number"))?;
+    new(number).map_err(|problem| problem.to_string())
+}
+
+fn timing(text: &str) -> Result<Timing, String> {
+    match text {
+        "lan" => Ok(Timing::Lan),
+        "wifi" => Ok(Timing::Wifi),
+        _ => Err("allowed is lan or wifi".to_owned()),
+    }
+}
+
+/// Flags for running a node.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Running")]
+pub struct RunFlags {
+    /// Log filter for the standard error, warn, info, debug or trace, also by module
+    /// (info,consort_fleet=debug)
+    #[arg(long, env = "CONSORT_LOG", value_name = "FILTER")]
+    pub log: Option<String>,
+    /// Log format: text for people, or a JSON object per line for programs. Default: text
+    #[arg(long, env = "CONSORT_LOG_FORMAT", value_enum, value_name = "FORMAT")]
+    pub log_format: Option<LogFormat>,
+    /// Serve metrics for Prometheus at this address, as 127.0.0.1:9464; the page is /metrics.
+    /// Default: none
+    #[arg(long, env = "CONSORT_METRICS", value_name = "ADDRESS")]
+    pub metrics: Option<SocketAddr>,
+    /// Send spans of missions to this OpenTelemetry collector, by OTLP over HTTP, as
+    /// http://127.0.0.1:4318; needs a program built with the feature `otlp`
+    #[arg(long, env = "CONSORT_OTLP", value_name = "URL")]
+    pub otlp: Option<String>,
+    /// Print the effective configuration as TOML that can be read back, and exit
+    #[arg(long)]
+    pub print_config: bool,
+    /// Exit when the standard input is closed: for a parent process that must not leave child nodes
+    /// behind
+    #[arg(long, hide = true)]
+    pub until_stdin_closes: bool,
+}
+
+impl RunFlags {
+    /// Overrides the file's values with the given flags.
+    fn apply(&self, telemetry: &mut TelemetryConfig) {
+        let TelemetryConfig { log, log_format, metrics, otlp } = telemetry;
+        *log = self.log.clone().or_else(node_runtime::rust_log).or(log.take());
+        set(log_format, self.log_format);
+        *metrics = self.metrics.or(*metrics);
+        *otlp = self.otlp.clone().or(otlp.take());
+    }
+}
+
+/// Properties of a node that the autopilot uses.
+#[derive(Debug, clap::Args)]
+pub(super) struct VoterFlags {
+    /// The node does not move
+    #[arg(long, env = "CONSORT_STATIONARY", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
+    pub(super) stationary: Option<bool>,
+    /// The node runs on mains power
+    #[arg(long, env = "CONSORT_MAINS_POWERED", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
+    pub(super) mains_powered: Option<bool>,
+    #[command(flatten)]
+    pub(super) vote: MayVoteFlag,
+}
+
+/// Flag that permits a node to become a voter.
+#[derive(Debug, clap::Args)]
+pub(super) struct MayVoteFlag {
+    /// The node may keep a copy of the ledger, and coordinate
+    #[arg(long, env = "CONSORT_MAY_VOTE", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
+    pub(super) may_vote: Option<bool>,
+}
+
+/// Flags of all node commands.
+#[derive(Debug, clap::Args)]
+pub(super) struct NodeFlags {
+    #[command(flatten)]
+    store: StoreFlags,
+    #[command(flatten)]
+    bus: BusFlags,
+    #[command(flatten)]
+    dashboard_flags: DashboardFlags,
+    #[command(flatten)]
+    fleet: FleetFlags,
+    #[command(flatten)]
+    run: RunFlags,
+}
+
+impl NodeFlags {
+    /// Runs the node of a file, with flags overriding the file's values, or prints the effective
+    /// configuration. `wire` builds its parts, within the runtime.
+    ///
+    /// # Errors
+    /// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails.
+    pub(super) fn run<C: NodeFile + Clone>(
+        self,
+        mut file: C,
+        extensions: Extensions,
+        wire: impl FnOnce(&C, &FleetConfig, NodeIncarnation) -> Result<NodeSettings, Diagnostics>,
+    ) -> Result<(), Failure> {
+        let domain = &extensions.domain();
+        let surroundings = file.common_mut();
+        self.store.apply(surroundings.data_dir);
+        self.bus.apply(surroundings.bus);
+        self.run.apply(surroundings.telemetry);
+        *surroundings.dashboard = self.dashboard_flags.dashboard.or(*surroundings.dashboard);
+        let fleet = self.fleet.resolve(surroundings.fleet, domain)?;
+        *surroundings.fleet = FleetRef::from(fleet.clone());
+        finish_config(&mut file, domain)?;
+        if self.run.print_config {
+            return output::line(to_toml(&file).trim_end());
+        }
+        let config_for_node = file.clone();
+        let surroundings = file.common_mut();
+        node_runtime::run_node(self.run.until_stdin_closes, &surroundings, &fleet, || {
+            let data_dir = surroundings.data_dir.as_deref();
+            wire(&config_for_node, &fleet, NodeIncarnation::start(&config_for_node.node(), &fleet, data_dir)?)
+        })
+    }
+}
+
+/// Flags of the dashboard.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Dashboard")]
+struct DashboardFlags {
+    /// Serve the dashboard at this address, as 127.0.0.1:8088; port 0 selects any free port. The
+    /// address is printed. In an open fleet every client that reaches the address may submit and
+    /// cancel missions
+    #[arg(long, env = "CONSORT_DASHBOARD", value_name = "HOST:PORT")]
+    dashboard: Option<SocketAddr>,
+}
+
+/// Flags of the node's store.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Store")]
+struct StoreFlags {
+    /// Directory for the node's copy of the ledger, its vote, and its robot's checkpoint; created
+    /// if it does not exist. Without it all state is lost when the node ends, and the node returns
+    /// as a new member
+    #[arg(long, env = "CONSORT_DATA_DIR", value_name = "DIR")]
+    data_dir: Option<PathBuf>,
+}
+
+impl StoreFlags {
+    /// Overrides the file's value with the given flag.
+    fn apply(self, data_dir: &mut Option<PathBuf>) {
+        *data_dir = self.data_dir.or(data_dir.take());
+    }
+}
+
+/// Flags of the network.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Network")]
+struct BusFlags {
+    /// Address to listen on, as tcp/0.0.0.0:7447 (tls/… with --certs); may be repeated. Default:
+    /// loopback, any free port
+    #[arg(long, env = "CONSORT_LISTEN", value_delimiter = ',', value_name = "ADDRESS")]
+    listen: Vec<String>,
+    /// Neighbour to connect to, as tcp/192.0.2.7:7447; may be repeated. Two to four are recommended
+    #[arg(long, env = "CONSORT_CONNECT", value_delimiter = ',', value_name = "ADDRESS")]
+    connect: Vec<String>,
+    /// Folder with the node's certificate and key, as written by `consort cert`. Links are then
+    /// encrypted (tls/…), and nodes without a certificate of the fleet are rejected
+    #[arg(long, env = "CONSORT_CERTS", value_name = "DIR")]
+    certs: Option<PathBuf>,
+}
+
+impl BusFlags {
+    /// Overrides the file's values with the given flags.
+    fn apply(self, bus: &mut BusConfig) {
+        if !self.listen.is_empty() {
+            bus.listen = self.listen;
+        }
+        if !self.connect.is_empty() {
+            bus.connect = self.connect;
+        }
+        bus.certs = self.certs.or(bus.certs.take());
+    }
+}
+
+/// Flags that must be the same for all nodes of a fleet.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Fleet (the same for all its nodes)")]
+struct FleetFlags {
+    /// The fleet file
+    #[arg(long, env = "CONSORT_FLEET", value_name = "FILE")]
+    fleet: Option<PathBuf>,
+    /// The fleet's name
+    #[arg(long, env = "CONSORT_FLEET_NAME", value_name = "NAME")]
+    fleet_name: Option<FleetId>,
+    /// The map: the name of a bundled map (hospital), or a file
+    #[arg(long, env = "CONSORT_MAP", value_name = "NAME|FILE")]
+    map: Option<String>,
+    /// Number of nodes with may_vote that must have met before the ledger is created
+    #[arg(long, env = "CONSORT_BOOTSTRAP_EXPECT", value_name = "COUNT")]
+    bootstrap_expect: Option<usize>,
+    /// Timing preset of failure detection and elections: lan or wifi
+    #[arg(long, env = "CONSORT_TIMING", value_name = "PRESET", value_parser = timing)]
+    timing: Option<Timing>,
+    /// Target number of voters: 1, 3, 5, 7 or 9
+    #[arg(long, env = "CONSORT_VOTERS", value_name = "COUNT")]
+    voters: Option<usize>,
+    /// Time that a voter must be unreachable until another replaces it
+    #[arg(long, env = "CONSORT_DEAD_AFTER_MS", value_name = "MS")]
+    dead_after_ms: Option<u64>,
+    /// Time that a silent neighbour still counts as linked
+    #[arg(long, env = "CONSORT_LINK_LEASE_MS", value_name = "MS")]
+    link_lease_ms: Option<u64>,
+    /// Time without a finished step after which a role is taken from its robot, in seconds; 0 for
+    /// never
+    #[arg(long, env = "CONSORT_STALL_AFTER_S", value_name = "SECONDS")]
+    stall_after_s: Option<u64>,
+    /// Maximum time of a robot's part by its own estimate
+    #[arg(long, env = "CONSORT_TIME_LIMIT_S", value_name = "SECONDS", value_parser = seconds)]
+    time_limit_s: Option<Seconds>,
+    /// Charge that must be left after a mission, as a share
+    #[arg(long, env = "CONSORT_CHARGE_MIN", value_name = "SHARE", value_parser = share)]
+    charge_min: Option<BatteryShare>,
+    /// Maximum number of active missions; 0 for no limit
+    #[arg(long, env = "CONSORT_MISSIONS_MAX", value_name = "COUNT")]
+    missions_max: Option<usize>,
+    /// Maximum sustained number of requests per second; 0 for no limit
+    #[arg(long, env = "CONSORT_REQUESTS_PER_S", value_name = "COUNT")]
+    requests_per_s: Option<u32>,
+    /// Time after its last contact with the coordinator at which a robot suspends its role
+    #[arg(long, env = "CONSORT_LEASE_MS", value_name = "MS")]
+    lease_ms: Option<u64>,
+    /// Additional time that the coordinator waits before it gives the role to another robot
+    #[arg(long, env = "CONSORT_GRACE_MS", value_name = "MS")]
+    grace_ms: Option<u64>,
+    /// Time that an auction waits for a member that does not answer
+    #[arg(long, env = "CONSORT_WINDOW_MS", value_name = "MS")]
+    window_ms: Option<u64>,
+}
+
+impl FleetFlags {
+    /// Combines the fleet of the flags and of a node's file.
+    ///
+    /// # Errors
+    /// [`Failure::Usage`] for an invalid fleet.
+    fn resolve(self, named: &FleetRef, domain: &Domain) -> Result<FleetConfig, Failure> {
+        let mut fleet = match &self.fleet {
+            Some(path) => load(path, domain)?,
+            None => named.resolve(domain)?,
+        };
+        set(&mut fleet.name, self.fleet_name);
+        set(&mut fleet.map, self.map);
+        set(&mut fleet.bootstrap_expect, self.bootstrap_expect);
+        set(&mut fleet.timing, self.timing);
+        set(&mut fleet.voters, self.voters);
+        fleet.dead_after_ms = self.dead_after_ms.or(fleet.dead_after_ms);
+        fleet.link_lease_ms = self.link_lease_ms.or(fleet.link_lease_ms);
+        set(&mut fleet.stall_after_s, self.stall_after_s);
+        fleet.limits.time_s = self.time_limit_s.or(fleet.limits.time_s);
+        set(&mut fleet.limits.charge_min, self.charge_min);
+        set(&mut fleet.requests.missions, self.missions_max);
+        set(&mut fleet.requests.per_s, self.requests_per_s);
+        set(&mut fleet.lease.lease_ms, self.lease_ms);
+        set(&mut fleet.lease.grace_ms, self.grace_ms);
+        fleet.auction.window_ms = self.window_ms.or(fleet.auction.window_ms);
+        finish_config(&mut fleet, domain)?;
+        Ok(fleet)
+    }
+}
+
+/// Replaces a value if another is given.
+pub(super) fn set<T>(place: &mut T, given: Option<T>) {
+    if let Some(given) = given {
+        *place = given;
+    }
+}
+
+/// Resolves paths of flags relative to the current directory, and validates the result.
+///
+/// # Errors
+/// [`Failure::Usage`] for an invalid configuration.
+fn finish_config<C: ConfigFile>(config: &mut C, domain: &Domain) -> Result<(), Failure> {
+    let here = std::env::current_dir().unwrap_or_else(|_| PathBuf::from("/"));
+    config.resolve_paths(Path::new(&here));
+    let problems = config.validate(domain);
+    if problems.is_empty() { Ok(()) } else { Err(Failure::Usage(problems.join("\n"))) }
+}

@@ -1,0 +1,33 @@
+//! The commands, each in its own file with its flags and a function `run`.
+
+pub mod backup;
+pub mod cancel;
+pub mod cert;
+pub mod check;
+pub mod completions;
+pub mod doctor;
+mod drawn_world;
+pub mod dry_run;
+mod duration;
+pub mod explain;
+pub mod flags;
+pub mod fleet;
+pub mod keys;
+pub mod lab;
+pub mod leave;
+pub mod map;
+mod mission_action;
+pub mod missions;
+pub mod record;
+pub mod recover;
+pub mod replay;
+pub mod resolve;
+pub mod restore;
+pub mod robot;
+pub mod schema;
+pub mod station;
+pub mod submit;
+pub mod token;
+pub mod upgrade;
+pub mod watch;
+pub mod world;

@@ -1,0 +1,334 @@
+//! The fleet file: settings shared by all nodes of a fleet.
+
+use super::read::{join_normalized, resolve_path};
+use super::{ConfigFile, load};
+use crate::diagnostic::Diagnostics;
+use crate::map_loader::is_shipped;
+use consort_fleet::autopilot;
+use consort_fleet::coordinator::RequestLimits;
+use consort_protocol::auction::BidLimits;
+use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
+use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
+use consort_protocol::lease::LeaseTerms;
+use consort_protocol::mission::{AllowedNames, Domain};
+use consort_protocol::timing::{Timing, TimingParameters};
+use consort_protocol::units::{BatteryShare, Seconds};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{Deserializer, MapAccess, Visitor};
+use serde::ser::Serializer;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Default name of a fleet.
+pub const DEFAULT_FLEET: &str = "ward";
+
+/// A fleet file. Every key has a default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct FleetConfig {
+    /// The fleet's name: part of every key on the bus. Default `ward`.
+    pub name: FleetId,
+    /// The map: the name of a bundled map (`hospital`, the default), or the path of a file.
+    pub map: String,
+    /// Corrections to robots' estimates: a file written by `consort-lab experiment calibrate`. Robots
+    /// then bid with the measured cost of drives and tasks, and only if the battery lasts in all
+    /// but the worst cases. Default: no corrections.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<PathBuf>,
+    /// Number of nodes with `may_vote` that must have met, and agree on a founder, before the
+    /// ledger is created for the first time: as many as are started together. A node that receives
+    /// a ledger of this fleet's name creates no ledger; it listens for 0.6 s before it creates a
+    /// ledger, and queries all reachable nodes. So nodes that reach each other share a single
+    /// ledger, however few they expect. Parts of a fleet without any connection each create a
+    /// ledger if each has as many nodes as expected, and the two never merge: only more than half
+    /// of all nodes excludes that. Default 1, for starting nodes individually on a single machine.
+    pub bootstrap_expect: usize,
+    /// Timing preset of failure detection and elections: `lan` (default) for wired machines, `wifi`
+    /// for links that lose messages.
+    pub timing: Timing,
+    /// Target number of voters, an odd number from 1 to 9. More voters survive more simultaneous
+    /// failures, and slow each commit. Default 5.
+    pub voters: usize,
+    /// Time that a voter must be unreachable until another replaces it, in milliseconds. Default:
+    /// that of `timing`, 10000 or 20000: longer than a restart takes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dead_after_ms: Option<u64>,
+    /// Time that a silent neighbour still counts as linked, in milliseconds. Shorter: a silent loss
+    /// is detected earlier; a slow link is more easily mistaken for a loss. Default: that of
+    /// `timing`, 2000 or 5000.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub link_lease_ms: Option<u64>,
+    /// Time without a finished step after which a role is taken from its robot, in seconds, unless
+    /// the role waits for another role; 0 for never. Longer: slow drives are not interrupted, stuck
+    /// robots keep their roles for longer. Default 900.
+    pub stall_after_s: u64,
+    /// Limits of bids.
+    pub limits: LimitsConfig,
+    /// Limits of requests.
+    pub requests: RequestsConfig,
+    /// Duration of awards.
+    pub lease: LeaseConfig,
+    /// Settings of auctions.
+    pub auction: AuctionConfig,
+    /// The ensemble that receives calls for bids: at most 1. Default: robots with any skill that a
+    /// mission can use.
+    pub ensemble: Vec<EnsembleSpec>,
+}
+
+/// `[limits]`: limits of bids.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct LimitsConfig {
+    /// Maximum time of a robot's part by its own estimate, in world seconds. Default: no limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_s: Option<Seconds>,
+    /// Charge that must be left, as a share. Default 0.05: below it a robot stops dead.
+    pub charge_min: BatteryShare,
+}
+
+/// `[requests]`: limits of requests. A rejected client may retry.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RequestsConfig {
+    /// Maximum number of active missions; 0 for no limit. Default 1000.
+    pub missions: usize,
+    /// Maximum sustained number of requests (submit, cancel, resolve) per second, with bursts of
+    /// five times as many; 0 for no limit. Default 200.
+    pub per_s: u32,
+}
+
+/// `[lease]`: duration of awards without contact.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct LeaseConfig {
+    /// Time after its last contact with the coordinator at which a robot suspends its role, in
+    /// milliseconds. Longer: robots keep moving through blackouts; lost robots are replaced later.
+    /// Default 4000.
+    pub lease_ms: u64,
+    /// Additional time that the coordinator waits before it gives the role to another robot, in
+    /// milliseconds. It covers clock drift. Default 2000.
+    pub grace_ms: u64,
+}
+
+/// `[auction]`: settings of auctions.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct AuctionConfig {
+    /// Time that an auction waits for a member that does not answer, in milliseconds; it closes at
+    /// once when all have answered. Default: that of `timing`, 200 or 800.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub window_ms: Option<u64>,
+}
+
+impl Default for FleetConfig {
+    fn default() -> Self {
+        FleetConfig {
+            name: FleetId::new(DEFAULT_FLEET).expect("a slug"),
+            map: "hospital".to_owned(),
+            calibration: None,
+            bootstrap_expect: 1,
+            timing: Timing::default(),
+            voters: autopilot::VOTERS,
+            dead_after_ms: None,
+            link_lease_ms: None,
+            stall_after_s: 900,
+            limits: LimitsConfig::default(),
+            requests: RequestsConfig::default(),
+            lease: LeaseConfig::default(),
+            auction: AuctionConfig::default(),
+            ensemble: vec![],
+        }
+    }
+}
+
+impl Default for LimitsConfig {
+    fn default() -> Self {
+        let BidLimits { time, charge_min } = BidLimits::default();
+        LimitsConfig { time_s: time, charge_min }
+    }
+}
+
+impl Default for RequestsConfig {
+    fn default() -> Self {
+        let RequestLimits { missions_max: missions, requests_per_s } = RequestLimits::default();
+        RequestsConfig { missions, per_s: requests_per_s }
+    }
+}
+
+impl Default for LeaseConfig {
+    fn default() -> Self {
+        let LeaseTerms { lease, grace } = LeaseTerms::default();
+        let ms = |time: Duration| u64::try_from(time.as_millis()).expect("a default of seconds");
+        LeaseConfig { lease_ms: ms(lease), grace_ms: ms(grace) }
+    }
+}
+
+impl FleetConfig {
+    /// Returns the times of the preset, with individual overrides.
+    pub fn times(&self) -> TimingParameters {
+        let times = self.timing.parameters();
+        let or = |ms: Option<u64>, preset| ms.map_or(preset, Duration::from_millis);
+        TimingParameters {
+            dead_after: or(self.dead_after_ms, times.dead_after),
+            link_lease: or(self.link_lease_ms, times.link_lease),
+            auction_window: or(self.auction.window_ms, times.auction_window),
+            ..times
+        }
+    }
+
+    /// Returns the ensemble that receives calls for bids.
+    pub fn ensemble(&self, domain: &Domain) -> EnsembleSpec {
+        self.ensemble.first().cloned().unwrap_or_else(|| {
+            let skills = domain.task_types().cloned().collect();
+            EnsembleSpec::with_any_skill_of(EnsembleId::new("workers").expect("a slug"), skills)
+        })
+    }
+}
+
+impl ConfigFile for FleetConfig {
+    const KIND: &'static str = "fleet";
+
+    fn resolve_paths(&mut self, folder: &Path) {
+        if !is_shipped(&self.map) {
+            self.map = join_normalized(folder, Path::new(&self.map)).display().to_string();
+        }
+        resolve_path(&mut self.calibration, folder);
+    }
+
+    fn validate(&self, domain: &Domain) -> Vec<String> {
+        let mut validate = vec![];
+        let times = self.times();
+        let ms = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
+        let mut within = |key: &str, value: u64, least: u64, most: u64| {
+            if !(least..=most).contains(&value) {
+                validate.push(format!("{key} is {value}, allowed is {least} to {most}"));
+            }
+        };
+        within("bootstrap_expect", self.bootstrap_expect as u64, 1, 1_000);
+        within("voters", self.voters as u64, 1, autopilot::VOTERS_MAX as u64);
+        within("dead_after_ms", ms(times.dead_after), 1_000, 86_400_000);
+        within("link_lease_ms", ms(times.link_lease), 100, 600_000);
+        within("stall_after_s", self.stall_after_s, 0, 604_800);
+        within("requests.missions", self.requests.missions as u64, 0, 1_000_000);
+        within("requests.per_s", self.requests.per_s.into(), 0, 1_000_000);
+        within("lease.lease_ms", self.lease.lease_ms, 500, 3_600_000);
+        within("lease.grace_ms", self.lease.grace_ms, 200, 3_600_000);
+        within("auction.window_ms", ms(times.auction_window), 1, 60_000);
+        if self.voters.is_multiple_of(2) {
+            validate.push(format!("voters is {}, allowed is an odd number: 1, 3, 5, 7 or 9", self.voters));
+        }
+        if self.ensemble.len() > 1 {
+            let count = self.ensemble.len();
+            validate.push(format!("ensemble: {count} are declared; a single ensemble is allowed"));
+        }
+        for spec in &self.ensemble {
+            for skill in spec.skills.iter().filter(|skill| domain.get(skill).is_none()) {
+                validate.push(format!("ensemble {}: skills: {}", spec.name, unknown_skill(skill, domain)));
+            }
+            validate.extend(Ensemble::compile(spec.clone()).err().map(|problem| problem.to_string()));
+        }
+        validate
+    }
+}
+
+/// Describes an unknown skill, with the allowed task types.
+pub(super) fn unknown_skill(skill: &TaskType, domain: &Domain) -> String {
+    let allowed = AllowedNames::suggest_for(skill.as_str(), domain.task_types());
+    format!("there are no tasks of type `{skill}`; {allowed}")
+}
+
+/// A node file's `fleet`: the path of a fleet file, or the fleet as a table.
+#[derive(Debug, Clone, PartialEq)]
+pub enum FleetRef {
+    /// `fleet = "fleet.toml"`
+    File(PathBuf),
+    /// `[fleet]`
+    Table(Box<FleetConfig>),
+}
+
+impl Default for FleetRef {
+    fn default() -> Self {
+        FleetRef::Table(Box::default())
+    }
+}
+
+impl From<FleetConfig> for FleetRef {
+    fn from(fleet: FleetConfig) -> FleetRef {
+        FleetRef::Table(Box::new(fleet))
+    }
+}
+
+impl FleetRef {
+    /// Returns the fleet.
+    ///
+    /// # Errors
+    /// [`Diagnostics`] of the file.
+    pub fn resolve(&self, domain: &Domain) -> Result<FleetConfig, Diagnostics> {
+        match self {
+            FleetRef::File(path) => load(path, domain),
+            FleetRef::Table(fleet) => Ok((**fleet).clone()),
+        }
+    }
+
+    pub(super) fn resolve_paths(&mut self, folder: &Path) {
+        match self {
+            FleetRef::File(path) => *path = join_normalized(folder, path),
+            FleetRef::Table(fleet) => fleet.resolve_paths(folder),
+        }
+    }
+
+    pub(super) fn validate(&self, domain: &Domain) -> Vec<String> {
+        match self {
+            FleetRef::File(_) => vec![],
+            FleetRef::Table(fleet) => {
+                fleet.validate(domain).into_iter().map(|problem| format!("fleet: {problem}")).collect()
+            }
+        }
+    }
+}
+
+impl JsonSchema for FleetRef {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        "FleetRef".into()
+    }
+
+    fn json_schema(schemas: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "anyOf": [{ "type": "string" }, schemas.subschema_for::<FleetConfig>()] })
+    }
+}
+
+impl Serialize for FleetRef {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            FleetRef::File(path) => path.serialize(serializer),
+            FleetRef::Table(fleet) => fleet.serialize(serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for FleetRef {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<FleetRef, D::Error> {
+        struct PathOrTable;
+        impl<'de> Visitor<'de> for PathOrTable {
+            type Value = FleetRef;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("the path of a fleet file, or a table with the same keys")
+            }
+            fn visit_str<E>(self, path: &str) -> Result<FleetRef, E> {
+                Ok(FleetRef::File(PathBuf::from(path)))
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<FleetRef, A::Error> {
+                FleetConfig::deserialize(MapAccessDeserializer::new(map)).map(|fleet| FleetRef::Table(Box::new(fleet)))
+            }
+        }
+        deserializer.deserialize_any(PathOrTable)
+    }
+}

@@ -1,0 +1,138 @@
+//! The robot file: a node that controls a robot.
+
+use super::fleet::unknown_skill;
+use super::node::validate_common;
+use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
+use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
+use consort_protocol::mission::Domain;
+use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+/// A robot file. `name`, `place` and `skills` are required.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RobotConfig {
+    /// The robot's name, and its node's: unique in the fleet.
+    pub name: RobotId,
+    /// Its place until the driver has reported.
+    pub place: PlaceId,
+    /// The task types of its skills.
+    pub skills: BTreeSet<TaskType>,
+    /// Its average speed in metres per second, the basis of its estimates. None: it does not drive.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed_mps: Option<MetresPerSecond>,
+    /// Charge until the driver has reported, as a share. Default 1, a full battery.
+    #[serde(default = "full")]
+    pub battery: BatteryShare,
+    /// Charge used per second of work, as a share. Default 0: mains power.
+    #[serde(default = "nothing")]
+    pub discharge_share_per_s: SharePerSecond,
+    /// Charge below which it takes no work, as a share. Default 0.08, as in the published
+    /// evaluation.
+    #[serde(default = "useful_charge")]
+    pub useful_charge: BatteryShare,
+    /// True if the node does not move; such nodes are preferred as voters. Default: false.
+    #[serde(default)]
+    pub stationary: bool,
+    /// True if the node runs on mains power; such nodes are preferred as voters. Default: false.
+    #[serde(default)]
+    pub mains_powered: bool,
+    /// True if the node may keep a copy of the ledger, and coordinate. Default: true.
+    #[serde(default = "yes")]
+    pub may_vote: bool,
+    /// Directory of the node's store. Default: none, and all state is lost when the node ends.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub data_dir: Option<PathBuf>,
+    /// Address of the dashboard, as `127.0.0.1:8088`; port 0 selects any free port. Default: none,
+    /// and no dashboard is served.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dashboard: Option<SocketAddr>,
+    /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all
+    /// defaults.
+    #[serde(default)]
+    pub fleet: FleetRef,
+    /// Network settings.
+    #[serde(default)]
+    pub bus: BusConfig,
+    /// Log, metrics and spans.
+    #[serde(default)]
+    pub telemetry: TelemetryConfig,
+}
+
+fn full() -> BatteryShare {
+    BatteryShare::FULL
+}
+
+fn nothing() -> SharePerSecond {
+    SharePerSecond::new(0.0).expect("0 is a rate")
+}
+
+/// Default charge below which a robot takes no work.
+pub fn useful_charge() -> BatteryShare {
+    BatteryShare::new(0.08).expect("0.08 is a share")
+}
+
+impl RobotConfig {
+    /// Creates the configuration of a robot, with the defaults of a robot file.
+    pub fn new(name: RobotId, place: PlaceId, skills: BTreeSet<TaskType>) -> RobotConfig {
+        RobotConfig {
+            name,
+            place,
+            skills,
+            speed_mps: None,
+            battery: full(),
+            discharge_share_per_s: nothing(),
+            useful_charge: useful_charge(),
+            stationary: false,
+            mains_powered: false,
+            may_vote: true,
+            data_dir: None,
+            dashboard: None,
+            fleet: FleetRef::default(),
+            bus: BusConfig::default(),
+            telemetry: TelemetryConfig::default(),
+        }
+    }
+}
+
+impl ConfigFile for RobotConfig {
+    const KIND: &'static str = "robot";
+
+    fn resolve_paths(&mut self, folder: &Path) {
+        self.common_mut().resolve_paths(folder);
+    }
+
+    fn validate(&self, domain: &Domain) -> Vec<String> {
+        let unknown = self.skills.iter().filter(|skill| domain.get(skill).is_none());
+        let mut validate: Vec<String> =
+            unknown.map(|skill| format!("skills: {}", unknown_skill(skill, domain))).collect();
+        if self.skills.is_empty() {
+            validate.push("skills: the list is empty; such a robot would get no work".to_owned());
+        }
+        if self.skills.iter().any(|skill| skill.as_str() == "navigation") && self.speed_mps.is_none() {
+            validate.push("speed_mps: is missing, and the robot has the skill `navigation`".to_owned());
+        }
+        validate.extend(validate_common(&self.fleet, &self.bus, &self.telemetry, domain));
+        validate
+    }
+}
+
+impl NodeFile for RobotConfig {
+    fn node(&self) -> NodeId {
+        NodeId::from(self.name.clone())
+    }
+
+    fn common_mut(&mut self) -> CommonConfig<'_> {
+        CommonConfig {
+            data_dir: &mut self.data_dir,
+            dashboard: &mut self.dashboard,
+            telemetry: &mut self.telemetry,
+            fleet: &mut self.fleet,
+            bus: &mut self.bus,
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! `consort demo`: runs the main use case once from beginning to end.
+//!
+//! ```text
+//!  DemoScenario ─▶ DemoFleet (processes over Zenoh, or a single process on virtual time)
+//!                    ▲ kill, restart            │ bus
+//!                    └──────── DemoRunner ◀─────┘ events, views, requests
+//!                                 │
+//!                             DemoReporter ─▶ timeline and progress bars, or JSON lines
+//! ```
+//!
+//! The runner and the reporter do not depend on the kind of fleet.
+
+mod fleet;
+mod process_fleet;
+mod reporter;
+mod runner;
+mod scenario;
+mod virtual_fleet;
+
+pub use fleet::DemoFleet;
+pub use process_fleet::ProcessFleet;
+pub use scenario::{DemoScenario, MissionRequest};
+
+use crate::exit::Failure;
+use crate::extensions::Extensions;
+use crate::rendering::{self, RenderFlags};
+use crate::{map_loader, output};
+use consort_dashboard::address::BoundAddress;
+use consort_dashboard::admission::Admission;
+use consort_dashboard::fleet_model::FloorPlan;
+use consort_dashboard::server::Dashboard;
+use reporter::DemoReporter;
+use runner::{DemoOptions, DemoRunner};
+use std::net::SocketAddr;
+use virtual_fleet::VirtualFleet;
+
+/// Run the main use case: a fleet delivers lab samples and survives the failure of its coordinator
+///
+/// Starts a hospital, robots and an arm as processes that communicate over Zenoh on loopback,
+/// submits lab samples, kills the coordinator's process while the mission runs, and ends with the
+/// sample in the laboratory.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_long_help = "\
+Examples:
+  consort demo                          the main use case: a fleet of processes, its coordinator is killed
+  consort demo --missions 3 --robots 8  more missions and robots
+  consort demo --virtual --seed 7       the same fleet on virtual time: the same seed gives the same run
+  consort demo --virtual --record run.mcap --svg paths.svg    record it for Foxglove and as an image
+  consort demo --json | jq .event       every event as a line of JSON
+  consort demo --keep-running           leave the fleet running afterwards (Ctrl-C ends it)
+
+Exit codes: 0 all samples are in the laboratory; 1 they are not; 2 the flags are wrong; 130 interrupted.")]
+pub struct Args {
+    /// Number of mobile robots
+    #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u16).range(1..=100))]
+    robots: u16,
+    /// Number of missions, submitted together
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=100))]
+    missions: u16,
+    /// Do not kill the coordinator
+    #[arg(long)]
+    no_kill: bool,
+    /// World seconds per second [default: such that the demo takes under a minute]
+    #[arg(long, value_name = "X", value_parser = speed)]
+    speed: Option<f64>,
+    /// Seed of the robots' places and the nurses' speed
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Print every event as a line of JSON instead of the timeline
+    #[arg(long)]
+    json: bool,
+    /// Leave the fleet running after the summary, until Ctrl-C
+    #[arg(long, conflicts_with = "virtual_time")]
+    keep_running: bool,
+    /// Run the same fleet in this process on virtual time
+    #[arg(long = "virtual")]
+    virtual_time: bool,
+    /// First port of the processes [default: free ports]
+    #[arg(long, value_name = "PORT", conflicts_with = "virtual_time")]
+    port: Option<u16>,
+    /// Address of the dashboard [default: any free port on loopback]
+    #[arg(long, value_name = "HOST:PORT", conflicts_with = "virtual_time")]
+    dashboard: Option<SocketAddr>,
+    /// Mission to submit: the name of a bundled mission, or a file
+    #[arg(long, default_value = "lab-samples", value_name = "NAME|FILE")]
+    mission: String,
+    #[command(flatten)]
+    render: RenderFlags,
+}
+
+fn speed(text: &str) -> Result<f64, String> {
+    let speed: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    if (0.1..=200.0).contains(&speed) { Ok(speed) } else { Err("allowed is 0.1 to 200".to_owned()) }
+}
+
+impl Args {
+    /// The demo takes under a minute: three parallel missions take about 25 s at 8 world seconds
+    /// per second.
+    fn speed(&self) -> f64 {
+        self.speed.unwrap_or_else(|| 8.0 * f64::from(self.missions.div_ceil(3)).min(5.0))
+    }
+}
+
+/// Runs the demo.
+///
+/// # Errors
+/// [`Failure`] if it does not end with every sample in the laboratory.
+pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
+    let mission = runner::mission_request(&args.mission, &extensions.domain())?;
+    if args.render.is_enabled() && !args.virtual_time {
+        let what = "--record and --svg go with --virtual; of a fleet of processes, `consort world` records its world";
+        return Err(Failure::Usage(what.to_owned()));
+    }
+    let scenario = DemoScenario::new(usize::from(args.robots), usize::from(args.missions), args.speed(), args.seed);
+    let reporter = DemoReporter::new(args.json, &scenario);
+    let options = DemoOptions { kill: !args.no_kill, keep_running: args.keep_running, mission };
+    if args.virtual_time {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
+        let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;
+        runtime.block_on(async {
+            let fleet = VirtualFleet::start(&scenario, args.seed, &args.render, extensions).await?;
+            let world = fleet.world();
+            let played = DemoRunner::new(options, scenario, fleet, reporter, None).run().await;
+            played.and(rendering::finish_recording(&world, |file| output::note(format_args!("{file}"))))
+        })
+    } else {
+        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
+        let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;
+        runtime.block_on(async {
+            let program = std::env::current_exe();
+            let program =
+                program.map_err(|problem| Failure::Unsuccessful(format!("this program's own file: {problem}")))?;
+            let address = args.dashboard.unwrap_or(SocketAddr::from(([127, 0, 0, 1], 0)));
+            let address = BoundAddress::bind("--dashboard", address).await.map_err(Failure::Usage)?;
+            let floor_plan = FloorPlan::new(&map_loader::load(&scenario.fleet.map)?);
+            let fleet = ProcessFleet::start(&scenario, &program, args.port).await?;
+            let dashboard =
+                Dashboard::open(address, Admission::open(), fleet.bus(), &scenario.fleet.name, "demo", floor_plan);
+            DemoRunner::new(options, scenario, fleet, reporter, Some(dashboard)).run().await
+        })
+    }
+}

@@ -1,0 +1,401 @@
+//! The demo's sequence: wait for a coordinator, submit, kill the coordinator during the mission,
+//! wait for the end, check the samples' places.
+
+use super::fleet::DemoFleet;
+use super::reporter::DemoReporter;
+use super::scenario::DemoScenario;
+use crate::exit::Failure;
+use crate::inputs;
+use consort_bus::{Sample, Stream};
+use consort_dashboard::query::{QueryError, QueryTarget, query_once};
+use consort_dashboard::server::Dashboard;
+use consort_protocol::count::count;
+use consort_protocol::event::{Event, EventKind};
+use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::keys::{ApiCall, Key, Keys};
+use consort_protocol::ledger::MissionState;
+use consort_protocol::mission::Domain;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// Time limit for the first election.
+const ELECTION_LIMIT: Duration = Duration::from_secs(60);
+
+/// Time limit of a query.
+const QUERY_LIMIT: Duration = Duration::from_secs(2);
+
+/// Delay before a killed node is restarted after the takeover, as under a service manager with a
+/// restart delay.
+const RESTART_AFTER: Duration = Duration::from_secs(2);
+
+/// Options of the demo.
+pub(super) struct DemoOptions {
+    /// True if the coordinator is killed.
+    pub(super) kill: bool,
+    /// True if the fleet stays up after the summary.
+    pub(super) keep_running: bool,
+    /// The mission to submit, in the format of the API: a name, or a whole file.
+    pub(super) mission: Value,
+}
+
+/// Runs a demo on a fleet.
+pub(super) struct DemoRunner<S> {
+    options: DemoOptions,
+    scenario: DemoScenario,
+    fleet: S,
+    reporter: DemoReporter,
+    keys: Keys,
+    coordinator: Option<NodeId>,
+    /// Time of the kill, and the killed node.
+    killed: Option<(Duration, NodeId)>,
+    takeover: Option<(Duration, NodeId, Duration)>,
+    restarted: bool,
+    missions: BTreeMap<MissionId, MissionProgress>,
+    /// The dashboard, served as long as the demo runs.
+    dashboard: Option<Dashboard>,
+}
+
+/// Progress of a mission.
+struct MissionProgress {
+    room: String,
+    submitted: Duration,
+    award_ms: Option<f64>,
+    holders: String,
+    auctions: u32,
+    end: Option<(Duration, MissionState)>,
+}
+
+/// Returns the mission of a flag, in the format of the API: checked before anything is started.
+///
+/// # Errors
+/// [`Failure::Usage`] with the problem, or with the bundled missions.
+pub(super) fn mission_request(text: &str, domain: &Domain) -> Result<Value, Failure> {
+    let template = inputs::mission(text).map_err(|problems| Failure::Usage(format!("--mission {problems}")))?;
+    if !template.parameters().contains_key("room") {
+        return Err(Failure::Usage(format!(
+            "--mission {text}: it has no parameter `room`, which the demo gives each mission"
+        )));
+    }
+    let room = BTreeMap::from([("room".to_owned(), "IC Room 6".to_owned())]);
+    template.instantiate(&room, domain).map_err(|problem| Failure::Usage(format!("--mission {text}: {problem}")))?;
+    Ok(inputs::mission_request(text)?)
+}
+
+impl<S: DemoFleet> DemoRunner<S> {
+    pub(super) fn new(
+        options: DemoOptions,
+        scenario: DemoScenario,
+        fleet: S,
+        reporter: DemoReporter,
+        dashboard: Option<Dashboard>,
+    ) -> DemoRunner<S> {
+        let keys = Keys::new(&scenario.fleet.name);
+        DemoRunner {
+            options,
+            scenario,
+            fleet,
+            reporter,
+            keys,
+            coordinator: None,
+            killed: None,
+            takeover: None,
+            restarted: false,
+            missions: BTreeMap::new(),
+            dashboard,
+        }
+    }
+
+    /// Runs the demo from beginning to end, and shuts the fleet down in any case.
+    ///
+    /// # Errors
+    /// [`Failure`] unless every sample ends up in the laboratory.
+    pub(super) async fn run(mut self) -> Result<(), Failure> {
+        let mut outcome = self.run_phases().await;
+        if outcome.is_ok() && self.options.keep_running {
+            let at = self.fleet.elapsed();
+            let words = "the fleet runs until Ctrl-C";
+            outcome = self.reporter.demo_event(at, "running", words, json!({ "event": "demo_keeps_running" }));
+            self.fleet.interrupted().await;
+        }
+        self.fleet.shut_down().await;
+        outcome
+    }
+
+    async fn run_phases(&mut self) -> Result<(), Failure> {
+        let bus = self.fleet.bus();
+        let mut events = bus
+            .subscribe(&self.keys.any_events())
+            .await
+            .map_err(|problem| Failure::Unreachable(problem.to_string()))?;
+        self.reporter.begin(&self.fleet.description())?;
+        if let Some(dashboard) = &self.dashboard {
+            let (at, url) = (self.fleet.elapsed(), dashboard.url());
+            self.reporter.demo_event(at, "dashboard", &url, json!({ "event": "demo_dashboard", "url": url }))?;
+        }
+        self.await_coordinator(&mut events).await?;
+        self.submit_all(&mut events).await?;
+        self.watch(&mut events).await?;
+        self.summarize().await
+    }
+
+    async fn await_coordinator(&mut self, events: &mut Stream<Sample>) -> Result<(), Failure> {
+        let deadline = self.fleet.elapsed() + ELECTION_LIMIT;
+        while self.coordinator.is_none() {
+            if self.fleet.elapsed() >= deadline {
+                let voters = count(self.scenario.voters().len(), "node", "nodes");
+                let words = format!("no coordinator after {ELECTION_LIMIT:?}, with {voters} that may vote");
+                return Err(Failure::Unreachable(words));
+            }
+            self.listen(events, Duration::from_millis(100)).await?;
+            if let Some(view) = self.query_view(&Key::ViewCoordinator).await {
+                self.coordinator = view["node"].as_str().and_then(|node| node.parse().ok());
+            }
+        }
+        Ok(())
+    }
+
+    async fn submit_all(&mut self, events: &mut Stream<Sample>) -> Result<(), Failure> {
+        for request in self.scenario.requests.clone() {
+            let asked = json!({
+                "mission": self.options.mission,
+                "parameters": { "room": request.room },
+                "request": request.request,
+            });
+            let deadline = self.fleet.elapsed() + ELECTION_LIMIT;
+            let mission: MissionId = loop {
+                let problem = match self.query(&Key::Api(ApiCall::Submit), &asked.to_string(), QueryTarget::All).await {
+                    Ok(answer) => match answer["mission"].as_str().and_then(|id| id.parse().ok()) {
+                        Some(mission) => break mission,
+                        None => "an answer without a mission".to_owned(),
+                    },
+                    Err(QueryError::Rejected(problem) | QueryError::Retryable(problem, _)) => problem,
+                    Err(QueryError::NoReply) => "no reply".to_owned(),
+                };
+                if self.fleet.elapsed() >= deadline {
+                    return Err(Failure::Unsuccessful(format!("{} was not acknowledged: {problem}", request.request)));
+                }
+                self.listen(events, Duration::from_millis(200)).await?;
+            };
+            let (submitted, room) = (self.fleet.elapsed(), request.room.to_string());
+            let progress =
+                MissionProgress { room, submitted, award_ms: None, holders: String::new(), auctions: 0, end: None };
+            self.missions.entry(mission).or_insert(progress);
+        }
+        Ok(())
+    }
+
+    /// Follows the fleet until all missions have ended.
+    async fn watch(&mut self, events: &mut Stream<Sample>) -> Result<(), Failure> {
+        let arms = self.scenario.robots.iter().filter(|robot| robot.speed_mps.is_none()).count().max(1);
+        let rounds = u32::try_from(self.scenario.requests.len().div_ceil(arms)).unwrap_or(u32::MAX);
+        // Ten minutes of world time for each mission, and a minute for everything but driving.
+        let each = Duration::from_secs_f64(600.0 / self.scenario.world.speed);
+        let deadline = self.fleet.elapsed() + Duration::from_secs(60) + each * rounds;
+        while self.missions.values().any(|progress| progress.end.is_none()) {
+            if self.fleet.elapsed() >= deadline {
+                return Err(Failure::Unsuccessful(format!(
+                    "not all missions have ended after {:.0} s",
+                    deadline.as_secs_f64()
+                )));
+            }
+            self.listen(events, Duration::from_millis(500)).await?;
+            self.refresh_missions().await;
+        }
+        // Late events belong to the output too.
+        self.listen(events, Duration::from_millis(300)).await
+    }
+
+    /// Processes events for a while.
+    async fn listen(&mut self, events: &mut Stream<Sample>, time: Duration) -> Result<(), Failure> {
+        let until = tokio::time::Instant::now() + time;
+        loop {
+            if let Some(trouble) = self.fleet.unexpected_exit() {
+                return Err(Failure::Unsuccessful(trouble));
+            }
+            let sample = tokio::select! {
+                biased;
+                sample = events.recv() => sample,
+                () = self.fleet.interrupted() => return Err(Failure::Interrupted),
+                () = tokio::time::sleep_until(until) => return self.restart_killed_node().await,
+            };
+            let Some(sample) = sample else { return Err(Failure::Unreachable("the bus was closed".to_owned())) };
+            match serde_json::from_slice::<Event>(&sample.payload) {
+                Ok(event) => self.handle_event(&event).await?,
+                Err(problem) => tracing::warn!(%problem, "an event that cannot be read"),
+            }
+        }
+    }
+
+    async fn handle_event(&mut self, event: &Event) -> Result<(), Failure> {
+        let at = self.fleet.elapsed();
+        self.reporter.event(at, event)?;
+        match &event.kind {
+            EventKind::Elected { .. } => {
+                self.coordinator = Some(event.node.clone());
+                self.note_takeover(at, &event.node)?;
+            }
+            EventKind::BidsRequested { mission, .. } => {
+                if let Some(progress) = self.missions.get_mut(mission) {
+                    progress.auctions += 1;
+                }
+            }
+            EventKind::Awarded { mission, after_ms, .. } => {
+                if let Some(progress) = self.missions.get_mut(mission) {
+                    progress.award_ms = progress.award_ms.or(*after_ms);
+                }
+            }
+            EventKind::Mission { mission, state, .. } if state.is_final() => {
+                if let Some(progress) = self.missions.get_mut(mission) {
+                    progress.end.get_or_insert((at, state.clone()));
+                }
+            }
+            // The mission runs and its robots are active: kill now.
+            EventKind::TaskEnded { .. } if self.options.kill && self.killed.is_none() => self.kill().await?,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    async fn kill(&mut self) -> Result<(), Failure> {
+        let Some(victim) = self.coordinator.clone() else { return Ok(()) };
+        let at = self.fleet.elapsed();
+        self.killed = Some((at, victim.clone()));
+        let words = format!("SIGKILL to {victim}, the coordinator");
+        self.reporter.demo_event(at, "KILL", &words, json!({ "event": "demo_killed", "node": victim }))?;
+        self.fleet.kill(&victim).await
+    }
+
+    fn note_takeover(&mut self, at: Duration, node: &NodeId) -> Result<(), Failure> {
+        let Some((killed_at, victim)) = &self.killed else { return Ok(()) };
+        if self.takeover.is_some() || node == victim {
+            return Ok(());
+        }
+        let took = at.saturating_sub(*killed_at);
+        let ms = took.as_secs_f64() * 1000.0;
+        let words = format!("{node} is the coordinator {ms:.0} ms after the kill");
+        let value = json!({ "event": "demo_takeover", "node": node, "after_ms": ms });
+        self.takeover = Some((at, node.clone(), took));
+        self.reporter.demo_event(at, "TAKEOVER", &words, value)
+    }
+
+    async fn restart_killed_node(&mut self) -> Result<(), Failure> {
+        let (Some((_, victim)), Some((at, _, _))) = (&self.killed, &self.takeover) else { return Ok(()) };
+        let now = self.fleet.elapsed();
+        if self.restarted || now < *at + RESTART_AFTER {
+            return Ok(());
+        }
+        self.restarted = true;
+        let victim = victim.clone();
+        let words = format!("{victim} is started again");
+        self.reporter.demo_event(now, "restart", &words, json!({ "event": "demo_restarted", "node": victim }))?;
+        self.fleet.restart(&victim).await
+    }
+
+    /// Events may be lost; the coordinator has the state of the missions.
+    async fn refresh_missions(&mut self) {
+        let Some(view) = self.query_view(&Key::ViewMissions).await else { return };
+        let at = self.fleet.elapsed();
+        for entry in view["missions"].as_array().into_iter().flatten() {
+            let id = entry["mission"].as_str().and_then(|id| id.parse::<MissionId>().ok());
+            let Some(progress) = id.and_then(|id| self.missions.get_mut(&id)) else { continue };
+            let holders = entry["holders"].as_object().into_iter().flatten();
+            let holders = holders.map(|(role, robot)| format!("{role}: {}", robot.as_str().unwrap_or("?")));
+            progress.holders = holders.collect::<Vec<_>>().join(", ");
+            if let Ok(state) = serde_json::from_value::<MissionState>(entry["detail"].clone())
+                && state.is_final()
+            {
+                progress.end.get_or_insert((at, state));
+            }
+        }
+    }
+
+    async fn summarize(&mut self) -> Result<(), Failure> {
+        self.refresh_missions().await;
+        let world = self.query_view(&Key::ViewWorld).await.unwrap_or(Value::Null);
+        let samples: Vec<(String, String)> = world["samples"].as_array().into_iter().flatten().map(sample).collect();
+        let delivered = samples.iter().filter(|(_, place)| place == "Laboratory").count();
+
+        let (rows, missions) = self.table();
+        let completed = self
+            .missions
+            .values()
+            .filter(|progress| matches!(progress.end, Some((_, MissionState::Completed))))
+            .count();
+        let all = self.missions.len();
+        let mut words: Vec<String> = self.takeover_in_words().into_iter().collect();
+        words.push(format!(
+            "{completed} of {all} missions completed; {delivered} of {} samples in the laboratory",
+            samples.len()
+        ));
+        let takeover = self
+            .takeover
+            .as_ref()
+            .map(|(_, node, took)| json!({ "node": node, "after_ms": took.as_secs_f64() * 1000.0 }));
+        let value = json!({
+            "event": "demo_summary", "missions": missions, "completed": completed, "samples": samples.len(),
+            "delivered": delivered, "killed": self.killed.as_ref().map(|(_, node)| node), "takeover": takeover,
+        });
+        self.reporter.summary(&rows, &words, &value)?;
+        let no_takeover = self.killed.is_some() && self.takeover.is_none();
+        if completed == all && delivered == samples.len() && !no_takeover {
+            return Ok(());
+        }
+        Err(Failure::Unsuccessful("the demo did not end as expected".to_owned()))
+    }
+
+    /// Returns the result of each mission: a table for people, and the same for programs.
+    fn table(&self) -> (Vec<Vec<String>>, Vec<Value>) {
+        let heads = ["mission", "room", "outcome", "award", "took", "auctions", "roles"];
+        let mut rows = vec![heads.map(str::to_owned).to_vec()];
+        let mut missions = vec![];
+        for (mission, progress) in &self.missions {
+            let (outcome, took) = match &progress.end {
+                Some((at, state)) => (state.as_str(), at.saturating_sub(progress.submitted)),
+                None => ("unknown", Duration::ZERO),
+            };
+            let award = progress.award_ms.map_or_else(|| "-".to_owned(), |ms| format!("{ms:.1} ms"));
+            let took = took.as_secs_f64();
+            let row = [
+                mission.as_str(),
+                &progress.room,
+                outcome,
+                &award,
+                &format!("{took:.1} s"),
+                &progress.auctions.to_string(),
+                &progress.holders,
+            ];
+            rows.push(row.map(str::to_owned).to_vec());
+            missions.push(json!({
+                "mission": mission, "room": progress.room, "outcome": outcome, "award_ms": progress.award_ms,
+                "took_s": took, "auctions": progress.auctions, "holders": progress.holders,
+            }));
+        }
+        (rows, missions)
+    }
+
+    /// Describes the result of the kill, if there was a kill.
+    fn takeover_in_words(&self) -> Option<String> {
+        let (_, victim) = self.killed.as_ref()?;
+        Some(match &self.takeover {
+            Some((_, node, took)) => {
+                let ms = took.as_secs_f64() * 1000.0;
+                format!("coordinator {victim} killed; {node} took over within {ms:.0} ms")
+            }
+            None => format!("coordinator {victim} killed; no takeover was received"),
+        })
+    }
+
+    async fn query_view(&self, key: &Key) -> Option<Value> {
+        self.query(key, "", QueryTarget::Nearest).await.ok()
+    }
+
+    async fn query(&self, key: &Key, payload: &str, target: QueryTarget) -> Result<Value, QueryError> {
+        query_once(&*self.fleet.bus(), &self.keys.write(key), payload, QUERY_LIMIT, target).await
+    }
+}
+
+fn sample(report: &Value) -> (String, String) {
+    let text = |key: &str| report[key].as_str().unwrap_or("?").to_owned();
+    (text("id"), text("place"))
+}

@@ -1,0 +1,238 @@
+//! Loads missions, workers and scenarios, from files and by name.
+
+use crate::diagnostic::{Diagnostic, Diagnostics};
+use crate::file::{self, BYTES_MAX};
+use consort_protocol::ids::{PlaceId, RobotId, TaskType};
+use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::mission::{Format, MissionTemplate, shipped};
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use schemars::{JsonSchema, Schema, schema_for};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+/// Reads the text of a file.
+///
+/// # Errors
+/// [`Diagnostics`] with the reason why it cannot be read.
+pub fn read_text(path: &Path) -> Result<String, Diagnostics> {
+    file::read_text(path, BYTES_MAX).map_err(|problem| Diagnostic::for_file(path.display(), problem).into())
+}
+
+/// Loads a bundled mission by name, or else from a file.
+///
+/// # Errors
+/// [`Diagnostics`] of the file; if it does not exist, with the bundled missions.
+pub fn mission(name: &str) -> Result<MissionTemplate, Diagnostics> {
+    if let Some(template) = shipped().get(name) {
+        return Ok(template.clone());
+    }
+    let path = Path::new(name);
+    let text = mission_text(name)?;
+    MissionTemplate::parse(&text, Format::of(Some(path), &text))
+        .map_err(|error| Diagnostic::for_file(name, error).into())
+}
+
+/// Returns a mission as in a request to the coordinator: the name of a bundled mission, or a whole
+/// file as JSON.
+///
+/// # Errors
+/// See [`mission`].
+pub fn mission_request(name: &str) -> Result<Value, Diagnostics> {
+    if shipped().contains_key(name) {
+        return Ok(Value::String(name.to_owned()));
+    }
+    let text = mission_text(name)?;
+    let format = Format::of(Some(Path::new(name)), &text);
+    MissionTemplate::request(&text, format).map_err(|error| Diagnostic::for_file(name, error).into())
+}
+
+fn mission_text(name: &str) -> Result<String, Diagnostics> {
+    let path = Path::new(name);
+    if !path.exists() {
+        let known = shipped().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+        let what = format!("there is no such file, and no bundled mission of this name; bundled missions: {known}");
+        return Err(Diagnostic::for_file(name, what).into());
+    }
+    read_text(path)
+}
+
+/// Parses TOML, JSON or YAML, detected by the file's extension, or by the first character.
+///
+/// # Errors
+/// [`Diagnostics`] with line and column.
+pub fn parse_any_format<T: DeserializeOwned>(text: &str, file: &str) -> Result<T, Diagnostics> {
+    if file.ends_with(".toml") {
+        return toml::from_str(text).map_err(|error| Diagnostic::for_file(file, error.to_string().trim_end()).into());
+    }
+    let first = text.trim_start_matches('\u{feff}').trim_start().chars().next();
+    let json = file.ends_with(".json") || (matches!(first, Some('{' | '[')) && !file.ends_with(".yaml"));
+    if json {
+        serde_json::from_str(text).map_err(|error| Diagnostic::for_file(file, error).into())
+    } else {
+        serde_saphyr::from_str(text).map_err(|error| Diagnostic::for_file(file, error).into())
+    }
+}
+
+/// A worker of a workers file.
+///
+/// ```toml
+/// [[worker]]
+/// name = "ada"
+/// place = "Dock"
+/// skills = ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"]
+/// speed_mps = 0.15                  # left out: it does not drive
+/// battery = 0.9                     # default 1
+/// discharge_share_per_s = 0.0004    # default 0
+/// useful_charge = 0.08              # the default
+/// ```
+///
+/// In JSON and YAML the file is an object with a list `worker`, or just the list.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct WorkerEntry {
+    /// Its name.
+    pub name: RobotId,
+    /// Its start place.
+    pub place: PlaceId,
+    /// The task types of its skills.
+    pub skills: BTreeSet<TaskType>,
+    /// Its average speed in metres per second; none if it does not drive.
+    #[serde(default)]
+    pub speed_mps: Option<MetresPerSecond>,
+    /// Its charge, as a share.
+    #[serde(default = "full")]
+    pub battery: BatteryShare,
+    /// Charge used per second, as a share.
+    #[serde(default = "nothing")]
+    pub discharge_share_per_s: SharePerSecond,
+    /// Charge below which it takes no work, as a share.
+    #[serde(default = "crate::config::useful_charge")]
+    pub useful_charge: BatteryShare,
+}
+
+fn full() -> BatteryShare {
+    BatteryShare::FULL
+}
+
+fn nothing() -> SharePerSecond {
+    SharePerSecond::new(0.0).expect("0 is a rate")
+}
+
+impl WorkerEntry {
+    /// Returns the worker's knowledge record, free for work.
+    pub fn worker(&self, places: &BTreeMap<PlaceId, Pose>) -> RobotKnowledge {
+        RobotKnowledge {
+            skills: self.skills.clone(),
+            place: self.place.clone(),
+            // An unknown place causes an error in the estimator, which is reported there.
+            pose: places.get(&self.place).copied().unwrap_or_default(),
+            battery: self.battery,
+            discharge: self.discharge_share_per_s,
+            useful_charge: self.useful_charge,
+            speed: self.speed_mps,
+            availability: Availability::Free,
+            estimator: crate::wiring::ESTIMATOR_VERSION.to_owned(),
+        }
+    }
+}
+
+/// Workers for `consort dry-run`.
+#[derive(Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct WorkersFile {
+    /// The workers.
+    worker: Vec<WorkerEntry>,
+}
+
+/// Returns the JSON Schema of a workers file.
+pub fn workers_schema() -> Schema {
+    let mut schema = schema_for!(WorkersFile);
+    // In JSON and YAML the list alone is accepted; TOML needs a key.
+    let whole =
+        ["type", "properties", "required", "additionalProperties"].map(|key| (key.to_owned(), schema.remove(key)));
+    let whole: Map<String, Value> = whole.into_iter().filter_map(|(key, value)| Some((key, value?))).collect();
+    let list = whole["properties"]["worker"].clone();
+    schema.insert("anyOf".to_owned(), Value::Array(vec![Value::Object(whole), list]));
+    schema
+}
+
+/// Parses a workers file.
+///
+/// # Errors
+/// [`Diagnostics`] of the syntax, of duplicate names, or of an empty list.
+pub fn workers(text: &str, file: &str) -> Result<Vec<WorkerEntry>, Diagnostics> {
+    let list = !file.ends_with(".toml") && text.trim_start().starts_with(['[', '-']);
+    let workers: Vec<WorkerEntry> =
+        if list { parse_any_format(text, file)? } else { parse_any_format::<WorkersFile>(text, file)?.worker };
+    let mut names = BTreeSet::new();
+    let duplicates = workers.iter().filter(|worker| !names.insert(&worker.name));
+    let problem = |worker: &WorkerEntry| Diagnostic::for_file(file, format!("worker {} is defined twice", worker.name));
+    let mut problems: Vec<Diagnostic> = duplicates.map(problem).collect();
+    if workers.is_empty() {
+        problems.push(Diagnostic::for_file(file, "there is no worker"));
+    }
+    Diagnostics::into_result(problems).map(|()| workers)
+}
+
+/// A scenario of the published evaluation: the nurse's place, and six robots. Other fields of the
+/// file are ignored.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct PublishedScenario {
+    /// Its name in the publication.
+    pub code: String,
+    /// The nurse's place.
+    pub room: PlaceId,
+    /// The robots.
+    pub workers: Vec<WorkerEntry>,
+}
+
+#[derive(Deserialize)]
+struct ScenarioEntry {
+    code: String,
+    nurses: Vec<ScenarioNurse>,
+    robots: Vec<ScenarioRobot>,
+}
+
+#[derive(Deserialize)]
+struct ScenarioNurse {
+    location: PlaceId,
+}
+
+#[derive(Deserialize)]
+struct ScenarioRobot {
+    name: RobotId,
+    location: PlaceId,
+    skills: BTreeSet<TaskType>,
+    avg_speed: MetresPerSecond,
+    battery_charge: BatteryShare,
+    battery_discharge_rate: SharePerSecond,
+}
+
+/// Parses a file of scenarios in the published format.
+///
+/// # Errors
+/// [`Diagnostics`] of the syntax, or of a scenario without a nurse.
+pub fn scenarios(text: &str, file: &str) -> Result<Vec<PublishedScenario>, Diagnostics> {
+    let entries: Vec<ScenarioEntry> = parse_any_format(text, file)?;
+    let scenario = |entry: ScenarioEntry| {
+        let nurse = entry.nurses.into_iter().next();
+        let nurse =
+            nurse.ok_or_else(|| Diagnostic::for_file(file, format!("scenario {}: there is no nurse", entry.code)))?;
+        let worker = |robot: ScenarioRobot| WorkerEntry {
+            name: robot.name,
+            place: robot.location,
+            skills: robot.skills,
+            speed_mps: Some(robot.avg_speed),
+            battery: robot.battery_charge,
+            discharge_share_per_s: robot.battery_discharge_rate,
+            useful_charge: crate::config::useful_charge(),
+        };
+        let workers = entry.robots.into_iter().map(worker).collect();
+        Ok(PublishedScenario { code: entry.code, room: nurse.location, workers })
+    };
+    entries.into_iter().map(scenario).collect::<Result<_, Diagnostic>>().map_err(Diagnostics::from)
+}

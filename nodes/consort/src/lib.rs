@@ -1,0 +1,32 @@
+//! Configuration, command line and wiring of the program `consort`.
+//!
+//! [`config`] reads files, [`wiring`] builds nodes from them, and each command in [`command`] runs
+//! or queries nodes. Missions, auctions and worlds are implemented in other crates; no plan and no
+//! price is computed here.
+
+pub mod certs;
+pub mod check;
+pub mod cli;
+pub mod client;
+pub mod command;
+pub mod config;
+pub mod demo;
+pub mod diagnostic;
+pub mod doctor;
+pub mod dry_run;
+pub mod exit;
+pub mod extensions;
+mod file;
+pub mod inputs;
+mod lab_program;
+pub mod map_loader;
+pub mod metrics;
+pub mod node_runtime;
+pub mod output;
+pub mod rendering;
+mod service_manager;
+mod shutdown_signals;
+pub mod telemetry;
+pub mod trust;
+pub mod tui;
+pub mod wiring;

@@ -1,0 +1,295 @@
+//! The fleet on a terminal: a [`FleetModel`] drawn as text, and key bindings.
+//!
+//! It draws cells from values; `consort watch` reads the keys and writes to the terminal.
+
+mod panels;
+
+use consort_dashboard::fleet_model::{FleetModel, ReachabilityState};
+use consort_protocol::count::count;
+use ratatui::Frame;
+use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::text::{Line, Span};
+
+/// Minimum width for two columns.
+const WIDE: u16 = 110;
+
+/// Key bindings, for the last line.
+const KEYS: &str = " q quit   Tab next panel   ↑ ↓ PgUp PgDn move   the auction is that of the selected mission";
+
+/// A part of the screen with a selection.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Panel {
+    /// The robots.
+    Robots,
+    /// The missions.
+    Missions,
+    /// The bids of the latest auction of the selected mission.
+    Auction,
+    /// The events.
+    Log,
+}
+
+impl Panel {
+    const ALL: [Panel; 4] = [Panel::Robots, Panel::Missions, Panel::Auction, Panel::Log];
+}
+
+/// Result of a key press.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum KeyOutcome {
+    /// Continue.
+    Continue,
+    /// Quit.
+    Quit,
+}
+
+/// Use of colours; without them bold and reverse have the same meaning.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ColorMode {
+    /// The terminal's colours.
+    Color,
+    /// No colours.
+    Plain,
+}
+
+impl ColorMode {
+    fn of(self, colour: Color) -> Style {
+        match self {
+            ColorMode::Color => Style::new().fg(colour),
+            ColorMode::Plain => Style::new(),
+        }
+    }
+
+    fn good(self) -> Style {
+        self.of(Color::Green)
+    }
+
+    fn bad(self) -> Style {
+        self.of(Color::Red).add_modifier(Modifier::BOLD)
+    }
+
+    fn work(self) -> Style {
+        self.of(Color::Cyan)
+    }
+
+    fn faint(self) -> Style {
+        Style::new().add_modifier(Modifier::DIM)
+    }
+}
+
+/// Focus and selection of the terminal interface.
+#[derive(Debug)]
+pub struct Tui {
+    paint: ColorMode,
+    focus: Panel,
+    /// The selected row of each panel, in the order of [`Panel::ALL`]; the log counts from the
+    /// newest.
+    rows: [usize; 4],
+}
+
+impl Tui {
+    /// Creates the interface with the focus on the missions, the newest first.
+    pub fn new(paint: ColorMode) -> Tui {
+        Tui { paint, focus: Panel::Missions, rows: [0; 4] }
+    }
+
+    /// Handles a key press.
+    pub fn handle_key(&mut self, key: KeyEvent) -> KeyOutcome {
+        if key.kind == KeyEventKind::Release {
+            return KeyOutcome::Continue;
+        }
+        let row = &mut self.rows[self.focus as usize];
+        match key.code {
+            KeyCode::Char('q') | KeyCode::Esc => return KeyOutcome::Quit,
+            KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return KeyOutcome::Quit,
+            KeyCode::Tab => self.focus = self.beside(1),
+            KeyCode::BackTab => self.focus = self.beside(Panel::ALL.len() - 1),
+            KeyCode::Down | KeyCode::Char('j') => *row = row.saturating_add(1),
+            KeyCode::Up | KeyCode::Char('k') => *row = row.saturating_sub(1),
+            KeyCode::PageDown => *row = row.saturating_add(10),
+            KeyCode::PageUp => *row = row.saturating_sub(10),
+            KeyCode::Home => *row = 0,
+            _ => {}
+        }
+        KeyOutcome::Continue
+    }
+
+    fn beside(&self, steps: usize) -> Panel {
+        Panel::ALL[(self.focus as usize + steps) % Panel::ALL.len()]
+    }
+
+    /// Draws the model at `now_ms`.
+    pub fn draw(&mut self, frame: &mut Frame<'_>, model: &FleetModel, now_ms: u64) {
+        let lines = [Constraint::Length(2), Constraint::Min(0), Constraint::Length(1)];
+        let [head, body, foot] = Layout::vertical(lines).areas(frame.area());
+        let halves = [Constraint::Percentage(50), Constraint::Percentage(50)];
+        let [robots, missions, auction, log] = if body.width >= WIDE {
+            let [left, right] = Layout::horizontal(halves).areas::<2>(body);
+            let [robots, log] = Layout::vertical(halves).areas(left);
+            let [missions, auction] = Layout::vertical(halves).areas(right);
+            [robots, missions, auction, log]
+        } else {
+            // The focused panel gets the remaining space.
+            let part = |panel| if panel == self.focus { Constraint::Min(5) } else { Constraint::Length(5) };
+            Layout::vertical(Panel::ALL.map(part)).areas(body)
+        };
+        self.head(frame, head, model, now_ms);
+        self.robots(frame, robots, model, now_ms);
+        let chosen = self.missions(frame, missions, model, now_ms);
+        self.auction(frame, auction, model, chosen.as_deref());
+        self.log(frame, log, model, now_ms);
+        frame.render_widget(Line::styled(KEYS, self.paint.faint()), foot);
+    }
+
+    /// Draws the coordinator and the state of the connection; below, key figures.
+    fn head(&self, frame: &mut Frame<'_>, area: Rect, model: &FleetModel, now_ms: u64) {
+        let reachability = model.reachability();
+        let contact = match reachability.last_contact_ms {
+            Some(at) => format!("last contact with a coordinator {} ago", format_span(now_ms.saturating_sub(at))),
+            None => "no contact with a coordinator yet".to_owned(),
+        };
+        let coordinator = match model.coordinator() {
+            Some(shown) => format!("coordinator {}, term {}", shown.node, shown.term),
+            None => "no coordinator is known".to_owned(),
+        };
+        let state = match reachability.state {
+            ReachabilityState::Connected => Span::styled("live", self.paint.good()),
+            ReachabilityState::NoCoordinator => {
+                Span::styled(format!("NO COORDINATOR: {contact}; the data is old"), self.paint.bad())
+            }
+            ReachabilityState::Isolated => {
+                Span::styled(format!("CUT OFF: {contact}; the data is old"), self.paint.bad())
+            }
+        };
+        let bold = Style::new().add_modifier(Modifier::BOLD);
+        let first = Line::from_iter([Span::styled(" Consort ", bold), Span::raw(coordinator), Span::raw("   "), state]);
+        let kpis = model.kpis();
+        let success = kpis.success.map_or("-".to_owned(), |share| format!("{:.0} %", share * 100.0));
+        let completion = kpis.completion_ms.map_or("-".to_owned(), format_span);
+        let second = format!(
+            " {}, {} under way, success {success}, median {completion}   {} of {} at work   {}",
+            count(kpis.missions, "mission", "missions"),
+            kpis.under_way,
+            kpis.busy,
+            count(kpis.in_service, "robot", "robots"),
+            count(kpis.takeovers, "takeover", "takeovers")
+        );
+        frame.render_widget(ratatui::widgets::Paragraph::new(vec![first, Line::raw(second)]), area);
+    }
+}
+
+/// Formats a duration in a few characters.
+fn format_span(ms: u64) -> String {
+    match ms / 1000 {
+        0 => format!("{ms} ms"),
+        seconds @ 1..=119 => format!("{seconds} s"),
+        seconds @ 120..=7199 => format!("{} min", seconds / 60),
+        seconds => format!("{} h", seconds / 3600),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_dashboard::fleet_model::FloorPlan;
+    use consort_protocol::event::{Event, EventKind};
+    use consort_protocol::keys::Key;
+    use consort_protocol::ledger::MissionState;
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+    use serde_json::json;
+
+    const NOW_MS: u64 = 100_000;
+
+    /// A fleet of two robots and a mission, as published by a coordinator.
+    fn model() -> FleetModel {
+        let mut model = FleetModel::new("ward", "desk", FloorPlan::default(), 0);
+        let worker = json!({ "skills": ["navigation"], "place": "Dock", "pose": { "x": 0.0, "y": 0.0, "yaw": 0.0 },
+            "battery": 0.42, "discharge": 0.0001, "useful_charge": 0.1, "speed": 0.5, "availability": "free",
+            "estimator": "standard" });
+        let node = |name: &str, alive: bool| {
+            json!({ "node": name, "alive": alive, "status": if alive { "alive" } else { "down" }, "age_ms": 100,
+                "may_vote": true, "stationary": false, "mains_powered": false, "leaving": false, "robot": worker })
+        };
+        model.apply_view(&Key::ViewFleet, &json!({ "nodes": [node("ada", true), node("bea", false)] }), NOW_MS);
+        let coordinator = json!({ "node": "ada", "term": 3, "since_ms": 1000, "voters": ["ada"], "observers": [] });
+        model.apply_view(&Key::ViewCoordinator, &coordinator, NOW_MS);
+        let mission = json!({ "mission": "lab-samples-1", "state": "running", "detail": "running", "done": 4, "steps": 16,
+            "holders": { "r1": "ada" }, "parameters": {}, "priority": 0, "submitted_at_ms": 40_000 });
+        model.apply_view(&Key::ViewMissions, &json!({ "missions": [mission] }), NOW_MS);
+        model
+    }
+
+    fn drawn(screen: &mut Tui, model: &FleetModel, width: u16, height: u16) -> String {
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        terminal.draw(|frame| screen.draw(frame, model, NOW_MS)).unwrap();
+        terminal.backend().to_string()
+    }
+
+    fn press(screen: &mut Tui, code: KeyCode) -> KeyOutcome {
+        screen.handle_key(KeyEvent::new(code, KeyModifiers::NONE))
+    }
+
+    #[test]
+    fn the_whole_fleet_fits_on_a_screen() {
+        for (width, height) in [(140, 40), (80, 24)] {
+            let text = drawn(&mut Tui::new(ColorMode::Plain), &model(), width, height);
+            for part in ["coordinator ada, term 3", "lab-samples-1", "running", "4/16", "42 %", "bea", "down", "q quit"]
+            {
+                assert!(text.contains(part), "{part} is not on {width}x{height}:\n{text}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_unreachable_fleet_is_marked_as_old() {
+        let mut model = model();
+        model.apply_links(0, NOW_MS + 10_000);
+        let text = drawn(&mut Tui::new(ColorMode::Plain), &model, 140, 40);
+        assert!(text.contains("the data is old"), "{text}");
+    }
+
+    #[test]
+    fn the_log_shows_the_newest_events_at_the_top() {
+        let mut model = model();
+        for (sequence, state) in [(1, MissionState::Running), (2, MissionState::Completed)] {
+            let mission = "lab-samples-1".parse().unwrap();
+            let kind = EventKind::Mission { mission, state, submitted_at_ms: 0 };
+            let event = Event { node: "ada".parse().unwrap(), sequence, at_ms: NOW_MS, kind };
+            model.apply_event(&event, NOW_MS);
+        }
+        let text = drawn(&mut Tui::new(ColorMode::Plain), &model, 140, 40);
+        let log = &text[text.find(" Log ").expect("a log")..];
+        let at = |word: &str| log.find(word).unwrap_or_else(|| panic!("{word} in\n{log}"));
+        assert!(at("completed") < at("running"), "{text}");
+    }
+
+    #[test]
+    fn keys_move_between_panels_and_rows_and_end() {
+        let mut screen = Tui::new(ColorMode::Plain);
+        assert_eq!(press(&mut screen, KeyCode::Tab), KeyOutcome::Continue);
+        assert_eq!(screen.focus, Panel::Auction);
+        press(&mut screen, KeyCode::BackTab);
+        press(&mut screen, KeyCode::BackTab);
+        assert_eq!(screen.focus, Panel::Robots);
+        press(&mut screen, KeyCode::PageDown);
+        assert_eq!(screen.rows[0], 10);
+        drawn(&mut screen, &model(), 140, 40);
+        assert_eq!(screen.rows[0], 1, "there are two robots");
+        press(&mut screen, KeyCode::Up);
+        press(&mut screen, KeyCode::Up);
+        assert_eq!(screen.rows[0], 0);
+        assert_eq!(press(&mut screen, KeyCode::Char('q')), KeyOutcome::Quit);
+        let control_c = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
+        assert_eq!(screen.handle_key(control_c), KeyOutcome::Quit);
+    }
+
+    #[test]
+    fn an_empty_model_and_a_tiny_terminal_are_drawn_too() {
+        let nothing = FleetModel::new("ward", "desk", FloorPlan::default(), 0);
+        let text = drawn(&mut Tui::new(ColorMode::Color), &nothing, 120, 30);
+        assert!(text.contains("no coordinator is known"), "{text}");
+        drawn(&mut Tui::new(ColorMode::Color), &model(), 1, 1);
+    }
+}

@@ -1,0 +1,347 @@
+//! Builds the parts of a node from its configuration. The commands connect them to Zenoh; the
+//! demo's virtual fleet uses the virtual bus.
+
+use crate::config::{self, BusConfig, FleetConfig, RobotConfig, StationConfig, WorldConfig};
+use crate::diagnostic::{Diagnostic, Diagnostics};
+use crate::extensions::Extensions;
+use crate::map_loader;
+use consort_bus::ZenohSettings;
+use consort_bus::clock::Clock;
+use consort_bus::zenoh_bus::LinkTrust;
+use consort_dashboard::loaded_map::LoadedMap;
+use consort_evaluation::calibration::Calibration;
+use consort_fleet::coordinator::RequestLimits;
+use consort_fleet::node::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
+use consort_protocol::auction::{BidLimits, OptimalAssignment};
+use consort_protocol::ensemble::Ensemble;
+use consort_protocol::ids::{FleetId, NodeId, PlaceId};
+use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::lease::LeaseTerms;
+use consort_protocol::mission::AllowedNames;
+use consort_protocol::mission::Domain;
+use consort_protocol::pose::Pose;
+use consort_raft::StoreIdentity;
+use consort_raft::store::{DurableStore, NodeStore, StoreOwner};
+use consort_skills::descriptor::{DescriptorRegistry, Estimator};
+use consort_skills::environment::{Environment, Passages, Routes};
+use consort_skills::library::SkillLibrary;
+use consort_world::map::Map;
+use consort_world::world::{SharedWorld, World, WorldSetup};
+use rand::TryRng;
+use rand::rngs::SysRng;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+use tracing::warn;
+
+/// Version of this program's estimators, as nodes publish it. It changes with the estimators'
+/// results, and not with each release: bids of two releases in a fleet must be comparable.
+pub const ESTIMATOR_VERSION: &str = "standard-1";
+
+/// Values of a single incarnation of a node.
+#[derive(Clone)]
+pub struct NodeIncarnation {
+    /// Its clock.
+    pub clock: Clock,
+    /// Incarnation number, larger than in any former run of the node: milliseconds since 1970,
+    /// unless the clock was set back.
+    pub incarnation: u64,
+    /// Seed of its random numbers.
+    pub seed: u64,
+    /// Its store, with the state of former runs.
+    pub store: NodeStore,
+}
+
+impl NodeIncarnation {
+    /// Starts an incarnation of `node` on a real machine, with the state in `data_dir`. Called
+    /// within a tokio runtime.
+    ///
+    /// # Errors
+    /// [`Diagnostics`] of the data directory.
+    pub fn start(node: &NodeId, fleet: &FleetConfig, data_dir: Option<&Path>) -> Result<NodeIncarnation, Diagnostics> {
+        let clock = Clock::real();
+        let seed = random_u64();
+        let (store, incarnation) = match data_dir {
+            Some(folder) => {
+                let of = |problem: &dyn Display| Diagnostics::from(Diagnostic::for_file("data_dir", problem));
+                let owner = StoreOwner { fleet: fleet.name.clone(), node: node.clone() };
+                let store = DurableStore::open(folder, &owner, new_store_identity()).map_err(|problem| of(&problem))?;
+                let incarnation = store.begin_incarnation(clock.wall_ms()).map_err(|problem| of(&problem))?;
+                (store.into_node_store(), incarnation)
+            }
+            None => {
+                warn!(
+                    %node,
+                    "no --data-dir: the node's state is kept in memory only and is lost when it ends; \
+                     the node then returns as a new member"
+                );
+                (NodeStore::in_memory(seed), clock.wall_ms())
+            }
+        };
+        Ok(NodeIncarnation { clock, incarnation, seed, store })
+    }
+}
+
+/// Creates a unique store identity.
+pub(crate) fn new_store_identity() -> StoreIdentity {
+    StoreIdentity(u128::from(random_u64()) << 64 | u128::from(random_u64()))
+}
+
+/// Returns a random number of the system.
+pub(crate) fn random_u64() -> u64 {
+    SysRng.try_next_u64().expect("the system has random numbers")
+}
+
+/// Estimator and skills of robots in an environment; identical for all of them, so they may be
+/// shared.
+#[derive(Clone)]
+pub struct SkillResources {
+    /// The task types, with the places of the map.
+    pub domain: Arc<Domain>,
+    /// Positions of the places.
+    pub places: BTreeMap<PlaceId, Pose>,
+    /// Estimates the cost of tasks.
+    pub estimator: Arc<Estimator>,
+    /// Carries out tasks.
+    pub library: Arc<SkillLibrary>,
+}
+
+/// Builds the settings common to all nodes of the fleet. Reads the fleet's map, since the
+/// coordinator accepts missions to its places only.
+///
+/// # Errors
+/// [`Diagnostics`] of the ensemble, or of the map.
+pub fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Result<FleetSettings, Diagnostics> {
+    let places = map_loader::load(&config.map)?.topology.places;
+    let domain = extensions.domain();
+    let ensemble = Ensemble::compile(config.ensemble(&domain)).map_err(|problem| Diagnostic::for_file("", problem))?;
+    Ok(FleetSettings {
+        fleet: config.name.clone(),
+        ensemble: Arc::new(ensemble),
+        domain: Arc::new(domain.with_places(places.into_keys())),
+        limits: limits(config),
+        request_limits: RequestLimits { missions_max: config.requests.missions, requests_per_s: config.requests.per_s },
+        allocator: Arc::new(OptimalAssignment),
+        lease_terms: LeaseTerms {
+            lease: Duration::from_millis(config.lease.lease_ms),
+            grace: Duration::from_millis(config.lease.grace_ms),
+        },
+        bid_window: config.times().auction_window,
+        stall_timeout: Duration::from_secs(config.stall_after_s),
+        bootstrap_expect: config.bootstrap_expect,
+        timing: config.timing,
+        voters: config.voters,
+        dead_after: config.times().dead_after,
+        map: None,
+    })
+}
+
+/// Returns the limits of bids.
+pub fn limits(config: &FleetConfig) -> BidLimits {
+    BidLimits { time: config.limits.time_s, charge_min: config.limits.charge_min }
+}
+
+/// Builds the estimator and the skills of robots on a map.
+///
+/// # Errors
+/// [`Diagnostics`] of the map.
+pub fn skill_resources(floor: &LoadedMap, extensions: Extensions) -> Result<SkillResources, Diagnostics> {
+    let LoadedMap { topology, map } = floor;
+    let routes = Routes::new(topology).map_err(|problem| Diagnostic::for_file("map", problem))?;
+    let passages = map.as_ref().map_or_else(Passages::default, Map::passages);
+    let environment = Environment::new().with(routes).with(passages);
+    let estimator = extensions.descriptors(DescriptorRegistry::standard()).resolve(environment.clone());
+    let estimator = estimator.map_err(|problem| Diagnostic::for_file("", problem))?;
+    let library = Arc::new(extensions.library(environment)?);
+    let domain = Arc::new(extensions.domain().with_places(topology.places.keys().cloned()));
+    Ok(SkillResources { domain, places: topology.places.clone(), estimator: Arc::new(estimator), library })
+}
+
+/// Builds the estimator and the skills of robots on the fleet's map, with learned corrections.
+///
+/// # Errors
+/// [`Diagnostics`] of the map, or of the calibration.
+pub fn fleet_skill_resources(fleet: &FleetConfig, extensions: Extensions) -> Result<SkillResources, Diagnostics> {
+    let equipment = skill_resources(&map_loader::load(&fleet.map)?, extensions)?;
+    let Some(file) = &fleet.calibration else { return Ok(equipment) };
+    let learned: Arc<Calibration> = Arc::new(config::load(file, &extensions.domain())?);
+    let estimator = extensions.descriptors(learned.descriptors()).resolve(equipment.estimator.environment().clone());
+    let estimator = estimator.map_err(|problem| Diagnostic::for_file(file.display(), problem))?;
+    Ok(SkillResources { estimator: Arc::new(estimator), ..equipment })
+}
+
+/// Builds a robot's node; reads the fleet's map.
+///
+/// # Errors
+/// [`Diagnostics`] of the fleet, of its map, or of the robot on it.
+pub fn robot_node(
+    robot: &RobotConfig,
+    fleet: &FleetConfig,
+    incarnation: NodeIncarnation,
+    extensions: Extensions,
+) -> Result<NodeSettings, Diagnostics> {
+    robot_node_with(&fleet_skill_resources(fleet, extensions)?, robot, fleet, incarnation, extensions)
+}
+
+/// Builds a robot's node, with shared skill resources.
+///
+/// # Errors
+/// [`Diagnostics`] of the fleet, or of the robot on its map.
+pub fn robot_node_with(
+    equipment: &SkillResources,
+    robot: &RobotConfig,
+    fleet: &FleetConfig,
+    incarnation: NodeIncarnation,
+    extensions: Extensions,
+) -> Result<NodeSettings, Diagnostics> {
+    let part = RobotPart {
+        worker: worker(robot, &equipment.places)?,
+        estimator: Arc::clone(&equipment.estimator),
+        library: Arc::clone(&equipment.library),
+    };
+    let node = NodeId::from(robot.name.clone());
+    let bare = bare_node(node, fleet, incarnation, robot.may_vote, extensions)?;
+    Ok(NodeSettings { stationary: robot.stationary, mains_powered: robot.mains_powered, robot: Some(part), ..bare })
+}
+
+/// Returns a robot's knowledge record before its driver has reported.
+///
+/// # Errors
+/// [`Diagnostics`] if its place is not on the map, or a skill is not in the library.
+pub fn worker(robot: &RobotConfig, places: &BTreeMap<PlaceId, Pose>) -> Result<RobotKnowledge, Diagnostics> {
+    let Some(pose) = places.get(&robot.place) else {
+        let allowed = AllowedNames::suggest_for(robot.place.as_str(), places.keys());
+        let (name, place) = (&robot.name, robot.place.as_str());
+        let what = format!("robot {name}: place: {place:?} is not on the fleet's map; {allowed}");
+        return Err(Diagnostic::for_file("", what).into());
+    };
+    Ok(RobotKnowledge {
+        skills: robot.skills.clone(),
+        place: robot.place.clone(),
+        pose: *pose,
+        battery: robot.battery,
+        discharge: robot.discharge_share_per_s,
+        useful_charge: robot.useful_charge,
+        speed: robot.speed_mps,
+        availability: Availability::Free,
+        estimator: ESTIMATOR_VERSION.to_owned(),
+    })
+}
+
+/// Builds a node without a robot.
+///
+/// # Errors
+/// [`Diagnostics`] of the fleet.
+pub fn station_node(
+    station: &StationConfig,
+    fleet: &FleetConfig,
+    incarnation: NodeIncarnation,
+    extensions: Extensions,
+) -> Result<NodeSettings, Diagnostics> {
+    let StationConfig { stationary, mains_powered, may_vote, .. } = *station;
+    Ok(NodeSettings {
+        stationary,
+        mains_powered,
+        ..bare_node(station.name.clone(), fleet, incarnation, may_vote, extensions)?
+    })
+}
+
+/// Builds a node with a simulated world, and returns the world for inspection.
+///
+/// # Errors
+/// [`Diagnostics`] of the fleet, of the map, or of objects on it.
+pub fn world_node(
+    world: &WorldConfig,
+    fleet: &FleetConfig,
+    incarnation: NodeIncarnation,
+    extensions: Extensions,
+) -> Result<(NodeSettings, SharedWorld), Diagnostics> {
+    let shared = SharedWorld::new(build_world(world, fleet)?);
+    let host = DriverServerPart { world: Box::new(shared.clone()), speed: world.speed };
+    let bare = bare_node(world.name.clone(), fleet, incarnation, world.may_vote, extensions)?;
+    Ok((NodeSettings { stationary: true, mains_powered: true, driver_server: Some(host), ..bare }, shared))
+}
+
+/// Builds the world of a world file, at time zero.
+///
+/// # Errors
+/// [`Diagnostics`] of the map, or of objects on it.
+pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Diagnostics> {
+    let name = world.map.as_ref().unwrap_or(&fleet.map);
+    let LoadedMap { map: Some(map), .. } = map_loader::load(name)? else {
+        let what = "a map of the published format has no floor plan; a world needs a map in Consort's own format";
+        return Err(Diagnostic::for_file(name, what).into());
+    };
+    let setup = WorldSetup {
+        map,
+        robots: world.robot.clone(),
+        people: world.person.clone(),
+        objects: world.object.clone(),
+        doors: world.door.clone(),
+        obstacles: world.obstacle.clone(),
+        seed: world.seed,
+        durations: world.durations,
+        limits: world.limits,
+        systems: world.systems.clone(),
+        step_s: world.step_s,
+        wind: world.wind,
+    };
+    World::new(setup)
+        .map_err(|errors| Diagnostics(errors.0.iter().map(|problem| Diagnostic::for_file("", problem)).collect()))
+}
+
+fn bare_node(
+    node: NodeId,
+    fleet: &FleetConfig,
+    incarnation: NodeIncarnation,
+    may_vote: bool,
+    extensions: Extensions,
+) -> Result<NodeSettings, Diagnostics> {
+    let NodeIncarnation { clock, incarnation, seed, store } = incarnation;
+    Ok(NodeSettings {
+        fleet: FleetSettings { map: display_map(fleet), ..fleet_settings(fleet, extensions)? },
+        node,
+        incarnation,
+        seed,
+        store,
+        clock,
+        may_vote,
+        stationary: false,
+        mains_powered: false,
+        robot: None,
+        driver_server: None,
+        observer: None,
+        record_signer: None,
+    })
+}
+
+/// Returns the fleet's map, for display. A node that does not need the map itself may lack the
+/// file.
+fn display_map(fleet: &FleetConfig) -> Option<Arc<Value>> {
+    match map_loader::load(&fleet.map) {
+        Ok(floor) => Some(Arc::new(floor.to_json())),
+        Err(problem) => {
+            warn!(map = fleet.map, %problem, "the fleet's map cannot be read: this node cannot publish it");
+            None
+        }
+    }
+}
+
+/// Returns the credentials of links, from a folder of `consort cert`.
+pub fn link_trust(certs: &Path, fleet: &FleetId) -> LinkTrust {
+    LinkTrust { files: config::trust_files(certs), fleet: fleet.clone() }
+}
+
+/// Returns the Zenoh settings of a node: a router between its neighbours.
+pub fn bus_settings(bus: &BusConfig, fleet: &FleetConfig) -> ZenohSettings {
+    ZenohSettings {
+        listen: bus.listen_addresses(),
+        connect: bus.connect.clone(),
+        lease: fleet.times().link_lease,
+        link_trust: bus.certs.as_deref().map(|folder| link_trust(folder, &fleet.name)),
+        ..ZenohSettings::default()
+    }
+}

@@ -1,0 +1,211 @@
+use super::support::{crate_file, run, test_file};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+
+fn lines(out: &str) -> Vec<Value> {
+    out.lines().map(|line| serde_json::from_str(line).expect("a line of JSON")).collect()
+}
+
+fn number(value: &Value, key: &str) -> Option<f64> {
+    value.get(key).and_then(Value::as_f64)
+}
+
+#[test]
+fn bids_match_a_small_ward_computed_by_hand() {
+    let (map, scenarios) = (crate_file("tests/data/ward_map.json"), crate_file("tests/data/ward_scenarios.json"));
+    let ran = run(&["dry-run", "lab-samples", "--map", &map, "--scenarios", &scenarios, "--json"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    // 7 m from Room 1 to the laboratory, although there is a 9 m lane; 11 steps of 2 s; 0.5 m/s; a
+    // discharge of 0.001 per second.
+    let expected = concat!(
+        r#"{"code":"small","bids":["#,
+        r#"{"worker":"near","time_s":36.0,"energy":0.036,"remaining":0.074,"viable":false,"#,
+        r#""reason":"7.4 % charge left is not above 8.0 %"},"#,
+        r#"{"worker":"far","time_s":42.0,"energy":0.042,"remaining":0.458,"viable":true,"reason":null},"#,
+        r#"{"worker":"shy","time_s":null,"energy":null,"remaining":null,"viable":false,"#,
+        r#""reason":"lacks approach_person, authenticate_person"},"#,
+        r#"{"worker":"lost","time_s":null,"energy":null,"remaining":null,"viable":false,"reason":""#,
+    );
+    let close = |text: &str| {
+        let mut value: Value = serde_json::from_str(text).expect("JSON");
+        for bid in value["bids"].as_array_mut().expect("bids") {
+            for key in ["time_s", "energy", "remaining"] {
+                if let Some(exact) = number(bid, key) {
+                    bid[key] = Value::from((exact * 1e9).round() / 1e9);
+                }
+            }
+        }
+        value.to_string()
+    };
+    let ours = close(ran.out.trim());
+    let why = lines(&ran.out)[0]["bids"][3]["reason"].as_str().expect("a reason").to_owned();
+    assert_eq!(ours, close(&format!("{expected}{why}\"}}],\"selected\":\"far\"}}")));
+    assert!(why.contains("navto_room") && why.contains("Shed"), "{why}");
+}
+
+#[test]
+fn every_role_is_auctioned_among_the_workers_of_a_file() {
+    let workers = crate_file("../../examples/workers.toml");
+    let args = ["dry-run", "lab-samples", "--workers", &workers, "--set", "room=IC Room 6"];
+    let ran = run(&args);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    for expected in [
+        "lab-samples, room = IC Room 6",
+        "    ada      140.3 s  uses 5.6 %  leaves 84.4 %  chosen",
+        "not viable: 3.2 % charge left is not above 8.0 %",
+        "refuses: lacks approach_person, authenticate_person",
+        "  assignment: lab_arm = lab-arm, r1 = ada (the viable bids of different robots that are fastest together)",
+    ] {
+        assert!(ran.out.contains(expected), "{expected:?} is missing in\n{}", ran.out);
+    }
+    let ran = run(&[&args[..], &["--json"]].concat());
+    let answer = &lines(&ran.out)[0];
+    assert_eq!(answer["selected"], serde_json::json!({ "lab_arm": "lab-arm", "r1": "ada" }));
+    let parts = answer["roles"][1]["bids"][0]["parts"].as_array().expect("parts");
+    let sum: f64 = parts.iter().filter_map(|part| number(part, "time")).sum();
+    assert_eq!((parts.len(), (sum * 10.0).round()), (13, 1403.0));
+}
+
+#[test]
+fn a_mission_without_viable_bids_fails_with_the_reason() {
+    let workers = test_file("arm_only.json", r#"[{ "name": "arm", "place": "Laboratory", "skills": ["pick_up"] }]"#);
+    let ran = run(&["dry-run", "lab-samples", "--workers", &workers]);
+    assert_eq!(ran.code, Some(1));
+    assert!(ran.err.contains("the mission would stay pending: no viable bid for r1"), "{}", ran.err);
+}
+
+/// Returns the folder of the published evaluation, if available.
+fn reference() -> Option<PathBuf> {
+    let folder = std::env::var_os("CONSORT_REFERENCE")
+        .map_or_else(|| crate_file("../../../shared/reference").into(), PathBuf::from);
+    let folder = folder.join("mission_control");
+    if folder.join("bids_27.jsonl").is_file() {
+        return Some(folder);
+    }
+    #[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
+    {
+        eprintln!("skipped: {} is not there; CONSORT_REFERENCE names its parent", folder.display());
+    }
+    None
+}
+
+fn ours(folder: &std::path::Path) -> BTreeMap<String, Value> {
+    let path = |name: &str| folder.join(name).display().to_string();
+    let (map, scenarios) = (path("hospital_map.json"), path("scenarios_81.json"));
+    let ran = run(&["dry-run", "lab-samples", "--map", &map, "--scenarios", &scenarios, "--json"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    lines(&ran.out).into_iter().map(|line| (line["code"].as_str().expect("a code").to_owned(), line)).collect()
+}
+
+#[test]
+fn all_published_bids_are_reproduced() {
+    let Some(folder) = reference() else { return };
+    let ours = ours(&folder);
+    let logged = std::fs::read_to_string(folder.join("bids_27.jsonl")).expect("a file that is there");
+    let (mut scenarios, mut bids) = (0, 0);
+    for theirs in lines(&logged) {
+        let code = theirs["code"].as_str().expect("a code");
+        let line = &ours[code];
+        let by_worker: BTreeMap<&str, &Value> = line["bids"]
+            .as_array()
+            .expect("bids")
+            .iter()
+            .map(|bid| (bid["worker"].as_str().expect("a name"), bid))
+            .collect();
+        let refused = by_worker.iter().filter(|(_, bid)| bid["time_s"].is_null()).map(|(name, _)| *name);
+        let incompatible = theirs["incompatible"].as_array().expect("a list");
+        let names = incompatible.iter().map(|entry| entry["worker"].as_str().expect("a name"));
+        assert_eq!(refused.collect::<BTreeSet<_>>(), names.collect::<BTreeSet<_>>(), "{code}");
+        for entry in incompatible {
+            let mut missing: Vec<&str> =
+                entry["missing_skills"].as_array().expect("a list").iter().filter_map(Value::as_str).collect();
+            missing.sort_unstable();
+            let reason = &by_worker[entry["worker"].as_str().expect("a name")]["reason"];
+            assert_eq!(*reason, Value::from(format!("lacks {}", missing.join(", "))), "{code}");
+        }
+        for bid in theirs["bids"].as_array().expect("a list") {
+            let same = by_worker[bid["worker"].as_str().expect("a name")];
+            assert_eq!(same["viable"], bid["is_viable"], "{code}: {bid}");
+            for (our_key, their_key) in [("time_s", "time"), ("energy", "energy"), ("remaining", "remaining_battery")] {
+                // The published log omits the time and energy of bids that are not viable.
+                if let Some(published) = number(bid, their_key) {
+                    let own = number(same, our_key).expect("a bid");
+                    assert!((own - published).abs() <= 1e-9, "{code}: {our_key} {own}, published {published}");
+                }
+            }
+            bids += 1;
+        }
+        let selected = theirs["selected"].get("worker").unwrap_or(&Value::Null);
+        assert_eq!(&line["selected"], selected, "{code}");
+        scenarios += 1;
+    }
+    assert_eq!(scenarios, 27);
+    assert!(bids > 100, "{bids} bids");
+}
+
+#[test]
+fn all_81_selections_agree_with_a_plain_recomputation() {
+    let Some(folder) = reference() else { return };
+    let ours = ours(&folder);
+    let read = |name: &str| -> Value {
+        let text = std::fs::read_to_string(folder.join(name)).expect("a file that is there");
+        serde_json::from_str(&text).expect("JSON")
+    };
+    let metres = all_pairs(&read("hospital_map.json"));
+    let scenarios = read("scenarios_81.json");
+    let scenarios = scenarios.as_array().expect("a list");
+    assert_eq!((scenarios.len(), ours.len()), (81, 81));
+    let needed = ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
+    for scenario in scenarios {
+        let text = |value: &Value, key: &str| value[key].as_str().expect("a text").to_owned();
+        let code = text(scenario, "code");
+        let room = text(&scenario["nurses"][0], "location");
+        let mut best: Option<(f64, String)> = None;
+        for robot in scenario["robots"].as_array().expect("a list") {
+            let skills: Vec<&str> =
+                robot["skills"].as_array().expect("a list").iter().filter_map(Value::as_str).collect();
+            if !needed.iter().all(|skill| skills.contains(skill)) {
+                continue;
+            }
+            let number = |key: &str| number(robot, key).expect("a number");
+            let way =
+                metres[&(text(robot, "location"), room.clone())] + metres[&(room.clone(), "Laboratory".to_owned())];
+            let time = way / number("avg_speed") + 22.0;
+            let left = number("battery_charge") - time * number("battery_discharge_rate");
+            if left > 0.08 && best.as_ref().is_none_or(|(fastest, _)| time < *fastest - 1e-6) {
+                best = Some((time, text(robot, "name")));
+            }
+        }
+        let selected = best.map_or(Value::Null, |(_, name)| Value::from(name));
+        assert_eq!(ours[&code]["selected"], selected, "{code}");
+    }
+}
+
+/// Computes all shortest distances with the Floyd-Warshall algorithm.
+fn all_pairs(map: &Value) -> BTreeMap<(String, String), f64> {
+    let text = |value: &Value| value.as_str().expect("a text").to_owned();
+    let names: Vec<String> = map["nodes"].as_array().expect("a list").iter().map(|node| text(&node["label"])).collect();
+    let mut metres = BTreeMap::new();
+    for a in &names {
+        for b in &names {
+            metres.insert((a.clone(), b.clone()), if a == b { 0.0 } else { f64::INFINITY });
+        }
+    }
+    for edge in map["edges"].as_array().expect("a list") {
+        let (a, b, length) = (text(&edge["a"]), text(&edge["b"]), number(edge, "length_m").expect("a length"));
+        metres.insert((a.clone(), b.clone()), length);
+        metres.insert((b, a), length);
+    }
+    for via in &names {
+        for a in &names {
+            for b in &names {
+                let detour = metres[&(a.clone(), via.clone())] + metres[&(via.clone(), b.clone())];
+                if detour < metres[&(a.clone(), b.clone())] {
+                    metres.insert((a.clone(), b.clone()), detour);
+                }
+            }
+        }
+    }
+    metres
+}

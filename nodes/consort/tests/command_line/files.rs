@@ -1,0 +1,181 @@
+use super::support::{command, crate_file, run, test_file};
+
+#[test]
+fn the_shipped_examples_missions_and_maps_are_valid() {
+    let files = [
+        ("../../examples/fleet.toml", "a fleet: ward"),
+        ("../../examples/robot.toml", "a robot: ada"),
+        ("../../examples/arm.toml", "a robot: lab-arm"),
+        ("../../examples/station.toml", "a station: station-1"),
+        ("../../examples/world.toml", "a world: 2 robots, 1 person"),
+        ("../../examples/workers.toml", "workers: 4 of them"),
+        ("../../examples/follow-path.yaml", "a mission: follow-path, 1 role, 2 steps"),
+        ("../../examples/calibration.toml", "a calibration: 0 skills, 0 legs"),
+        ("tests/data/ward_map.json", "a map: 5 places, 4 ways"),
+        ("tests/data/ward_scenarios.json", "scenarios: 1 of them"),
+        ("../../protocol/missions/lab-samples.yaml", "a mission: lab-samples, 3 roles, 19 steps"),
+        ("../../sim_bridge/world/maps/hospital.yaml", "a map: 32 places, 31 ways"),
+    ];
+    let paths: Vec<String> = files.iter().map(|(path, _)| crate_file(path)).collect();
+    let mut args = vec!["check"];
+    args.extend(paths.iter().map(String::as_str));
+    let ran = run(&args);
+    let expected: String = paths.iter().zip(&files).map(|(path, (_, what))| format!("{path}: ok, {what}\n")).collect();
+    assert_eq!((ran.code, ran.out), (Some(0), expected), "{}", ran.err);
+}
+
+#[test]
+fn check_reports_every_error_with_file_and_position() {
+    let fleet = test_file("wrong_fleet.toml", "name = \"ward\"\nmapp = \"hospital\"\n[lease]\nlase_ms = 1\n");
+    let robot = test_file("wrong_robot.toml", "name = \"a\"\nplace = \"Kitchen\"\nskills = [\"pick_up\"]\n");
+    let map = test_file(
+        "wrong_map.yaml",
+        "name: m\nplaces:\n  - { name: A, kind: room, x_m: 0, y_m: 0 }\nlanes:\n  - { between: [A, B] }\n",
+    );
+    let mission = test_file(
+        "wrong_mission.yaml",
+        "mission: m\nroles:\n  r1: { kind: managed }\nroot: { task: go, type: navigate, roles: [r2] }\n",
+    );
+    let ran = run(&["check", &fleet, &robot, &map, &mission]);
+    assert_eq!(ran.code, Some(1), "{}", ran.out);
+    for expected in [
+        format!("{fleet}:2:1: unknown key `mapp` in a fleet file; allowed: name, map, "),
+        format!("{fleet}:4:1: unknown key `lase_ms` in a fleet file; allowed: lease_ms, grace_ms"),
+        format!("{robot}: robot a: place: \"Kitchen\" is not on the fleet's map; allowed: "),
+        format!("{map}: lane between \"A\" and \"B\": there is no place \"B\""),
+        format!("{mission}: root"),
+        "unknown task type `navigate`".to_owned(),
+    ] {
+        assert!(ran.out.contains(&expected), "{expected:?} is missing in\n{}", ran.out);
+    }
+    assert!(ran.err.contains("problems in 4 of 4 files"), "{}", ran.err);
+}
+
+#[test]
+fn a_node_with_an_unknown_key_does_not_start() {
+    let file = test_file("unknown_key.toml", "name = \"s\"\nstationery = true\n");
+    let ran = run(&["station", "--config", &file]);
+    assert_eq!(ran.code, Some(2));
+    let expected =
+        format!("consort: {file}:2:1: unknown key `stationery` in a station file; allowed: name, stationary, ");
+    assert!(ran.err.starts_with(&expected), "{}", ran.err);
+    assert!(ran.err.contains("did you mean `stationary`?"), "{}", ran.err);
+}
+
+#[test]
+fn the_output_of_print_config_reads_back_unchanged() {
+    for (command, file) in [("robot", "robot.toml"), ("station", "station.toml"), ("world", "world.toml")] {
+        let first = run(&[command, "--config", &crate_file(&format!("../../examples/{file}")), "--print-config"]);
+        assert_eq!(first.code, Some(0), "{}", first.err);
+        let copy = test_file(&format!("printed_{file}"), &first.out);
+        let second = run(&[command, "--config", &copy, "--print-config"]);
+        assert_eq!((second.code, second.out), (Some(0), first.out), "{}", second.err);
+    }
+}
+
+#[test]
+fn flags_override_variables_and_variables_override_files() {
+    let file = crate_file("../../examples/robot.toml");
+    let args = ["robot", "--config", &file, "--print-config", "--lease-ms", "7000"];
+    let mut command = command(&args);
+    command.env("CONSORT_LEASE_MS", "9000").env("CONSORT_SPEED_MPS", "0.25").env("CONSORT_CONNECT", "tcp/a:1,tcp/b:2");
+    let output = command.output().expect("the binary starts");
+    let printed: toml::Table = String::from_utf8_lossy(&output.stdout).parse().expect("TOML");
+    let at =
+        |path: &[&str]| path.iter().try_fold(toml::Value::Table(printed.clone()), |value, key| value.get(key).cloned());
+    assert_eq!(at(&["fleet", "lease", "lease_ms"]), Some(7000.into()));
+    assert_eq!(at(&["fleet", "lease", "grace_ms"]), Some(2000.into()));
+    assert_eq!(at(&["speed_mps"]), Some(0.25.into()));
+    assert_eq!(at(&["battery"]), Some(0.9.into()));
+    assert_eq!(at(&["bus", "connect"]), Some(vec!["tcp/a:1", "tcp/b:2"].into()));
+}
+
+#[test]
+fn a_flag_value_is_validated_like_a_file_value() {
+    let file = crate_file("../../examples/station.toml");
+    let ran = run(&["station", "--config", &file, "--print-config", "--lease-ms", "1"]);
+    assert_eq!(ran.code, Some(2));
+    assert!(ran.err.contains("lease.lease_ms is 1, allowed is 500 to 3600000"), "{}", ran.err);
+}
+
+/// Returns the allowed keys of a table in this kind of file, from the error message about an
+/// unknown key.
+fn allowed_keys(kind: &str, table: &str) -> Vec<String> {
+    let file = test_file(&format!("keys_wanted_of_{kind}.toml"), &format!("name = \"ward\"\n{table}\nnot_a_key = 1\n"));
+    let ran = run(&["check", "--kind", kind, &file]);
+    let (_, list) = ran.out.split_once("; allowed: ").unwrap_or_else(|| panic!("{table}: {}{}", ran.out, ran.err));
+    let list = list.split([';', '\n']).next().unwrap_or_default();
+    list.split(", ").map(str::to_owned).collect()
+}
+
+#[test]
+fn the_example_fleet_file_contains_every_key() {
+    let text = std::fs::read_to_string(crate_file("../../examples/fleet.toml")).expect("an example");
+    let example: toml::Table = text.parse().expect("TOML");
+    let part = |name: &str| match &example[name] {
+        toml::Value::Array(list) => list[0].as_table().expect("a table").clone(),
+        value => value.as_table().expect("a table").clone(),
+    };
+    let mut missing = vec![];
+    for (heading, table) in [
+        ("", example.clone()),
+        ("[limits]", part("limits")),
+        ("[lease]", part("lease")),
+        ("[auction]", part("auction")),
+        ("[[ensemble]]", part("ensemble")),
+    ] {
+        let keys = allowed_keys("fleet", heading);
+        assert!(!keys.is_empty(), "{heading}");
+        missing.extend(keys.into_iter().filter(|key| !table.contains_key(key)).map(|key| format!("{heading} {key}")));
+    }
+    assert_eq!(missing, [""; 0]);
+}
+
+#[test]
+fn the_example_node_files_mention_every_common_key() {
+    for kind in ["robot", "station", "world"] {
+        let text = std::fs::read_to_string(crate_file(&format!("../../examples/{kind}.toml"))).expect("an example");
+        // Omitted keys are in the example behind a `#`.
+        let lines: Vec<&str> = text.lines().map(|line| line.trim_start_matches("# ")).collect();
+        let names = |key: &str| {
+            let forms = [format!("{key} = "), format!("[{key}]"), format!("[[{key}]]")];
+            lines.iter().any(|line| forms.iter().any(|form| line.starts_with(form)))
+        };
+        for table in ["", "[bus]", "[telemetry]"] {
+            let keys = allowed_keys(kind, table);
+            assert!(keys.len() > 1, "{kind} {table}: {keys:?}");
+            for key in keys {
+                assert!(names(&key), "{kind}.toml does not mention {table} {key}");
+            }
+        }
+    }
+}
+
+#[test]
+fn telemetry_is_set_by_files_variables_and_flags() {
+    let telemetry =
+        "log = \"warn\"\nlog_format = \"json\"\nmetrics = \"127.0.0.1:9464\"\notlp = \"http://127.0.0.1:4318\"\n";
+    let file = test_file("telemetry.toml", &format!("name = \"s\"\n[telemetry]\n{telemetry}"));
+    let printed = |args: &[&str], variables: &[(&str, &str)]| {
+        let mut command = command(&[&["station", "--config", &file, "--print-config"], args].concat());
+        let output = command.envs(variables.iter().copied()).output().expect("the binary starts");
+        let printed: toml::Table = String::from_utf8_lossy(&output.stdout).parse().expect("TOML");
+        printed["telemetry"].as_table().expect("a table").clone()
+    };
+    assert_eq!(printed(&[], &[]), telemetry.parse::<toml::Table>().expect("TOML"));
+    let variables = [("CONSORT_LOG", "debug"), ("CONSORT_METRICS", "127.0.0.1:1"), ("CONSORT_LOG_FORMAT", "human")];
+    let by_variables = printed(&["--metrics", "127.0.0.1:2"], &variables);
+    let expected =
+        "log = \"debug\"\nlog_format = \"human\"\nmetrics = \"127.0.0.1:2\"\notlp = \"http://127.0.0.1:4318\"\n";
+    assert_eq!(by_variables, expected.parse::<toml::Table>().expect("TOML"));
+    // The common Rust variable also takes precedence over the file.
+    assert_eq!(printed(&[], &[("RUST_LOG", "error")])["log"], "error".into());
+
+    let wrong = test_file("telemetry_wrong.toml", "name = \"s\"\n[telemetry]\notlp = \"127.0.0.1:4318\"\n");
+    let ran = run(&["check", "--kind", "station", &wrong]);
+    assert_eq!(ran.code, Some(1), "{}", ran.out);
+    assert!(ran.out.contains("telemetry.otlp: \"127.0.0.1:4318\" does not begin with http://"), "{}", ran.out);
+    let wrong = test_file("telemetry_format.toml", "name = \"s\"\n[telemetry]\nlog_format = \"xml\"\n");
+    let ran = run(&["check", "--kind", "station", &wrong]);
+    assert!(ran.out.contains(&format!("{wrong}:3:")) && ran.out.contains("`human`"), "{}", ran.out);
+}

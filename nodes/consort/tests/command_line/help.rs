@@ -1,0 +1,57 @@
+use super::support::run;
+
+const COMMANDS: [&str; 21] = [
+    "robot",
+    "station",
+    "world",
+    "submit",
+    "missions",
+    "cancel",
+    "fleet",
+    "explain",
+    "keys",
+    "check",
+    "schema",
+    "cert",
+    "doctor",
+    "completions",
+    "man",
+    "dry-run",
+    "recover",
+    "map",
+    "record",
+    "replay",
+    "resolve",
+];
+
+#[test]
+fn the_help_names_every_command_and_the_exit_codes() {
+    let help = run(&["--help"]);
+    assert_eq!(help.code, Some(0));
+    for command in COMMANDS {
+        assert!(help.out.contains(&format!("  {command} ")), "{command} is missing in\n{}", help.out);
+    }
+    assert!(help.out.contains("Exit codes: 0 success; 1"), "{}", help.out);
+}
+
+#[test]
+fn the_help_of_each_command_teaches_by_examples() {
+    for command in COMMANDS {
+        let help = run(&[command, "--help"]);
+        assert_eq!(help.code, Some(0), "{command}");
+        assert!(help.out.contains(&format!("Examples:\n  consort {command}")), "{command}:\n{}", help.out);
+    }
+}
+
+#[test]
+fn wrong_flags_exit_with_code_2() {
+    let ran = run(&["dry-run", "lab-samples"]);
+    assert_eq!(ran.code, Some(2));
+    assert!(ran.err.contains("--workers <FILE>"), "{}", ran.err);
+    let ran = run(&["submit", "lab-samples", "--set", "room"]);
+    assert_eq!(ran.code, Some(2));
+    assert!(ran.err.contains("expected NAME=VALUE"), "{}", ran.err);
+    let ran = run(&["robot"]);
+    assert_eq!(ran.code, Some(2));
+    assert!(ran.err.contains("--config FILE is needed"), "{}", ran.err);
+}

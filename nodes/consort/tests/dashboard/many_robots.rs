@@ -1,0 +1,162 @@
+//! Two hundred robots that report five times a second, and a page that draws every report.
+
+use crate::browser::Browser;
+use crate::support::Folder;
+use consort_bus::clock::Clock;
+use consort_dashboard::address::BoundAddress;
+use consort_dashboard::fleet_model::{FleetModel, FloorPlan};
+use consort_dashboard::server::{Dashboard, FramePublisher};
+use consort_nodes::map_loader;
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::Key;
+use consort_protocol::message::Beacon;
+use consort_skills::actions::Telemetry;
+use serde_json::{Value, json};
+use std::f64::consts::TAU;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+const ROBOTS: usize = 200;
+
+/// Five reports per second.
+const REPORTS: Duration = Duration::from_millis(200);
+
+/// Largest number of table rows that change in a frame: the visible rows (a dozen, and a partly
+/// visible row at either end), and ten of the others in turn.
+const ROWS_AT_ONCE: u64 = 40;
+
+fn name(index: usize) -> String {
+    format!("robot-{index:03}")
+}
+
+/// Returns the fleet view of the coordinator.
+fn fleet() -> Value {
+    let node = |index: usize| {
+        let availability = match index % 3 {
+            0 => json!({ "holding": { "mission": format!("round-{index}"), "role": "r1", "suspended": false } }),
+            _ => json!("free"),
+        };
+        json!({ "node": name(index), "alive": true, "status": "alive", "age_ms": 0, "robot": {
+            "skills": ["navigation"], "place": "Crossing", "pose": { "x_m": 0.0, "y_m": 0.0, "yaw_rad": 0.0 },
+            "battery": 0.9, "useful_charge": 0.08, "speed": 0.7, "availability": availability } })
+    };
+    let members = (0..ROBOTS).map(|index| json!({ "node": name(index), "member": true, "reason": "" }));
+    json!({ "nodes": (0..ROBOTS).map(node).collect::<Vec<_>>(),
+        "ensembles": [{ "name": "logistics", "nodes": members.collect::<Vec<_>>() }] })
+}
+
+/// Each robot drives in its own circle, and all consume a hundredth of their charge per second, so
+/// all rows change.
+fn telemetry(index: usize, now_ms: u64) -> Telemetry {
+    let share = index as f64 / ROBOTS as f64;
+    let turn = TAU * ((now_ms % 3_600_000) as f64 / 40_000.0 + share * 7.0);
+    let (x, y) = (18.0 + (3.0 + 13.0 * share) * turn.cos(), 17.0 + (3.0 + 13.0 * share) * turn.sin());
+    let pose = json!({ "x_m": x, "y_m": y, "yaw_rad": turn % TAU + TAU / 4.0 });
+    let spent = (now_ms / 1000 % 20) as f64 / 100.0;
+    let battery = 0.2 + 0.8 * share - spent;
+    let telemetry =
+        json!({ "time": 1.0, "pose": pose, "place": "Crossing", "battery": battery, "able": true, "closed": [] });
+    serde_json::from_value(telemetry).expect("telemetry of a robot")
+}
+
+fn report(board: &FramePublisher) {
+    let coordinator = NodeId::new(name(0)).expect("a slug");
+    let beacon = Beacon { node: coordinator, term: 1, voters: [].into(), since_ms: 1000, cluster: None, wire: None };
+    board.with_model(|picture, now_ms| {
+        picture.apply_beacon(&beacon, now_ms);
+        picture.apply_links(3, now_ms);
+        for index in 0..ROBOTS {
+            picture.apply_telemetry(&name(index), &telemetry(index, now_ms), now_ms);
+        }
+    });
+}
+
+/// Counts for some seconds: the frames of the browser, its dropped frames (gaps above one and a
+/// half of the usual gap), the messages and reports of the page, and the largest number of table
+/// rows changed in a frame.
+const MEASURE: &str = "((seconds) => new Promise((tell) => {
+    const page = window.consort;
+    const counts = () => (page ? { ...page.connection.received, ...page.drawStats } : {});
+    if (page) page.drawStats.worst = 0;
+    const [times, began, before] = [[], performance.now(), counts()];
+    const rows = { now: new Set(), most: 0, all: 0 };
+    const watch = new MutationObserver((changes) => {
+        for (const { target } of changes) {
+            const row = (target.closest ? target : target.parentElement)?.closest('tbody tr');
+            if (row) rows.now.add(row);
+        }
+    });
+    watch.observe(document.body, { subtree: true, childList: true, characterData: true });
+    const frame = (now) => {
+        times.push(now);
+        rows.most = Math.max(rows.most, rows.now.size);
+        rows.all += rows.now.size;
+        rows.now.clear();
+        if (now - began < seconds * 1000) return requestAnimationFrame(frame);
+        watch.disconnect();
+        const gaps = times.slice(1).map((time, index) => time - times[index]).sort((a, b) => a - b);
+        const median = gaps[gaps.length >> 1];
+        const after = counts();
+        const since = Object.fromEntries(Object.entries(after).map(([name, count]) => [name, Math.round((count - before[name]) * 10) / 10]));
+        tell({ frames: gaps.length, median_ms: median, p99_ms: gaps[Math.floor(gaps.length * 0.99)], worst_ms: gaps.at(-1),
+            dropped: gaps.reduce((sum, gap) => sum + Math.max(0, Math.round(gap / median) - 1), 0),
+            rows_in_a_frame: rows.most, rows: rows.all, ...since, worst: after.worst });
+    };
+    requestAnimationFrame(frame);
+}))";
+
+#[test]
+#[expect(clippy::print_stderr, reason = "the measurements are printed")]
+fn two_hundred_robots_are_drawn_in_every_frame() {
+    let folder = Folder::new();
+    let Some(browser) = Browser::start(&folder) else { return };
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().expect("a runtime");
+    let clock = runtime.block_on(async { Clock::real() });
+    let plan = FloorPlan::new(&map_loader::load("hospital").expect("a shipped map"));
+    let mut picture = FleetModel::new("many", "station-1", plan, clock.wall_ms());
+    picture.apply_view(&Key::ViewFleet, &fleet(), clock.wall_ms());
+    let board = Arc::new(FramePublisher::new(picture, clock));
+    report(&board);
+    let dashboard = runtime.block_on(async {
+        let address =
+            BoundAddress::bind("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.expect("a free port");
+        Dashboard::serve_view_only(address, Arc::clone(&board))
+    });
+    runtime.spawn(async move {
+        let mut ticks = tokio::time::interval(REPORTS);
+        loop {
+            ticks.tick().await;
+            report(&board);
+        }
+    });
+    // The frame rate of this machine without the page.
+    let measure = |seconds: u32| browser.value(&format!("{MEASURE}({seconds})"));
+    browser.open("about:blank");
+    let machine = measure(5);
+    browser.open(&dashboard.url());
+    browser.wait_until("all robots", &format!("document.querySelectorAll('#robots tbody tr').length === {ROBOTS}"));
+    // By then the initial work is done.
+    browser.wait_until("frames", "consort.drawStats.frames > 100");
+    let page = measure(10);
+    eprintln!("an empty page, 5 s: {machine}\n{ROBOTS} robots at 5 Hz, 10 s: {page}");
+    browser.screenshot("many-robots");
+
+    // The frame rate depends on the machine and its load. The page must guarantee the following on
+    // any machine:
+    let number = |key: &str| page[key].as_u64().unwrap_or_else(|| panic!("{key} in {page}"));
+    // It received changes, in sequence; a page that misses a change receives a full frame again.
+    assert!(number("patches") > 0 && number("fulls") == 0, "{page}");
+    // It drew each report, except reports between which the browser requested no frame; the last
+    // report may still be pending.
+    let undrawn = number("patches").saturating_sub(number("reports") + number("missed"));
+    assert!(undrawn <= 1 && number("missed_with_a_frame_between") == 0, "{page}");
+    // It changes few table rows at a time, although the row of every robot changes all the time.
+    assert!(number("rows_in_a_frame") <= ROWS_AT_ONCE, "{page}");
+    let age = browser.value(
+        "consort.connection.now() - Math.min(...Object.values(consort.connection.model.robots).map((robot) => robot.telemetry_ms))",
+    );
+    assert!(age.as_f64().expect("a number") < 5000.0, "the page is {age} ms behind");
+    assert_eq!(browser.console(), Vec::<String>::new());
+}

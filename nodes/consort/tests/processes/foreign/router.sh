@@ -1,0 +1,53 @@
+#!/usr/bin/env bash
+# Puts Zenoh's own router, zenohd, and its REST plug-in into a folder, both of the version that Consort speaks:
+#
+#     nodes/consort/tests/processes/foreign/router.sh [FOLDER]      # by default where the tests look for them
+#
+# A router takes a plug-in only if one compiler has built both, with one set of features of zenoh inside. So their published
+# sources become two members of one workspace, which is built at once; shared crates are of the versions that Consort's
+# Cargo.lock names.
+set -euo pipefail
+checkout=$(cd "$(dirname "$0")/../../.." && pwd)
+folder=${1:-${CARGO_TARGET_DIR:-$checkout/target}/tmp/foreign-router}
+version=$(sed -n '/^name = "zenoh"$/{n;s/version = "\(.*\)"/\1/p;}' "$checkout/Cargo.lock")
+
+mkdir -p "$folder/sources/fetched/src"
+cd "$folder/sources"
+
+# Cargo unpacks what it fetches. It warns that zenohd has no library, which nobody wants of it here.
+cat >fetched/Cargo.toml <<END
+[package]
+name = "fetched"
+version = "0.0.0"
+edition = "2021"
+[workspace]
+[dependencies]
+zenohd = "=$version"
+zenoh-plugin-rest = "=$version"
+END
+touch fetched/src/lib.rs
+cargo fetch --quiet --manifest-path fetched/Cargo.toml
+for crate in zenohd zenoh-plugin-rest; do
+    rm -rf "$crate"
+    unpacked=("${CARGO_HOME:-$HOME/.cargo}"/registry/src/*/"$crate-$version")
+    cp -r "${unpacked[0]}" "$crate"
+    rm -f "$crate/Cargo.lock"
+done
+
+cat >Cargo.toml <<END
+[workspace]
+resolver = "2"
+members = ["zenohd", "zenoh-plugin-rest"]
+exclude = ["fetched"]
+END
+cp "$checkout/Cargo.lock" .
+
+# A router that carries a test's messages need not be quick, but should be there soon.
+export CARGO_TARGET_DIR=$folder/sources/target CARGO_INCREMENTAL=0 CARGO_PROFILE_DEV_DEBUG=0
+cargo build --package zenohd --package zenoh-plugin-rest \
+    --no-default-features --features zenoh/transport_tcp,zenoh-plugin-rest/dynamic_plugin
+for library in target/debug/libzenoh_plugin_rest.{so,dylib}; do
+    [ ! -e "$library" ] || cp "$library" "$folder/"
+done
+cp target/debug/zenohd "$folder/"
+rm -rf "$folder/sources"

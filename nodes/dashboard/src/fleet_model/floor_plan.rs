@@ -1,0 +1,46 @@
+//! The floor plan of the model.
+
+use crate::fleet_model::delta;
+use crate::loaded_map::LoadedMap;
+use consort_protocol::ids::PlaceId;
+use consort_protocol::pose::Pose;
+use consort_skills::environment::Routes;
+use serde_json::Value;
+use std::collections::BTreeMap;
+
+/// A map to draw, with its routes.
+#[derive(Debug, Clone, Default)]
+pub struct FloorPlan {
+    routes: Option<Routes>,
+    places: BTreeMap<PlaceId, Pose>,
+    shown: Value,
+}
+
+impl FloorPlan {
+    /// Creates the plan of a map. A map with invalid lanes is drawn without routes.
+    pub fn new(floor: &LoadedMap) -> FloorPlan {
+        let mut shown = floor.to_json();
+        delta::strip_nulls(&mut shown);
+        FloorPlan { routes: Routes::new(&floor.topology).ok(), places: floor.topology.places.clone(), shown }
+    }
+
+    /// Returns the map as JSON, as in `view/map`.
+    pub(super) fn map_json(&self) -> &Value {
+        &self.shown
+    }
+
+    /// Returns the position of a place.
+    pub(super) fn pose_of(&self, name: &str) -> Option<Pose> {
+        self.places.get(&PlaceId::new(name).ok()?).copied()
+    }
+
+    /// Returns the points of the route of a robot at `pose` that passed `passed` last; empty if
+    /// there is none.
+    pub(super) fn route(&self, passed: &str, pose: Pose, to: &str) -> Vec<(f64, f64)> {
+        let (Some(routes), Ok(passed), Ok(to)) = (&self.routes, PlaceId::new(passed), PlaceId::new(to)) else {
+            return vec![];
+        };
+        let legs = routes.legs(&passed, pose, &to).unwrap_or_default();
+        legs.iter().filter_map(|place| self.places.get(place)).map(|pose| (pose.x, pose.y)).collect()
+    }
+}

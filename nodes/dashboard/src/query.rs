@@ -1,0 +1,85 @@
+//! A single query to a fleet: returns the first reply that settles it.
+
+use bytes::Bytes;
+use consort_bus::Bus;
+use serde_json::Value;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Default delay before a query is repeated.
+pub const RETRY_DELAY: Duration = Duration::from_millis(250);
+
+/// Reason why a query has no answer.
+#[derive(Debug)]
+pub enum QueryError {
+    /// The request is wrong; repeating it would not help.
+    Rejected(String),
+    /// The query may succeed after this time.
+    Retryable(String, Duration),
+    /// No node replied.
+    NoReply,
+}
+
+/// Receivers of a query.
+#[derive(Debug, Clone, Copy)]
+pub enum QueryTarget {
+    /// The nearest node that can reply.
+    Nearest,
+    /// Every node; only the addressed node replies.
+    All,
+}
+
+impl QueryTarget {
+    /// Returns the kind of node that is missing if there is no reply.
+    pub fn responder(self) -> &'static str {
+        match self {
+            QueryTarget::Nearest => "node",
+            QueryTarget::All => "coordinator",
+        }
+    }
+}
+
+/// Sends a query and waits for the first reply that settles it.
+///
+/// # Errors
+/// [`QueryError`] if no such reply arrives.
+pub async fn query_once(
+    bus: &dyn Bus,
+    key: &str,
+    payload: &str,
+    limit: Duration,
+    whom: QueryTarget,
+) -> Result<Value, QueryError> {
+    let payload = Bytes::from(payload.to_owned());
+    let asked = match whom {
+        QueryTarget::Nearest => bus.query_nearest(key, payload, limit).await,
+        QueryTarget::All => bus.query(key, payload, limit).await,
+    };
+    let mut replies = asked.map_err(|problem| QueryError::Retryable(problem.to_string(), RETRY_DELAY))?;
+    let mut hindrance = QueryError::NoReply;
+    // A node that has just lost the leadership may reply too. The reply of the new leader settles
+    // the query if it arrives soon.
+    let mut until = Instant::now() + limit;
+    while let Ok(Some(reply)) = tokio::time::timeout_at(until, replies.recv()).await {
+        let answer = match reply.payload {
+            Ok(bytes) => serde_json::from_slice::<Value>(&bytes).map_err(|e| format!("not JSON: {e}")),
+            Err(refusal) => Err(refusal),
+        };
+        match answer {
+            Ok(value) => match value.get("error").and_then(Value::as_str) {
+                None => return Ok(value),
+                Some(problem) => match value.get("retry_after_ms").and_then(Value::as_u64) {
+                    Some(after) => {
+                        let advice = format!(": retry after {after} ms");
+                        let problem = problem.strip_suffix(&advice).unwrap_or(problem).to_owned();
+                        hindrance = QueryError::Retryable(problem, Duration::from_millis(after));
+                    }
+                    None => return Err(QueryError::Rejected(problem.to_owned())),
+                },
+            },
+            Err(problem) => hindrance = QueryError::Retryable(problem, RETRY_DELAY),
+        }
+        until = until.min(Instant::now() + RETRY_DELAY);
+    }
+    Err(hindrance)
+}

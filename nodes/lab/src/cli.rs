@@ -1,0 +1,58 @@
+//! The command line.
+
+use crate::command::{bench, chaos, check, experiment, schema, test};
+use clap::{Parser, Subcommand};
+use consort_nodes::output::exit_code;
+use std::process::ExitCode;
+
+/// The laboratory of Consort: fault injection, behavior tests, evaluations and benchmarks.
+///
+/// Each command runs whole fleets, or the simulator, in this process. Nothing is sent over a
+/// network. `consort lab ARGUMENTS` starts this program.
+#[derive(Debug, Parser)]
+#[command(name = "consort-lab", version, max_term_width = 100, after_long_help = AFTER_HELP)]
+pub struct Cli {
+    /// The command.
+    #[command(subcommand)]
+    command: Command,
+}
+
+const AFTER_HELP: &str = "\
+Examples:
+  # whole fleets under generated faults; a violation is printed with the command that repeats it
+  consort-lab chaos --seeds 1..1000
+
+  # required behavior, in plain text
+  consort-lab test tests/features
+
+  # the published evaluation: 1296 trials
+  consort-lab experiment run published --out results
+
+Exit codes: 0 success; 1 the operation failed (an invariant is violated, a scenario failed); 2 the flags or files are
+wrong.";
+
+// Each command is described at its flags.
+#[derive(Debug, Subcommand)]
+enum Command {
+    Chaos(chaos::Args),
+    Test(test::Args),
+    Experiment(experiment::Args),
+    Bench(bench::Args),
+    Check(check::Args),
+    Schema(schema::Args),
+}
+
+/// Runs the program.
+pub fn run() -> ExitCode {
+    exit_code(
+        "consort-lab",
+        match Cli::parse().command {
+            Command::Chaos(args) => chaos::run(&args),
+            Command::Test(args) => test::run(args),
+            Command::Experiment(args) => experiment::run(&args),
+            Command::Bench(args) => bench::run(args),
+            Command::Check(args) => check::run(&args),
+            Command::Schema(args) => schema::run(&args),
+        },
+    )
+}

@@ -1,0 +1,447 @@
+//! `consort-lab chaos`: runs whole fleets under generated faults, and checks invariants at every step.
+
+use clap::{ArgGroup, Args as ClapArgs};
+use consort_nodes::exit::Failure;
+use consort_nodes::output::{self, Progress};
+use consort_protocol::count::count;
+use consort_protocol::mutants::{self, Mutant};
+use consort_tests::chaos::mutants::{MUTANT_CHECKS, check_mutant};
+use consort_tests::chaos::scoreboard::{self, markdown};
+use consort_tests::chaos::seed_sweep::percentiles;
+use consort_tests::chaos::{
+    ChaosFleet, FaultKind, RunConfig, RunOutcome, Schedule, SeedSweep, Violation, chaos_fleet, generate, shrink,
+};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// The usages, each with its flags. Shown whenever other flags were given.
+const USAGE: &str = "\
+consort-lab chaos [--seeds FIRST..LAST] [--minutes MINUTES] [--nodes NODES] [--faults KIND,…] [--mutant NAME]
+                     [--jobs JOBS] [--json]
+       consort-lab chaos --seed SEED [--schedule FILE | --faults KIND,…] [--minutes MINUTES] [--nodes NODES]
+                     [--mutant NAME] [--verbose] [--json]
+       consort-lab chaos --scoreboard [--runs N] [--minutes MINUTES] [--save FILE] [--jobs JOBS] [--json]
+       consort-lab chaos --mutants [--jobs JOBS] [--json]";
+
+/// Maximum number of runs for shrinking a schedule.
+const SHRINK_TRIES: usize = 300;
+
+/// Runs whole fleets under generated faults. Checks at every step that no acknowledged mission is
+/// lost and no role is held twice.
+///
+/// Each seed is a run: a fleet in this process, on virtual time, with client requests and faults
+/// drawn from the seed. Nodes crash and restart (with their complete disk, without the unsynced
+/// writes, or with an empty disk), pause, and are partitioned. Links lose, duplicate, reorder and
+/// delay messages. Disks are slow, clocks drift, batteries run down, skills fail, panic and hang.
+/// The coordinator is killed at any moment. After 70 % of the time all faults end. The fleet must
+/// then converge: a single coordinator, every mission ended, and complete membership at every node.
+///
+/// It stops at the first seed that violates an invariant. It then prints the violation, the events
+/// before it, the smallest set of faults that reproduces it, and the command that repeats it. With
+/// --json all of that goes to the standard error.
+#[derive(Debug, ClapArgs)]
+#[command(
+    override_usage = USAGE,
+    group = ArgGroup::new("what").args(["seeds", "seed", "mutants", "scoreboard"]),
+    after_long_help = "\
+Examples:
+  consort-lab chaos --seeds 1..1000                         # the first thousand seeds, on all cores
+  consort-lab chaos --seed 4711 --verbose                   # a single seed, with all its steps
+  consort-lab chaos --seed 4711 --schedule chaos-4711.json  # a violation again, with its written schedule
+  consort-lab chaos --faults partition,coordinator-crash    # only some kinds of faults
+  consort-lab chaos --scoreboard --runs 50 --save score.json  # the results under each kind of fault
+
+  # checks that injected bugs are found
+  cargo run --release -p consort-lab --features mutants -- chaos --mutants
+
+The same seed, nodes, minutes and faults give the same run, to the byte, on any machine.
+
+Exit codes: 0 all invariants held; 1 an invariant was violated; 2 the flags or the schedule are wrong."
+)]
+pub struct Args {
+    /// The seeds, the last included
+    #[arg(long, value_name = "FIRST..LAST", value_parser = seeds, default_value = "1..100")]
+    seeds: RangeInclusive<u64>,
+    /// A single seed
+    #[arg(long)]
+    seed: Option<u64>,
+    // clap accepts a flag required by another flag next to a flag that excludes the latter, unless
+    // it excludes that flag itself.
+    /// A schedule from a file (JSON), instead of the schedule generated from the seed
+    #[arg(long, value_name = "FILE", requires = "seed", conflicts_with_all = ["seeds", "mutants", "scoreboard"])]
+    schedule: Option<PathBuf>,
+    /// Simulated minutes of each run
+    #[arg(long, default_value_t = 5.0, value_parser = minutes, conflicts_with = "mutants")]
+    minutes: f64,
+    /// Nodes of the fleet: an arm, and carriers and stations in equal parts; the host of the world
+    /// is added
+    #[arg(long, default_value_t = 7, value_parser = nodes, conflicts_with_all = ["mutants", "scoreboard"])]
+    nodes: usize,
+    /// Parallel runs [default: the number of cores]
+    #[arg(long, conflicts_with = "seed")]
+    jobs: Option<usize>,
+    /// The kinds of faults [default: all]
+    #[arg(long, value_name = "KIND,…", value_delimiter = ',', conflicts_with_all = ["schedule", "mutants", "scoreboard"])]
+    faults: Vec<FaultKind>,
+    /// Run with an injected bug (in programs built with the feature `mutants`)
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["mutants", "scoreboard"])]
+    mutant: Option<Mutant>,
+    /// Hunt every injected bug, and print the number of seeds and the invariant that found it
+    #[arg(long)]
+    mutants: bool,
+    /// Print results for each kind of fault, as a table (Markdown, or JSON with --json)
+    #[arg(long)]
+    scoreboard: bool,
+    /// Write the scoreboard to a file too (JSON)
+    #[arg(long, value_name = "FILE", requires = "scoreboard", conflicts_with_all = ["seeds", "seed", "mutants"])]
+    save: Option<PathBuf>,
+    /// Runs for each line of the scoreboard
+    #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..), requires = "scoreboard", conflicts_with_all = ["seeds", "seed", "mutants"])]
+    runs: u64,
+    /// Print the steps of the run
+    #[arg(long, requires = "seed", conflicts_with_all = ["seeds", "mutants", "scoreboard"])]
+    verbose: bool,
+    /// Print only JSON on the standard output: a line for each run or each injected bug, a single
+    /// line for the scoreboard
+    #[arg(long)]
+    json: bool,
+}
+
+fn seeds(text: &str) -> Result<RangeInclusive<u64>, String> {
+    let wrong = || format!("{text:?} is not FIRST..LAST, as in 1..1000");
+    let (first, last) = text.split_once("..").ok_or_else(wrong)?;
+    let number = |text: &str| text.trim_start_matches('=').parse::<u64>().map_err(|_| wrong());
+    let (first, last) = (number(first)?, number(last)?);
+    if first > last || last == u64::MAX { Err(wrong()) } else { Ok(first..=last) }
+}
+
+fn minutes(text: &str) -> Result<f64, String> {
+    let minutes: f64 = text.parse().map_err(|_| format!("{text:?} is not a number of minutes"))?;
+    if (0.5..=120.0).contains(&minutes) { Ok(minutes) } else { Err("from 0.5 to 120 minutes".to_owned()) }
+}
+
+fn nodes(text: &str) -> Result<usize, String> {
+    let (least, most) = (chaos_fleet::NODES_MIN, chaos_fleet::NODES_MAX);
+    let number = text.parse().ok().filter(|number| (least..=most).contains(number));
+    number.ok_or_else(|| format!("from {least} to {most} nodes"))
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Usage`] for a wrong schedule; [`Failure::Unsuccessful`] if an invariant was violated.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    // Checks here, and not on each thread, that this program was built with injected bugs.
+    mutants::activate(args.mutant).map_err(|problem| Failure::Usage(problem.to_string()))?;
+    match args.seed {
+        _ if args.mutants => run_hunts(args),
+        _ if args.scoreboard => score(args),
+        Some(seed) => one(args, seed),
+        None => many(args),
+    }
+}
+
+impl Args {
+    fn order(&self, seed: u64) -> RunConfig {
+        RunConfig { seed, nodes: self.nodes, minutes: self.minutes, closed: false }
+    }
+
+    fn generated(&self, seed: u64) -> Schedule {
+        let kinds = if self.faults.is_empty() { &FaultKind::FAULTS[..] } else { &self.faults };
+        generate(seed, &ChaosFleet::of(self.nodes), self.minutes, kinds)
+    }
+
+    fn jobs(&self) -> usize {
+        self.jobs.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into)).max(1)
+    }
+
+    /// Returns the flag that, with the seed, reproduces the schedule.
+    fn faults_flag(&self) -> String {
+        let names: Vec<_> = self.faults.iter().map(|kind| kind.name()).collect();
+        if names.is_empty() { String::new() } else { format!(" --faults {}", names.join(",")) }
+    }
+
+    /// Prints text for people: never between the lines of JSON, which programs read.
+    fn print(&self, text: impl Display) -> Result<(), Failure> {
+        if self.json {
+            output::note(text);
+            return Ok(());
+        }
+        output::line(text)
+    }
+
+    /// Activates the chosen bug on the current thread.
+    fn activate_mutant(&self) {
+        mutants::activate(self.mutant).expect("it was chosen before");
+    }
+
+    /// Returns the flags of a run besides its seed and its schedule, where they differ from the
+    /// default.
+    fn flags(&self) -> String {
+        let mut flags = String::new();
+        if self.minutes != 5.0 {
+            flags.push_str(&format!(" --minutes {}", self.minutes));
+        }
+        if self.nodes != 7 {
+            flags.push_str(&format!(" --nodes {}", self.nodes));
+        }
+        if let Some(mutant) = self.mutant {
+            flags.push_str(&format!(" --mutant {mutant}"));
+        }
+        flags
+    }
+}
+
+/// Hunts every injected bug.
+fn run_hunts(args: &Args) -> Result<(), Failure> {
+    let bar = ProgressBar::new_spinner();
+    let mut rows = vec![["mutant", "must be found within", "found by seed", "by"].map(str::to_owned).to_vec()];
+    let mut missed = vec![];
+    for wanted in MUTANT_CHECKS {
+        let mut runs = 0;
+        let found = check_mutant(wanted, args.jobs(), || {
+            runs += 1;
+            bar.set_message(format!("{}: {runs} of {} seeds", wanted.mutant, wanted.seeds_max));
+            bar.tick();
+        })
+        .map_err(|problem| Failure::Usage(problem.to_string()))?;
+        if args.json {
+            json(&found)?;
+        }
+        if found.seeds.is_none() {
+            missed.push(found.mutant);
+        }
+        let or = |text: Option<String>| text.unwrap_or_else(|| "not found".to_owned());
+        let seeds = or(found.seeds.map(|seeds| seeds.to_string()));
+        rows.push(vec![found.mutant.to_owned(), found.seeds_max.to_string(), seeds, or(found.invariant)]);
+    }
+    bar.finish_and_clear();
+    if !args.json {
+        output::line(output::table(&rows))?;
+    }
+    if missed.is_empty() { Ok(()) } else { Err(Failure::Unsuccessful(format!("not found: {}", missed.join(", ")))) }
+}
+
+/// Computes the scoreboard.
+fn score(args: &Args) -> Result<(), Failure> {
+    let kinds = scoreboard::kinds();
+    let bar = ProgressBar::new(args.runs * kinds.len() as u64);
+    bar.set_style(ProgressStyle::with_template("{bar:40} {pos}/{len} runs  {msg}").expect("the template is sound"));
+    let mut rows = vec![];
+    for (name, kinds) in kinds {
+        bar.set_message(name);
+        rows.push(scoreboard::run_row(name, &kinds, args.runs, args.minutes, args.jobs(), || bar.inc(1)));
+    }
+    bar.finish_and_clear();
+    if let Some(file) = &args.save {
+        let text = serde_json::to_string_pretty(&rows).expect("a row is plain data") + "\n";
+        std::fs::write(file, text)
+            .map_err(|problem| Failure::Unsuccessful(format!("{} was not written: {problem}", file.display())))?;
+    }
+    if args.json {
+        json(&rows)?;
+    } else {
+        output::line(markdown(&rows).trim_end())?;
+    }
+    let broken: Vec<_> = rows.iter().filter(|row| !row.violations.is_empty()).map(|row| row.fault).collect();
+    if broken.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::Unsuccessful(format!("invariants violated under: {}", broken.join(", "))))
+    }
+}
+
+fn one(args: &Args, seed: u64) -> Result<(), Failure> {
+    let schedule = match &args.schedule {
+        Some(file) => read(file, &ChaosFleet::of(args.nodes))?,
+        None => args.generated(seed),
+    };
+    if args.verbose {
+        args.print(format_args!("{schedule}"))?;
+    }
+    let order = args.order(seed);
+    let mut waiting = Progress::on_terminal();
+    waiting.show(format_args!("seed {seed}: {} minutes of a fleet's time", args.minutes));
+    let outcome = run_quietly(args, &order, &schedule);
+    waiting.clear();
+    if args.json {
+        json(&outcome)?;
+    }
+    match &outcome.violation {
+        Some(violation) => broken(args, &order, &schedule, violation, args.schedule.is_none()),
+        None if args.json => Ok(()),
+        None => output::line(summary(&outcome)),
+    }
+}
+
+fn many(args: &Args) -> Result<(), Failure> {
+    let seeds = args.seeds.end() - args.seeds.start() + 1;
+    let bar = ProgressBar::new(seeds);
+    let style = "{bar:40} {pos}/{len} seeds, {per_sec}, {eta} left  {msg}";
+    bar.set_style(ProgressStyle::with_template(style).expect("the template is sound"));
+    let began = Instant::now();
+    let mut totals = Totals::default();
+    let many = SeedSweep {
+        seeds: args.seeds.clone(),
+        jobs: args.jobs(),
+        config: &|seed| (args.order(seed), args.generated(seed)),
+        prepare: &|| args.activate_mutant(),
+    };
+    let mut printed = Ok(());
+    let found = many.run(|outcome| {
+        bar.inc(1);
+        totals.add(outcome);
+        let missions = count(totals.acknowledged, "mission", "missions");
+        bar.set_message(format!("{missions}, {}", count(totals.takeovers.len(), "takeover", "takeovers")));
+        if args.json && printed.is_ok() {
+            printed = json(outcome);
+        }
+    });
+    bar.finish_and_clear();
+    printed?;
+    if let Some(outcome) = found
+        && let Some(violation) = &outcome.violation
+    {
+        return broken(args, &args.order(outcome.seed), &args.generated(outcome.seed), violation, true);
+    }
+    let seconds = began.elapsed().as_secs_f64();
+    let rate = seeds as f64 * 60.0 / seconds;
+    if !args.json {
+        output::line(format_args!(
+            "{} held: {} acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn)\n\
+             {}{}; converged{} after the last fault\n\
+             {:.1} simulated hours in {seconds:.1} s, {rate:.0} seeds a minute",
+            count(seeds, "seed", "seeds"),
+            count(totals.acknowledged, "mission", "missions"),
+            totals.completed,
+            totals.failed,
+            totals.canceled,
+            count(totals.takeovers.len(), "takeover", "takeovers"),
+            median_and_p99(&totals.takeovers, 1.0, "ms"),
+            median_and_p99(&totals.converged, 1000.0, "s"),
+            totals.simulated_ms as f64 / 3_600_000.0,
+        ))?;
+    }
+    Ok(())
+}
+
+/// Formats the median and the 99th percentile of times in milliseconds.
+fn median_and_p99(times_ms: &[u64], unit_ms: f64, unit: &str) -> String {
+    let in_units = |ms: u64| ms as f64 / unit_ms;
+    percentiles(times_ms).map_or(String::new(), |(p50, p99)| {
+        format!(" p50 {:.1} {unit}, p99 {:.1} {unit}", in_units(p50), in_units(p99))
+    })
+}
+
+#[derive(Default)]
+struct Totals {
+    acknowledged: usize,
+    completed: usize,
+    failed: usize,
+    canceled: usize,
+    takeovers: Vec<u64>,
+    converged: Vec<u64>,
+    simulated_ms: u64,
+}
+
+impl Totals {
+    fn add(&mut self, outcome: &RunOutcome) {
+        let counters = &outcome.counters;
+        self.acknowledged += counters.acknowledged;
+        self.completed += counters.completed;
+        self.failed += counters.failed + counters.needs_intervention;
+        self.canceled += counters.canceled;
+        self.takeovers.extend(&counters.takeovers_ms);
+        self.converged.extend(counters.converged_ms);
+        self.simulated_ms += counters.simulated_ms;
+    }
+}
+
+fn summary(outcome: &RunOutcome) -> String {
+    let counters = &outcome.counters;
+    format!(
+        "seed {} held: {} acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn); {}; \
+         digest {}",
+        outcome.seed,
+        count(counters.acknowledged, "mission", "missions"),
+        counters.completed,
+        counters.failed,
+        counters.canceled,
+        count(counters.takeovers_ms.len(), "takeover", "takeovers"),
+        outcome.digest,
+    )
+}
+
+/// Prints the violation, shrinks the schedule, and prints the command that repeats it.
+fn broken(
+    args: &Args,
+    order: &RunConfig,
+    schedule: &Schedule,
+    violation: &Violation,
+    cut_down: bool,
+) -> Result<(), Failure> {
+    let at = violation.at_ms as f64 / 1000.0;
+    args.print(format_args!("seed {}: {} is violated at {at:.3} s", order.seed, violation.invariant))?;
+    args.print(format_args!("  {}\n", violation.reason))?;
+    let (smallest, last) = if cut_down {
+        let bar = ProgressBar::new_spinner();
+        let mut last = violation.clone();
+        let smallest = shrink(schedule, SHRINK_TRIES, |tried| {
+            bar.set_message(format!("shrinking the schedule: {}", count(tried.steps.len(), "step", "steps")));
+            bar.tick();
+            let again =
+                run_quietly(args, order, tried).violation.filter(|again| again.invariant == violation.invariant);
+            let fails = again.is_some();
+            last = again.unwrap_or_else(|| last.clone());
+            fails
+        });
+        bar.finish_and_clear();
+        (smallest, last)
+    } else {
+        (schedule.clone(), violation.clone())
+    };
+    args.print(format_args!("Events before:\n{}\n", last.events_before.join("\n")))?;
+    let (left, all) = (smallest.steps.len(), schedule.steps.len());
+    args.print(format_args!("Smallest schedule found ({left} of {all} steps; times in seconds):\n{smallest}"))?;
+    let repeat = format!("consort-lab chaos --seed {}{}", order.seed, args.flags());
+    if cut_down {
+        let file = format!("chaos-{}.json", order.seed);
+        let text = serde_json::to_string_pretty(&smallest).expect("a schedule is plain data");
+        match std::fs::write(&file, text) {
+            Ok(()) => args.print(format_args!("Repeat with these steps only:\n  {repeat} --schedule {file}"))?,
+            Err(problem) => output::note(format_args!("{file} was not written: {problem}")),
+        }
+        args.print(format_args!("Repeat with all steps:\n  {repeat}{}", args.faults_flag()))?;
+    }
+    Err(Failure::Unsuccessful(format!("{} is violated for seed {}", violation.invariant, order.seed)))
+}
+
+/// Runs a schedule on a thread that does not print panics.
+fn run_quietly(args: &Args, order: &RunConfig, schedule: &Schedule) -> RunOutcome {
+    let again = (order.clone(), schedule.clone());
+    let many = SeedSweep {
+        seeds: order.seed..=order.seed,
+        jobs: 1,
+        config: &move |_| again.clone(),
+        prepare: &|| args.activate_mutant(),
+    };
+    let mut outcome = None;
+    many.run(|told| outcome = Some(told.clone()));
+    outcome.expect("a run has an outcome")
+}
+
+fn read(file: &Path, cast: &ChaosFleet) -> Result<Schedule, Failure> {
+    let wrong = |problem: String| Failure::Usage(format!("{}: {problem}", file.display()));
+    let text = std::fs::read_to_string(file).map_err(|problem| wrong(problem.to_string()))?;
+    let schedule: Schedule =
+        serde_json::from_str(&text).map_err(|problem| wrong(format!("not a schedule: {problem}")))?;
+    schedule.check(cast).map_err(wrong)?;
+    Ok(schedule.in_order())
+}
+
+fn json(value: &impl serde::Serialize) -> Result<(), Failure> {
+    output::line(serde_json::to_string(value).expect("an outcome is plain data"))
+}

@@ -1,0 +1,11 @@
+//! The command line of the laboratory.
+
+mod bench;
+mod binary;
+mod chaos;
+mod experiment;
+mod help;
+#[path = "../../../consort/tests/command_line/support.rs"]
+#[expect(dead_code, reason = "the tests of the other program use the rest")]
+mod support;
+mod test;
