@@ -166,6 +166,8 @@ names! {
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ClusterId(pub u64);
 
+inline_schema!(ClusterId, json_schema!({ "type": "string", "pattern": "^[0-9a-fA-F]{16}$" }));
+
 impl fmt::Display for ClusterId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:016x}", self.0)

@@ -8,7 +8,8 @@
 //! From a mission file to the local plan of each role:
 //!
 //! ```
-//! use consort_protocol::mission::{Domain, Format, MissionTemplate};
+//! use consort_protocol::ids::NameError;
+//! use consort_protocol::mission::{Domain, Format, MissionTemplate, TaskSchema, ValueKind};
 //! use consort_protocol::plan::divide_and_check;
 //!
 //! let file = r#"
@@ -22,9 +23,16 @@
 //!     - { task: go, type: navigation, roles: [r1], parameters: { to: "${room}" } }
 //!     - { task: meet, type: wait, roles: [r1, nurse], parameters: { seconds: "5" } }
 //! "#;
+//! let task_types = [
+//!     ("navigation", TaskSchema::default().required("to", ValueKind::Place)),
+//!     ("wait", TaskSchema::default().required("seconds", ValueKind::Seconds)),
+//! ];
+//! let domain = task_types.into_iter().try_fold(Domain::default(), |domain, (name, schema)| {
+//!     Ok::<_, NameError>(domain.with(name.parse()?, schema))
+//! })?;
 //! let template = MissionTemplate::parse(file, Format::Yaml)?;
 //! let room = [("room".to_owned(), "IC Room 6".to_owned())].into();
-//! let mission = template.instantiate(&room, &Domain::hospital())?;
+//! let mission = template.instantiate(&room, &domain)?;
 //! let division = divide_and_check(&mission)?;
 //! // Division adds messages between the roles: the robot notifies the nurse when it arrives.
 //! let steps = |role: &str| division.plans.iter().find(|(id, _)| id.as_str() == role).map(|(_, plan)| plan.steps.len());
@@ -32,9 +40,10 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod access;
+pub mod api;
 pub mod auction;
 pub mod codec;
-pub mod count;
 pub mod ensemble;
 pub mod event;
 pub mod ids;
@@ -44,7 +53,6 @@ pub mod lease;
 pub mod ledger;
 pub mod message;
 pub mod mission;
-pub mod mutants;
 pub mod plan;
 pub mod pose;
 mod schema;
@@ -52,4 +60,5 @@ pub mod timing;
 pub mod trust;
 pub mod units;
 pub mod versions;
+pub mod view;
 mod word_enum;

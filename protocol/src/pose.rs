@@ -1,11 +1,12 @@
 //! Position and heading of a robot on the map.
 
 use crate::units::Metres;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Position on the plane of the map and heading: `x` and `y` in metres, `yaw` in radians,
 /// counter-clockwise from +x.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Pose {
     /// East of the map's origin, in metres.
     #[serde(rename = "x_m")]

@@ -154,6 +154,8 @@ impl SharePerSecond {
 #[derive(Clone, Copy, PartialEq, PartialOrd, Debug, Default, Serialize, Deserialize)]
 pub struct WorldTime(f64);
 
+inline_schema!(WorldTime, json_schema!({ "type": "number", "minimum": 0 }));
+
 impl WorldTime {
     /// Start of the world.
     pub const ZERO: WorldTime = WorldTime(0.0);

@@ -13,12 +13,11 @@
 //! ([`codec`](crate::codec)): most layouts are the same in all versions.
 
 use crate::ids::NodeId;
-use crate::knowledge::KnowledgeBase;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// Range of wire versions that a program reads.
+/// Range of wire versions that a node reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VersionRange {
     /// Oldest version.
@@ -31,21 +30,10 @@ impl VersionRange {
     /// Versions of this program.
     pub const OWN: VersionRange = VersionRange { oldest: 1, newest: 2 };
 
-    /// Returns the versions that this process reads: [`OWN`](Self::OWN).
-    ///
-    /// A build with the feature `mutants` reads the environment variable
-    /// `CONSORT_NEWEST_WIRE_VERSION` once. Tests set it to a lower version to run the program as an
-    /// earlier release.
-    pub fn own() -> VersionRange {
-        #[cfg(feature = "mutants")]
-        {
-            static NEWEST: std::sync::OnceLock<u8> = std::sync::OnceLock::new();
-            let limit = || std::env::var("CONSORT_NEWEST_WIRE_VERSION").ok().and_then(|text| text.parse().ok());
-            let newest = *NEWEST.get_or_init(|| limit().unwrap_or(Self::OWN.newest).min(Self::OWN.newest));
-            VersionRange { newest, ..Self::OWN }
-        }
-        #[cfg(not(feature = "mutants"))]
-        Self::OWN
+    /// Returns the range without the versions above `newest`, as an earlier release reads it.
+    #[must_use]
+    pub fn up_to(self, newest: u8) -> VersionRange {
+        VersionRange { newest: self.newest.min(newest), ..self }
     }
 
     /// Checks whether the range contains this version.
@@ -84,24 +72,21 @@ pub enum UpgradeStatus {
 
 impl UpgradeStatus {
     /// Computes whether a fleet that writes version `now` may switch to the next version, according
-    /// to a coordinator with a program that reads `own`. All nodes with a record count, including
-    /// nodes that are down, since they may return. All nodes in `required` count, with or without a
-    /// record.
+    /// to a coordinator with a program that reads `own`. `known` are the versions that the nodes
+    /// with a record read. All of them count, including nodes that are down, since they may return.
+    /// All nodes in `required` count, with or without a record.
     pub fn of(
         now: u8,
         own: VersionRange,
         required: impl IntoIterator<Item = NodeId>,
-        base: &KnowledgeBase,
+        known: impl IntoIterator<Item = (NodeId, VersionRange)>,
     ) -> UpgradeStatus {
         let next = now.saturating_add(1);
         if !own.contains(next) {
             return UpgradeStatus::Newest;
         }
-        let known = base
-            .iter()
-            .map(|(node, known_record)| (node.clone(), Some(known_record.record.knowledge.supported_versions)));
         let mut all: BTreeMap<NodeId, Option<VersionRange>> = required.into_iter().map(|node| (node, None)).collect();
-        all.extend(known);
+        all.extend(known.into_iter().map(|(node, versions)| (node, Some(versions))));
         all.retain(|_, versions| !versions.is_some_and(|versions| versions.contains(next)));
         match all.is_empty() {
             true => UpgradeStatus::Ready { next },
@@ -113,32 +98,8 @@ impl UpgradeStatus {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::knowledge::{Knowledge, Record, RecordStamp};
-    use crate::units::NodeTime;
-
     fn node(name: &str) -> NodeId {
         NodeId::new(name).unwrap()
-    }
-
-    fn base(nodes: &[(&str, VersionRange)]) -> KnowledgeBase {
-        let mut base = KnowledgeBase::default();
-        for (name, versions) in nodes {
-            let knowledge = Knowledge {
-                may_vote: true,
-                stationary: true,
-                mains_powered: true,
-                replica: None,
-                cluster: None,
-                leaving: false,
-                supported_versions: *versions,
-                robot: None,
-            };
-            base.merge(
-                Record { owner: node(name), stamp: RecordStamp::default(), knowledge, proof: None },
-                NodeTime::ZERO,
-            );
-        }
-        base
     }
 
     const OLD: VersionRange = VersionRange { oldest: 1, newest: 1 };
@@ -147,7 +108,8 @@ mod tests {
     #[test]
     fn a_fleet_is_ready_when_every_node_reads_the_next_version() {
         let of = |now, own, required: &[&str], nodes: &[(&str, VersionRange)]| {
-            UpgradeStatus::of(now, own, required.iter().map(|name| node(name)), &base(nodes))
+            let known = nodes.iter().map(|(name, versions)| (node(name), *versions));
+            UpgradeStatus::of(now, own, required.iter().map(|name| node(name)), known)
         };
         let blocked = |behind: &[(&str, Option<VersionRange>)]| UpgradeStatus::Blocked {
             next: 2,

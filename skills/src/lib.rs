@@ -1,13 +1,17 @@
 //! Capabilities of robots and their costs.
 //!
 //! Skills are behavior trees over the [robot-actions interface](actions). Skill descriptors price
-//! them with the knowledge about the site in environment descriptors. This crate contains nothing
-//! about coordination.
+//! them with the knowledge about the site in environment descriptors. The [hospital domain](domain)
+//! declares the task types of the skills, and the [shipped missions](missions) use them. This crate
+//! contains nothing about coordination.
 
 pub mod actions;
 pub mod bt;
 pub mod descriptor;
+pub mod domain;
 pub mod environment;
 pub mod library;
+pub mod missions;
 pub mod skill;
+mod waypoints;
 pub mod xml;

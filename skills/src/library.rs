@@ -5,7 +5,8 @@
 //! use consort_protocol::mission::TaskSpec;
 //! use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotActions, Telemetry};
 //! use consort_skills::environment::Environment;
-//! use consort_skills::library::{SkillContext, SkillLibrary, SkillStatus};
+//! use consort_skills::library::{SkillLibrary, SkillStatus};
+//! use consort_skills::skill::SkillContext;
 //!
 //! /// A robot that completes every goal at once.
 //! #[derive(Default)]
@@ -45,18 +46,11 @@ use crate::bt::{
     Value, join_names,
 };
 use crate::environment::Environment;
-use crate::skill::{STANDARD_SKILLS, TaskContext, register_shared_leaves};
-use consort_protocol::ids::{RobotId, RoleId, TaskType};
+use crate::skill::{STANDARD_SKILLS, SkillContext, StandardSkill, TaskContext, register_shared_leaves};
+use consort_protocol::ids::TaskType;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::WorldTime;
 use std::collections::BTreeMap;
-
-/// Mission data for a skill.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct SkillContext {
-    /// Holders of the managed roles, this robot included.
-    pub holders: BTreeMap<RoleId, RobotId>,
-}
 
 /// Skills by task type. Built once when a node starts, then shared.
 pub struct SkillLibrary {
@@ -120,7 +114,7 @@ impl SkillLibrary {
 
     /// Returns the trees of the standard skills by task type, as a basis for others.
     pub fn standard_trees() -> BTreeMap<TaskType, TreeSpec> {
-        let tree = |skill: &crate::skill::StandardSkill| {
+        let tree = |skill: &StandardSkill| {
             let task_type = TaskType::new(skill.task_type).expect("names of standard skills are slugs");
             (task_type, read_xml(&format!("{}.xml", skill.task_type), skill.xml).expect("standard trees are valid"))
         };

@@ -10,6 +10,11 @@ use consort_skills::environment::{Environment, Routes, TopologicalMap};
 use serde_json::Value;
 use std::path::PathBuf;
 
+#[path = "../../tests/support/skip.rs"]
+mod skip;
+
+use skip::skip;
+
 fn reference() -> Option<PathBuf> {
     let root = match std::env::var_os("CONSORT_REFERENCE") {
         Some(root) => PathBuf::from(root),
@@ -19,14 +24,8 @@ fn reference() -> Option<PathBuf> {
     if folder.is_dir() {
         return Some(folder);
     }
-    let note = format!("skipped: there is no {}; set CONSORT_REFERENCE to look elsewhere", folder.display());
-    print_note(&note);
+    skip("no published evaluation (CONSORT_REFERENCE names the folder that contains it)");
     None
-}
-
-#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
-fn print_note(note: &str) {
-    eprintln!("{note}");
 }
 
 fn task(id: &str, task_type: &str, parameters: &[(&str, &str)]) -> StepAction {

@@ -17,11 +17,12 @@ use consort_protocol::auction::{
 use consort_protocol::ensemble::Membership;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
-use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::plan::divide_and_check;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
+use consort_skills::domain::hospital;
 use consort_skills::environment::{Environment, Routes};
+use consort_skills::missions::shipped;
 use consort_tests::slug;
 use consort_world::map;
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
@@ -48,7 +49,7 @@ impl Scene {
         let environment = Environment::new().with(Routes::new(&map.topology()).expect("the shipped map is sound"));
         let estimator = Arc::new(DescriptorRegistry::standard().resolve(environment).expect("routes are there"));
         let room = BTreeMap::from([("room".to_owned(), "IC Room 6".to_owned())]);
-        let mission = shipped()["lab-samples"].instantiate(&room, &Domain::hospital()).expect("a shipped mission");
+        let mission = shipped()["lab-samples"].instantiate(&room, &hospital()).expect("a shipped mission");
         let plan = divide_and_check(&mission).expect("a shipped mission").plans[&slug::<RoleId>("r1")].clone();
         let robot = |number: usize| slug::<RobotId>(&format!("robot-{number:04}"));
         let worker = |number: usize| {

@@ -7,7 +7,6 @@
 mod injected_bugs;
 mod seeds;
 
-use consort_protocol::mutants::{Mutant, activate};
 use consort_tests::chaos::{RunConfig, RunOutcome, Schedule, SeedSweep};
 use std::thread;
 
@@ -15,16 +14,11 @@ fn jobs() -> usize {
     thread::available_parallelism().map_or(1, Into::into)
 }
 
-/// Executes a single run, optionally with an injected bug.
-fn once(order: &RunConfig, schedule: &Schedule, mutant: Option<Mutant>) -> RunOutcome {
+/// Executes a single run.
+fn once(order: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let again = (order.clone(), schedule.clone());
     let mut outcome = None;
-    SeedSweep {
-        seeds: order.seed..=order.seed,
-        jobs: 1,
-        config: &move |_| again.clone(),
-        prepare: &|| activate(mutant).expect("tests are built with mutants"),
-    }
-    .run(|told| outcome = Some(told.clone()));
+    SeedSweep { seeds: order.seed..=order.seed, jobs: 1, config: &move |_| again.clone() }
+        .run(|told| outcome = Some(told.clone()));
     outcome.expect("a run has an outcome")
 }

@@ -3,31 +3,34 @@
 use crate::{jobs, once};
 use consort_tests::chaos::{ChaosFleet, FaultKind, RunConfig, SeedSweep, generate};
 
+/// Number of seeds of open fleets: twice the number within which every injected bug must be found.
+/// The highest seed that has found a bug so far (`found_by_chaos`) is 165.
+const SEEDS: u64 = 180;
+
 /// Runs the seeds from 1 to `seeds` with open or closed fleets.
 fn everything_holds(seeds: u64, minutes: f64, closed: bool) {
-    let order = |seed| RunConfig { seed, nodes: 7, minutes, closed };
-    let cast = ChaosFleet::of(7);
+    let order = |seed| RunConfig { seed, nodes: 7, minutes, closed, mutant: None };
+    let composition = ChaosFleet::of(7);
     let mut missions = 0;
     let found = SeedSweep {
         seeds: 1..=seeds,
         jobs: jobs(),
-        config: &|seed| (order(seed), generate(seed, &cast, minutes, &FaultKind::FAULTS)),
-        prepare: &|| (),
+        config: &|seed| (order(seed), generate(seed, &composition, minutes, &FaultKind::FAULTS)),
     }
     .run(|outcome| missions += outcome.counters.acknowledged);
     if let Some(outcome) = found
         && let Some(violation) = outcome.violation
     {
-        let schedule = generate(outcome.seed, &cast, minutes, &FaultKind::FAULTS);
-        let tale = violation.events_before.join("\n");
-        panic!("seed {}: {}: {}\n{tale}\n{schedule}", outcome.seed, violation.invariant, violation.reason);
+        let schedule = generate(outcome.seed, &composition, minutes, &FaultKind::FAULTS);
+        let events = violation.events_before.join("\n");
+        panic!("seed {}: {}: {}\n{events}\n{schedule}", outcome.seed, violation.invariant, violation.reason);
     }
     assert!(missions >= usize::try_from(seeds).expect("a few hundred"), "only {missions} missions were submitted");
 }
 
 #[test]
 fn invariants_hold_for_the_first_seeds() {
-    everything_holds(250, 3.0, false);
+    everything_holds(SEEDS, 3.0, false);
 }
 
 #[test]
@@ -37,12 +40,12 @@ fn invariants_hold_in_closed_fleets() {
 
 #[test]
 fn a_seed_determines_a_run_to_the_byte() {
-    let cast = ChaosFleet::of(5);
+    let composition = ChaosFleet::of(5);
     let runs: Vec<_> = (11..=12)
         .map(|seed| {
-            let order = RunConfig { seed, nodes: 5, minutes: 1.0, closed: seed == 12 };
-            let schedule = generate(seed, &cast, 1.0, &FaultKind::FAULTS);
-            let (one, other) = (once(&order, &schedule, None), once(&order, &schedule, None));
+            let order = RunConfig { seed, nodes: 5, minutes: 1.0, closed: seed == 12, mutant: None };
+            let schedule = generate(seed, &composition, 1.0, &FaultKind::FAULTS);
+            let (one, other) = (once(&order, &schedule), once(&order, &schedule));
             assert_eq!(one, other, "seed {seed}");
             assert!(!one.digest.is_empty(), "seed {seed}: {:?}", one.violation);
             one.digest

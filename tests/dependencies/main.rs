@@ -1,5 +1,7 @@
-//! Dependencies match `deny.toml`. cargo-deny checks more but must be installed; this test needs
-//! cargo alone.
+//! Dependencies match `deny.toml`, and the modules of each crate have no cycles. cargo-deny checks
+//! more but must be installed; this test needs cargo alone.
+
+mod module_cycles;
 
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -101,10 +103,10 @@ fn licence_expressions_are_evaluated() {
 #[test]
 fn every_licence_is_allowed() {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
-    let asked = ["metadata", "--format-version", "1", "--locked", "--filter-platform", "x86_64-unknown-linux-gnu"];
-    let told = Command::new(cargo).args(asked).current_dir(root()).output().expect("cargo runs");
-    assert!(told.status.success(), "{}", String::from_utf8_lossy(&told.stderr));
-    let metadata: Value = serde_json::from_slice(&told.stdout).expect("JSON");
+    let arguments = ["metadata", "--format-version", "1", "--locked", "--filter-platform", "x86_64-unknown-linux-gnu"];
+    let output = Command::new(cargo).args(arguments).current_dir(root()).output().expect("cargo runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let metadata: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     let deny = table("deny.toml");
     let allowed = texts(&deny["licenses"]["allow"]);
     let exceptions = entries(&deny, "licenses", "exceptions");
@@ -165,4 +167,31 @@ fn every_exception_is_explained_and_still_needed() {
         let name = text(&banned, "crate");
         assert!(ours.iter().all(|(known, _)| known != name), "{name} is there: {}", text(&banned, "reason"));
     }
+}
+
+/// Cycles that remain: the crate's folder, and the module with the cycle among its children.
+const REMAINING_CYCLES: [(&str, &str); 3] =
+    [("tests", "crate::behavior"), ("tests", "crate::chaos"), ("tests", "crate::experiment")];
+
+/// Levels of modules to compare: the modules of a crate, and those below each of them.
+const LEVELS: usize = 2;
+
+#[test]
+fn modules_of_a_crate_have_no_cycles() {
+    let workspace = table("Cargo.toml");
+    let members = workspace["workspace"]["members"].as_array().expect("a list");
+    let mut unneeded: BTreeSet<(&str, &str)> = REMAINING_CYCLES.into();
+    let mut found = Vec::new();
+    for package in members.iter().map(|member| member.as_str().expect("a folder")) {
+        for cycle in module_cycles::cycles(&root().join(package), LEVELS) {
+            if let Some(known) = REMAINING_CYCLES.iter().find(|known| **known == (package, cycle.parent.as_str())) {
+                unneeded.remove(known);
+                continue;
+            }
+            let (children, uses) = (Vec::from_iter(cycle.children), Vec::from_iter(cycle.uses));
+            found.push(format!("{package} {}: {}\n    {}", cycle.parent, children.join(", "), uses.join("\n    ")));
+        }
+    }
+    assert!(found.is_empty(), "modules depend on each other:\n{}", found.join("\n"));
+    assert!(unneeded.is_empty(), "these cycles are gone: {unneeded:?}");
 }

@@ -1,13 +1,13 @@
 Feature: Batteries
-  A robot takes a mission only if its charge will do. If the battery runs down all the same, the mission goes to another, or
-  waits for somebody who comes for the sample.
+  A robot takes a mission only if its charge suffices. If the battery drops nevertheless, the mission goes to another robot,
+  or needs intervention.
 
   Background:
     Given an arm lab-arm at "Laboratory"
     And stations aster and basil
     And a nurse in "IC Room 6"
 
-  Scenario: Who has too little charge for the whole way is not chosen
+  Scenario: A robot with too little charge for the mission is not chosen
     Given these robots:
       | name  | place     | charge | uses   |
       | amber | IC Room 5 | 9 %    | 0.04 % |
@@ -17,7 +17,7 @@ Feature: Batteries
     And amber did not get r1 because "charge"
     And birch did task navto_lab
 
-  Scenario: A battery that drops on the way to the nurse: another robot takes over
+  Scenario: Another robot takes over when the battery drops on the way to the nurse
     Given these robots:
       | name  | place     |
       | amber | IC Room 4 |
@@ -29,7 +29,7 @@ Feature: Batteries
     And r1 was taken from a robot because "of the battery, less than 8.0 %"
     And every active role had its own robot
 
-  Scenario: A battery that runs down with the sample in the drawer: the robot stands, and a person has to come
+  Scenario: A robot with the sample and an empty battery stops, and the mission needs intervention
     Given a robot amber at "IC Room 4"
     And the battery of amber drops to 4 % when task navto_lab has begun
     When a sample is requested from "IC Room 6"
@@ -37,7 +37,7 @@ Feature: Batteries
     And amber cannot move
     And "sample of IC Room 6" is in the drawer of amber
 
-  Scenario: A robot that uses more than it thinks gives up in time and another goes on
+  Scenario: A robot that uses more charge than estimated releases its role early
     Given these robots:
       | name  | place     | charge | uses   | really uses |
       | amber | IC Room 4 | 30 %   | 0.04 % | 0.6 %       |
@@ -46,7 +46,7 @@ Feature: Batteries
     Then within 30 minutes the mission is completed
     And birch did task navto_lab
 
-  Scenario: A robot whose battery was exchanged works again
+  Scenario: A robot works again after its battery was exchanged
     Given a robot amber at "IC Room 4"
     When the battery of amber drops to 4 %
     And the fleet runs for 5 s

@@ -1,9 +1,9 @@
-Feature: Nobody is indispensable
-  Whoever coordinates may die at any moment. Others elect a successor among themselves; missions under way go on, and none that
-  was acknowledged is lost.
+Feature: Takeover of the coordinator
+  The coordinator may fail at any moment. The other voters elect a successor; active missions continue, and no acknowledged
+  mission is lost.
 
   Background:
-    # The stations come first by name, and so one of them coordinates first.
+    # The stations are first by name, so one of them is the first coordinator.
     Given these robots:
       | name  | place     |
       | fern  | PC Room 8 |
@@ -12,7 +12,7 @@ Feature: Nobody is indispensable
     And stations aster, basil and clove
     And a nurse in "IC Room 6"
 
-  Scenario Outline: The coordinator dies while <task> is under way
+  Scenario Outline: The coordinator fails during <task>
     Given the coordinator is killed when task <task> has begun
     When a sample is requested from "IC Room 6"
     Then within 10 minutes the mission is completed
@@ -29,14 +29,14 @@ Feature: Nobody is indispensable
       | navto_lab      |
       | pick_up_sample |
 
-  Scenario: A successor is there at once
+  Scenario: A successor is elected within seconds
     When the fleet runs until there is a coordinator
     And the coordinator is killed
     Then there is no coordinator
     And within 2 s another node is the coordinator
     And for 10 s there is a coordinator
 
-  Scenario: A mission asked for while there is no coordinator is done once
+  Scenario: A mission requested without a coordinator is executed once
     When the fleet runs until there is a coordinator
     And the coordinator is killed
     And a sample is requested from "IC Room 6"
@@ -44,7 +44,7 @@ Feature: Nobody is indispensable
     And another node is the coordinator
     And every task of the mission was done once
 
-  Scenario: A coordinator that is cut off is replaced, and is no second one when it can be heard again
+  Scenario: A coordinator that was cut off is replaced, and does not coordinate after the network heals
     When the fleet runs until there is a coordinator
     And the coordinator is cut off
     Then within 5 s another node is the coordinator
@@ -55,7 +55,7 @@ Feature: Nobody is indispensable
     And every task of the mission was done once
     And every active role had its own robot
 
-  Scenario: Three of five voters die: nobody can coordinate, and a robot at work finishes what it can
+  Scenario: Without three of five voters the fleet has no coordinator
     When a sample is requested from "IC Room 6"
     And the fleet runs until task navto_room has begun
     And node aster is killed

@@ -9,7 +9,7 @@ Feature: Lab samples
     And an arm lab-arm at "Laboratory"
     And a nurse in "IC Room 6"
 
-  Scenario: A sample is brought to the laboratory by the robot that is nearest
+  Scenario: The nearest robot delivers the sample
     When a sample is requested from "IC Room 6"
     Then within 10 minutes the mission is completed
     And birch did task navto_lab
@@ -17,7 +17,7 @@ Feature: Lab samples
     And every task of the mission was done once
     And every active role had its own robot
 
-  Scenario: What happens on the way, step by step
+  Scenario: The steps of a delivery
     When a sample is requested from "IC Room 6"
     And the fleet runs until the mission is running
     Then birch is r1 of the mission
@@ -33,7 +33,7 @@ Feature: Lab samples
     Then lab-arm holds "sample of IC Room 6"
     And birch is at "Laboratory"
 
-  Scenario: A fast robot from far away beats a slow one that is near
+  Scenario: A distant fast robot is cheaper than a near slow robot
     Given these robots:
       | name  | place | speed |
       | cedar | Dock  | 2.0   |
@@ -41,14 +41,14 @@ Feature: Lab samples
     Then within 10 minutes the mission is completed
     And cedar did task navto_lab
 
-  Scenario: Who lacks a skill is not chosen, and it is said which
+  Scenario: A robot without a skill is rejected with the name of the skill
     Given a robot cedar at "IC Room 6" with skills navigation, approach_person, operate_drawer, approach_robot
     When a sample is requested from "IC Room 6"
     Then within 10 minutes the mission is completed
     And cedar did not get r1 because "lacks authenticate_person"
     And cedar never had a role in the mission
 
-  Scenario: Nobody has the skills: the mission waits until somebody comes who has
+  Scenario: The mission waits until a robot has all required skills
     Given stations aster and basil
     When the fleet runs until there is a coordinator
     And node amber is killed
@@ -58,7 +58,7 @@ Feature: Lab samples
     When node birch starts again
     Then within 10 minutes the mission is completed
 
-  Scenario Outline: A sample comes from any room (<room>)
+  Scenario Outline: A sample is fetched from any room (<room>)
     Given a nurse in "<room>"
     When a sample is requested from "<room>"
     Then within 10 minutes the mission is completed

@@ -1,8 +1,8 @@
 Feature: Missions of several robots
-  Robots tell each other directly what they have done: who waits for another's work goes on when it is done, whatever becomes
-  of the coordinator meanwhile.
+  Robots send signals to each other directly: a robot that awaits a signal continues when it arrives, independently of the
+  coordinator.
 
-  Scenario: Two robots look after rooms in any order, and meet
+  Scenario: Two robots visit rooms in any order, and meet
     Given these robots:
       | name  | place     | skills           |
       | amber | Dock      | navigation, wait |
@@ -18,7 +18,7 @@ Feature: Missions of several robots
     And birch did task rest
     And every active role had its own robot
 
-  Scenario: Two robots, of which the coordinator is killed while they are at work
+  Scenario: The coordinator is killed while two robots are at work
     Given these robots:
       | name  | place     | skills           |
       | amber | Dock      | navigation, wait |
@@ -30,7 +30,7 @@ Feature: Missions of several robots
     And another node is the coordinator
     And every active role had its own robot
 
-  Scenario: A mission for two waits until there are two
+  Scenario: A mission for two robots waits until two are available
     Given these robots:
       | name  | place     | skills           |
       | amber | Dock      | navigation, wait |
@@ -44,7 +44,7 @@ Feature: Missions of several robots
     When node birch starts again
     Then within 10 minutes the mission is completed
 
-  Scenario: A sample is handed over half-way, from a drawer to an arm on wheels
+  Scenario: A sample is handed over halfway, from a drawer to a mobile arm
     Given these robots:
       | name  | place     | skills                                                                                | arm | drawer |
       | amber | IC Room 4 | navigation, approach_person, authenticate_person, operate_drawer, approach_robot      | no  | yes    |
@@ -56,7 +56,7 @@ Feature: Missions of several robots
     And "sample of IC Room 6" lies at "Laboratory"
     And every task of the mission was done once
 
-  Scenario: Three samples, two carriers, one arm
+  Scenario: Two carriers and an arm deliver three samples
     Given these robots:
       | name  | place     |
       | amber | IC Room 4 |
@@ -74,7 +74,7 @@ Feature: Missions of several robots
     And the sample of "PC Room 7" was delivered to lab-arm
     And every active role had its own robot
 
-  Scenario: What is urgent comes first
+  Scenario: The mission with the highest priority starts first
     Given a robot amber at "Dock"
     And an arm lab-arm at "Laboratory"
     And a station post
@@ -95,7 +95,7 @@ Feature: Missions of several robots
     Then it is not true that mission later is completed
     And within 30 minutes all missions are completed
 
-  Scenario: A mission that is not done by its deadline is given up
+  Scenario: A mission that exceeds its deadline fails
     Given these robots:
       | name  | place | speed |
       | amber | Dock  | 0.1   |
@@ -107,7 +107,7 @@ Feature: Missions of several robots
       | IC Room 6 | 60       |
     Then within 2 minutes the mission has failed because "deadline"
 
-  Scenario: A carrier, a door, a lift and an arm upstairs
+  Scenario: A carrier passes a door and a lift to an arm upstairs
     Given the map "maps/tower.yaml"
     And a robot amber at "Lobby 0"
     And an arm lab-arm at "Laboratory"

@@ -1,8 +1,8 @@
-Feature: Corridors that are closed
-  Cleaning, a bed, a barrier: a corridor may be closed at any time. A robot that meets it looks for another way; if there is
-  none, the mission says so.
+Feature: Closed corridors
+  A corridor may be closed at any time. A robot that meets a closed corridor takes another route; without a route the mission
+  fails with this reason.
 
-  Scenario: No way to the nurse
+  Scenario: The mission fails without a route to the nurse
     Given a robot amber at "Dock"
     And an arm lab-arm at "Laboratory"
     And a station post
@@ -12,7 +12,7 @@ Feature: Corridors that are closed
     Then within 30 minutes the mission has failed because "no route"
     And amber retried a task because "is in the way"
 
-  Scenario: No way to the laboratory once the robot has the sample: somebody has to come for it
+  Scenario: Without a route to the laboratory, the robot with the sample needs intervention
     Given a robot amber at "IC Room 4"
     And an arm lab-arm at "Laboratory"
     And a station post
@@ -22,7 +22,7 @@ Feature: Corridors that are closed
     Then within 30 minutes the mission is in need of intervention
     And "sample of IC Room 6" is in the drawer of amber
 
-  Scenario: A corridor that is closed for a while is waited for
+  Scenario: The robot waits for a corridor that is closed for a short time
     Given a robot amber at "IC Room 4"
     And an arm lab-arm at "Laboratory"
     And a station post
@@ -31,7 +31,7 @@ Feature: Corridors that are closed
     When a sample is requested from "IC Room 6"
     Then within 30 minutes the mission is completed
 
-  Scenario: A place that is on no map is refused at once, with what was probably meant
+  Scenario: An unknown place is rejected at once, with the most similar name
     Given a robot amber at "Dock"
     And an arm lab-arm at "Laboratory"
     And a station post
@@ -40,7 +40,7 @@ Feature: Corridors that are closed
     And the request was refused because "which is not on the fleet's map; allowed: "
     And the request was refused because "did you mean `IC Room 6`?"
 
-  Scenario: Another way is taken where there is one
+  Scenario: The robot takes another route if one exists
     Given the map "maps/ring.yaml"
     And a robot amber at "West"
     And a station post

@@ -31,14 +31,14 @@ impl Fleet {
     pub fn assert_sample_delivered(&self, room: &str) {
         let id = format!("sample of {room}").as_str().into();
         let sample = self.world.with(|world| world.sample(&id).expect("a sample of this world"));
-        let story = format!("seed {}: sample of {room}: {sample:?}\n{}", self.seed, self.event_log_text());
+        let context = format!("seed {}: sample of {room}: {sample:?}\n{}", self.seed, self.event_log_text());
         let mut keepers = sample.history.iter().map(|(_, keeper)| keeper).chain([&sample.holder]).collect::<Vec<_>>();
         // An arm lays down what it holds when the next sample arrives.
         keepers.pop_if(|last| matches!(last, SampleHolder::Table(_)));
-        assert_eq!(sample.place.as_str(), "Laboratory", "{story}");
+        assert_eq!(sample.place.as_str(), "Laboratory", "{context}");
         assert!(
             matches!(keepers[..], [SampleHolder::Person(_), SampleHolder::Drawer(_), SampleHolder::Arm(_)]),
-            "{story}"
+            "{context}"
         );
     }
 

@@ -35,22 +35,22 @@ impl Fleet {
     /// Sends a request and returns all replies in the order of arrival.
     pub async fn request_all(&self, call: ApiCall, payload: &Value) -> Vec<Value> {
         let mut replies = self.query(call, &payload.to_string()).await;
-        let mut voices = vec![];
+        let mut values = vec![];
         while let Some(reply) = replies.recv().await {
-            voices.push(serde_json::from_slice(&reply.payload.expect("a reply")).expect("JSON"));
+            values.push(serde_json::from_slice(&reply.payload.expect("a reply")).expect("JSON"));
         }
-        voices
+        values
     }
 
     async fn query(&self, call: ApiCall, payload: &str) -> Stream<Reply> {
         let key = self.keys.write(&Key::Api(call));
         let limit = Duration::from_secs(3);
         let payload = payload.to_owned().into();
-        let asked = match call.is_read_only() {
+        let replies = match call.is_read_only() {
             true => self.client.query_nearest(&key, payload, limit).await,
             false => self.client.query(&key, payload, limit).await,
         };
-        asked.expect("a virtual bus")
+        replies.expect("a virtual bus")
     }
 
     /// Sends a request and panics without a reply.
@@ -83,8 +83,8 @@ impl Fleet {
     pub async fn request_leave(&self, name: &str) -> Value {
         let (key, limit) = (self.keys.write(&Key::Leave(slug(name))), Duration::from_secs(60));
         let mut replies = self.client.query(&key, vec![].into(), limit).await.expect("a virtual bus");
-        let said = replies.recv().await.unwrap_or_else(|| panic!("seed {}: {name} does not reply", self.seed));
-        serde_json::from_slice(&said.payload.expect("a reply")).expect("JSON")
+        let reply = replies.recv().await.unwrap_or_else(|| panic!("seed {}: {name} does not reply", self.seed));
+        serde_json::from_slice(&reply.payload.expect("a reply")).expect("JSON")
     }
 
     /// Requests lab samples from a room until the request is acknowledged.
@@ -94,9 +94,9 @@ impl Fleet {
 
     /// Same as [`submit`](Fleet::submit), but returns the whole reply.
     pub async fn submit_with_reply(&self, request: &str, room: &str) -> Value {
-        let asked = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request });
+        let request = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request });
         self.poll_until(&format!("the acknowledgement of request {request}"), Duration::from_secs(300), async |fleet| {
-            fleet.request(ApiCall::Submit, &asked).await.filter(|answer| answer["mission"].is_string())
+            fleet.request(ApiCall::Submit, &request).await.filter(|answer| answer["mission"].is_string())
         })
         .await
     }

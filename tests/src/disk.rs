@@ -38,7 +38,7 @@ struct State {
     /// Queued writes with their sequence numbers.
     waiting: VecDeque<(u64, Write)>,
     /// Sequence number of the last queued write.
-    asked: u64,
+    writes: u64,
     /// Sequence number of the last write on the platter.
     there: u64,
     slow: Option<(Duration, Duration)>,
@@ -65,7 +65,7 @@ impl VirtualDisk {
             journal: PersistentState::default(),
             page: None,
             waiting: VecDeque::new(),
-            asked: 0,
+            writes: 0,
             there: 0,
             slow: None,
             chance: ChaCha8Rng::seed_from_u64(seed),
@@ -148,10 +148,10 @@ impl End {
         if state.life == self.life { Ok(state) } else { Err(io::Error::other("the node has crashed")) }
     }
 
-    fn ask(&self, write: Write) -> io::Result<(u64, Duration)> {
+    fn count_write(&self, write: Write) -> io::Result<(u64, Duration)> {
         let mut state = self.state()?;
-        state.asked += 1;
-        let number = state.asked;
+        state.writes += 1;
+        let number = state.writes;
         state.waiting.push_back((number, write));
         let delay = state.delay();
         Ok((number, delay))
@@ -159,7 +159,7 @@ impl End {
 
     /// Queues a write and returns once it and all earlier writes are on the platter.
     async fn write(&self, write: Write) -> io::Result<()> {
-        let (number, delay) = self.ask(write)?;
+        let (number, delay) = self.count_write(write)?;
         tokio::time::sleep(delay).await;
         let mut state = self.state()?;
         while state.there < number {
@@ -185,7 +185,7 @@ impl LogStore for End {
 
     async fn save_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
         // This write may be lazy: it reaches the platter with the next other write.
-        self.ask(Write::Committed(committed)).map(drop)
+        self.count_write(Write::Committed(committed)).map(drop)
     }
 
     async fn append(&self, entries: Vec<(u64, Vec<u8>)>) -> io::Result<()> {

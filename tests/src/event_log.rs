@@ -145,12 +145,12 @@ impl EventLog {
 
     /// Formats the log for debugging, with a line per entry.
     pub fn to_text(&self) -> String {
-        let told = |entry: &Observation| !matches!(entry, Observation::LeadershipChanged { .. });
-        self.lines(told).into_iter().map(|(_, line)| line + "\n").collect()
+        let select = |entry: &Observation| !matches!(entry, Observation::LeadershipChanged { .. });
+        self.lines(select).into_iter().map(|(_, line)| line + "\n").collect()
     }
 
     /// Formats the selected entries with their times.
-    pub fn lines(&self, told: impl Fn(&Observation) -> bool) -> Vec<(Duration, String)> {
+    pub fn lines(&self, select: impl Fn(&Observation) -> bool) -> Vec<(Duration, String)> {
         let line = |(at, entry): &(Duration, Observation)| {
             let mut what = match entry {
                 Observation::Published(event) => format!("{:?}", event.kind),
@@ -168,7 +168,7 @@ impl EventLog {
             what.truncate(what.char_indices().nth(260).map_or(what.len(), |(index, _)| index));
             Some((*at, format!("{:8.3} {:>8} {what}", at.as_secs_f64(), entry.node().to_string())))
         };
-        self.lock().iter().filter(|(_, entry)| told(entry)).filter_map(line).collect()
+        self.lock().iter().filter(|(_, entry)| select(entry)).filter_map(line).collect()
     }
 
     /// Returns, for each task of a mission, the nodes at which it began and the nodes at which it

@@ -12,12 +12,14 @@ use consort_fleet::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSetti
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
-use consort_protocol::mission::Domain;
+use consort_protocol::versions::VersionRange;
 use consort_raft::store::NodeStore;
 use consort_skills::descriptor::DescriptorRegistry;
+use consort_skills::domain::hospital;
 use consort_skills::library::SkillLibrary;
+use consort_world::SharedWorld;
 use consort_world::map;
-use consort_world::world::{LoggedEvent, PersonSetup, SharedWorld, World, WorldSetup};
+use consort_world::world::{LoggedEvent, PersonSetup, World, WorldSetup};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -48,7 +50,7 @@ pub struct Fleet {
     lives: u64,
     /// Stores of the latest incarnation of each node.
     stores: BTreeMap<String, NodeStore>,
-    adjust: AdjustNode,
+    options: NodeOptions,
     /// Tasks that record the leadership views of nodes.
     followers: BTreeMap<String, AbortHandle>,
     /// Certificates of the nodes, if the fleet is closed.
@@ -59,6 +61,23 @@ pub struct Fleet {
 
 /// Changes the settings of a node before each start.
 pub type AdjustNode = Box<dyn FnMut(&mut NodeSettings)>;
+
+/// Wraps the bus of a node before each start; the settings are those of the node.
+pub(crate) type WrapBus = Box<dyn FnMut(&NodeSettings, SharedBus) -> SharedBus>;
+
+/// Options of all nodes of a fleet.
+pub(crate) struct NodeOptions {
+    pub(crate) adjust: AdjustNode,
+    pub(crate) wrap_bus: WrapBus,
+    /// Nodes have certificates and sign their messages.
+    pub(crate) closed: bool,
+}
+
+impl Default for NodeOptions {
+    fn default() -> NodeOptions {
+        NodeOptions { adjust: Box::new(|_| ()), wrap_bus: Box::new(|_, bus| bus), closed: false }
+    }
+}
 
 /// Initial state of a fleet.
 pub(crate) struct FleetSetup {
@@ -71,9 +90,7 @@ pub(crate) struct FleetSetup {
     pub(crate) speed: f64,
     /// Robots with any of these skills receive calls for bids.
     pub(crate) skills: Vec<String>,
-    pub(crate) adjust: AdjustNode,
-    /// Nodes have certificates and sign their messages.
-    pub(crate) closed: bool,
+    pub(crate) options: NodeOptions,
 }
 
 /// Returns a nurse that waits in a room with one sample; both are named after the room.
@@ -107,12 +124,14 @@ impl Fleet {
         rooms: &[&str],
         adjust: AdjustNode,
     ) -> Fleet {
-        Fleet::hospital_with(seed, members, stations, rooms, adjust, false).await
+        let options = NodeOptions { adjust, ..NodeOptions::default() };
+        Fleet::hospital_with(seed, members, stations, rooms, options).await
     }
 
     /// Starts the same hospital with certificates; nodes sign their messages.
     pub async fn closed_hospital(seed: u64, members: Vec<RobotSpec>, stations: &[&str], rooms: &[&str]) -> Fleet {
-        Fleet::hospital_with(seed, members, stations, rooms, Box::new(|_| ()), true).await
+        let options = NodeOptions { closed: true, ..NodeOptions::default() };
+        Fleet::hospital_with(seed, members, stations, rooms, options).await
     }
 
     /// Starts the hospital, open or closed.
@@ -121,8 +140,7 @@ impl Fleet {
         mut members: Vec<RobotSpec>,
         stations: &[&str],
         rooms: &[&str],
-        adjust: AdjustNode,
-        closed: bool,
+        options: NodeOptions,
     ) -> Fleet {
         if members.iter().all(|member| member.speed.is_some()) {
             members.push(RobotSpec::arm("lab-arm", "Laboratory"));
@@ -138,19 +156,20 @@ impl Fleet {
         let world = SharedWorld::new(World::new(setup).expect("a valid world"));
         let stations = stations.iter().map(|station| (*station).to_owned()).collect();
         let skills = ["operate_drawer", "pick_up"].map(str::to_owned).to_vec();
-        Fleet::from_setup(FleetSetup { seed, members, stations, world, speed: 10.0, skills, adjust, closed }).await
+        Fleet::from_setup(FleetSetup { seed, members, stations, world, speed: 10.0, skills, options }).await
     }
 
     /// Starts a fleet for the robots of an existing world.
     pub(crate) async fn from_setup(staging: FleetSetup) -> Fleet {
-        let FleetSetup { seed, members, stations, world, speed, skills, adjust, closed } = staging;
+        let FleetSetup { seed, members, stations, world, speed, skills, options } = staging;
         let network = VirtualNetwork::new(seed, LinkModel::LAN);
         let present = members.iter().filter(|member| !member.starts_later).count();
         let skills: Vec<&str> = skills.iter().map(String::as_str).collect();
         let mut settings = ward(&skills, present + stations.len());
         let places = world.with(|world| world.map().topology().places);
-        settings.domain = Arc::new(Domain::hospital().with_places(places.into_keys()));
+        settings.domain = Arc::new(hospital().with_places(places.into_keys()));
         let client = network.bus(slug("client"));
+        let closed = options.closed;
         let mut fleet = Fleet {
             seed,
             network,
@@ -165,7 +184,7 @@ impl Fleet {
             journal: vec![],
             lives: 0,
             stores: BTreeMap::new(),
-            adjust,
+            options,
             followers: BTreeMap::new(),
             credentials: None,
             signing_buses: BTreeMap::new(),
@@ -235,6 +254,7 @@ impl Fleet {
             seed,
             store: self.stores.entry(name.to_owned()).or_insert_with(|| NodeStore::in_memory(seed)).clone(),
             clock: Clock::virtual_at(0),
+            supported_versions: VersionRange::OWN,
             may_vote,
             stationary,
             mains_powered: stationary,
@@ -246,8 +266,9 @@ impl Fleet {
     }
 
     async fn start(&mut self, mut settings: NodeSettings) {
-        (self.adjust)(&mut settings);
-        let mut bus: SharedBus = Arc::new(self.network.bus(settings.node.clone()));
+        (self.options.adjust)(&mut settings);
+        let bus: SharedBus = Arc::new(self.network.bus(settings.node.clone()));
+        let mut bus = (self.options.wrap_bus)(&settings, bus);
         let name = settings.node.to_string();
         if let Some(papers) = &self.credentials {
             let keyring = papers.keyring_of(&settings.node, Credentials::roles(&settings), settings.incarnation);
@@ -265,14 +286,14 @@ impl Fleet {
         let Some(replica) = self.nodes.get(name).and_then(|node| node.replica.as_ref()) else { return };
         let (mut leadership, chronicle, node) = (replica.leadership(), self.event_log.clone(), slug::<NodeId>(name));
         let follower = tokio::spawn(async move {
-            let mut told = None;
+            let mut reported = None;
             loop {
                 let (term, leads) = {
                     let now = leadership.borrow_and_update();
                     (now.term, now.leader_id.filter(|_| now.is_leader))
                 };
-                if told != Some((term, leads)) {
-                    told = Some((term, leads));
+                if reported != Some((term, leads)) {
+                    reported = Some((term, leads));
                     chronicle.add(Observation::LeadershipChanged { node: node.clone(), term, leading_as: leads });
                 }
                 if leadership.changed().await.is_err() {
@@ -319,12 +340,12 @@ impl Fleet {
     /// Decommissions a node as `consort leave` does, and shuts it down afterwards. Returns its
     /// reply.
     pub async fn leave(&mut self, name: &str) -> Value {
-        let said = self.request_leave(name).await;
+        let reply = self.request_leave(name).await;
         let mut node = self.nodes.remove(name).expect("a node that runs");
-        node.ended_or_decommissioned().await.unwrap_or_else(|problem| panic!("seed {}: {problem}; {said}", self.seed));
+        node.ended_or_decommissioned().await.unwrap_or_else(|problem| panic!("seed {}: {problem}; {reply}", self.seed));
         node.shut_down().await;
         self.gone(name, "left");
-        said
+        reply
     }
 
     fn gone(&mut self, name: &str, what: &'static str) {

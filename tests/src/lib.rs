@@ -29,10 +29,10 @@ pub fn slug<T: std::str::FromStr<Err: fmt::Debug>>(text: &str) -> T {
 
 /// Runs a test once per seed, each time on a new paused runtime, so that no state passes from one
 /// run to the next.
-pub fn for_each_seed(seeds: impl IntoIterator<Item = u64>, story: impl AsyncFn(u64)) {
+pub fn for_each_seed(seeds: impl IntoIterator<Item = u64>, test: impl AsyncFn(u64)) {
     for seed in seeds {
         let mut builder = tokio::runtime::Builder::new_current_thread();
         let runtime = builder.enable_time().start_paused(true).build().expect("a runtime");
-        runtime.block_on(story(seed));
+        runtime.block_on(test(seed));
     }
 }

@@ -9,6 +9,7 @@ use consort_fleet::node::{FleetSettings, NodeHandle, NodeSettings};
 use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
+use consort_protocol::versions::VersionRange;
 use consort_raft::LeadershipView;
 use consort_raft::store::NodeStore;
 use serde_json::{Value, json};
@@ -91,6 +92,7 @@ impl StationFleet {
             seed,
             store,
             clock: Clock::virtual_at(0),
+            supported_versions: VersionRange::OWN,
             may_vote: true,
             stationary: fixed,
             mains_powered: fixed,
@@ -106,10 +108,11 @@ impl StationFleet {
     }
 
     async fn listen_at(&self, bus: &VirtualBus) {
-        let mut heard = bus.subscribe(&self.keys.write(&Key::Events(bus.node().clone()))).await.expect("a virtual bus");
+        let mut samples =
+            bus.subscribe(&self.keys.write(&Key::Events(bus.node().clone()))).await.expect("a virtual bus");
         let (events, node) = (Arc::clone(&self.events), bus.node().clone());
         tokio::spawn(async move {
-            while let Some(sample) = heard.recv().await {
+            while let Some(sample) = samples.recv().await {
                 let event: Event = serde_json::from_slice(&sample.payload).expect("an event");
                 if event.node == node {
                     events.lock().expect("no panic while it is locked").push(event);
@@ -207,9 +210,9 @@ impl StationFleet {
 
     /// Submits a mission on the bus of `at` until it is acknowledged.
     pub async fn submit(&self, at: &str, request: &str) -> Value {
-        let asked = json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" }, "request": request });
+        let request = json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" }, "request": request });
         for _ in 0..400 {
-            let answers = self.query(at, &Key::Api(ApiCall::Submit), &asked, Duration::from_secs(1)).await;
+            let answers = self.query(at, &Key::Api(ApiCall::Submit), &request, Duration::from_secs(1)).await;
             if let Some(answer) = answers.into_iter().find(|answer| answer["mission"].is_string()) {
                 return answer;
             }
@@ -219,9 +222,9 @@ impl StationFleet {
     }
 
     /// Sends a query on the bus of `at` and returns all replies.
-    pub async fn query(&self, at: &str, key: &Key, asked: &Value, limit: Duration) -> Vec<Value> {
+    pub async fn query(&self, at: &str, key: &Key, request: &Value, limit: Duration) -> Vec<Value> {
         let bus = self.network.bus(slug(at));
-        let payload = asked.to_string().into_bytes().into();
+        let payload = request.to_string().into_bytes().into();
         let mut replies = bus.query(&self.keys.write(key), payload, limit).await.expect("a virtual bus");
         let mut answers = vec![];
         while let Some(reply) = replies.recv().await {

@@ -1,15 +1,15 @@
 //! Default fleet of the tests.
 
 use crate::slug;
-use consort_fleet::autopilot::VOTERS;
+use consort_fleet::autopilot::{self, VOTERS};
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::FleetSettings;
 use consort_protocol::auction::{BidLimits, OptimalAssignment};
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::EnsembleId;
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::mission::Domain;
 use consort_protocol::timing::Timing;
+use consort_skills::domain::hospital;
 use consort_world::map::shipped;
 use std::sync::Arc;
 use std::time::Duration;
@@ -22,7 +22,7 @@ pub(crate) fn ward(skills: &[&str], bootstrap_expect: usize) -> FleetSettings {
     FleetSettings {
         fleet: slug("ward"),
         ensemble: Arc::new(Ensemble::compile(spec).expect("a valid ensemble")),
-        domain: Arc::new(Domain::hospital()),
+        domain: Arc::new(hospital()),
         limits: BidLimits::default(),
         request_limits: RequestLimits::default(),
         allocator: Arc::new(OptimalAssignment),
@@ -32,6 +32,7 @@ pub(crate) fn ward(skills: &[&str], bootstrap_expect: usize) -> FleetSettings {
         bootstrap_expect,
         timing: Timing::Lan,
         voters: VOTERS,
+        autopilot_rule: autopilot::decide,
         dead_after: Timing::Lan.parameters().dead_after,
         map: Some(Arc::new(shipped("hospital").expect("it is shipped").to_json())),
     }

@@ -35,17 +35,17 @@ fn a_nurse_can_cancel_the_mission_at_the_robot() {
                 world.trigger_person_action(&nurse.as_str().into(), PersonAction::Cancels, Some(&slug("gorse")));
             });
             let end = fleet.wait_for_end(&mission).await;
-            let story = format!("seed {seed}, {stage}: {end:?}\n{}", fleet.event_log_text());
+            let context = format!("seed {seed}, {stage}: {end:?}\n{}", fleet.event_log_text());
             // After the robot asked her, she may have handed the sample over before she changed her
             // mind. The ledger cannot exclude that.
             match &end {
-                MissionState::Canceled { by, .. } => assert!(stage == "approach" && *by == nurse, "{story}"),
+                MissionState::Canceled { by, .. } => assert!(stage == "approach" && *by == nurse, "{context}"),
                 MissionState::NeedsIntervention { cause, items } => {
-                    assert!(stage == "deposit" && cause.starts_with(&format!("canceled by {nurse}")), "{story}");
-                    assert!(items.iter().all(|item| !item.certain), "{story}");
+                    assert!(stage == "deposit" && cause.starts_with(&format!("canceled by {nurse}")), "{context}");
+                    assert!(items.iter().all(|item| !item.certain), "{context}");
                     return;
                 }
-                _ => panic!("{story}"),
+                _ => panic!("{context}"),
             }
             // Her cancellation applies to this mission only.
             let next = fleet.submit("b", ROOM).await;
@@ -64,11 +64,11 @@ fn a_drive_fails_if_its_only_corridor_is_closed() {
         let mission = fleet.submit("a", ROOM).await;
         fleet.wait_until("the drive", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
         let end = fleet.wait_for_end(&mission).await;
-        let story = format!("seed {seed}: {end:?}\n{}", fleet.event_log_text());
+        let context = format!("seed {seed}: {end:?}\n{}", fleet.event_log_text());
         let closed = "no route from IC Corridor 3 to IC Room 6: the ways between them are closed";
         assert!(
             format!("{end:?}").contains(closed) && fleet.event_log_text().contains("cleaning is in the way"),
-            "{story}"
+            "{context}"
         );
     });
 }

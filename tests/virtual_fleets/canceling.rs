@@ -25,7 +25,7 @@ fn halted(mission: &MissionId) -> impl Fn(&EventKind) -> bool {
 }
 
 /// Asserts that the robot does not move any more.
-async fn stands_still(fleet: &mut Fleet) {
+async fn assert_stands_still(fleet: &mut Fleet) {
     fleet.wait_for_rest("gorse").await;
     let place = fleet.position("gorse");
     fleet.assert_never("a drive", Duration::from_secs(3), |fleet| fleet.position("gorse") != place).await;
@@ -40,18 +40,18 @@ fn a_mission_can_be_canceled_at_any_stage_of_its_award() {
             let mission = fleet.submit(&format!("r{number}"), ROOM).await;
             tokio::time::sleep(Duration::from_millis(after_ms)).await;
             let answer = fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": "Nia" })).await;
-            let story = format!("seed {seed}: canceled after {after_ms} ms");
-            assert_eq!(answer["state"], json!({ "canceled": { "by": "Nia" } }), "{story}");
+            let context = format!("seed {seed}: canceled after {after_ms} ms");
+            assert_eq!(answer["state"], json!({ "canceled": { "by": "Nia" } }), "{context}");
             let begun = |fleet: &Fleet| {
                 fleet.event_log.count(|what| matches!(what, EventKind::Started { mission: of, .. } if *of == mission))
             };
             fleet
-                .wait_until(&format!("{story}: all to stop"), SOON, |fleet| {
+                .wait_until(&format!("{context}: all to stop"), SOON, |fleet| {
                     fleet.event_log.count(halted(&mission)) == begun(fleet)
                 })
                 .await;
-            stands_still(&mut fleet).await;
-            assert_eq!(fleet.event_log.count(halted(&mission)), begun(&fleet), "{story}\n{}", fleet.event_log_text());
+            assert_stands_still(&mut fleet).await;
+            assert_eq!(fleet.event_log.count(halted(&mission)), begun(&fleet), "{context}\n{}", fleet.event_log_text());
         }
         // The fleet still works.
         let mission = fleet.submit("last", ROOM).await;
@@ -72,7 +72,7 @@ fn a_mission_can_be_canceled_while_its_robot_is_suspended() {
         fleet.heal();
         let canceled = |what: &EventKind| matches!(what, EventKind::Halted { reason: EndReason::Canceled, .. });
         fleet.wait_until("both to halt", SOON, |fleet| fleet.event_log.count(canceled) == 2).await;
-        stands_still(&mut fleet).await;
+        assert_stands_still(&mut fleet).await;
         assert_eq!(fleet.state(&mission).as_deref(), Some("canceled"), "seed {seed}");
     });
 }
@@ -84,14 +84,14 @@ fn a_mission_can_be_canceled_without_a_coordinator() {
         let mission = fleet.submit("a", ROOM).await;
         fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
         fleet.kill("aster").await;
-        let asked = json!({ "mission": mission, "by": "Nia" });
+        let request = json!({ "mission": mission, "by": "Nia" });
         let settled = async |fleet: &Fleet| {
-            fleet.request(ApiCall::Cancel, &asked).await.filter(|answer| answer.get("retry_after_ms").is_none())
+            fleet.request(ApiCall::Cancel, &request).await.filter(|answer| answer.get("retry_after_ms").is_none())
         };
         let answer = fleet.poll_until("a reply of the next coordinator", SOON, settled).await;
         assert_eq!(answer["state"], json!({ "canceled": { "by": "Nia" } }), "seed {seed}");
         fleet.wait_until("both to halt", SOON, |fleet| fleet.event_log.count(halted(&mission)) == 2).await;
-        stands_still(&mut fleet).await;
+        assert_stands_still(&mut fleet).await;
     });
 }
 
@@ -109,7 +109,7 @@ fn a_canceled_mission_with_a_held_item_needs_intervention() {
         assert_eq!(cause, format!("canceled by Nia; the sample is with gorse at {place}"), "seed {seed}");
         let rescue = |what: &EventKind| matches!(what, EventKind::Halted { reason: EndReason::NeedsIntervention, .. });
         fleet.wait_until("both to halt", SOON, |fleet| fleet.event_log.count(rescue) == 2).await;
-        stands_still(&mut fleet).await;
+        assert_stands_still(&mut fleet).await;
         for by in ["Nia", "Abe"] {
             let answer = fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": by })).await;
             assert_eq!(answer["state"]["needs_intervention"]["cause"], json!(cause), "seed {seed}: {by}");

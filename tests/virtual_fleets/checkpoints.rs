@@ -54,7 +54,7 @@ async fn fleet(seed: u64, broken: &Arc<AtomicBool>) -> Fleet {
     fleet
 }
 
-fn says(fleet: &Fleet) -> Option<Availability> {
+fn published_availability(fleet: &Fleet) -> Option<Availability> {
     Some(fleet.knowledge_of("aster", &slug("gorse"))?.availability)
 }
 
@@ -74,7 +74,7 @@ fn a_robot_that_cannot_write_is_out_of_service_until_it_can() {
     for_each_seed([1301, 1302], async |seed| {
         let broken = Arc::new(AtomicBool::new(true));
         let mut fleet = fleet(seed, &broken).await;
-        fleet.wait_until("gorse to report it", SOON, |fleet| says(fleet) == out_of_service()).await;
+        fleet.wait_until("gorse to report it", SOON, |fleet| published_availability(fleet) == out_of_service()).await;
         let first = fleet.submit("a", ROOMS[0]).await;
         assert_eq!(carried_out(&mut fleet, &first, ROOMS[0]).await, "fern", "seed {seed}\n{}", fleet.event_log_text());
         let refusals: Vec<String> = fleet
@@ -88,7 +88,11 @@ fn a_robot_that_cannot_write_is_out_of_service_until_it_can() {
         assert!(refusals.iter().any(|record| record.contains(WHY)), "seed {seed}: {refusals:#?}");
 
         broken.store(false, Ordering::SeqCst);
-        fleet.wait_until("gorse to be free again", SOON, |fleet| says(fleet) == Some(Availability::Free)).await;
+        fleet
+            .wait_until("gorse to be free again", SOON, |fleet| {
+                published_availability(fleet) == Some(Availability::Free)
+            })
+            .await;
         let second = fleet.submit("b", ROOMS[1]).await;
         assert_eq!(
             carried_out(&mut fleet, &second, ROOMS[1]).await,
@@ -105,7 +109,9 @@ fn a_role_that_cannot_be_stored_is_returned_before_it_begins() {
     for_each_seed([1311, 1312], async |seed| {
         let broken = Arc::new(AtomicBool::new(false));
         let mut fleet = fleet(seed, &broken).await;
-        fleet.wait_until("gorse to be free", SOON, |fleet| says(fleet) == Some(Availability::Free)).await;
+        fleet
+            .wait_until("gorse to be free", SOON, |fleet| published_availability(fleet) == Some(Availability::Free))
+            .await;
         // The robot notices only when it has something to write.
         broken.store(true, Ordering::SeqCst);
         let mission = fleet.submit("a", ROOMS[0]).await;
@@ -122,7 +128,7 @@ fn a_role_that_cannot_be_stored_is_returned_before_it_begins() {
         let all = |what: &EventKind| matches!(what, EventKind::Released { .. });
         let counts = (gave_up, fleet.event_log.count(released), fleet.event_log.count(all));
         assert_eq!(counts, (1, 1, 1), "seed {seed}\n{}", fleet.event_log_text());
-        assert_eq!(says(&fleet), out_of_service(), "seed {seed}\n{}", fleet.event_log_text());
+        assert_eq!(published_availability(&fleet), out_of_service(), "seed {seed}\n{}", fleet.event_log_text());
         for (task, (began, _)) in fleet.event_log.task_executors(&mission) {
             assert!(!began.contains(&"gorse".to_owned()), "seed {seed}: {task}\n{}", fleet.event_log_text());
         }
@@ -146,13 +152,17 @@ fn a_stored_role_is_finished_although_the_store_breaks() {
             fleet.event_log_text()
         );
         fleet.assert_each_task_once(&mission);
-        fleet.wait_until("gorse to report it", SOON, |fleet| says(fleet) == out_of_service()).await;
+        fleet.wait_until("gorse to report it", SOON, |fleet| published_availability(fleet) == out_of_service()).await;
         // After the restart its checkpoint contains an ended role, and the robot learns that the
         // role has ended.
         fleet.kill("gorse").await;
         broken.store(false, Ordering::SeqCst);
         fleet.restart("gorse").await;
-        fleet.wait_until("gorse to be free again", SOON, |fleet| says(fleet) == Some(Availability::Free)).await;
+        fleet
+            .wait_until("gorse to be free again", SOON, |fleet| {
+                published_availability(fleet) == Some(Availability::Free)
+            })
+            .await;
         assert_eq!(fleet.checkpoint("gorse").await, None, "seed {seed}");
     });
 }

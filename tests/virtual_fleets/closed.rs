@@ -59,12 +59,12 @@ fn a_closed_fleet_completes_a_mission_after_a_takeover() {
     });
 }
 
-fn wire<T: Serialize>(said: &T) -> Bytes {
-    codec::encode(said).expect("a message").into()
+fn wire<T: Serialize>(message: &T) -> Bytes {
+    codec::encode(message).expect("a message").into()
 }
 
-fn within<T: Serialize>(said: &T) -> Bytes {
-    wire(&ClusterEnvelope { cluster: None, payload: wire(said).to_vec() })
+fn within<T: Serialize>(message: &T) -> Bytes {
+    wire(&ClusterEnvelope { cluster: None, payload: wire(message).to_vec() })
 }
 
 /// Attacker with the key of a robot, at the robot's place in the network.
@@ -84,11 +84,11 @@ impl Compromised {
 
     /// Replays every received message, on the same key and on the keys of other nodes.
     async fn repeats(self: Arc<Self>) {
-        let mut heard = self.plain.subscribe("consort/ward/**").await.expect("a network");
-        let mut said: BTreeSet<Bytes> = BTreeSet::new();
-        while let Some(sample) = heard.recv().await {
+        let mut samples = self.plain.subscribe("consort/ward/**").await.expect("a network");
+        let mut replayed: BTreeSet<Bytes> = BTreeSet::new();
+        while let Some(sample) = samples.recv().await {
             let what: Bytes = [sample.key.as_bytes(), &sample.payload[..], &sample.attachment[..]].concat().into();
-            if !said.insert(what) {
+            if !replayed.insert(what) {
                 continue;
             }
             tokio::time::sleep(Duration::from_millis(50)).await;
@@ -99,7 +99,7 @@ impl Compromised {
                 (moved != sample.key).then_some(moved)
             });
             if let Some(moved) = moved {
-                said.insert([moved.as_bytes(), &sample.payload[..], &sample.attachment[..]].concat().into());
+                replayed.insert([moved.as_bytes(), &sample.payload[..], &sample.attachment[..]].concat().into());
                 self.publish(&self.plain, &moved, sample.payload, sample.attachment).await;
                 self.did[1].fetch_add(1, Ordering::Relaxed);
             }
@@ -149,9 +149,9 @@ impl Compromised {
     /// query to its target.
     async fn answers(self: Arc<Self>, key: &'static str, bare: bool) {
         let bus = if bare { &self.plain } else { &self.sealed };
-        let mut asked = bus.serve(&format!("consort/ward/{key}")).await.expect("a network");
+        let mut queries = bus.serve(&format!("consort/ward/{key}")).await.expect("a network");
         let mut again: BTreeSet<Bytes> = BTreeSet::new();
-        while let Some(query) = asked.recv().await {
+        while let Some(query) = queries.recv().await {
             let on = query.key.replace('*', "gorse");
             let _ = query.replier.reply(&on, query.payload.clone(), Encoding::Wire).await;
             self.did[3].fetch_add(1, Ordering::Relaxed);
@@ -207,7 +207,7 @@ fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
         assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}");
         let did = fern.did.each_ref().map(|count| count.load(Ordering::Relaxed));
         assert!(did.iter().all(|count| *count > 10), "seed {seed}: repeated, moved, claimed, answered: {did:?}");
-        let told = refused(&fleet);
+        let refusals = refused(&fleet);
         for reason in [
             "node fern (robot) may not publish on wire/beacon",
             "node fern (robot) may not publish on wire/changed",
@@ -216,18 +216,18 @@ fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
             "node fern (robot) may not reply on wire/report/aster",
             "node fern (robot) may not reply on wire/body/gorse/command",
         ] {
-            assert!(told.contains(reason), "seed {seed}: {reason}: {told:#?}");
+            assert!(refusals.contains(reason), "seed {seed}: {reason}: {refusals:#?}");
         }
-        let raft = told.iter().any(|told| told.starts_with("node fern (robot) may not reply on wire/raft/"));
-        assert!(raft, "seed {seed}: {told:#?}");
+        let raft = refusals.iter().any(|refusal| refusal.starts_with("node fern (robot) may not reply on wire/raft/"));
+        assert!(raft, "seed {seed}: {refusals:#?}");
         tasks.shutdown().await;
     });
 }
 
 /// Returns the signed record of a robot in the knowledge base of a node.
 fn record(fleet: &Fleet, at: &str, of: &str) -> Record {
-    let heard = |base: &KnowledgeBase| base.get(&of.parse().expect("a name")).map(|heard| heard.record.clone());
-    fleet.knowledge(at).read(heard).expect("it is known")
+    let entry = |base: &KnowledgeBase| base.get(&of.parse().expect("a name")).map(|entry| entry.record.clone());
+    fleet.knowledge(at).read(entry).expect("it is known")
 }
 
 #[test]
@@ -241,14 +241,14 @@ fn a_relaying_node_can_neither_change_nor_forge_records() {
         let sealed = papers.signing_bus(plain, keyring, Clock::virtual_at(0)).await;
         fleet.wait_until("records are signed", SOON, |fleet| record(fleet, "gorse", "lab-arm").proof.is_some()).await;
 
-        let said = record(&fleet, "gorse", "lab-arm");
+        let original = record(&fleet, "gorse", "lab-arm");
         let later = RecordStamp { incarnation: u64::MAX, version: 7 };
-        let mut broken = said.clone();
+        let mut broken = original.clone();
         broken.stamp = later;
         broken.knowledge.robot.as_mut().expect("a robot").availability =
             Availability::OutOfService { problem: "says fern".to_owned() };
         let by_fern = Record { proof: Some(sealed.record_signer().sign(&broken)), ..broken.clone() };
-        let renewed = Record { stamp: later, ..said.clone() };
+        let renewed = Record { stamp: later, ..original.clone() };
         let unsigned = Record { proof: None, ..broken.clone() };
         let malformed = |fleet: &Fleet| fleet.knowledge("gorse").counters().malformed;
         let before = malformed(&fleet);
@@ -272,7 +272,7 @@ fn a_relaying_node_can_neither_change_nor_forge_records() {
             let known = record(&fleet, "gorse", of);
             assert!(known.stamp.incarnation < 100, "seed {seed}: {known:?}");
         }
-        assert_eq!(record(&fleet, "gorse", "lab-arm").knowledge, said.knowledge, "seed {seed}");
+        assert_eq!(record(&fleet, "gorse", "lab-arm").knowledge, original.knowledge, "seed {seed}");
         let mission = fleet.submit("a", ROOM).await;
         fleet.assert_completes(&mission).await;
     });

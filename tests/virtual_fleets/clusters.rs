@@ -18,7 +18,7 @@ const ONE: [&str; 3] = ["aster", "basil", "clove"];
 const OTHER: [&str; 3] = ["daisy", "elder", "fennel"];
 
 /// Starts both halves without a link between them.
-async fn halves(seed: u64) -> StationFleet {
+async fn two_clusters(seed: u64) -> StationFleet {
     let mut fleet = StationFleet::empty(seed, 3);
     fleet.network.partition([ONE.map(slug), OTHER.map(slug)]);
     for name in ONE.iter().chain(&OTHER) {
@@ -44,7 +44,7 @@ fn missions(fleet: &StationFleet, names: &[&str]) -> Vec<Vec<String>> {
 #[test]
 fn two_separate_clusters_do_not_merge_and_report_each_other() {
     for_each_seed(1..3, async |seed| {
-        let mut fleet = halves(seed).await;
+        let mut fleet = two_clusters(seed).await;
         fleet.submit("basil", "of-one").await;
         fleet.submit("elder", "of-the-other").await;
         let own = |names: [&str; 3], fleet: &StationFleet| names.map(|name| fleet.cluster(name));
@@ -54,17 +54,17 @@ fn two_separate_clusters_do_not_merge_and_report_each_other() {
 
         fleet.network.heal();
         let foreign = |fleet: &StationFleet| {
-            let told = fleet.events().into_iter().filter_map(|what| match what {
+            let foreign_clusters = fleet.events().into_iter().filter_map(|what| match what {
                 EventKind::Foreign { cluster, foreign, .. } => Some((cluster, foreign)),
                 _ => None,
             });
-            told.collect::<Vec<_>>()
+            foreign_clusters.collect::<Vec<_>>()
         };
         fleet.wait_until("both report it", |fleet| foreign(fleet).len() >= 2).await;
         fleet.advance(Duration::from_secs(60)).await;
-        let told = foreign(&fleet);
-        assert_eq!(told.len(), 2, "seed {seed}: {told:?}");
-        assert_eq!(told[0].0, told[1].1, "seed {seed}");
+        let foreign_clusters = foreign(&fleet);
+        assert_eq!(foreign_clusters.len(), 2, "seed {seed}: {foreign_clusters:?}");
+        assert_eq!(foreign_clusters[0].0, foreign_clusters[1].1, "seed {seed}");
         assert_eq!((own(ONE, &fleet), own(OTHER, &fleet)), before, "seed {seed}");
         assert_eq!((voters(&fleet, "aster"), voters(&fleet, "daisy")), kept, "seed {seed}");
         assert_eq!(missions(&fleet, &ONE), [["of-one"]; 3], "seed {seed}");
@@ -104,7 +104,7 @@ fn a_node_that_discovers_a_cluster_creates_none() {
 #[test]
 fn a_new_node_between_two_clusters_joins_only_one() {
     for_each_seed(1..4, async |seed| {
-        let mut fleet = halves(seed).await;
+        let mut fleet = two_clusters(seed).await;
         fleet.network.heal();
         fleet.start("gorse").await;
         fleet.start("hyssop").await;
@@ -160,15 +160,15 @@ async fn all_at_once(seed: u64, expect: usize, link_up: Duration) -> StationFlee
 /// Returns the time until all nodes belong to the same cluster. No node may ever belong to another.
 async fn one_cluster(fleet: &StationFleet) -> Duration {
     let began = Instant::now();
-    let looks = |fleet: &StationFleet| {
+    let cluster_count = |fleet: &StationFleet| {
         let known: Vec<ClusterId> = clusters(fleet).into_iter().flatten().collect();
         assert!(known.len() < 2, "seed {}: {known:?}", fleet.seed);
         (known.len(), clusters(fleet).contains(&None))
     };
-    fleet.wait_until("all belong to the same cluster", |fleet| looks(fleet) == (1, false)).await;
+    fleet.wait_until("all belong to the same cluster", |fleet| cluster_count(fleet) == (1, false)).await;
     let took = began.elapsed();
     let end = Instant::now() + Duration::from_secs(5);
-    fleet.wait_until("no further cluster", |fleet| looks(fleet) == (1, false) && Instant::now() >= end).await;
+    fleet.wait_until("no further cluster", |fleet| cluster_count(fleet) == (1, false) && Instant::now() >= end).await;
     took
 }
 

@@ -12,11 +12,11 @@ const ROOMS: [&str; 4] = ["IC Room 6", "PC Room 8", "PC Room 2", "IC Room 2"];
 const SOON: Duration = Duration::from_secs(60);
 
 async fn submit(fleet: &Fleet, request: &str, room: &str, more: Value) -> MissionId {
-    let mut asked = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request });
+    let mut request = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request });
     for (name, value) in more.as_object().expect("a map") {
-        asked[name] = value.clone();
+        request[name] = value.clone();
     }
-    let answer = fleet.request_answered(ApiCall::Submit, &asked).await;
+    let answer = fleet.request_answered(ApiCall::Submit, &request).await;
     slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {}: {answer}", fleet.seed)))
 }
 
@@ -105,15 +105,15 @@ fn an_invalid_priority_or_deadline_is_rejected() {
     for_each_seed([671], async |seed| {
         let mut fleet = Fleet::hospital(seed, vec![], &["aba"], &ROOMS).await;
         fleet.wait_for_coordinator().await;
-        for (more, says) in [
+        for (more, expected) in [
             (json!({ "priority": 101 }), "101 is not a valid priority; allowed are -100 to 100"),
             (json!({ "deadline_s": 0 }), "deadline_s is 0; the time must be more than 0"),
             (json!({ "deadline_s": -3.5 }), "deadline_s is -3.5; the time must be more than 0"),
         ] {
-            let mut asked = json!({ "mission": "lab-samples" });
-            asked.as_object_mut().expect("a map").extend(more.as_object().expect("a map").clone());
-            let answer = fleet.request_answered(ApiCall::Submit, &asked).await;
-            assert!(answer["error"].as_str().is_some_and(|error| error.contains(says)), "seed {seed}: {answer}");
+            let mut request = json!({ "mission": "lab-samples" });
+            request.as_object_mut().expect("a map").extend(more.as_object().expect("a map").clone());
+            let answer = fleet.request_answered(ApiCall::Submit, &request).await;
+            assert!(answer["error"].as_str().is_some_and(|error| error.contains(expected)), "seed {seed}: {answer}");
         }
     });
 }

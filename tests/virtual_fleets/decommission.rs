@@ -81,17 +81,17 @@ fn a_leaving_node_that_is_elected_again_transfers_again() {
             let asker = FIVE.into_iter().find(|name| *name != leaver && *name != successor).expect("five");
             let bus = fleet.network.bus(asker.parse().expect("a name"));
             let key = format!("consort/ward/api/leave/{leaver}");
-            let asked = tokio::spawn(async move {
+            let request = tokio::spawn(async move {
                 let mut replies = bus.query(&key, vec![].into(), Duration::from_secs(20)).await.expect("a virtual bus");
-                let said = replies.recv().await.expect("a reply").payload.expect("no refusal");
-                serde_json::from_slice::<serde_json::Value>(&said).expect("JSON")
+                let reply = replies.recv().await.expect("a reply").payload.expect("no refusal");
+                serde_json::from_slice::<serde_json::Value>(&reply).expect("JSON")
             });
             // The target of the transfer is killed before it takes over, and the others hold an
             // election. The leaving node may win it.
             fleet.wait_until("it to hand over", |fleet| !fleet.leadership_view(&leaver).is_leader).await;
             fleet.kill(&successor).await;
-            fleet.wait_until("it to have left", |_| asked.is_finished()).await;
-            let farewell = asked.await.expect("no panic");
+            fleet.wait_until("it to have left", |_| request.is_finished()).await;
+            let farewell = request.await.expect("no panic");
             assert_eq!(farewell["vote_released"], true, "seed {seed}: {farewell}");
             let again = farewell["successor"].as_str().is_some_and(|last| last != successor);
             led_again.set(led_again.get() + usize::from(again));
@@ -140,18 +140,18 @@ fn a_voter_may_not_leave_while_the_other_is_down() {
         fleet.start("basil").await;
         fleet.advance(Duration::from_secs(2)).await;
         let bus = fleet.network.bus("asker".parse().expect("a name"));
-        let asked = tokio::spawn(async move {
+        let request = tokio::spawn(async move {
             let key = "consort/ward/api/leave/aster";
             let mut replies = bus.query(key, vec![].into(), Duration::from_secs(20)).await.expect("a virtual bus");
-            let said = replies.recv().await.expect("a reply").payload.expect("no refusal");
-            serde_json::from_slice::<serde_json::Value>(&said).expect("JSON")
+            let reply = replies.recv().await.expect("a reply").payload.expect("no refusal");
+            serde_json::from_slice::<serde_json::Value>(&reply).expect("JSON")
         });
         // The node that should take over is killed before it can.
         fleet.wait_until("two voters", |fleet| fleet.leadership_view("aster").voters.len() == 2).await;
         fleet.kill("basil").await;
-        fleet.wait_until("a reply", |_| asked.is_finished()).await;
-        let said = asked.await.expect("no panic");
-        let problem = said["error"].as_str().expect("a refusal");
+        fleet.wait_until("a reply", |_| request.is_finished()).await;
+        let reply = request.await.expect("no panic");
+        let problem = reply["error"].as_str().expect("a refusal");
         assert!(problem.starts_with("aster and basil are the only voters, and basil has not relieved"), "{problem}");
         assert!(!fleet.nodes["aster"].has_ended(), "seed {seed}");
         fleet.start("basil").await;

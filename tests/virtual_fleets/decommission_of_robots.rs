@@ -39,9 +39,13 @@ fn a_leaving_robot_returns_its_role_and_is_removed() {
     for_each_seed([1201, 1202, 1203], async |seed| {
         let (mut fleet, mission) = under_way(seed, "navto_room").await;
         let began_to_leave = fleet.elapsed();
-        let said = fleet.leave("gorse").await;
+        let reply = fleet.leave("gorse").await;
         let left = fleet.elapsed();
-        assert_eq!((&said["role_released"], &said["successor"]), (&json!(true), &json!(null)), "seed {seed}: {said}");
+        assert_eq!(
+            (&reply["role_released"], &reply["successor"]),
+            (&json!(true), &json!(null)),
+            "seed {seed}: {reply}"
+        );
         // The robot reports it by itself, long before its lease would have expired.
         let causes: Vec<_> = fleet.events().iter().filter_map(release_reason).collect();
         assert_eq!(
@@ -76,8 +80,8 @@ fn a_leaving_robot_returns_its_role_and_is_removed() {
 fn a_robot_that_leaves_with_the_sample_needs_intervention() {
     for_each_seed([1211, 1212], async |seed| {
         let (mut fleet, mission) = under_way(seed, "navto_lab").await;
-        let said = fleet.leave("gorse").await;
-        assert_eq!(said["role_released"], true, "seed {seed}: {said}");
+        let reply = fleet.leave("gorse").await;
+        assert_eq!(reply["role_released"], true, "seed {seed}: {reply}");
         let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
             panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
         };
@@ -131,8 +135,8 @@ async fn of_one_voter(seed: u64) -> Fleet {
     Fleet::adjusted_hospital(seed, robots, &[], &[ROOM], Box::new(only_gorse)).await
 }
 
-fn must_stay(said: &Value) -> bool {
-    said["error"].as_str().is_some_and(|problem| {
+fn must_stay(reply: &Value) -> bool {
+    reply["error"].as_str().is_some_and(|problem| {
         problem.starts_with("gorse is the only voter, and there is no other node that may vote")
             && problem.ends_with("stop gorse (SIGTERM) and keep its data")
     })
@@ -143,8 +147,8 @@ fn a_robot_that_may_not_leave_still_wins_missions() {
     for_each_seed([1241, 1242], async |seed| {
         let mut fleet = of_one_voter(seed).await;
         fleet.wait_for_coordinator().await;
-        let said = fleet.request_leave("gorse").await;
-        assert!(must_stay(&said), "seed {seed}: {said}");
+        let reply = fleet.request_leave("gorse").await;
+        assert!(must_stay(&reply), "seed {seed}: {reply}");
         let mission = fleet.submit("a", ROOM).await;
         fleet.assert_completes(&mission).await;
         assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "gorse", "seed {seed}");
@@ -161,8 +165,8 @@ fn a_robot_that_may_not_leave_keeps_its_role() {
         fleet.wait_for_coordinator().await;
         let mission = fleet.submit("a", ROOM).await;
         fleet.wait_until("navto_room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
-        let said = fleet.request_leave("gorse").await;
-        assert!(must_stay(&said), "seed {seed}: {said}");
+        let reply = fleet.request_leave("gorse").await;
+        assert!(must_stay(&reply), "seed {seed}: {reply}");
         fleet.assert_completes(&mission).await;
         assert!(!fleet.has_event(released), "seed {seed}\n{}", fleet.event_log_text());
         assert_eq!(fleet.role_intervals_of(&mission, "r1").len(), 1, "seed {seed}\n{}", fleet.event_log_text());

@@ -35,7 +35,7 @@ async fn run(seed: u64, closed: bool) -> (Vec<(Duration, Observation)>, u64) {
     (fleet.event_log.entries(), fleet.network.digest())
 }
 
-fn alone(seed: u64, closed: bool) -> (Vec<(Duration, Observation)>, u64) {
+fn run_on_own_runtime(seed: u64, closed: bool) -> (Vec<(Duration, Observation)>, u64) {
     let runs = RefCell::new(vec![]);
     for_each_seed([seed], async |seed| {
         let outcome = run(seed, closed).await;
@@ -47,19 +47,19 @@ fn alone(seed: u64, closed: bool) -> (Vec<(Duration, Observation)>, u64) {
 #[test]
 fn a_seed_determines_the_event_log_and_the_messages() {
     for (seed, closed) in [(1, false), (2, false), (3, false), (4, true)] {
-        let (tale, digest) = alone(seed, closed);
-        let (again, digest_again) = alone(seed, closed);
-        for (one, other) in tale.iter().zip(&again) {
+        let (events, digest) = run_on_own_runtime(seed, closed);
+        let (events_again, digest_again) = run_on_own_runtime(seed, closed);
+        for (one, other) in events.iter().zip(&events_again) {
             assert_eq!(one, other, "seed {seed}: the first difference");
         }
-        assert_eq!(tale.len(), again.len(), "seed {seed}");
+        assert_eq!(events.len(), events_again.len(), "seed {seed}");
         assert_eq!(digest, digest_again, "seed {seed}");
     }
 }
 
 #[test]
 fn another_seed_gives_another_run() {
-    let runs: Vec<_> = (1..=3).map(|seed| alone(seed, false)).collect();
+    let runs: Vec<_> = (1..=3).map(|seed| run_on_own_runtime(seed, false)).collect();
     for (one, other) in [(0, 1), (0, 2), (1, 2)] {
         assert_ne!(runs[one].1, runs[other].1, "digests of seeds {} and {}", one + 1, other + 1);
         assert_ne!(runs[one].0, runs[other].0, "tales of seeds {} and {}", one + 1, other + 1);

@@ -23,13 +23,13 @@ fn picked_up() -> Signal {
     serde_json::from_value(signal).expect("a signal")
 }
 
-fn heard_it(what: &EventKind) -> bool {
+fn signal_received(what: &EventKind) -> bool {
     matches!(what, EventKind::Received { signal, .. } if *signal == picked_up())
 }
 
 /// A client forges the signal that the sample has been taken, while the carrier opens its drawer in
 /// the laboratory.
-async fn told_too_early(seed: u64, epoch: impl Fn(Epoch) -> Epoch) -> (Fleet, MissionId) {
+async fn signal_sent_too_early(seed: u64, epoch: impl Fn(Epoch) -> Epoch) -> (Fleet, MissionId) {
     let mut fleet = Fleet::hospital(seed, vec![RobotSpec::carrier("gorse", "IC Room 4")], &["aster"], &[ROOM]).await;
     fleet.wait_for_coordinator().await;
     let mission = fleet.submit("a", ROOM).await;
@@ -37,9 +37,9 @@ async fn told_too_early(seed: u64, epoch: impl Fn(Epoch) -> Epoch) -> (Fleet, Mi
     fleet.wait_until("the drawer to be opened", SOON, |fleet| fleet.has_event(&opens)).await;
     let held = fleet.ledger(|ledger| ledger.mission(&mission)?.roles.get(&slug("lab_arm"))?.holder.clone());
     let epoch = epoch(held.flatten().expect("the arm holds its role").epoch);
-    let said = SignalHistory { mission: mission.clone(), epoch, signals: BTreeSet::from([picked_up()]) };
+    let history = SignalHistory { mission: mission.clone(), epoch, signals: BTreeSet::from([picked_up()]) };
     let key = fleet.keys().write(&Key::Signal(mission.clone(), slug("r1")));
-    let bytes = codec::encode(&said).expect("a signal fits a message").into();
+    let bytes = codec::encode(&history).expect("a signal fits a message").into();
     // The client belongs to the same cluster, so that only the epoch distinguishes the signals.
     let allegiance = ClusterMembership::default();
     allegiance.set_from_ledger(fleet.ledger(|ledger| ledger.cluster()).flatten().expect("a cluster was created"));
@@ -51,7 +51,7 @@ async fn told_too_early(seed: u64, epoch: impl Fn(Epoch) -> Epoch) -> (Fleet, Mi
 #[test]
 fn a_signal_of_an_older_award_is_ignored_and_reported_once() {
     for_each_seed([401, 402], async |seed| {
-        let (mut fleet, mission) = told_too_early(seed, |held| Epoch { index: held.index - 1, ..held }).await;
+        let (mut fleet, mission) = signal_sent_too_early(seed, |held| Epoch { index: held.index - 1, ..held }).await;
         fleet.assert_completes(&mission).await;
         let counts: Vec<u64> = fleet
             .events()
@@ -64,8 +64,12 @@ fn a_signal_of_an_older_award_is_ignored_and_reported_once() {
         assert_eq!(counts, [1], "seed {seed}\n{}", fleet.event_log_text());
         let taken =
             |what: &EventKind| matches!(what, EventKind::TaskEnded { task, .. } if task.as_str() == "pick_up_sample");
-        let (taken, heard) = (fleet.event_log.times(taken), fleet.event_log.times(heard_it));
-        assert!(taken.len() == 1 && heard.len() == 1 && taken <= heard, "seed {seed}\n{}", fleet.event_log_text());
+        let (taken, received) = (fleet.event_log.times(taken), fleet.event_log.times(signal_received));
+        assert!(
+            taken.len() == 1 && received.len() == 1 && taken <= received,
+            "seed {seed}\n{}",
+            fleet.event_log_text()
+        );
         fleet.assert_each_task_once(&mission);
         fleet.assert_sample_delivered(ROOM);
     });
@@ -74,8 +78,8 @@ fn a_signal_of_an_older_award_is_ignored_and_reported_once() {
 #[test]
 fn the_same_signal_of_the_current_award_is_accepted() {
     for_each_seed([403], async |seed| {
-        let (mut fleet, _) = told_too_early(seed, |held| held).await;
-        fleet.wait_until("the carrier to accept it", SOON, |fleet| fleet.has_event(heard_it)).await;
+        let (mut fleet, _) = signal_sent_too_early(seed, |held| held).await;
+        fleet.wait_until("the carrier to accept it", SOON, |fleet| fleet.has_event(signal_received)).await;
         let taken =
             |what: &EventKind| matches!(what, EventKind::TaskEnded { task, .. } if task.as_str() == "pick_up_sample");
         assert!(!fleet.has_event(taken), "seed {seed}\n{}", fleet.event_log_text());

@@ -6,10 +6,10 @@ use consort_tests::chaos::{RunConfig, Schedule, run};
 /// Asserts that all invariants hold under this schedule.
 fn holds(seed: u64, minutes: f64, schedule: &str) {
     let schedule: Schedule = serde_json::from_str(schedule).expect("a schedule");
-    let outcome = run(&RunConfig { seed, nodes: 7, minutes, closed: false }, &schedule);
+    let outcome = run(&RunConfig { seed, nodes: 7, minutes, closed: false, mutant: None }, &schedule);
     if let Some(violation) = outcome.violation {
-        let tale = violation.events_before.join("\n");
-        panic!("seed {seed}: {}: {}\n{tale}\n{schedule}", violation.invariant, violation.reason);
+        let events = violation.events_before.join("\n");
+        panic!("seed {seed}: {}: {}\n{events}\n{schedule}", violation.invariant, violation.reason);
     }
 }
 

@@ -23,9 +23,9 @@ async fn lost_on_its_way(seed: u64, kind: &str) -> (Fleet, MissionId) {
     ];
     let mut fleet = Fleet::hospital(seed, robots, &["post-1", "post-2", "post-3", "post-4"], &[ROOM]).await;
     fleet.wait_for_coordinator().await;
-    let asked = json!({ "mission": kind, "parameters": { "room": ROOM }, "request": "a" });
+    let request = json!({ "mission": kind, "parameters": { "room": ROOM }, "request": "a" });
     let mission =
-        slug(fleet.request_answered(ApiCall::Submit, &asked).await["mission"].as_str().expect("acknowledged"));
+        slug(fleet.request_answered(ApiCall::Submit, &request).await["mission"].as_str().expect("acknowledged"));
     fleet.wait_until("the way to the laboratory", SOON, |fleet| fleet.has_event(task_began("navto_lab"))).await;
     fleet.kill("amber").await;
     (fleet, mission)
@@ -82,11 +82,11 @@ fn only_a_person_resolves_a_mission_that_needs_intervention() {
         fleet.kill("birch").await;
         let next = fleet.submit("b", ROOM).await;
         let why = |fleet: &Fleet| {
-            let said = |what| match what {
+            let intervention = |what| match what {
                 EventKind::Closed { mission, record } if mission == next => serde_json::to_string(&record).ok(),
                 _ => None,
             };
-            fleet.events().into_iter().filter_map(said).next_back().unwrap_or_default()
+            fleet.events().into_iter().filter_map(intervention).next_back().unwrap_or_default()
         };
         fleet.wait_until("amber to be refused", SOON, |fleet| why(fleet).contains("carries_item")).await;
         let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;

@@ -23,11 +23,11 @@ fn a_request_without_a_leader_is_delayed_and_carried_out_once() {
             }
         }
         fleet.kill_coordinator().await;
-        let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "my-7" });
+        let request = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "my-7" });
         let mut put_off = 0;
         let mission = loop {
             let at = Instant::now();
-            let answer = fleet.request(ApiCall::Submit, &asked).await;
+            let answer = fleet.request(ApiCall::Submit, &request).await;
             assert!(fleet.elapsed() < Duration::from_secs(60), "seed {seed}: never\n{}", fleet.event_log_text());
             let Some(voice) = answer else { continue };
             if let Some(mission) = voice["mission"].as_str() {
@@ -61,18 +61,18 @@ fn an_error_without_a_quorum_counts_the_reachable_voters() {
             fleet.kill(gone).await;
         }
         let expected = "no coordinator yet (no quorum: 1 of 3 voters reachable): retry after 300 ms";
-        let mut said = String::new();
+        let mut found = String::new();
         for _ in 0..400 {
             let voices = fleet.request_all(ApiCall::Cancel, &json!({ "mission": "lab-samples-9" })).await;
             assert!(voices.len() <= 1, "seed {seed}: {voices:?}");
             if let Some(error) = voices.first().and_then(|voice| voice["error"].as_str()) {
-                said = error.to_owned();
+                found = error.to_owned();
             }
-            if said == expected {
+            if found == expected {
                 break;
             }
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
-        assert_eq!(said, expected, "seed {seed}\n{}", fleet.event_log_text());
+        assert_eq!(found, expected, "seed {seed}\n{}", fleet.event_log_text());
     });
 }

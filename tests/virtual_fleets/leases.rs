@@ -25,12 +25,12 @@ fn replaced(what: &EventKind) -> bool {
 
 /// Starts a mission; a carrier is on its long way to the room and has sent no signal yet.
 async fn under_way(seed: u64) -> (Fleet, MissionId) {
-    with_clocks(seed, 1.0, [0.6, 0.7]).await
+    fleet_with_clock_rates(seed, 1.0, [0.6, 0.7]).await
 }
 
 /// Same, but the clocks of the carriers count `rate` seconds per second; all other clocks are
 /// right.
-async fn with_clocks(seed: u64, rate: f64, speeds: [f64; 2]) -> (Fleet, MissionId) {
+async fn fleet_with_clock_rates(seed: u64, rate: f64, speeds: [f64; 2]) -> (Fleet, MissionId) {
     let [fern, gorse] = speeds;
     let robots = [
         RobotSpec::carrier("fern", "Dock").with_speed(fern),
@@ -51,7 +51,7 @@ fn holder(fleet: &Fleet, mission: &MissionId) -> (String, String) {
 }
 
 /// Returns an instant of the world at which both carriers drove, if there is any.
-fn two_drove(fleet: &Fleet) -> Option<String> {
+fn two_drivers(fleet: &Fleet) -> Option<String> {
     let mut driving: Vec<(String, u64)> = vec![];
     let mut drives = 0;
     let mut clash = None;
@@ -74,7 +74,7 @@ fn two_drove(fleet: &Fleet) -> Option<String> {
 }
 
 /// Leaves a robot only its link to the world host, so that nothing but its own lease stops it.
-fn leave_its_body_alone(fleet: &Fleet, robot: &str) {
+fn isolate_with_driver(fleet: &Fleet, robot: &str) {
     for node in fleet.running().iter().filter(|node| **node != robot && *node != "world") {
         let (robot, node) = (slug::<NodeId>(robot), slug::<NodeId>(node));
         fleet.network.cut(robot.clone(), node.clone());
@@ -110,7 +110,7 @@ async fn replaced_in_time(fleet: &mut Fleet, mission: &MissionId, latest: Durati
     fleet.assert_completes(mission).await;
     fleet.assert_sample_delivered(ROOM);
     fleet.assert_exclusive_roles();
-    assert_eq!(two_drove(fleet), None, "seed {seed}\n{}", fleet.event_log_text());
+    assert_eq!(two_drivers(fleet), None, "seed {seed}\n{}", fleet.event_log_text());
     let doers = &fleet.event_log.task_executors(mission)["navto_room"];
     assert_eq!(*doers, (vec![old, new.clone()], vec![new]), "seed {seed}\n{}", fleet.event_log_text());
 }
@@ -130,7 +130,7 @@ fn a_robot_that_reaches_only_its_driver_still_suspends() {
     for_each_seed(SEEDS, async |seed| {
         let (mut fleet, mission) = under_way(seed).await;
         let (old, _) = holder(&fleet, &mission);
-        leave_its_body_alone(&fleet, &old);
+        isolate_with_driver(&fleet, &old);
         replaced_in_time(&mut fleet, &mission, LeaseTerms::default().lease).await;
     });
 }
@@ -176,9 +176,9 @@ fn an_isolated_robot_rests_within_the_drift_bound() {
     let drift = terms.drift_max(REACTION);
     for (seed, rate) in [(84, 1.0), (85, 1.0 / (1.0 + drift)), (86, 1.0 + drift)] {
         for_each_seed([seed], async |seed| {
-            let (mut fleet, mission) = with_clocks(seed, rate, [0.6, 0.7]).await;
+            let (mut fleet, mission) = fleet_with_clock_rates(seed, rate, [0.6, 0.7]).await;
             let (old, new) = holder(&fleet, &mission);
-            leave_its_body_alone(&fleet, &old);
+            isolate_with_driver(&fleet, &old);
             let cut = fleet.elapsed();
             let at_rest = |fleet: &Fleet| fleet.goal_counts(&old).0 == fleet.goal_counts(&old).1;
             // The robot is also at rest between two legs of its way.
@@ -196,7 +196,7 @@ fn an_isolated_robot_rests_within_the_drift_bound() {
                 })
                 .await;
             assert_eq!(fleet.goal_counts(&old), goals, "seed {seed}: it never moved again\n{}", fleet.event_log_text());
-            assert_eq!(two_drove(&fleet), None, "seed {seed}\n{}", fleet.event_log_text());
+            assert_eq!(two_drivers(&fleet), None, "seed {seed}\n{}", fleet.event_log_text());
             fleet.heal();
             fleet.assert_completes(&mission).await;
             fleet.assert_sample_delivered(ROOM);
@@ -208,14 +208,14 @@ fn an_isolated_robot_rests_within_the_drift_bound() {
 #[test]
 fn two_robots_drive_if_a_clock_exceeds_the_drift_bound() {
     for_each_seed([87], async |seed| {
-        let (mut fleet, mission) = with_clocks(seed, 0.3, [0.15, 0.16]).await;
+        let (mut fleet, mission) = fleet_with_clock_rates(seed, 0.3, [0.15, 0.16]).await;
         let (old, new) = holder(&fleet, &mission);
-        leave_its_body_alone(&fleet, &old);
+        isolate_with_driver(&fleet, &old);
         fleet
             .wait_until("the other to begin", SOON, |fleet| {
                 fleet.role_intervals_of(&mission, "r1").last().is_some_and(|spell| spell.robot.as_str() == new)
             })
             .await;
-        fleet.wait_until("two to drive", SOON, |fleet| two_drove(fleet).is_some()).await;
+        fleet.wait_until("two to drive", SOON, |fleet| two_drivers(fleet).is_some()).await;
     });
 }

@@ -8,7 +8,6 @@ mod clusters;
 mod deadlines;
 mod decommission;
 mod decommission_of_robots;
-mod delivery;
 mod determinism;
 mod fencing;
 mod found_by_chaos;

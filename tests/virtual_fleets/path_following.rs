@@ -41,7 +41,7 @@ fn waypoints(fleet: &Fleet) -> Option<Vec<(f64, f64)>> {
     })
 }
 
-fn apart(a: (f64, f64), b: (f64, f64)) -> f64 {
+fn distance(a: (f64, f64), b: (f64, f64)) -> f64 {
     (b.0 - a.0).hypot(b.1 - a.1)
 }
 
@@ -54,7 +54,7 @@ fn a_robot_follows_a_path_over_all_waypoints_in_order() {
         let path = waypoints(&fleet).expect("checked before");
         assert_eq!(path.len(), 15, "seed {seed}");
         assert!(
-            apart(path[14], fleet.position("fern")) < 0.01,
+            distance(path[14], fleet.position("fern")) < 0.01,
             "seed {seed}: it begins at {:?}",
             fleet.position("fern")
         );
@@ -63,19 +63,19 @@ fn a_robot_follows_a_path_over_all_waypoints_in_order() {
         fleet
             .wait_until("the end of the path", SOON, |fleet| {
                 driven.push(fleet.position("fern"));
-                let told = |what: &EventKind| matches!(what, EventKind::TaskEnded { task, .. } if task.as_str() == "follow_path");
-                fleet.has_event(told)
+                let path_ended = |what: &EventKind| matches!(what, EventKind::TaskEnded { task, .. } if task.as_str() == "follow_path");
+                fleet.has_event(path_ended)
             })
             .await;
         fleet.assert_completes(&mission).await;
         let mut at = 0;
         for (number, waypoint) in path.iter().enumerate() {
-            let passed = driven[at..].iter().position(|place| apart(*place, *waypoint) < 0.1);
+            let passed = driven[at..].iter().position(|place| distance(*place, *waypoint) < 0.1);
             at += passed
                 .unwrap_or_else(|| panic!("seed {seed}: waypoint {number} at {waypoint:?} was not passed in turn"));
         }
         assert!(
-            apart(fleet.position("fern"), path[14]) < 0.01,
+            distance(fleet.position("fern"), path[14]) < 0.01,
             "seed {seed}: it ended at {:?}",
             fleet.position("fern")
         );
@@ -95,7 +95,7 @@ fn a_canceled_path_stops_the_robot_on_its_way() {
             .await;
         let path = waypoints(&fleet).expect("checked before");
         let fifth = path[4];
-        fleet.wait_until("the fifth waypoint", SOON, |fleet| apart(fleet.position("fern"), fifth) < 0.2).await;
+        fleet.wait_until("the fifth waypoint", SOON, |fleet| distance(fleet.position("fern"), fifth) < 0.2).await;
         fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission })).await;
         let halted = |what: &EventKind| matches!(what, EventKind::Halted { reason: EndReason::Canceled, .. });
         fleet.wait_until("a halt", Duration::from_secs(2), |fleet| fleet.has_event(halted)).await;
@@ -110,7 +110,10 @@ fn a_canceled_path_stops_the_robot_on_its_way() {
         };
         assert!(canceled(&fleet), "seed {seed}\n{}", fleet.event_log_text());
         fleet.assert_never("a move", Duration::from_secs(5), |fleet| fleet.position("fern") != stands).await;
-        assert!(apart(stands, path[14]) > 1.0 && apart(stands, fifth) < 3.0, "seed {seed}: it stands at {stands:?}");
+        assert!(
+            distance(stands, path[14]) > 1.0 && distance(stands, fifth) < 3.0,
+            "seed {seed}: it stands at {stands:?}"
+        );
         assert_eq!(fleet.wait_for_end(&mission).await.as_str(), "canceled", "seed {seed}");
     });
 }

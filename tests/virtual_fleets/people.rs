@@ -110,11 +110,11 @@ fn an_old_report_does_not_count_in_the_recovery_branch() {
             from_checkpoint: false,
             failure: None,
         };
-        let said = codec::encode(&report).expect("a small message");
-        let said = codec::encode(&ClusterEnvelope { cluster: None, payload: said }).expect("a small message");
+        let payload = codec::encode(&report).expect("a small message");
+        let payload = codec::encode(&ClusterEnvelope { cluster: None, payload }).expect("a small message");
         let coordinator = fleet.wait_for_coordinator().await;
         let key = fleet.keys().write(&Key::Report(coordinator));
-        let mut replies = fleet.client.query(&key, said.into(), SOON).await.expect("a bus");
+        let mut replies = fleet.client.query(&key, payload.into(), SOON).await.expect("a bus");
         let reply = replies.recv().await.expect("a reply").payload.expect("no refusal");
         let (epoch, reason) = (Epoch::default(), EndReason::Replaced);
         let answer: ReportReply = codec::decode(&reply).expect("a reply");
@@ -158,11 +158,11 @@ fn a_nurse_is_asked_to_meet_a_robot_once_there_is_a_holder() {
         fleet.wait_for_coordinator().await;
         fleet.kill("gorse").await;
         let mission = submit(&mut fleet, at_her_leisure(ROOM)).await;
-        let asked = |fleet: &Fleet| fleet.has_event(task_began("deposit"));
-        fleet.assert_never("a request without a robot", Duration::from_secs(10), asked).await;
+        let requested = |fleet: &Fleet| fleet.has_event(task_began("deposit"));
+        fleet.assert_never("a request without a robot", Duration::from_secs(10), requested).await;
         assert_eq!(fleet.state(&mission).as_deref(), Some("pending"), "seed {seed}\n{}", fleet.event_log_text());
         fleet.start_robot("gorse").await;
-        fleet.wait_until("a request to her", SOON, asked).await;
+        fleet.wait_until("a request to her", SOON, requested).await;
         fleet
             .wait_until("that gorse has the sample", SOON, |fleet| {
                 fleet.sample_holder(ROOM) == SampleHolder::Drawer(slug("gorse"))
@@ -184,14 +184,16 @@ fn a_request_to_a_nurse_is_canceled_after_a_restart_of_its_node() {
         fleet.wait_for_coordinator().await;
         let mission = submit(&mut fleet, at_her_leisure(ROOM)).await;
         fleet.wait_until("a request to her", SOON, |fleet| fleet.has_event(task_began("deposit"))).await;
-        let asks = |fleet: &Fleet| fleet.world.with(|world| world.open_person_requests());
-        fleet.wait_until("her open request", SOON, move |fleet| !asks(fleet).is_empty()).await;
+        let open_requests = |fleet: &Fleet| fleet.world.with(|world| world.open_person_requests());
+        fleet.wait_until("her open request", SOON, move |fleet| !open_requests(fleet).is_empty()).await;
         fleet.kill("world").await;
         let answer = fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": "a nurse" })).await;
         assert_eq!(answer["state"]["canceled"]["by"], "a nurse", "seed {seed}: {answer}");
-        assert_eq!(asks(&fleet).len(), 1, "seed {seed}: the request is still open");
+        assert_eq!(open_requests(&fleet).len(), 1, "seed {seed}: the request is still open");
         fleet.start_world().await;
-        fleet.wait_until("the end of the request", Duration::from_secs(10), move |fleet| asks(fleet).is_empty()).await;
+        fleet
+            .wait_until("the end of the request", Duration::from_secs(10), move |fleet| open_requests(fleet).is_empty())
+            .await;
 
         let next = fleet.submit("b", ROOM).await;
         fleet.assert_completes(&next).await;

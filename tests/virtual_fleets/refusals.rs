@@ -4,7 +4,7 @@ use consort_fleet::node::NodeSettings;
 use consort_protocol::auction::{AuctionRecord, BidVerdict, RefusalReason, ViabilityError};
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
-use consort_protocol::mission::Domain;
+use consort_skills::domain::hospital;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::json;
 use std::sync::Arc;
@@ -98,11 +98,11 @@ fn an_unreachable_place_leads_to_a_refusal_with_the_task() {
         let robots = vec![RobotSpec::carrier("amber", "IC Room 4")];
         // The node that admits the mission knows an attic, as with a newer map or without a map;
         // the robot does not.
-        let adjust = Box::new(|node: &mut NodeSettings| node.fleet.domain = Arc::new(Domain::hospital()));
+        let adjust = Box::new(|node: &mut NodeSettings| node.fleet.domain = Arc::new(hospital()));
         let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aba"], &[ROOM], adjust).await;
         fleet.wait_for_coordinator().await;
-        let asked = json!({ "mission": "lab-samples", "parameters": { "room": "Attic" } });
-        fleet.request_answered(ApiCall::Submit, &asked).await;
+        let request = json!({ "mission": "lab-samples", "parameters": { "room": "Attic" } });
+        fleet.request_answered(ApiCall::Submit, &request).await;
         fleet.wait_until("an auction", SOON, |fleet| !records(fleet).is_empty()).await;
         let verdict = verdict(&records(&fleet)[0], "amber");
         let BidVerdict::Refused { reason: RefusalReason::NotFeasible { task, problem } } = verdict else {

@@ -18,9 +18,9 @@ async fn a_robot_that_has_finished_wins_again_at_once() {
                 fleet.event_log_text()
             );
         }
-        let happenings = fleet.events();
-        let releases = happenings.iter().filter(|what| matches!(what, EventKind::Released { .. })).count();
-        let awards = happenings.iter().filter(|what| matches!(what, EventKind::Awarded { .. })).count();
+        let events = fleet.events();
+        let releases = events.iter().filter(|what| matches!(what, EventKind::Released { .. })).count();
+        let awards = events.iter().filter(|what| matches!(what, EventKind::Awarded { .. })).count();
         assert_eq!((awards, releases), (2, 0), "seed {seed}\n{}", fleet.event_log_text());
     }
 }

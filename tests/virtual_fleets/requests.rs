@@ -55,10 +55,10 @@ fn a_fleet_limits_its_active_missions() {
         for (request, mission) in [("a", "lab-samples-1"), ("b", "lab-samples-2")] {
             assert_eq!(fleet.submit_with_reply(request, ROOM).await["mission"], mission, "seed {seed}");
         }
-        let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "c" });
-        let refused = fleet.request(ApiCall::Submit, &asked).await.expect("a reply");
-        let says = "2 missions are active, the maximum of this fleet";
-        assert_eq!(refused, json!({ "error": says, "retry_after_ms": 300 }), "seed {seed}");
+        let request = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "c" });
+        let refused = fleet.request(ApiCall::Submit, &request).await.expect("a reply");
+        let expected = "2 missions are active, the maximum of this fleet";
+        assert_eq!(refused, json!({ "error": expected, "retry_after_ms": 300 }), "seed {seed}");
         let again = json!({ "mission": "lab-samples-2", "again": true });
         assert_eq!(fleet.submit_with_reply("b", ROOM).await, again, "seed {seed}: what was taken on is answered again");
         fleet.request(ApiCall::Cancel, &json!({ "mission": "lab-samples-1", "by": "Nia" })).await.expect("a reply");
@@ -73,16 +73,16 @@ fn a_rate_limited_client_is_served_after_its_delay() {
         let adjust = Box::new(|settings: &mut NodeSettings| settings.fleet.request_limits.requests_per_s = 1);
         let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aster"], &[ROOM], adjust).await;
         fleet.wait_for_coordinator().await;
-        let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "a" });
+        let request = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "a" });
         let mut refused = None;
         for _ in 0..20 {
-            let answer = fleet.request(ApiCall::Submit, &asked).await.expect("a reply");
+            let answer = fleet.request(ApiCall::Submit, &request).await.expect("a reply");
             refused = answer["retry_after_ms"].as_u64().or(refused);
         }
         let after = refused.expect("twenty in an instant are more than five");
         assert!((1..=1000).contains(&after), "seed {seed}: {after}");
         tokio::time::sleep(Duration::from_millis(after)).await;
-        let answer = fleet.request(ApiCall::Submit, &asked).await.expect("a reply");
+        let answer = fleet.request(ApiCall::Submit, &request).await.expect("a reply");
         assert_eq!(answer, json!({ "mission": "lab-samples-1", "again": true }), "seed {seed}");
     });
 }
@@ -92,8 +92,8 @@ fn the_next_coordinator_repeats_a_lost_reply() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         fleet.network.cut("aster".parse().expect("a name"), "client".parse().expect("a name"));
-        let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "my-7" });
-        let answer = fleet.request(ApiCall::Submit, &asked).await;
+        let request = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "my-7" });
+        let answer = fleet.request(ApiCall::Submit, &request).await;
         assert_eq!(answer, None, "seed {seed}: the reply was lost");
         assert_eq!(missions(&fleet), Some(1), "seed {seed}: and the mission committed");
         fleet.kill("aster").await;
@@ -145,11 +145,11 @@ fn an_invalid_request_is_rejected_with_a_hint() {
             (ApiCall::Cancel, r#"{"mission": "lab-samples-9"}"#, &["no mission lab-samples-9"]),
             (ApiCall::Get, r#"{"mission": "lab-samples-9"}"#, &["no mission lab-samples-9"]),
         ];
-        for (call, payload, says) in cases {
+        for (call, payload, expected) in cases {
             let answer = fleet.request_raw(call, payload).await;
             let answer = answer.unwrap_or_else(|| panic!("seed {seed}: no reply to {payload}"));
             let error = answer["error"].as_str().unwrap_or_else(|| panic!("seed {seed}: {payload} got {answer}"));
-            for part in says {
+            for part in expected {
                 assert!(error.contains(part), "seed {seed}: {payload} got {error:?}, without {part:?}");
             }
         }

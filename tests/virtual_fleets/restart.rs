@@ -30,20 +30,20 @@ async fn under_way(seed: u64, others: &[&'static str], task: &'static str) -> (F
 
 /// Asserts that the first holders completed the mission, and that no task was repeated except the
 /// task that a crash interrupted.
-fn done_once(fleet: &Fleet, mission: &MissionId, begun_twice: &[&str]) {
-    let story = fleet.event_log_text();
+fn assert_done_once(fleet: &Fleet, mission: &MissionId, begun_twice: &[&str]) {
+    let context = fleet.event_log_text();
     let tasks: BTreeMap<String, (usize, usize)> = fleet.task_counts(mission);
     for (task, (began, ended)) in &tasks {
         let expected = if begun_twice.contains(&task.as_str()) { 2 } else { 1 };
-        assert_eq!((*began, *ended), (expected, 1), "seed {}: {task}\n{story}", fleet.seed);
+        assert_eq!((*began, *ended), (expected, 1), "seed {}: {task}\n{context}", fleet.seed);
     }
-    assert!(!fleet.has_event(released), "seed {}\n{story}", fleet.seed);
+    assert!(!fleet.has_event(released), "seed {}\n{context}", fleet.seed);
     fleet.assert_sample_delivered(ROOM);
     fleet.assert_exclusive_roles();
 }
 
 /// Waits until the checkpoint store of a robot is empty.
-async fn page_torn_out(fleet: &Fleet, robot: &str) {
+async fn wait_for_empty_checkpoint(fleet: &Fleet, robot: &str) {
     let what = format!("the empty checkpoint store of {robot}");
     fleet.poll_until(&what, SOON, async |fleet| fleet.checkpoint(robot).await.is_none().then_some(())).await;
 }
@@ -58,9 +58,9 @@ fn a_carrier_that_restarts_within_its_lease_continues() {
         tokio::time::sleep(Duration::from_millis(50 + (seed - 301) * 1500)).await;
         fleet.restart("gorse").await;
         fleet.assert_completes(&mission).await;
-        done_once(&fleet, &mission, &["navto_lab"]);
+        assert_done_once(&fleet, &mission, &["navto_lab"]);
         assert_eq!(fleet.event_log.count(resumed), 1, "seed {seed}\n{}", fleet.event_log_text());
-        page_torn_out(&fleet, "gorse").await;
+        wait_for_empty_checkpoint(&fleet, "gorse").await;
     });
 }
 
@@ -81,7 +81,7 @@ fn a_robot_that_restarts_too_late_loses_its_role_and_is_free() {
             gorse.filter_map(|(_, entry)| entry.event_kind()).any(|what| matches!(what, EventKind::Halted { .. }))
         };
         fleet.wait_until("gorse to learn it", SOON, halted).await;
-        page_torn_out(&fleet, "gorse").await;
+        wait_for_empty_checkpoint(&fleet, "gorse").await;
         let place = fleet.position("gorse");
         fleet.assert_completes(&mission).await;
         assert_eq!(fleet.position("gorse"), place, "seed {seed}: it stood still\n{}", fleet.event_log_text());
@@ -124,14 +124,18 @@ fn a_restarted_robot_is_not_free_until_its_role_is_settled() {
         fleet.cut_off(&["gorse"]);
         fleet.restart("gorse").await;
         let place = fleet.position("gorse");
-        let says = |fleet: &Fleet| {
+        let availability = |fleet: &Fleet| {
             let me = slug("gorse");
             fleet.knowledge_of("gorse", &me).map(|worker| worker.availability)
         };
         use consort_protocol::knowledge::Availability;
         let held = Availability::Holding { mission: mission.clone(), role: slug("r1"), suspended: true };
-        fleet.wait_until("it to report that it holds a role", SOON, |fleet| says(fleet) == Some(held.clone())).await;
-        fleet.assert_never("something else", Duration::from_secs(20), |fleet| says(fleet) != Some(held.clone())).await;
+        fleet
+            .wait_until("it to report that it holds a role", SOON, |fleet| availability(fleet) == Some(held.clone()))
+            .await;
+        fleet
+            .assert_never("something else", Duration::from_secs(20), |fleet| availability(fleet) != Some(held.clone()))
+            .await;
         assert!(
             fleet.position("gorse") == place && !fleet.has_event(resumed),
             "seed {seed}\n{}",
@@ -164,11 +168,11 @@ async fn interrupted(seed: u64, nth: usize, robot: &'static str, away: Duration)
     tokio::time::sleep(away).await;
     fleet.restart(robot).await;
     fleet.assert_completes(&mission).await;
-    let story = format!("seed {seed}: {robot} killed after {nth} things\n{}", fleet.event_log_text());
+    let context = format!("seed {seed}: {robot} killed after {nth} things\n{}", fleet.event_log_text());
     let tasks = fleet.task_counts(&mission);
     let again = tasks.values().filter(|(began, _)| *began > 1).count();
-    assert!(again <= 1 && tasks.values().all(|(began, _)| *began <= 2), "{tasks:?}\n{story}");
-    assert!(tasks.values().all(|(_, ended)| *ended == 1), "{tasks:?}\n{story}");
+    assert!(again <= 1 && tasks.values().all(|(began, _)| *began <= 2), "{tasks:?}\n{context}");
+    assert!(tasks.values().all(|(_, ended)| *ended == 1), "{tasks:?}\n{context}");
     fleet.assert_sample_delivered(room);
     fleet.assert_exclusive_roles();
     true
@@ -176,11 +180,11 @@ async fn interrupted(seed: u64, nth: usize, robot: &'static str, away: Duration)
 
 /// Runs a test with a crash after more and more observations, until the mission ends before the
 /// crash. Returns the number of crashes.
-fn at_any_step(step: usize, seed: impl Fn(u64) -> u64, story: impl AsyncFn(u64, usize, Duration) -> bool) -> usize {
+fn at_any_step(step: usize, seed: impl Fn(u64) -> u64, test: impl AsyncFn(u64, usize, Duration) -> bool) -> usize {
     for (kills, nth) in (0..).step_by(step).enumerate() {
         let (number, went_on) = (nth as u64, Cell::new(true));
         let away = Duration::from_millis(40 + (number * 379) % 3000);
-        for_each_seed([seed(number)], async |seed| went_on.set(story(seed, nth, away).await));
+        for_each_seed([seed(number)], async |seed| went_on.set(test(seed, nth, away).await));
         if !went_on.get() {
             return kills;
         }
@@ -220,7 +224,7 @@ fn a_goal_that_ended_during_a_restart_is_not_repeated() {
             }
             fleet.restart("lab-arm").await;
             fleet.assert_completes(&mission).await;
-            done_once(&fleet, &mission, &["pick_up_sample"]);
+            assert_done_once(&fleet, &mission, &["pick_up_sample"]);
             let failed = |what: &EventKind| matches!(what, EventKind::TaskRetried { .. });
             assert!(!fleet.has_event(failed), "seed {seed}\n{}", fleet.event_log_text());
         });
@@ -247,10 +251,10 @@ async fn world_interrupted(seed: u64, nth: usize, away: Duration) -> bool {
     tokio::time::sleep(away).await;
     fleet.start_world().await;
     fleet.assert_completes(&mission).await;
-    let story = format!("seed {seed}: the world's node killed after {nth} things\n{}", fleet.event_log_text());
+    let context = format!("seed {seed}: the world's node killed after {nth} things\n{}", fleet.event_log_text());
     let tasks = fleet.task_counts(&mission);
-    assert!(tasks.values().all(|(_, ended)| (1..=2).contains(ended)), "{tasks:?}\n{story}");
-    assert!(!fleet.has_event(released), "{story}");
+    assert!(tasks.values().all(|(_, ended)| (1..=2).contains(ended)), "{tasks:?}\n{context}");
+    assert!(!fleet.has_event(released), "{context}");
     fleet.assert_sample_delivered(room);
     fleet.assert_exclusive_roles();
     true

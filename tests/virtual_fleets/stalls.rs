@@ -17,7 +17,7 @@ const SOON: Duration = Duration::from_secs(60);
 const STALL_AFTER: Duration = Duration::from_secs(25);
 
 /// `gorse` is near and wins; at the named task it stops forever. `fern` could take over.
-async fn stands_still(seed: u64, stall_after: Duration, at: &'static str) -> (Fleet, MissionId) {
+async fn stalled_mission(seed: u64, stall_after: Duration, at: &'static str) -> (Fleet, MissionId) {
     // It approaches the nurse and later the arm.
     set_faults(match at {
         "approach_nurse" => &[SkillFault::Stalls],
@@ -41,7 +41,7 @@ async fn stands_still(seed: u64, stall_after: Duration, at: &'static str) -> (Fl
 #[test]
 fn a_stalled_role_moves_to_another_robot() {
     for_each_seed([1101, 1102, 1103], async |seed| {
-        let (mut fleet, mission) = stands_still(seed, STALL_AFTER, "approach_nurse").await;
+        let (mut fleet, mission) = stalled_mission(seed, STALL_AFTER, "approach_nurse").await;
         let stood = fleet.elapsed();
         let given_up = |fleet: &Fleet| fleet.has_event(released);
         fleet.wait_until("the role to be released", STALL_AFTER * 2, given_up).await;
@@ -74,7 +74,7 @@ fn a_stalled_role_moves_to_another_robot() {
 #[test]
 fn a_robot_that_stalls_with_the_sample_needs_intervention() {
     for_each_seed([1111, 1112], async |seed| {
-        let (mut fleet, mission) = stands_still(seed, STALL_AFTER, "approach_arm").await;
+        let (mut fleet, mission) = stalled_mission(seed, STALL_AFTER, "approach_arm").await;
         let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
             panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
         };
@@ -88,7 +88,7 @@ fn a_robot_that_stalls_with_the_sample_needs_intervention() {
 #[test]
 fn a_stall_limit_of_zero_leaves_stalls_to_the_task_timeout() {
     for_each_seed([1121], async |seed| {
-        let (mut fleet, mission) = stands_still(seed, Duration::ZERO, "approach_nurse").await;
+        let (mut fleet, mission) = stalled_mission(seed, Duration::ZERO, "approach_nurse").await;
         let given_up = |fleet: &Fleet| fleet.has_event(released);
         fleet.assert_never("a release", STALL_AFTER * 2, given_up).await;
         // After ten minutes the robot itself interrupts the task; the second attempt succeeds.

@@ -16,7 +16,7 @@ fn stumbles_twice(library: &mut SkillLibrary) {
             registry.register(NodeManifest::new("Stumble", NodeKind::Action, []), |_: &TaskContext| {
                 Box::new(SyncLeaf(|_: &mut LeafContext<'_, '_>| {
                     let left = STUMBLES.with(|stumbles| stumbles.replace(stumbles.get().saturating_sub(1)));
-                    assert_eq!(left, 0, "nobody stands there");
+                    assert_eq!(left, 0, "no person is there");
                     Ok(true)
                 }))
             })
@@ -57,7 +57,7 @@ fn a_panicking_skill_costs_only_the_role_of_its_robot() {
             })
             .collect();
         let [cause] = &causes[..] else { panic!("seed {seed}: {causes:?}\n{}", fleet.event_log_text()) };
-        for part in ["gorse as r1 could not do approach_nurse", "crashed", "nobody stands there"] {
+        for part in ["gorse as r1 could not do approach_nurse", "crashed", "no person is there"] {
             assert!(cause.contains(part), "seed {seed}: {cause:?} without {part:?}");
         }
         let failed = |what: &EventKind| matches!(what, EventKind::TaskFailed { .. });

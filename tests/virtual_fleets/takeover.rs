@@ -25,7 +25,7 @@ fn awarded(what: &EventKind) -> bool {
 }
 
 /// Asserts that the mission was carried out once and had no other effect.
-async fn carried_out_once(fleet: &mut Fleet, mission: &MissionId) {
+async fn assert_carried_out_once(fleet: &mut Fleet, mission: &MissionId) {
     fleet.assert_completes(mission).await;
     fleet.assert_each_task_once(mission);
     fleet.assert_sample_delivered(ROOM);
@@ -48,7 +48,7 @@ fn the_next_coordinator_auctions_an_acknowledged_mission() {
         fleet.kill("aster").await;
         let awards = fleet.event_log.count(awarded);
         assert_eq!(awards, 0, "seed {seed}: awards before the kill\n{}", fleet.event_log_text());
-        carried_out_once(&mut fleet, &mission).await;
+        assert_carried_out_once(&mut fleet, &mission).await;
     });
 }
 
@@ -67,7 +67,7 @@ fn the_next_coordinator_repeats_an_interrupted_auction() {
         );
         fleet.kill("aster").await;
         fleet.heal();
-        carried_out_once(&mut fleet, &mission).await;
+        assert_carried_out_once(&mut fleet, &mission).await;
         assert!(fleet.event_log.count(called) >= 2, "seed {seed}: called anew\n{}", fleet.event_log_text());
     });
 }
@@ -84,14 +84,14 @@ fn the_next_coordinator_keeps_a_committed_award() {
                 let roles = &ledger.mission(&mission).expect("it is there").roles;
                 roles.values().filter_map(|role| role.holder.as_ref().map(|holder| holder.epoch)).collect::<Vec<_>>()
             });
-            epochs.expect("somebody coordinates")
+            epochs.expect("a coordinator")
         };
         let before = epoch(&fleet);
         let accepted = |what: &EventKind| matches!(what, EventKind::Started { .. });
         assert!(!fleet.has_event(accepted), "seed {seed}: no role has begun at the kill\n{}", fleet.event_log_text());
         fleet.kill("aster").await;
         fleet.wait_until("the next coordinator", SOON, |fleet| fleet.coordinating().is_some()).await;
-        carried_out_once(&mut fleet, &mission).await;
+        assert_carried_out_once(&mut fleet, &mission).await;
         assert_eq!(epoch(&fleet), before, "seed {seed}: epochs\n{}", fleet.event_log_text());
         assert_eq!(fleet.event_log.count(called), 1, "seed {seed}: calls\n{}", fleet.event_log_text());
     });
@@ -107,7 +107,7 @@ fn a_mission_survives_a_coordinator_kill_during_any_task() {
         let began = task_began(point);
         fleet.wait_until(&format!("the beginning of {point}"), SOON, |fleet| fleet.has_event(&began)).await;
         fleet.kill("aster").await;
-        carried_out_once(&mut fleet, &mission).await;
+        assert_carried_out_once(&mut fleet, &mission).await;
         assert_eq!(fleet.event_log.count(called), 1, "seed {seed}: calls\n{}", fleet.event_log_text());
         let halted = fleet.event_log.count(|what| matches!(what, EventKind::Suspended { .. }));
         assert_eq!(halted, 0, "seed {seed}: a takeover is shorter than a lease\n{}", fleet.event_log_text());
@@ -127,7 +127,7 @@ fn five_voters_survive_two_coordinators_killed_in_one_mission() {
         fleet.wait_until("the deposit", SOON, |fleet| fleet.has_event(task_began("deposit"))).await;
         let second = fleet.wait_for_coordinator().await;
         fleet.kill(second.as_str()).await;
-        carried_out_once(&mut fleet, &mission).await;
+        assert_carried_out_once(&mut fleet, &mission).await;
         let third = fleet.wait_for_coordinator().await;
         assert!(third != second && third.as_str() != "aster", "seed {seed}: {third} coordinates");
     });

@@ -23,7 +23,7 @@ async fn led_by_a_carrier(seed: u64) -> (Fleet, MissionId) {
 }
 
 /// `lab-arm` creates the cluster with the posts; mobile robots are not among the five voters.
-async fn led_by_the_arm(seed: u64) -> (Fleet, MissionId) {
+async fn fleet_coordinated_by_the_arm(seed: u64) -> (Fleet, MissionId) {
     let robots = vec![RobotSpec::carrier("amber", "IC Room 4"), RobotSpec::carrier("birch", "Dock")];
     let posts = ["post-1", "post-2", "post-3", "post-4"];
     let mut fleet = Fleet::hospital(seed, robots, &posts, &[ROOM]).await;
@@ -66,9 +66,9 @@ fn a_carrier_killed_before_custody_is_replaced_after_lease_and_grace() {
                 "pick_up_sample" => &["lab-arm"],
                 _ => &["birch"],
             };
-            let story = format!("seed {seed}: {task}\n{}", fleet.event_log_text());
-            assert_eq!(began, who, "{story}");
-            assert_eq!(ended, who[who.len() - 1..], "{story}");
+            let context = format!("seed {seed}: {task}\n{}", fleet.event_log_text());
+            assert_eq!(began, who, "{context}");
+            assert_eq!(ended, who[who.len() - 1..], "{context}");
         }
     });
 }
@@ -154,7 +154,7 @@ fn a_carrier_killed_after_the_handover_has_done_its_part() {
 #[test]
 fn an_arm_that_restarts_at_once_receives_its_role_again() {
     for_each_seed(SEEDS, async |seed| {
-        let (mut fleet, mission) = led_by_the_arm(seed).await;
+        let (mut fleet, mission) = fleet_coordinated_by_the_arm(seed).await;
         fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
         fleet.kill("lab-arm").await;
         let second = fleet.wait_for_coordinator().await;
@@ -174,7 +174,7 @@ fn an_arm_that_restarts_at_once_receives_its_role_again() {
 #[test]
 fn a_mission_waits_with_a_reason_until_its_arm_returns() {
     for_each_seed(SEEDS, async |seed| {
-        let (mut fleet, mission) = led_by_the_arm(seed).await;
+        let (mut fleet, mission) = fleet_coordinated_by_the_arm(seed).await;
         fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
         fleet.kill("lab-arm").await;
         fleet.wait_until("the arm to be given up", SOON, |fleet| fleet.has_event(released)).await;

@@ -39,7 +39,7 @@ impl Leaf for Stumble {
         }
         match MISHAPS.with(|mishaps| mishaps.borrow_mut().pop()) {
             None | Some(SkillFault::Passes) => Ok(NodeStatus::Success),
-            Some(SkillFault::Fails) => Err(Cause::new("nobody stands there")),
+            Some(SkillFault::Fails) => Err(Cause::new("no person is there")),
             Some(SkillFault::Crashes) => panic!("tripped over a cable"),
             Some(SkillFault::Stalls) => {
                 self.stalled = true;
@@ -62,18 +62,18 @@ pub(super) fn set_faults(list: &[SkillFault]) {
 pub(super) fn fails_as_listed(library: &mut SkillLibrary) {
     let leaves = r#"<PlanRoute to="{to}" legs="{legs}"/>
         <LoopString queue="{legs}" value="{leg}" if_empty="SUCCESS"><NavigateToPose place="{leg}"/></LoopString>"#;
-    stumbles_after(library, &[("navigation", leaves)]);
+    inject_faults_after(library, &[("navigation", leaves)]);
 }
 
 /// Makes approaching a person or a robot fail at its end.
 pub(super) fn fails_with_others(library: &mut SkillLibrary) {
     let person = r#"<FindPerson person_role="{person_role}" role="{role}"/><ApproachPerson role="{role}"/>"#;
     let robot = r#"<FindRoleHolder role="{robot_role}" robot="{robot}"/><ApproachRobot robot="{robot}"/>"#;
-    stumbles_after(library, &[("approach_person", person), ("approach_robot", robot)]);
+    inject_faults_after(library, &[("approach_person", person), ("approach_robot", robot)]);
 }
 
 /// Replaces the trees of these skills by these leaves, followed by a fault.
-fn stumbles_after(library: &mut SkillLibrary, skills: &[(&str, &str)]) {
+fn inject_faults_after(library: &mut SkillLibrary, skills: &[(&str, &str)]) {
     library
         .extend(|registry| {
             let manifest = NodeManifest::new("Stumble", NodeKind::Action, []);
@@ -97,37 +97,37 @@ fn retried(what: &EventKind) -> Option<(String, u8, String)> {
 }
 
 /// Injects a fault into the first drive and checks the reaction of the robot.
-fn one_mishap(mishap: SkillFault, cause: &'static str) {
+fn assert_retried_after(fault: SkillFault, cause: &'static str) {
     for_each_seed([201, 202], async |seed| {
-        set_faults(&[mishap]);
+        set_faults(&[fault]);
         let robots = vec![RobotSpec::carrier("gorse", "IC Room 4").with_library(fails_as_listed)];
         let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM]).await;
         fleet.wait_for_coordinator().await;
         let mission = fleet.submit("a", ROOM).await;
         fleet.assert_completes(&mission).await;
         let retries: Vec<_> = fleet.events().iter().filter_map(retried).collect();
-        let story = format!("seed {seed}: {retries:?}\n{}", fleet.event_log_text());
-        assert!(matches!(&retries[..], [(task, 1, why)] if task == "navto_room" && why.contains(cause)), "{story}");
-        assert_eq!(fleet.task_counts(&mission)["navto_room"], (2, 1), "{story}");
+        let context = format!("seed {seed}: {retries:?}\n{}", fleet.event_log_text());
+        assert!(matches!(&retries[..], [(task, 1, why)] if task == "navto_room" && why.contains(cause)), "{context}");
+        assert_eq!(fleet.task_counts(&mission)["navto_room"], (2, 1), "{context}");
         fleet.assert_sample_delivered(ROOM);
         let unwanted = |what: &EventKind| matches!(what, EventKind::TaskFailed { .. } | EventKind::Released { .. });
-        assert!(!fleet.has_event(unwanted), "{story}");
+        assert!(!fleet.has_event(unwanted), "{context}");
     });
 }
 
 #[test]
 fn a_failing_skill_is_retried() {
-    one_mishap(SkillFault::Fails, "nobody stands there");
+    assert_retried_after(SkillFault::Fails, "no person is there");
 }
 
 #[test]
 fn a_crashing_skill_is_retried() {
-    one_mishap(SkillFault::Crashes, "tripped over a cable");
+    assert_retried_after(SkillFault::Crashes, "tripped over a cable");
 }
 
 #[test]
 fn a_task_without_an_end_is_interrupted_and_retried() {
-    one_mishap(SkillFault::Stalls, "not completed after");
+    assert_retried_after(SkillFault::Stalls, "not completed after");
 }
 
 #[test]

@@ -2,10 +2,19 @@
 
 use crate::support::{fleet, task_began};
 use consort_bus::{Bus, VirtualBus};
+use consort_protocol::api::{ErrorReply, ExplainReply, HelpReply, MissionChangeReply, UpgradeReply};
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
+use consort_protocol::view::{
+    AuctionsView, CoordinatorView, EnsemblesView, FleetView, HealthView, MissionView, MissionsView, RobotView,
+    WithProvenance,
+};
+use consort_raft::store::Backup;
 use consort_tests::{Fleet, for_each_seed, slug};
+use consort_world::world::WorldReport;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -23,15 +32,15 @@ fn every_view_has_a_single_reply_with_the_current_state() {
         let began = task_began("deposit");
         fleet.wait_until("the deposit", SOON, |fleet| fleet.has_event(&began)).await;
         // The state of robots arrives by gossip.
-        let told = async |fleet: &Fleet| {
+        let holding = async |fleet: &Fleet| {
             let views = fleet.view("**").await;
             let mut tasks = BTreeMap::new();
             elementary(&views["mission/lab-samples-1"]["tree"], &mut tasks);
-            let told = views["robot/gorse"]["robot"]["availability"]["holding"]["role"] == "r1";
-            (told && tasks["deposit"] == "under_way").then_some(views)
+            let holding = views["robot/gorse"]["robot"]["availability"]["holding"]["role"] == "r1";
+            (holding && tasks["deposit"] == "under_way").then_some(views)
         };
         let views = fleet
-            .poll_until("gorse's word that it holds r1, and the deposit under way", Duration::from_secs(2), told)
+            .poll_until("gorse's word that it holds r1, and the deposit under way", Duration::from_secs(2), holding)
             .await;
         let names: Vec<&str> = views.keys().map(String::as_str).collect();
         let expected = [
@@ -81,14 +90,14 @@ fn every_view_has_a_single_reply_with_the_current_state() {
         let shown = &views["mission/lab-samples-1"];
         assert_eq!(shown["state"], "running", "seed {seed}");
         let roles: Vec<_> = shown["roles"].as_array().expect("a list").iter().collect();
-        let told = |role: &Value| {
+        let holding = |role: &Value| {
             let text = |field: &str| role[field].as_str().unwrap_or("-").to_owned();
             (text("role"), text("kind"), text("holder"))
         };
-        let told: Vec<_> = roles.into_iter().map(told).collect();
+        let holding: Vec<_> = roles.into_iter().map(holding).collect();
         let line = |role: &str, kind: &str, holder: &str| (role.to_owned(), kind.to_owned(), holder.to_owned());
         assert_eq!(
-            told,
+            holding,
             [line("lab_arm", "managed", "lab-arm"), line("nurse", "unmanaged", "-"), line("r1", "managed", "gorse")],
             "seed {seed}"
         );
@@ -121,6 +130,59 @@ fn every_view_has_a_single_reply_with_the_current_state() {
     });
 }
 
+/// Reads a value by its type, and checks that writing it again gives the same value.
+fn check_type<T: Serialize + DeserializeOwned>(name: &str, value: &Value) {
+    let read: T = serde_json::from_value(value.clone()).unwrap_or_else(|problem| panic!("{name}: {problem}: {value}"));
+    assert_eq!(&serde_json::to_value(read).expect("JSON"), value, "{name}");
+}
+
+/// Checks the type of a view.
+fn check_view(name: &str, view: &Value) {
+    match name.split('/').next().unwrap_or_default() {
+        "fleet" => check_type::<WithProvenance<FleetView>>(name, view),
+        "robot" => check_type::<RobotView>(name, view),
+        "ensembles" => check_type::<WithProvenance<EnsemblesView>>(name, view),
+        "coordinator" => check_type::<WithProvenance<CoordinatorView>>(name, view),
+        "missions" => check_type::<WithProvenance<MissionsView>>(name, view),
+        "mission" => check_type::<WithProvenance<MissionView>>(name, view),
+        "auctions" => check_type::<WithProvenance<AuctionsView>>(name, view),
+        "health" => check_type::<WithProvenance<HealthView>>(name, view),
+        "world" => check_type::<WithProvenance<WorldReport>>(name, view),
+        "map" => {}
+        _ => panic!("{name} has no type"),
+    }
+}
+
+#[test]
+fn views_and_replies_contain_exactly_the_fields_of_their_types() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, ROOM).await;
+        let mission = fleet.submit("a", ROOM).await;
+        let began = task_began("deposit");
+        fleet.wait_until("the deposit", SOON, |fleet| fleet.has_event(&began)).await;
+        fleet.submit("b", ROOM).await;
+        fleet.view("**").await.iter().for_each(|(name, view)| check_view(name, view));
+        let ask = async |call: ApiCall, payload: Value| fleet.request_answered(call, &payload).await;
+        let named = json!({ "mission": mission });
+        check_type::<WithProvenance<MissionView>>("get", &ask(ApiCall::Get, named.clone()).await);
+        check_type::<WithProvenance<MissionsView>>("list", &ask(ApiCall::List, Value::Null).await);
+        check_type::<WithProvenance<ExplainReply>>("explain", &ask(ApiCall::Explain, named.clone()).await);
+        check_type::<HelpReply>("help", &ask(ApiCall::Help, Value::Null).await);
+        check_type::<UpgradeReply>("upgrade", &ask(ApiCall::Upgrade, json!({})).await);
+        check_type::<Backup>("backup", &ask(ApiCall::Backup, Value::Null).await);
+        check_type::<ErrorReply>("error", &ask(ApiCall::Get, json!({ "mission": "lab-samples-9" })).await);
+        fleet.kill("gorse").await;
+        let end = fleet.wait_for_end(&mission).await;
+        assert!(matches!(end, MissionState::NeedsIntervention { .. }), "seed {seed}: {end:?}");
+        fleet.view("**").await.iter().for_each(|(name, view)| check_view(name, view));
+        let ask = async |call: ApiCall, payload: Value| fleet.request_answered(call, &payload).await;
+        check_type::<MissionChangeReply>("resolve", &ask(ApiCall::Resolve, named).await);
+        for kind in fleet.events() {
+            check_type::<EventKind>("event", &json!(kind));
+        }
+    });
+}
+
 /// Collects the elementary tasks of a tree with their states.
 fn elementary(tree: &Value, tasks: &mut BTreeMap<String, String>) {
     for child in tree["children"].as_array().into_iter().flatten() {
@@ -133,7 +195,7 @@ fn elementary(tree: &Value, tasks: &mut BTreeMap<String, String>) {
 }
 
 /// Queries a key on the bus of a node or a client. Returns the replies and the duration.
-async fn look(bus: &VirtualBus, key: &str) -> (BTreeMap<String, Value>, Duration) {
+async fn query_views(bus: &VirtualBus, key: &str) -> (BTreeMap<String, Value>, Duration) {
     let asked = Instant::now();
     let mut replies = bus.query_nearest(key, vec![].into(), Duration::from_secs(3)).await.expect("a virtual bus");
     let mut views = BTreeMap::new();
@@ -156,7 +218,7 @@ fn every_node_answers_views_with_their_origin_and_age() {
         // Nodes without a ledger show the missions of a voter.
         for node in nodes {
             let bus = fleet.network.bus(slug(node));
-            let (views, _) = look(&bus, "consort/ward/view/**").await;
+            let (views, _) = query_views(&bus, "consort/ward/view/**").await;
             let of_its_own = ["fleet", "coordinator", "ensembles", "map"];
             for view in of_its_own {
                 assert_eq!(views[&format!("view/{view}")]["seen_by"], node, "seed {seed}: {view}");
@@ -169,11 +231,11 @@ fn every_node_answers_views_with_their_origin_and_age() {
             assert!(views["view/world"].is_object(), "seed {seed}: {node}");
             let age = views["view/coordinator"]["age_ms"].as_u64().expect("an age");
             assert!(if node == "aster" { age == 0 } else { age <= 500 }, "seed {seed}: {node}: {age} ms");
-            let got = look(&bus, "consort/ward/api/list").await.0;
+            let got = query_views(&bus, "consort/ward/api/list").await.0;
             assert_eq!(got["api/list"]["missions"][0]["mission"], json!(mission), "seed {seed}: {node}");
         }
         // Each node answers separately on its own key.
-        let (seen, _) = look(&fleet.client, "consort/ward/seen/*/coordinator").await;
+        let (seen, _) = query_views(&fleet.client, "consort/ward/seen/*/coordinator").await;
         let seen: BTreeMap<&str, &str> =
             seen.iter().map(|(key, view)| (key.as_str(), view["coordinator"].as_str().unwrap_or("nobody"))).collect();
         let expected: Vec<(String, &str)> =
@@ -194,7 +256,7 @@ fn views_are_answered_quickly_without_a_leader() {
         let killed = Instant::now();
         let mut leaders = vec![];
         while killed.elapsed() < Duration::from_secs(3) {
-            let (views, took) = look(&client, "consort/ward/view/**").await;
+            let (views, took) = query_views(&client, "consort/ward/view/**").await;
             assert!(took < moment, "seed {seed}: {took:?} at {:?}", killed.elapsed());
             let missions = &views["view/missions"];
             assert_eq!(missions["missions"][0]["mission"], json!(mission), "seed {seed}: {missions}");
@@ -209,13 +271,13 @@ fn views_are_answered_quickly_without_a_leader() {
             fleet.kill(voter).await;
         }
         fleet.kill(&next).await;
-        let says = async |fleet: &Fleet| {
+        let known = async |fleet: &Fleet| {
             let health = fleet.view("health").await.remove("health")?;
             let findings = health["findings"].as_array()?.clone();
             let said = |about: &str| findings.iter().any(|finding| finding["about"] == about);
             (health["level"] == "error" && said("quorum") && said("coordinator")).then_some(health)
         };
-        let health = fleet.poll_until("the loss of the quorum", Duration::from_secs(20), says).await;
+        let health = fleet.poll_until("the loss of the quorum", Duration::from_secs(20), known).await;
         assert_eq!(health["coordinator"], Value::Null, "seed {seed}: {health}");
     });
 }
@@ -226,11 +288,11 @@ fn a_dead_robot_holds_the_role_in_the_ledger_not_in_its_record() {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
         fleet.wait_until("the way to the laboratory", SOON, |fleet| fleet.has_event(task_began("navto_lab"))).await;
-        let says = async |fleet: &Fleet| {
+        let known = async |fleet: &Fleet| {
             let robot = fleet.view("robot/gorse").await.remove("robot/gorse")?;
             (robot["robot"]["availability"]["holding"]["role"] == "r1").then_some(())
         };
-        fleet.poll_until("gorse's word that it holds r1", SOON, says).await;
+        fleet.poll_until("gorse's word that it holds r1", SOON, known).await;
         fleet.kill("gorse").await;
         let end = fleet.wait_for_end(&mission).await;
         assert!(matches!(end, MissionState::NeedsIntervention { .. }), "seed {seed}: {end:?}");
@@ -239,7 +301,7 @@ fn a_dead_robot_holds_the_role_in_the_ledger_not_in_its_record() {
         // Most of these nodes have a ledger; the world host only has the last record of gorse.
         for node in ["aster", "basil", "clove", "fern", "lab-arm", "world"] {
             let shown = async |_: &Fleet| {
-                let (views, _) = look(&fleet.network.bus(slug(node)), "consort/ward/view/**").await;
+                let (views, _) = query_views(&fleet.network.bus(slug(node)), "consort/ward/view/**").await;
                 let of_all = views["view/fleet"]["nodes"].as_array()?.iter().find(|node| node["node"] == "gorse")?;
                 let alone = views.get("view/robot/gorse")?;
                 (of_all["status"] == "down").then(|| [of_all.clone(), alone.clone()])
@@ -261,7 +323,7 @@ fn the_explanation_contains_the_result_of_each_robot() {
         let said = fleet.request_answered(ApiCall::Explain, &json!({ "mission": mission })).await;
         let words: Vec<&str> = said["text"].as_array().expect("sentences").iter().filter_map(Value::as_str).collect();
         assert_eq!(words[0], format!("{mission} is completed; auction 1:"), "seed {seed}");
-        for says in [
+        for expected in [
             "lab_arm: lab-arm gets the role with ",
             "  fern lacks ",
             "r1: gorse gets the role with ",
@@ -270,7 +332,10 @@ fn the_explanation_contains_the_result_of_each_robot() {
             "  fern bid ",
             "  lab-arm lacks ",
         ] {
-            assert!(words.iter().any(|line| line.starts_with(says)), "seed {seed}: {says:?} is not in {words:#?}");
+            assert!(
+                words.iter().any(|line| line.starts_with(expected)),
+                "seed {seed}: {expected:?} is not in {words:#?}"
+            );
         }
         let explained = |robot: &str| {
             let robots = said["explanation"]["roles"][1]["robots"].as_array().expect("robots");
@@ -299,7 +364,7 @@ fn every_call_documents_its_payload() {
         let calls: Vec<&str> =
             help["calls"].as_array().expect("calls").iter().filter_map(|call| call["call"].as_str()).collect();
         assert_eq!(calls, ["submit", "cancel", "resolve", "backup", "upgrade", "get", "list", "explain", "help"]);
-        let (each, _) = look(&fleet.client, "consort/ward/api/*/help").await;
+        let (each, _) = query_views(&fleet.client, "consort/ward/api/*/help").await;
         assert_eq!(each.len(), calls.len());
         let submit = &each["api/submit/help"];
         assert_eq!(submit["payload_schema"]["required"], json!(["mission"]), "{submit}");

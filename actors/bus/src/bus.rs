@@ -80,11 +80,16 @@ pub struct Sample {
 pub struct Reply {
     /// Key of the reply: each service replies on its own key.
     pub key: String,
-    /// Content, or the error text sent by the service.
-    pub payload: Result<Bytes, String>,
+    /// Content, or the refusal of the service.
+    pub payload: Result<Bytes, QueryRefused>,
     /// Attachment, empty if absent.
     pub attachment: Bytes,
 }
+
+/// A service has refused a query, with its reason.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct QueryRefused(pub String);
 
 /// An appearance or disappearance of a presence token.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -54,6 +54,11 @@ impl Clock {
         self.wall_origin_ms.saturating_add(self.now().as_millis())
     }
 
+    /// Returns the date and time as the time since 1970.
+    pub(crate) fn unix_time(&self) -> Duration {
+        Duration::from_millis(self.wall_ms())
+    }
+
     /// Returns the instant of tokio's clock at which this clock reads `at`.
     pub fn instant(&self, at: NodeTime) -> Instant {
         let since = at.since(NodeTime::ZERO);

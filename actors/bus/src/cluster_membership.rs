@@ -12,7 +12,7 @@
 use crate::bus::{BusError, Query, Reply, Sample, SharedBus, Stream};
 use crate::layer::{Layer, MessageContent, refuse_in_background};
 use bytes::Bytes;
-use consort_protocol::codec;
+use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::Keys;
 use consort_protocol::message::ClusterEnvelope;
@@ -25,7 +25,7 @@ use tracing::{debug, info};
 /// Time after the last contact at which a node without a ledger leaves its cluster. A guess:
 /// several times the longest election, and as long as gossip keeps the record of a node that is
 /// down.
-pub const MEMBERSHIP_TIMEOUT: Duration = Duration::from_secs(30);
+const MEMBERSHIP_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Cluster of a node. Clones share the value.
 #[derive(Debug, Clone)]
@@ -129,13 +129,26 @@ impl ClusterBus {
     }
 }
 
+/// The message is not for this node.
+#[derive(Debug, thiserror::Error)]
+enum EnvelopeError {
+    /// The envelope cannot be decoded.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// Expected while two clusters have the same name.
+    #[error(
+        "message of cluster {cluster} rejected: this node belongs to cluster {}",
+        own.map_or("none".to_owned(), |own| own.to_string())
+    )]
+    OtherCluster { cluster: ClusterId, own: Option<ClusterId> },
+}
+
 /// Returns the content of a message if it is for this node.
-fn open_envelope(membership: &ClusterMembership, payload: &[u8]) -> Result<Bytes, String> {
-    let ClusterEnvelope { cluster, payload } = codec::decode(payload).map_err(|problem| problem.to_string())?;
+fn open_envelope(membership: &ClusterMembership, payload: &[u8]) -> Result<Bytes, EnvelopeError> {
+    let ClusterEnvelope { cluster, payload } = codec::decode(payload)?;
     match cluster {
         Some(cluster) if !membership.admits(cluster) => {
-            let own = membership.cluster().map_or("none".to_owned(), |own| own.to_string());
-            Err(format!("message of cluster {cluster} rejected: this node belongs to cluster {own}"))
+            Err(EnvelopeError::OtherCluster { cluster, own: membership.cluster() })
         }
         _ => Ok(payload.into()),
     }
@@ -184,7 +197,7 @@ impl Layer for ClusterBus {
             Ok(payload) => Some(Query { payload, ..query }),
             Err(problem) => {
                 debug!(key = query.key, %problem, "refused a query of another cluster");
-                refuse_in_background(query, problem);
+                refuse_in_background(query, problem.to_string());
                 None
             }
         })
@@ -249,6 +262,6 @@ mod tests {
             replies.recv().await.unwrap().payload
         };
         assert_eq!(query(&ada).await, Ok(Bytes::from_static(b"?")));
-        assert!(query(&cyd).await.unwrap_err().contains("this node belongs to cluster"));
+        assert!(query(&cyd).await.unwrap_err().0.contains("this node belongs to cluster"));
     }
 }

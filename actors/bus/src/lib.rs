@@ -3,15 +3,15 @@
 //! - [`Bus`] is the trait that actors use. [`ZenohBus`] implements it on Zenoh, [`VirtualBus`] in
 //!   one process on virtual time with injected faults.
 //! - [`trust`] signs and verifies messages, [`cluster_membership`] drops messages of other
-//!   clusters, [`MeteredBus`] counts: each is a layer over another bus ([`layer`]).
+//!   clusters, [`MeteredBus`] counts: each is a layer over another bus.
 //! - [`clock`], [`tasks`], [`reply`] and [`wire_version`] are shared by all actors of a node.
 
-pub mod bus;
+mod bus;
 pub mod clock;
 pub mod cluster_membership;
 mod keys;
-pub mod layer;
-pub mod metered;
+mod layer;
+mod metered;
 pub mod record_signer;
 pub mod reply;
 pub mod tasks;

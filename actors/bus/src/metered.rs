@@ -64,7 +64,7 @@ impl Layer for MeteredBus {
     fn incoming_replies(&self, (): (), replies: Stream<Reply>) -> Stream<Reply> {
         let meter = Arc::clone(&self.meter);
         replies.map(move |reply| {
-            let bytes = reply.payload.as_ref().map_or_else(String::len, Bytes::len);
+            let bytes = reply.payload.as_ref().map_or_else(|refused| refused.0.len(), Bytes::len);
             meter.count(KeyKind::of(&reply.key), Direction::Received, bytes + reply.attachment.len());
             reply
         })

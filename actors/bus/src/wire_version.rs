@@ -15,7 +15,10 @@ use tracing::{debug, info};
 /// Wire version that a node writes: the oldest version that it reads, until it receives the version
 /// of its fleet. Clones share the value.
 #[derive(Debug, Clone)]
-pub struct WireVersion(Arc<watch::Sender<WrittenVersion>>);
+pub struct WireVersion {
+    written: Arc<watch::Sender<WrittenVersion>>,
+    supported: VersionRange,
+}
 
 /// A wire version, and the cluster that it was received from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,19 +30,30 @@ pub struct WrittenVersion {
 
 impl Default for WireVersion {
     fn default() -> Self {
-        WireVersion(Arc::new(watch::Sender::new(WrittenVersion { cluster: None, version: VersionRange::own().oldest })))
+        WireVersion::new(VersionRange::OWN)
     }
 }
 
 impl WireVersion {
+    /// Creates the version of a node that reads `supported`.
+    pub fn new(supported: VersionRange) -> WireVersion {
+        let first = WrittenVersion { cluster: None, version: supported.oldest };
+        WireVersion { written: Arc::new(watch::Sender::new(first)), supported }
+    }
+
+    /// Returns the versions that the node reads.
+    pub fn supported(&self) -> VersionRange {
+        self.supported
+    }
+
     /// Returns the version to write.
     pub fn get(&self) -> u8 {
-        self.0.borrow().version
+        self.written.borrow().version
     }
 
     /// Subscribes to changes of the version.
     pub fn subscribe(&self) -> watch::Receiver<WrittenVersion> {
-        self.0.subscribe()
+        self.written.subscribe()
     }
 
     /// Adopts the version that a cluster writes, as stated by its ledger or its coordinator. `None`
@@ -48,7 +62,7 @@ impl WireVersion {
     /// example after a partition.
     pub fn adopt(&self, cluster: Option<ClusterId>, version: Option<u8>) {
         let Some(version) = version else { return };
-        let changed = self.0.send_if_modified(|own| {
+        let changed = self.written.send_if_modified(|own| {
             let version = if own.cluster == cluster { version.max(own.version) } else { version };
             let before = std::mem::replace(own, WrittenVersion { cluster, version });
             before.version != version
@@ -75,15 +89,14 @@ impl WireVersion {
     /// Waits until the fleet writes a version that this program cannot read. Returns advice for the
     /// operator.
     pub async fn wait_unsupported(&self) -> String {
-        let mut versions = self.0.subscribe();
-        let version = versions.wait_for(|own| !VersionRange::own().contains(own.version)).await.map(|own| own.version);
-        unsupported_advice(version.expect("this is the sender"))
+        let mut versions = self.written.subscribe();
+        let version = versions.wait_for(|own| !self.supported.contains(own.version)).await.map(|own| own.version);
+        unsupported_advice(version.expect("this is the sender"), self.supported)
     }
 }
 
-fn unsupported_advice(fleet: u8) -> String {
+fn unsupported_advice(fleet: u8, own: VersionRange) -> String {
     let release = env!("CARGO_PKG_VERSION");
-    let own = VersionRange::own();
     let advice = match fleet > own.newest {
         true => "install the release that the other nodes run",
         false => {
@@ -116,9 +129,10 @@ mod tests {
         let advice = advice.await.unwrap();
         assert!(advice.ends_with(": install the release that the other nodes run"), "{advice}");
         assert!(
-            unsupported_advice(0).contains("bring the other nodes, one at a time, to a release between"),
+            unsupported_advice(0, VersionRange::OWN)
+                .contains("bring the other nodes, one at a time, to a release between"),
             "{}",
-            unsupported_advice(0)
+            unsupported_advice(0, VersionRange::OWN)
         );
     }
 }

@@ -110,7 +110,7 @@ async fn echo_service(bus: &dyn Bus, key: &str) -> tokio::task::JoinHandle<()> {
 fn text(reply: &Reply) -> (&str, Result<&str, &str>) {
     let payload = match &reply.payload {
         Ok(payload) => Ok(std::str::from_utf8(payload).unwrap()),
-        Err(reason) => Err(reason.as_str()),
+        Err(refused) => Err(refused.0.as_str()),
     };
     (&reply.key, payload)
 }

@@ -1,14 +1,16 @@
 //! Decoders of this crate for bytes from outside the process, exported for fuzzing.
 //!
-//! `tests/untrusted/` feeds arbitrary bytes to these functions; nothing else uses them. Each
+//! `tests/fuzz_targets/` feeds arbitrary bytes to these functions; nothing else uses them. Each
 //! function calls the decoder that the actors use, and returns the decoded value encoded again.
 
-use crate::api_types::{self, MissionChangeRequest, MissionQuery, SubmitRequest, UpgradeRequest};
+use consort_protocol::api::{
+    MissionChangeRequest, MissionQuery, MissionSource, SubmitRequest, UpgradeRequest, parse_request,
+};
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
-use consort_protocol::mission::{Format, MissionFileError, MissionTemplate, shipped};
+use consort_protocol::mission::{Format, MissionFileError, MissionTemplate};
 use consort_raft::{StateMachine, fuzz_api};
-use serde_json::Value;
+use consort_skills::missions::shipped;
 use std::io;
 
 /// Decodes a Raft request and encodes it again.
@@ -59,21 +61,26 @@ pub enum ApiRequest {
 pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, String> {
     match call {
         ApiCall::Submit => {
-            let SubmitRequest { mission, .. } = api_types::parse_request(call, payload)?;
+            let SubmitRequest { mission, .. } = read(call, payload)?;
             let template = match &mission {
-                Value::String(name) => shipped().get(name).cloned().ok_or_else(|| format!("no mission {name:?}"))?,
-                file => MissionTemplate::parse(&file.to_string(), Format::Json)
-                    .map_err(|problem: MissionFileError| problem.to_string())?,
+                MissionSource::Shipped(name) => {
+                    shipped().get(name).cloned().ok_or_else(|| format!("no mission {name:?}"))?
+                }
+                MissionSource::File(file) => {
+                    let text = serde_json::to_string(file).map_err(|problem| problem.to_string())?;
+                    MissionTemplate::parse(&text, Format::Json)
+                        .map_err(|problem: MissionFileError| problem.to_string())?
+                }
             };
             Ok(ApiRequest::Submit(Box::new(template)))
         }
-        ApiCall::Cancel | ApiCall::Resolve => {
-            api_types::parse_request::<MissionChangeRequest>(call, payload).map(|_| ApiRequest::Other)
-        }
-        ApiCall::Get | ApiCall::Explain => {
-            api_types::parse_request::<MissionQuery>(call, payload).map(|_| ApiRequest::Other)
-        }
-        ApiCall::Upgrade => api_types::parse_request::<UpgradeRequest>(call, payload).map(|_| ApiRequest::Other),
+        ApiCall::Cancel | ApiCall::Resolve => read::<MissionChangeRequest>(call, payload).map(|_| ApiRequest::Other),
+        ApiCall::Get | ApiCall::Explain => read::<MissionQuery>(call, payload).map(|_| ApiRequest::Other),
+        ApiCall::Upgrade => read::<UpgradeRequest>(call, payload).map(|_| ApiRequest::Other),
         ApiCall::List | ApiCall::Help | ApiCall::Backup => Ok(ApiRequest::Other),
     }
+}
+
+fn read<T: serde::de::DeserializeOwned>(call: ApiCall, payload: &[u8]) -> Result<T, String> {
+    parse_request(call, payload).map_err(|problem| problem.to_string())
 }

@@ -6,16 +6,17 @@
 //! tokio's clock is used, all randomness comes from a seeded generator passed in, and every
 //! collection that is iterated to choose or to send is ordered.
 
-mod api_types;
+mod api_help;
 pub mod autopilot;
 pub mod coordinator;
 pub mod events;
+#[cfg(feature = "test-util")]
 pub mod fuzz_api;
-pub mod human_task_proxy;
+mod human_task_proxy;
 pub mod node;
 pub mod observe;
 pub mod robot;
 pub mod robot_driver;
 pub mod views;
 
-pub use api_types::help as api_help;
+pub use api_help::help as api_help;

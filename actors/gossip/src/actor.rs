@@ -10,24 +10,23 @@
 //! The mailbox never waits for the bus. If the bus stalls, the outbox fills and then drops further
 //! messages. All of them are repeated or repaired.
 
-use super::gossiper::{Action, Change, Event, Gossiper};
+use super::alarm::Alarm;
+use super::gossiper::{Action, Change, Event, Gossiper, GossiperStart};
+use super::inbox::Inbox;
+use super::outbox::Outbox;
 use super::settings::Settings;
 use super::shared::SharedKnowledge;
 use bytes::Bytes;
 use consort_bus::clock::Clock;
-use consort_bus::record_signer::{ProofStatus, SharedRecordSigner};
+use consort_bus::record_signer::SharedRecordSigner;
 use consort_bus::wire_version::WireVersion;
-use consort_bus::{BusError, Delivery, Encoding, Presence, PresenceToken, Query, Sample, SharedBus, Stream};
-use consort_protocol::codec::{self, VersionedMessage};
+use consort_bus::{Delivery, Encoding, Presence, PresenceToken, Query, Sample, SharedBus, Stream};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::Knowledge;
-use consort_protocol::message::{Exchange, RecordUpdate};
-use consort_protocol::units::NodeTime;
-use ractor::concurrency::JoinHandle;
-use ractor::{Actor, ActorCell, ActorProcessingErr, ActorRef, SpawnErr, async_trait};
+use ractor::{Actor, ActorProcessingErr, ActorRef, async_trait};
 use rand_chacha::ChaCha8Rng;
-use tokio::sync::{mpsc, watch};
+use std::time::Duration;
 use tokio::task::JoinSet;
 
 /// Initial state of a node's gossip.
@@ -50,73 +49,11 @@ pub struct GossipStart {
     pub signer: Option<SharedRecordSigner>,
 }
 
-/// Gossip has stopped. Nothing was changed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("gossip has stopped")]
-pub struct GossipStopped;
-
-/// Handle of a node's gossip.
-#[derive(Clone)]
-pub struct GossipHandle {
-    actor: ActorRef<Message>,
-    shared: SharedKnowledge,
-}
-
-impl GossipHandle {
-    /// Replaces the node's knowledge. It is published at once, unless it is unchanged.
-    ///
-    /// # Errors
-    /// [`GossipStopped`].
-    pub fn update(&self, knowledge: Knowledge) -> Result<(), GossipStopped> {
-        self.update_with(move |own| *own = knowledge)
-    }
-
-    /// Changes a part of the node's knowledge. A record larger than 3 KiB is rejected and logged.
-    ///
-    /// # Errors
-    /// [`GossipStopped`].
-    pub fn update_with(&self, change: impl FnOnce(&mut Knowledge) + Send + 'static) -> Result<(), GossipStopped> {
-        self.actor.cast(Message::ChangeKnowledge(Box::new(change))).map_err(|_| GossipStopped)
-    }
-
-    /// Returns the knowledge received from all nodes.
-    pub fn shared(&self) -> &SharedKnowledge {
-        &self.shared
-    }
-
-    /// Returns the actor, to link, stop or kill it. A stopped actor announces that the node leaves;
-    /// a killed actor does not.
-    pub fn cell(&self) -> ActorCell {
-        self.actor.get_cell()
-    }
-}
-
-/// Actor that publishes its node's knowledge and receives the knowledge of other nodes. Start it by
-/// [`Gossip::start`].
-pub struct Gossip;
-
-impl Gossip {
-    /// Starts the actor, linked to a supervisor if given. The supervisor is notified of a failure,
-    /// for example when the bus closes.
-    ///
-    /// # Errors
-    /// If the bus rejects a declaration.
-    pub async fn start(
-        start: GossipStart,
-        supervisor: Option<ActorCell>,
-    ) -> Result<(GossipHandle, JoinHandle<()>), Box<SpawnErr>> {
-        let shared = start.shared.clone();
-        let (actor, end) = match supervisor {
-            Some(supervisor) => Actor::spawn_linked(None, Gossip, start, supervisor).await?,
-            None => Actor::spawn(None, Gossip, start).await?,
-        };
-        Ok((GossipHandle { actor, shared }, end))
-    }
-}
+/// Actor that publishes its node's knowledge and receives the knowledge of other nodes.
+pub(super) struct Gossip;
 
 /// Message to the actor.
-#[doc(hidden)]
-pub enum Message {
+pub(super) enum Message {
     /// The node's own knowledge changes.
     ChangeKnowledge(Change),
     /// A node published its record.
@@ -127,8 +64,8 @@ pub enum Message {
     Presence(Presence),
     /// A peer compares digests.
     RequestReceived(Query),
-    /// A peer replied, refused, or did neither in time.
-    ReplyReceived(u64, Option<Result<Bytes, String>>),
+    /// A peer replied; `None` if it refused, or did not reply in time.
+    ReplyReceived(u64, Option<Bytes>),
     /// A timer has expired.
     TimerFired,
     /// The fleet writes another wire version.
@@ -137,26 +74,17 @@ pub enum Message {
     Closed(&'static str),
 }
 
-enum Outgoing {
-    Publish(String, Bytes),
-    Reply(Query, Bytes),
-}
-
-/// Capacity of the outbox, in messages.
-const OUTBOX: usize = 1024;
-
-#[doc(hidden)]
-pub struct State {
-    settings: Settings,
+/// State of the actor.
+pub(super) struct State {
     keys: Keys,
     bus: SharedBus,
     clock: Clock,
-    wire_version: WireVersion,
-    signer: Option<SharedRecordSigner>,
+    reply_timeout: Duration,
     gossiper: Gossiper,
     shared: SharedKnowledge,
-    outbox: mpsc::Sender<Outgoing>,
-    alarm: watch::Sender<Option<NodeTime>>,
+    inbox: Inbox,
+    outbox: Outbox,
+    alarm: Alarm,
     /// Aborted when the actor ends for any reason.
     tasks: JoinSet<()>,
     _token: PresenceToken,
@@ -185,29 +113,26 @@ impl Actor for Gossip {
         // Announced last: other nodes may query as soon as they receive the token.
         let token = bus.announce(&keys.write(&Key::AliveNode(node))).await?;
 
-        let (outbox, outgoing) = mpsc::channel(OUTBOX);
-        tasks.spawn(send(bus.clone(), outgoing, keys.write(&Key::Gossip(settings.node.clone())), shared.clone()));
-        let (alarm, alarm_set) = watch::channel(None);
-        tasks.spawn(run_alarm(clock, alarm_set, myself.clone()));
+        let (outbox, sending) =
+            Outbox::new(settings.node.clone(), keys.clone(), wire_version.clone(), shared.clone(), bus.clone());
+        tasks.spawn(sending);
+        let to = myself.clone();
+        let (alarm, running) = Alarm::new(clock, move || to.cast(Message::TimerFired).is_ok());
+        tasks.spawn(running);
         tasks.spawn(forward_version_changes(wire_version.clone(), myself));
 
-        let now = clock.now();
-        let (gossiper, actions) =
-            Gossiper::new(settings.clone(), knowledge, signer.clone(), rng, &mut shared.lock(), now);
-        let mut state = State {
-            settings,
-            keys,
-            bus,
-            clock,
+        let (now, reply_timeout) = (clock.now(), settings.reply_timeout);
+        let inbox = Inbox {
+            node: settings.node.clone(),
+            keys: keys.clone(),
             wire_version,
-            signer,
-            gossiper,
-            shared,
-            outbox,
-            alarm,
-            tasks,
-            _token: token,
+            signer: signer.clone(),
+            shared: shared.clone(),
         };
+        let start = GossiperStart { settings, knowledge, signer, rng };
+        let (gossiper, actions) = Gossiper::new(start, &mut shared.lock(), now);
+        let mut state =
+            State { keys, bus, clock, reply_timeout, gossiper, shared, inbox, outbox, alarm, tasks, _token: token };
         state.perform(actions, None, None);
         Ok(state)
     }
@@ -219,44 +144,33 @@ impl Actor for Gossip {
         state: &mut State,
     ) -> Result<(), ActorProcessingErr> {
         let mut requester = None;
+        let inbox = &state.inbox;
         let event = match message {
             Message::ChangeKnowledge(change) => Ok(Event::KnowledgeChanged(change)),
-            Message::RecordReceived(sample) => {
-                state.read_update(&sample).map(|(owner, update)| Event::Published(owner, update))
-            }
+            Message::RecordReceived(sample) => inbox.read_update(&sample),
             Message::Packet(bytes) => Ok(Event::Packet(bytes)),
-            Message::Presence(presence) => match state.keys.read(&presence.key) {
-                Some(Key::AliveNode(node)) => Ok(Event::Token(node, presence.alive)),
-                _ => Err(format!("key {:?} is not a node's presence token", presence.key)),
-            },
+            Message::Presence(presence) => inbox.read_presence(presence),
             Message::RequestReceived(query) => {
-                let exchange = state.read_exchange(&query.payload).map(Event::RequestReceived);
+                let exchange = inbox.read_exchange(&query.payload).map(Event::RequestReceived);
                 requester = Some(query);
                 exchange
             }
-            Message::ReplyReceived(round, Some(Ok(bytes))) => {
-                state.read_exchange(&bytes).map(|exchange| Event::ReplyReceived(round, Some(exchange)))
-            }
-            Message::ReplyReceived(round, Some(Err(refusal))) => {
-                tracing::debug!(%refusal, "a peer refused to compare digests");
-                Ok(Event::ReplyReceived(round, None))
+            Message::ReplyReceived(round, Some(bytes)) => {
+                inbox.read_exchange(&bytes).map(|exchange| Event::ReplyReceived(round, Some(exchange)))
             }
             Message::ReplyReceived(round, None) => Ok(Event::ReplyReceived(round, None)),
             Message::TimerFired => {
-                // The alarm has fired: the next due time must be set again, even if it is the same.
-                state.alarm.send_if_modified(|alarm| alarm.take().is_none());
+                state.alarm.reset();
                 Ok(Event::TimerFired)
             }
-            Message::VersionRaised => {
-                Ok(Event::VersionRaised { with_proofs: state.wire_version.get() >= Exchange::SINCE })
-            }
+            Message::VersionRaised => Ok(Event::VersionRaised { with_proofs: inbox.with_proofs() }),
             Message::Closed(what) => return Err(format!("the bus closed the stream of {what}").into()),
         };
         let now = state.clock.now();
-        let handled = event.and_then(|event| state.gossiper.handle(event, &mut state.shared.lock(), now));
+        let handled = event.and_then(|event| Ok(state.gossiper.handle(event, &mut state.shared.lock(), now)?));
         match handled {
             Ok(actions) => state.perform(actions, requester, Some(&myself)),
-            Err(problem) => state.count_malformed(&problem),
+            Err(problem) => state.inbox.count_malformed(&problem),
         }
         Ok(())
     }
@@ -276,22 +190,16 @@ impl State {
     fn perform(&mut self, actions: Vec<Action>, mut requester: Option<Query>, myself: Option<&ActorRef<Message>>) {
         for action in actions {
             match action {
-                Action::Publish(update) => {
-                    let key = self.keys.write(&Key::Knowledge(self.settings.node.clone()));
-                    self.send(Outgoing::Publish(key, self.encode(update)));
-                }
-                Action::Send(to, bytes) => {
-                    let key = self.keys.write(&Key::Swim(to));
-                    self.send(Outgoing::Publish(key, bytes));
-                }
+                Action::Publish(update) => self.outbox.publish(update),
+                Action::Send(to, bytes) => self.outbox.send(to, bytes),
                 Action::SendReply(exchange) => {
                     if let Some(query) = requester.take() {
-                        self.send(Outgoing::Reply(query, self.encode(exchange)));
+                        self.outbox.reply(query, exchange);
                     }
                 }
                 Action::SendRequest(round, peer, exchange) => {
                     if let Some(myself) = myself {
-                        let request = self.encode(exchange);
+                        let request = self.outbox.encode(exchange);
                         self.send_request(round, &peer, request, myself.clone());
                     }
                 }
@@ -300,89 +208,31 @@ impl State {
         if self.gossiper.take_changed() {
             self.shared.notify_change();
         }
-        let due = self.gossiper.next_due();
-        self.alarm.send_if_modified(|alarm| std::mem::replace(alarm, due) != due);
-    }
-
-    fn send(&self, outgoing: Outgoing) {
-        if self.outbox.try_send(outgoing).is_err() {
-            self.shared.lock().counters.unsent += 1;
-        }
+        self.alarm.set(self.gossiper.next_due());
     }
 
     fn send_request(&mut self, round: u64, peer: &NodeId, payload: Bytes, myself: ActorRef<Message>) {
         while self.tasks.try_join_next().is_some() {}
-        let (bus, key, limit) =
-            (self.bus.clone(), self.keys.write(&Key::Gossip(peer.clone())), self.settings.reply_timeout);
+        let (bus, key, limit) = (self.bus.clone(), self.keys.write(&Key::Gossip(peer.clone())), self.reply_timeout);
         self.tasks.spawn(async move {
-            let reply = match bus.query(&key, payload, limit).await {
-                Ok(mut replies) => replies.recv().await.map(|reply| reply.payload),
-                Err(problem) => Some(Err(problem.to_string())),
-            };
+            let reply = request_exchange(&bus, &key, payload, limit).await;
             // This fails only after the end of the actor, which also ends this task.
             drop(myself.cast(Message::ReplyReceived(round, reply)));
         });
     }
-
-    fn encode<T: VersionedMessage>(&self, message: T) -> Bytes {
-        let bytes = codec::encode_for_version(self.wire_version.get(), message);
-        bytes.expect("the size of records and exchanges is limited on creation").into()
-    }
-
-    /// Decodes a peer's exchange and removes the records without a valid proof of their owner.
-    fn read_exchange(&mut self, bytes: &[u8]) -> Result<Exchange, String> {
-        let mut exchange: Exchange = decode(bytes)?;
-        let Some(signer) = self.signer.clone() else { return Ok(exchange) };
-        // While the fleet writes a version without proofs, proofs cannot be required.
-        let with_proofs = self.wire_version.get() >= Exchange::SINCE;
-        let known = self.shared.clone();
-        exchange.records.retain(|record| {
-            // An older record changes nothing, so it is not verified.
-            if known.read(|base| base.get(&record.owner).is_some_and(|stored| stored.record.stamp >= record.stamp)) {
-                return false;
-            }
-            match signer.verify(record) {
-                ProofStatus::Valid => true,
-                ProofStatus::Unproven => !with_proofs,
-                ProofStatus::Forged(problem) => {
-                    self.count_malformed(&problem);
-                    false
-                }
-            }
-        });
-        Ok(exchange)
-    }
-
-    /// Decodes a published record update, and returns its owner.
-    fn read_update(&self, sample: &Sample) -> Result<(NodeId, RecordUpdate), String> {
-        let update: RecordUpdate = decode(&sample.payload)?;
-        match (self.keys.read(&sample.key), &update) {
-            (Some(Key::Knowledge(node)), RecordUpdate::Record(record)) if node != record.owner => {
-                Err(format!("record of {} on key {:?}", record.owner, sample.key))
-            }
-            (Some(Key::Knowledge(node)), _) => Ok((node, update)),
-            _ => Err(format!("knowledge on key {:?}", sample.key)),
-        }
-    }
-
-    /// Counts and logs an unusable message: as a warning when the count has doubled since the last
-    /// warning.
-    fn count_malformed(&self, problem: &str) {
-        let count = {
-            let mut known = self.shared.lock();
-            known.counters.malformed += 1;
-            known.counters.malformed
-        };
-        if count.is_power_of_two() {
-            tracing::warn!(node = %self.settings.node, count, problem, "dropped a malformed message");
-        } else {
-            tracing::debug!(node = %self.settings.node, count, problem, "dropped a malformed message");
-        }
-    }
 }
 
-fn decode<T: VersionedMessage>(bytes: &[u8]) -> Result<T, String> {
-    codec::decode_any_version(bytes).map_err(|e| e.to_string())
+/// Queries a peer. Returns `None` if the peer refuses, or does not reply in time.
+async fn request_exchange(bus: &SharedBus, key: &str, payload: Bytes, limit: Duration) -> Option<Bytes> {
+    let refusal = match bus.query(key, payload, limit).await {
+        Ok(mut replies) => match replies.recv().await?.payload {
+            Ok(bytes) => return Some(bytes),
+            Err(refused) => refused.to_string(),
+        },
+        Err(problem) => problem.to_string(),
+    };
+    tracing::debug!(%refusal, "a peer refused to compare digests");
+    None
 }
 
 /// Forwards the items of a bus stream to the mailbox.
@@ -404,47 +254,8 @@ fn forward<T: Send + 'static>(
     });
 }
 
-/// Sends the messages in the outbox, in order.
-async fn send(bus: SharedBus, mut outgoing: mpsc::Receiver<Outgoing>, own_key: String, shared: SharedKnowledge) {
-    while let Some(message) = outgoing.recv().await {
-        let sent: Result<(), BusError> = match message {
-            Outgoing::Publish(key, payload) => bus.publish(&key, payload, Encoding::Wire, Delivery::Drop).await,
-            Outgoing::Reply(query, payload) => query.replier.reply(&own_key, payload, Encoding::Wire).await,
-        };
-        if let Err(problem) = sent {
-            tracing::debug!(%problem, "failed to send a message");
-            shared.lock().counters.unsent += 1;
-        }
-    }
-}
-
 /// Notifies the actor when the fleet writes another wire version.
 async fn forward_version_changes(wire: WireVersion, to: ActorRef<Message>) {
     let mut versions = wire.subscribe();
     while versions.changed().await.is_ok() && to.cast(Message::VersionRaised).is_ok() {}
-}
-
-/// Sends `TimerFired` at the time that was set last.
-async fn run_alarm(clock: Clock, mut alarm: watch::Receiver<Option<NodeTime>>, actor: ActorRef<Message>) {
-    loop {
-        let due = *alarm.borrow_and_update();
-        let expired = match due {
-            None => false,
-            Some(due) => tokio::select! {
-                biased;
-                changed = alarm.changed() => match changed {
-                    Ok(()) => continue,
-                    Err(_) => return,
-                },
-                () = tokio::time::sleep_until(clock.instant(due)) => true,
-            },
-        };
-        if expired && actor.cast(Message::TimerFired).is_err() {
-            return;
-        }
-        // The due time has been reported; a later change sets the next time.
-        if alarm.changed().await.is_err() {
-            return;
-        }
-    }
 }

@@ -1,10 +1,10 @@
 //! A node's gossip without a bus, for fuzzing it with arbitrary messages.
 
-use super::gossiper::{Action, Event, Gossiper};
+use super::gossiper::{Action, Event, GossipError, Gossiper, GossiperStart};
 use super::settings::Settings;
 use super::shared::GossipState;
 use bytes::Bytes;
-use consort_protocol::codec;
+use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::knowledge::Knowledge;
 use consort_protocol::message::{Exchange, RecordUpdate};
@@ -25,6 +25,30 @@ pub enum GossipInput {
     Request,
     /// A peer's reply in this round.
     Reply(u64),
+}
+
+/// The input is rejected. It has changed nothing.
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
+pub struct InputError(Rejection);
+
+#[derive(Debug, thiserror::Error)]
+enum Rejection {
+    /// The bytes cannot be decoded.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// A node publishes the record of another node.
+    #[error("the record belongs to another node")]
+    ForeignRecord,
+    /// The gossiper rejects the input.
+    #[error(transparent)]
+    Gossip(#[from] GossipError),
+}
+
+impl<E: Into<Rejection>> From<E> for InputError {
+    fn from(rejection: E) -> InputError {
+        InputError(rejection.into())
+    }
 }
 
 /// A node's gossip with a manually advanced clock.
@@ -49,7 +73,8 @@ impl GossipHarness {
         };
         let (mut state, rng) = (GossipState::default(), ChaCha8Rng::seed_from_u64(1));
         let settings = Settings::new(fleet, node, 1);
-        let (gossiper, _) = Gossiper::new(settings, knowledge, None, rng, &mut state, NodeTime::ZERO);
+        let start = GossiperStart { settings, knowledge, signer: None, rng };
+        let (gossiper, _) = Gossiper::new(start, &mut state, NodeTime::ZERO);
         GossipHarness { gossiper, state, now: NodeTime::ZERO }
     }
 
@@ -57,15 +82,14 @@ impl GossipHarness {
     ///
     /// # Errors
     /// The reason why the message is invalid. It has changed nothing.
-    pub fn receive(&mut self, input: GossipInput, bytes: &[u8]) -> Result<Vec<Vec<u8>>, String> {
-        let exchange = || codec::decode_any_version::<Exchange>(bytes).map_err(|problem| problem.to_string());
+    pub fn receive(&mut self, input: GossipInput, bytes: &[u8]) -> Result<Vec<Vec<u8>>, InputError> {
+        let exchange = || codec::decode_any_version::<Exchange>(bytes);
         let event = match input {
             GossipInput::Published(owner) => {
-                let statement: RecordUpdate =
-                    codec::decode_any_version(bytes).map_err(|problem| problem.to_string())?;
+                let statement: RecordUpdate = codec::decode_any_version(bytes)?;
                 match &statement {
                     RecordUpdate::Record(record) if record.owner != owner => {
-                        return Err("the record belongs to another node".to_owned());
+                        return Err(Rejection::ForeignRecord.into());
                     }
                     _ => Event::Published(owner, statement),
                 }
@@ -81,7 +105,7 @@ impl GossipHarness {
     ///
     /// # Errors
     /// The error that the actor would log.
-    pub fn advance(&mut self, time: Duration) -> Result<Vec<Vec<u8>>, String> {
+    pub fn advance(&mut self, time: Duration) -> Result<Vec<Vec<u8>>, InputError> {
         self.now = self.now + time;
         self.handle(Event::TimerFired)
     }
@@ -91,15 +115,13 @@ impl GossipHarness {
         self.state.base.iter().count()
     }
 
-    fn handle(&mut self, event: Event) -> Result<Vec<Vec<u8>>, String> {
+    fn handle(&mut self, event: Event) -> Result<Vec<Vec<u8>>, InputError> {
         let actions = self.gossiper.handle(event, &mut self.state, self.now)?;
         let encoded = |action| match action {
-            Action::Publish(statement) => {
-                codec::encode_for_version(VersionRange::OWN.newest, statement).map_err(|problem| problem.to_string())
-            }
+            Action::Publish(statement) => codec::encode_for_version(VersionRange::OWN.newest, statement),
             Action::Send(_, bytes) => Ok(bytes.to_vec()),
             Action::SendRequest(_, _, exchange) | Action::SendReply(exchange) => {
-                codec::encode_for_version(VersionRange::OWN.newest, exchange).map_err(|problem| problem.to_string())
+                codec::encode_for_version(VersionRange::OWN.newest, exchange)
             }
         };
         Ok(actions.into_iter().map(|action| encoded(action).expect("own messages fit the size limit")).collect())

@@ -78,22 +78,29 @@
 //! - Before a verdict, a node with some unanswered probes queries the view of all members.
 //! - The suspicion timeout grows with every rejoin.
 //!
-//! `actors/tests/gossip.rs` tests each case.
+//! `actors/gossip/tests/gossip.rs` tests each case.
 //!
 //! `gossiper` makes the decisions, with `record_store` (stored records), `exchange` (content of a
-//! message) and `swim` (failure detection) beneath it; `actor` performs them.
+//! message) and `swim` (failure detection) beneath it; `actor` performs them, with `inbox`
+//! (decoding), `outbox` and `alarm`.
 
 mod actor;
+mod alarm;
 mod exchange;
 mod gossiper;
+mod handle;
+#[cfg(feature = "test-util")]
 mod harness;
+mod inbox;
+mod outbox;
 mod record_store;
 mod settings;
 mod shared;
 mod swim;
 
-pub use actor::{Gossip, GossipHandle, GossipStart, GossipStopped};
-pub use consort_bus::record_signer::{ProofStatus, RecordSigner, SharedRecordSigner};
-pub use harness::{GossipHarness, GossipInput};
+pub use actor::GossipStart;
+pub use handle::{GossipHandle, GossipStopped};
+#[cfg(feature = "test-util")]
+pub use harness::{GossipHarness, GossipInput, InputError};
 pub use settings::Settings;
 pub use shared::{GossipCounters, MemberStatus, SharedKnowledge};

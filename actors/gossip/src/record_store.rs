@@ -10,9 +10,8 @@ use consort_bus::record_signer::SharedRecordSigner;
 use consort_protocol::ids::NodeId;
 use consort_protocol::knowledge::{Digest, DigestScope, Knowledge, Proof, Record, RecordStamp};
 use consort_protocol::message::RecordUpdate;
-use consort_protocol::mutants::{self, Mutant};
 use consort_protocol::units::NodeTime;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// Time for which a removed record's stamp is stored. By then every node has removed the record,
@@ -35,6 +34,25 @@ pub(super) enum MergeOutcome {
     Own(RecordStamp),
 }
 
+/// A refresh that a node published: its record is unchanged since version `since` of its present
+/// incarnation.
+#[derive(Debug)]
+pub(super) struct Refresh<'a> {
+    pub(super) owner: &'a NodeId,
+    pub(super) stamp: RecordStamp,
+    pub(super) since: u64,
+    pub(super) proof: Option<Proof>,
+}
+
+/// The own record would exceed the size limit. It is unchanged.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("own record not changed: {bytes} bytes exceed the limit")]
+pub(super) struct RecordTooLarge {
+    /// Size of the rejected record.
+    pub(super) bytes: usize,
+}
+
+/// The own record, and the state of the stored records that other actors do not read.
 pub(super) struct RecordStore {
     own: Record,
     /// Signs the own record, if the fleet has certificates.
@@ -45,31 +63,36 @@ pub(super) struct RecordStore {
     /// Time since which the owner of a record has not been alive.
     absent: BTreeMap<NodeId, NodeTime>,
     removed: BTreeMap<NodeId, (RecordStamp, NodeTime)>,
+    /// Owners with an update that this node missed.
+    missing_from: BTreeSet<NodeId>,
 }
 
 impl RecordStore {
-    /// Creates the store with the node's own knowledge. Continues from the records of an earlier
-    /// actor.
+    /// Creates the store with the node's own record, which it signs. Continues from the records of
+    /// an earlier actor.
     pub(super) fn new(
-        owner: NodeId,
-        incarnation: u64,
-        knowledge: Knowledge,
+        mut own: Record,
         signer: Option<SharedRecordSigner>,
         state: &mut GossipState,
         now: NodeTime,
     ) -> RecordStore {
-        let mut stamp = RecordStamp { incarnation, version: 0 };
-        if let Some(stored) =
-            state.base.get(&owner).map(|known_record| known_record.record.stamp).filter(|stored| *stored >= stamp)
-        {
-            stamp = next(stored).unwrap_or(stored);
+        let stored = state.base.get(&own.owner).map(|known_record| known_record.record.stamp);
+        if let Some(stored) = stored.filter(|stored| *stored >= own.stamp) {
+            own.stamp = next(stored).unwrap_or(stored);
         }
-        let mut own = Record { owner, stamp, knowledge, proof: None };
         own.proof = signer.as_ref().map(|signer| signer.sign(&own));
         state.base.merge(own.clone(), now);
         let absent =
             state.base.iter().map(|(node, _)| (node.clone(), now)).filter(|(node, _)| *node != own.owner).collect();
-        RecordStore { since: stamp.version, own, signer, renewed: now, absent, removed: BTreeMap::new() }
+        RecordStore {
+            since: own.stamp.version,
+            own,
+            signer,
+            renewed: now,
+            absent,
+            removed: BTreeMap::new(),
+            missing_from: BTreeSet::new(),
+        }
     }
 
     pub(super) fn own(&self) -> &Record {
@@ -87,7 +110,7 @@ impl RecordStore {
         change: impl FnOnce(&mut Knowledge),
         state: &mut GossipState,
         now: NodeTime,
-    ) -> Result<bool, usize> {
+    ) -> Result<bool, RecordTooLarge> {
         let mut record = self.own.clone();
         change(&mut record.knowledge);
         if record.knowledge == self.own.knowledge {
@@ -95,7 +118,7 @@ impl RecordStore {
         }
         let bytes = encoded_size(&record);
         if bytes > RECORD_MAX {
-            return Err(bytes);
+            return Err(RecordTooLarge { bytes });
         }
         self.own = record;
         self.renew(state, now);
@@ -161,30 +184,38 @@ impl RecordStore {
         let owner = owner.clone();
         state.base.merge(record, now);
         self.removed.remove(&owner);
+        self.missing_from.remove(&owner);
         if !state.is_alive(&owner) {
             self.absent.entry(owner).or_insert(now);
         }
         if same { MergeOutcome::Renewed } else { MergeOutcome::Changed }
     }
 
-    /// Merges a refresh: the owner's record is unchanged since version `since` of its present
-    /// incarnation.
+    /// Merges a refresh. If this node lacks the record, its owner is queried in a later round.
     pub(super) fn receive_refresh(
         &mut self,
-        owner: &NodeId,
-        stamp: RecordStamp,
-        since: u64,
-        proof: Option<Proof>,
+        refresh: Refresh<'_>,
         state: &mut GossipState,
         now: NodeTime,
     ) -> MergeOutcome {
+        let Refresh { owner, stamp, since, proof } = refresh;
         if *owner == self.own.owner {
             return if stamp > self.own.stamp { MergeOutcome::Own(stamp) } else { MergeOutcome::Stale };
         }
         if self.removed.get(owner).is_some_and(|(last_stamp, _)| *last_stamp >= stamp) {
             return MergeOutcome::Stale;
         }
-        if state.base.refresh(owner, stamp, since, proof, now) { MergeOutcome::Renewed } else { MergeOutcome::Missing }
+        if state.base.refresh(owner, stamp, since, proof, now) {
+            return MergeOutcome::Renewed;
+        }
+        self.missing_from.insert(owner.clone());
+        MergeOutcome::Missing
+    }
+
+    /// Removes and returns the first live owner of a missed update.
+    pub(super) fn next_missing_owner(&mut self, state: &GossipState) -> Option<NodeId> {
+        self.missing_from.retain(|node| state.is_alive(node));
+        self.missing_from.pop_first()
     }
 
     pub(super) fn mark_alive(&mut self, node: &NodeId) {
@@ -236,8 +267,7 @@ impl RecordStore {
         digest: &Digest,
     ) -> Vec<&'a Record> {
         let mut records = state.base.missing_for(scope, digest);
-        let relayed = |record: &Record| record.owner == self.own.owner || !mutants::is_active(Mutant::LostRelay);
-        records.retain(|record| state.is_alive(&record.owner) && relayed(record));
+        records.retain(|record| state.is_alive(&record.owner));
         records
     }
 }
@@ -252,7 +282,7 @@ fn next(stamp: RecordStamp) -> Option<RecordStamp> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::MemberStatus;
+    use crate::shared::MemberStatus;
     use consort_protocol::versions::VersionRange;
 
     const T0: NodeTime = NodeTime::ZERO;
@@ -283,10 +313,14 @@ mod tests {
         }
     }
 
+    fn own_record() -> Record {
+        record("ada", 5, 0)
+    }
+
     fn ada() -> (RecordStore, GossipState) {
         let mut state = GossipState::default();
         state.status.insert(node("ada"), MemberStatus::Alive { since: T0 });
-        (RecordStore::new(node("ada"), 5, knowledge(0), None, &mut state, T0), state)
+        (RecordStore::new(own_record(), None, &mut state, T0), state)
     }
 
     #[test]
@@ -302,7 +336,7 @@ mod tests {
     #[test]
     fn a_replacement_actor_continues_the_versions() {
         let (_, mut state) = ada();
-        let records = RecordStore::new(node("ada"), 5, knowledge(0), None, &mut state, T0);
+        let records = RecordStore::new(own_record(), None, &mut state, T0);
         assert_eq!(records.own().stamp, RecordStamp { incarnation: 5, version: 1 });
     }
 

@@ -5,7 +5,7 @@ use bytes::Bytes;
 use consort_bus::clock::Clock;
 use consort_bus::wire_version::WireVersion;
 use consort_bus::{Bus, Delivery, Encoding, LinkModel, VirtualNetwork};
-use consort_gossip::{Gossip, GossipCounters, GossipHandle, GossipStart, MemberStatus, Settings, SharedKnowledge};
+use consort_gossip::{GossipCounters, GossipHandle, GossipStart, MemberStatus, Settings, SharedKnowledge};
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{Key, Keys};
@@ -114,7 +114,7 @@ impl Fleet {
             wire_version: WireVersion::default(),
             signer: None,
         };
-        let (gossip, _) = Gossip::start(start, supervisor).await.expect("a bus that accepts declarations");
+        let (gossip, _) = GossipHandle::start(start, supervisor).await.expect("a bus that accepts declarations");
         self.nodes.insert(node, Node { gossip, shared, clock });
     }
 

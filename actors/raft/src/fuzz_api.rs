@@ -1,9 +1,8 @@
 //! Decoding of Raft messages and records for fuzz tests, exactly as a voter decodes them.
 
-use super::election::PreVoteRequest;
-use super::leadership_transfer::TransferRequest;
-use super::network::{HeartbeatReply, HeartbeatRequest, RaftReply, decode_reply};
-use super::server::decode_request;
+use super::messages::{
+    HeartbeatReply, HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_reply, decode_request,
+};
 use super::storage::{StoredSnapshot, decode_record, encode_record};
 use super::types::{RaftId, StateMachine, TypeConfig};
 use consort_protocol::codec::{self, CodecError};

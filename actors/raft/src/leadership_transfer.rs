@@ -26,58 +26,13 @@
 //! message is sent, and records the vote for the target itself, so that its own openraft steps
 //! down.
 
-use super::errors::TransferError;
-use super::leadership_view::Metrics;
+use super::messages::TransferRequest;
 use super::network::RaftClient;
-use super::replica::Replica;
-use super::types::{Raft, RaftId, StateMachine, Vote};
-use consort_protocol::ids::NodeId;
+use super::types::{Raft, RaftId, StateMachine};
 use openraft::raft::AppendEntriesRequest;
-use openraft::{CommittedLeaderId, LogId, ServerState};
-use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::atomic::{AtomicU64, Ordering};
+use openraft::{CommittedLeaderId, LogId};
+use std::collections::BTreeSet;
 use std::time::Duration;
-use tokio::time::{Instant, timeout};
-use tracing::info;
-
-/// Request of a resigning leader to a voter.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct TransferRequest {
-    /// Vote that made the resigning leader.
-    pub(super) leader_vote: Vote,
-    /// Voter that is to campaign.
-    pub(super) target: RaftId,
-}
-
-impl TransferRequest {
-    /// Returns the vote that the request grants to the target.
-    pub(super) fn target_vote(&self) -> Vote {
-        Vote::new(self.leader_vote.leader_id().term.saturating_add(1), self.target)
-    }
-}
-
-/// Term in which this node resigned as leader; 0 for none.
-#[derive(Debug, Default)]
-pub(super) struct ResignedTerm(AtomicU64);
-
-impl ResignedTerm {
-    /// Records that this node no longer leads in `term`, regardless of openraft's state.
-    pub(super) fn resign(&self, term: u64) {
-        self.0.store(term, Ordering::SeqCst);
-    }
-
-    /// Withdraws the resignation: no target was found, and this node stays the leader.
-    pub(super) fn withdraw(&self) {
-        self.0.store(0, Ordering::SeqCst);
-    }
-
-    /// Checks whether this node has resigned in `term`.
-    pub(super) fn covers(&self, term: u64) -> bool {
-        let resigned = self.0.load(Ordering::SeqCst);
-        resigned != 0 && resigned == term
-    }
-}
 
 /// Makes this node's openraft vote for the target in the next term, if the vote of the resigning
 /// leader is still its latest vote. Returns whether it is now free to vote for the target.
@@ -121,124 +76,4 @@ pub(super) async fn send_transfer(
         }
     }
     false
-}
-
-impl<S: StateMachine> Replica<S> {
-    /// Transfers leadership to another voter that has the whole log of this node and is elected
-    /// within a few round trips. A voter in `avoid` is chosen only if there is no other. From the
-    /// call on this node rejects proposals and no longer counts itself leader; it keeps voting and
-    /// following. Waits at most `limit` for a voter with the whole log.
-    ///
-    /// # Errors
-    /// [`TransferError`] states whether this node is still the leader.
-    pub async fn transfer_leadership(
-        &self,
-        avoid: &BTreeSet<NodeId>,
-        limit: Duration,
-    ) -> Result<NodeId, TransferError> {
-        let started = Instant::now();
-        let choose = |latest: &Metrics| {
-            let avoid = if started.elapsed() < limit / 2 { avoid } else { &BTreeSet::new() };
-            let candidates = self.recent_contacts();
-            let all_avoided = candidates.values().all(|name| avoid.contains(name));
-            self.choose_target(latest, candidates, |name| all_avoided || !avoid.contains(name))
-        };
-        self.transfer_by(choose, limit).await
-    }
-
-    /// Transfers leadership to a voter in `targets`, or keeps it.
-    ///
-    /// # Errors
-    /// As for [`transfer_leadership`](Self::transfer_leadership).
-    pub async fn transfer_leadership_to(
-        &self,
-        targets: &BTreeSet<NodeId>,
-        limit: Duration,
-    ) -> Result<NodeId, TransferError> {
-        let choose =
-            |latest: &Metrics| self.choose_target(latest, self.recent_contacts(), |name| targets.contains(name));
-        self.transfer_by(choose, limit).await
-    }
-
-    async fn transfer_by(
-        &self,
-        choose: impl Fn(&Metrics) -> Option<RaftId>,
-        limit: Duration,
-    ) -> Result<NodeId, TransferError> {
-        let inner = &*self.inner;
-        let mut metrics = inner.raft.metrics();
-        let (vote, is_leader) = {
-            let now = metrics.borrow_and_update();
-            (now.vote, now.state == ServerState::Leader)
-        };
-        if !is_leader {
-            return Err(TransferError::NotLeader);
-        }
-        let term = vote.leader_id().term;
-        let others = inner.leadership.borrow().voters.keys().filter(|id| **id != inner.id).count();
-        if others == 0 {
-            return Err(TransferError::OnlyVoter);
-        }
-        inner.resigned_term.resign(term);
-        inner.leadership.send_modify(|now| {
-            if now.term == term {
-                *now = now.clone().without_leader();
-            }
-        });
-        let chosen = async {
-            loop {
-                let latest = metrics.borrow_and_update().clone();
-                if latest.vote != vote {
-                    return Err(TransferError::NotLeader);
-                }
-                if let Some(target) = choose(&latest) {
-                    return Ok((target, latest));
-                }
-                metrics.changed().await.map_err(|_| TransferError::Closed)?;
-            }
-        };
-        let no_target = Err(TransferError::NoTargetReady { others, limit });
-        let (target, latest) = match timeout(limit, chosen).await.unwrap_or(no_target) {
-            Ok(chosen) => chosen,
-            Err(error) => {
-                inner.resigned_term.withdraw();
-                return Err(error);
-            }
-        };
-        let membership = latest.membership_config.membership();
-        let name = membership.get_node(&target).map(|peer| peer.name.clone());
-        let name = name.ok_or(TransferError::Closed)?;
-        let request = TransferRequest { leader_vote: vote, target };
-        inner.leader_contact.record_own_resignation();
-        if !release_vote(&inner.raft, &request).await {
-            return Err(TransferError::Closed);
-        }
-        info!(node = %inner.settings.node, term, successor = %name, "transferring leadership");
-        match send_transfer(&inner.client, membership.get_joint_config(), &request, inner.settings.heartbeat).await {
-            true => Ok(name),
-            false => Err(TransferError::TargetSilent { target: name }),
-        }
-    }
-
-    /// Returns the other voters with recent contact.
-    fn recent_contacts(&self) -> BTreeMap<RaftId, NodeId> {
-        let mut voters = self.inner.leadership.borrow().voters.clone();
-        voters.retain(|id, _| *id != self.inner.id && self.has_recent_contact(*id));
-        voters
-    }
-
-    /// Returns the voter with the lowest id that is allowed and has the whole log.
-    fn choose_target(
-        &self,
-        latest: &Metrics,
-        candidates: BTreeMap<RaftId, NodeId>,
-        is_allowed: impl Fn(&NodeId) -> bool,
-    ) -> Option<RaftId> {
-        let replication = latest.replication.as_ref()?;
-        let mut ready = candidates.into_iter().filter(|(id, name)| {
-            let matched = replication.get(id).copied().flatten().map(|at| at.index);
-            is_allowed(name) && matched >= latest.last_log_index
-        });
-        ready.next().map(|(id, _)| id)
-    }
 }

@@ -1,20 +1,16 @@
 //! View of the leadership at a node, derived from openraft's metrics and from acknowledgements.
 
-use super::leadership_transfer::ResignedTerm;
-use super::network::LeaderAcks;
-use super::types::{LeaderId, LogId, Peer, RaftId, leader_id_of};
+use super::acknowledgements::LeaderAcks;
+use super::types::{LeaderId, LogId, Metrics, Peer, RaftId, leader_id_of};
 use consort_protocol::ids::NodeId;
-use consort_protocol::mutants::{self, Mutant};
 use openraft::metrics::RaftServerMetrics;
 use openraft::{ServerState, StoredMembership};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::Instant;
-
-pub(super) type Metrics = openraft::RaftMetrics<RaftId, Peer>;
 
 /// Metrics of openraft: all metrics, sent at every event, and the server metrics (voters and
 /// leader), sent only on a change.
@@ -70,6 +66,28 @@ pub struct LeadershipView {
 impl LeadershipView {
     pub(super) fn without_leader(self) -> LeadershipView {
         LeadershipView { leader_id: None, leader: None, is_leader: false, lost_quorum: false, ..self }
+    }
+}
+
+/// Term in which this node resigned as leader; 0 for none.
+#[derive(Debug, Default)]
+pub(super) struct ResignedTerm(AtomicU64);
+
+impl ResignedTerm {
+    /// Records that this node no longer leads in `term`, regardless of openraft's state.
+    pub(super) fn resign(&self, term: u64) {
+        self.0.store(term, Ordering::SeqCst);
+    }
+
+    /// Withdraws the resignation: no target was found, and this node stays the leader.
+    pub(super) fn withdraw(&self) {
+        self.0.store(0, Ordering::SeqCst);
+    }
+
+    /// Checks whether this node has resigned in `term`.
+    pub(super) fn covers(&self, term: u64) -> bool {
+        let resigned = self.0.load(Ordering::SeqCst);
+        resigned != 0 && resigned == term
     }
 }
 
@@ -157,10 +175,6 @@ impl LeadershipMonitor {
                 changed = self.next_change(latest, feed) => return changed,
                 () = tokio::time::sleep_until(timeout_at) => {}
             }
-        }
-        if mutants::is_active(Mutant::NoCheckQuorum) {
-            self.publish(latest, Quorum::Confirmed);
-            return self.next_change(latest, feed).await;
         }
         // Metrics are sent with each heartbeat, so this is evaluated often enough.
         self.appends_suspended.store(self.suspends_appends(timeout_at.elapsed()), Ordering::Relaxed);

@@ -1,6 +1,6 @@
 //! The mission ledger as the replicated state machine.
 
-use crate::StateMachine;
+use crate::types::StateMachine;
 use consort_protocol::ids::ClusterId;
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger};

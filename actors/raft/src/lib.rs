@@ -28,14 +28,18 @@
 //! search of an understandable consensus algorithm*, 2014. The time of a campaign is decided by
 //! `election`, not by openraft, which has neither pre-vote nor check-quorum.
 
+mod acknowledgements;
 mod election;
 mod errors;
+#[cfg(feature = "test-util")]
 pub mod fuzz_api;
 mod group_commit;
+mod leader_contact;
 mod leadership_transfer;
 mod leadership_view;
 mod ledger;
 mod log_store;
+mod messages;
 mod network;
 mod offline_recovery;
 mod replica;
@@ -48,11 +52,9 @@ mod types;
 
 pub use errors::{BootstrapError, MemberError, ProposeError, StartError, TransferError};
 pub use leadership_view::LeadershipView;
-pub(crate) use log_store::with_repair_advice;
 pub use log_store::{LogStore, MemoryLogStore, PersistentState, StoreIdentity};
-pub use offline_recovery::{LogStoreContents, inspect_log_store, recover_as_only_voter, restore_as_only_voter};
+pub use offline_recovery::{LogStoreContents, inspect_log_store, recover_as_only_voter};
 pub use replica::Replica;
-pub use runtime::{SeededRuntime, seed_elections};
 pub use settings::{RaftSettings, RaftSettingsError};
 pub use storage::ApplyObserver;
 pub use types::{Epoch, LeaderId, Peer, RaftId, StateMachine};

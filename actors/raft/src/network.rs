@@ -7,8 +7,8 @@
 //! acknowledgement of its leadership. If not, the append or its reply was lost, and the append is
 //! sent again.
 
-use super::election::PreVoteRequest;
-use super::leadership_transfer::TransferRequest;
+use super::acknowledgements::{LastContacts, LeaderAcks};
+use super::messages::{HeartbeatReply, HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_reply};
 use super::settings::APPEND_TIMEOUT;
 use super::types::{Peer, RaftId, StateMachine, TypeConfig, Vote};
 use consort_bus::SharedBus;
@@ -17,113 +17,22 @@ use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
-use openraft::error::{
-    InstallSnapshotError, NetworkError, RPCError, RaftError, RemoteError, SnapshotMismatch, Timeout, Unreachable,
-};
+use openraft::error::{InstallSnapshotError, NetworkError, RPCError, RaftError, RemoteError, Timeout, Unreachable};
 use openraft::network::{Backoff, RPCOption, RPCTypes};
 use openraft::raft::{
     AppendEntriesRequest, AppendEntriesResponse, InstallSnapshotRequest, InstallSnapshotResponse, VoteRequest,
     VoteResponse,
 };
 use openraft::{AnyError, RaftNetwork, RaftNetworkFactory};
+use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::future::Future;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::{Instant, timeout};
-
-/// Size of a snapshot chunk, in bytes; with its frame, the message stays within [`codec::LIMIT`].
-pub(super) const SNAPSHOT_CHUNK: usize = 48 * 1024;
-
-/// Size limit of an append of several entries, in bytes. A follower writes it with a single sync,
-/// and a slow link carries it within a second; larger appends save little. A single entry may fill
-/// a message.
-pub(super) const APPEND_BYTES: usize = 32 * 1024;
-
-/// Heartbeat request of a leader, handled outside openraft.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct HeartbeatRequest {
-    /// Vote that made it leader.
-    pub(super) vote: Vote,
-}
-
-/// Reply of a voter to a heartbeat request.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-pub(super) struct HeartbeatReply {
-    /// The voter follows that leader, and grants no other vote within `election_min` of the
-    /// request.
-    pub(super) follows: bool,
-    /// The voter has an append pending.
-    pub(super) busy: bool,
-}
-
-/// Acknowledgements of a leader: send time of the last acknowledged request, by voter.
-#[derive(Debug, Clone, Default)]
-pub(super) struct LeaderAcks {
-    vote: Option<Vote>,
-    sent: BTreeMap<RaftId, Instant>,
-}
-
-impl LeaderAcks {
-    fn record(&mut self, vote: Vote, voter: RaftId, sent_at: Instant) {
-        if self.vote != Some(vote) {
-            *self = LeaderAcks { vote: Some(vote), sent: BTreeMap::new() };
-        }
-        let last = self.sent.entry(voter).or_insert(sent_at);
-        *last = sent_at.max(*last);
-    }
-
-    /// Returns the send time of the newest request that a majority of each of `halves` has
-    /// acknowledged for the leader `vote`. `me` counts as part of the majority.
-    pub(super) fn quorum_ack(&self, vote: &Vote, me: RaftId, halves: &[BTreeSet<RaftId>]) -> Option<Instant> {
-        if self.vote.as_ref() != Some(vote) {
-            return None;
-        }
-        let now = Instant::now();
-        let of_half = |half: &BTreeSet<RaftId>| {
-            let sent = |voter: &RaftId| if *voter == me { Some(now) } else { self.sent.get(voter).copied() };
-            let mut sent: Vec<Instant> = half.iter().filter_map(sent).collect();
-            sent.sort_unstable_by(|a, b| b.cmp(a));
-            sent.get(half.len() / 2).copied()
-        };
-        halves.iter().map(of_half).min().flatten()
-    }
-}
-
-/// Reply of a voter to a request that it could decode.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) enum RaftReply<A> {
-    Done(A),
-    /// Reply to a snapshot chunk only: it is not the expected chunk.
-    Mismatch(SnapshotMismatch),
-}
-
-/// Decodes the reply of a voter.
-pub(super) fn decode_reply<A: DeserializeOwned>(bytes: &[u8]) -> Result<RaftReply<A>, CodecError> {
-    codec::decode(bytes)
-}
-
-/// Last contact with each voter, as the send time of the last request that it replied to. The age
-/// of the quorum's acknowledgement is measured in the same way.
-#[derive(Debug, Default)]
-pub(super) struct LastContacts(Mutex<BTreeMap<RaftId, Instant>>);
-
-impl LastContacts {
-    fn record(&self, voter: RaftId, sent_at: Instant) {
-        let mut contacts = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let last = contacts.entry(voter).or_insert(sent_at);
-        *last = sent_at.max(*last);
-    }
-
-    /// Returns the send time of the last request that `voter` has replied to.
-    pub(super) fn of(&self, voter: RaftId) -> Option<Instant> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&voter).copied()
-    }
-}
 
 /// Client of the other voters; creates a [`PeerClient`] for each.
 #[derive(Clone)]
@@ -138,7 +47,7 @@ pub(super) struct RaftClient {
     pub(super) acks: Arc<watch::Sender<LeaderAcks>>,
     /// Heartbeat interval: the pause before an unreachable voter is contacted again.
     pub(super) retry_interval: Duration,
-    /// This node does not send its appends and heartbeats (check-quorum); see [`super::election`].
+    /// This node does not send its appends and heartbeats (check-quorum); see `election`.
     pub(super) appends_suspended: Arc<AtomicBool>,
 }
 
@@ -292,7 +201,7 @@ impl PeerClient {
             let timed_out = sent_at.elapsed() >= limit;
             return Err(if timed_out { RequestError::TimedOut(limit) } else { RequestError::NoService(self.target) });
         };
-        let reply = reply.payload.map_err(RequestError::Rejected)?;
+        let reply = reply.payload.map_err(|refused| RequestError::Rejected(refused.0))?;
         let reply = decode_reply(&reply).map_err(RequestError::Undecodable)?;
         self.client.last_contacts.record(self.target, sent_at);
         Ok(reply)

@@ -93,7 +93,7 @@ pub fn recover_as_only_voter<S: StateMachine>(
 ///
 /// # Errors
 /// The state cannot be encoded.
-pub fn restore_as_only_voter<S: StateMachine>(
+pub(super) fn restore_as_only_voter<S: StateMachine>(
     state: &S,
     last: Epoch,
     node: &NodeId,

@@ -27,13 +27,13 @@ thread_local! {
 }
 
 /// Seeds the election timeouts of the Raft nodes that this thread builds from now on.
-pub fn seed_elections(seed: u64) {
+pub(super) fn seed_elections(seed: u64) {
     RNG.with_borrow_mut(|rng| *rng = ChaCha8Rng::seed_from_u64(seed));
 }
 
 /// Random generator of openraft: this thread's seeded generator.
 #[derive(Debug)]
-pub struct ElectionRng(());
+pub(super) struct ElectionRng(());
 
 impl rand08::RngCore for ElectionRng {
     fn next_u32(&mut self) -> u32 {
@@ -57,7 +57,7 @@ impl rand08::RngCore for ElectionRng {
 /// [`TokioRuntime`] with a seeded generator, and with timeouts of at least `APPEND_TIMEOUT`. Time
 /// and tasks are those of tokio, so paused time works.
 #[derive(Debug, Default, PartialEq, Eq)]
-pub struct SeededRuntime;
+pub(super) struct SeededRuntime;
 
 impl AsyncRuntime for SeededRuntime {
     type JoinError = <TokioRuntime as AsyncRuntime>::JoinError;

@@ -1,10 +1,10 @@
 //! Server for the Raft requests of other voters. A single task serves them concurrently; a slow
 //! request delays no other.
 
-use super::election::{LeaderContact, PreVoteRequest};
-use super::leadership_transfer::{self, TransferRequest};
+use super::leader_contact::LeaderContact;
+use super::leadership_transfer;
 use super::leadership_view::LeadershipView;
-use super::network::{HeartbeatRequest, RaftReply};
+use super::messages::{HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_request};
 use super::types::{Raft, RaftId, StateMachine, TypeConfig, Vote};
 use consort_bus::{BusError, Encoding, Query, Stream};
 use consort_protocol::codec::{self, CodecError};
@@ -12,11 +12,10 @@ use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
-use openraft::error::{InstallSnapshotError, RaftError};
+use openraft::error::{Fatal, InstallSnapshotError, RaftError};
 use openraft::raft::{AppendEntriesRequest, InstallSnapshotRequest, VoteRequest, VoteResponse};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use std::fmt::Display;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -26,6 +25,37 @@ use tracing::{debug, warn};
 /// Limit of concurrent requests. A voter has a single open request per peer, so more indicates a
 /// fault or an attack. A guess.
 const REQUESTS_MAX: usize = 256;
+
+/// Error: a request was rejected. Its text is sent to the requester.
+#[derive(Debug, thiserror::Error)]
+enum RequestError {
+    /// The key names no request.
+    #[error("unknown request")]
+    Unknown,
+    /// The request cannot be decoded, or the reply cannot be encoded.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// The sender belongs to another cluster.
+    #[error("the request comes from cluster {sender}, but this node belongs to cluster {own}: clusters do not merge")]
+    OtherCluster {
+        /// Cluster of the sender.
+        sender: ClusterId,
+        /// Cluster of this node.
+        own: ClusterId,
+    },
+    /// The snapshot would not fit in memory.
+    #[error("a snapshot of at least {end} bytes exceeds the limit of {} bytes", codec::RECORD_BYTES_MAX)]
+    SnapshotTooLarge {
+        /// Least size of the snapshot, in bytes.
+        end: u64,
+    },
+    /// openraft has rejected the request, or has stopped.
+    #[error(transparent)]
+    Raft(#[from] Box<RaftError<RaftId>>),
+    /// openraft has stopped.
+    #[error(transparent)]
+    Stopped(#[from] Box<Fatal<RaftId>>),
+}
 
 /// State needed to serve requests.
 pub(super) struct RaftServer<S: StateMachine> {
@@ -69,18 +99,18 @@ impl<S: StateMachine> RaftServer<S> {
             Some(Key::Raft(_, RaftCall::PreVote)) => self.pre_vote(&query),
             Some(Key::Raft(_, RaftCall::TransferLeadership)) => self.transfer_leadership(&query).await,
             Some(Key::Raft(_, RaftCall::Heartbeat)) => self.heartbeat(&query),
-            _ => Err("unknown request".to_owned()),
+            _ => Err(RequestError::Unknown),
         };
         let sent = match outcome {
             Ok(bytes) => query.replier.reply(&query.key, bytes.into(), Encoding::Wire).await,
-            Err(reason) => reject(&query, &reason, &self.rejected).await,
+            Err(reason) => reject(&query, &reason.to_string(), &self.rejected).await,
         };
         if let Err(error) = sent {
             debug!(key = query.key, %error, "raft reply not sent");
         }
     }
 
-    async fn vote(&self, query: &Query) -> Result<Vec<u8>, String> {
+    async fn vote(&self, query: &Query) -> Result<Vec<u8>, RequestError> {
         let request: VoteRequest<RaftId> = self.decode(query)?;
         if !self.leader_contact.try_begin_vote(self.election_min) {
             let vote = self.raft.server_metrics().borrow().vote;
@@ -89,22 +119,22 @@ impl<S: StateMachine> RaftServer<S> {
         }
         let reply = self.raft.vote(request).await;
         self.leader_contact.end_vote(reply.as_ref().ok().map(|reply| reply.vote));
-        let reply = reply.map_err(to_text)?;
+        let reply = reply.map_err(Box::new)?;
         if reply.vote_granted {
             self.leader_contact.record_vote_granted();
         }
         encode_reply(&RaftReply::Done(reply))
     }
 
-    async fn append(&self, query: &Query) -> Result<Vec<u8>, String> {
+    async fn append(&self, query: &Query) -> Result<Vec<u8>, RequestError> {
         let request: AppendEntriesRequest<TypeConfig<S>> = self.decode_and_follow(query)?;
         self.record_leader(&request.vote);
         let _pending = self.leader_contact.begin_append();
-        let reply = self.raft.append_entries(request).await.map_err(to_text)?;
+        let reply = self.raft.append_entries(request).await.map_err(Box::new)?;
         encode_reply(&RaftReply::Done(reply))
     }
 
-    async fn snapshot(&self, query: &Query) -> Result<Vec<u8>, String> {
+    async fn snapshot(&self, query: &Query) -> Result<Vec<u8>, RequestError> {
         let request: InstallSnapshotRequest<TypeConfig<S>> = self.decode_and_follow(query)?;
         check_chunk_size(request.offset, request.data.len())?;
         self.record_leader(&request.vote);
@@ -113,7 +143,7 @@ impl<S: StateMachine> RaftServer<S> {
             Err(RaftError::APIError(InstallSnapshotError::SnapshotMismatch(mismatch))) => {
                 encode_reply(&RaftReply::<()>::Mismatch(mismatch))
             }
-            Err(RaftError::Fatal(fatal)) => Err(to_text(fatal)),
+            Err(RaftError::Fatal(fatal)) => Err(Box::new(fatal).into()),
         }
     }
 
@@ -126,13 +156,13 @@ impl<S: StateMachine> RaftServer<S> {
     }
 
     /// Replies outside openraft: its core may be waiting for the disk.
-    fn heartbeat(&self, query: &Query) -> Result<Vec<u8>, String> {
+    fn heartbeat(&self, query: &Query) -> Result<Vec<u8>, RequestError> {
         let request: HeartbeatRequest = self.decode_and_follow(query)?;
         let known = self.raft.server_metrics().borrow().vote;
         encode_reply(&RaftReply::Done(self.leader_contact.answer_heartbeat(&request.vote, &known)))
     }
 
-    async fn transfer_leadership(&self, query: &Query) -> Result<Vec<u8>, String> {
+    async fn transfer_leadership(&self, query: &Query) -> Result<Vec<u8>, RequestError> {
         let request: TransferRequest = self.decode(query)?;
         let is_current = self.raft.server_metrics().borrow().vote == request.leader_vote;
         let accepted = if request.target != self.me {
@@ -146,7 +176,7 @@ impl<S: StateMachine> RaftServer<S> {
             self.leader_contact.record_leader_resigned();
             // Its own vote: it waits for no other candidate during its campaign.
             self.leader_contact.record_vote_granted();
-            self.raft.trigger().elect().await.map_err(to_text)?;
+            self.raft.trigger().elect().await.map_err(Box::new)?;
             true
         } else {
             // A duplicate, or too late: the election is in progress or over.
@@ -156,13 +186,13 @@ impl<S: StateMachine> RaftServer<S> {
     }
 
     /// Decodes a request, unless it comes from another cluster.
-    fn decode<T: DeserializeOwned>(&self, query: &Query) -> Result<T, String> {
+    fn decode<T: DeserializeOwned>(&self, query: &Query) -> Result<T, RequestError> {
         self.decode_with_cluster(query).map(|(_, request)| request)
     }
 
     /// Decodes a request of a leader. A node without a cluster stays with the cluster of the first
     /// leader it follows.
-    fn decode_and_follow<T: DeserializeOwned>(&self, query: &Query) -> Result<T, String> {
+    fn decode_and_follow<T: DeserializeOwned>(&self, query: &Query) -> Result<T, RequestError> {
         let (sender, request) = self.decode_with_cluster(query)?;
         if let Some(sender) = sender {
             self.followed.get_or_init(|| sender);
@@ -170,18 +200,16 @@ impl<S: StateMachine> RaftServer<S> {
         Ok(request)
     }
 
-    fn decode_with_cluster<T: DeserializeOwned>(&self, query: &Query) -> Result<(Option<ClusterId>, T), String> {
-        let (sender, request) = decode_request(&query.payload).map_err(to_text)?;
+    fn decode_with_cluster<T: DeserializeOwned>(&self, query: &Query) -> Result<(Option<ClusterId>, T), RequestError> {
+        let (sender, request) = decode_request(&query.payload)?;
         let own_cluster = self.cluster.borrow().or_else(|| self.followed.get().copied());
         match (sender, own_cluster) {
-            (Some(sender), Some(own_cluster)) if sender != own_cluster => Err(format!(
-                "the request comes from cluster {sender}, but this node belongs to cluster {own_cluster}: clusters do not merge"
-            )),
+            (Some(sender), Some(own)) if sender != own => Err(RequestError::OtherCluster { sender, own }),
             _ => Ok((sender, request)),
         }
     }
 
-    fn pre_vote(&self, query: &Query) -> Result<Vec<u8>, String> {
+    fn pre_vote(&self, query: &Query) -> Result<Vec<u8>, RequestError> {
         let request: PreVoteRequest = self.decode(query)?;
         let no_leader =
             self.leader_contact.no_leader_for(self.election_min, self.heartbeat) && !self.leadership.borrow().is_leader;
@@ -191,19 +219,9 @@ impl<S: StateMachine> RaftServer<S> {
 }
 
 /// Checks the size of a snapshot chunk: openraft allocates memory for everything before its offset.
-fn check_chunk_size(offset: u64, length: usize) -> Result<(), String> {
+fn check_chunk_size(offset: u64, length: usize) -> Result<(), RequestError> {
     let end = offset.saturating_add(length as u64);
-    match end > codec::RECORD_BYTES_MAX as u64 {
-        true => {
-            Err(format!("a snapshot of at least {end} bytes exceeds the limit of {} bytes", codec::RECORD_BYTES_MAX))
-        }
-        false => Ok(()),
-    }
-}
-
-/// Decodes a request of a voter, and the cluster of the voter.
-pub(super) fn decode_request<T: DeserializeOwned>(bytes: &[u8]) -> Result<(Option<ClusterId>, T), CodecError> {
-    codec::decode(bytes)
+    if end > codec::RECORD_BYTES_MAX as u64 { Err(RequestError::SnapshotTooLarge { end }) } else { Ok(()) }
 }
 
 async fn reject(query: &Query, reason: &str, rejected: &AtomicU64) -> Result<(), BusError> {
@@ -212,12 +230,8 @@ async fn reject(query: &Query, reason: &str, rejected: &AtomicU64) -> Result<(),
     query.replier.refuse(reason).await
 }
 
-fn encode_reply<T: Serialize>(reply: &T) -> Result<Vec<u8>, String> {
-    codec::encode(reply).map_err(to_text)
-}
-
-fn to_text(error: impl Display) -> String {
-    error.to_string()
+fn encode_reply<T: Serialize>(reply: &T) -> Result<Vec<u8>, RequestError> {
+    Ok(codec::encode(reply)?)
 }
 
 #[cfg(test)]
@@ -227,9 +241,9 @@ mod tests {
     #[test]
     fn a_snapshot_chunk_stays_within_the_limit_of_a_snapshot() {
         let limit = codec::RECORD_BYTES_MAX as u64;
-        assert_eq!(check_chunk_size(limit - 3, 3), Ok(()));
+        assert!(check_chunk_size(limit - 3, 3).is_ok());
         let rejected = "a snapshot of at least 268435457 bytes exceeds the limit of 268435456 bytes";
-        assert_eq!(check_chunk_size(limit - 3, 4), Err(rejected.to_owned()));
+        assert_eq!(check_chunk_size(limit - 3, 4).unwrap_err().to_string(), rejected);
         assert!(check_chunk_size(u64::MAX, 1).is_err());
     }
 }

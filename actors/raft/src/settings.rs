@@ -11,6 +11,14 @@ use std::time::Duration;
 /// a hundred times the sync time of a healthy disk.
 pub(super) const APPEND_TIMEOUT: Duration = Duration::from_secs(2);
 
+/// Size of a snapshot chunk, in bytes; with its frame, the message stays within [`MESSAGE_BYTES_MAX`](consort_protocol::codec::MESSAGE_BYTES_MAX).
+pub(super) const SNAPSHOT_CHUNK: usize = 48 * 1024;
+
+/// Size limit of an append of several entries, in bytes. A follower writes it with a single sync,
+/// and a slow link carries it within a second; larger appends save little. A single entry may fill
+/// a message.
+pub(super) const APPEND_BYTES: usize = 32 * 1024;
+
 /// Settings of a replica. All nodes of a fleet use the same times.
 #[derive(Debug, Clone)]
 pub struct RaftSettings {
@@ -100,7 +108,7 @@ impl RaftSettings {
             enable_heartbeat: false,
             // A chunk over a link of 1 Mbit/s takes 0.4 s.
             install_snapshot_timeout: 2000,
-            snapshot_max_chunk_size: super::network::SNAPSHOT_CHUNK as u64,
+            snapshot_max_chunk_size: SNAPSHOT_CHUNK as u64,
             snapshot_policy: SnapshotPolicy::LogsSinceLast(self.snapshot_every),
             replication_lag_threshold: self.snapshot_every.saturating_mul(2),
             max_in_snapshot_log_to_keep: self.log_entries_kept,

@@ -166,6 +166,7 @@ pub(super) type StorageError = openraft::StorageError<RaftId>;
 pub(super) type StorageIOError = openraft::StorageIOError<RaftId>;
 pub(super) type StoredMembership = openraft::StoredMembership<RaftId, Peer>;
 pub(super) type SnapshotMeta = openraft::SnapshotMeta<RaftId, Peer>;
+pub(super) type Metrics = openraft::RaftMetrics<RaftId, Peer>;
 pub(super) type Raft<S> = openraft::Raft<TypeConfig<S>>;
 
 /// Returns the position of an entry in the form used by the state machine.

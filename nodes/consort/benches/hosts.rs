@@ -15,19 +15,21 @@
 #[path = "../tests/hosts/lab.rs"]
 #[expect(dead_code, reason = "the tests use the rest")]
 mod lab;
-#[path = "../tests/hosts/story.rs"]
+#[path = "../tests/hosts/scenario.rs"]
 #[expect(dead_code, reason = "the tests use the rest")]
-mod story;
+mod scenario;
+#[path = "../../../tests/support/slots.rs"]
+mod slots;
 #[path = "../tests/processes/support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "the tests use the rest")]
 mod support;
 
 use lab::{Lab, Way, inside_again};
+use scenario::{FLEET, coordinator, fleet, hospital, wait_for_successor, with};
 use serde_json::{Value, json};
 use std::io::Write as _;
 use std::time::{Duration, Instant};
-use story::{FLEET, LONG, coordinator, fleet, hospital, succession, with};
-use support::{Client, example, until};
+use support::{Client, LONG, example, until};
 
 const STATIONS: [&str; 5] = ["s1", "s2", "s3", "s4", "s5"];
 
@@ -135,7 +137,7 @@ fn cuts(count: u64) -> Value {
         let (first, term) = coordinator(&client);
         let cut = Instant::now();
         lab.unplug(&first);
-        succession(&mut client, &first, term);
+        wait_for_successor(&mut client, &first, term);
         all.push(cut.elapsed().as_secs_f64() * 1000.0);
         lab.plug(&first, "br0");
         let reconnected = lab.run(&["fleet", "--json"], &first, LONG);

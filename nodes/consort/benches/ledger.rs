@@ -25,10 +25,11 @@ use consort_bus::{Encoding, SharedBus, ZenohBus, ZenohSettings};
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger, Submission};
-use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::plan::divide_and_check;
 use consort_raft::store::{DurableStore, LEDGER_FILE, StoreOwner};
 use consort_raft::{LeadershipView, RaftId, RaftSettings, Replica, StoreIdentity};
+use consort_skills::domain::hospital;
+use consort_skills::missions::shipped;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -231,7 +232,7 @@ async fn run_clients(
     clients: usize,
 ) -> Result<Replies, BenchError> {
     let template = shipped().get("lab-samples").ok_or("no such mission")?;
-    let mission = template.instantiate(&BTreeMap::new(), &Domain::hospital()).map_err(|error| error.to_string())?;
+    let mission = template.instantiate(&BTreeMap::new(), &hospital()).map_err(|error| error.to_string())?;
     let division = divide_and_check(&mission).map_err(|error| error.to_string())?;
     let left = Arc::new(AtomicUsize::new(requests));
     let began = Instant::now();
@@ -295,7 +296,7 @@ async fn run_clients(
 async fn send_request(bus: &SharedBus, key: &str, request_bytes: Bytes) -> Result<CommandOutcome, BenchError> {
     let mut replies = bus.query(key, request_bytes, LIMIT).await.map_err(|error| error.to_string())?;
     let reply = replies.recv().await.ok_or("no reply")?;
-    codec::decode(&reply.payload?).map_err(|error| error.to_string())
+    codec::decode(&reply.payload.map_err(|refused| refused.0)?).map_err(|error| error.to_string())
 }
 
 /// Returns how many times per second each of three concurrent writers can write some bytes in place

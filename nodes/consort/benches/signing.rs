@@ -15,15 +15,14 @@
 #[expect(dead_code, reason = "other benchmarks measure durations between instants")]
 mod support;
 
+use consort_protocol::access::{Operation, authorize};
 use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
 use consort_protocol::knowledge::{Availability, Knowledge, Record, RecordStamp, RobotKnowledge};
 use consort_protocol::ledger::Command;
 use consort_protocol::message::{Beacon, ClusterEnvelope, RecordUpdate};
-use consort_protocol::trust::{
-    ENVELOPE_BYTES, MessageKind, NodeRole, Operation, ReplayWindow, authorize, decode_envelope, signed_part,
-};
+use consort_protocol::trust::{ENVELOPE_BYTES, MessageKind, NodeRole, ReplayWindow, decode_envelope, signed_part};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_protocol::versions::VersionRange;
 use consort_tests::Credentials;

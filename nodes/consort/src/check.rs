@@ -4,12 +4,12 @@ use crate::config::{self, FleetConfig, RobotConfig, StationConfig, WorldConfig};
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::extensions::Extensions;
 use crate::{inputs, map_loader, wiring};
-use consort_evaluation::calibration::Calibration;
-use consort_protocol::count::count;
+use consort_map_import::MapFormat;
 use consort_protocol::ids::TaskId;
 use consort_protocol::mission::{Domain, Format, IhtnOptions, Mission, MissionTemplate, TemplateKind, import_ihtn};
 use consort_protocol::plan::divide_and_check;
-use consort_world::map::MapFormat;
+use consort_skills::descriptor::Calibration;
+use consort_text::count;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -164,6 +164,7 @@ fn ihtn(text: &str, path: &Path, domain: &Domain) -> Result<String, Diagnostics>
         name,
         unmanaged: BTreeSet::from(["nurse".parse().expect("a slug")]),
         aliases: BTreeMap::from([("navto".to_owned(), slug("navigation"))]),
+        reaching: BTreeSet::from([slug("navigation")]),
     };
     let mission = import_ihtn(text, &reading, domain).map_err(|errors| {
         Diagnostics(errors.diagnostics.iter().map(|problem| Diagnostic::for_file(file, problem)).collect())

@@ -12,9 +12,11 @@ use consort_bus::trust::SigningBus;
 use consort_bus::zenoh_bus::Mode;
 use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_dashboard::query::{QueryError, QueryTarget, RETRY_DELAY, query_once};
+use consort_protocol::access;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
-use consort_protocol::trust::{Principal, access};
+use consort_protocol::trust::Principal;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -103,15 +105,25 @@ impl QueryFlags {
     /// Runs a query and prints the answer as JSON or as text.
     ///
     /// # Errors
-    /// See [`Client::open`], and the errors of `ask`; [`Failure::OutputClosed`].
-    pub fn print(
+    /// See [`Client::open`] and [`read_answer`], and the errors of `query`;
+    /// [`Failure::OutputClosed`].
+    pub fn print<T: for<'de> Deserialize<'de>>(
         &self,
         query: impl AsyncFnOnce(&mut Client) -> Result<Value, Failure>,
-        words: impl FnOnce(&Value) -> String,
+        words: impl FnOnce(&T) -> String,
     ) -> Result<(), Failure> {
         let answer = self.client.with_client(query)?;
-        if self.json { output::line(answer) } else { output::line(words(&answer)) }
+        if self.json { output::line(answer) } else { output::line(words(&read_answer(&answer)?)) }
     }
+}
+
+/// Reads a view or a reply.
+///
+/// # Errors
+/// [`Failure::Unsuccessful`] if this release cannot read it.
+pub fn read_answer<T: for<'de> Deserialize<'de>>(answer: &Value) -> Result<T, Failure> {
+    T::deserialize(answer)
+        .map_err(|problem| Failure::Unsuccessful(format!("the answer cannot be read: {problem}: {answer}")))
 }
 
 /// A connected client.
@@ -195,10 +207,11 @@ impl Client {
     /// # Errors
     /// [`Failure::Unsuccessful`] if it is rejected; [`Failure::Unreachable`] if there is no
     /// coordinator.
-    pub async fn api(&mut self, call: ApiCall, request: &Value) -> Result<Value, Failure> {
+    pub async fn api(&mut self, call: ApiCall, request: &impl Serialize) -> Result<Value, Failure> {
         self.check_scope(call)?;
         let target = if call.is_read_only() { QueryTarget::Nearest } else { QueryTarget::All };
-        self.query(&Key::Api(call), request.to_string(), target).await
+        let payload = serde_json::to_string(request).expect("a request serializes to JSON");
+        self.query(&Key::Api(call), payload, target).await
     }
 
     /// Checks whether the person's certificate allows a call. Nodes drop the request otherwise, and

@@ -1,6 +1,7 @@
 //! Errors and exit codes of commands.
 
 use crate::diagnostic::{Diagnostic, Diagnostics};
+use consort_dashboard::address::AddressUnavailable;
 use std::process::ExitCode;
 
 /// Failure of a command; its kind determines the exit code.
@@ -39,6 +40,12 @@ impl Failure {
 impl From<Diagnostics> for Failure {
     fn from(problems: Diagnostics) -> Failure {
         Failure::Usage(problems.to_string())
+    }
+}
+
+impl From<AddressUnavailable> for Failure {
+    fn from(problem: AddressUnavailable) -> Failure {
+        Failure::Usage(problem.to_string())
     }
 }
 

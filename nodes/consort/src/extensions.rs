@@ -7,6 +7,7 @@
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use consort_protocol::mission::Domain;
 use consort_skills::descriptor::DescriptorRegistry;
+use consort_skills::domain::hospital;
 use consort_skills::environment::Environment;
 use consort_skills::library::SkillLibrary;
 use std::error::Error;
@@ -33,7 +34,7 @@ impl Default for Extensions {
 impl Extensions {
     /// Returns the task types for missions.
     pub fn domain(self) -> Domain {
-        (self.domain)(Domain::hospital())
+        (self.domain)(hospital())
     }
 
     /// Returns the cost descriptors of tasks: `shipped`, extended.

@@ -2,11 +2,13 @@
 
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::file::{self, BYTES_MAX};
+use consort_protocol::api::MissionSource;
 use consort_protocol::ids::{PlaceId, RobotId, TaskType};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
-use consort_protocol::mission::{Format, MissionTemplate, shipped};
+use consort_protocol::mission::{Format, MissionTemplate};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use consort_skills::missions::shipped;
 use schemars::{JsonSchema, Schema, schema_for};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -41,13 +43,14 @@ pub fn mission(name: &str) -> Result<MissionTemplate, Diagnostics> {
 ///
 /// # Errors
 /// See [`mission`].
-pub fn mission_request(name: &str) -> Result<Value, Diagnostics> {
+pub fn mission_request(name: &str) -> Result<MissionSource, Diagnostics> {
     if shipped().contains_key(name) {
-        return Ok(Value::String(name.to_owned()));
+        return Ok(MissionSource::Shipped(name.to_owned()));
     }
     let text = mission_text(name)?;
     let format = Format::of(Some(Path::new(name)), &text);
-    MissionTemplate::request(&text, format).map_err(|error| Diagnostic::for_file(name, error).into())
+    let file = MissionTemplate::request(&text, format).map_err(|error| Diagnostic::for_file(name, error))?;
+    serde_json::from_value(file).map_err(|error| Diagnostic::for_file(name, error).into())
 }
 
 fn mission_text(name: &str) -> Result<String, Diagnostics> {

@@ -3,8 +3,9 @@
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::file::{self, BYTES_MAX, FileReadError};
 use consort_dashboard::loaded_map::LoadedMap;
+use consort_map_import::ImportError;
 use consort_skills::environment::TopologicalMap;
-use consort_world::map::{self, MapError};
+use consort_world::map;
 use serde_json::Value;
 use std::path::Path;
 
@@ -51,7 +52,7 @@ pub fn parse(text: &str, file: &str) -> Result<LoadedMap, Diagnostics> {
             .map_err(|error| Diagnostics::from(Diagnostic::for_file(file, error)))?;
         return Ok(LoadedMap { topology, map: None });
     }
-    map::read(text, file).map(LoadedMap::from).map_err(|error| diagnostics(file, error))
+    consort_map_import::read(text, file).map(LoadedMap::from).map_err(|error| diagnostics(file, error))
 }
 
 /// Checks whether a text is JSON with the keys of the published map.
@@ -61,12 +62,11 @@ pub fn is_published_format(text: &str) -> bool {
 }
 
 /// Converts a map error to diagnostics of its file.
-pub fn diagnostics(file: &str, error: MapError) -> Diagnostics {
-    match error {
-        MapError::Invalid { diagnostics, .. } => {
-            Diagnostics(diagnostics.iter().map(|error| Diagnostic::for_file(file, error)).collect())
-        }
-        MapError::Syntax { message, .. } => Diagnostic::for_file(file, message).into(),
-        other => Diagnostic { file: String::new(), position: None, message: other.to_string() }.into(),
+pub fn diagnostics(file: &str, error: impl Into<ImportError>) -> Diagnostics {
+    let error = error.into();
+    let in_content = error.in_content();
+    if in_content.is_empty() {
+        return Diagnostic { file: String::new(), position: None, message: error.to_string() }.into();
     }
+    Diagnostics(in_content.iter().map(|error| Diagnostic::for_file(file, error)).collect())
 }

@@ -16,11 +16,11 @@ use consort_dashboard::admission::Admission;
 use consort_dashboard::fleet_model::FloorPlan;
 use consort_dashboard::server::Dashboard;
 use consort_fleet::autopilot::DecommissionReport;
-use consort_fleet::node::{NodeHandle, NodeSettings};
+use consort_fleet::node::{NodeEnded, NodeHandle, NodeSettings};
 use consort_fleet::observe::SharedObserver;
-use consort_protocol::count::count;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
+use consort_text::count;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -112,8 +112,8 @@ async fn run_until_end(
     };
     let mut settings = settings()?;
     let metrics = NodeMetrics::new(metrics, &settings);
-    let (telemetry, mut observers) =
-        Telemetry::open(telemetry_config.otlp.as_deref(), &settings).map_err(Failure::Usage)?;
+    let (telemetry, mut observers) = Telemetry::open(telemetry_config.otlp.as_deref(), &settings)
+        .map_err(|problem| Failure::Usage(problem.to_string()))?;
     observers.extend(metrics.observer());
     settings.observer = Some(Arc::new(observers));
     let clock = settings.clock;
@@ -193,7 +193,7 @@ async fn wait_for_end(
     node: &mut NodeHandle,
     signals: &mut ShutdownSignals,
     until_stdin_closes: bool,
-) -> Result<End, String> {
+) -> Result<End, NodeEnded> {
     tokio::select! {
         signal = signals.wait() => Ok(End::Signal(signal)),
         () = stdin_closed(until_stdin_closes) => Ok(End::Signal("end of input")),
@@ -201,8 +201,8 @@ async fn wait_for_end(
     }
 }
 
-async fn bind(flag: &str, at: SocketAddr) -> Result<BoundAddress, Failure> {
-    BoundAddress::bind(flag, at).await.map_err(Failure::Usage)
+async fn bind(flag: &'static str, at: SocketAddr) -> Result<BoundAddress, Failure> {
+    Ok(BoundAddress::bind(flag, at).await?)
 }
 
 /// The metrics of a node, if requested.

@@ -2,8 +2,8 @@
 
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::exit::Failure;
+use consort_world::SharedWorld;
 use consort_world::record::{Recorder, RecordingOutputs};
-use consort_world::world::SharedWorld;
 use std::path::PathBuf;
 
 /// Flags for recordings of a world. Without them nothing is recorded, and nothing is spent.

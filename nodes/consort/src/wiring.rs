@@ -9,7 +9,7 @@ use consort_bus::ZenohSettings;
 use consort_bus::clock::Clock;
 use consort_bus::zenoh_bus::LinkTrust;
 use consort_dashboard::loaded_map::LoadedMap;
-use consort_evaluation::calibration::Calibration;
+use consort_fleet::autopilot;
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
 use consort_protocol::auction::{BidLimits, OptimalAssignment};
@@ -17,16 +17,18 @@ use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{FleetId, NodeId, PlaceId};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::mission::AllowedNames;
 use consort_protocol::mission::Domain;
 use consort_protocol::pose::Pose;
+use consort_protocol::versions::VersionRange;
 use consort_raft::StoreIdentity;
 use consort_raft::store::{DurableStore, NodeStore, StoreOwner};
-use consort_skills::descriptor::{DescriptorRegistry, Estimator};
+use consort_skills::descriptor::{Calibration, DescriptorRegistry, Estimator};
 use consort_skills::environment::{Environment, Passages, Routes};
 use consort_skills::library::SkillLibrary;
+use consort_text::AllowedNames;
+use consort_world::SharedWorld;
 use consort_world::map::Map;
-use consort_world::world::{SharedWorld, World, WorldSetup};
+use consort_world::world::{World, WorldSetup};
 use rand::TryRng;
 use rand::rngs::SysRng;
 use serde_json::Value;
@@ -134,6 +136,7 @@ pub fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Result<Fl
         bootstrap_expect: config.bootstrap_expect,
         timing: config.timing,
         voters: config.voters,
+        autopilot_rule: autopilot::decide,
         dead_after: config.times().dead_after,
         map: None,
     })
@@ -308,6 +311,7 @@ fn bare_node(
         seed,
         store,
         clock,
+        supported_versions: VersionRange::OWN,
         may_vote,
         stationary: false,
         mains_powered: false,

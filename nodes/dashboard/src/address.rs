@@ -15,6 +15,15 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 /// until another ends.
 const CONNECTIONS: usize = 256;
 
+/// An address cannot be bound.
+#[derive(Debug, thiserror::Error)]
+#[error("{flag} {at}: this address is not available: {problem}; port 0 selects a free port")]
+pub struct AddressUnavailable {
+    flag: &'static str,
+    at: SocketAddr,
+    problem: io::Error,
+}
+
 /// A bound address that is not served yet. Connections that arrive meanwhile wait.
 pub struct BoundAddress {
     at: SocketAddr,
@@ -26,11 +35,9 @@ impl BoundAddress {
     /// example `--dashboard`.
     ///
     /// # Errors
-    /// A message with flag and address if the address cannot be bound.
-    pub async fn bind(flag: &str, at: SocketAddr) -> Result<BoundAddress, String> {
-        let refused = |problem: io::Error| {
-            format!("{flag} {at}: this address is not available: {problem}; port 0 selects a free port")
-        };
+    /// [`AddressUnavailable`] if the address cannot be bound.
+    pub async fn bind(flag: &'static str, at: SocketAddr) -> Result<BoundAddress, AddressUnavailable> {
+        let refused = |problem| AddressUnavailable { flag, at, problem };
         let listener = TcpListener::bind(at).await.map_err(refused)?;
         Ok(BoundAddress { at: listener.local_addr().map_err(refused)?, listener })
     }

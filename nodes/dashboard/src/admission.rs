@@ -11,12 +11,12 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use consort_bus::clock::Clock;
 use consort_bus::trust::{Keyring, TokenClaims, TokenError};
+use consort_protocol::api::ErrorReply;
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::AccessScope;
 use governor::clock::{Clock as _, MonotonicClock};
 use governor::state::keyed::HashMapStateStore;
 use governor::{Quota, RateLimiter};
-use serde_json::json;
 use std::num::NonZeroU32;
 use std::sync::Arc;
 use std::time::Duration;
@@ -89,7 +89,12 @@ impl IntoResponse for AdmissionError {
             AdmissionError::RateLimited { .. } => StatusCode::TOO_MANY_REQUESTS,
         };
         let kind = [(header::CONTENT_TYPE, "application/json")];
-        let mut response = (status, kind, json!({ "error": self.to_string() }).to_string()).into_response();
+        let mut response = (
+            status,
+            kind,
+            serde_json::to_string(&ErrorReply::rejected(self.to_string())).expect("a reply serializes to JSON"),
+        )
+            .into_response();
         let headers = response.headers_mut();
         match self {
             AdmissionError::MissingToken | AdmissionError::InvalidToken(_) => {

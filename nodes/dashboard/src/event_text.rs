@@ -1,14 +1,14 @@
 //! Describes events as text for people: shared by the demo's timeline and the logs for people.
 //!
 //! Two outputs differ on purpose. The timeline shows tasks in columns, lists every answer of an
-//! auction, and draws progress as a bar. A node's own log ([`telemetry`](crate::telemetry)) has the
+//! auction, and draws progress as a bar. A node's own log (`telemetry` of the program) has the
 //! fields of an event instead of a sentence, since programs sort it; its level is decided here all
 //! the same.
 
-use consort_protocol::count::count;
 use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ledger::MissionState;
 use consort_protocol::plan::{Signal, SignalKind};
+use consort_text::count;
 use std::fmt::Display;
 
 /// Text of an event.

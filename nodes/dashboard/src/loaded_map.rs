@@ -1,7 +1,7 @@
 //! A map as routes for estimators and skills, and as a floor plan.
 
 use consort_skills::environment::TopologicalMap;
-use consort_world::map::{DEFAULT_LEVEL, Map};
+use consort_world::map::{DEFAULT_LEVEL, Map, MapError};
 use serde_json::{Value, json};
 
 /// A loaded map.
@@ -17,9 +17,9 @@ impl LoadedMap {
     /// Parses the map of a node's reply to `view/map`.
     ///
     /// # Errors
-    /// A message, if the reply has no map.
-    pub fn from_view(view: &Value) -> Result<LoadedMap, String> {
-        Map::from_json(view, "view/map").map(LoadedMap::from).map_err(|problem| problem.to_string())
+    /// [`MapError`] if the reply has no map.
+    pub fn from_view(view: &Value) -> Result<LoadedMap, MapError> {
+        Map::from_json(view, "view/map").map(LoadedMap::from)
     }
 
     /// Returns the map in JSON, as in `view/map`: see [`Map::to_json`]. A map of the published

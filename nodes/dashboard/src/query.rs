@@ -2,6 +2,8 @@
 
 use bytes::Bytes;
 use consort_bus::Bus;
+use consort_protocol::api::ErrorReply;
+use serde::Deserialize;
 use serde_json::Value;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -63,19 +65,17 @@ pub async fn query_once(
     while let Ok(Some(reply)) = tokio::time::timeout_at(until, replies.recv()).await {
         let answer = match reply.payload {
             Ok(bytes) => serde_json::from_slice::<Value>(&bytes).map_err(|e| format!("not JSON: {e}")),
-            Err(refusal) => Err(refusal),
+            Err(refusal) => Err(refusal.to_string()),
         };
         match answer {
-            Ok(value) => match value.get("error").and_then(Value::as_str) {
-                None => return Ok(value),
-                Some(problem) => match value.get("retry_after_ms").and_then(Value::as_u64) {
-                    Some(after) => {
-                        let advice = format!(": retry after {after} ms");
-                        let problem = problem.strip_suffix(&advice).unwrap_or(problem).to_owned();
-                        hindrance = QueryError::Retryable(problem, Duration::from_millis(after));
-                    }
-                    None => return Err(QueryError::Rejected(problem.to_owned())),
-                },
+            Ok(value) => match ErrorReply::deserialize(&value) {
+                Err(_) => return Ok(value),
+                Ok(ErrorReply { error, retry_after_ms: Some(after) }) => {
+                    let advice = format!(": retry after {after} ms");
+                    let problem = error.strip_suffix(&advice).unwrap_or(&error).to_owned();
+                    hindrance = QueryError::Retryable(problem, Duration::from_millis(after));
+                }
+                Ok(ErrorReply { error, retry_after_ms: None }) => return Err(QueryError::Rejected(error)),
             },
             Err(problem) => hindrance = QueryError::Retryable(problem, RETRY_DELAY),
         }

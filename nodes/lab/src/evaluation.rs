@@ -1,12 +1,12 @@
 //! An evaluation design with its referenced files: scenarios, map and legs.
 
-use consort_evaluation::calibration::Calibration;
 use consort_evaluation::design::{self, Design, Scenario};
 use consort_evaluation::published_format;
 use consort_evaluation::travel::{MeasuredLegs, TravelModel};
 use consort_nodes::diagnostic::{Diagnostic, Diagnostics};
 use consort_nodes::inputs::read_text;
 use consort_nodes::map_loader;
+use consort_skills::descriptor::Calibration;
 use consort_tests::experiment::ExperimentSetup;
 use consort_world::map::{self, Map};
 use std::fmt::Display;
@@ -86,7 +86,7 @@ fn load_map(name: &str) -> Result<Map, Diagnostics> {
     if map_loader::is_published_format(&text) {
         return published_format::published_map(&text, name).map_err(|problem| wrong(Path::new(name), problem));
     }
-    map::read(&text, name).map_err(|problem| map_loader::diagnostics(name, problem))
+    consort_map_import::read(&text, name).map_err(|problem| map_loader::diagnostics(name, problem))
 }
 
 fn wrong(file: &Path, problem: impl Display) -> Diagnostics {

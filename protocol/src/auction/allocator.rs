@@ -3,7 +3,7 @@
 //! A fleet uses [`OptimalAssignment`]. Evaluations use other allocators and compare their results;
 //! the allocator is the only difference.
 
-use super::assignment::optimal_assignment;
+use super::assignment::{AssignmentError, optimal_assignment};
 use super::bid::{Bid, BidLimits, CallForBids};
 use crate::ids::{RobotId, RoleId};
 use std::collections::{BTreeMap, BTreeSet};
@@ -30,8 +30,8 @@ pub trait Allocator: fmt::Debug + Send + Sync {
     /// Assigns every role of the call to a different robot from [`AllocatorInput::candidates`].
     ///
     /// # Errors
-    /// Text for people if the roles cannot be assigned; then no role is assigned.
-    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String>;
+    /// [`AssignmentError`] if the roles cannot be assigned; then no role is assigned.
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError>;
 }
 
 /// Optimal assignment of [`optimal_assignment`](super::optimal_assignment()).
@@ -39,9 +39,9 @@ pub trait Allocator: fmt::Debug + Send + Sync {
 pub struct OptimalAssignment;
 
 impl Allocator for OptimalAssignment {
-    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError> {
         let roles = input.call.roles.keys().cloned().collect();
-        let picks = optimal_assignment(&roles, input.viable).map_err(|problem| problem.to_string())?;
+        let picks = optimal_assignment(&roles, input.viable)?;
         Ok(picks.into_iter().map(|(role, index)| (role, input.viable[index].robot.clone())).collect())
     }
 }

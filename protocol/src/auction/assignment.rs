@@ -30,6 +30,9 @@ pub enum AssignmentError {
         /// Robots with a viable bid for any of the roles.
         robots: Vec<RobotId>,
     },
+    /// An allocator other than the optimal assignment found no robot for some role.
+    #[error("no robot is left for a role")]
+    NoRobotLeft,
 }
 
 fn names<T: std::fmt::Display>(list: &[T]) -> String {

@@ -3,11 +3,12 @@
 use crate::ids::{EnsembleId, ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId, TaskType};
 use crate::plan::LocalPlan;
 use crate::units::{BatteryShare, Seconds};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Round of bidding for the open roles of a mission.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 pub struct AuctionId {
     /// The mission.
     pub mission: MissionId,
@@ -50,7 +51,7 @@ pub enum RoleReply {
 }
 
 /// Bid of a robot for a single role.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Bid {
     /// Robot that bids.
     pub robot: RobotId,
@@ -75,7 +76,7 @@ pub struct Bid {
 }
 
 /// Cost of a single step of a local plan.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct BidPart {
     /// Index of the step.
     pub step: u32,
@@ -101,7 +102,7 @@ pub struct BidRefusal {
 }
 
 /// Reason for a refusal, for programs and (through `Display`) for people.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema, thiserror::Error)]
 #[serde(rename_all = "snake_case")]
 pub enum RefusalReason {
     /// The robot lacks skills that the role needs.
@@ -166,7 +167,7 @@ pub enum RefusalReason {
 impl RefusalReason {
     /// Checks whether the refusal is permanent for this mission: nothing that the robot does
     /// meanwhile changes it.
-    pub fn is_permanent(&self) -> bool {
+    pub(super) fn is_permanent(&self) -> bool {
         match self {
             RefusalReason::MissingSkills { .. }
             | RefusalReason::NotFeasible { .. }
@@ -207,7 +208,7 @@ impl BidLimits {
 }
 
 /// Error: a bid is outside the limits.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, thiserror::Error)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema, thiserror::Error)]
 #[serde(rename_all = "snake_case")]
 pub enum ViabilityError {
     /// The plan would take too long.

@@ -3,11 +3,12 @@
 use super::bid::{AuctionId, BidPart, RefusalReason, ViabilityError};
 use crate::ids::{RobotId, RoleId};
 use crate::units::Seconds;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Replies and decision of an auction.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct AuctionRecord {
     /// Round of the auction.
     pub auction: AuctionId,
@@ -25,15 +26,15 @@ pub struct AuctionRecord {
 
 impl AuctionRecord {
     /// Maximum number of replies in a record.
-    pub const ENTRIES_MAX: usize = 256;
+    pub(super) const ENTRIES_MAX: usize = 256;
 
     /// Approximate maximum size of the parts of all bids in a record, in bytes: the ledger stores a
     /// record for each mission. Enough for about ten bids of a dozen steps.
-    pub const PARTS_BYTES_MAX: usize = 8 * 1024;
+    pub(super) const PARTS_BYTES_MAX: usize = 8 * 1024;
 }
 
 /// Reply of a robot for a role, with its verdict.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct AuctionEntry {
     /// Role.
     pub role: RoleId,
@@ -48,7 +49,7 @@ pub struct AuctionEntry {
 }
 
 /// Verdict on a robot's reply.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BidVerdict {
     /// The bid is within the limits.

@@ -3,7 +3,8 @@
 //! The table and [`Key::info`] are generated from the same lines, and the compiler ensures that no
 //! kind of key is missing.
 
-use super::{ApiCall, BodyCall, Key, PeopleCall, RaftCall};
+use super::call::{ApiCall, BodyCall, PeopleCall, RaftCall};
+use super::key::Key;
 use serde::Serialize;
 
 /// Description of a kind of key.

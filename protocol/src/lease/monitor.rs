@@ -1,8 +1,8 @@
 //! Coordinator's side of a lease: detects that the holder has certainly stopped.
 
-use super::{Epoch, LeaseTerms};
+use super::award::Epoch;
+use super::terms::LeaseTerms;
 use crate::ids::RobotId;
-use crate::mutants::{self, Mutant};
 use crate::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -64,9 +64,7 @@ impl LeaseMonitor {
     /// Checks whether the holder has certainly suspended by now, so that the role may be awarded to
     /// another robot.
     pub fn has_expired(&self, epoch: Epoch, robot: &RobotId, now: NodeTime) -> bool {
-        let certain_after = self.terms.lease + self.terms.grace;
-        self.since_contact(epoch, robot, now)
-            > if mutants::is_active(Mutant::EarlyRelease) { certain_after / 3 } else { certain_after }
+        self.since_contact(epoch, robot, now) > self.terms.lease + self.terms.grace
     }
 
     /// Drops awards that are not in `live`.

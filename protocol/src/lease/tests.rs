@@ -1,4 +1,14 @@
 use super::*;
+use crate::plan::LocalPlan;
+use std::time::Duration;
+
+impl RoleLease {
+    /// Returns the end of the lease. `None` without an award, or if the award was restored after a
+    /// restart and is not confirmed yet.
+    fn expires_at(&self) -> Option<NodeTime> {
+        self.held.as_ref().filter(|held| held.phase != Phase::Restored).map(|held| held.until)
+    }
+}
 
 fn at(ms: u64) -> NodeTime {
     NodeTime::at(Duration::from_millis(ms))

@@ -13,27 +13,11 @@
 //!
 //! A step has happened if its role reported it, or if any role reported a step that comes after it.
 
-use super::entry::{MissionEntry, RolePhase};
-use crate::ids::{ItemId, PlaceId, RobotId, RoleId};
+use super::entry::{HeldItem, MissionEntry, RolePhase};
+use crate::ids::{ItemId, RoleId};
 use crate::mission::RoleKind;
 use crate::plan::{ItemMove, Signal, StepAction, StepIndex, item_moves};
-use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
-
-/// Item in the custody of a robot, while a mission is active or waits for a person.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct HeldItem {
-    /// The item.
-    pub item: ItemId,
-    /// Role in which the robot received the item.
-    pub role: RoleId,
-    /// Robot that has the item.
-    pub robot: RobotId,
-    /// Last known place of that robot.
-    pub place: Option<PlaceId>,
-    /// True if it is certain that the robot has the item.
-    pub certain: bool,
-}
 
 /// Steps of each role that have happened.
 type Happened<'a> = BTreeMap<&'a RoleId, BTreeSet<StepIndex>>;

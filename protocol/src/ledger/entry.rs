@@ -1,143 +1,29 @@
 //! Ledger entry of a mission.
 
-use super::custody::HeldItem;
+use super::submission::{Priority, Submission};
 use crate::auction::AuctionRecord;
-use crate::ids::{MissionId, RequestId, RobotId, RoleId};
+use crate::ids::{ItemId, MissionId, PlaceId, RobotId, RoleId};
 use crate::lease::{Epoch, RoleHolder};
 use crate::mission::{LostItem, Mission, RoleKind};
 use crate::plan::{Division, LocalPlan, Signal, StepAction, StepIndex};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
-use std::time::Duration;
 
-/// Mission request, checked and divided.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Submission {
-    /// Identifier of the request, chosen by the client: a repeated request is answered again and
-    /// executed once.
-    pub request: RequestId,
-    /// Mission to execute.
-    pub mission: Mission,
-    /// Local plans of the roles; proven free of deadlock before submission.
-    pub division: Division,
-    /// Parameter values given by the client, for display.
-    pub parameters: BTreeMap<String, String>,
-    /// Branch to execute if a robot is lost that has an item.
-    pub recovery: Option<RecoveryBranch>,
-    /// Priority. Of two waiting missions the mission with higher priority is served first, then the
-    /// earlier mission.
-    pub priority: Priority,
-    /// Deadline: milliseconds since 1970 on the accepting coordinator's wall clock. Deadlines rely
-    /// on the wall clocks of coordinators; leases never do.
-    pub deadline_ms: Option<u64>,
-    /// Time of submission: milliseconds on the accepting coordinator's wall clock. For display; it
-    /// affects no decision.
-    pub at_ms: u64,
-}
-
-impl Submission {
-    /// Creates a plain request: no recovery branch, default priority, no deadline, submitted at 0.
-    pub fn of(request: RequestId, mission: Mission, division: Division) -> Submission {
-        Submission {
-            request,
-            mission,
-            division,
-            parameters: BTreeMap::new(),
-            recovery: None,
-            priority: Priority::default(),
-            deadline_ms: None,
-            at_ms: 0,
-        }
-    }
-}
-
-/// Recovery branch of a mission, divided and proven like the mission itself.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct RecoveryBranch {
-    /// Mission to execute.
-    pub mission: Mission,
-    /// Local plans of the roles.
-    pub division: Division,
-}
-
-impl RecoveryBranch {
-    /// Returns the branch with the lost item substituted; `None` if the branch uses a value that is
-    /// not known.
-    fn filled(&self, lost: &LostItem) -> Option<RecoveryBranch> {
-        let mut division = self.division.clone();
-        for plan in division.plans.values_mut() {
-            for step in &mut plan.steps {
-                if let StepAction::Task { spec, .. } = &mut step.action {
-                    *spec = lost.substitute(spec.clone())?;
-                }
-            }
-            for (_, spec) in plan.alternatives.iter_mut().flat_map(|other| &mut other.tasks) {
-                *spec = lost.substitute(spec.clone())?;
-            }
-        }
-        Some(RecoveryBranch { mission: lost.substitute_mission(self.mission.clone())?, division })
-    }
-}
-
-/// Priority of a mission: -100 to 100, higher first.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(try_from = "i8", into = "i8")]
-pub struct Priority(i8);
-
-/// Error: a number is outside the range of priorities.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("{0} is not a valid priority; allowed are -100 to 100, and higher priorities are served first")]
-pub struct PriorityError(i64);
-
-impl Priority {
-    /// Creates a priority from a number.
-    ///
-    /// # Errors
-    /// [`PriorityError`] if the number is outside -100 to 100.
-    pub fn new(number: i64) -> Result<Self, PriorityError> {
-        match i8::try_from(number) {
-            Ok(small @ -100..=100) => Ok(Priority(small)),
-            _ => Err(PriorityError(number)),
-        }
-    }
-
-    /// Returns the number.
-    pub fn get(self) -> i8 {
-        self.0
-    }
-}
-
-/// Maximum time until a deadline: ten years, in seconds.
-const ALLOWED_MAX_S: f64 = 315_360_000.0;
-
-/// Error: the time until a deadline is not positive, or too long. Nothing was requested.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("the time must be more than 0 and at most {ALLOWED_MAX_S} seconds")]
-pub struct DeadlineError;
-
-/// Parses the time until a deadline, in seconds from now.
-///
-/// # Errors
-/// [`DeadlineError`] if the value is not a time, has passed, or is longer than ten years.
-pub fn time_until_deadline(seconds: f64) -> Result<Duration, DeadlineError> {
-    match Duration::try_from_secs_f64(seconds) {
-        Ok(time) if seconds > 0.0 && seconds <= ALLOWED_MAX_S => Ok(time),
-        _ => Err(DeadlineError),
-    }
-}
-
-impl TryFrom<i8> for Priority {
-    type Error = PriorityError;
-    fn try_from(number: i8) -> Result<Self, PriorityError> {
-        Priority::new(number.into())
-    }
-}
-
-impl From<Priority> for i8 {
-    fn from(priority: Priority) -> i8 {
-        priority.0
-    }
+/// Item in the custody of a robot, while a mission is active or waits for a person.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct HeldItem {
+    /// The item.
+    pub item: ItemId,
+    /// Role in which the robot received the item.
+    pub role: RoleId,
+    /// Robot that has the item.
+    pub robot: RobotId,
+    /// Last known place of that robot.
+    pub place: Option<PlaceId>,
+    /// True if it is certain that the robot has the item.
+    pub certain: bool,
 }
 
 /// Mission in the ledger.
@@ -163,17 +49,17 @@ pub struct MissionEntry {
     /// Awards in force when the recovery branch was taken, until the roles of that branch are
     /// awarded: their holders may act on them until their leases expire.
     pub former_holders: Vec<RoleHolder>,
-    /// Releases of roles, oldest first; at most [`RELEASES_KEPT`].
+    /// Releases of roles, oldest first; at most 16.
     pub releases: Vec<RoleRelease>,
     /// Total number of releases.
     pub release_count: u32,
 }
 
 /// Maximum number of releases kept for display.
-pub const RELEASES_KEPT: usize = 16;
+pub(super) const RELEASES_KEPT: usize = 16;
 
 /// Branch of a mission that is executed.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Branch {
     /// The mission as requested.
@@ -195,7 +81,7 @@ impl Branch {
 }
 
 /// Release of a role from a robot.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RoleRelease {
     /// Role released.
     pub role: RoleId,
@@ -211,7 +97,7 @@ pub struct RoleRelease {
 }
 
 /// State of a mission.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum MissionState {
     /// At least 1 managed role is open.
@@ -291,7 +177,7 @@ impl RoleEntry {
 }
 
 /// Phase of a role.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RolePhase {
     /// No robot holds it.

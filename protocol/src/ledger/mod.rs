@@ -20,14 +20,13 @@
 //! continues with that branch. The module `custody` computes which robot has which item.
 
 mod apply;
+mod command;
 mod custody;
 mod entry;
 mod loss;
+mod submission;
 
-pub use apply::{Command, CommandError, CommandOutcome, HISTORY_MAX, Ledger};
-pub use custody::HeldItem;
-pub use entry::{
-    Branch, DeadlineError, MissionEntry, MissionState, Priority, PriorityError, RELEASES_KEPT, RecoveryBranch,
-    RoleAssignment, RoleEntry, RolePhase, RoleRelease, Submission, time_until_deadline,
-};
-pub use loss::RELEASES_MAX;
+pub use apply::Ledger;
+pub use command::{Command, CommandError, CommandOutcome};
+pub use entry::{Branch, HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, RoleRelease};
+pub use submission::{DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, time_until_deadline};

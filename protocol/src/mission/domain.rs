@@ -5,8 +5,9 @@
 //! domain contains no information on the implementation or the cost of a task: skills have that
 //! information.
 
-use super::diagnostic::{AllowedNames, MissionErrorKind};
+use super::diagnostic::MissionErrorKind;
 use crate::ids::{PlaceId, TaskType};
+use consort_text::AllowedNames;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -143,33 +144,5 @@ impl Domain {
     /// Returns the task types, in the order of their names.
     pub fn task_types(&self) -> impl Iterator<Item = &TaskType> {
         self.types.keys()
-    }
-
-    /// Returns the task types of service robots in a hospital, which the shipped missions use.
-    pub fn hospital() -> Self {
-        use ValueKind::{OneOf, Place, Role, Seconds, Text};
-        let position = || OneOf(["open", "close"].map(str::to_owned).into());
-        let task = TaskSchema::default;
-        [
-            ("navigation", task().required("to", Place)),
-            ("approach_person", task().optional("person_role", Role).optional("patience", Seconds)),
-            ("authenticate_person", task().optional("person_role", Role).optional("patience", Seconds)),
-            ("approach_robot", task().required("robot_role", Role)),
-            ("operate_drawer", task().required("action", position())),
-            ("operate_door", task().required("action", position()).optional("at", Place)),
-            ("deposit", task().optional("into_role", Role).optional("item", Text).optional("patience", Seconds)),
-            ("pick_up", task().required("from_role", Role).optional("item", Text)),
-            ("carry", task().required("to", Place).optional("item", Text)),
-            ("disinfect", task().optional("at", Place)),
-            ("wait", task().required("seconds", Seconds)),
-            ("follow_path", task().required("waypoints", Text)),
-            ("grasp", task().required("object", Text)),
-            ("dock", task().optional("charger", Place)),
-            ("undock", task()),
-        ]
-        .into_iter()
-        .fold(Self::default(), |domain, (name, schema)| {
-            domain.with(TaskType::new(name).expect("the domain's own names are slugs"), schema)
-        })
     }
 }

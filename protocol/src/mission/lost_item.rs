@@ -12,13 +12,13 @@ use serde::{Deserialize, Serialize};
 
 /// Item lost together with a robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LostItem {
+pub(crate) struct LostItem {
     /// Item that the lost robot has or may have; of several items the first by name.
-    pub item: ItemId,
+    pub(crate) item: ItemId,
     /// Robot that was lost.
-    pub robot: RobotId,
+    pub(crate) robot: RobotId,
     /// Last known place of the robot.
-    pub place: Option<PlaceId>,
+    pub(crate) place: Option<PlaceId>,
 }
 
 pub(super) const ITEM: &str = "\u{1a}item\u{1a}";
@@ -42,7 +42,7 @@ impl LostItem {
     /// Substitutes the values of the loss into a task. `None` if the task uses a value that is not
     /// known.
     #[must_use]
-    pub fn substitute(&self, mut spec: TaskSpec) -> Option<TaskSpec> {
+    pub(crate) fn substitute(&self, mut spec: TaskSpec) -> Option<TaskSpec> {
         for value in spec.parameters.values_mut().chain(spec.reaches.values_mut()) {
             if value.contains(PLACE) {
                 *value = value.replace(PLACE, self.place.as_ref()?.as_str());
@@ -55,7 +55,7 @@ impl LostItem {
     /// Substitutes the values of the loss into each task of a mission. `None` if a task uses a
     /// value that is not known.
     #[must_use]
-    pub fn substitute_mission(&self, mut mission: Mission) -> Option<Mission> {
+    pub(crate) fn substitute_mission(&self, mut mission: Mission) -> Option<Mission> {
         for node in &mut mission.tasks {
             match &mut node.body {
                 TaskBody::Elementary(spec) => *spec = self.substitute(spec.clone())?,

@@ -11,28 +11,33 @@
 //!
 //! ```text
 //! YAML, JSON ─► MissionTemplate ─ parameters, Domain ─► Mission ─► plan::divide
-//! flat iHTN ─────────────────────── IhtnReading ──────────▲
+//! flat iHTN ────────────────────────── import_ihtn ───────▲
 //! network ─────────────────────── Mission::check ─────────┘
 //! ```
 
+mod bits;
 mod diagnostic;
 mod domain;
 mod file;
 mod ihtn;
+mod limits;
 mod lost_item;
 mod model;
-mod request;
-mod shipped;
+mod order;
+mod structure;
+#[cfg(test)]
+pub(crate) mod test_data;
 mod validate;
 
-pub use diagnostic::{AllowedNames, MissionDiagnostic, MissionErrorKind, MissionErrors};
+pub(crate) use bits::Bits;
+pub use diagnostic::{IhtnError, MissionDiagnostic, MissionErrorKind, MissionErrors};
 pub use domain::{Domain, ParameterSchema, TaskSchema, ValueKind};
-pub use file::{FILE_BYTES_MAX, Format, MissionFileError, MissionTemplate, TemplateKind, TemplateParameter};
-pub use ihtn::{IhtnError, IhtnOptions, import_ihtn};
-pub use lost_item::LostItem;
+pub use file::{Format, MissionFileError, MissionTemplate, TemplateKind, TemplateParameter};
+pub use ihtn::{IhtnOptions, import_ihtn};
+pub use limits::FILE_BYTES_MAX;
+pub(crate) use lost_item::LostItem;
 pub use model::{
-    ATTEMPTS, ATTEMPTS_MAX, AlternativeMethod, Method, Mission, OnLoss, Role, RoleKind, TaskBody, TaskIndex, TaskNode,
-    TaskOrder, TaskSpec,
+    ATTEMPTS_MAX, AlternativeMethod, Method, Mission, OnLoss, Role, RoleKind, TaskBody, TaskIndex, TaskNode, TaskOrder,
+    TaskSpec,
 };
-pub use shipped::shipped;
-pub use validate::{DEPTH_MAX, ENTRIES_MAX, JOINT_MAX, ROLES_MAX, TASKS_MAX, VALUE_CHARS_MAX};
+pub use order::GlobalOrder;

@@ -62,7 +62,7 @@ pub enum RoleKind {
 }
 
 /// Node of the tree.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TaskNode {
     /// Name, unique within the mission.
     pub id: TaskId,
@@ -71,7 +71,7 @@ pub struct TaskNode {
 }
 
 /// Content of a task.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum TaskBody {
     /// Refined by a method.
     Abstract(Method),
@@ -80,7 +80,7 @@ pub enum TaskBody {
 }
 
 /// Refinement of an abstract task.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Method {
     /// Order of its tasks.
     pub order: TaskOrder,
@@ -94,7 +94,7 @@ pub struct Method {
 /// Alternative to a method. It is *local*: a single managed role executes every elementary task
 /// below the method and every task of its alternatives, and none of them touches an item. So a role
 /// may switch to it without coordination with other roles.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct AlternativeMethod {
     /// Tasks, executed in sequence; never empty.
     pub tasks: Vec<(TaskId, TaskSpec)>,
@@ -111,7 +111,7 @@ pub enum TaskOrder {
 }
 
 /// Specification of an elementary task: the goal, not the implementation.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TaskSpec {
     /// Type, which is the name of the skill that executes it.
     #[serde(rename = "type")]
@@ -133,13 +133,13 @@ pub struct TaskSpec {
     pub releases: BTreeSet<ItemId>,
     /// Maximum number of attempts before the task has failed permanently: 1 to [`ATTEMPTS_MAX`].
     /// Raised: transient errors cost time and not the role; permanent errors are detected later.
-    /// Default [`ATTEMPTS`] (a guess).
+    /// Default 2 (a guess).
     #[serde(default = "attempts")]
     pub attempts: u8,
 }
 
 /// Default number of attempts.
-pub const ATTEMPTS: u8 = 2;
+pub(crate) const ATTEMPTS: u8 = 2;
 /// Maximum number of attempts.
 pub const ATTEMPTS_MAX: u8 = 10;
 
@@ -205,7 +205,7 @@ impl Mission {
     }
 
     /// Returns the names of all tasks, including those of alternatives.
-    pub fn task_names(&self) -> impl Iterator<Item = &TaskId> {
+    pub(crate) fn task_names(&self) -> impl Iterator<Item = &TaskId> {
         self.tasks.iter().flat_map(|node| {
             let others: &[AlternativeMethod] = match &node.body {
                 TaskBody::Abstract(method) => &method.alternatives,

@@ -34,9 +34,8 @@
 use super::alternatives::alternatives;
 use super::guards::guarded_steps;
 use super::local::{Division, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
-use super::order::GlobalOrder;
 use crate::ids::RoleId;
-use crate::mission::{Mission, MissionErrors};
+use crate::mission::{Bits, GlobalOrder, Mission, MissionErrors};
 use std::collections::BTreeMap;
 
 /// Divides a mission into 1 plan for each of its roles, including the unmanaged roles.
@@ -111,7 +110,7 @@ impl<'m> Preconditions<'m> {
 fn precondition_of<'m>(order: &GlobalOrder<'m>, task: usize, role: &'m RoleId) -> Precondition<'m> {
     let mut precondition = Precondition::default();
     let partners = &order.spec(task).roles;
-    let mut known = super::bits::Bits::below(order.len()); // tasks known to have ended in all roles
+    let mut known = Bits::below(order.len()); // tasks known to have ended in all roles
     let own = order.before(task).descending().filter(|earlier| order.spec(*earlier).roles.contains(role));
     for earlier in own {
         if !known.contains(earlier) {

@@ -24,9 +24,8 @@
 //! the role is held.
 
 use super::local::{Division, Signal, SignalKind, StepAction, StepIndex};
-use super::order::GlobalOrder;
 use crate::ids::{ItemId, RoleId, TaskId};
-use crate::mission::{Mission, MissionErrors, RoleKind};
+use crate::mission::{GlobalOrder, Mission, MissionErrors, RoleKind};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Task that moves an item.

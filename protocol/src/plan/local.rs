@@ -2,6 +2,7 @@
 
 use crate::ids::{RoleId, TaskId};
 use crate::mission::TaskSpec;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -72,7 +73,7 @@ pub enum StepAction {
 
 /// Message between two roles of a mission. It is sent once by `from` and awaited once by `to`. Its
 /// name is unique together with the mission's id.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 pub struct Signal {
     /// Kind of signal.
     pub kind: SignalKind,
@@ -85,7 +86,7 @@ pub struct Signal {
 }
 
 /// Meaning of a signal.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum SignalKind {
     /// The sender has ended its part in the task.

@@ -12,17 +12,14 @@
 //! ```
 
 mod alternatives;
-mod bits;
 mod check;
 mod divide;
 mod guards;
 mod local;
-mod order;
 mod progress;
 
 pub use check::{DivisionError, DivisionViolation, DivisionViolations, check_division, divide_and_check};
 pub use divide::divide;
 pub use guards::{ItemMove, item_moves};
 pub use local::{Alternative, Division, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
-pub use order::GlobalOrder;
 pub use progress::{PlanProgress, ProgressError, StepNotPermitted};

@@ -5,9 +5,8 @@
 //! only permitted steps, a single step at a time, never waits forever.
 
 use super::local::{Alternative, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
-use crate::count::count;
 use crate::ids::{RoleId, TaskId};
-use crate::mutants::{self, Mutant};
+use consort_text::count;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -111,9 +110,7 @@ impl PlanProgress {
         if let Some(signal) = received.iter().find(|signal| !awaited.contains(signal)) {
             return Err(ProgressError::NotAwaited { signal: signal.clone() });
         }
-        let known = waits(&plan).filter(|(step, signal)| {
-            ended.contains(step) || received.contains(signal) || mutants::is_active(Mutant::WaitSkipped)
-        });
+        let known = waits(&plan).filter(|(step, signal)| ended.contains(step) || received.contains(signal));
         let received = known.map(|(step, _)| step).collect();
         Ok(Self { plan: Arc::new(plan), ended, received })
     }
@@ -219,7 +216,7 @@ impl PlanProgress {
     /// steps that have ended so far. `known` are the steps of this plan that the ledger is known to
     /// contain.
     pub fn is_guard_met(&self, step: StepIndex, known: &BTreeSet<StepIndex>) -> bool {
-        mutants::is_active(Mutant::GuardSkipped) || !self.plan.guarded.contains(&step) || self.ended.is_subset(known)
+        !self.plan.guarded.contains(&step) || self.ended.is_subset(known)
     }
 
     /// Returns the same as [`next`](Self::next), restricted to steps with a [met

@@ -44,15 +44,22 @@ impl fmt::Debug for Fingerprint {
 }
 
 impl FromStr for Fingerprint {
-    type Err = String;
+    type Err = FingerprintError;
 
-    fn from_str(text: &str) -> Result<Fingerprint, String> {
-        let problem = || format!("{text:?} is not a fingerprint: it must have {} hexadecimal digits", 2 * FINGERPRINT);
+    fn from_str(text: &str) -> Result<Fingerprint, FingerprintError> {
+        let problem = || FingerprintError { text: text.to_owned() };
         let valid =
             text.len() == 2 * FINGERPRINT && text.bytes().all(|c| c.is_ascii_digit() || (b'a'..=b'f').contains(&c));
         let number = valid.then(|| u128::from_str_radix(text, 16).ok()).flatten();
         number.map(|number| Fingerprint(number.to_be_bytes())).ok_or_else(problem)
     }
+}
+
+/// Error: a text is not a fingerprint.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{text:?} is not a fingerprint: it must have {} hexadecimal digits", 2 * FINGERPRINT)]
+pub struct FingerprintError {
+    text: String,
 }
 
 /// Kind of a signed message.
@@ -167,7 +174,7 @@ mod tests {
     #[test]
     fn a_fingerprint_reads_back() {
         assert_eq!(BY.to_string().parse(), Ok(BY));
-        assert!("07".parse::<Fingerprint>().unwrap_err().contains("32 hexadecimal digits"));
+        assert!("07".parse::<Fingerprint>().unwrap_err().to_string().contains("32 hexadecimal digits"));
         assert!("+7070707070707070707070707070707".parse::<Fingerprint>().is_err());
     }
 

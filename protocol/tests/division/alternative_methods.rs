@@ -1,9 +1,11 @@
 //! Random missions with alternatives: other roles are not affected.
 
+use crate::domain;
 use crate::properties::{run_from, small_trees, trees};
-use crate::support::{Explored, Team, Tree, explore_from, mission, reference_order};
+use crate::team::{Explored, Team, explore_from};
+use crate::trees::{Tree, mission, reference_order};
 use consort_protocol::ids::{RoleId, TaskId};
-use consort_protocol::mission::{AlternativeMethod, Domain, Mission, RoleKind, TaskBody};
+use consort_protocol::mission::{AlternativeMethod, Mission, RoleKind, TaskBody};
 use consort_protocol::plan::{DivisionError, DivisionViolation, check_division, divide_and_check};
 use proptest::prelude::*;
 
@@ -86,7 +88,7 @@ fn only_local_methods_may_have_alternatives() {
     let TaskBody::Elementary(other) = mission.tasks[1].body.clone() else { panic!("a task") };
     let TaskBody::Abstract(method) = &mut mission.tasks[0].body else { panic!("the root") };
     method.alternatives = vec![AlternativeMethod { tasks: vec![(TaskId::new("other").unwrap(), other)] }];
-    let diagnostic = mission.check(&Domain::hospital()).unwrap_err().diagnostics[0].to_string();
+    let diagnostic = mission.check(&domain()).unwrap_err().diagnostics[0].to_string();
     assert_eq!(
         diagnostic,
         "root: has alternatives, so a single managed role must execute its tasks and theirs, and none may touch an item; but t1 is \

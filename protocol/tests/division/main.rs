@@ -1,7 +1,17 @@
 //! Division of missions into local plans, and the execution of these plans.
 
 mod alternative_methods;
-mod known_missions;
+mod hard_missions;
 mod moved_items;
 mod properties;
-mod support;
+mod removed_signals;
+mod team;
+mod team_inspection;
+mod trees;
+
+use consort_protocol::mission::Domain;
+
+/// The domain of this crate's tests.
+fn domain() -> Domain {
+    serde_saphyr::from_str(include_str!("../data/domain.yaml")).expect("a domain")
+}

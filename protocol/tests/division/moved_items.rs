@@ -1,13 +1,15 @@
 //! Random missions that move items: an item moves only when the ledger contains enough steps to
 //! show that it may have moved.
 
+use crate::domain;
 use crate::properties::{SeededRng, run_from, small_trees, trees};
-use crate::support::{Event, Explored, Team, Tree, explore_from, mission, reference_order};
+use crate::team::{Event, Explored, Team, explore_from};
+use crate::trees::{Tree, mission, reference_order};
 use consort_protocol::auction::{AuctionId, AuctionRecord};
 use consort_protocol::ids::{ItemId, RequestId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Branch, Command, Ledger, RolePhase, Submission};
-use consort_protocol::mission::{Domain, Mission, RoleKind, TaskBody};
+use consort_protocol::mission::{Mission, RoleKind, TaskBody};
 use consort_protocol::plan::{
     Division, DivisionError, DivisionViolation, check_division, divide_and_check, item_moves,
 };
@@ -173,7 +175,7 @@ fn unordered_moves_of_an_item_are_rejected_and_both_tasks_named() {
             spec.releases.insert(ItemId::new("sample").unwrap());
         }
     }
-    let problems = mission.check(&Domain::hospital()).unwrap_err().diagnostics;
+    let problems = mission.check(&domain()).unwrap_err().diagnostics;
     let custody: Vec<String> = problems.iter().map(ToString::to_string).collect();
     assert_eq!(
         custody,

@@ -1,12 +1,12 @@
 //! Random missions: the divided mission is executed correctly in any order of events.
 
-use crate::support::{
-    Explored, Sequence, Task, Team, Tree, Unordered, explore_all_states, leaves, mission, reference_order, signals,
-    without_signal, without_step,
-};
+use crate::removed_signals::{signals, without_signal, without_step};
+use crate::team::{Explored, Team, explore_all_states};
+use crate::trees::{Sequence, Task, Tree, Unordered, leaves, mission, reference_order};
+use consort_protocol::mission::GlobalOrder;
 use consort_protocol::plan::{
-    Division, DivisionError, DivisionViolation, GlobalOrder, PlanProgress, SignalKind, StepAction, StepIndex,
-    check_division, divide, divide_and_check,
+    Division, DivisionError, DivisionViolation, PlanProgress, SignalKind, StepAction, StepIndex, check_division,
+    divide, divide_and_check,
 };
 use proptest::prelude::*;
 use proptest::sample::subsequence;
@@ -113,7 +113,7 @@ proptest! {
                 let mut known: BTreeSet<usize> =
                     step.after.iter().flat_map(|sooner| before[*sooner as usize].clone()).collect();
                 if let StepAction::Task { id, .. } = &step.action {
-                    let task = crate::support::number(id);
+                    let task = crate::team::number(id);
                     prop_assert!(known.iter().all(|earlier| slow[*earlier][task]), "{}", id);
                     known.insert(task);
                 }

@@ -79,17 +79,18 @@ mod tests {
     use super::super::travel::TravelSettings;
     use super::*;
     use consort_protocol::ids::TaskType;
-    use consort_protocol::mission::{Domain, shipped as missions};
     use consort_protocol::plan::divide_and_check;
     use consort_skills::descriptor::DescriptorRegistry;
+    use consort_skills::domain::hospital;
     use consort_skills::environment::{Environment, Routes};
+    use consort_skills::missions::shipped as missions;
 
     #[test]
     fn success_depends_on_battery_skills_and_drawn_drives() {
         let design = shipped("published").unwrap().unwrap();
         let scenario = scenarios(&design).remove(0);
         let parameters = scenario.parameters(&design.mission).unwrap();
-        let mission = missions()["lab-samples"].instantiate(&parameters, &Domain::hospital()).unwrap();
+        let mission = missions()["lab-samples"].instantiate(&parameters, &hospital()).unwrap();
         let plan =
             divide_and_check(&mission).unwrap().plans[&"r1".parse::<consort_protocol::ids::RoleId>().unwrap()].clone();
         let map = consort_world::map::shipped("hospital").unwrap();

@@ -9,8 +9,8 @@
 //!   drawn from the drives to the same place, else from the same place, else from all drives. The
 //!   estimate scales it in each case.
 
-use consort_protocol::count::count;
 use consort_protocol::ids::PlaceId;
+use consort_text::count;
 use rand::RngExt;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;

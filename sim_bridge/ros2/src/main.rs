@@ -148,7 +148,7 @@ impl ConnectionArgs {
         let map = if map::SHIPPED.contains(&self.map.as_str()) {
             map::shipped(&self.map)?
         } else {
-            map::load(Path::new(&self.map))?
+            consort_map_import::load(Path::new(&self.map))?
         };
         let bus = ZenohBus::open(ZenohSettings { connect: self.connect.clone(), ..ZenohSettings::default() }).await?;
         if bus.wait_connected(LINK_WARNING_AFTER).await.is_empty() {

@@ -8,7 +8,10 @@
 pub mod kinematics;
 pub mod map;
 pub mod record;
+mod shared;
 pub mod space;
 pub mod suggest;
 pub mod swarm;
 pub mod world;
+
+pub use shared::SharedWorld;

@@ -4,7 +4,7 @@
 //! node remaps it to a key of the enclosing tree. Scopes are resolved when a tree is checked. A
 //! port then holds the index of its entry, and two remapped keys share an entry.
 
-use super::ports::PortConstraint;
+use super::manifest::PortConstraint;
 use super::value::{PortType, PortValue, Value, ValueError};
 
 /// Index of an entry in its blackboard.

@@ -3,8 +3,9 @@
 use super::control::{MemoryControl, Parallel, ReactiveControl};
 use super::decorator::{ForEach, LoopNode, MapResult, Timeout};
 use super::leaf::{ConstantNode, LeafNode, SleepLeaf};
+use super::manifest::{NodeKind, NodeManifest, PortSpec};
 use super::node::{ChildNode, Node};
-use super::ports::{NodeKind, NodeManifest, PortSpec, Ports};
+use super::ports::Ports;
 use super::status::NodeStatus;
 use super::value::PortType;
 

@@ -1,10 +1,11 @@
 //! Checks a description node by node, and expands its sub-trees.
 
 use super::blackboard::{Blackboard, EntryId};
-use super::blueprint::{CheckedNode, MAX_DEPTH, MAX_NODES, NodeImpl, TreeInput};
 use super::builtin::Builtin;
+use super::checked_node::{CheckedNode, MAX_DEPTH, MAX_NODES, NodeImpl, TreeInput};
 use super::error::{TreeError, TreeErrorKind};
-use super::ports::{NodeKind, NodeManifest, PortBinding, PortDirection, PortPresence, PortSpec, Ports, join_names};
+use super::manifest::{NodeKind, NodeManifest, PortDirection, PortPresence, PortSpec, join_names};
+use super::ports::{PortBinding, Ports};
 use super::registry::Registry;
 use super::spec::{NodeSpec, TreeSpec};
 use super::value::Value;

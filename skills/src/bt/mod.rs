@@ -28,11 +28,13 @@
 mod blackboard;
 mod blueprint;
 mod builtin;
+mod checked_node;
 mod control;
 mod decorator;
 mod error;
 mod expand;
 mod leaf;
+mod manifest;
 mod node;
 mod ports;
 mod registry;
@@ -47,11 +49,13 @@ pub mod xml;
 mod tests;
 
 pub use blackboard::{Blackboard, BlackboardError};
-pub use blueprint::{Blueprint, MAX_DEPTH, MAX_NODES, TreeInput};
+pub use blueprint::Blueprint;
+pub use checked_node::{MAX_DEPTH, MAX_NODES, TreeInput};
 pub use error::{TreeError, TreeErrorKind};
 pub use leaf::{Leaf, SyncLeaf};
-pub(crate) use ports::join_names;
-pub use ports::{NodeKind, NodeManifest, PortConstraint, PortDirection, PortError, PortPresence, PortSpec, Ports};
+pub(crate) use manifest::join_names;
+pub use manifest::{NodeKind, NodeManifest, PortConstraint, PortDirection, PortPresence, PortSpec};
+pub use ports::{PortError, Ports};
 pub use registry::{Registry, RegistryError};
 pub use spec::{
     NodeSpec, TreeSpec, fallback, inverter, parallel, reactive_fallback, reactive_sequence, repeat, retry, sequence,

@@ -1,11 +1,8 @@
 //! The registry of leaves for trees.
 
-use super::blueprint::Blueprint;
 use super::builtin::Builtin;
-use super::error::TreeError;
 use super::leaf::{Leaf, SyncLeaf};
-use super::ports::{NodeKind, NodeManifest, PortSpec, join_names};
-use super::spec::TreeSpec;
+use super::manifest::{NodeKind, NodeManifest, PortSpec, join_names};
 use super::tick::{Cause, LeafContext};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -86,14 +83,6 @@ impl<C> Registry<C> {
     ) -> Result<(), RegistryError> {
         let manifest = NodeManifest::new(id, NodeKind::Condition, ports);
         self.register(manifest, move |_| Box::new(SyncLeaf(check.clone())))
-    }
-
-    /// Checks a description against the registered nodes.
-    ///
-    /// # Errors
-    /// [`TreeError`] for the first mistake, with its position and the allowed values.
-    pub fn check(&self, spec: &TreeSpec) -> Result<Blueprint<C>, TreeError> {
-        Blueprint::check(spec, self)
     }
 
     /// Manifests of the registered leaves, without the built-in nodes.

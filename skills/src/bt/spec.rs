@@ -1,6 +1,6 @@
 //! Tree descriptions, read from a file or built in Rust. Not yet checked.
 
-use super::ports::NodeKind;
+use super::manifest::NodeKind;
 use std::collections::BTreeMap;
 
 /// A main tree and its sub-trees.

@@ -1,8 +1,8 @@
 //! A running tree.
 
 use super::blackboard::{Blackboard, BlackboardError, EntryId};
+use super::manifest::join_names;
 use super::node::ChildNode;
-use super::ports::join_names;
 use super::status::NodeStatus;
 use super::tick::{Cause, MAX_LOOP_ITERATIONS_PER_TICK, Tick, TreeState};
 use super::value::{PortValue, Value};

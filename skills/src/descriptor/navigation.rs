@@ -1,20 +1,20 @@
 //! Drives: the length of the shortest route over the average speed, with delays on the route as far
 //! as the environment describes them.
 
-use super::{Estimate, EstimateContext, EstimateError, SkillDescriptor, parsed};
+use super::estimate::{Estimate, EstimateContext, EstimateError, SkillDescriptor, parsed};
 use crate::environment::{Environment, EnvironmentDescriptor, Passages, Routes};
 use consort_protocol::ids::{PlaceId, TaskType};
 use consort_protocol::mission::TaskSpec;
 
 /// A drive to the place in parameter `to`.
 #[derive(Debug, Clone)]
-pub struct NavigationDescriptor {
+pub(super) struct NavigationDescriptor {
     task_type: TaskType,
 }
 
 impl NavigationDescriptor {
     /// Creates the descriptor of a task type.
-    pub fn new(task_type: TaskType) -> NavigationDescriptor {
+    pub(super) fn new(task_type: TaskType) -> NavigationDescriptor {
         NavigationDescriptor { task_type }
     }
 }

@@ -1,8 +1,8 @@
 //! Paths over points: their length over the average speed.
 
-use super::{Estimate, EstimateContext, EstimateError, SkillDescriptor, parsed};
+use super::estimate::{Estimate, EstimateContext, EstimateError, SkillDescriptor, parsed};
 use crate::environment::{Environment, EnvironmentDescriptor, Routes};
-use crate::skill::waypoints;
+use crate::waypoints::parse_points;
 use consort_protocol::ids::TaskType;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::pose::Pose;
@@ -10,13 +10,13 @@ use consort_protocol::units::Metres;
 
 /// A drive over the points in parameter `waypoints`, in straight lines from the robot's position.
 #[derive(Debug, Clone)]
-pub struct PathDescriptor {
+pub(super) struct PathDescriptor {
     task_type: TaskType,
 }
 
 impl PathDescriptor {
     /// Creates the descriptor of a task type.
-    pub fn new(task_type: TaskType) -> PathDescriptor {
+    pub(super) fn new(task_type: TaskType) -> PathDescriptor {
         PathDescriptor { task_type }
     }
 }
@@ -36,7 +36,7 @@ impl SkillDescriptor for PathDescriptor {
         context: &EstimateContext,
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
-        let points = parsed(task, "waypoints", |text| waypoints(text.split(';')))?;
+        let points = parsed(task, "waypoints", |text| parse_points(text.split(';')))?;
         let routes = environment.get::<Routes>()?;
         let start = context.pose.or(routes.pose(&context.place));
         let poses = start.into_iter().chain(points.into_iter().map(|(x, y)| Pose::new(x, y, 0.0)));

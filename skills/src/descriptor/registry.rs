@@ -1,9 +1,10 @@
 //! The descriptors of a robot, and the pricing of local plans with them.
 
-use super::{
-    EstimateContext, EstimateError, FixedDuration, NavigationDescriptor, PathDescriptor, RequestedDuration,
-    STEP_DURATION_S, SkillDescriptor,
-};
+use super::estimate::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
+use super::fixed::{FixedDuration, RequestedDuration, STEP_DURATION_S};
+use super::navigation::NavigationDescriptor;
+use super::path::PathDescriptor;
+use crate::bt::join_names;
 use crate::environment::Environment;
 use consort_protocol::auction::BidPart;
 use consort_protocol::ids::{TaskId, TaskType};
@@ -154,7 +155,7 @@ impl DescriptorRegistry {
                 wait: task_type_named(WAIT),
             })
         } else {
-            Err(ResolveError { missing, known: crate::bt::join_names(environment.kinds()) })
+            Err(ResolveError { missing, known: join_names(environment.kinds()) })
         }
     }
 }
@@ -206,12 +207,12 @@ impl Estimator {
     ///
     /// # Errors
     /// [`EstimateError`] if the task is impossible, cannot be estimated, or has no descriptor.
-    pub fn estimate(&self, task: &TaskSpec, context: &EstimateContext) -> Result<super::Estimate, EstimateError> {
+    pub fn estimate(&self, task: &TaskSpec, context: &EstimateContext) -> Result<Estimate, EstimateError> {
         match self.descriptors.get(&task.task_type) {
             Some(descriptor) => descriptor.estimate(task, context, &self.environment),
             None => Err(EstimateError::NoDescriptor {
                 task_type: task.task_type.clone(),
-                known: crate::bt::join_names(self.skills().map(TaskType::as_str)),
+                known: join_names(self.skills().map(TaskType::as_str)),
             }),
         }
     }
@@ -231,7 +232,7 @@ impl Estimator {
         skill: &TaskType,
         signal: &'s Signal,
         context: &EstimateContext,
-    ) -> (&'s TaskId, Result<super::Estimate, EstimateError>, TaskType, String) {
+    ) -> (&'s TaskId, Result<Estimate, EstimateError>, TaskType, String) {
         let spec = TaskSpec::of(skill.clone(), vec![signal.from.clone()]);
         (&signal.task, self.estimate(&spec, context), skill.clone(), signal.to_string())
     }

@@ -1,10 +1,13 @@
 //! Pricing on a small map; `tests/published_bids.rs` repeats the published evaluation.
 
+use super::navigation::NavigationDescriptor;
 use super::*;
-use crate::environment::{Edge, Routes, TopologicalMap};
-use consort_protocol::ids::{RoleId, TaskId};
+use crate::environment::{Edge, Environment, Routes, TopologicalMap};
+use consort_protocol::ids::{PlaceId, RoleId, TaskId, TaskType};
+use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::{LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::pose::Pose;
+use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 
 fn place(name: &str) -> PlaceId {
     PlaceId::new(name).unwrap()

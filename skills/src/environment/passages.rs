@@ -1,6 +1,6 @@
 //! Delays on the way: doors that open, lifts, speed limits.
 
-use super::EnvironmentDescriptor;
+use super::descriptor::EnvironmentDescriptor;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::{Metres, MetresPerSecond, Seconds};
 use std::collections::BTreeMap;

@@ -2,7 +2,8 @@
 //! place. If the person is absent, the skill waits for the seconds in parameter `patience`,
 //! or for two minutes.
 
-use super::{PersonGoalLeaf, StandardSkill, TaskContext};
+use super::context::{StandardSkill, TaskContext};
+use super::person_goal_leaf::PersonGoalLeaf;
 use crate::actions::Goal;
 use crate::bt::{Registry, RegistryError};
 

@@ -1,7 +1,8 @@
 //! `approach_robot`: approaches the robot that holds the role in parameter `robot_role`. Three
 //! attempts, a second apart.
 
-use super::{GoalLeaf, StandardSkill, TaskContext};
+use super::context::{StandardSkill, TaskContext};
+use super::goal_leaf::GoalLeaf;
 use crate::actions::Goal;
 use crate::bt::{PortSpec, PortType, Registry, RegistryError};
 

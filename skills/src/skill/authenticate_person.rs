@@ -2,7 +2,8 @@
 //! no second attempt after a rejection. If the person has stepped away, the skill waits for the
 //! seconds in parameter `patience`, or for two minutes.
 
-use super::{PersonGoalLeaf, StandardSkill, TaskContext};
+use super::context::{StandardSkill, TaskContext};
+use super::person_goal_leaf::PersonGoalLeaf;
 use crate::actions::Goal;
 use crate::bt::{Registry, RegistryError};
 

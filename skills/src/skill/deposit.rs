@@ -1,7 +1,9 @@
 //! `deposit`: puts the held object into the open drawer of the robot that holds the role in
 //! parameter `into_role` or, without the parameter, on the table of the place.
 
-use super::{GoalLeaf, StandardSkill, TaskContext, roles};
+use super::context::{StandardSkill, TaskContext};
+use super::goal_leaf::GoalLeaf;
+use super::roles;
 use crate::actions::Goal;
 use crate::bt::{PortSpec, PortType, Registry, RegistryError};
 

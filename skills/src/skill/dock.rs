@@ -1,7 +1,8 @@
 //! `dock` and `undock`: connects to the charger at the robot's place, which must be the charger in
 //! parameter `charger` if it is given, and disconnects from it.
 
-use super::{GoalLeaf, StandardSkill, TaskContext};
+use super::context::{StandardSkill, TaskContext};
+use super::goal_leaf::GoalLeaf;
 use crate::actions::Goal;
 use crate::bt::{PortSpec, PortType, Registry, RegistryError};
 

@@ -4,11 +4,13 @@
 //! The points are `x,y` in metres, separated by `;`: `6.0,2.5; 7.5,3.0`. The robot faces along the
 //! path. After a halt, the skill starts again with the first point.
 
-use super::{GoalLeaf, StandardSkill, TaskContext};
+use super::context::{StandardSkill, TaskContext};
+use super::goal_leaf::GoalLeaf;
 use crate::actions::{Goal, Waypoint};
 use crate::bt::{
     Cause, LeafContext, NodeKind, NodeManifest, PortSpec, PortType, PortValue, Registry, RegistryError, SyncLeaf, Value,
 };
+use crate::waypoints::parse_points;
 use consort_protocol::pose::Pose;
 
 pub(super) const SKILL: StandardSkill = StandardSkill {
@@ -23,7 +25,8 @@ fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     registry.register(NodeManifest::new("ComputePathHeadings", NodeKind::Action, ports), |_: &TaskContext| {
         Box::new(SyncLeaf(|leaf: &mut LeafContext<'_, '_>| {
             let texts: Vec<String> = leaf.read::<Vec<Value>>("points")?.iter().map(Value::to_string).collect();
-            let points = parse_points(texts.iter().map(String::as_str)).map_err(Cause::new)?;
+            let points =
+                parse_points(texts.iter().map(String::as_str)).map_err(|error| Cause::new(error.to_string()))?;
             let here = leaf.actions().telemetry().map(|telemetry| telemetry.pose);
             leaf.write("poses", heading_along(&points, here).into_iter().map(Value::Pose).collect::<Vec<_>>())?;
             Ok(true)
@@ -40,21 +43,6 @@ fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
         });
         Ok(Goal::FollowWaypoints { waypoints: poses.collect::<Result<_, Cause>>()? })
     })
-}
-
-/// Parses points: `x,y` in metres, at least a single point.
-///
-/// # Errors
-/// The cause and the allowed form, as text.
-pub(crate) fn parse_points<'t>(texts: impl Iterator<Item = &'t str>) -> Result<Vec<(f64, f64)>, String> {
-    let point = |text: &str| {
-        let (x, y) = text.split_once(',')?;
-        let number = |text: &str| text.trim().parse().ok().filter(|number: &f64| number.is_finite());
-        Some((number(x)?, number(y)?))
-    };
-    let read = |text| point(text).ok_or_else(|| format!("{text:?} is not a point: allowed is `x,y` in metres"));
-    let points: Vec<(f64, f64)> = texts.map(read).collect::<Result<_, _>>()?;
-    if points.is_empty() { Err("there are no waypoints to follow".to_owned()) } else { Ok(points) }
 }
 
 /// Returns poses at the points, each facing the next point. The last pose keeps the direction of

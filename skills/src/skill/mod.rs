@@ -8,6 +8,7 @@
 mod approach_person;
 mod approach_robot;
 mod authenticate_person;
+mod context;
 mod deposit;
 mod dock;
 mod follow_path;
@@ -20,33 +21,11 @@ mod pick_up;
 mod roles;
 mod wait;
 
-pub(crate) use follow_path::parse_points as waypoints;
+pub(crate) use context::StandardSkill;
+pub use context::{SkillContext, TaskContext};
 pub use goal_leaf::GoalLeaf;
-use person_goal_leaf::PersonGoalLeaf;
 
 use crate::bt::{Registry, RegistryError};
-use crate::environment::Environment;
-use crate::library::SkillContext;
-use consort_protocol::mission::TaskSpec;
-
-/// Data available to the leaves of a skill when it starts.
-#[derive(Debug, Clone)]
-pub struct TaskContext {
-    /// The task.
-    pub task: TaskSpec,
-    /// The role holders.
-    pub skill: SkillContext,
-    /// The environment.
-    pub environment: Environment,
-}
-
-/// A standard skill.
-pub(crate) struct StandardSkill {
-    pub(crate) task_type: &'static str,
-    pub(crate) xml: &'static str,
-    /// Registers the leaves of the skill; other skills may use them too.
-    pub(crate) register_leaves: fn(&mut Registry<TaskContext>) -> Result<(), RegistryError>,
-}
 
 pub(crate) const STANDARD_SKILLS: [StandardSkill; 12] = [
     wait::SKILL,

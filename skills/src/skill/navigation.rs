@@ -5,7 +5,7 @@
 //! there. If a leg is blocked, the route is planned again without the lanes that the robot has
 //! found closed. Without another route the drive fails with the robot's own message.
 
-use super::{StandardSkill, TaskContext};
+use super::context::{StandardSkill, TaskContext};
 use crate::actions::{ActionError, ErrorCode, Goal, GoalId, GoalStatus};
 use crate::bt::{
     Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, PortType, Registry, RegistryError, Value,

@@ -1,6 +1,7 @@
 //! `operate_drawer`: opens or closes the robot's own drawer, by parameter `action`.
 
-use super::{GoalLeaf, StandardSkill, TaskContext};
+use super::context::{StandardSkill, TaskContext};
+use super::goal_leaf::GoalLeaf;
 use crate::actions::Goal;
 use crate::bt::{PortSpec, PortType, Registry, RegistryError};
 

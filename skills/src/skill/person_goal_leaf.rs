@@ -1,6 +1,7 @@
 //! A leaf for goals that require a person to be present. It waits for an absent person.
 
-use super::{GoalLeaf, TaskContext};
+use super::context::TaskContext;
+use super::goal_leaf::GoalLeaf;
 use crate::actions::{ErrorCode, Goal, PERSON_TIMEOUT_S};
 use crate::bt::{
     Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, PortType, Registry, RegistryError,

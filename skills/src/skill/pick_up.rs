@@ -1,7 +1,8 @@
 //! `pick_up`: takes an object from the open drawer of the robot that holds the role in parameter
 //! `from_role`.
 
-use super::{GoalLeaf, StandardSkill, TaskContext};
+use super::context::{StandardSkill, TaskContext};
+use super::goal_leaf::GoalLeaf;
 use crate::actions::Goal;
 use crate::bt::{PortSpec, PortType, Registry, RegistryError};
 

@@ -1,6 +1,6 @@
 //! Resolution of the roles in a task to robots and people.
 
-use super::TaskContext;
+use super::context::TaskContext;
 use crate::bt::{
     Cause, LeafContext, NodeKind, NodeManifest, PortSpec, PortType, Registry, RegistryError, SyncLeaf, join_names,
 };

@@ -1,6 +1,7 @@
 //! `wait`: stands still for the time in parameter `seconds`.
 
-use super::{GoalLeaf, StandardSkill, TaskContext};
+use super::context::{StandardSkill, TaskContext};
+use super::goal_leaf::GoalLeaf;
 use crate::actions::Goal;
 use crate::bt::{PortSpec, PortType, Registry, RegistryError};
 

@@ -1,9 +1,9 @@
 //! The library: its content, its errors, and its extension by users.
 
 use super::*;
-use consort_protocol::mission::Domain;
 use consort_skills::bt::xml::{read_xml, write_xml};
 use consort_skills::bt::{Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus};
+use consort_skills::domain::hospital;
 use std::path::PathBuf;
 
 fn library() -> SkillLibrary {
@@ -61,7 +61,7 @@ fn the_models_in_the_files_are_those_of_the_leaves() {
 
 #[test]
 fn domain_and_skills_require_the_same_parameters() {
-    let (library, domain) = (library(), Domain::hospital());
+    let (library, domain) = (library(), hospital());
     for skill in library.task_types() {
         let schema = domain.get(skill).unwrap_or_else(|| panic!("the domain lacks {skill}"));
         for input in library.parameters(skill).unwrap() {

@@ -11,7 +11,8 @@ use consort_protocol::mission::TaskSpec;
 use consort_protocol::pose::Pose;
 use consort_skills::actions::{ActionError, ErrorCode, Goal};
 use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
-use consort_skills::library::{ActiveSkill, SkillContext, SkillLibrary, SkillStatus};
+use consort_skills::library::{ActiveSkill, SkillLibrary, SkillStatus};
+use consort_skills::skill::SkillContext;
 use scripted_driver::ScriptedDriver;
 
 fn place(name: &str) -> PlaceId {

@@ -1,5 +1,5 @@
 Feature: Batteries and chargers of the simulator
-  A goal costs its time; standing about costs a tenth of that. At 5 % a robot stops for good; at a charger it fills up.
+  A goal uses charge in proportion to its duration; idling uses a tenth of that. At 5 % a robot stops; a charger fills its battery.
 
   Background:
     Given this map:
@@ -12,7 +12,7 @@ Feature: Batteries and chargers of the simulator
         - { between: [Charger, Gate] }
       """
 
-  Scenario: Driving costs charge for as long as it takes
+  Scenario: Driving uses charge in proportion to its duration
     Given these robots:
       | name  | place   | speed | charge | uses  |
       | amber | Charger | 0.5   | 100 %  | 0.1 % |
@@ -21,7 +21,7 @@ Feature: Batteries and chargers of the simulator
     Then amber has less than 98.1 % of its charge
     And amber has more than 97.9 % of its charge
 
-  Scenario: Standing about costs a tenth
+  Scenario: Idling uses a tenth
     Given these robots:
       | name  | place   | charge | uses  |
       | amber | Charger | 100 %  | 0.1 % |
@@ -29,7 +29,7 @@ Feature: Batteries and chargers of the simulator
     Then amber has less than 99.1 % of its charge
     And amber has more than 98.9 % of its charge
 
-  Scenario: A robot that is docked charges until it is full
+  Scenario: A docked robot charges until its battery is full
     Given these robots:
       | name  | place   | charge | uses  | charges |
       | amber | Charger | 50 %   | 0.1 % | 0.4 %   |
@@ -38,12 +38,12 @@ Feature: Batteries and chargers of the simulator
     Then amber is docked
     And within 200 s amber has more than 99.9 % of its charge
 
-  Scenario: There is no docking where there is no charger
+  Scenario: A robot cannot dock without a charger
     Given a robot amber at "Gate"
     When amber is told to dock
     Then the goal of amber was aborted because "Gate is not a charger"
 
-  Scenario: A battery that runs down stops the robot on its way
+  Scenario: An empty battery stops the robot on its way
     Given these robots:
       | name  | place   | speed | charge | uses |
       | amber | Charger | 0.5   | 10 %   | 1 %  |

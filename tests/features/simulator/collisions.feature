@@ -1,7 +1,7 @@
 Feature: Collisions
-  Robots with a chassis have bodies: they do not pass through walls or one another.
+  Robots with a chassis have bodies: they pass neither through walls nor through other robots.
 
-  Scenario: Two robots that drive towards each other
+  Scenario: Two robots that drive towards each other collide
     Given a room of 20 by 10 metres
     And these robots:
       | name  | place | speed | chassis      |
@@ -13,7 +13,7 @@ Feature: Collisions
     Then amber has run into birch
     And it is not true that the goal of amber has succeeded
 
-  Scenario: A wall in the way
+  Scenario: A robot collides with a wall in its path
     Given this map:
       """
       name: walled
@@ -32,7 +32,7 @@ Feature: Collisions
     Then amber has run into a wall
     And it is not true that amber is at "B"
 
-  Scenario: Robots that pass with room between them
+  Scenario: Robots that pass at a distance do not collide
     Given a room of 20 by 10 metres
     And these robots:
       | name  | place | speed | chassis      |
@@ -44,7 +44,7 @@ Feature: Collisions
     Then no robot has run into anything
     And within 10 s the goal of birch has succeeded
 
-  Scenario: Drones make way for one another
+  Scenario: Drones avoid each other
     Given a room of 20 by 20 metres
     And these robots:
       | name  | place | speed | chassis |

@@ -1,10 +1,10 @@
 Feature: Automatic doors
-  A door opens for who waits before it, lets in so many at a time, first come first served, and closes behind the last.
+  A door opens for waiting robots in the order of arrival, up to its capacity, and closes behind the last robot.
 
   Background:
     Given the map "../maps/passage.yaml"
 
-  Scenario: A robot waits until the door stands open, and it closes behind the robot
+  Scenario: A robot waits until the door is open, and the door closes behind it
     Given these robots:
       | name  | place | speed |
       | amber | A     | 0.5   |
@@ -16,7 +16,7 @@ Feature: Automatic doors
     And the goal of amber took 23 s to 23 s
     And within 10 s door "Narrow" is closed
 
-  Scenario: One at a time where it is narrow, first come first served
+  Scenario: A narrow door admits single robots in the order of arrival
     Given these robots:
       | name  | place | speed |
       | amber | A     | 0.5   |
@@ -32,7 +32,7 @@ Feature: Automatic doors
     And the goal of amber took 25 s to 25 s
     And the goal of birch took 27 s to 27 s
 
-  Scenario: As many at a time as there is room for
+  Scenario: A wide door admits robots up to its capacity
     Given these robots:
       | name  | place | speed |
       | amber | B     | 0.5   |
@@ -46,7 +46,7 @@ Feature: Automatic doors
     Then at most 2 robots were ever within "Wide"
     And it is not true that at most 1 robot was ever within "Wide"
 
-  Scenario: A robot that is called off while it waits keeps nobody waiting
+  Scenario: A canceled robot leaves the queue of the door
     Given these robots:
       | name  | place | speed |
       | amber | A     | 0.5   |

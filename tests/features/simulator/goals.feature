@@ -1,10 +1,10 @@
-Feature: Goals in the words of Nav2
-  What a body is told is a goal with feedback, an outcome, and a reason if it comes to nothing.
+Feature: Goals of Nav2
+  A goal has feedback and an outcome, with a reason if it is aborted.
 
   Background:
     Given the map "../maps/passage.yaml"
 
-  Scenario: Waypoints are followed one after the other
+  Scenario: Waypoints are followed in order
     Given these robots:
       | name  | place | speed |
       | amber | A     | 0.5   |
@@ -13,14 +13,14 @@ Feature: Goals in the words of Nav2
     Then amber is at "B"
     And amber has passed "Wide"
 
-  Scenario: A way that is none ends the goal where the robot is by then
+  Scenario: A missing lane aborts the goal where the robot is
     Given a robot amber at "A"
     When amber is told to drive through "B, A, C"
     And 200 s pass
     Then the goal of amber was aborted because "no lane from A to C"
     And amber is at "A"
 
-  Scenario: A corridor that is closed is found out when the robot is there
+  Scenario: A robot detects a closed corridor when it arrives there
     Given these robots:
       | name  | place | speed |
       | amber | A     | 0.5   |
@@ -29,7 +29,7 @@ Feature: Goals in the words of Nav2
     And 60 s pass
     Then the goal of amber was aborted because "barrier between A and B is in the way"
 
-  Scenario: A corridor that closes while a robot is under way, and opens again
+  Scenario: A corridor closes while a robot is under way, and opens again
     Given these robots:
       | name  | place | speed |
       | amber | A     | 0.5   |
@@ -43,7 +43,7 @@ Feature: Goals in the words of Nav2
     And amber is told to drive to "C"
     Then within 60 s amber is at "C"
 
-  Scenario: Standing still for a while
+  Scenario: A robot waits for a given time
     Given a robot amber at "A"
     When amber is told to wait for 10 s
     And the fleet runs until the goal of amber has succeeded

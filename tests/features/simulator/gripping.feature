@@ -1,4 +1,4 @@
-Feature: Arms, drawers and things
+Feature: Arms, drawers and items
   An arm takes what lies within its reach and is not too heavy for it. What it holds goes where it goes, and can be put down.
 
   Background:
@@ -12,7 +12,7 @@ Feature: Arms, drawers and things
       | crate | Laboratory | 2.5    | 0.5      |
       | box   | Laboratory | 0.5    | 1.5      |
 
-  Scenario: A thing is taken, carried and put down
+  Scenario: An item is grasped, carried and put down
     When amber is told to grasp "tray"
     And the fleet runs until the goal of amber has succeeded
     Then amber holds "tray"
@@ -22,7 +22,7 @@ Feature: Arms, drawers and things
     And the fleet runs until the goal of amber has succeeded
     Then "tray" lies at "Laboratory Corridor"
 
-  Scenario Outline: What cannot be taken, and why: <thing>
+  Scenario Outline: An item is not grasped, with the reason: <thing>
     When <robot> is told to grasp "<thing>"
     Then the goal of <robot> was aborted because "<why>"
     And it is not true that the goal of <robot> has succeeded
@@ -42,7 +42,7 @@ Feature: Arms, drawers and things
     And the fleet runs until the goal of birch has succeeded
     Then the drawer of birch is closed
 
-  Scenario: Nothing is taken out of a drawer that is closed
+  Scenario: A closed drawer cannot be emptied
     When amber is told to approach robot birch
     And the fleet runs until the goal of amber has succeeded
     And amber is told to take from birch

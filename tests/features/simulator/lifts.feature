@@ -1,5 +1,5 @@
 Feature: Lifts
-  A lift is called, waited for and ridden. It takes as many as fit in.
+  A robot calls a lift, waits for it and rides in it. A lift has a capacity.
 
   Background:
     Given the map "../maps/tower.yaml"
@@ -12,7 +12,7 @@ Feature: Lifts
     And the goal of amber took 17 s to 17 s
     And amber is at "Lobby 2"
 
-  Scenario: Two robots ride one after the other
+  Scenario: Two robots ride in sequence
     Given a robot amber at "Lobby 0"
     And a robot birch at "Lobby 0"
     When amber is told to drive to "Lobby 2"
@@ -22,7 +22,7 @@ Feature: Lifts
     And amber passed "Lift" before birch
     And amber has passed "Lift"
 
-  Scenario: From a room on one floor to a room on another
+  Scenario: A robot drives to a room on another floor
     Given these robots:
       | name  | place | speed |
       | amber | Ward  | 0.5   |

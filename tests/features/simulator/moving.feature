@@ -1,14 +1,14 @@
 Feature: Robots that drive
-  After Listing 2.1 of the thesis, and with every chassis: a robot that is told to go to a position gets there, in the time
-  that its speed allows.
+  After Listing 2.1 of the thesis, with every chassis: a robot with a goal reaches the position, in the time that its speed
+  allows.
 
-  Scenario: A robot that is not told to move
+  Scenario: A robot without a goal does not move
     Given a room of 20 by 20 metres
     And a robot amber at "0, 0"
     When 60 s pass
     Then amber is at "0, 0"
 
-  Scenario Outline: A robot is told to go from <initial position> to <position>
+  Scenario Outline: A robot drives from <initial position> to <position>
     Given a room of 20 by 20 metres
     And a robot amber at "<initial position>"
     When amber is told to go to position "<position>"
@@ -20,7 +20,7 @@ Feature: Robots that drive
       | 0.0, 0.0         | 1.5, 1.5   |
       | 5.0, 5.0         | 12.5, 10.0 |
 
-  Scenario Outline: It takes as long as its speed says (<speed>)
+  Scenario Outline: The duration follows from the speed (<speed>)
     Given a room of 20 by 20 metres
     And these robots:
       | name  | place | speed   |
@@ -35,7 +35,7 @@ Feature: Robots that drive
       | 1 m/s   | 10 s |
       | 2 m/s   | 5 s  |
 
-  Scenario Outline: Each chassis gets there, and loses time on its ramps alone (<chassis>, steps of <step>)
+  Scenario Outline: Each chassis arrives, and loses time only by acceleration (<chassis>, steps of <step>)
     Given a room of 30 by 20 metres
     And steps of <step>
     And these robots:
@@ -66,7 +66,7 @@ Feature: Robots that drive
     Then amber looks 90 degrees
     And amber is at "10, 10"
 
-  Scenario: A robot that is stopped stands where it is
+  Scenario: A stopped robot stays where it is
     Given a room of 20 by 20 metres
     And these robots:
       | name  | place | speed |

@@ -1,6 +1,6 @@
-Feature: What robots perceive
-  A range sensor measures to the first wall or body; a camera sees what is in its cone and not behind a wall; a feeler notices
-  who is near whatever is between.
+Feature: Sensors
+  A range sensor measures the distance to the first wall or body. A camera sees the bodies in its field of view that no wall
+  hides. A proximity sensor detects near bodies, also through walls.
 
   Background:
     Given this map:
@@ -26,23 +26,23 @@ Feature: What robots perceive
       | name | role  | place |
       | Nia  | nurse | D     |
 
-  Scenario: A ray ends at the first body, and at the wall behind it once that has gone
+  Scenario: A ray ends at the nearest body, and at the wall after the body has left
     When 1 s pass
     Then amber measures 3.75 m ahead
     When east is told to drive to "C"
     And the fleet runs until the goal of east has succeeded
     Then amber measures 8 m ahead
 
-  Scenario: A camera sees nobody behind a wall
+  Scenario: A camera does not see through a wall
     When 1 s pass
     Then amber sees Nia and east
     And it is not true that amber sees north
 
-  Scenario: A feeler notices who is near through walls
+  Scenario: A proximity sensor detects a near robot through a wall
     When 1 s pass
     Then amber feels Nia, east and north nearby
 
-  Scenario: A camera with a narrow cone sees what is ahead alone
+  Scenario: A camera with a narrow field of view sees only ahead
     Given these robots:
       | name  | place | sensors                |
       | birch | D     | camera 60 degrees 10 m |

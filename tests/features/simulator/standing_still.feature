@@ -1,13 +1,13 @@
-Feature: Robots that are told nothing
-  After Listing 5.1 of the thesis: a robot that nobody tells anything stays where it is.
+Feature: Robots without goals
+  After Listing 5.1 of the thesis: a robot without a goal stays where it is.
 
-  Scenario: A single robot
+  Scenario: A single robot does not move
     Given a room of 50 by 50 metres
     And a robot robot at "1, 1"
     When 60 s pass
     Then robot is at "1, 1"
 
-  Scenario: Several robots
+  Scenario: Several robots do not move
     Given a room of 50 by 50 metres
     And a robot robot at "1, 1"
     And a robot robot2 at "25, 25"
@@ -17,7 +17,7 @@ Feature: Robots that are told nothing
     And robot2 is at "25, 25"
     And robot3 is at "42, 42"
 
-  Scenario: With nodes that could tell them something
+  Scenario: Robots with nodes but without missions do not move
     Given a robot amber at "Dock"
     And stations aster and basil
     When the fleet runs for 60 s

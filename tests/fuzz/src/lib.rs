@@ -1,13 +1,12 @@
-//! The targets of `tests/untrusted/` for cargo-fuzz.
+//! The targets of `tests/fuzz_targets/` for cargo-fuzz.
 
-#[path = "../../untrusted/targets/mod.rs"]
+#[path = "../../fuzz_targets/targets/mod.rs"]
 mod targets;
 
 /// Installs a panic hook that does not abort. Must be called first: a panic that the program itself
 /// catches is no failure of the target.
 pub fn prepare() {
-    let told = std::panic::take_hook();
-    drop(told);
+    drop(std::panic::take_hook());
     std::panic::set_hook(Box::new(|problem| eprintln!("{problem}")));
 }
 

@@ -8,14 +8,14 @@ use consort_world::world::{SampleHolder, WorldEvent as InWorld};
 /// Describes an event of a node or an action of the scenario; `None` for events that are too
 /// frequent for a report.
 pub(super) fn node_observation(entry: &Observation) -> Option<String> {
-    let told = match entry {
+    let text = match entry {
         Observation::TestAction { action: what, .. } => format!("*** {what}"),
         Observation::Published(event) => of(&event.kind)?,
         Observation::RequestAcknowledged { .. }
         | Observation::LeadershipChanged { .. }
         | Observation::EntryApplied { .. } => return None,
     };
-    Some(format!("{:<12} {told}", entry.node().as_str()))
+    Some(format!("{:<12} {text}", entry.node().as_str()))
 }
 
 fn of(what: &EventKind) -> Option<String> {

@@ -3,14 +3,15 @@
 use super::event_text;
 use super::scenario_setup::ScenarioSetup;
 use super::step_arguments::StepArguments;
-use super::step_pattern::{ActionFn, ActionFuture, StepFailure, StepResult};
+use super::step_pattern::{ActionStep, StepFailure, StepResult};
 use super::step_registry::{FactCheck, StepMeaning};
 use crate::Fleet;
-use crate::fleet::FleetSetup;
+use crate::fleet::{FleetSetup, NodeOptions};
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::units::WorldTime;
 use consort_skills::actions::{GoalId, RobotBackend};
-use consort_world::world::{LoggedEvent, SharedWorld, World};
+use consort_world::SharedWorld;
+use consort_world::world::{LoggedEvent, World};
 use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -67,7 +68,7 @@ pub(super) struct RunningScenario {
 }
 
 struct Plan {
-    action: ActionFn,
+    action: &'static ActionStep,
     arguments: StepArguments,
     once: FactCheck,
 }
@@ -104,7 +105,7 @@ impl Fixture {
             }
             StepMeaning::DoNow(action, arguments) => {
                 self.ensure_world()?;
-                action(self, &arguments).await
+                (action.function)(self, &arguments).await
             }
             StepMeaning::WaitUntil(check) => {
                 self.start_nodes().await?;
@@ -205,8 +206,7 @@ impl Fixture {
                 world: running.world.clone(),
                 speed: self.setup.speed,
                 skills,
-                adjust: Box::new(|_| ()),
-                closed: false,
+                options: NodeOptions::default(),
             };
             running.nodes_since_s = running.world.now().as_secs();
             running.fleet = Some(Fleet::from_setup(fleet_setup).await);
@@ -277,8 +277,7 @@ impl Fixture {
             match self.check(&self.plans[index].once) {
                 Ok(()) => {
                     let plan = self.plans.remove(index);
-                    let doing: ActionFuture<'_> = (plan.action)(self, &plan.arguments);
-                    doing.await?;
+                    (plan.action.function)(self, &plan.arguments).await?;
                 }
                 Err(StepFailure::NotMet(_)) => {}
                 // Before the first mission, a fact about missions or nodes is invalid.
@@ -314,8 +313,8 @@ impl Fixture {
     /// Returns the named mission; `the mission` is the latest request.
     pub(super) fn mission(&self, reference: &str) -> Result<MissionId, StepFailure> {
         let name = reference.strip_prefix("mission ");
-        let mut asked = self.missions.iter().rev();
-        let found = asked.find(|(request, _)| name.is_none_or(|name| name == request));
+        let mut latest_first = self.missions.iter().rev();
+        let found = latest_first.find(|(request, _)| name.is_none_or(|name| name == request));
         let known: Vec<&str> = self.missions.iter().map(|(request, _)| request.as_str()).collect();
         if let Some(unchecked) = self.refused.as_ref().and_then(RefusedRequest::unchecked_text) {
             return Err(StepFailure::Invalid(unchecked));

@@ -4,128 +4,141 @@
 use super::fixture::Fixture;
 use super::scenario_setup::coordinates;
 use super::step_arguments::{StepArguments, name, split_list};
-use super::step_pattern::{ActionFn, StepFailure, StepPattern, ready};
+use super::step_pattern::{ActionStep, StepFailure, StepResult, action};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Seconds;
 use consort_skills::actions::{Goal, GoalId, RobotBackend, Waypoint};
 use consort_skills::environment::Routes;
 
-/// Returns the patterns of these actions.
-pub(super) fn patterns() -> Vec<StepPattern<ActionFn>> {
-    let goal_action = |pattern, example, does: ActionFn| StepPattern::new(pattern, example, does);
+/// Returns the steps of this file, in the order of their documentation.
+pub(super) fn steps() -> Vec<ActionStep> {
     vec![
-        goal_action(
-            "{name} is told to drive to {text}",
-            r#"amber is told to drive to "Laboratory""#,
-            |fixture, arguments| {
-                ready(send_goal(fixture, arguments, |fixture, arguments| {
-                    plan_drive(fixture, arguments.value(0), arguments.value(1))
-                }))
-            },
-        ),
-        goal_action(
-            "{name} is told to drive through {text}",
-            r#"amber is told to drive through "A, B, C""#,
-            |fixture, arguments| {
-                ready(send_goal(fixture, arguments, |fixture, arguments| {
-                    let waypoints = split_list(arguments.value(1))
-                        .iter()
-                        .map(|place| waypoint(fixture, place))
-                        .collect::<Result<_, _>>()?;
-                    Ok(Goal::FollowWaypoints { waypoints })
-                }))
-            },
-        ),
-        goal_action(
-            "{name} is told to go to position {text}",
-            r#"amber is told to go to position "12.5, 10""#,
-            |fixture, arguments| {
-                ready(send_goal(fixture, arguments, |_, arguments| {
-                    let (x, y) = coordinates(arguments.value(1))?;
-                    Ok(Goal::NavigateToPose { pose: Pose::new(x, y, 0.0), place: None })
-                }))
-            },
-        ),
-        goal_action(
-            "{name} is told to turn by {number} degrees",
-            "amber is told to turn by 90 degrees",
-            |fixture, arguments| {
-                ready(send_goal(fixture, arguments, |_, arguments| {
-                    Ok(Goal::Spin { angle_rad: arguments.number(1).to_radians() })
-                }))
-            },
-        ),
-        goal_action("{name} is told to wait for {time}", "amber is told to wait for 10 s", |fixture, arguments| {
-            ready(send_goal(fixture, arguments, |_, arguments| {
-                Ok(Goal::Wait { time: Seconds::new(arguments.seconds(1)).map_err(StepFailure::invalid)? })
-            }))
-        }),
-        goal_action("{name} is told to dock", "amber is told to dock", |fixture, arguments| {
-            ready(send_goal(fixture, arguments, |_, _| Ok(Goal::Dock { charger: None })))
-        }),
-        goal_action("{name} is told to undock", "amber is told to undock", |fixture, arguments| {
-            ready(send_goal(fixture, arguments, |_, _| Ok(Goal::Undock)))
-        }),
-        goal_action("{name} is told to grasp {text}", r#"amber is told to grasp "tray""#, |fixture, arguments| {
-            ready(send_goal(fixture, arguments, |_, arguments| {
-                Ok(Goal::Grasp { object: arguments.value(1).to_owned() })
-            }))
-        }),
-        goal_action(
-            "{name} is told to put down what it holds",
-            "amber is told to put down what it holds",
-            |fixture, arguments| ready(send_goal(fixture, arguments, |_, _| Ok(Goal::Deposit { into: None }))),
-        ),
-        goal_action("{name} is told to open its drawer", "amber is told to open its drawer", |fixture, arguments| {
-            ready(send_goal(fixture, arguments, |_, _| Ok(Goal::OperateDrawer { open: true })))
-        }),
-        goal_action("{name} is told to close its drawer", "amber is told to close its drawer", |fixture, arguments| {
-            ready(send_goal(fixture, arguments, |_, _| Ok(Goal::OperateDrawer { open: false })))
-        }),
-        goal_action(
-            "{name} is told to approach the nurse",
-            "amber is told to approach the nurse",
-            |fixture, arguments| {
-                ready(send_goal(fixture, arguments, |_, _| Ok(Goal::ApproachPerson { role: name("nurse")? })))
-            },
-        ),
-        goal_action(
-            "{name} is told to approach robot {name}",
-            "amber is told to approach robot lab-arm",
-            |fixture, arguments| {
-                ready(send_goal(fixture, arguments, |_, arguments| {
-                    Ok(Goal::ApproachRobot { robot: arguments.parse_name(1)? })
-                }))
-            },
-        ),
-        goal_action(
-            "{name} is told to take from {name}",
-            "lab-arm is told to take from amber",
-            |fixture, arguments| {
-                ready(send_goal(fixture, arguments, |_, arguments| Ok(Goal::PickUp { from: arguments.parse_name(1)? })))
-            },
-        ),
-        goal_action("{name} is told to stop", "amber is told to stop", |fixture, arguments| {
-            ready(stop(fixture, arguments))
-        }),
+        drive_to(),
+        drive_through(),
+        go_to_position(),
+        turn_by(),
+        wait_for(),
+        dock(),
+        undock(),
+        grasp(),
+        put_down(),
+        open_drawer(),
+        close_drawer(),
+        approach_nurse(),
+        approach_robot(),
+        take_from(),
+        stop_goal(),
     ]
 }
 
-fn stop(fixture: &mut Fixture, arguments: &StepArguments) -> Result<(), StepFailure> {
-    let robot = fixture.robot(arguments.value(0))?;
-    let Some((goal, _)) = fixture.goals.get(&robot).copied() else {
-        return Err(StepFailure::Invalid(format!("{robot} has no goal yet")));
-    };
-    fixture.with_world(|world| world.cancel(&robot, goal));
-    Ok(())
+fn drive_to() -> ActionStep {
+    goal("{name} is told to drive to {text}", r#"amber is told to drive to "Laboratory""#, |fixture, arguments| {
+        plan_drive(fixture, arguments.value(0), arguments.value(1))
+    })
 }
 
-fn send_goal(
-    fixture: &mut Fixture,
-    arguments: &StepArguments,
-    goal: fn(&Fixture, &StepArguments) -> Result<Goal, StepFailure>,
-) -> Result<(), StepFailure> {
+fn drive_through() -> ActionStep {
+    goal(
+        "{name} is told to drive through {text}",
+        r#"amber is told to drive through "A, B, C""#,
+        |fixture, arguments| {
+            let places = split_list(arguments.value(1));
+            let waypoints = places.iter().map(|place| waypoint(fixture, place)).collect::<Result<_, _>>()?;
+            Ok(Goal::FollowWaypoints { waypoints })
+        },
+    )
+}
+
+fn go_to_position() -> ActionStep {
+    goal("{name} is told to go to position {text}", r#"amber is told to go to position "12.5, 10""#, |_, arguments| {
+        let (x, y) = coordinates(arguments.value(1))?;
+        Ok(Goal::NavigateToPose { pose: Pose::new(x, y, 0.0), place: None })
+    })
+}
+
+fn turn_by() -> ActionStep {
+    goal("{name} is told to turn by {number} degrees", "amber is told to turn by 90 degrees", |_, arguments| {
+        Ok(Goal::Spin { angle_rad: arguments.number(1).to_radians() })
+    })
+}
+
+fn wait_for() -> ActionStep {
+    goal("{name} is told to wait for {time}", "amber is told to wait for 10 s", |_, arguments| {
+        Ok(Goal::Wait { time: Seconds::new(arguments.seconds(1)).map_err(StepFailure::invalid)? })
+    })
+}
+
+fn dock() -> ActionStep {
+    goal("{name} is told to dock", "amber is told to dock", |_, _| Ok(Goal::Dock { charger: None }))
+}
+
+fn undock() -> ActionStep {
+    goal("{name} is told to undock", "amber is told to undock", |_, _| Ok(Goal::Undock))
+}
+
+fn grasp() -> ActionStep {
+    goal("{name} is told to grasp {text}", r#"amber is told to grasp "tray""#, |_, arguments| {
+        Ok(Goal::Grasp { object: arguments.value(1).to_owned() })
+    })
+}
+
+fn put_down() -> ActionStep {
+    goal("{name} is told to put down what it holds", "amber is told to put down what it holds", |_, _| {
+        Ok(Goal::Deposit { into: None })
+    })
+}
+
+fn open_drawer() -> ActionStep {
+    goal("{name} is told to open its drawer", "amber is told to open its drawer", |_, _| {
+        Ok(Goal::OperateDrawer { open: true })
+    })
+}
+
+fn close_drawer() -> ActionStep {
+    goal("{name} is told to close its drawer", "amber is told to close its drawer", |_, _| {
+        Ok(Goal::OperateDrawer { open: false })
+    })
+}
+
+fn approach_nurse() -> ActionStep {
+    goal("{name} is told to approach the nurse", "amber is told to approach the nurse", |_, _| {
+        Ok(Goal::ApproachPerson { role: name("nurse")? })
+    })
+}
+
+fn approach_robot() -> ActionStep {
+    goal("{name} is told to approach robot {name}", "amber is told to approach robot lab-arm", |_, arguments| {
+        Ok(Goal::ApproachRobot { robot: arguments.parse_name(1)? })
+    })
+}
+
+fn take_from() -> ActionStep {
+    goal("{name} is told to take from {name}", "lab-arm is told to take from amber", |_, arguments| {
+        Ok(Goal::PickUp { from: arguments.parse_name(1)? })
+    })
+}
+
+fn stop_goal() -> ActionStep {
+    action("{name} is told to stop", "amber is told to stop", async |fixture, arguments| {
+        let robot = fixture.robot(arguments.value(0))?;
+        let Some((goal, _)) = fixture.goals.get(&robot).copied() else {
+            return Err(StepFailure::Invalid(format!("{robot} has no goal yet")));
+        };
+        fixture.with_world(|world| world.cancel(&robot, goal));
+        Ok(())
+    })
+}
+
+/// Goal of a step, from its arguments.
+type GoalFn = fn(&Fixture, &StepArguments) -> Result<Goal, StepFailure>;
+
+/// Defines an action that sends a goal to the robot of its first argument.
+fn goal(pattern: &'static str, example: &'static str, goal: GoalFn) -> ActionStep {
+    action(pattern, example, async move |fixture, arguments| send_goal(fixture, arguments, goal))
+}
+
+fn send_goal(fixture: &mut Fixture, arguments: &StepArguments, goal: GoalFn) -> StepResult {
     let robot = fixture.robot(arguments.value(0))?;
     if fixture.running().fleet.is_some() {
         let what = format!(

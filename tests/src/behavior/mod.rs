@@ -5,23 +5,22 @@
 //!  feature files ──▶ features (read, outlines expanded, every step resolved) ──▶ cucumber ──▶ report
 //!                        │ unknown step: file, line, nearest steps                   │ one thread per scenario
 //!                        ▼                                                           ▼
-//!            step_registry ◀── patterns: settings, facts, actions       fixture: scenario_setup ──▶ world, virtual fleet
+//!            step_registry ◀── steps: settings, facts, actions          fixture: scenario_setup ──▶ world, virtual fleet
 //! ```
 //!
 //! There are three kinds of steps. A *setting* (`Given a nurse in "IC Room 6"`) describes the
-//! initial state. An *action* ( the
-//! coordinator is killed`) is done at once after `When`, or is planned for later: `Given the
-//! coordinator is killed when task
-//! navto_lab has begun`. A *fact* (`amber is at "Dock"`) is checked: `Then amber is at
-//! "Dock"`, `Then within 20 s …`, `Then for
-//! 60 s …`, `When the fleet runs until … . To add a step, add its pattern with an example to the
-//! list in its file; all forms
-//! follow.
+//! initial state. An *action* (`the coordinator is killed`) is done at once after `When`, or is
+//! planned for later: `Given the coordinator is killed when task navto_lab has begun`. A *fact*
+//! (`amber is at "Dock"`) is checked: `Then amber is at "Dock"`, `Then within 20 s …`,
+//! `Then for 60 s …`, `When the fleet runs until …`.
+//!
+//! Each step is a function with its phrase (`step_pattern`), listed in `steps` of its file, in the
+//! order of the documentation; a function that is not listed is a compiler warning. All forms
+//! follow from the phrase.
 //!
 //! Every scenario has its own thread and its own paused runtime. So no state passes from one
-//! scenario to the next, and a seed
-//! determines a run regardless of other runs. All times are world times, in which robots and people
-//! live.
+//! scenario to the next, and a seed determines a run regardless of other runs. All times are world
+//! times, in which robots and people live.
 
 mod event_text;
 mod features;
@@ -29,9 +28,12 @@ mod fixture;
 mod fleet_actions;
 mod fleet_facts;
 mod goal_actions;
+mod item_facts;
 mod mission_requests;
+mod passage_facts;
 mod report;
 mod robot_facts;
+mod robot_table;
 mod run;
 mod scenario_setup;
 mod settings;

@@ -28,14 +28,14 @@ pub(super) struct Report<W> {
     began: Instant,
     outcome: FeatureOutcome,
     /// Lines of the current scenario, and its failure.
-    told: Vec<String>,
+    lines: Vec<String>,
     failure: Option<String>,
 }
 
 impl<W: Write> Report<W> {
     pub(super) fn new(out: W, steps: bool, colours: bool) -> Report<W> {
-        let (told, failure, outcome) = (vec![], None, FeatureOutcome::default());
-        Report { out, steps, colours, began: Instant::now(), outcome, told, failure }
+        let (lines, failure, outcome) = (vec![], None, FeatureOutcome::default());
+        Report { out, steps, colours, began: Instant::now(), outcome, lines, failure }
     }
 
     pub(super) fn outcome(&self) -> FeatureOutcome {
@@ -54,7 +54,7 @@ impl<W: Write> Report<W> {
     fn scenario<T>(&mut self, feature: &gherkin::Feature, scenario: &gherkin::Scenario, event: Scenario<T>) {
         match event {
             Scenario::Started => {
-                self.told.clear();
+                self.lines.clear();
                 self.failure = None;
             }
             Scenario::Background(step, event) | Scenario::Step(step, event) => self.step(&step, event),
@@ -72,12 +72,12 @@ impl<W: Write> Report<W> {
             Step::Started => {}
             Step::Passed(..) => {
                 let line = line(self.painted(GREEN, "✓"));
-                self.told.push(line);
+                self.lines.push(line);
             }
             Step::Skipped => self.failure = Some("unknown step".to_owned()),
             Step::Failed(_, _, _, why) => {
                 let line = format!("{} (line {})", line(self.painted(RED, "✗")), step.position.line);
-                self.told.push(line);
+                self.lines.push(line);
                 self.failure = Some(match why {
                     StepError::Panic(why) => in_words(&*why),
                     other => other.to_string(),
@@ -87,14 +87,14 @@ impl<W: Write> Report<W> {
     }
 
     fn ended(&mut self, feature: &gherkin::Feature, scenario: &gherkin::Scenario) {
-        let told = std::mem::take(&mut self.told);
+        let lines = std::mem::take(&mut self.lines);
         let name = &scenario.name;
         let Some(failure) = self.failure.take() else {
             self.outcome.passed += 1;
             let mark = self.painted(GREEN, "✓");
             self.line(&format!("  {mark} {name}"));
             if self.steps {
-                told.iter().for_each(|line| self.line(line));
+                lines.iter().for_each(|line| self.line(line));
             }
             return;
         };
@@ -102,7 +102,7 @@ impl<W: Write> Report<W> {
         self.outcome.failed.push(format!("{file}:{}: {name}", scenario.position.line));
         let mark = self.painted(RED, "✗");
         self.line(&format!("  {mark} {name}"));
-        told.iter().for_each(|line| self.line(line));
+        lines.iter().for_each(|line| self.line(line));
         for line in failure.lines() {
             self.line(&format!("      {line}"));
         }
@@ -135,8 +135,8 @@ impl<T, W: Write> Writer<T> for Report<W> {
         let scenario = |report: &mut Self,
                         feature: &Source<gherkin::Feature>,
                         scenario: &Source<gherkin::Scenario>,
-                        told: RetryableScenario<T>| {
-            report.scenario(feature, scenario, told.event);
+                        event: RetryableScenario<T>| {
+            report.scenario(feature, scenario, event.event);
         };
         match event.map(Event::into_inner) {
             Ok(Cucumber::Feature(feature, Feature::Started)) => {
@@ -145,9 +145,9 @@ impl<T, W: Write> Writer<T> for Report<W> {
                     if self.colours { format!("\u{1b}[1m{}\u{1b}[0m", feature.name) } else { feature.name.clone() };
                 self.line(&name);
             }
-            Ok(Cucumber::Feature(feature, Feature::Scenario(which, told))) => scenario(self, &feature, &which, told),
-            Ok(Cucumber::Feature(feature, Feature::Rule(_, Rule::Scenario(which, told)))) => {
-                scenario(self, &feature, &which, told);
+            Ok(Cucumber::Feature(feature, Feature::Scenario(which, event))) => scenario(self, &feature, &which, event),
+            Ok(Cucumber::Feature(feature, Feature::Rule(_, Rule::Scenario(which, event)))) => {
+                scenario(self, &feature, &which, event);
             }
             Ok(Cucumber::Finished) => self.summary(),
             Ok(Cucumber::Feature(..) | Cucumber::Started | Cucumber::ParsingFinished { .. }) => {}

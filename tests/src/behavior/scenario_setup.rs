@@ -3,10 +3,11 @@
 use super::step_pattern::StepFailure;
 use crate::RobotSpec;
 use consort_protocol::units::{BatteryShare, SharePerSecond};
+use consort_world::SharedWorld;
 use consort_world::kinematics::Kinematics;
 use consort_world::map::{LaneEntry, Map, MapFile, PlaceEntry, PlaceKind};
 use consort_world::space::Sensor;
-use consort_world::world::{DoorSetup, ObjectSetup, Obstacle, PersonSetup, RobotSetup, SharedWorld, World, WorldSetup};
+use consort_world::world::{DoorSetup, ObjectSetup, Obstacle, PersonSetup, RobotSetup, World, WorldSetup};
 use std::path::PathBuf;
 
 /// Robots, people, items and the building from the settings so far.

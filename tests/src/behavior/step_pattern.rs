@@ -1,4 +1,13 @@
-//! Step patterns: a pattern with an example and a function.
+//! Step patterns: the phrase of a step as a cucumber expression, an example, and the function of the
+//! step.
+//!
+//! Each step is a Rust function that returns its pattern, so that phrase and code stand together:
+//!
+//! ```text
+//! fn is_docked() -> FactStep {
+//!     fact("{name} is docked", "amber is docked", |fixture, arguments| …)
+//! }
+//! ```
 
 use super::fixture::Fixture;
 use super::scenario_setup::ScenarioSetup;
@@ -49,22 +58,43 @@ pub(super) fn expect_that(is: bool, instead: impl FnOnce() -> String) -> StepRes
 }
 
 /// Future of an action.
-pub(super) type ActionFuture<'a> = LocalBoxFuture<'a, Result<(), StepFailure>>;
-
-/// Wraps the result of an immediate action.
-pub(super) fn ready<'a>(done: Result<(), StepFailure>) -> ActionFuture<'a> {
-    std::future::ready(done).boxed_local()
-}
+pub(super) type ActionFuture<'a> = LocalBoxFuture<'a, StepResult>;
 
 /// Function of a setting.
-pub(super) type SettingFn = fn(&mut ScenarioSetup, &StepArguments) -> Result<(), StepFailure>;
+pub(super) type SettingFn = fn(&mut ScenarioSetup, &StepArguments) -> StepResult;
 /// Function of an action.
-pub(super) type ActionFn = for<'a> fn(&'a mut Fixture, &'a StepArguments) -> ActionFuture<'a>;
+pub(super) type ActionFn = Box<dyn for<'a> Fn(&'a mut Fixture, &'a StepArguments) -> ActionFuture<'a> + Send + Sync>;
 /// Function of a fact.
 pub(super) type FactFn = fn(&Fixture, &StepArguments) -> StepResult;
 
+/// A setting with its phrase.
+pub(super) type SettingStep = StepPattern<SettingFn>;
+/// An action with its phrase.
+pub(super) type ActionStep = StepPattern<ActionFn>;
+/// A fact with its phrase.
+pub(super) type FactStep = StepPattern<FactFn>;
+
+/// Defines a setting.
+pub(super) fn setting(pattern: &'static str, example: &'static str, function: SettingFn) -> SettingStep {
+    StepPattern::new(pattern, example, function)
+}
+
+/// Defines an action.
+pub(super) fn action<F>(pattern: &'static str, example: &'static str, function: F) -> ActionStep
+where
+    F: AsyncFn(&mut Fixture, &StepArguments) -> StepResult + Copy + Send + Sync + 'static,
+{
+    let boxed: ActionFn =
+        Box::new(move |fixture, arguments| async move { function(fixture, arguments).await }.boxed_local());
+    StepPattern::new(pattern, example, boxed)
+}
+
+/// Defines a fact.
+pub(super) fn fact(pattern: &'static str, example: &'static str, function: FactFn) -> FactStep {
+    StepPattern::new(pattern, example, function)
+}
+
 /// A step pattern.
-#[derive(Debug)]
 pub(super) struct StepPattern<T> {
     /// Pattern as a cucumber expression.
     pub(super) pattern: &'static str,
@@ -75,19 +105,25 @@ pub(super) struct StepPattern<T> {
     regex: Regex,
 }
 
-impl<T: Copy> StepPattern<T> {
+impl<T> fmt::Debug for StepPattern<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.pattern)
+    }
+}
+
+impl<T> StepPattern<T> {
     /// Compiles a pattern.
     ///
     /// # Panics
     /// If the pattern is invalid, or if its example does not match. Both are constants of this
     /// program.
-    pub(super) fn new(pattern: &'static str, example: &'static str, does: T) -> StepPattern<T> {
+    pub(super) fn new(pattern: &'static str, example: &'static str, function: T) -> StepPattern<T> {
         let parameters: HashMap<&str, &str> = PARAMETERS.into();
         let regex = Expression::regex_with_parameters(pattern, &parameters)
             .unwrap_or_else(|problem| panic!("{pattern:?} is no cucumber expression: {problem}"));
-        let phrase = StepPattern { pattern, example, function: does, regex };
-        assert!(phrase.parse(example).is_some(), "{example:?} is no example of {pattern:?}: {}", phrase.regex);
-        phrase
+        let step = StepPattern { pattern, example, function, regex };
+        assert!(step.parse(example).is_some(), "{example:?} is no example of {pattern:?}: {}", step.regex);
+        step
     }
 
     /// Returns the values of the parameters if the text matches.

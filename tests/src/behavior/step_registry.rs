@@ -1,16 +1,18 @@
 //! All step patterns, and the resolution of steps.
 
 use super::step_arguments::StepArguments;
-use super::step_pattern::{ActionFn, FactFn, SettingFn, StepPattern};
-use super::{fleet_actions, fleet_facts, goal_actions, mission_requests, robot_facts, settings};
+use super::step_pattern::{ActionStep, FactFn, FactStep, SettingFn, SettingStep, StepPattern};
+use super::{
+    fleet_actions, fleet_facts, goal_actions, item_facts, mission_requests, passage_facts, robot_facts, settings,
+};
 use cucumber::gherkin::{Step, StepType};
 use std::sync::OnceLock;
 
 /// The patterns.
 pub(super) struct StepRegistry {
-    settings: Vec<StepPattern<SettingFn>>,
-    actions: Vec<StepPattern<ActionFn>>,
-    facts: Vec<StepPattern<FactFn>>,
+    settings: Vec<SettingStep>,
+    actions: Vec<ActionStep>,
+    facts: Vec<FactStep>,
 }
 
 /// A resolved step.
@@ -19,9 +21,9 @@ pub(super) enum StepMeaning {
     /// Sets the initial state.
     Configure(SettingFn, StepArguments),
     /// Plans an action for the moment at which a fact holds.
-    DoWhen(ActionFn, StepArguments, Box<FactCheck>),
+    DoWhen(&'static ActionStep, StepArguments, Box<FactCheck>),
     /// Executes an action now.
-    DoNow(ActionFn, StepArguments),
+    DoNow(&'static ActionStep, StepArguments),
     /// Lets time pass until a fact holds.
     WaitUntil(FactCheck),
     /// Checks that a fact holds now.
@@ -76,12 +78,15 @@ impl StepRegistry {
     pub(super) fn get() -> &'static StepRegistry {
         static REGISTRY: OnceLock<StepRegistry> = OnceLock::new();
         REGISTRY.get_or_init(|| StepRegistry {
-            settings: settings::patterns(),
-            actions: [mission_requests::patterns(), fleet_actions::patterns(), goal_actions::patterns()]
+            settings: settings::steps(),
+            actions: [mission_requests::steps(), fleet_actions::steps(), goal_actions::steps()]
                 .into_iter()
                 .flatten()
                 .collect(),
-            facts: [fleet_facts::patterns(), robot_facts::patterns()].into_iter().flatten().collect(),
+            facts: [fleet_facts::steps(), robot_facts::steps(), item_facts::steps(), passage_facts::steps()]
+                .into_iter()
+                .flatten()
+                .collect(),
         })
     }
 
@@ -89,7 +94,7 @@ impl StepRegistry {
     ///
     /// # Errors
     /// The step is unknown or ambiguous.
-    pub(super) fn read(&self, step: &Step) -> Result<StepMeaning, String> {
+    pub(super) fn read(&'static self, step: &Step) -> Result<StepMeaning, String> {
         let text = step.value.trim();
         let more = |values| StepArguments {
             values,
@@ -100,8 +105,8 @@ impl StepRegistry {
             let matching = self.facts.iter().filter_map(|fact| Some((fact.function, fact.parse(text)?)));
             matching.map(|(fact, values)| FactCheck { fact, arguments: more(values), text: text.to_owned() }).collect()
         };
-        let actions = |text: &str| -> Vec<(ActionFn, StepArguments)> {
-            let matching = self.actions.iter().filter_map(|action| Some((action.function, action.parse(text)?)));
+        let actions = |text: &str| -> Vec<(&'static ActionStep, StepArguments)> {
+            let matching = self.actions.iter().filter_map(|action| Some((action, action.parse(text)?)));
             matching.map(|(action, values)| (action, more(values))).collect()
         };
         let mut candidates = vec![];
@@ -205,23 +210,23 @@ const FACTS: &str = "Facts";
 
 /// Returns the documentation of all steps.
 pub fn step_docs() -> Vec<StepDoc> {
-    fn list<T: Copy>(kind: &'static str, patterns: &[StepPattern<T>]) -> Vec<StepDoc> {
-        let doc = |phrase: &StepPattern<T>| StepDoc {
+    fn list<T>(kind: &'static str, patterns: &[StepPattern<T>]) -> Vec<StepDoc> {
+        let doc = |step: &StepPattern<T>| StepDoc {
             kind,
-            pattern: phrase.pattern.to_owned(),
-            example: phrase.example.to_owned(),
+            pattern: step.pattern.to_owned(),
+            example: step.example.to_owned(),
         };
         patterns.iter().map(doc).collect()
     }
-    let book = StepRegistry::get();
+    let registry = StepRegistry::get();
     let form = |(pattern, example): (&str, &str)| StepDoc {
         kind: FORMS_KIND,
         pattern: pattern.to_owned(),
         example: example.to_owned(),
     };
     let mut all: Vec<StepDoc> = FORMS.into_iter().map(form).collect();
-    all.extend(list(SETTINGS, &book.settings));
-    all.extend(list(ACTIONS, &book.actions));
-    all.extend(list(FACTS, &book.facts));
+    all.extend(list(SETTINGS, &registry.settings));
+    all.extend(list(ACTIONS, &registry.actions));
+    all.extend(list(FACTS, &registry.facts));
     all
 }

@@ -124,7 +124,7 @@ impl ActionExecutor {
                 self.slow.insert(number, (node.clone(), *write_ms));
                 self.change_disks();
             }
-            ChaosAction::Drift { .. } => {} // in force from the start: see the gear
+            ChaosAction::Drift { .. } => {} // in effect from the start: see `FaultInjector`
             ChaosAction::Battery { robot } => {
                 let charge = BatteryShare::new(0.04).expect("a share");
                 fleet.world.with(|world| world.set_charge(&slug(robot), charge));
@@ -198,7 +198,7 @@ impl ActionExecutor {
     /// Starts or restarts a node and records its leadership view.
     pub(super) async fn start(&mut self, fleet: &mut Fleet, node: &str) {
         fleet.event_log.add(Observation::TestAction { node: slug(node), action: "starts again" });
-        let known = self.composition.nodes().into_iter().find(|known| *known == node).expect("a node of the cast");
+        let known = self.composition.nodes().into_iter().find(|known| *known == node).expect("a node of the fleet");
         if known == WORLD {
             fleet.start_world().await;
         } else if self.composition.stations.contains(&known) {

@@ -10,8 +10,10 @@ use super::executor::ActionExecutor;
 use super::fault_injector::FaultInjector;
 use super::generate::LIFTED;
 use super::invariants::{self, Invariant};
+use super::mutants::{Mutant, MutantInjection};
 use super::run_counters::RunCounters;
 use super::schedule::{DiskAfterCrash, Schedule};
+use crate::fleet::NodeOptions;
 use crate::{Fleet, Observation, slug};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_world::world::World;
@@ -47,6 +49,8 @@ pub struct RunConfig {
     pub minutes: f64,
     /// Nodes have certificates and sign their messages.
     pub closed: bool,
+    /// Bug injected into all nodes; only in an open fleet.
+    pub mutant: Option<Mutant>,
 }
 
 /// Outcome of a run.
@@ -102,10 +106,8 @@ fn panic_text(panic: &(dyn Any + Send)) -> String {
 async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let composition = ChaosFleet::of(config.nodes);
     let injector = FaultInjector::new(config.seed, &composition, schedule);
-    let adjust = injector.adjust();
-    let fleet =
-        Fleet::hospital_with(config.seed, composition.members(), &composition.stations, &ROOMS, adjust, config.closed)
-            .await;
+    let options = node_options(config, &injector);
+    let fleet = Fleet::hospital_with(config.seed, composition.members(), &composition.stations, &ROOMS, options).await;
     let mut run = Run { fleet, executor: ActionExecutor::new(composition.clone(), injector), checker: Checker::new() };
     for node in composition.nodes() {
         run.fleet.record_leadership(node);
@@ -118,6 +120,23 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     hasher.write_u64(fleet.network.digest());
     let digest = format!("{:016x}", hasher.finish());
     RunOutcome { seed: config.seed, violation, counters: checker.counters, digest }
+}
+
+/// Returns the options that inject the faults, and the bug if there is one.
+fn node_options(config: &RunConfig, injector: &FaultInjector) -> NodeOptions {
+    let mut adjust = injector.adjust();
+    let options = NodeOptions { closed: config.closed, ..NodeOptions::default() };
+    let Some(mutant) = config.mutant else { return NodeOptions { adjust, ..options } };
+    let injection = MutantInjection::new(mutant);
+    let at_bus = injection.clone();
+    NodeOptions {
+        adjust: Box::new(move |settings| {
+            adjust(settings);
+            injection.equip(settings);
+        }),
+        wrap_bus: Box::new(move |settings, bus| at_bus.wrap_bus(settings, bus)),
+        ..options
+    }
 }
 
 struct Run {

@@ -61,12 +61,16 @@ pub fn run_row(
 ) -> ScoreboardRow {
     const NODES: usize = 7;
     let composition = ChaosFleet::of(NODES);
-    let config =
-        |seed| (RunConfig { seed, nodes: NODES, minutes, closed: false }, generate(seed, &composition, minutes, kinds));
+    let config = |seed| {
+        (
+            RunConfig { seed, nodes: NODES, minutes, closed: false, mutant: None },
+            generate(seed, &composition, minutes, kinds),
+        )
+    };
     let mut outcomes: Vec<RunOutcome> = vec![];
     let mut next = 1;
     while next <= runs {
-        let found = SeedSweep { seeds: next..=runs, jobs, config: &config, prepare: &|| () }.run(|outcome| {
+        let found = SeedSweep { seeds: next..=runs, jobs, config: &config }.run(|outcome| {
             outcomes.push(outcome.clone());
             each();
         });

@@ -19,8 +19,6 @@ pub struct SeedSweep<'a> {
     pub jobs: usize,
     /// Returns the configuration and the schedule of a seed.
     pub config: &'a (dyn Fn(u64) -> (RunConfig, Schedule) + Sync),
-    /// Called on each thread before its first run.
-    pub prepare: &'a (dyn Fn() + Sync),
 }
 
 impl SeedSweep<'_> {
@@ -35,21 +33,18 @@ impl SeedSweep<'_> {
         thread::scope(|scope| {
             for _ in 0..self.jobs.max(1) {
                 let (sender, next, last) = (sender.clone(), &next, &last);
-                let work = move || {
-                    (self.prepare)();
-                    loop {
-                        let seed = next.fetch_add(1, Ordering::Relaxed);
-                        if seed > last.load(Ordering::Relaxed) {
-                            return;
-                        }
-                        let (config, schedule) = (self.config)(seed);
-                        let outcome = run(&config, &schedule);
-                        if outcome.violation.is_some() {
-                            last.fetch_min(seed, Ordering::Relaxed);
-                        }
-                        if sender.send(outcome).is_err() {
-                            return;
-                        }
+                let work = move || loop {
+                    let seed = next.fetch_add(1, Ordering::Relaxed);
+                    if seed > last.load(Ordering::Relaxed) {
+                        return;
+                    }
+                    let (config, schedule) = (self.config)(seed);
+                    let outcome = run(&config, &schedule);
+                    if outcome.violation.is_some() {
+                        last.fetch_min(seed, Ordering::Relaxed);
+                    }
+                    if sender.send(outcome).is_err() {
+                        return;
                     }
                 };
                 let thread = thread::Builder::new().name(THREAD.to_owned());

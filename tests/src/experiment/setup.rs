@@ -1,13 +1,14 @@
 //! Shared setup of all trials of a design.
 
-use consort_evaluation::calibration::Calibration;
 use consort_evaluation::design::{Design, Scenario};
 use consort_evaluation::travel::TravelModel;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::TaskType;
-use consort_protocol::mission::{Domain, MissionTemplate, shipped};
-use consort_skills::descriptor::{DescriptorRegistry, Estimator};
+use consort_protocol::mission::{Domain, MissionTemplate};
+use consort_skills::descriptor::{Calibration, DescriptorRegistry, Estimator};
+use consort_skills::domain::hospital;
 use consort_skills::library::SkillLibrary;
+use consort_skills::missions::shipped;
 use consort_world::map::Map;
 use std::sync::Arc;
 
@@ -70,7 +71,7 @@ impl ExperimentSetup {
         let template = shipped().get(&design.mission.name).cloned();
         let template =
             template.ok_or_else(|| single_error(format!("no mission {} is shipped", design.mission.name)))?;
-        let domain = Domain::hospital().with_places(map.topology().places.into_keys());
+        let domain = hospital().with_places(map.topology().places.into_keys());
         for scenario in &scenarios {
             let in_scenario = |error: String| format!("scenario {}: {error}", scenario.code);
             match scenario.parameters(&design.mission).map(|given| template.instantiate(&given, &domain)) {

@@ -13,6 +13,7 @@ use consort_evaluation::policy::{GreedyAllocator, OracleAllocator, Policy, Rando
 use consort_evaluation::results::{Treatment, TrialRow};
 use consort_evaluation::seeds::{derive, generator};
 use consort_evaluation::success_estimate::{estimate_success, start_context};
+use consort_fleet::autopilot;
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSettings, RobotPart};
 use consort_protocol::auction::{Allocator, BidLimits, OptimalAssignment};
@@ -25,9 +26,11 @@ use consort_protocol::plan::{Division, divide_and_check};
 use consort_protocol::pose::Pose;
 use consort_protocol::timing::Timing;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WorldTime};
+use consort_protocol::versions::VersionRange;
 use consort_raft::store::NodeStore;
 use consort_skills::actions::RobotBackend;
-use consort_world::world::{PersonSetup, RobotSetup, SampleHolder, SharedWorld, World, WorldEvent, WorldSetup};
+use consort_world::SharedWorld;
+use consort_world::world::{PersonSetup, RobotSetup, SampleHolder, World, WorldEvent, WorldSetup};
 use rand::RngExt;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -141,6 +144,7 @@ impl<'s> TrialRun<'s> {
             bootstrap_expect: STATIONS.len(),
             timing: Timing::Lan,
             voters: STATIONS.len(),
+            autopilot_rule: autopilot::decide,
             dead_after: times.dead_after,
             map: None,
         };
@@ -250,6 +254,7 @@ impl<'s> TrialRun<'s> {
             seed,
             store: NodeStore::in_memory(seed),
             clock: Clock::virtual_at(0),
+            supported_versions: VersionRange::OWN,
             may_vote,
             stationary,
             mains_powered: stationary,

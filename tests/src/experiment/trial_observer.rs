@@ -15,7 +15,7 @@ use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::MetresPerSecond;
 use consort_skills::actions::RobotBackend;
 use consort_skills::descriptor::{EstimateContext, Estimator};
-use consort_world::world::SharedWorld;
+use consort_world::SharedWorld;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;

@@ -1,21 +1,19 @@
 //! A bus on which every message of a node carries its author's signature.
 
-use super::certificates::{CertificateExchange, unix_time};
-use super::keyring::{Keyring, VerifiedCertificate};
+use super::certificates::{CertificateExchange, ExchangeContext};
+use super::keyring::Keyring;
 use super::record_signer::KeyringSigner;
 use super::rejections::RejectionLog;
+use super::verifier::{DetachedSignature, ReceivedMessage, Verifier, Windows};
 use crate::bus::{BusError, Encoding, Query, Replier, Reply, Sample, SharedBus, Stream};
 use crate::clock::Clock;
 use crate::layer::{Layer, MessageContent, refuse_in_background};
 use crate::record_signer::SharedRecordSigner;
 use async_trait::async_trait;
 use bytes::Bytes;
+use consort_protocol::access::Operation;
 use consort_protocol::keys::Keys;
-use consort_protocol::trust::{
-    EnvelopeError, Fingerprint, Freshness, MessageKind, Operation, ReplayWindow, authorize, decode_envelope,
-    decode_requester, encode_requester, signed_attachment, signed_part,
-};
-use std::collections::BTreeMap;
+use consort_protocol::trust::{MessageKind, decode_requester, encode_requester};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -27,7 +25,6 @@ use std::sync::Arc;
 /// unchanged: certificates prove themselves, and presence has no content.
 pub struct SigningBus {
     bus: SharedBus,
-    keys: Keys,
     verifier: Arc<Verifier>,
 }
 
@@ -40,14 +37,6 @@ enum SignaturePlace {
     Attachment,
     /// No signature.
     Absent,
-}
-
-/// State for verifying messages.
-struct Verifier {
-    keyring: Arc<Keyring>,
-    certificates: Arc<CertificateExchange>,
-    rejections: Arc<RejectionLog>,
-    clock: Clock,
 }
 
 impl SigningBus {
@@ -64,9 +53,15 @@ impl SigningBus {
         clock: Clock,
     ) -> Result<SigningBus, BusError> {
         let rejections = Arc::new(RejectionLog::default());
-        let (inner, ring, log) = (Arc::clone(&bus), Arc::clone(&keyring), Arc::clone(&rejections));
-        let certificates = Arc::new(CertificateExchange::open(inner, keys.clone(), ring, revoked, clock, log).await?);
-        Ok(SigningBus { bus, keys, verifier: Arc::new(Verifier { keyring, certificates, rejections, clock }) })
+        let context = ExchangeContext {
+            bus: Arc::clone(&bus),
+            keys: keys.clone(),
+            keyring: Arc::clone(&keyring),
+            clock,
+            rejections: Arc::clone(&rejections),
+        };
+        let certificates = Arc::new(CertificateExchange::open(context, revoked).await?);
+        Ok(SigningBus { bus, verifier: Arc::new(Verifier { keys, keyring, certificates, rejections, clock }) })
     }
 
     /// Returns the signer of this node's records, which also verifies records of other nodes.
@@ -82,7 +77,7 @@ impl SigningBus {
 
     /// Returns the location of the signature for a key or key expression.
     fn signature_place(&self, key: &str) -> SignaturePlace {
-        match self.keys.strip_fleet(key).and_then(|suffix| suffix.split_once('/')) {
+        match self.verifier.keys.strip_fleet(key).and_then(|suffix| suffix.split_once('/')) {
             Some(("wire", rest)) if rest.starts_with("certificate/") => SignaturePlace::Absent,
             Some(("wire", _)) => SignaturePlace::Envelope,
             Some(("view" | "seen" | "api" | "events", _)) => SignaturePlace::Attachment,
@@ -91,16 +86,17 @@ impl SigningBus {
     }
 
     fn samples(&self, samples: Stream<Sample>, place: SignaturePlace) -> Stream<Sample> {
-        let (verifier, keys, mut windows) = (Arc::clone(&self.verifier), self.keys.clone(), Windows::default());
+        let (verifier, mut windows) = (Arc::clone(&self.verifier), Windows::default());
         samples.filter_map(move |sample| {
             let message = ReceivedMessage {
                 kind: MessageKind::Publication,
+                operation: Operation::Publish,
                 key: &sample.key,
                 bytes: &sample.payload,
                 detached: (place == SignaturePlace::Attachment)
                     .then_some(DetachedSignature { signature: &sample.attachment, query: &[] }),
             };
-            let verified = verifier.verify(&keys, Operation::Publish, message, Some(&mut windows)).ok()?;
+            let verified = verifier.verify(&message, Some(&mut windows)).ok()?;
             let payload = verified.payload(&sample.payload);
             Some(Sample { payload, attachment: Bytes::new(), ..sample })
         })
@@ -108,11 +104,16 @@ impl SigningBus {
 
     /// Verifies queries between nodes, and signs the replies to them.
     fn sign_replies_to_nodes(&self, queries: Stream<Query>) -> Stream<Query> {
-        let (verifier, keys, mut windows) = (Arc::clone(&self.verifier), self.keys.clone(), Windows::default());
+        let (verifier, mut windows) = (Arc::clone(&self.verifier), Windows::default());
         queries.filter_map(move |query| {
-            let message =
-                ReceivedMessage { kind: MessageKind::Query, key: &query.key, bytes: &query.payload, detached: None };
-            match verifier.verify(&keys, Operation::Query, message, Some(&mut windows)) {
+            let message = ReceivedMessage {
+                kind: MessageKind::Query,
+                operation: Operation::Query,
+                key: &query.key,
+                bytes: &query.payload,
+                detached: None,
+            };
+            match verifier.verify(&message, Some(&mut windows)) {
                 Ok(verified) => {
                     let payload = verified.payload(&query.payload);
                     let kind = MessageKind::Reply(verified.signer, verified.number);
@@ -121,8 +122,8 @@ impl SigningBus {
                         Box::new(SigningReplier { replier: query.replier, keyring, kind, query_payload: None });
                     Some(Query { payload, replier, ..query })
                 }
-                Err(reason) => {
-                    refuse_in_background(query, reason);
+                Err(rejected) => {
+                    refuse_in_background(query, rejected.to_string());
                     None
                 }
             }
@@ -146,136 +147,25 @@ impl SigningBus {
     /// Returns the replies that pass verification. For detached signatures, `query` is the payload
     /// of the query.
     fn replies(&self, replies: Stream<Reply>, number: u64, query: Option<Bytes>) -> Stream<Reply> {
-        let (verifier, keys) = (Arc::clone(&self.verifier), self.keys.clone());
+        let verifier = Arc::clone(&self.verifier);
         let kind = MessageKind::Reply(self.verifier.keyring.fingerprint(), number);
         replies.filter_map(move |reply| {
             let detached = query.as_ref().map(|query| DetachedSignature { signature: &reply.attachment, query });
             let bytes = match &reply.payload {
                 Ok(bytes) => bytes,
                 // Nodes of this fleet refuse with signed JSON.
-                Err(_) if detached.is_some() => return verifier.reject_unsigned(&keys, &reply.key),
+                Err(_) if detached.is_some() => {
+                    verifier.reject_unsigned(&reply.key);
+                    return None;
+                }
                 Err(_) => return Some(reply),
             };
-            let message = ReceivedMessage { kind, key: &reply.key, bytes, detached };
-            let verified = verifier.verify(&keys, Operation::Reply, message, None).ok()?;
+            let message = ReceivedMessage { kind, operation: Operation::Reply, key: &reply.key, bytes, detached };
+            let verified = verifier.verify(&message, None).ok()?;
             let payload = Ok(verified.payload(bytes));
             Some(Reply { payload, attachment: Bytes::new(), ..reply })
         })
     }
-}
-
-/// A received message.
-struct ReceivedMessage<'a> {
-    kind: MessageKind,
-    key: &'a str,
-    bytes: &'a Bytes,
-    /// Detached signature, if the key uses attachments.
-    detached: Option<DetachedSignature<'a>>,
-}
-
-/// A detached signature.
-struct DetachedSignature<'a> {
-    signature: &'a [u8],
-    /// Payload of the query that the message replies to.
-    query: &'a [u8],
-}
-
-/// A verified message.
-struct VerifiedMessage {
-    signer: Fingerprint,
-    number: u64,
-    length: usize,
-}
-
-impl VerifiedMessage {
-    /// Returns the message itself, which is at the end of the received bytes.
-    fn payload(&self, bytes: &Bytes) -> Bytes {
-        bytes.slice(bytes.len() - self.length..)
-    }
-}
-
-/// Replay windows per author, for a single subscription or service.
-type Windows = BTreeMap<Fingerprint, ReplayWindow>;
-
-impl Verifier {
-    /// Verifies the signature and the authorization of a received message and, unless it is a
-    /// reply, that it is new.
-    fn verify(
-        &self,
-        keys: &Keys,
-        operation: Operation,
-        message: ReceivedMessage<'_>,
-        windows: Option<&mut Windows>,
-    ) -> Result<VerifiedMessage, String> {
-        let ReceivedMessage { kind, key, bytes, detached } = message;
-        let suffix = keys.strip_fleet(key).unwrap_or(key);
-        let envelope = match decode_envelope(kind, detached.as_ref().map_or(bytes, |detached| detached.signature)) {
-            Ok(envelope) => envelope,
-            Err(problem) => return self.refuse(format!("message on {suffix} rejected: {problem}")),
-        };
-        let (payload, signed, attached) = match &detached {
-            None => {
-                (envelope.payload, signed_part(kind, envelope.signer, envelope.number, key, envelope.payload), None)
-            }
-            Some(detached) => {
-                let signed = signed_attachment(kind, envelope.signer, envelope.number, key, detached.query, bytes);
-                (&bytes[..], signed, Some(envelope.payload))
-            }
-        };
-        let certificate = match (self.keyring.certificate(envelope.signer), attached) {
-            (Some(certificate), _) => certificate,
-            (None, Some(certificate)) => match self.keyring.add_certificate(certificate, unix_time(self.clock)) {
-                Ok(certificate) if certificate.fingerprint() == envelope.signer => certificate,
-                Ok(certificate) => {
-                    let principal = &certificate.identity.principal;
-                    return self.refuse(format!("message on {suffix} rejected: the attached certificate belongs to {principal}, not to the signer"));
-                }
-                Err(problem) => {
-                    return self.refuse(format!("message on {suffix} rejected: invalid certificate: {problem}"));
-                }
-            },
-            (None, None) => {
-                self.certificates.request(envelope.signer);
-                return Err(format!("certificate {} is not yet known to this node; retry", envelope.signer));
-            }
-        };
-        if !certificate.verify(&signed, envelope.signature) {
-            return self.refuse(format!(
-                "message on {suffix} rejected: the signature is not by {}",
-                certificate.identity.principal
-            ));
-        }
-        if let Err(denied) = authorize(&certificate.identity, operation, suffix, payload) {
-            return self.refuse(denied.to_string());
-        }
-        if let Some(windows) = windows {
-            match windows.entry(envelope.signer).or_default().accept(envelope.number) {
-                Freshness::New => {}
-                Freshness::Repeated => return Err("the message was received before".to_owned()),
-                Freshness::Old => return self.refuse(outdated(&certificate, suffix)),
-            }
-        }
-        Ok(VerifiedMessage { signer: envelope.signer, number: envelope.number, length: payload.len() })
-    }
-
-    /// Records a rejection.
-    fn refuse<T>(&self, reason: String) -> Result<T, String> {
-        self.rejections.record(reason.clone());
-        Err(reason)
-    }
-
-    /// Records the rejection of an unsigned message.
-    fn reject_unsigned<T>(&self, keys: &Keys, key: &str) -> Option<T> {
-        let suffix = keys.strip_fleet(key).unwrap_or(key);
-        self.refuse(format!("message on {suffix} rejected: {}", EnvelopeError::Unsigned)).ok()
-    }
-}
-
-fn outdated(certificate: &VerifiedCertificate, suffix: &str) -> String {
-    let principal = &certificate.identity.principal;
-    format!(
-        "message on {suffix} rejected: it is older than earlier messages of {principal}; it was replayed, or the clock of {principal} was set back"
-    )
 }
 
 impl Layer for SigningBus {

@@ -5,7 +5,7 @@ use super::files::read_revoked;
 use super::keyring::Keyring;
 use super::link_revocation::register_link_check;
 use super::rejections::RejectionLog;
-use crate::bus::{BusError, Encoding, SharedBus, Stream};
+use crate::bus::{BusError, Encoding, Query, SharedBus, Stream};
 use crate::clock::Clock;
 use bytes::Bytes;
 use consort_protocol::keys::{Key, Keys};
@@ -45,25 +45,21 @@ pub(super) struct CertificateExchange {
 
 /// State shared by the tasks.
 #[derive(Clone)]
-struct Context {
-    bus: SharedBus,
-    keys: Keys,
-    keyring: Arc<Keyring>,
-    clock: Clock,
-    rejections: Arc<RejectionLog>,
+pub(super) struct ExchangeContext {
+    pub(super) bus: SharedBus,
+    pub(super) keys: Keys,
+    pub(super) keyring: Arc<Keyring>,
+    pub(super) clock: Clock,
+    pub(super) rejections: Arc<RejectionLog>,
 }
 
 impl CertificateExchange {
-    /// Starts to serve the node's own certificate and to query others.
+    /// Starts to serve the node's own certificate and to query others. `revoked` is the file with
+    /// the list of revoked certificates.
     pub(super) async fn open(
-        bus: SharedBus,
-        keys: Keys,
-        keyring: Arc<Keyring>,
+        context: ExchangeContext,
         revoked: Option<PathBuf>,
-        clock: Clock,
-        rejections: Arc<RejectionLog>,
     ) -> Result<CertificateExchange, BusError> {
-        let context = Context { bus, keys, keyring, clock, rejections };
         let (requested, requests) = unbounded_channel();
         let mut tasks = JoinSet::new();
         // Persons publish no messages, so no node queries their certificates; and their links
@@ -85,7 +81,7 @@ impl CertificateExchange {
 }
 
 /// Serves the node's own certificate.
-async fn serve_own(mut queried: Stream<crate::bus::Query>, key: String, certificate: Bytes) {
+async fn serve_own(mut queried: Stream<Query>, key: String, certificate: Bytes) {
     while let Some(query) = queried.recv().await {
         if let Err(problem) = query.replier.reply(&key, certificate.clone(), Encoding::Wire).await {
             debug!(%problem, "failed to send the own certificate");
@@ -94,7 +90,7 @@ async fn serve_own(mut queried: Stream<crate::bus::Query>, key: String, certific
 }
 
 /// Queries the requested certificates, each at most once at a time.
-async fn query_requested(context: Context, mut requests: UnboundedReceiver<Fingerprint>) {
+async fn query_requested(context: ExchangeContext, mut requests: UnboundedReceiver<Fingerprint>) {
     let mut queried: BTreeMap<Fingerprint, Instant> = BTreeMap::new();
     let mut queries = JoinSet::new();
     while let Some(requested) = requests.recv().await {
@@ -112,7 +108,7 @@ async fn query_requested(context: Context, mut requests: UnboundedReceiver<Finge
     }
 }
 
-async fn query_certificate(context: Context, requested: Fingerprint) {
+async fn query_certificate(context: ExchangeContext, requested: Fingerprint) {
     let key = context.keys.write(&Key::Certificate(requested));
     let mut replies = match context.bus.query(&key, Bytes::new(), QUERY_TIMEOUT).await {
         Ok(replies) => replies,
@@ -120,7 +116,7 @@ async fn query_certificate(context: Context, requested: Fingerprint) {
     };
     while let Ok(Some(reply)) = timeout(QUERY_TIMEOUT, replies.recv()).await {
         let Ok(certificate) = reply.payload else { continue };
-        match context.keyring.add_certificate(&certificate, unix_time(context.clock)) {
+        match context.keyring.add_certificate(&certificate, context.clock.unix_time()) {
             Ok(verified) if verified.fingerprint() == requested => {
                 return debug!(identity = %verified.identity, "received a certificate");
             }
@@ -135,8 +131,8 @@ async fn query_certificate(context: Context, requested: Fingerprint) {
 }
 
 /// Verifies all certificates again, periodically.
-async fn recheck_all(file: Option<PathBuf>, context: Context) {
-    let Context { keyring, clock, rejections, .. } = context;
+async fn recheck_all(file: Option<PathBuf>, context: ExchangeContext) {
+    let ExchangeContext { keyring, clock, rejections, .. } = context;
     let links = register_link_check(&keyring, clock, rejections);
     let mut due = interval(READ_INTERVAL);
     due.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -164,16 +160,11 @@ async fn recheck_all(file: Option<PathBuf>, context: Context) {
         if is_new {
             last_list.clone_from(&revoked);
         }
-        for (identity, problem) in keyring.recheck(revoked, unix_time(clock)) {
+        for (identity, problem) in keyring.recheck(revoked, clock.unix_time()) {
             warn!(principal = %identity.principal, %problem, "certificate is no longer valid");
         }
         if is_new {
-            links.again();
+            links.repeat();
         }
     }
-}
-
-/// Returns the time since 1970.
-pub(super) fn unix_time(clock: Clock) -> Duration {
-    Duration::from_millis(clock.wall_ms())
 }

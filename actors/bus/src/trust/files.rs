@@ -1,15 +1,44 @@
 //! Files of certificates and keys: PEM, as written by `consort cert` and readable by common tools.
 
 use super::issue::IssuedCertificate;
-use super::keyring::{Authority, Keyring, VerifiedCertificate};
+use super::keyring::{Authority, CertificateError, Keyring, VerifiedCertificate};
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::Identity;
 use pki_types::pem::PemObject;
 use pki_types::{CertificateDer, CertificateRevocationListDer, PrivatePkcs8KeyDer};
+use ring::error::KeyRejected;
 use ring::signature::Ed25519KeyPair;
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+
+/// An issued certificate and its key make no keyring.
+#[derive(Debug, thiserror::Error)]
+pub enum KeyringError {
+    /// A text is no PEM of the expected kind.
+    #[error(transparent)]
+    Pem(#[from] pki_types::pem::Error),
+    /// The authority did not sign the certificate, or it is not valid now.
+    #[error(transparent)]
+    Certificate(#[from] CertificateError),
+    /// The key cannot be used.
+    #[error(transparent)]
+    Key(#[from] KeyError),
+}
+
+/// A private key cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum KeyError {
+    /// The key has another algorithm or form.
+    #[error("not an Ed25519 key: {0}")]
+    NotEd25519(KeyRejected),
+    /// The certificate was issued for another key.
+    #[error("the key does not belong to {of}")]
+    Foreign {
+        /// File of the certificate.
+        of: String,
+    },
+}
 
 /// Paths of the certificates and the key of a node or a person.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -84,32 +113,29 @@ impl Keyring {
     /// `incarnation` see [`TrustFiles::open`].
     ///
     /// # Errors
-    /// The reason, as text.
+    /// [`KeyringError`] states the reason.
     pub fn from_issued(
         fleet: FleetId,
         authority: &str,
         issued: &IssuedCertificate,
         now: Duration,
         incarnation: u64,
-    ) -> Result<Keyring, String> {
-        let unreadable = |problem: pki_types::pem::Error| problem.to_string();
-        let authority = CertificateDer::from_pem_slice(authority.as_bytes()).map_err(unreadable)?;
-        let authority = Authority::new(fleet, &authority).map_err(|problem| problem.to_string())?;
-        let own = CertificateDer::from_pem_slice(issued.certificate.as_bytes()).map_err(unreadable)?;
-        let own = authority.verify(own, None, now).map_err(|problem| problem.to_string())?;
-        let key = PrivatePkcs8KeyDer::from_pem_slice(issued.key.as_bytes()).map_err(unreadable)?;
+    ) -> Result<Keyring, KeyringError> {
+        let authority = CertificateDer::from_pem_slice(authority.as_bytes())?;
+        let authority = Authority::new(fleet, &authority)?;
+        let own = authority.verify(CertificateDer::from_pem_slice(issued.certificate.as_bytes())?, None, now)?;
+        let key = PrivatePkcs8KeyDer::from_pem_slice(issued.key.as_bytes())?;
         let key = key_of(&own, &key, "the certificate")?;
         Ok(Keyring::new(authority, own, key, None, incarnation))
     }
 }
 
 /// Parses a key, and checks that it belongs to the certificate.
-fn key_of(own: &VerifiedCertificate, key: &PrivatePkcs8KeyDer<'_>, of: &str) -> Result<Ed25519KeyPair, String> {
-    let key = Ed25519KeyPair::from_pkcs8_maybe_unchecked(key.secret_pkcs8_der());
-    let key = key.map_err(|problem| format!("not an Ed25519 key: {problem}"))?;
+fn key_of(own: &VerifiedCertificate, key: &PrivatePkcs8KeyDer<'_>, of: &str) -> Result<Ed25519KeyPair, KeyError> {
+    let key = Ed25519KeyPair::from_pkcs8_maybe_unchecked(key.secret_pkcs8_der()).map_err(KeyError::NotEd25519)?;
     match own.verify(b"proof of possession", key.sign(b"proof of possession").as_ref()) {
         true => Ok(key),
-        false => Err(format!("the key does not belong to {of}")),
+        false => Err(KeyError::Foreign { of: of.to_owned() }),
     }
 }
 

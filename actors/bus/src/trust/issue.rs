@@ -3,8 +3,8 @@
 //!
 //! All keys are Ed25519: message signatures need it, and TLS 1.3 accepts it.
 
+use consort_protocol::access::common_name;
 use consort_protocol::ids::FleetId;
-use consort_protocol::trust::access::common_name;
 use consort_protocol::trust::{Identity, Principal};
 use pki_types::PrivatePkcs8KeyDer;
 use rcgen::{

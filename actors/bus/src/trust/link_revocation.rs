@@ -5,22 +5,21 @@
 //! expired. Therefore the patched `zenoh-link-tls` passes the certificate of each link of this
 //! process to a registered check, which reads the list of revoked certificates.
 
-use super::certificates::unix_time;
 use super::keyring::Keyring;
 use super::rejections::RejectionLog;
 use crate::clock::Clock;
 use std::sync::Arc;
-use zenoh_link_tls::{Judging, judge_by};
+use zenoh_link_tls::{LinkCheck, check_links};
 
 /// Registers a check of all links against a keyring. The check is active until the returned guard
 /// is dropped.
-pub(super) fn register_link_check(keyring: &Arc<Keyring>, clock: Clock, rejections: Arc<RejectionLog>) -> Judging {
+pub(super) fn register_link_check(keyring: &Arc<Keyring>, clock: Clock, rejections: Arc<RejectionLog>) -> LinkCheck {
     let keyring = Arc::downgrade(keyring);
-    judge_by(Arc::new(move |certificate| {
-        let revoked = keyring.upgrade().and_then(|keyring| keyring.revoked_identity(certificate, unix_time(clock)));
+    check_links(move |certificate| {
+        let revoked = keyring.upgrade().and_then(|keyring| keyring.revoked_identity(certificate, clock.unix_time()));
         if let Some(identity) = &revoked {
             rejections.record(format!("link to {} rejected: its certificate has been revoked", identity.principal));
         }
         revoked.is_some()
-    }))
+    })
 }

@@ -29,9 +29,10 @@ mod probe;
 mod record_signer;
 mod rejections;
 mod token;
+mod verifier;
 
 pub use bus::SigningBus;
-pub use files::{TrustError, TrustFiles};
+pub use files::{KeyError, KeyringError, TrustError, TrustFiles};
 pub use keyring::{CertificateError, Keyring, VerifiedCertificate};
 pub use probe::ProbeError;
 pub use token::{TOKEN_MAX, TokenClaims, TokenError};

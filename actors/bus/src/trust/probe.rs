@@ -112,7 +112,7 @@ impl TrustFiles {
         stream.set_write_timeout(Some(limit)).map_err(unreachable)?;
         let mut tls = ClientConnection::new(Arc::new(config), ServerName::IpAddress(address.ip().into()))
             .map_err(|problem| ProbeError::NoTls(problem.to_string()))?;
-        let opened = shake_hands(&mut tls, &mut stream);
+        let opened = shake_hands(&mut tls, &mut stream).map_err(|problem| problem.to_string());
         let result = verifier.result.lock().unwrap_or_else(PoisonError::into_inner).take();
         match (result, opened) {
             (Some(Err(distrust)), _) => Err(ProbeError::UntrustedPeer(distrust)),
@@ -124,19 +124,33 @@ impl TrustFiles {
     }
 }
 
+/// The handshake failed.
+#[derive(Debug, thiserror::Error)]
+enum HandshakeError {
+    /// The connection failed, or the other side does not use TLS.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+    /// The other side sent no reason.
+    #[error("it closed the connection")]
+    Closed,
+    /// Reason that the other side sent.
+    #[error("{0}")]
+    Alert(String),
+}
+
 /// Performs the handshake. In TLS 1.3 the client finishes before the server has verified the
 /// client's certificate, so a rejection arrives only in a later read. Otherwise that read returns
 /// nothing until the timeout.
-fn shake_hands(tls: &mut ClientConnection, stream: &mut TcpStream) -> Result<(), String> {
+fn shake_hands(tls: &mut ClientConnection, stream: &mut TcpStream) -> Result<(), HandshakeError> {
     while tls.is_handshaking() {
-        tls.complete_io(stream).map_err(|problem| problem.to_string())?;
+        tls.complete_io(stream)?;
     }
     let received = rustls::Stream::new(tls, stream).read(&mut [0; 1]);
     match received {
-        Ok(0) => Err("it closed the connection".to_owned()),
+        Ok(0) => Err(HandshakeError::Closed),
         Ok(_) => Ok(()),
         Err(error) if [ErrorKind::WouldBlock, ErrorKind::TimedOut].contains(&error.kind()) => Ok(()),
-        Err(problem) => Err(alert(&problem).unwrap_or_else(|| problem.to_string())),
+        Err(problem) => Err(alert(&problem).map_or(HandshakeError::Io(problem), HandshakeError::Alert)),
     }
 }
 

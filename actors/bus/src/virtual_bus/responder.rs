@@ -1,48 +1,54 @@
 //! Replies of a service on the virtual bus.
 
-use super::Shared;
-use super::network::{EntityId, Incarnation, QueryRequest};
-use crate::bus::{BusError, Encoding, MESSAGE_MAX, Replier, Reply};
+use super::ids::{Incarnation, QueryPart};
+use crate::bus::{BusError, Encoding, MESSAGE_MAX, QueryRefused, Replier, Reply};
 use crate::keys;
 use async_trait::async_trait;
 use bytes::Bytes;
 use std::sync::{Arc, Weak};
+use zenoh_keyexpr::OwnedKeyExpr;
 
-/// Part of a single service in a single query.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct QueryPart {
-    pub(super) query: EntityId,
-    pub(super) service: EntityId,
+/// A query, shared by all its parts.
+pub(super) struct QueryRequest {
+    pub(super) key_expr: OwnedKeyExpr,
+    pub(super) parameters: String,
+    pub(super) payload: Bytes,
+    pub(super) attachment: Bytes,
 }
 
+impl QueryRequest {
+    /// Returns the size in bytes.
+    pub(super) fn bytes(&self) -> usize {
+        self.key_expr.len() + self.parameters.len() + self.payload.len() + self.attachment.len()
+    }
+}
+
+/// Receiver of the replies of services: the network.
+pub(super) trait ReplySink: Send + Sync {
+    /// Sends a reply of a part. `incarnation` is the node of the service.
+    fn reply(self: Arc<Self>, incarnation: Incarnation, part: QueryPart, reply: Reply) -> Result<(), BusError>;
+
+    /// Notes that a service has ended a part. Called while the network may be in use.
+    fn finish(&self, part: QueryPart);
+}
+
+/// Returns the error of a reply that cannot be sent.
+pub(super) fn reply_failed(problem: &str) -> BusError {
+    BusError::Failed { operation: "reply to a query".to_owned(), problem: problem.to_owned() }
+}
+
+/// Replier of a service on the virtual bus.
 pub(super) struct VirtualReplier {
-    shared: Weak<Shared>,
-    part: QueryPart,
-    incarnation: Incarnation,
-    request: Arc<QueryRequest>,
+    pub(super) sink: Weak<dyn ReplySink>,
+    pub(super) part: QueryPart,
+    pub(super) incarnation: Incarnation,
+    pub(super) request: Arc<QueryRequest>,
 }
 
 impl VirtualReplier {
-    pub(super) fn new(
-        shared: Weak<Shared>,
-        part: QueryPart,
-        incarnation: Incarnation,
-        request: Arc<QueryRequest>,
-    ) -> Self {
-        VirtualReplier { shared, part, incarnation, request }
-    }
-
     fn send(&self, reply: Reply) -> Result<(), BusError> {
-        let failed =
-            |problem: &str| BusError::Failed { operation: "reply to a query".to_owned(), problem: problem.to_owned() };
-        let shared = self.shared.upgrade().ok_or_else(|| failed("the network is gone"))?;
-        shared.with(|network| {
-            if !network.is_running(self.incarnation) {
-                return Err(failed("the node has crashed"));
-            }
-            network.reply(self.part, reply);
-            Ok(())
-        })
+        let sink = self.sink.upgrade().ok_or_else(|| reply_failed("the network is gone"))?;
+        sink.reply(self.incarnation, self.part, reply)
     }
 }
 
@@ -63,7 +69,7 @@ impl Replier for VirtualReplier {
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {
         self.send(Reply {
             key: self.request.key_expr.to_string(),
-            payload: Err(reason.to_owned()),
+            payload: Err(QueryRefused(reason.to_owned())),
             attachment: Bytes::new(),
         })
     }
@@ -73,8 +79,8 @@ impl Drop for VirtualReplier {
     /// Reports the end to the driver task, not to the network: this may run while the network is
     /// being changed.
     fn drop(&mut self) {
-        if let Some(shared) = self.shared.upgrade() {
-            shared.finished(self.part);
+        if let Some(sink) = self.sink.upgrade() {
+            sink.finish(self.part);
         }
     }
 }

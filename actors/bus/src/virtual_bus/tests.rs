@@ -1,6 +1,10 @@
 //! Guarantees of the virtual network beyond those of every bus.
 
 use super::*;
+use crate::bus::{Bus, Delivery, Encoding, Link, Presence, Reply, Sample, Stream};
+use bytes::Bytes;
+use consort_protocol::ids::NodeId;
+use std::time::Duration;
 use tokio::time::{Instant, sleep, timeout};
 
 fn node(name: &str) -> NodeId {

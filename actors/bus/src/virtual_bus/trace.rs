@@ -1,6 +1,6 @@
 //! Digest of all deliveries, for comparing two runs without storing them.
 
-use super::network::NodeIndex;
+use super::ids::NodeIndex;
 use tokio::time::Instant;
 
 /// Hash over every delivery: time, sender, receiver, name and content.

@@ -12,7 +12,9 @@
 //! stays away long enough to be new to every neighbour.
 
 use super::current_session::CurrentSession;
-use super::{BusError, Mode, ZenohSettings, failed};
+use super::error::failed;
+use super::settings::{LINK_CHECK, Mode, ZenohSettings};
+use crate::bus::BusError;
 use std::collections::BTreeSet;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -24,10 +26,6 @@ use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::SampleKind;
 use zenoh::session::ZenohId;
 
-/// Key, outside all fleets' keys, on which a node replies to link checks; the node's id on the bus
-/// follows. With the parameter `back=ID` the reply states whether the node with that id replied to
-/// a query in turn.
-pub(super) const LINK_CHECK: &str = "consort-link-check";
 const PASSED: &str = "passed";
 const FAILED: &str = "failed";
 

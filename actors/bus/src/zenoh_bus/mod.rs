@@ -4,7 +4,9 @@
 //! pushes into an unbounded mailbox. A query goes to all matching services and its replies are not
 //! consolidated, unless the nearest service is selected. Every query has its own timeout.
 
+mod conversion;
 mod current_session;
+mod error;
 mod link_check;
 mod session;
 mod settings;
@@ -12,25 +14,22 @@ mod settings;
 pub use settings::{LinkTrust, Mode, ZenohSettings};
 
 use crate::bus::{
-    Bus, BusError, Delivery, Encoding, Link, Presence, PresenceToken, Query, Replier, Reply, Sample, ServiceSelection,
-    Stream,
+    Bus, BusError, Delivery, Encoding, Link, Presence, PresenceToken, Query, Reply, Sample, ServiceSelection, Stream,
 };
 use crate::keys;
 use async_trait::async_trait;
 use bytes::Bytes;
+use conversion::{reply, to_attachment, to_zenoh};
+use error::failed;
 use session::{Declaration, SessionManager};
 use std::collections::BTreeSet;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep};
-use zenoh::bytes::{Encoding as ZenohEncoding, ZBytes};
 use zenoh::qos::CongestionControl;
-use zenoh::query::{ConsolidationMode, QueryTarget, ReplyError};
-use zenoh::session::ZenohId;
-use zenoh::time::{NTP64, Timestamp, TimestampId};
-use zenoh_keyexpr::OwnedKeyExpr;
+use zenoh::query::{ConsolidationMode, QueryTarget};
 
 /// Poll interval while waiting for a condition.
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
@@ -89,84 +88,6 @@ impl ZenohBus {
     /// [`BusError::Failed`] if Zenoh reports an error. The session is unusable in either case.
     pub async fn close(&self) -> Result<(), BusError> {
         self.manager.close().await
-    }
-}
-
-fn failed(what: impl Into<String>, problem: impl ToString) -> BusError {
-    BusError::Failed { operation: what.into(), problem: problem.to_string() }
-}
-
-/// Converts an error of opening a session. Zenoh's errors name source lines; operators need the
-/// address instead.
-fn open_error(settings: &ZenohSettings, problem: &str) -> BusError {
-    let problem = problem.split(" at /").next().unwrap_or_default().trim_end();
-    let of = |addresses: &[String]| addresses.iter().find(|address| problem.contains(address.as_str())).cloned();
-    if settings.mode == Mode::Client {
-        return failed(format!("reach a router at {}", settings.connect.join(", ")), problem);
-    }
-    match of(&settings.listen) {
-        Some(address) if problem.contains("in use") => {
-            failed(format!("listen on {address}"), format!("the port is taken ({problem})"))
-        }
-        Some(address) => failed(format!("listen on {address}"), problem),
-        None => failed("open", problem),
-    }
-}
-
-fn to_zenoh(encoding: Encoding) -> ZenohEncoding {
-    match encoding {
-        Encoding::Wire => ZenohEncoding::APPLICATION_OCTET_STREAM,
-        Encoding::Json => ZenohEncoding::APPLICATION_JSON,
-    }
-}
-
-/// Payloads without a JSON encoding count as wire messages.
-fn from_zenoh(encoding: &ZenohEncoding) -> Encoding {
-    if *encoding == ZenohEncoding::APPLICATION_OCTET_STREAM {
-        return Encoding::Wire;
-    }
-    let text = encoding.to_string(); // may be followed by parameters: `application/json;charset=utf-8`
-    let json = ["application/json", "text/json"].contains(&text.split(';').next().unwrap_or_default());
-    if json { Encoding::Json } else { Encoding::Wire }
-}
-
-fn to_bytes(payload: &ZBytes) -> Bytes {
-    match payload.to_bytes() {
-        std::borrow::Cow::Borrowed(bytes) => Bytes::copy_from_slice(bytes),
-        std::borrow::Cow::Owned(bytes) => Bytes::from(bytes),
-    }
-}
-
-/// Copies the attachment; empty if absent.
-fn attachment_bytes(attachment: Option<&ZBytes>) -> Bytes {
-    attachment.map(to_bytes).unwrap_or_default()
-}
-
-/// Returns the attachment to send; `None` if it is empty.
-fn to_attachment(attachment: Bytes) -> Option<Bytes> {
-    (!attachment.is_empty()).then_some(attachment)
-}
-
-/// Checks whether an error is Zenoh's report of a query timeout. Zenoh ends such a query with an
-/// error that no service sent. The encoding distinguishes the two: errors of our services are plain
-/// text.
-fn is_timeout(error: &ReplyError) -> bool {
-    let unmarked = [ZenohEncoding::ZENOH_STRING, ZenohEncoding::ZENOH_BYTES].contains(error.encoding());
-    unmarked && error.payload().to_bytes() == b"Timeout".as_slice()
-}
-
-fn reply(from: zenoh::query::Reply, query_key: &OwnedKeyExpr) -> Option<Reply> {
-    match from.into_result() {
-        Ok(sample) => Some(Reply {
-            key: sample.key_expr().to_string(),
-            payload: Ok(to_bytes(sample.payload())),
-            attachment: attachment_bytes(sample.attachment()),
-        }),
-        Err(error) if is_timeout(&error) => None,
-        Err(error) => {
-            let reason = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
-            Some(Reply { key: query_key.to_string(), payload: Err(reason), attachment: Bytes::new() })
-        }
     }
 }
 
@@ -264,62 +185,5 @@ impl Bus for ZenohBus {
         let transports = self.manager.session().info().transports().await;
         let links = transports.map(|link| Link { peer: link.zid().to_string(), kind: link.whatami().to_string() });
         links.collect::<BTreeSet<Link>>().into_iter().collect()
-    }
-}
-
-/// Creates the callback that puts queries into a mailbox. `own` is the id of the session.
-fn query_callback(
-    mailbox: mpsc::UnboundedSender<Query>,
-    own: ZenohId,
-    message_max: usize,
-) -> impl Fn(zenoh::query::Query) + Send + Sync {
-    move |query| {
-        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let at = Timestamp::new(NTP64::from(since_1970), TimestampId::from(own));
-        // The receiver is gone: the declaration is about to end.
-        let _ = mailbox.send(Query {
-            key: query.key_expr().to_string(),
-            parameters: query.parameters().to_string(),
-            payload: query.payload().map(to_bytes).unwrap_or_default(),
-            attachment: attachment_bytes(query.attachment()),
-            replier: Box::new(ZenohReplier {
-                query_key: OwnedKeyExpr::from(query.key_expr().clone()),
-                query,
-                at,
-                message_max,
-            }),
-        });
-    }
-}
-
-/// Replies to a query of Zenoh. The query ends when this is dropped.
-struct ZenohReplier {
-    query: zenoh::query::Query,
-    query_key: OwnedKeyExpr,
-    /// Timestamp of the query, in Zenoh's sense, which is unique per node. All replies to the query
-    /// have this timestamp. Zenoh returns the latest reply per key, so of two nodes that reply on
-    /// the same keys all returned replies come from the same node.
-    at: Timestamp,
-    message_max: usize,
-}
-
-#[async_trait]
-impl Replier for ZenohReplier {
-    async fn reply_with_attachment(
-        &self,
-        key: &str,
-        payload: Bytes,
-        attachment: Bytes,
-        encoding: Encoding,
-    ) -> Result<(), BusError> {
-        let key = keys::reply_key(key, &self.query_key)?;
-        keys::check_payload_size("reply to a query", &payload, self.message_max)?;
-        let reply = self.query.reply(key, payload).encoding(to_zenoh(encoding)).timestamp(self.at);
-        reply.attachment(to_attachment(attachment)).await.map_err(|problem| failed("reply to a query", problem))
-    }
-
-    async fn refuse(&self, reason: &str) -> Result<(), BusError> {
-        let refusal = self.query.reply_err(reason).encoding(ZenohEncoding::TEXT_PLAIN);
-        refusal.await.map_err(|problem| failed("reply to a query", problem))
     }
 }

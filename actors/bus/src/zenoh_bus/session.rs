@@ -1,9 +1,10 @@
 //! A session that can be reopened, together with all declarations on it.
 
+use super::conversion::{attachment_bytes, from_zenoh, query_callback, to_bytes};
 use super::current_session::CurrentSession;
-use super::{
-    Mode, ZenohSettings, attachment_bytes, failed, from_zenoh, link_check, open_error, query_callback, to_bytes,
-};
+use super::error::{failed, open_error};
+use super::link_check;
+use super::settings::{Mode, ZenohSettings};
 use crate::bus::{BusError, Presence, Query, Sample};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};

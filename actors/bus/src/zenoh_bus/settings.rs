@@ -1,13 +1,16 @@
 //! Settings of a Zenoh session.
 
-use super::link_check::LINK_CHECK;
 use crate::bus::{BusError, MESSAGE_MAX};
 use crate::trust::TrustFiles;
+use consort_protocol::access::{Grant, LinkMessage, grants};
 use consort_protocol::ids::FleetId;
-use consort_protocol::trust::access::{Grant, LinkMessage, grants};
 use serde_json::{Value, json};
 use std::time::Duration;
 
+/// Key, outside all fleets' keys, on which a node replies to link checks; the node's id on the bus
+/// follows. With the parameter `back=ID` the reply states whether the node with that id replied to
+/// a query in turn.
+pub(super) const LINK_CHECK: &str = "consort-link-check";
 /// Role of a node towards its neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Mode {

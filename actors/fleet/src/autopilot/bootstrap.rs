@@ -1,14 +1,13 @@
 //! Bootstrap of the cluster: selects the first voters. [`BootstrapPromise`] decides, and this
 //! module performs the I/O.
 
-use super::VOTERS_MAX;
 use super::bootstrap_promise::{BootstrapPromise, ObservedFleet};
 use bytes::Bytes;
 use consort_bus::cluster_membership::ClusterMembership;
-use consort_bus::reply;
-use consort_bus::{Query, SharedBus, Stream};
+use consort_bus::{BusError, Query, SharedBus, Stream, reply};
 use consort_gossip::SharedKnowledge;
-use consort_protocol::codec;
+use consort_protocol::codec::{self, CodecError};
+use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::ledger::Ledger;
 use consort_protocol::message::{BootstrapReply, BootstrapRequest};
@@ -19,6 +18,12 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tracing::{debug, info, warn};
 
+/// Greatest number of voters: more voters slow down every commit and add little fault tolerance.
+pub const VOTERS_MAX: usize = 9;
+
+/// Default target number of voters: two of five may fail at the same time.
+pub const VOTERS: usize = 5;
+
 /// Time from its start for which a node only listens, before it bootstraps a cluster. It learns of
 /// an existing cluster within a single exchange of gossip, some milliseconds after the first link
 /// is up.
@@ -28,6 +33,23 @@ const LISTEN_TIME: Duration = Duration::from_millis(600);
 /// requests: that node bootstraps before this time has passed, and soon afterwards all nodes have
 /// received the result. A guess.
 const PROMISE_REPLY_TIMEOUTS: u32 = 3;
+
+/// The expected nodes have not agreed to the bootstrap. The next attempt asks again.
+#[derive(Debug, thiserror::Error)]
+enum Disagreement {
+    /// The request does not fit a message.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// The request was not sent.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// Another node bootstraps the cluster, or knows of a ledger.
+    #[error("{node} refused: {reason}")]
+    Refused { node: NodeId, reason: String },
+    /// Common at the start of a fleet: not all nodes are reachable yet.
+    #[error("{agreed} of {expected} expected nodes have agreed")]
+    Incomplete { agreed: usize, expected: usize },
+}
 
 /// State needed to bootstrap a cluster, or to leave the bootstrap to another node.
 pub(crate) struct Bootstrap {
@@ -94,7 +116,7 @@ impl Bootstrap {
                         return;
                     }
                     Ok(()) => debug!(%node, "no bootstrap: this node has given way"),
-                    Err(reason) => debug!(%node, reason, "no bootstrap"),
+                    Err(disagreement) => debug!(%node, reason = disagreement.to_string(), "no bootstrap"),
                 }
                 tokio::time::sleep(self.reply_timeout).await;
                 continue;
@@ -109,24 +131,23 @@ impl Bootstrap {
     }
 
     /// Asks all reachable nodes, known or not, whether this node may bootstrap the cluster.
-    async fn all_agree(&self) -> Result<(), String> {
-        let request = codec::encode(&self.me).map_err(|error| error.to_string())?;
-        let replies = self.bus.query(&self.keys.any_bootstrap(), Bytes::from(request), self.reply_timeout).await;
-        let mut replies = replies.map_err(|error| error.to_string())?;
+    async fn all_agree(&self) -> Result<(), Disagreement> {
+        let request = codec::encode(&self.me)?;
+        let mut replies = self.bus.query(&self.keys.any_bootstrap(), Bytes::from(request), self.reply_timeout).await?;
         let mut agreed = BTreeSet::from([self.me.node.clone()]);
         while let Some(reply) = replies.recv().await {
             let answer = reply.payload.ok().and_then(|payload| codec::decode(&payload).ok());
             match (self.keys.read(&reply.key), answer) {
                 (Some(Key::Bootstrap(node)), Some(BootstrapReply::Agreed)) => drop(agreed.insert(node)),
                 (Some(Key::Bootstrap(node)), Some(BootstrapReply::Refused { reason })) => {
-                    return Err(format!("{node} refused: {reason}"));
+                    return Err(Disagreement::Refused { node, reason });
                 }
                 (key, answer) => debug!(?key, ?answer, "unexpected reply to the bootstrap request"),
             }
         }
-        match agreed.len() >= self.expected_nodes {
-            true => Ok(()),
-            false => Err(format!("{} of {} expected nodes have agreed", agreed.len(), self.expected_nodes)),
+        match (agreed.len(), self.expected_nodes) {
+            (agreed, expected) if agreed >= expected => Ok(()),
+            (agreed, expected) => Err(Disagreement::Incomplete { agreed, expected }),
         }
     }
 

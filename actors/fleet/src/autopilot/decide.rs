@@ -5,7 +5,6 @@
 //! removed below the target without a more suitable voter in its place.
 
 use consort_protocol::ids::NodeId;
-use consort_protocol::mutants::{self, Mutant};
 use consort_raft::RaftId;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -152,6 +151,9 @@ impl AutopilotAction {
     }
 }
 
+/// Decision rule of the autopilot: [`decide`], or a replacement of it.
+pub type AutopilotRule = fn(&AutopilotInput) -> Option<AutopilotAction>;
+
 /// Returns the next action; `None` when nothing is due, or nothing can be done safely.
 pub fn decide(input: &AutopilotInput) -> Option<AutopilotAction> {
     if let Some(voters) = &input.pending_voters {
@@ -216,10 +218,6 @@ impl AutopilotInput {
     fn replace_dead_voter(&self) -> Option<AutopilotAction> {
         let (dead, cause) = self.voter_to_replace()?;
         let mut voters: BTreeSet<RaftId> = self.voters.keys().copied().filter(|id| *id != dead).collect();
-        if mutants::is_active(Mutant::TwoRemoved) {
-            let second = voters.iter().copied().find(|id| *id != self.me);
-            second.map(|id| voters.remove(&id));
-        }
         if self.voters.len() > self.target_voters {
             return Some(AutopilotAction::SetVoters { voters, reason: format!("{cause}: enough voters are left") });
         }

@@ -18,14 +18,15 @@ use consort_protocol::message::Beacon;
 use consort_protocol::timing::TimingParameters;
 use consort_raft::{Replica, TransferError};
 use ractor::ActorRef;
-use serde::Serialize;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::time::Duration;
 use tokio::time::{Instant, timeout};
 use tracing::{debug, info, warn};
 
 /// Report on the decommission of a node.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct DecommissionReport {
     /// Node that left.
     pub node: NodeId,

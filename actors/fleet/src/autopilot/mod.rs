@@ -19,13 +19,7 @@ mod decommission;
 mod perform;
 
 pub(crate) use bootstrap::Bootstrap;
-pub use decide::{AutopilotAction, AutopilotInput, Member, MemberHealth, decide};
+pub use bootstrap::{VOTERS, VOTERS_MAX};
+pub use decide::{AutopilotAction, AutopilotInput, AutopilotRule, Member, MemberHealth, decide};
 pub use decommission::{Decommission, DecommissionError, DecommissionReport};
-pub use perform::ActionResult;
-pub(crate) use perform::{Autopilot, perform};
-
-/// Greatest number of voters: more voters slow down every commit and add little fault tolerance.
-pub const VOTERS_MAX: usize = 9;
-
-/// Default target number of voters: two of five may fail at the same time.
-pub const VOTERS: usize = 5;
+pub(crate) use perform::{ActionResult, Autopilot, AutopilotSettings, perform};

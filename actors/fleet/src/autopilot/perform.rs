@@ -2,12 +2,12 @@
 //! the coordinator.
 
 use super::cluster_snapshot::{ClusterSnapshot, StabilityTracker};
-use super::decide::{AutopilotAction, AutopilotInput, decide};
+use super::decide::{AutopilotAction, AutopilotInput, AutopilotRule};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::ids::ClusterId;
 use consort_protocol::ledger::Ledger;
+use consort_protocol::view::{AutopilotView, VoterChange};
 use consort_raft::{MemberError, Replica, TransferError};
-use serde_json::{Value, json};
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -20,12 +20,22 @@ const TRANSFER_TIMEOUT: Duration = Duration::from_millis(200);
 /// Pause after a failed action.
 const RETRY_PAUSE: Duration = Duration::from_secs(1);
 
+/// Settings of the autopilot.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct AutopilotSettings {
+    /// Decision rule.
+    pub(crate) rule: AutopilotRule,
+    /// Number of voters that the autopilot aims at.
+    pub(crate) target_voters: usize,
+    /// Time without contact after which the autopilot replaces a voter.
+    pub(crate) dead_after: Duration,
+    /// Age of the last reply up to which a voter counts as healthy: several heartbeats.
+    pub(crate) contact_max: Duration,
+}
+
 /// Autopilot of a single leader session.
 pub(crate) struct Autopilot {
-    target_voters: usize,
-    dead_after: Duration,
-    /// A member with contact within this time is healthy.
-    contact_max: Duration,
+    settings: AutopilotSettings,
     began: Instant,
     /// Time of the last change.
     changed: Instant,
@@ -38,7 +48,7 @@ pub(crate) struct Autopilot {
 }
 
 /// Result of an action.
-pub struct ActionResult {
+pub(crate) struct ActionResult {
     action: AutopilotAction,
     result: Result<(), ActionError>,
 }
@@ -58,17 +68,10 @@ impl Autopilot {
     /// Creates the autopilot. `last_transfer_at` is the value of
     /// [`last_transfer_at`](Self::last_transfer_at) at the end of this node's previous leader
     /// session.
-    pub(crate) fn new(
-        target_voters: usize,
-        dead_after: Duration,
-        contact_max: Duration,
-        last_transfer_at: Option<Instant>,
-    ) -> Autopilot {
+    pub(crate) fn new(settings: AutopilotSettings, last_transfer_at: Option<Instant>) -> Autopilot {
         let now = Instant::now();
         Autopilot {
-            target_voters,
-            dead_after,
-            contact_max,
+            settings,
             began: now,
             changed: now,
             not_before: now,
@@ -90,7 +93,7 @@ impl Autopilot {
         if self.busy || Instant::now() < self.not_before {
             return None;
         }
-        let action = decide(&self.input(replica, knowledge, cluster))?;
+        let action = (self.settings.rule)(&self.input(replica, knowledge, cluster))?;
         self.busy = true;
         if let AutopilotAction::TransferLeadership { .. } = action {
             self.last_transfer_at = Some(Instant::now());
@@ -121,25 +124,25 @@ impl Autopilot {
     }
 
     /// Returns the status for display.
-    pub(crate) fn status(&self) -> Value {
-        let latest = self.latest.as_ref().map(|(at, reason)| {
+    pub(crate) fn status(&self) -> AutopilotView {
+        let latest_change = self.latest.as_ref().map(|(at, reason)| {
             let age_ms = u64::try_from(at.elapsed().as_millis()).unwrap_or(u64::MAX);
-            json!({ "reason": reason, "age_ms": age_ms })
+            VoterChange { reason: reason.clone(), age_ms }
         });
-        json!({ "target_voters": self.target_voters, "change_in_progress": self.busy, "latest_change": latest })
+        AutopilotView { target_voters: self.settings.target_voters, change_in_progress: self.busy, latest_change }
     }
 
     fn input(&mut self, replica: &Replica<Ledger>, knowledge: &SharedKnowledge, cluster: ClusterId) -> AutopilotInput {
         let leadership = replica.leadership().borrow().clone();
-        let snapshot = ClusterSnapshot::take(replica, knowledge, self.contact_max, self.began.elapsed());
+        let snapshot = ClusterSnapshot::take(replica, knowledge, self.settings.contact_max, self.began.elapsed());
         let (mut voters, mut learners) = (snapshot.members(&leadership.voters), snapshot.members(&leadership.learners));
         let mut candidates = snapshot.candidates(&leadership, cluster);
         self.stability.update([&mut voters, &mut learners, &mut candidates]);
         AutopilotInput {
             me: replica.id(),
-            target_voters: self.target_voters,
-            dead_after: self.dead_after,
-            settle_time: self.dead_after * 3,
+            target_voters: self.settings.target_voters,
+            dead_after: self.settings.dead_after,
+            settle_time: self.settings.dead_after * 3,
             unchanged_for: self.changed.elapsed(),
             since_transfer: self.last_transfer_at.map(|at| at.elapsed()),
             voters,

@@ -1,26 +1,28 @@
-//! State-changing requests, executed by the coordinator: see [`crate::api_types`] for their
+//! State-changing requests, executed by the coordinator: see [`consort_protocol::api`] for their
 //! payloads.
 
 use super::last_known_place::last_known_places;
 use super::no_leader::{RETRY_AFTER_MS, busy_reply};
-use crate::api_types::{
-    MissionChangeReply, MissionChangeRequest, NodeVersions, SubmitReply, SubmitRequest, UpgradeRequest, UpgradeStatus,
-    parse_request,
-};
 use consort_bus::MESSAGE_MAX;
 use consort_gossip::SharedKnowledge;
+use consort_protocol::api::{
+    ErrorReply, MissionChangeReply, MissionChangeRequest, MissionSource, NodeVersions, RequestError, SubmitReply,
+    SubmitRequest, UpgradeReply, UpgradeRequest, parse_request,
+};
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{
     Command, CommandOutcome, Ledger, Priority, RecoveryBranch, Submission, time_until_deadline,
 };
-use consort_protocol::mission::{Domain, Format, MissionTemplate, shipped};
+use consort_protocol::mission::{Domain, Format, MissionTemplate};
 use consort_protocol::plan::divide_and_check;
-use consort_protocol::versions::{self, VersionRange};
+use consort_protocol::versions::{UpgradeStatus, VersionRange};
 use consort_raft::store::Backup;
 use consort_raft::{ProposeError, Replica};
-use serde_json::{Value, json};
+use consort_skills::missions::shipped;
+use serde::Serialize;
+use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
@@ -39,6 +41,7 @@ pub(super) struct ApiHandler {
     pub(super) node: NodeId,
     pub(super) replica: Replica<Ledger>,
     pub(super) knowledge: SharedKnowledge,
+    pub(super) supported_versions: VersionRange,
     pub(super) domain: Arc<Domain>,
     /// Prefix of generated request ids, different from the prefixes of other coordinators.
     pub(super) request_prefix: String,
@@ -61,33 +64,44 @@ impl From<String> for ApiError {
     }
 }
 
+impl From<RequestError> for ApiError {
+    fn from(error: RequestError) -> ApiError {
+        error.to_string().into()
+    }
+}
+
+/// Returns the JSON of a reply.
+fn json(reply: impl Serialize) -> Value {
+    serde_json::to_value(reply).expect("a reply serializes to JSON")
+}
+
 impl ApiHandler {
     /// Executes a request and returns the reply.
     pub(super) async fn handle(self, call: ApiCall, payload: &[u8]) -> Value {
         let reply = match call {
-            ApiCall::Submit => self.submit(payload).await,
-            ApiCall::Cancel => self.cancel(payload).await,
-            ApiCall::Resolve => self.resolve(payload).await,
+            ApiCall::Submit => self.submit(payload).await.map(json),
+            ApiCall::Cancel => self.cancel(payload).await.map(json),
+            ApiCall::Resolve => self.resolve(payload).await.map(json),
             ApiCall::Backup => self.backup().await,
-            ApiCall::Upgrade => self.upgrade(payload).await,
+            ApiCall::Upgrade => self.upgrade(payload).await.map(json),
             ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => {
                 Err(format!("{} is served by any node", call.as_str()).into())
             }
         };
         reply.unwrap_or_else(|ApiError { text, may_retry }| match may_retry {
-            true => busy_reply(&text, Duration::from_millis(RETRY_AFTER_MS)),
-            false => json!({ "error": text }),
+            true => json(busy_reply(&text, Duration::from_millis(RETRY_AFTER_MS))),
+            false => json(ErrorReply::rejected(text)),
         })
     }
 
-    async fn submit(&self, payload: &[u8]) -> Result<Value, ApiError> {
+    async fn submit(&self, payload: &[u8]) -> Result<SubmitReply, ApiError> {
         let request_fields: SubmitRequest = parse_request(ApiCall::Submit, payload)?;
         let submission = self.prepare(request_fields)?;
         if let Some(overload) = self.replica.read(|ledger| self.overload(ledger, &submission.request)) {
             return Err(overload);
         }
         match self.replica.propose(Command::Submit(Box::new(submission)), COMMIT_TIMEOUT).await {
-            Ok(CommandOutcome::Submitted { mission, again }) => Ok(json!(SubmitReply { mission, again })),
+            Ok(CommandOutcome::Submitted { mission, again }) => Ok(SubmitReply { mission, again }),
             Ok(other) => Err(format!("unexpected outcome of the ledger: {other:?}").into()),
             Err(problem) => Err(not_committed(&problem)),
         }
@@ -105,11 +119,14 @@ impl ApiHandler {
 
     fn prepare(&self, request_fields: SubmitRequest) -> Result<Submission, String> {
         let template = match &request_fields.mission {
-            Value::String(name) => shipped().get(name).cloned().ok_or_else(|| {
+            MissionSource::Shipped(name) => shipped().get(name).cloned().ok_or_else(|| {
                 let known: Vec<_> = shipped().keys().map(String::as_str).collect();
                 format!("no mission {name:?} is shipped; there are {}", known.join(", "))
             })?,
-            file => MissionTemplate::parse(&file.to_string(), Format::Json).map_err(|e| e.to_string())?,
+            MissionSource::File(file) => {
+                let text = serde_json::to_string(file).map_err(|e| e.to_string())?;
+                MissionTemplate::parse(&text, Format::Json).map_err(|e| e.to_string())?
+            }
         };
         let instance = template.instantiate_with_recovery(&request_fields.parameters, &self.domain);
         let (mission, recovery) = instance.map_err(|e| e.to_string())?;
@@ -142,13 +159,13 @@ impl ApiHandler {
         }
     }
 
-    async fn cancel(&self, payload: &[u8]) -> Result<Value, ApiError> {
+    async fn cancel(&self, payload: &[u8]) -> Result<MissionChangeReply, ApiError> {
         let MissionChangeRequest { mission, by } = parse_request(ApiCall::Cancel, payload)?;
         let places = self.replica.read(|ledger| last_known_places(&self.knowledge, ledger.mission(&mission)));
         self.change(mission.clone(), Command::Cancel { mission, by, places }).await
     }
 
-    async fn resolve(&self, payload: &[u8]) -> Result<Value, ApiError> {
+    async fn resolve(&self, payload: &[u8]) -> Result<MissionChangeReply, ApiError> {
         let MissionChangeRequest { mission, by } = parse_request(ApiCall::Resolve, payload)?;
         self.change(mission.clone(), Command::Resolve { mission, by }).await
     }
@@ -159,8 +176,9 @@ impl ApiHandler {
         self.replica.ensure_leader(COMMIT_TIMEOUT).await.map_err(|problem| not_committed(&problem))?;
         let (last, ledger) = self.replica.copy();
         let last = last.ok_or_else(|| "the ledger is empty".to_owned())?;
-        let backup = Backup::new(&ledger, last, self.fleet.clone(), self.node.clone(), self.at_ms)?;
-        let copy = json!(backup);
+        let backup = Backup::new(&ledger, last, self.fleet.clone(), self.node.clone(), self.at_ms)
+            .map_err(|problem| problem.to_string())?;
+        let copy = json(backup);
         match copy.to_string().len() {
             size if size > MESSAGE_MAX => Err(format!(
                 "the copy takes {size} bytes; a message is limited to {MESSAGE_MAX}. Stop a voter and copy its data \
@@ -173,22 +191,22 @@ impl ApiHandler {
 
     /// Returns the wire versions that each node reads and, on request, raises the version that the
     /// fleet writes.
-    async fn upgrade(&self, payload: &[u8]) -> Result<Value, ApiError> {
+    async fn upgrade(&self, payload: &[u8]) -> Result<UpgradeReply, ApiError> {
         let UpgradeRequest { finish } = parse_request(ApiCall::Upgrade, payload)?;
-        let wire = self.replica.read(Ledger::wire).unwrap_or(VersionRange::own().oldest);
+        let wire = self.replica.read(Ledger::wire).unwrap_or(self.supported_versions.oldest);
         let required_readers = self.required_readers();
-        let step = self
-            .knowledge
-            .read(|base| versions::UpgradeStatus::of(wire, VersionRange::own(), required_readers.clone(), base));
+        let step = self.knowledge.read(|base| {
+            UpgradeStatus::of(wire, self.supported_versions, required_readers.clone(), base.supported_versions())
+        });
         match (finish, step) {
-            (false, _) => Ok(json!(self.upgrade_status(wire, &required_readers))),
-            (true, versions::UpgradeStatus::Newest) => Err(format!(
+            (false, _) => Ok(self.upgrade_reply(wire, &required_readers)),
+            (true, UpgradeStatus::Newest) => Err(format!(
                 "the fleet writes wire version {wire}, and the coordinator {} reads no later version: upgrade \
                  the nodes first",
                 self.node
             )
             .into()),
-            (true, versions::UpgradeStatus::Blocked { next, behind }) => {
+            (true, UpgradeStatus::Blocked { next, behind }) => {
                 let alive = |node: &NodeId| if self.knowledge.is_alive(node) { "" } else { ", is down" };
                 let describe = |(node, reads): (&NodeId, &Option<VersionRange>)| match reads {
                     Some(reads) => format!("{node} (reads {reads}{})", alive(node)),
@@ -200,10 +218,10 @@ impl ApiHandler {
                 )
                 .into())
             }
-            (true, versions::UpgradeStatus::Ready { next }) => {
+            (true, UpgradeStatus::Ready { next }) => {
                 let raised = self.replica.propose(Command::RaiseWireVersion { wire: next }, COMMIT_TIMEOUT).await;
                 raised.map_err(|problem| not_committed(&problem))?;
-                Ok(json!(self.upgrade_status(next, &required_readers)))
+                Ok(self.upgrade_reply(next, &required_readers))
             }
         }
     }
@@ -219,8 +237,8 @@ impl ApiHandler {
         voters.into_iter().chain(holders).collect()
     }
 
-    fn upgrade_status(&self, wire: u8, required_readers: &BTreeSet<NodeId>) -> UpgradeStatus {
-        let next = wire.checked_add(1).filter(|next| VersionRange::own().contains(*next));
+    fn upgrade_reply(&self, wire: u8, required_readers: &BTreeSet<NodeId>) -> UpgradeReply {
+        let next = wire.checked_add(1).filter(|next| self.supported_versions.contains(*next));
         let reads: BTreeMap<NodeId, Option<VersionRange>> = self.knowledge.read(|base| {
             let known =
                 base.iter().map(|(node, stored)| (node.clone(), Some(stored.record.knowledge.supported_versions)));
@@ -231,17 +249,17 @@ impl ApiHandler {
             oldest: reads.map(|reads| reads.oldest),
             newest: reads.map(|reads| reads.newest),
             ready: next.map(|next| reads.is_some_and(|reads| reads.contains(next))),
-            node: node.to_string(),
+            node,
         };
-        UpgradeStatus { wire, next, nodes: reads.into_iter().map(versions).collect() }
+        UpgradeReply { wire, next, nodes: reads.into_iter().map(versions).collect() }
     }
 
-    async fn change(&self, mission: MissionId, command: Command) -> Result<Value, ApiError> {
+    async fn change(&self, mission: MissionId, command: Command) -> Result<MissionChangeReply, ApiError> {
         match self.replica.propose(command, COMMIT_TIMEOUT).await {
             Ok(CommandOutcome::Refused(refused)) => Err(refused.to_string().into()),
             Ok(_) => {
                 let state = self.replica.read(|ledger| ledger.mission(&mission).map(|entry| entry.state.clone()));
-                Ok(json!(MissionChangeReply { mission, state }))
+                Ok(MissionChangeReply { mission, state })
             }
             Err(problem) => Err(not_committed(&problem)),
         }

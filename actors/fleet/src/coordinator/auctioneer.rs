@@ -42,7 +42,7 @@ pub(super) async fn collect_bids(
                 responses.push(response);
             }
             Ok(Err(problem)) => warn!(key = reply.key, %problem, "bid response cannot be decoded"),
-            Err(problem) => debug!(key = reply.key, problem, "no bid response"),
+            Err(refused) => debug!(key = reply.key, problem = refused.0, "no bid response"),
         }
         if missing.is_empty() {
             break;

@@ -6,21 +6,20 @@
 //! that are collecting bids. Better-ranked missions in backoff are called at once, because the
 //! robots found may be the robots they wait for. An auction waits for at most 2 bid windows.
 
-use super::actor::{CoordinatorMessage, CoordinatorSettings};
 use super::auctioneer;
-use super::last_known_place::last_known_places;
-use super::leader_session::{LeaderSession, live_members, lock_monitor, propose};
+use super::ensemble_members::live_members;
+use super::message::{CollectedBids, CoordinatorMessage};
 use super::reconcile::{AuctionRound, ClosedBidding, RoundPhase, backoff, can_be_auctioned, unavailable_robots};
+use super::session_context::SessionContext;
 use consort_protocol::auction::{
-    AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidResponse, BidVerdict, CallForBids,
-    RoleReply, clear_auction_with,
+    AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, CallForBids, RoleReply,
+    clear_auction_with,
 };
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
-use consort_protocol::ledger::{Command, CommandOutcome};
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
 use consort_protocol::units::NodeTime;
 use consort_raft::ProposeError;
-use ractor::ActorRef;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tracing::debug;
@@ -35,15 +34,37 @@ const HOPELESS_ROUNDS: u32 = 3;
 /// Maximum number of robots named in the cause of a failed mission.
 const NAMED_ROBOTS_MAX: usize = 8;
 
-impl LeaderSession {
-    pub(super) fn call_for_bids(
-        &mut self,
-        settings: &CoordinatorSettings,
-        myself: &ActorRef<CoordinatorMessage>,
-        mission: &MissionId,
-        now: NodeTime,
-    ) {
-        let called = settings.replica.read(|ledger| {
+/// Auctions of a session, by mission.
+#[derive(Default)]
+pub(super) struct Auctions {
+    rounds: BTreeMap<MissionId, AuctionRound>,
+}
+
+impl Auctions {
+    pub(super) fn rounds(&self) -> &BTreeMap<MissionId, AuctionRound> {
+        &self.rounds
+    }
+
+    /// Forgets the auctions of missions that have ended, and follows changes of the branch.
+    pub(super) fn follow(&mut self, ledger: &Ledger, now: NodeTime) {
+        self.rounds.retain(|mission, round| {
+            let entry = ledger.mission(mission).filter(|entry| !entry.state.is_final());
+            entry.inspect(|entry| round.follow_branch(entry.branch, now)).is_some()
+        });
+    }
+
+    /// Ends all backoffs, because a robot has become free.
+    pub(super) fn end_backoff(&mut self, now: NodeTime) {
+        for round in self.rounds.values_mut() {
+            if let RoundPhase::BackingOff { until, .. } = &mut round.phase {
+                *until = now;
+            }
+        }
+    }
+
+    /// Calls for bids for the open roles of a mission.
+    pub(super) fn call_for_bids(&mut self, mission: &MissionId, context: &mut SessionContext, now: NodeTime) {
+        let called = context.read_ledger(|ledger| {
             let entry = ledger.mission(mission)?;
             let plans = entry.open_roles().into_iter().map(|role| Some((role.clone(), entry.plan(&role)?.clone())));
             Some((entry.branch, plans.collect::<Option<BTreeMap<_, _>>>()?))
@@ -54,10 +75,11 @@ impl LeaderSession {
             (round.number + 1, round.hopeless_rounds)
         });
         let (number, hopeless) = previous.unwrap_or((1, 0));
-        let auction = AuctionId { mission: mission.clone(), term: self.term, round: number };
-        let call = CallForBids { auction, ensemble: settings.ensemble.spec().name.clone(), roles };
+        let settings = &context.settings;
+        let auction = AuctionId { mission: mission.clone(), term: context.term, round: number };
+        let call = CallForBids { auction, ensemble: settings.auctions.ensemble.spec().name.clone(), roles };
         let expected: BTreeSet<RobotId> = live_members(settings, now).into_iter().map(RobotId::from).collect();
-        settings.events.publish(EventKind::BidsRequested {
+        context.publish_event(EventKind::BidsRequested {
             mission: mission.clone(),
             roles: call.roles.keys().cloned().collect(),
             round: number,
@@ -67,48 +89,39 @@ impl LeaderSession {
             mission.clone(),
             AuctionRound { number, branch, called_at: now, hopeless_rounds: hopeless, phase: RoundPhase::Bidding },
         );
-        let (bus, keys, window, to) =
-            (settings.bus.clone(), settings.keys.clone(), settings.bid_window, myself.clone());
-        self.tasks.spawn(async move {
+        let (bus, keys) = (settings.parts.bus.clone(), settings.parts.keys.clone());
+        let window = settings.auctions.bid_window;
+        context.send_result(async move {
             let responses = auctioneer::collect_bids(bus, keys, call.clone(), expected.clone(), window).await;
-            // A stopped coordinator needs no bids.
-            let _ = to.cast(CoordinatorMessage::BidsCollected { call: Box::new(call), expected, responses });
+            CoordinatorMessage::BidsCollected(Box::new(CollectedBids { call, expected, responses }))
         });
     }
 
     /// Closes an auction: all bids have arrived, or the bid window has closed.
-    pub(super) fn close_bidding(
-        &mut self,
-        settings: &CoordinatorSettings,
-        myself: &ActorRef<CoordinatorMessage>,
-        call: CallForBids,
-        expected: BTreeSet<RobotId>,
-        responses: Vec<BidResponse>,
-    ) {
-        let mission = call.auction.mission.clone();
-        let current =
-            |round: &&mut AuctionRound| round.number == call.auction.round && round.phase == RoundPhase::Bidding;
+    pub(super) fn close_bidding(&mut self, bids: CollectedBids, context: &mut SessionContext) {
+        let AuctionId { mission, round: number, .. } = bids.call.auction.clone();
+        let current = |round: &&mut AuctionRound| round.number == number && round.phase == RoundPhase::Bidding;
         let Some(round) = self.rounds.get_mut(&mission).filter(current) else {
             return; // the mission has ended, or another round has started
         };
-        for bid in responses.iter().flat_map(|response| &response.replies) {
+        for bid in bids.responses.iter().flat_map(|response| &response.replies) {
             if let RoleReply::Bid(bid) = bid {
-                settings.events.publish(EventKind::Bid { mission: mission.clone(), bid: bid.clone() });
+                context.publish_event(EventKind::Bid { mission: mission.clone(), bid: bid.clone() });
             }
         }
-        let until = settings.clock.now() + settings.bid_window * 2;
-        round.phase = RoundPhase::BiddingClosed(Box::new(ClosedBidding { call, expected, responses, deadline: until }));
-        self.clear_auctions(settings, myself);
+        let deadline = context.now() + context.settings.auctions.bid_window * 2;
+        round.phase = RoundPhase::BiddingClosed(Box::new(ClosedBidding { bids, deadline }));
+        self.clear(context);
     }
 
     /// Clears the closed auctions that need not wait for a better-ranked mission.
-    pub(super) fn clear_auctions(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
+    pub(super) fn clear(&mut self, context: &mut SessionContext) {
         if !self.rounds.values().any(|round| matches!(round.phase, RoundPhase::BiddingClosed(_))) {
             return;
         }
-        let now = settings.clock.now();
-        let open = settings.replica.read(|ledger| {
-            let lease_monitor = lock_monitor(&self.lease_monitor);
+        let now = context.now();
+        let open = context.read_ledger(|ledger| {
+            let lease_monitor = context.lease_monitor.lock();
             let open =
                 ledger.active_missions().into_iter().filter(|entry| can_be_auctioned(entry, &lease_monitor, now));
             open.map(|entry| entry.id.clone()).collect::<Vec<_>>()
@@ -123,103 +136,98 @@ impl LeaderSession {
                 RoundPhase::BackingOff { since, .. } => waiting.push((mission, *since)),
                 RoundPhase::Proposing(_) => {}
                 RoundPhase::BiddingClosed(closed) => {
-                    let outcome = self.clear(settings, closed);
+                    let outcome = self.outcome(&closed.bids, context);
                     if outcome.holders.is_some() && now < closed.deadline {
                         for (better_ranked, _) in waiting.iter().filter(|(_, since)| *since < called) {
-                            self.call_for_bids(settings, myself, better_ranked, now);
+                            self.call_for_bids(better_ranked, context, now);
                             calling = true;
                         }
                         if calling {
                             continue; // lower-ranked missions wait, too
                         }
                     }
-                    self.record_outcome(settings, myself, &mission, outcome);
+                    self.record(&mission, outcome, context);
                 }
             }
         }
     }
 
-    fn clear(&self, settings: &CoordinatorSettings, closed: &ClosedBidding) -> AuctionOutcome {
-        let ClosedBidding { call, expected, responses, .. } = closed;
-        let (unavailable, excluded) = settings.replica.read(|ledger| {
+    fn outcome(&self, bids: &CollectedBids, context: &SessionContext) -> AuctionOutcome {
+        let CollectedBids { call, expected, responses } = bids;
+        let (unavailable, excluded) = context.read_ledger(|ledger| {
             let entry = ledger.mission(&call.auction.mission);
             let excluded = |role: &RoleId| entry.map(|entry| entry.excluded(role)).unwrap_or_default();
             let excluded = call.roles.keys().map(|role| (role.clone(), excluded(role))).collect();
             (unavailable_robots(ledger, &self.rounds, &call.auction.mission), excluded)
         });
-        let context = AuctionContext {
+        let settings = &context.settings.auctions;
+        let auction_context = AuctionContext {
             invited: expected,
             unavailable: &unavailable,
             excluded: &excluded,
             limits: &settings.limits,
             window_ms: u64::try_from(settings.bid_window.as_millis()).unwrap_or(u64::MAX),
-            at_ms: settings.clock.wall_ms(),
+            at_ms: context.settings.parts.clock.wall_ms(),
         };
-        clear_auction_with(call, responses, &context, &*settings.allocator)
+        clear_auction_with(call, responses, &auction_context, &*settings.allocator)
     }
 
-    fn record_outcome(
-        &mut self,
-        settings: &CoordinatorSettings,
-        myself: &ActorRef<CoordinatorMessage>,
-        mission: &MissionId,
-        outcome: AuctionOutcome,
-    ) {
+    /// Proposes the award, or defers the mission and backs off.
+    fn record(&mut self, mission: &MissionId, outcome: AuctionOutcome, context: &mut SessionContext) {
         let AuctionOutcome { holders, record, unfillable } = outcome;
-        let auction = record.auction.clone();
-        settings.events.publish(EventKind::Closed { mission: mission.clone(), record: record.clone() });
+        context.publish_event(EventKind::Closed { mission: mission.clone(), record: record.clone() });
         let Some(round) = self.rounds.get_mut(mission) else { return };
         round.hopeless_rounds = if unfillable.is_empty() { 0 } else { round.hopeless_rounds + 1 };
-        let (branch, has_failed) = (round.branch, round.hopeless_rounds >= HOPELESS_ROUNDS);
+        let (branch, auction, mission) = (round.branch, record.auction.clone(), mission.clone());
         let command = match holders {
             Some(holders) => {
                 round.phase = RoundPhase::Proposing(holders.clone());
-                Some(Command::Award { mission: mission.clone(), branch, holders, auction: record })
+                Command::Award { mission, branch, holders, auction: record }
             }
             None => {
-                let since = settings.clock.now();
+                let since = context.now();
                 round.phase = RoundPhase::BackingOff { until: since + backoff(auction.round), since };
-                let has_changed = settings.replica.read(|ledger| {
-                    let known = ledger.mission(mission).and_then(|entry| entry.auction.as_ref());
+                let has_changed = context.read_ledger(|ledger| {
+                    let known = ledger.mission(&mission).and_then(|entry| entry.auction.as_ref());
                     known.is_none_or(|known| differs(known, &record))
                 });
-                if has_failed {
-                    let places =
-                        settings.replica.read(|ledger| last_known_places(&settings.knowledge, ledger.mission(mission)));
+                if round.hopeless_rounds >= HOPELESS_ROUNDS {
                     let cause = no_robot_left(&unfillable, &record.entries);
-                    let mission = mission.clone();
-                    let fail = Command::Fail { mission, cause, branch: Some(branch), places };
-                    propose(settings, &mut self.tasks, fail);
+                    context.fail_mission(mission.clone(), cause, Some(branch));
                 }
-                has_changed.then(|| Command::Defer { mission: mission.clone(), branch, auction: record })
+                if !has_changed {
+                    return;
+                }
+                Command::Defer { mission, branch, auction: record }
             }
         };
-        let Some(command) = command else { return };
-        let (replica, to) = (settings.replica.clone(), myself.clone());
-        self.tasks.spawn(async move {
-            let outcome = replica.propose(command, AWARD_TIMEOUT).await;
-            // If the coordinator has stopped, the next coordinator finds the award in the ledger or
+        let replica = context.settings.parts.replica.clone();
+        context.send_result(async move {
+            // If the coordinator stops, the next coordinator finds the award in the ledger or
             // repeats the auction.
-            let _ = to.cast(CoordinatorMessage::AuctionRecorded { auction, outcome });
+            let outcome = replica.propose(command, AWARD_TIMEOUT).await;
+            CoordinatorMessage::AuctionRecorded { auction, outcome }
         });
     }
 
-    pub(super) fn handle_auction_recorded(
+    /// Handles the outcome of a proposed award. `time_known` is the time since this coordinator
+    /// first found the mission.
+    pub(super) fn handle_recorded(
         &mut self,
-        settings: &CoordinatorSettings,
         auction: &AuctionId,
         outcome: Result<CommandOutcome, ProposeError>,
+        time_known: Option<Duration>,
+        context: &SessionContext,
     ) {
-        let since = settings.clock.now();
+        let since = context.now();
         let mission = &auction.mission;
-        let time_known = self.time_known(mission, since);
         let Some(round) = self.rounds.get_mut(mission).filter(|round| round.number == auction.round) else { return };
         let RoundPhase::Proposing(holders) = &round.phase else { return };
         match outcome {
             Ok(CommandOutcome::Awarded { epoch }) => {
                 let after_ms = time_known.map(|known| known.as_secs_f64() * 1000.0);
                 let (mission, holders) = (mission.clone(), holders.clone());
-                settings.events.publish(EventKind::Awarded { mission, holders, epoch, after_ms });
+                context.publish_event(EventKind::Awarded { mission, holders, epoch, after_ms });
                 // If a role of the mission is released, its rounds start again from 1.
                 self.rounds.remove(&auction.mission);
             }

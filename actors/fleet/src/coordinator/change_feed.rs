@@ -1,13 +1,12 @@
 //! Change feed of the ledger: changes are published as events, sent to robots whose awards have
 //! ended, and announced to subscribers of missions.
 
-use super::actor::CoordinatorSettings;
-use super::leader_session::{LeaderSession, publish};
+use super::session_context::SessionContext;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{EndReason, Epoch, RoleHolder};
-use consort_protocol::ledger::{Branch, MissionEntry, MissionState, RoleEntry, RolePhase, RoleRelease};
+use consort_protocol::ledger::{Branch, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase, RoleRelease};
 use consort_protocol::message::{AwardNotice, MissionsChanged};
 use consort_protocol::units::NodeTime;
 use std::collections::BTreeMap;
@@ -15,7 +14,7 @@ use std::time::Duration;
 
 /// State of a mission when it was last compared.
 #[derive(Clone, PartialEq)]
-pub(super) struct MissionSnapshot {
+struct MissionSnapshot {
     state: MissionState,
     done: usize,
     /// Awards in force.
@@ -27,7 +26,7 @@ pub(super) struct MissionSnapshot {
 }
 
 impl MissionSnapshot {
-    pub(super) fn of(entry: &MissionEntry, since: NodeTime) -> MissionSnapshot {
+    fn of(entry: &MissionEntry, since: NodeTime) -> MissionSnapshot {
         let in_force = |role: &RoleEntry| matches!(role.phase, RolePhase::Awarded | RolePhase::Active);
         let mut holders = if entry.state.is_final() { BTreeMap::new() } else { entry.role_holders() };
         holders.retain(|role, _| entry.roles.get(role).is_some_and(in_force));
@@ -41,14 +40,32 @@ impl MissionSnapshot {
     }
 }
 
-impl LeaderSession {
+/// Change feed of a session.
+pub(super) struct ChangeFeed {
+    /// Last published state of each mission, to detect changes.
+    snapshots: BTreeMap<MissionId, MissionSnapshot>,
+}
+
+impl ChangeFeed {
+    /// Creates the feed. Missions that are in the ledger before the session are not reported as
+    /// changes.
+    pub(super) fn new(context: &SessionContext) -> ChangeFeed {
+        let snapshot = |entry: &MissionEntry| (entry.id.clone(), MissionSnapshot::of(entry, context.since));
+        ChangeFeed { snapshots: context.read_ledger(|ledger| ledger.missions().map(snapshot).collect()) }
+    }
+
+    /// Forgets the missions that are no longer in the ledger.
+    pub(super) fn follow(&mut self, ledger: &Ledger) {
+        self.snapshots.retain(|mission, _| ledger.mission(mission).is_some());
+    }
+
     /// Publishes all changes since the last comparison.
-    pub(super) fn publish_changes(&mut self, settings: &CoordinatorSettings, now: NodeTime) {
+    pub(super) fn publish(&mut self, context: &mut SessionContext, now: NodeTime) {
         let mut changed = false;
         let mut revoked: Vec<(RobotId, Epoch, EndReason)> = vec![];
-        settings.replica.read(|ledger| {
+        context.read_ledger(|ledger| {
             for entry in ledger.missions() {
-                let previous = self.mission_snapshots.get(&entry.id);
+                let previous = self.snapshots.get(&entry.id);
                 let since = previous.map_or(now, |snapshot| snapshot.since);
                 let snapshot = MissionSnapshot::of(entry, since);
                 if previous == Some(&snapshot) {
@@ -58,45 +75,44 @@ impl LeaderSession {
                 let mission = entry.id.clone();
                 if previous.is_none() {
                     let parameters = entry.submission.parameters.clone();
-                    settings.events.publish(EventKind::Submitted { mission: mission.clone(), parameters });
+                    context.publish_event(EventKind::Submitted { mission: mission.clone(), parameters });
                 }
                 if previous.is_some_and(|previous| previous.done != snapshot.done) {
                     let (done, steps) = entry.progress();
-                    settings.events.publish(EventKind::Progress { mission: mission.clone(), done, steps });
+                    context.publish_event(EventKind::Progress { mission: mission.clone(), done, steps });
                 }
                 let new_releases =
                     previous.map_or(0, |previous| snapshot.released.saturating_sub(previous.released)) as usize;
                 for RoleRelease { role, cause, .. } in entry.releases.iter().rev().take(new_releases).rev() {
                     let (mission, role, cause) = (mission.clone(), role.clone(), cause.clone());
-                    settings.events.publish(EventKind::Released { mission, role, cause });
+                    context.publish_event(EventKind::Released { mission, role, cause });
                 }
                 if previous.is_none_or(|previous| previous.state != snapshot.state) {
                     let (mission, state) = (mission.clone(), snapshot.state.clone());
                     let submitted_at_ms = entry.submission.at_ms;
-                    settings.events.publish(EventKind::Mission { mission, state, submitted_at_ms });
+                    context.publish_event(EventKind::Mission { mission, state, submitted_at_ms });
                 }
                 let former_holders = previous.into_iter().flat_map(|previous| &previous.holders);
                 for (role, held) in former_holders.filter(|(role, held)| snapshot.holders.get(*role) != Some(held)) {
                     let reason = end_reason(entry, role, held.epoch);
                     revoked.extend(reason.map(|reason| (held.robot.clone(), held.epoch, reason)));
                 }
-                self.mission_snapshots.insert(mission, snapshot);
+                self.snapshots.insert(mission, snapshot);
             }
         });
         for (robot, epoch, reason) in revoked {
-            self.notify(settings, &robot, AwardNotice::Revoked { epoch, reason }, |_| ());
+            context.notify(robot, &AwardNotice::Revoked { epoch, reason });
         }
         if changed {
-            let (settings, term) = (settings.clone(), self.term);
-            self.tasks.spawn(async move {
-                publish(&settings, &Key::Changed, &MissionsChanged { node: settings.node.clone(), term }).await;
-            });
+            let changed = MissionsChanged { node: context.settings.parts.node.clone(), term: context.term };
+            let publishing = context.publish(&Key::Changed, &changed);
+            context.tasks.spawn(publishing);
         }
     }
 
     /// Returns the time since this coordinator first found a mission.
     pub(super) fn time_known(&self, mission: &MissionId, now: NodeTime) -> Option<Duration> {
-        self.mission_snapshots.get(mission).map(|snapshot| now.since(snapshot.since))
+        self.snapshots.get(mission).map(|snapshot| now.since(snapshot.since))
     }
 }
 

@@ -11,7 +11,7 @@
 //!                                         accept, progress, fail ─────┴─ report ─┘
 //! ```
 //!
-//! `reconcile` computes the pending actions as values. The [`Coordinator`] actor performs them, in
+//! `reconcile` computes the pending actions as values. The `Coordinator` actor performs them, in
 //! a separate session for each term.
 
 mod actor;
@@ -19,14 +19,25 @@ mod api;
 mod auctioneer;
 mod auctions;
 mod change_feed;
+mod ensemble_members;
+mod held_roles;
 mod last_known_place;
 mod leader_session;
+mod lease_monitor;
+mod message;
 mod no_leader;
 mod rate_limit;
 mod reconcile;
 mod reports;
+mod requests;
+mod session_context;
+mod settings;
 mod stall_detector;
+mod status;
 
-pub use actor::{Coordinator, CoordinatorMessage, CoordinatorSettings};
+pub(crate) use actor::Coordinator;
 pub(crate) use last_known_place::foreign_clusters;
+pub(crate) use message::CoordinatorMessage;
 pub use rate_limit::RequestLimits;
+pub(crate) use settings::{AuctionSettings, CoordinatorSettings, NodeParts};
+pub use status::CoordinatorStatus;

@@ -9,9 +9,9 @@
 //! out.
 
 use consort_gossip::SharedKnowledge;
+use consort_protocol::api::ErrorReply;
 use consort_protocol::ids::NodeId;
 use consort_raft::LeadershipView;
-use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -29,7 +29,7 @@ pub(super) fn no_leader_reply(
     leadership: &LeadershipView,
     knowledge: &SharedKnowledge,
     last_beacon: Option<(&NodeId, Duration)>,
-) -> Option<Value> {
+) -> Option<ErrorReply> {
     let is_active = |(other, age): &(&NodeId, Duration)| *age < BEACON_TIMEOUT && knowledge.is_alive(other);
     let voters_are_known = !leadership.voters.is_empty();
     if last_beacon.as_ref().is_some_and(is_active) || (last_beacon.is_some() && !voters_are_known) {
@@ -61,12 +61,12 @@ pub(super) fn no_leader_reply(
 }
 
 /// Returns a reply that asks the client to retry.
-pub(super) fn retry_reply(quorum: String) -> Value {
+pub(super) fn retry_reply(quorum: String) -> ErrorReply {
     let error = format!("no coordinator yet{quorum}: retry after {RETRY_AFTER_MS} ms");
     busy_reply(&error, Duration::from_millis(RETRY_AFTER_MS))
 }
 
 /// Returns an error with a retry delay.
-pub(super) fn busy_reply(error: &str, after: Duration) -> Value {
-    json!({ "error": error, "retry_after_ms": u64::try_from(after.as_millis()).unwrap_or(u64::MAX).max(1) })
+pub(super) fn busy_reply(error: &str, after: Duration) -> ErrorReply {
+    ErrorReply::retry_after(error, u64::try_from(after.as_millis()).unwrap_or(u64::MAX).max(1))
 }

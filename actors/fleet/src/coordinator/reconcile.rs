@@ -1,7 +1,8 @@
 //! Reconciliation: computes the pending actions of a coordinator from the ledger and the session,
 //! as values.
 
-use consort_protocol::auction::{BidResponse, CallForBids, RefusalReason};
+use super::message::{AwardedRole, CollectedBids};
+use consort_protocol::auction::RefusalReason;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::{Epoch, LeaseMonitor};
 use consort_protocol::ledger::{Branch, Ledger, MissionEntry, RolePhase};
@@ -57,9 +58,7 @@ pub(super) enum RoundPhase {
 /// Auction with all its bids.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct ClosedBidding {
-    pub(super) call: CallForBids,
-    pub(super) expected: BTreeSet<RobotId>,
-    pub(super) responses: Vec<BidResponse>,
+    pub(super) bids: CollectedBids,
     /// Time until which it waits for better-ranked missions.
     pub(super) deadline: NodeTime,
 }
@@ -70,9 +69,9 @@ pub(super) enum CoordinatorAction {
     /// Call for bids for a mission's open roles.
     CallForBids(MissionId),
     /// Notify a robot of its award.
-    NotifyAward { mission: MissionId, role: RoleId, robot: RobotId, epoch: Epoch },
-    /// Release the role of a robot after its lease has certainly expired.
-    ReleaseRole { mission: MissionId, role: RoleId, robot: RobotId, epoch: Epoch, cause: String },
+    NotifyAward(AwardedRole),
+    /// Release the role of a robot after its lease has certainly expired, with the cause.
+    ReleaseRole(AwardedRole, String),
     /// Fail a mission.
     FailMission { mission: MissionId, cause: String },
 }
@@ -118,17 +117,15 @@ pub(super) fn pending_actions(
         }
         for (role, held) in &entry.roles {
             let (Some(holder), RolePhase::Awarded | RolePhase::Active) = (&held.holder, held.phase) else { continue };
-            let (mission, role, robot, epoch) = (entry.id.clone(), role.clone(), holder.robot.clone(), holder.epoch);
-            if lease_monitor.has_expired(epoch, &robot, now) {
-                let cause = format!(
-                    "{robot} silent for {:.1} s",
-                    lease_monitor.since_contact(epoch, &robot, now).as_secs_f64()
-                );
-                actions.push(CoordinatorAction::ReleaseRole { mission, role, robot, epoch, cause });
-            } else if held.phase == RolePhase::Awarded
-                && notified.get(&(epoch, role.clone())).is_none_or(|at| now.since(*at) >= NOTICE_REPEAT_INTERVAL)
-            {
-                actions.push(CoordinatorAction::NotifyAward { mission, role, robot, epoch });
+            let (robot, epoch) = (&holder.robot, holder.epoch);
+            let awarded = AwardedRole { mission: entry.id.clone(), role: role.clone(), robot: robot.clone(), epoch };
+            let is_notice_due =
+                || notified.get(&(epoch, role.clone())).is_none_or(|at| now.since(*at) >= NOTICE_REPEAT_INTERVAL);
+            if lease_monitor.has_expired(epoch, robot, now) {
+                let silent = lease_monitor.since_contact(epoch, robot, now).as_secs_f64();
+                actions.push(CoordinatorAction::ReleaseRole(awarded, format!("{robot} silent for {silent:.1} s")));
+            } else if held.phase == RolePhase::Awarded && is_notice_due() {
+                actions.push(CoordinatorAction::NotifyAward(awarded));
             }
         }
     }

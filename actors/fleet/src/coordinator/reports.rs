@@ -1,17 +1,18 @@
 //! Handling of robot reports by the coordinator.
 
 use super::last_known_place::last_known_places;
-use super::leader_session::{SharedLeaseMonitor, lock_monitor};
+use super::lease_monitor::SharedLeaseMonitor;
+use super::session_context::SessionContext;
+use super::settings::NodeParts;
 use consort_bus::clock::Clock;
 use consort_gossip::SharedKnowledge;
-use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId};
+use consort_protocol::ids::{NodeId, PlaceId, RobotId};
 use consort_protocol::lease::EndReason;
 use consort_protocol::ledger::{
-    Branch, Command, CommandError, CommandOutcome, Ledger, MissionEntry, MissionState, RolePhase,
+    Branch, Command, CommandError, CommandOutcome, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase,
 };
-use consort_protocol::message::{FailureKind, Report, ReportReply};
+use consort_protocol::message::{FailureKind, Report, ReportReply, TaskFailure};
 use consort_protocol::mission::RoleKind;
-use consort_protocol::mutants::{self, Mutant};
 use consort_raft::{ProposeError, Replica};
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -20,6 +21,10 @@ use tracing::{debug, info};
 
 /// Timeout for the ledger to commit a report.
 const COMMIT_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Maximum number of commits for a report: accept, progress and release, and a spare for a change
+/// of the ledger meanwhile.
+const COMMITS_MAX: u32 = 4;
 
 /// Next step of handling a report.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,49 +37,63 @@ enum Step {
 
 /// Handler of reports, with the state it needs.
 pub(super) struct ReportHandler {
-    pub(super) replica: Replica<Ledger>,
-    pub(super) knowledge: SharedKnowledge,
-    pub(super) leadership_age_max: Duration,
-    pub(super) clock: Clock,
-    pub(super) lease_monitor: SharedLeaseMonitor,
+    replica: Replica<Ledger>,
+    knowledge: SharedKnowledge,
+    leadership_age_max: Duration,
+    clock: Clock,
+    lease_monitor: SharedLeaseMonitor,
 }
 
 impl ReportHandler {
+    pub(super) fn new(context: &SessionContext) -> ReportHandler {
+        let NodeParts { replica, knowledge, clock, .. } = &context.settings.parts;
+        ReportHandler {
+            replica: replica.clone(),
+            knowledge: knowledge.clone(),
+            leadership_age_max: context.settings.lease_terms.leadership_age_max(),
+            clock: *clock,
+            lease_monitor: context.lease_monitor.clone(),
+        }
+    }
+
     /// Commits the news of a report to the ledger, then returns the reply. Until the commit the
     /// only possible reply is `NotCoordinator`. A lease is renewed only while a majority is known
     /// to follow this coordinator.
     pub(super) async fn handle(&self, report: Report) -> ReportReply {
-        let ReportHandler { replica, knowledge, .. } = self;
-        // Accept, progress, release: no report needs more commits.
-        for _ in 0..4 {
-            let step = replica.read(|ledger| {
-                let entry = ledger.mission(&report.mission);
-                next(entry, &report, || last_known_places(knowledge, entry))
-            });
-            let command = match step {
+        for _ in 0..COMMITS_MAX {
+            let command = match self.next_step(&report) {
                 Step::Reply(reply) => return self.renew_if_leader(reply, &report),
                 Step::Commit(command) => command,
             };
-            if mutants::is_active(Mutant::UncommittedReport)
-                && let Command::Progress { .. } = command
-            {
-                return reply_before_commit(replica.clone(), command, &report);
-            }
-            match replica.propose(command, COMMIT_TIMEOUT).await {
-                Ok(CommandOutcome::Refused(CommandError::Restarted { .. })) => {
-                    let Report { robot, mission, role, .. } = &report;
-                    info!(%robot, %mission, %role, "robot restarted: role released");
-                    let cause = format!("{} restarted and has lost the plan", report.robot);
-                    if let Err(problem) = replica.propose(release(&report, cause, false), COMMIT_TIMEOUT).await {
-                        return reply_not_coordinator(problem);
-                    }
-                }
-                Ok(_) => {} // the ledger shows the result
-                Err(problem) => return reply_not_coordinator(problem),
+            if let Err(problem) = self.commit(command, &report).await {
+                return reply_not_coordinator(problem);
             }
         }
         debug!(robot = %report.robot, mission = %report.mission, "ledger changed while a report was being handled");
         ReportReply::NotCoordinator { coordinator: None }
+    }
+
+    fn next_step(&self, report: &Report) -> Step {
+        self.replica.read(|ledger| {
+            let entry = ledger.mission(&report.mission);
+            next(entry, report, || last_known_places(&self.knowledge, entry))
+        })
+    }
+
+    /// Commits a command. The ledger shows the result.
+    async fn commit(&self, command: Command, report: &Report) -> Result<(), ProposeError> {
+        match self.replica.propose(command, COMMIT_TIMEOUT).await? {
+            CommandOutcome::Refused(CommandError::Restarted { .. }) => self.release_restarted(report).await,
+            _ => Ok(()),
+        }
+    }
+
+    /// Releases the role of a robot that restarted without a checkpoint.
+    async fn release_restarted(&self, report: &Report) -> Result<(), ProposeError> {
+        let Report { robot, mission, role, .. } = report;
+        info!(%robot, %mission, %role, "robot restarted: role released");
+        let cause = format!("{robot} restarted and has lost the plan");
+        self.replica.propose(release(report, cause, false), COMMIT_TIMEOUT).await.map(drop)
     }
 
     fn renew_if_leader(&self, reply: ReportReply, report: &Report) -> ReportReply {
@@ -82,33 +101,13 @@ impl ReportHandler {
             return ReportReply::NotCoordinator { coordinator: None };
         }
         // A robot that gets a renewal counts as contacted before the lease can be found expired.
-        let may_renew = || {
-            let renewed = lock_monitor(&self.lease_monitor).renew(report.epoch, &report.robot, self.clock.now());
-            // Ignoring epochs includes ignoring that this award was revoked.
-            renewed || mutants::is_active(Mutant::IgnoreEpoch) || mutants::is_active(Mutant::RefusedApplied)
-        };
+        let may_renew = || self.lease_monitor.lock().renew(report.epoch, &report.robot, self.clock.now());
         if matches!(reply, ReportReply::Renewed { .. }) && !may_renew() {
             let Report { robot, mission, role, .. } = report;
             debug!(%robot, %mission, %role, "lease not renewed: release is due");
             return ReportReply::NotCoordinator { coordinator: None };
         }
         reply
-    }
-}
-
-/// Injected bug: reports a proposal as committed before it is.
-fn reply_before_commit(replica: Replica<Ledger>, command: Command, report: &Report) -> ReportReply {
-    let (steps, holders) = replica.read(|ledger| {
-        let entry = ledger.mission(&report.mission);
-        let plan = entry.and_then(|entry| entry.plan(&report.role));
-        (plan.map(|plan| plan.steps.len()), entry.map(MissionEntry::role_holders).unwrap_or_default())
-    });
-    tokio::spawn(async move { replica.propose(command, COMMIT_TIMEOUT).await });
-    let epoch = report.epoch;
-    if steps == Some(report.ended.len()) {
-        ReportReply::Ended { epoch, reason: EndReason::Over, current: Some(epoch) }
-    } else {
-        ReportReply::Renewed { epoch, ended: report.ended.clone(), holders, signals: Default::default() }
     }
 }
 
@@ -121,84 +120,143 @@ fn reply_not_coordinator(problem: ProposeError) -> ReportReply {
     ReportReply::NotCoordinator { coordinator }
 }
 
+/// Meaning of a report for the present state of the ledger.
+enum ReportCase<'a> {
+    /// The role has ended for the reporter.
+    Ended(EndReason),
+    /// The reporter has received a change that this node has not applied yet.
+    Ahead,
+    /// The robot reports for the first time with this award, or after a restart.
+    Unaccepted,
+    /// The ledger does not contain all ended steps.
+    NewSteps,
+    /// A robot cannot continue.
+    RobotFailed(&'a TaskFailure),
+    /// A person cannot continue.
+    PersonFailed(&'a TaskFailure),
+    /// The ledger contains the whole report.
+    NoNews(&'a MissionEntry, &'a RoleEntry),
+}
+
+/// Returns the next step of handling a report.
+fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> BTreeMap<RobotId, PlaceId>) -> Step {
+    match report_case(entry, report) {
+        ReportCase::Ended(reason) => Step::Reply(ended(entry, report, reason)),
+        ReportCase::Ahead => Step::Reply(ReportReply::NotCoordinator { coordinator: None }),
+        ReportCase::Unaccepted => Step::Commit(accept(report)),
+        ReportCase::NewSteps => Step::Commit(progress(report)),
+        ReportCase::RobotFailed(failure) => Step::Commit(release_failed(report, failure)),
+        ReportCase::PersonFailed(failure) => Step::Commit(fail_mission(report, failure, places())),
+        ReportCase::NoNews(entry, role) => Step::Reply(renewed(entry, role, report)),
+    }
+}
+
+fn report_case<'a>(entry: Option<&'a MissionEntry>, report: &'a Report) -> ReportCase<'a> {
+    let Some(entry) = entry else { return ReportCase::Ended(EndReason::Over) };
+    if let Some(reason) = final_reason(&entry.state) {
+        return ReportCase::Ended(reason);
+    }
+    let Some(role) = entry.roles.get(&report.role) else { return ReportCase::Ended(EndReason::Replaced) };
+    let obstacle = match role.kind {
+        RoleKind::Managed => robot_case(entry, role, report),
+        RoleKind::Unmanaged => person_case(entry, report),
+    };
+    match (obstacle, &report.failure, role.kind) {
+        (Some(obstacle), ..) => obstacle,
+        (None, ..) if !report.ended.is_subset(&role.ended) => ReportCase::NewSteps,
+        (None, Some(failure), RoleKind::Managed) => ReportCase::RobotFailed(failure),
+        (None, Some(failure), RoleKind::Unmanaged) => ReportCase::PersonFailed(failure),
+        (None, None, _) => ReportCase::NoNews(entry, role),
+    }
+}
+
+fn final_reason(state: &MissionState) -> Option<EndReason> {
+    match state {
+        MissionState::Pending | MissionState::Running => None,
+        MissionState::Completed => Some(EndReason::Over),
+        MissionState::Failed { .. } => Some(EndReason::Failed),
+        MissionState::Canceled { .. } => Some(EndReason::Canceled),
+        MissionState::NeedsIntervention { .. } => Some(EndReason::NeedsIntervention),
+    }
+}
+
+/// Returns the case of a report by a robot that does not hold an accepted role.
+fn robot_case<'a>(entry: &MissionEntry, role: &RoleEntry, report: &Report) -> Option<ReportCase<'a>> {
+    match &role.holder {
+        Some(holder) if holder.epoch != report.epoch || holder.robot != report.robot => {
+            Some(ReportCase::Ended(EndReason::Replaced))
+        }
+        Some(_) if role.phase == RolePhase::Ended => Some(ReportCase::Ended(EndReason::Over)),
+        // A later incarnation of the same robot holds the role.
+        Some(holder) if holder.incarnation.is_some_and(|known| known > report.incarnation) => {
+            Some(ReportCase::Ended(EndReason::Replaced))
+        }
+        Some(holder) if holder.incarnation != Some(report.incarnation) => Some(ReportCase::Unaccepted),
+        Some(_) => None,
+        None if entry.branch == Branch::Recovery => Some(ReportCase::Ended(EndReason::Replaced)),
+        None => Some(ReportCase::Ended(EndReason::Released)),
+    }
+}
+
+/// Returns the case of a report by a person for another branch of the mission.
+fn person_case<'a>(entry: &MissionEntry, report: &Report) -> Option<ReportCase<'a>> {
+    match report.branch.cmp(&entry.branch) {
+        // The recovery branch has a role of the same name.
+        Ordering::Less => Some(ReportCase::Ended(EndReason::Replaced)),
+        Ordering::Equal => None,
+        Ordering::Greater => Some(ReportCase::Ahead),
+    }
+}
+
+fn ended(entry: Option<&MissionEntry>, report: &Report, reason: EndReason) -> ReportReply {
+    let holder = entry.and_then(|entry| entry.roles.get(&report.role)?.holder.as_ref());
+    ReportReply::Ended { epoch: report.epoch, reason, current: holder.map(|holder| holder.epoch) }
+}
+
+fn renewed(entry: &MissionEntry, role: &RoleEntry, report: &Report) -> ReportReply {
+    ReportReply::Renewed {
+        epoch: report.epoch,
+        ended: role.ended.clone(),
+        holders: entry.role_holders(),
+        signals: entry.signals_to(&report.role),
+    }
+}
+
+fn accept(report: &Report) -> Command {
+    Command::Accept {
+        mission: report.mission.clone(),
+        role: report.role.clone(),
+        epoch: report.epoch,
+        incarnation: report.incarnation,
+        from_checkpoint: report.from_checkpoint,
+    }
+}
+
+fn progress(report: &Report) -> Command {
+    let (role, epoch, ended) = (report.role.clone(), report.epoch, report.ended.clone());
+    Command::Progress { mission: report.mission.clone(), role, epoch, branch: report.branch, ended }
+}
+
+/// Releases the role to another robot. A robot that only leaves the fleet, or that has started
+/// nothing because its checkpoint failed, may bid again.
+fn release_failed(report: &Report, failure: &TaskFailure) -> Command {
+    let robot_failed = !matches!(failure.kind, FailureKind::Leaving | FailureKind::Checkpoint);
+    release(report, failure_cause(report, failure), robot_failed)
+}
+
 fn release(report: &Report, cause: String, robot_failed: bool) -> Command {
     let (mission, role, epoch) = (report.mission.clone(), report.role.clone(), report.epoch);
     Command::Release { mission, role, epoch, cause, robot_failed, place: report.place.clone() }
 }
 
-fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> BTreeMap<RobotId, PlaceId>) -> Step {
-    let holder = entry.and_then(|entry| entry.roles.get(&report.role)?.holder.as_ref());
-    let current = holder.map(|holder| holder.epoch);
-    let ended = |reason| Step::Reply(ReportReply::Ended { epoch: report.epoch, reason, current });
-    let Some(entry) = entry else { return ended(EndReason::Over) };
-    match &entry.state {
-        MissionState::Pending | MissionState::Running => {}
-        MissionState::Completed => return ended(EndReason::Over),
-        MissionState::Failed { .. } => return ended(EndReason::Failed),
-        MissionState::Canceled { .. } => return ended(EndReason::Canceled),
-        MissionState::NeedsIntervention { .. } => return ended(EndReason::NeedsIntervention),
-    }
-    let Some(role) = entry.roles.get(&report.role) else { return ended(EndReason::Replaced) };
-    match role.kind {
-        RoleKind::Managed => match &role.holder {
-            Some(_) if mutants::is_active(Mutant::IgnoreEpoch) || mutants::is_active(Mutant::RefusedApplied) => {}
-            Some(holder) if holder.epoch == report.epoch && holder.robot == report.robot => {
-                if role.phase == RolePhase::Ended {
-                    return ended(EndReason::Over);
-                }
-                if holder.incarnation.is_some_and(|known| known > report.incarnation) {
-                    return ended(EndReason::Replaced); // by a later incarnation of the same robot
-                }
-                if holder.incarnation != Some(report.incarnation) {
-                    return Step::Commit(Command::Accept {
-                        mission: report.mission.clone(),
-                        role: report.role.clone(),
-                        epoch: report.epoch,
-                        incarnation: report.incarnation,
-                        from_checkpoint: report.from_checkpoint,
-                    });
-                }
-            }
-            Some(_) => return ended(EndReason::Replaced),
-            None if entry.branch == Branch::Recovery => return ended(EndReason::Replaced),
-            None => return ended(EndReason::Released),
-        },
-        RoleKind::Unmanaged => match report.branch.cmp(&entry.branch) {
-            // The recovery branch has a role of the same name.
-            Ordering::Less => return ended(EndReason::Replaced),
-            Ordering::Equal => {}
-            // The reporter has received a change that this node has not applied yet.
-            Ordering::Greater => return Step::Reply(ReportReply::NotCoordinator { coordinator: None }),
-        },
-    }
-    if !report.ended.is_subset(&role.ended) {
-        return Step::Commit(progress(&report.mission, report));
-    }
-    if let Some(failure) = &report.failure {
-        let what = failure.task.as_ref().map_or("go on".to_owned(), |task| format!("do {task}"));
-        let cause = format!("{} as {} could not {what}: {}", report.robot, report.role, failure.cause);
-        return Step::Commit(match role.kind {
-            // The role is released to another robot. A robot that only leaves the fleet, or that
-            // has started nothing because its checkpoint failed, may bid again.
-            RoleKind::Managed => {
-                release(report, cause, !matches!(failure.kind, FailureKind::Leaving | FailureKind::Checkpoint))
-            }
-            RoleKind::Unmanaged => {
-                Command::Fail { mission: report.mission.clone(), cause, branch: Some(report.branch), places: places() }
-            }
-        });
-    }
-    Step::Reply(ReportReply::Renewed {
-        epoch: report.epoch,
-        ended: role.ended.clone(),
-        holders: entry.role_holders(),
-        signals: entry.signals_to(&report.role),
-    })
+fn fail_mission(report: &Report, failure: &TaskFailure, places: BTreeMap<RobotId, PlaceId>) -> Command {
+    let cause = failure_cause(report, failure);
+    Command::Fail { mission: report.mission.clone(), cause, branch: Some(report.branch), places }
 }
 
-fn progress(mission: &MissionId, report: &Report) -> Command {
-    let (role, epoch, ended) = (report.role.clone(), report.epoch, report.ended.clone());
-    Command::Progress { mission: mission.clone(), role, epoch, branch: report.branch, ended }
+fn failure_cause(report: &Report, failure: &TaskFailure) -> String {
+    let what = failure.task.as_ref().map_or("go on".to_owned(), |task| format!("do {task}"));
+    format!("{} as {} could not {what}: {}", report.robot, report.role, failure.cause)
 }
 
 #[cfg(test)]

@@ -1,83 +1,23 @@
-//! The actor of the human task proxy: mailbox, queries and mission cancellation by people.
+//! The actor of the human task proxy: mailbox, timer, and mission cancellation by people.
 
-use super::requests::{PendingCancellations, RecentCancelOrders};
-use super::roles::{ProxyRole, RoleKey, query_signals, send_person_request};
-use crate::events::EventPublisher;
+use super::message::HumanTaskProxyMessage;
+use super::proxy_role::RoleKey;
+use super::requests::{CancelOrder, CanceledMissions, PendingCancellations};
+use super::state::{HumanTaskProxySettings, HumanTaskProxyState, MissionQueries};
 use crate::robot::SignalExchange;
 use crate::robot_driver::{PersonEvent, PersonRequestState};
-use bytes::Bytes;
+use consort_bus::Sample;
 use consort_bus::tasks::Tasks;
-use consort_bus::{Sample, SharedBus};
 use consort_protocol::codec;
-use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
-use consort_protocol::keys::{ApiCall, Key, Keys, PeopleCall};
-use consort_protocol::ledger::Branch;
-use consort_protocol::message::{ActiveMissions, Beacon, ReportReply, SignalHistory};
+use consort_protocol::keys::{Key, PeopleCall};
+use consort_protocol::message::{ActiveMissions, Beacon, SignalHistory};
 use consort_skills::actions::GoalId;
 use ractor::{Actor, ActorProcessingErr, ActorRef};
 use std::collections::BTreeMap;
-use std::time::Duration;
-use tracing::{debug, warn};
-
-/// Timeout for the coordinator to record that a mission was canceled.
-const CANCEL_TIMEOUT: Duration = Duration::from_secs(2);
-
-/// Settings of a human task proxy.
-pub struct HumanTaskProxySettings {
-    /// Id of its node.
-    pub node: NodeId,
-    /// The fleet's keys.
-    pub keys: Keys,
-    /// The bus.
-    pub bus: SharedBus,
-    /// Event publisher.
-    pub events: EventPublisher,
-    /// Interval of the periodic work. Messages are handled at once. Default 1 s.
-    pub tick_interval: Duration,
-}
-
-/// Message for the human task proxy.
-pub enum HumanTaskProxyMessage {
-    /// Periodic timer: repeat queries, requests and reports.
-    Tick,
-    /// Beacon of the coordinator.
-    Beacon(Sample),
-    /// The active missions have changed.
-    MissionsChanged(Sample),
-    /// Active missions, as a coordinator reports them, with the number of the query.
-    ActiveMissions(u64, ActiveMissions),
-    /// Signal of a role.
-    Signal(Sample),
-    /// Signal history of a role, in reply to a query.
-    SignalHistory(SignalHistory),
-    /// Event of a person.
-    PersonEvent(Sample),
-    /// State of a person request, in reply to a command.
-    RequestReplied(GoalId, PersonRequestState),
-    /// Reply to a report for this branch.
-    ReportReplied(MissionId, RoleId, Branch, ReportReply),
-}
+use tracing::warn;
 
 /// The human task proxy actor.
-pub struct HumanTaskProxy;
-
-/// State of [`HumanTaskProxy`].
-pub struct HumanTaskProxyState {
-    pub(super) settings: HumanTaskProxySettings,
-    pub(super) coordinator: Option<Beacon>,
-    pub(super) roles: BTreeMap<RoleKey, ProxyRole>,
-    /// Number of queries for the active missions so far. The next field is the latest query with an
-    /// accepted reply: replies may arrive out of order.
-    queries_sent: u64,
-    latest_reply: u64,
-    pub(super) cancellations: PendingCancellations,
-    /// Missions canceled by people, with the name of the person. The cancellation is repeated until
-    /// the mission is no longer active.
-    canceled_missions: BTreeMap<MissionId, String>,
-    recent_orders: RecentCancelOrders,
-    pub(super) signals: SignalExchange,
-    pub(super) tasks: Tasks,
-}
+pub(crate) struct HumanTaskProxy;
 
 #[ractor::async_trait]
 impl Actor for HumanTaskProxy {
@@ -93,69 +33,44 @@ impl Actor for HumanTaskProxy {
         let HumanTaskProxySettings { keys, bus, .. } = &settings;
         let mut tasks = Tasks::default();
         tasks.forward(bus.subscribe(&keys.write(&Key::Beacon)).await?, &myself, HumanTaskProxyMessage::Beacon);
-        tasks.forward(
-            bus.subscribe(&keys.write(&Key::Changed)).await?,
-            &myself,
-            HumanTaskProxyMessage::MissionsChanged,
-        );
+        let changes = bus.subscribe(&keys.write(&Key::Changed)).await?;
+        tasks.forward(changes, &myself, |_| HumanTaskProxyMessage::MissionsChanged);
         tasks.forward(bus.subscribe(&keys.any_signal()).await?, &myself, HumanTaskProxyMessage::Signal);
         let done = keys.write(&Key::People(PeopleCall::Done));
         tasks.forward(bus.subscribe(&done).await?, &myself, HumanTaskProxyMessage::PersonEvent);
         tasks.send_every(settings.tick_interval, &myself, || HumanTaskProxyMessage::Tick);
-        let (bus, keys) = (bus.clone(), keys.clone());
         Ok(HumanTaskProxyState {
+            signals: SignalExchange::new(bus.clone(), keys.clone()),
             settings,
+            myself,
             coordinator: None,
             roles: BTreeMap::new(),
-            queries_sent: 0,
-            latest_reply: 0,
+            queries: MissionQueries::default(),
             cancellations: PendingCancellations::default(),
-            canceled_missions: BTreeMap::new(),
-            recent_orders: RecentCancelOrders::default(),
-            signals: SignalExchange::new(bus, keys),
+            canceled_missions: CanceledMissions::default(),
             tasks,
         })
     }
 
     async fn handle(
         &self,
-        myself: ActorRef<Self::Msg>,
+        _: ActorRef<Self::Msg>,
         message: Self::Msg,
         state: &mut Self::State,
     ) -> Result<(), ActorProcessingErr> {
         match message {
-            HumanTaskProxyMessage::Tick => state.tick(&myself).await,
-            HumanTaskProxyMessage::Beacon(sample) => state.follow_coordinator(&myself, &sample),
-            HumanTaskProxyMessage::MissionsChanged(_) => state.query_missions(&myself),
+            HumanTaskProxyMessage::Tick => state.tick(),
+            HumanTaskProxyMessage::Beacon(sample) => state.follow_coordinator(&sample),
+            HumanTaskProxyMessage::MissionsChanged => state.query_missions(),
             HumanTaskProxyMessage::ActiveMissions(query_number, active) => {
-                if query_number > state.latest_reply {
-                    state.latest_reply = query_number;
-                    state.update_missions(&myself, active).await?;
-                }
+                state.receive_missions(query_number, active).await?;
             }
-            HumanTaskProxyMessage::Signal(sample) => match codec::decode::<SignalHistory>(&sample.payload) {
-                Ok(history) => state.receive_signals(&myself, &history).await,
-                Err(problem) => warn!(key = sample.key, %problem, "signal cannot be decoded"),
-            },
-            HumanTaskProxyMessage::SignalHistory(history) => state.receive_signals(&myself, &history).await,
-            HumanTaskProxyMessage::PersonEvent(sample) => match codec::decode::<PersonEvent>(&sample.payload) {
-                Ok(PersonEvent::RequestEnded { id, result }) => state.handle_request_ended(&myself, id, result).await,
-                Ok(PersonEvent::CancelMission { by, role, robot, at_ms }) => {
-                    state.cancel_mission(&by, &role, &robot, at_ms);
-                }
-                Err(problem) => warn!(%problem, "event of a person cannot be decoded"),
-            },
-            HumanTaskProxyMessage::RequestReplied(_, PersonRequestState::Requested) => {}
-            HumanTaskProxyMessage::RequestReplied(id, PersonRequestState::Ended(result)) => {
-                state.cancellations.confirm(id);
-                state.handle_request_ended(&myself, id, result).await;
-            }
-            HumanTaskProxyMessage::RequestReplied(id, PersonRequestState::Canceled) => {
-                state.cancellations.confirm(id);
-                state.renew_request(&myself, id);
-            }
+            HumanTaskProxyMessage::Signal(sample) => state.receive_signal_sample(&sample).await,
+            HumanTaskProxyMessage::SignalHistory(history) => state.receive_signals(&history).await,
+            HumanTaskProxyMessage::PersonEvent(sample) => state.receive_person_event(&sample).await,
+            HumanTaskProxyMessage::RequestReplied(id, request) => state.handle_request_reply(id, request).await,
             HumanTaskProxyMessage::ReportReplied(mission, role, branch, reply) => {
-                state.handle_report_reply(&myself, &(mission, role), branch, reply).await;
+                state.handle_report_reply(&(mission, role), branch, reply).await;
             }
         }
         Ok(())
@@ -163,28 +78,26 @@ impl Actor for HumanTaskProxy {
 }
 
 impl HumanTaskProxyState {
-    async fn tick(&mut self, myself: &ActorRef<HumanTaskProxyMessage>) {
-        self.query_missions(myself);
-        for ((mission, _), proxied) in &self.roles {
-            query_signals(&self.signals, &mut self.tasks, myself, mission, &proxied.sequencer);
-            if let Some(request) = &proxied.request {
-                send_person_request(&self.settings, &mut self.tasks, myself, request.id(), Some(request.request()));
-            }
+    fn tick(&mut self) {
+        self.query_missions();
+        let keys: Vec<RoleKey> = self.roles.keys().cloned().collect();
+        for key in &keys {
+            self.query_signals(key);
+            self.send_open_request(key);
         }
-        let roles = &self.roles;
-        self.canceled_missions.retain(|mission, _| roles.keys().any(|(active, _)| active == mission));
-        for (mission, by) in self.canceled_missions.clone() {
+        self.canceled_missions.retain(|mission| keys.iter().any(|(active, _)| active == mission));
+        for (mission, by) in self.canceled_missions.pending() {
             self.send_cancel(mission, by);
         }
-        for id in self.cancellations.pending() {
-            send_person_request(&self.settings, &mut self.tasks, myself, id, None);
+        for id in self.cancellations.pending().collect::<Vec<_>>() {
+            self.send_person_request(id, None);
         }
-        for key in self.roles.keys().cloned().collect::<Vec<_>>() {
-            self.report(myself, &key);
+        for key in &keys {
+            self.report(key);
         }
     }
 
-    fn follow_coordinator(&mut self, myself: &ActorRef<HumanTaskProxyMessage>, sample: &Sample) {
+    fn follow_coordinator(&mut self, sample: &Sample) {
         let Ok(beacon) = codec::decode::<Beacon>(&sample.payload) else { return };
         if !beacon.supersedes(self.coordinator.as_ref()) {
             return;
@@ -192,59 +105,56 @@ impl HumanTaskProxyState {
         let new = beacon.is_other_leader_session(self.coordinator.as_ref());
         self.coordinator = Some(beacon);
         if new {
-            self.query_missions(myself);
+            self.query_missions();
         }
     }
 
-    /// Queries the coordinator for the active missions.
-    fn query_missions(&mut self, myself: &ActorRef<HumanTaskProxyMessage>) {
-        let Some(beacon) = &self.coordinator else { return };
-        let key = self.settings.keys.write(&Key::ActiveMissions(beacon.node.clone()));
-        let (bus, to) = (self.settings.bus.clone(), myself.clone());
-        self.queries_sent += 1;
-        let query_number = self.queries_sent;
-        self.tasks.spawn(async move {
-            match query_active_missions(bus, &key).await {
-                // A stopped proxy needs no reply.
-                Some(active) => drop(to.cast(HumanTaskProxyMessage::ActiveMissions(query_number, active))),
-                None => debug!(key, "active missions not received completely; the next timer repeats the query"),
+    async fn receive_missions(&mut self, query_number: u64, active: ActiveMissions) -> Result<(), ActorProcessingErr> {
+        if self.queries.accept(query_number) {
+            self.update_missions(active).await?;
+        }
+        Ok(())
+    }
+
+    async fn receive_signal_sample(&mut self, sample: &Sample) {
+        match codec::decode::<SignalHistory>(&sample.payload) {
+            Ok(history) => self.receive_signals(&history).await,
+            Err(problem) => warn!(key = sample.key, %problem, "signal cannot be decoded"),
+        }
+    }
+
+    async fn receive_person_event(&mut self, sample: &Sample) {
+        match codec::decode::<PersonEvent>(&sample.payload) {
+            Ok(PersonEvent::RequestEnded { id, result }) => self.handle_request_ended(id, result).await,
+            Ok(PersonEvent::CancelMission { by, role, robot, at_ms }) => {
+                self.cancel_mission(CancelOrder { by: &by, role: &role, robot: &robot, at_ms });
             }
-        });
+            Err(problem) => warn!(%problem, "event of a person cannot be decoded"),
+        }
+    }
+
+    async fn handle_request_reply(&mut self, id: GoalId, request: PersonRequestState) {
+        match request {
+            PersonRequestState::Requested => {}
+            PersonRequestState::Ended(result) => {
+                self.cancellations.confirm(id);
+                self.handle_request_ended(id, result).await;
+            }
+            PersonRequestState::Canceled => {
+                self.cancellations.confirm(id);
+                self.renew_request(id);
+            }
+        }
     }
 
     /// Cancels the mission for which a robot came to a person: the mission in which both the robot
     /// and the person's role take part.
-    fn cancel_mission(&mut self, by: &str, role: &RoleId, robot: &RobotId, at_ms: u64) {
-        let takes_part = |((_, role_id), proxied): &(&RoleKey, &ProxyRole)| {
-            role_id == role && proxied.sequencer.holders().values().any(|holding| holding.robot == *robot)
-        };
-        let Some(mission) = self.roles.iter().find(takes_part).map(|((mission, _), _)| mission.clone()) else { return };
-        if self.recent_orders.is_new(by, robot, at_ms) {
-            self.canceled_missions.insert(mission.clone(), by.to_owned());
-            self.send_cancel(mission, by.to_owned());
+    fn cancel_mission(&mut self, order: CancelOrder<'_>) {
+        let mut roles = self.roles.iter();
+        let found = roles.find(|((_, role), proxied)| role == order.role && proxied.is_with(order.robot));
+        let Some(mission) = found.map(|((mission, _), _)| mission.clone()) else { return };
+        if self.canceled_missions.add(&mission, order) {
+            self.send_cancel(mission, order.by.to_owned());
         }
     }
-
-    /// Sends a cancel request to the coordinator, as any client does. The timer repeats it while
-    /// the mission is active.
-    fn send_cancel(&mut self, mission: MissionId, by: String) {
-        let request = serde_json::json!({ "mission": mission, "by": by }).to_string();
-        let (bus, key) = (self.settings.bus.clone(), self.settings.keys.write(&Key::Api(ApiCall::Cancel)));
-        self.tasks.spawn(async move {
-            let Ok(mut replies) = bus.query(&key, Bytes::from(request), CANCEL_TIMEOUT).await else { return };
-            while let Some(reply) = replies.recv().await {
-                debug!(%mission, answered = reply.payload.is_ok(), "cancel request got a reply");
-            }
-        });
-    }
-}
-
-/// Returns `None` if the reply was incomplete.
-async fn query_active_missions(bus: SharedBus, key: &str) -> Option<ActiveMissions> {
-    let mut replies = bus.query(key, Bytes::new(), Duration::from_millis(500)).await.ok()?;
-    let mut parts: Vec<ActiveMissions> = vec![];
-    while let Some(reply) = replies.recv().await {
-        parts.push(codec::decode(&reply.payload.ok()?).ok()?);
-    }
-    ActiveMissions::join(parts)
 }

@@ -10,7 +10,11 @@
 //! request is still needed. The driver server cancels requests that are no longer repeated.
 
 mod actor;
+mod message;
+mod proxy_role;
 mod requests;
 mod roles;
+mod state;
 
-pub use actor::{HumanTaskProxy, HumanTaskProxyMessage, HumanTaskProxySettings, HumanTaskProxyState};
+pub(crate) use actor::HumanTaskProxy;
+pub(crate) use state::HumanTaskProxySettings;

@@ -100,12 +100,12 @@ const ORDERS_MAX: usize = 256;
 /// Recent orders of people to cancel a mission, oldest first. A repeated order must not cancel the
 /// next mission.
 #[derive(Debug, Default)]
-pub(super) struct RecentCancelOrders(VecDeque<(String, RobotId, u64)>);
+struct RecentCancelOrders(VecDeque<(String, RobotId, u64)>);
 
 impl RecentCancelOrders {
     /// Checks whether an order is new. It is identified by the person, the robot, and the time on
     /// the world's clock.
-    pub(super) fn is_new(&mut self, by: &str, robot: &RobotId, at_ms: u64) -> bool {
+    fn is_new(&mut self, by: &str, robot: &RobotId, at_ms: u64) -> bool {
         let known = |(other, to, at): &(String, RobotId, u64)| other == by && to == robot && *at == at_ms;
         if self.0.iter().any(known) {
             return false;
@@ -116,6 +116,48 @@ impl RecentCancelOrders {
         }
         true
     }
+}
+
+/// Missions canceled by people, with the name of the person. The cancellation is repeated until the
+/// mission is no longer active.
+#[derive(Debug, Default)]
+pub(super) struct CanceledMissions {
+    missions: BTreeMap<MissionId, String>,
+    recent_orders: RecentCancelOrders,
+}
+
+impl CanceledMissions {
+    /// Adds the mission of an order. Returns false for a repeated order.
+    pub(super) fn add(&mut self, mission: &MissionId, order: CancelOrder<'_>) -> bool {
+        let is_new = self.recent_orders.is_new(order.by, order.robot, order.at_ms);
+        if is_new {
+            self.missions.insert(mission.clone(), order.by.to_owned());
+        }
+        is_new
+    }
+
+    /// Removes the missions that are no longer active.
+    pub(super) fn retain(&mut self, is_active: impl Fn(&MissionId) -> bool) {
+        self.missions.retain(|mission, _| is_active(mission));
+    }
+
+    /// Returns the missions to be canceled, each with the name of the person.
+    pub(super) fn pending(&self) -> Vec<(MissionId, String)> {
+        self.missions.iter().map(|(mission, by)| (mission.clone(), by.clone())).collect()
+    }
+}
+
+/// Order of a person to cancel a mission.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CancelOrder<'a> {
+    /// Name of the person.
+    pub(super) by: &'a str,
+    /// Role of the person.
+    pub(super) role: &'a RoleId,
+    /// The robot that came.
+    pub(super) robot: &'a RobotId,
+    /// World time of the order in milliseconds.
+    pub(super) at_ms: u64,
 }
 
 #[cfg(test)]

@@ -1,14 +1,16 @@
 //! Start of a node: its parts start in the order of their dependencies.
 
-use super::handle::NodeError;
+use super::error::NodeError;
 use super::root::NodeMessage;
 use super::settings::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
-use crate::autopilot::{Bootstrap, Decommission, DecommissionReport};
-use crate::coordinator::{Coordinator, CoordinatorMessage, CoordinatorSettings};
+use crate::autopilot::{AutopilotSettings, Bootstrap, Decommission, DecommissionReport};
+use crate::coordinator::{AuctionSettings, Coordinator, CoordinatorMessage, CoordinatorSettings, NodeParts};
 use crate::events::EventPublisher;
 use crate::human_task_proxy::{HumanTaskProxy, HumanTaskProxySettings};
 use crate::observe::SharedObserver;
-use crate::robot::{Robot, RobotMessage, RobotSettings, TaskTimeout};
+use crate::robot::{
+    ExecutionSettings, PricingSettings, Robot, RobotLinks, RobotMessage, RobotSettings, RobotStart, TaskTimeout,
+};
 use crate::robot_driver::{CLIENT_TIMEOUT, DriverClientSettings, DriverServer, DriverServerSettings, RobotDriver};
 use crate::views::Views;
 use consort_bus::clock::Clock;
@@ -17,14 +19,14 @@ use consort_bus::reply;
 use consort_bus::tasks::Tasks;
 use consort_bus::wire_version::WireVersion;
 use consort_bus::{Query, SharedBus, Stream};
-use consort_gossip::{Gossip, GossipHandle, SharedKnowledge};
+use consort_gossip::{GossipHandle, GossipStart, SharedKnowledge};
+use consort_protocol::api::ErrorReply;
 use consort_protocol::ids::{ClusterId, NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::Knowledge;
 use consort_protocol::ledger::{Command, Ledger};
 use consort_protocol::message::BootstrapRequest;
 use consort_protocol::timing::TimingParameters;
-use consort_protocol::versions::VersionRange;
 use consort_raft::store::CheckpointStore;
 use consort_raft::{ApplyObserver, LogStore, RaftSettings, Replica};
 use ractor::{Actor, ActorRef};
@@ -65,11 +67,11 @@ pub(super) async fn start_parts(
         replica: replica.as_ref().map(|replica| replica.id().0),
         cluster: None,
         leaving: false,
-        supported_versions: VersionRange::own(),
+        supported_versions: settings.supported_versions,
         robot: settings.robot.as_ref().map(|robot| robot.worker.clone()),
     };
-    let wire_version = WireVersion::default();
-    let start = consort_gossip::GossipStart {
+    let wire_version = WireVersion::new(settings.supported_versions);
+    let start = GossipStart {
         settings: consort_gossip::Settings::new(fleet.fleet.clone(), node.clone(), incarnation)
             .with_timing(fleet.timing),
         knowledge,
@@ -80,7 +82,8 @@ pub(super) async fn start_parts(
         wire_version: wire_version.clone(),
         signer: record_signer,
     };
-    let (gossip, _) = Gossip::start(start, Some(root.get_cell())).await.map_err(|problem| NodeError::from(*problem))?;
+    let (gossip, _) =
+        GossipHandle::start(start, Some(root.get_cell())).await.map_err(|problem| NodeError::from(*problem))?;
     let membership = ClusterMembership::default();
     // Only consensus and gossip cross the border of a cluster, because they detect other clusters.
     let bus = Arc::new(ClusterBus::new(bus, keys.clone(), membership.clone()));
@@ -207,27 +210,34 @@ impl Assembly {
         cluster_seed: u64,
     ) -> Result<ActorRef<CoordinatorMessage>, NodeError> {
         let settings = CoordinatorSettings {
-            node: self.node.clone(),
-            keys: self.keys.clone(),
-            bus: self.bus.clone(),
-            clock: self.clock,
-            replica: replica.clone(),
-            knowledge: self.knowledge(),
-            wire_version: self.wire_version.clone(),
-            events: self.events.clone(),
-            ensemble: Arc::clone(&self.fleet.ensemble),
+            parts: NodeParts {
+                node: self.node.clone(),
+                keys: self.keys.clone(),
+                bus: self.bus.clone(),
+                clock: self.clock,
+                replica: replica.clone(),
+                knowledge: self.knowledge(),
+                wire_version: self.wire_version.clone(),
+                events: self.events.clone(),
+            },
+            auctions: AuctionSettings {
+                ensemble: Arc::clone(&self.fleet.ensemble),
+                limits: self.fleet.limits,
+                allocator: Arc::clone(&self.fleet.allocator),
+                bid_window: self.fleet.bid_window,
+            },
+            autopilot: AutopilotSettings {
+                rule: self.fleet.autopilot_rule,
+                target_voters: self.fleet.voters,
+                dead_after: self.fleet.dead_after,
+                contact_max: self.times.election_max,
+            },
             domain: Arc::clone(&self.fleet.domain),
-            limits: self.fleet.limits,
             request_limits: self.fleet.request_limits,
-            allocator: Arc::clone(&self.fleet.allocator),
             lease_terms: self.fleet.lease_terms,
-            bid_window: self.fleet.bid_window,
             stall_timeout: self.fleet.stall_timeout,
             tick_interval: self.times.beacon_interval,
             cluster_seed,
-            voters: self.fleet.voters,
-            dead_after: self.fleet.dead_after,
-            contact_timeout: self.times.election_max,
         };
         let (coordinator, _) = Actor::spawn_linked(None, Coordinator, settings, self.root.get_cell()).await?;
         Ok(coordinator)
@@ -322,29 +332,37 @@ impl Assembly {
             std::future::pending::<()>().await;
             drop(token);
         });
-        let settings = RobotSettings {
-            robot,
-            incarnation,
-            worker: part.worker,
+        let links = RobotLinks {
             keys: self.keys.clone(),
             bus: self.bus.clone(),
             clock: self.clock,
             events: self.events.clone(),
-            knowledge: self.knowledge(),
             gossip: self.gossip.clone(),
+            knowledge: self.knowledge(),
+            checkpoint_store,
+        };
+        let pricing = PricingSettings {
             ensemble: Arc::clone(&self.fleet.ensemble),
             limits: self.fleet.limits,
-            lease_terms: self.fleet.lease_terms,
             estimator: part.estimator,
+        };
+        let execution = ExecutionSettings {
             library: part.library,
-            driver,
-            checkpoint_store,
             task_timeout: TaskTimeout::default(),
             retry_delay: Duration::from_millis(500),
-            update_interval: Duration::from_millis(250),
             skill_tick_interval: Duration::from_millis(100),
         };
-        let (robot, _) = Actor::spawn_linked(None, Robot, settings, self.root.get_cell()).await?;
+        let settings = RobotSettings {
+            robot,
+            incarnation,
+            links,
+            pricing,
+            execution,
+            lease_terms: self.fleet.lease_terms,
+            update_interval: Duration::from_millis(250),
+        };
+        let start = RobotStart { settings, worker: part.worker, driver };
+        let (robot, _) = Actor::spawn_linked(None, Robot, start, self.root.get_cell()).await?;
         Ok(robot)
     }
 
@@ -392,7 +410,7 @@ async fn serve_decommission(
             }
             Err(problem) => {
                 warn!(node = %decommission.node, %problem, "decommission failed: the node keeps running");
-                reply::json(&query, &query.key, &serde_json::json!({ "error": problem.to_string() })).await;
+                reply::json(&query, &query.key, &ErrorReply::rejected(problem.to_string())).await;
             }
         }
     }

@@ -1,40 +1,21 @@
 //! Handle of a running node, and the ways to end it.
 
 use super::assembly::{StartedParts, start_parts};
+use super::error::{NodeEnded, NodeError};
 use super::root::{NodeMessage, Root};
 use super::settings::NodeSettings;
 use crate::autopilot::{Decommission, DecommissionError, DecommissionReport};
+use consort_bus::SharedBus;
 use consort_bus::cluster_membership::ClusterMembership;
 use consort_bus::tasks::Tasks;
-use consort_bus::{BusError, SharedBus};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::ids::NodeId;
 use consort_protocol::ledger::Ledger;
-use consort_raft::{Replica, StartError};
-use ractor::{Actor, ActorRef, SpawnErr};
+use consort_raft::Replica;
+use ractor::{Actor, ActorRef};
 use std::sync::{Arc, OnceLock};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
-
-/// The node did not start. None of its parts runs.
-#[derive(Debug, thiserror::Error)]
-pub enum NodeError {
-    /// The bus is closed, or refused a key.
-    #[error(transparent)]
-    Bus(#[from] BusError),
-    /// The local copy of the ledger could not be opened.
-    #[error(transparent)]
-    Ledger(#[from] StartError),
-    /// An actor could not start.
-    #[error("an actor could not start: {0}")]
-    Actor(String),
-}
-
-impl From<SpawnErr> for NodeError {
-    fn from(problem: SpawnErr) -> NodeError {
-        NodeError::Actor(problem.to_string())
-    }
-}
 
 /// Handle of a running node. Dropping it leaves the node running; see [`kill`](NodeHandle::kill),
 /// [`stop`](NodeHandle::stop) and [`decommission`](NodeHandle::decommission).
@@ -122,11 +103,11 @@ impl NodeHandle {
     /// like [`ended`](Self::ended).
     ///
     /// # Errors
-    /// The cause, if the node has ended by itself.
-    pub async fn ended_or_decommissioned(&mut self) -> Result<DecommissionReport, String> {
+    /// [`NodeEnded`], if the node has ended by itself.
+    pub async fn ended_or_decommissioned(&mut self) -> Result<DecommissionReport, NodeEnded> {
         let mut decommissioned = self.decommissioned.clone();
         tokio::select! {
-            cause = self.ended() => Err(cause),
+            cause = self.ended() => Err(NodeEnded(cause)),
             Ok(report) = decommissioned.wait_for(Option::is_some) => Ok(report.clone().expect("the report is present")),
         }
     }

@@ -7,9 +7,11 @@
 //! supervisor (a service manager, a test) restarts it.
 
 mod assembly;
+mod error;
 mod handle;
 mod root;
 mod settings;
 
-pub use handle::{NodeError, NodeHandle};
+pub use error::{NodeEnded, NodeError};
+pub use handle::NodeHandle;
 pub use settings::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};

@@ -1,9 +1,10 @@
 //! Settings of a node.
 
+use crate::autopilot::AutopilotRule;
 use crate::coordinator::RequestLimits;
 use crate::observe::SharedObserver;
 use consort_bus::clock::Clock;
-use consort_gossip::SharedRecordSigner;
+use consort_bus::record_signer::SharedRecordSigner;
 use consort_protocol::auction::{Allocator, BidLimits};
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{FleetId, NodeId};
@@ -11,6 +12,7 @@ use consort_protocol::knowledge::RobotKnowledge;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::Domain;
 use consort_protocol::timing::Timing;
+use consort_protocol::versions::VersionRange;
 use consort_raft::store::NodeStore;
 use consort_skills::actions::RobotBackend;
 use consort_skills::descriptor::Estimator;
@@ -50,6 +52,9 @@ pub struct FleetSettings {
     pub timing: Timing,
     /// Number of voters that the autopilot aims at: odd, up to [`crate::autopilot::VOTERS_MAX`].
     pub voters: usize,
+    /// Decision rule of the autopilot: [`decide`](crate::autopilot::decide), except in mutation
+    /// checks.
+    pub autopilot_rule: AutopilotRule,
     /// Time without contact after which the autopilot replaces a voter.
     pub dead_after: Duration,
     /// The fleet's map, served as `view/map`. No decision depends on it.
@@ -70,6 +75,8 @@ pub struct NodeSettings {
     pub store: NodeStore,
     /// Clock of the node.
     pub clock: Clock,
+    /// Wire versions that the node reads: those of the program, unless a test limits them.
+    pub supported_versions: VersionRange,
     /// The node keeps a copy of the ledger and may coordinate.
     pub may_vote: bool,
     /// The node does not move.

@@ -1,68 +1,405 @@
-//! The active plan of a robot.
+//! The active plan of a robot, as a value: the plan of an award, and the decisions about its next
+//! step, its failures and its checkpoint.
 
 use super::checkpoint::Checkpoint;
-use super::checkpoint_writer::CheckpointWriter;
-use super::recovery_policy::RecoveryPolicy;
+use super::checkpoint_writer::{CheckpointWriter, PendingOutput};
+use super::recovery_policy::{AttemptFailure, RecoveryAction, RecoveryPolicy};
 use super::release::PendingRelease;
-use super::sequencer::{Sequencer, StepRef};
+use super::sequencer::{Sequencer, SequencerAction, StepRef};
 use super::signals::StaleSignals;
-use super::skill_runner::RunnerMessage;
+use super::skill_runner::RunningSkill;
 use super::task_timeout::TaskTimer;
 use consort_bus::tasks::Tasks;
-use consort_protocol::ids::{MissionId, RoleId};
-use consort_protocol::lease::Award;
-use consort_protocol::units::NodeTime;
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::{MissionId, RoleId, TaskId};
+use consort_protocol::lease::{Award, RoleHolder};
+use consort_protocol::message::{FailureKind, TaskFailure};
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::plan::{Signal, StepIndex};
+use consort_protocol::units::{NodeTime, WorldTime};
 use consort_skills::actions::GoalId;
-use ractor::ActorRef;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+use tracing::warn;
 
 /// The active plan of a robot.
 pub(super) struct ActivePlan {
     pub(super) award: Award,
     pub(super) sequencer: Sequencer,
-    pub(super) recovery_policy: RecoveryPolicy,
-    pub(super) checkpoint_writer: CheckpointWriter,
     /// The attempt in progress.
     pub(super) attempt: Option<TaskAttempt>,
-    /// Earliest start of the next task: the robot pauses between two attempts.
-    pub(super) retry_at: NodeTime,
-    /// A checkpoint of this award is stored. No task starts without it.
-    pub(super) has_checkpoint: bool,
-    /// Reason for the release of the role. From then on the robot only waits for the end of the
-    /// award.
-    pub(super) pending_release: Option<PendingRelease>,
-    /// First goal of the driver that belongs to the current task, or to the next task.
-    pub(super) first_goal: GoalId,
-    /// The event about insufficient charge was published.
-    pub(super) energy_warning_sent: bool,
+    recovery: Recovery,
+    checkpoint: PlanCheckpoint,
     /// Signals received under awards no longer in force; each is reported once.
     pub(super) stale_signals: StaleSignals,
-    pub(super) _subscriptions: Tasks,
+    /// Subscription to the signals of other roles.
+    pub(super) subscriptions: Tasks,
 }
 
 /// A running skill.
 pub(super) struct TaskAttempt {
-    /// Number of the skill run.
-    pub(super) run: u64,
     pub(super) step: StepRef,
-    pub(super) runner: ActorRef<RunnerMessage>,
+    pub(super) skill: RunningSkill,
     pub(super) timer: TaskTimer,
 }
 
+/// Recovery of a plan from failures.
+struct Recovery {
+    policy: RecoveryPolicy,
+    /// Earliest start of the next task: the robot pauses between two attempts.
+    retry_at: NodeTime,
+    /// Reason for the release of the role. From then on the robot only waits for the end of the
+    /// award.
+    release: Option<PendingRelease>,
+    /// The event about insufficient charge was published.
+    energy_warning_sent: bool,
+}
+
+/// Checkpoint of a plan.
+struct PlanCheckpoint {
+    writer: CheckpointWriter,
+    /// A checkpoint of this award is stored. No task starts without it.
+    is_stored: bool,
+    /// First goal of the driver that belongs to the current task, or to the next task.
+    first_goal: GoalId,
+}
+
+/// State from which a plan starts.
+pub(super) struct PlanStart<'a> {
+    pub(super) award: Award,
+    /// Steps that the ledger contains as ended.
+    pub(super) recorded: &'a BTreeSet<StepIndex>,
+    pub(super) holders: BTreeMap<RoleId, RoleHolder>,
+    /// Checkpoint of this award, written by the previous incarnation.
+    pub(super) restored: Option<Checkpoint>,
+    /// Next goal of the driver.
+    pub(super) next_goal: GoalId,
+}
+
+/// Next action of a plan.
+#[derive(Debug, PartialEq)]
+pub(super) enum PlanAction {
+    /// Send outputs whose steps are stored in the checkpoint.
+    Emit(Vec<PendingOutput>),
+    /// Start a task.
+    StartTask {
+        /// Position of the task in the plan.
+        step: StepRef,
+        task: TaskId,
+        spec: TaskSpec,
+    },
+    /// Publish that an awaited signal has arrived.
+    ReportReceived(Signal),
+}
+
+/// Effect of a failure on the plan.
+#[derive(Debug, PartialEq)]
+pub(super) enum RecoveryEffect {
+    /// The task is retried after the delay.
+    Retry(Duration, EventKind),
+    /// The role is released.
+    Release(EventKind),
+    /// An alternative replaces the task. Its event waits for the checkpoint.
+    Alternative,
+}
+
+/// Effect of a charge that will not last for the remaining plan.
+#[derive(Debug, PartialEq)]
+pub(super) enum ShortfallEffect {
+    /// Another robot can still take over: the role is released.
+    Fail(AttemptFailure),
+    /// The robot may carry an item and continues, because a release would not help. The event is
+    /// published once.
+    Continue(Option<EventKind>),
+}
+
 impl ActivePlan {
+    /// Starts a plan, or continues it from the checkpoint. Returns also the reason to release the
+    /// role at once, if the recorded steps do not fit the plan. Returns `None` for an invalid plan.
+    pub(super) fn start(start: PlanStart<'_>) -> Option<(ActivePlan, Option<TaskFailure>)> {
+        let PlanStart { award, recorded, holders, restored, next_goal } = start;
+        let up_to_date = restored.as_ref().filter(|checkpoint| !checkpoint.misses_ended_task(recorded));
+        let first_goal = up_to_date.map_or(next_goal, |checkpoint| checkpoint.first_goal);
+        let is_stored = restored.is_some();
+        let (own, alternatives) =
+            restored.map(|checkpoint| (checkpoint.ended, checkpoint.alternatives)).unwrap_or_default();
+        let resumed = Sequencer::resume(award.plan.clone(), recorded, &own, alternatives, holders.clone());
+        let failure = resumed.as_ref().err().map(|problem| TaskFailure {
+            task: None,
+            cause: problem.to_string(),
+            kind: FailureKind::Plan,
+        });
+        let sequencer = resumed.or_else(|_| Sequencer::new(award.plan.clone(), &BTreeSet::new(), holders)).ok()?;
+        let mut writer = CheckpointWriter::default();
+        writer.mark_outdated();
+        let recovery = Recovery {
+            policy: RecoveryPolicy::default(),
+            retry_at: NodeTime::ZERO,
+            release: None,
+            energy_warning_sent: false,
+        };
+        let active = ActivePlan {
+            award,
+            sequencer,
+            attempt: None,
+            recovery,
+            checkpoint: PlanCheckpoint { writer, is_stored, first_goal },
+            stale_signals: StaleSignals::new(),
+            subscriptions: Tasks::default(),
+        };
+        Some((active, failure))
+    }
+
     pub(super) fn mission_and_role(&self) -> (MissionId, RoleId) {
         (self.award.mission.clone(), self.award.role.clone())
     }
 
-    pub(super) fn checkpoint(&self) -> Checkpoint {
-        let (ended, alternatives) = (self.sequencer.ended().clone(), self.sequencer.alternative_progress().clone());
-        Checkpoint { award: self.award.clone(), ended, alternatives, first_goal: self.first_goal }
+    /// Returns the next action, which the caller performs at once. Sent signals wait in the
+    /// checkpoint writer. Ended steps are checkpointed before the next task starts.
+    pub(super) fn next_action(&mut self, now: NodeTime) -> Option<PlanAction> {
+        let outputs = self.checkpoint.writer.take_ready();
+        if !outputs.is_empty() {
+            return Some(PlanAction::Emit(outputs));
+        }
+        loop {
+            if self.is_releasing() || !self.checkpoint.writer.is_idle() || now < self.recovery.retry_at {
+                return None;
+            }
+            match self.sequencer.next_action()? {
+                SequencerAction::StartTask { step, task, spec } => {
+                    return Some(PlanAction::StartTask { step, task, spec });
+                }
+                SequencerAction::SendSignal(signal) => self.checkpoint.writer.queue(PendingOutput::Signal(signal)),
+                SequencerAction::SignalReceived(signal) => return Some(PlanAction::ReportReceived(signal)),
+            }
+        }
+    }
+
+    /// Takes the attempt with this number if it is in progress.
+    pub(super) fn take_attempt(&mut self, run: u64) -> Option<TaskAttempt> {
+        self.attempt.take_if(|attempt| attempt.skill.run() == run)
+    }
+
+    /// Marks the current task as succeeded; later goals belong to the next task.
+    pub(super) fn end_task(&mut self, step: StepRef, task: TaskId, next_goal: GoalId) {
+        let (mission, role) = self.mission_and_role();
+        self.sequencer.end_task(step);
+        self.checkpoint.first_goal = next_goal;
+        self.checkpoint.writer.queue(PendingOutput::Event(EventKind::TaskEnded { mission, role, task }));
+    }
+
+    /// Returns the first goal of the current task, or of the next task.
+    pub(super) fn first_goal(&self) -> GoalId {
+        self.checkpoint.first_goal
     }
 
     /// Stops the attempt safely, if there is any.
     pub(super) fn stop(&mut self) {
         if let Some(attempt) = self.attempt.take() {
-            // A skill that has just ended ignores this.
-            let _ = attempt.runner.cast(RunnerMessage::Halt);
+            attempt.skill.halt();
         }
+    }
+
+    /// Suspends the plan: the lease has expired.
+    pub(super) fn suspend(&mut self) {
+        self.stop();
+        self.sequencer.abort_task();
+    }
+
+    /// Checks the time limit of the current task.
+    pub(super) fn check_timer(&mut self, world: Option<WorldTime>, silent_for: Duration) -> Option<AttemptFailure> {
+        let cause = self.attempt.as_mut()?.timer.check(world, silent_for)?;
+        Some(AttemptFailure { kind: FailureKind::NoProgress, cause, permanent: false })
+    }
+
+    /// Handles a failure of the current task or of the whole plan: the recovery policy selects the
+    /// next action. Returns `None` if the role is being released already.
+    pub(super) fn recover(
+        &mut self,
+        failure: AttemptFailure,
+        retry_delay: Duration,
+        now: NodeTime,
+    ) -> Option<RecoveryEffect> {
+        if self.is_releasing() {
+            return None;
+        }
+        self.stop();
+        let ((mission, role), task) = (self.mission_and_role(), self.sequencer.current_task().cloned());
+        let cause = failure.cause.clone();
+        warn!(robot = %self.award.robot, %mission, ?task, ?failure, "attempt failed");
+        match (self.recovery.policy.next_action(failure, &mut self.sequencer), task) {
+            (RecoveryAction::ReleaseRole(failure), _) => Some(RecoveryEffect::Release(self.release(failure, now))),
+            (RecoveryAction::Retry { attempt }, Some(task)) => {
+                self.recovery.retry_at = now + retry_delay;
+                let event = EventKind::TaskRetried { mission, role, task, attempt, cause };
+                Some(RecoveryEffect::Retry(retry_delay, event))
+            }
+            (RecoveryAction::UseAlternative { alternative }, Some(task)) => {
+                let tasks = self.sequencer.alternative_tasks(alternative);
+                let event = EventKind::Alternative { mission, role, task, alternative, tasks, cause };
+                self.checkpoint.writer.queue(PendingOutput::Event(event));
+                Some(RecoveryEffect::Alternative)
+            }
+            // Retry and alternative require a current task.
+            (RecoveryAction::Retry { .. } | RecoveryAction::UseAlternative { .. }, None) => None,
+        }
+    }
+
+    /// Stops the plan. From now on the robot only waits until the coordinator has released the
+    /// role. Returns the event to be published.
+    pub(super) fn release(&mut self, failure: TaskFailure, now: NodeTime) -> EventKind {
+        let ((mission, role), TaskFailure { task, cause, kind }) = (self.mission_and_role(), failure.clone());
+        self.recovery.release = Some(PendingRelease::new(failure, now));
+        match (kind, task) {
+            (FailureKind::Task | FailureKind::Crash | FailureKind::NoProgress, Some(task)) => {
+                EventKind::TaskFailed { mission, role, task, cause }
+            }
+            _ => EventKind::GaveUp { mission, role, kind, cause },
+        }
+    }
+
+    /// Checks whether the role is being released.
+    pub(super) fn is_releasing(&self) -> bool {
+        self.recovery.release.is_some()
+    }
+
+    /// Returns the release in progress, for the next report.
+    pub(super) fn pending_release(&mut self) -> Option<&mut PendingRelease> {
+        self.recovery.release.as_mut()
+    }
+
+    /// Decides about a charge that will not last for the remaining plan.
+    pub(super) fn handle_shortfall(&mut self, cause: String) -> ShortfallEffect {
+        if !self.sequencer.may_have_custody() {
+            return ShortfallEffect::Fail(AttemptFailure { kind: FailureKind::Battery, cause, permanent: true });
+        }
+        let is_first = !std::mem::replace(&mut self.recovery.energy_warning_sent, true);
+        let (mission, role) = self.mission_and_role();
+        ShortfallEffect::Continue(is_first.then_some(EventKind::LowCharge { mission, role, cause }))
+    }
+
+    /// Checks whether a report is needed: the next step waits for the ledger, or the reason of the
+    /// release can be reported.
+    pub(super) fn needs_report(&self, is_idle: bool, now: NodeTime) -> bool {
+        match &self.recovery.release {
+            Some(release) => release.must_report(is_idle, now),
+            None => self.sequencer.awaits_ledger(),
+        }
+    }
+
+    /// Starts to write the checkpoint if the stored checkpoint is outdated. Returns its content.
+    pub(super) fn start_checkpoint(&mut self) -> Option<Checkpoint> {
+        if !self.checkpoint.writer.start_write() {
+            return None;
+        }
+        let (ended, alternatives) = (self.sequencer.ended().clone(), self.sequencer.alternative_progress().clone());
+        Some(Checkpoint { award: self.award.clone(), ended, alternatives, first_goal: self.checkpoint.first_goal })
+    }
+
+    /// Ends the write of a checkpoint, which may belong to an earlier plan. Returns true if the
+    /// plan cannot start, because it has no checkpoint.
+    pub(super) fn finish_checkpoint(&mut self, succeeded: bool) -> bool {
+        let is_own = self.checkpoint.writer.is_writing();
+        self.checkpoint.is_stored |= is_own && succeeded;
+        self.checkpoint.writer.finish_write();
+        is_own && !self.checkpoint.is_stored && !self.is_releasing()
+    }
+
+    /// Takes all unsent outputs in order, whether or not their steps are stored.
+    pub(super) fn take_pending(&mut self) -> Vec<PendingOutput> {
+        std::mem::take(&mut self.checkpoint.writer).into_pending()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_values::{at, award, started};
+    use super::*;
+
+    /// Writes the checkpoint if it is outdated.
+    fn write(active: &mut ActivePlan) -> Option<Checkpoint> {
+        let checkpoint = active.start_checkpoint()?;
+        assert!(!active.finish_checkpoint(true));
+        Some(checkpoint)
+    }
+
+    /// Starts the next task and returns its position and its id.
+    fn start_task(active: &mut ActivePlan, now: NodeTime) -> (StepRef, TaskId) {
+        match active.next_action(now) {
+            Some(PlanAction::StartTask { step, task, .. }) => (step, task),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn failure(kind: FailureKind) -> AttemptFailure {
+        AttemptFailure { kind, cause: "stuck".to_owned(), permanent: false }
+    }
+
+    #[test]
+    fn each_step_is_stored_before_it_has_an_effect() {
+        let mut active = started(award(7), None);
+        assert_eq!(active.next_action(at(0)), None, "no checkpoint is stored");
+        assert_eq!(write(&mut active).unwrap().first_goal, GoalId(100));
+        let (step, task) = start_task(&mut active, at(0));
+        active.end_task(step, task, GoalId(103));
+        assert_eq!(active.next_action(at(0)), None);
+        let checkpoint = write(&mut active).unwrap();
+        assert_eq!((checkpoint.ended, checkpoint.first_goal), (BTreeSet::from([0]), GoalId(103)));
+        let Some(PlanAction::Emit(outputs)) = active.next_action(at(0)) else { panic!("the end of the task") };
+        assert!(matches!(&outputs[..], [PendingOutput::Event(EventKind::TaskEnded { .. })]), "{outputs:?}");
+        assert_eq!(active.next_action(at(0)), None, "the signal waits for the checkpoint");
+        assert_eq!(write(&mut active).unwrap().ended, BTreeSet::from([0, 1]));
+        let Some(PlanAction::Emit(outputs)) = active.next_action(at(0)) else { panic!("the signal") };
+        assert!(matches!(&outputs[..], [PendingOutput::Signal(_)]), "{outputs:?}");
+        assert_eq!(start_task(&mut active, at(0)).1.as_str(), "return");
+        assert_eq!(write(&mut active), None, "the checkpoint is up to date");
+    }
+
+    #[test]
+    fn a_failed_task_is_retried_after_the_pause_and_then_released() {
+        let mut active = started(award(7), None);
+        write(&mut active);
+        start_task(&mut active, at(0));
+        let delay = Duration::from_millis(500);
+        let effect = active.recover(failure(FailureKind::Task), delay, at(100));
+        assert!(matches!(effect, Some(RecoveryEffect::Retry(after, _)) if after == delay), "{effect:?}");
+        assert_eq!(active.next_action(at(599)), None);
+        start_task(&mut active, at(600));
+        let effect = active.recover(failure(FailureKind::Task), delay, at(700));
+        assert!(matches!(effect, Some(RecoveryEffect::Release(EventKind::TaskFailed { .. }))), "{effect:?}");
+        assert!(active.is_releasing() && active.needs_report(true, at(700)) && !active.needs_report(false, at(700)));
+        assert_eq!(active.next_action(at(9_000)), None);
+        assert_eq!(active.recover(failure(FailureKind::Battery), delay, at(9_000)), None, "released already");
+    }
+
+    #[test]
+    fn a_plan_that_does_not_fit_the_ledger_is_released() {
+        let award = award(7);
+        let recorded = BTreeSet::from([2]);
+        let holders = award.holders.clone();
+        let start = PlanStart { award, recorded: &recorded, holders, restored: None, next_goal: GoalId(1) };
+        let (mut active, failure) = ActivePlan::start(start).unwrap();
+        let event = active.release(failure.unwrap(), at(0));
+        assert!(matches!(event, EventKind::GaveUp { kind: FailureKind::Plan, .. }), "{event:?}");
+    }
+
+    #[test]
+    fn a_robot_without_an_item_releases_its_role_for_lack_of_charge() {
+        let mut active = started(award(7), None);
+        let failure = AttemptFailure { kind: FailureKind::Battery, cause: "low".to_owned(), permanent: true };
+        assert_eq!(active.handle_shortfall("low".to_owned()), ShortfallEffect::Fail(failure));
+    }
+
+    #[test]
+    fn a_robot_that_may_carry_an_item_continues_and_warns_once() {
+        let mut award = award(7);
+        award.plan.guarded.insert(1);
+        let recorded = BTreeSet::from([0, 1]);
+        let holders = award.holders.clone();
+        let start = PlanStart { award, recorded: &recorded, holders, restored: None, next_goal: GoalId(1) };
+        let (mut active, _) = ActivePlan::start(start).unwrap();
+        let first = active.handle_shortfall("low".to_owned());
+        assert!(matches!(first, ShortfallEffect::Continue(Some(EventKind::LowCharge { .. }))), "{first:?}");
+        assert_eq!(active.handle_shortfall("low".to_owned()), ShortfallEffect::Continue(None));
     }
 }

@@ -10,7 +10,7 @@ use consort_protocol::plan::Signal;
 
 /// Output to be sent once a checkpoint contains its step.
 #[derive(Debug, Clone, PartialEq)]
-pub enum PendingOutput {
+pub(super) enum PendingOutput {
     /// A signal to another role.
     Signal(Signal),
     /// An event for subscribers.
@@ -20,7 +20,7 @@ pub enum PendingOutput {
 /// Order of checkpoint writes. At most 1 write is in progress; output queued meanwhile waits for
 /// the next write.
 #[derive(Debug, Default)]
-pub struct CheckpointWriter {
+pub(super) struct CheckpointWriter {
     due: bool,
     waiting: Vec<PendingOutput>,
     writing: Option<Vec<PendingOutput>>,
@@ -29,25 +29,25 @@ pub struct CheckpointWriter {
 
 impl CheckpointWriter {
     /// Marks the stored checkpoint as outdated.
-    pub fn mark_outdated(&mut self) {
+    pub(super) fn mark_outdated(&mut self) {
         self.due = true;
     }
 
     /// Marks the stored checkpoint as outdated and queues an output until the next write has
     /// finished.
-    pub fn queue(&mut self, output: PendingOutput) {
+    pub(super) fn queue(&mut self, output: PendingOutput) {
         self.due = true;
         self.waiting.push(output);
     }
 
     /// Checks whether all output is stored and sent, so that a new task may start.
-    pub fn is_idle(&self) -> bool {
+    pub(super) fn is_idle(&self) -> bool {
         !self.due && self.writing.is_none() && self.written.is_empty()
     }
 
     /// Starts a write if it is due. If this returns true, the caller writes the checkpoint and then
     /// calls [`finish_write`](CheckpointWriter::finish_write).
-    pub fn start_write(&mut self) -> bool {
+    pub(super) fn start_write(&mut self) -> bool {
         if !self.due || self.writing.is_some() {
             return false;
         }
@@ -57,22 +57,22 @@ impl CheckpointWriter {
     }
 
     /// Checks whether a write is in progress.
-    pub fn is_writing(&self) -> bool {
+    pub(super) fn is_writing(&self) -> bool {
         self.writing.is_some()
     }
 
     /// Marks the write in progress as finished.
-    pub fn finish_write(&mut self) {
+    pub(super) fn finish_write(&mut self) {
         self.written.extend(self.writing.take().into_iter().flatten());
     }
 
     /// Takes the outputs that may be sent now, in order. The caller sends them.
-    pub fn take_ready(&mut self) -> Vec<PendingOutput> {
+    pub(super) fn take_ready(&mut self) -> Vec<PendingOutput> {
         std::mem::take(&mut self.written)
     }
 
     /// Returns all unsent outputs in order.
-    pub fn into_pending(mut self) -> Vec<PendingOutput> {
+    pub(super) fn into_pending(mut self) -> Vec<PendingOutput> {
         self.finish_write();
         self.written.extend(self.waiting);
         self.written

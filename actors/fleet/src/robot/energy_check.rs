@@ -16,13 +16,13 @@ const SLACK: f64 = 0.005;
 
 /// Predicted charge of the battery.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct EnergyForecast {
+pub(super) struct EnergyForecast {
     /// Charge at the end of the plan, as a share of a full battery; negative if the battery would
     /// not last.
-    pub remaining: f64,
+    pub(super) remaining: f64,
     /// Required charge: the maximum of the fleet's minimum and the robot's own useful charge, as
     /// for bids.
-    pub floor: BatteryShare,
+    pub(super) floor: BatteryShare,
 }
 
 impl EnergyForecast {
@@ -32,7 +32,7 @@ impl EnergyForecast {
     /// # Errors
     /// [`PriceError`] if a step cannot be priced. The attempt to execute the step then reports the
     /// cause.
-    pub fn new(
+    pub(super) fn new(
         estimator: &Estimator,
         rest: &LocalPlan,
         worker: &RobotKnowledge,
@@ -46,7 +46,7 @@ impl EnergyForecast {
     }
 
     /// Returns an error text if the battery will not last.
-    pub fn shortfall(&self) -> Option<String> {
+    pub(super) fn shortfall(&self) -> Option<String> {
         (self.remaining < self.floor.get() - SLACK).then(|| {
             let (left, floor) = (self.remaining * 100.0, self.floor.get() * 100.0);
             format!("the rest of the plan would leave {left:.1} % of the battery, less than {floor:.1} %")

@@ -12,11 +12,17 @@
 //!               CheckpointWriter ─▶ CheckpointStore ─▶ signals to other roles, robot to robot
 //! ```
 //!
-//! The [`Robot`] actor owns the mailbox, the timers and the bus. The values in the other files make
-//! the decisions. The actor itself is split over 4 files: `actor` (messages, own knowledge record,
-//! bids), `role_lease` (awards, reports, decommission), `execution` (the plan) and `checkpointing`
-//! (the checkpoint). Each skill runs in an actor of its own: a panic in a skill fails the attempt
-//! and not the node.
+//! The `Robot` actor owns the mailbox, the timers and the bus, and performs decisions. The values
+//! in the other files make the decisions. The state of the actor is split by concern:
+//!
+//! | value | concern |
+//! |---|---|
+//! | `LeaseClient` | award, coordinator, reports |
+//! | `Execution` with `ActivePlan` | steps, attempts, recovery, release |
+//! | `CheckpointStorage` | writes of the checkpoint |
+//! | `DriverLink` with `WorkerRecord` | telemetry, and the robot's own knowledge record |
+//!
+//! Each skill runs in an actor of its own: a panic in a skill fails the attempt and not the node.
 //!
 //! The robot stores its award and its progress in a [`Checkpoint`] before it notifies other nodes.
 //! After a restart it asks the coordinator whether the award is still valid, and continues at the
@@ -26,28 +32,30 @@ mod active_plan;
 mod actor;
 mod bidder;
 mod checkpoint;
+mod checkpoint_storage;
 mod checkpoint_writer;
-mod checkpointing;
+mod driver_link;
 mod energy_check;
 mod execution;
+mod lease_client;
 mod recovery_policy;
 mod release;
-mod role_lease;
+mod report;
 mod sequencer;
 mod settings;
 mod signals;
 mod skill_runner;
 mod task_timeout;
+#[cfg(test)]
+mod test_values;
+mod worker_record;
 
-pub use actor::{Robot, RobotMessage};
+pub(crate) use actor::{Robot, RobotMessage};
 pub use bidder::{BidContext, Bidder};
 pub use checkpoint::{Checkpoint, CheckpointError};
-pub use checkpoint_writer::{CheckpointWriter, PendingOutput};
-pub use energy_check::EnergyForecast;
-pub use recovery_policy::{AttemptFailure, RecoveryAction, RecoveryPolicy};
-pub(crate) use role_lease::send_report;
-pub use sequencer::{AlternativeProgress, Sequencer, SequencerAction, StaleSignal, StepRef};
-pub use settings::RobotSettings;
+pub(crate) use report::send_report;
+pub(crate) use sequencer::StaleSignal;
+pub use sequencer::{AlternativeProgress, Sequencer, SequencerAction, StepRef};
+pub(crate) use settings::{ExecutionSettings, PricingSettings, RobotLinks, RobotSettings, RobotStart};
 pub(crate) use signals::{SignalExchange, StaleSignals};
-pub use skill_runner::SkillOutcome;
-pub use task_timeout::{TaskTimeout, TaskTimer};
+pub(crate) use task_timeout::TaskTimeout;

@@ -9,18 +9,18 @@ use consort_protocol::message::{FailureKind, TaskFailure};
 
 /// Failure of an attempt at a task.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct AttemptFailure {
+pub(super) struct AttemptFailure {
     /// Kind of failure.
-    pub kind: FailureKind,
+    pub(super) kind: FailureKind,
     /// Cause, as text.
-    pub cause: String,
+    pub(super) cause: String,
     /// The same task would fail again for the same reason, so it is not retried.
-    pub permanent: bool,
+    pub(super) permanent: bool,
 }
 
 /// Result of the recovery policy.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum RecoveryAction {
+pub(super) enum RecoveryAction {
     /// The task is retried.
     Retry {
         /// Number of attempts so far.
@@ -37,14 +37,14 @@ pub enum RecoveryAction {
 
 /// Policy after failures: counts the attempts at the current task.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct RecoveryPolicy {
+pub(super) struct RecoveryPolicy {
     step: Option<StepRef>,
     attempts: u8,
 }
 
 impl RecoveryPolicy {
     /// Selects the action after a failure of the current task. Afterwards no task is running.
-    pub fn next_action(&mut self, failure: AttemptFailure, sequencer: &mut Sequencer) -> RecoveryAction {
+    pub(super) fn next_action(&mut self, failure: AttemptFailure, sequencer: &mut Sequencer) -> RecoveryAction {
         let AttemptFailure { kind, cause, permanent } = failure;
         let current = sequencer.current_step().map(|(step, id, spec)| (step, id.clone(), spec.attempts));
         let (task, next_alternative) = match (kind, current) {
@@ -75,8 +75,8 @@ impl RecoveryPolicy {
 
 #[cfg(test)]
 mod tests {
+    use super::super::sequencer::SequencerAction;
     use super::*;
-    use crate::robot::SequencerAction;
     use serde_json::json;
     use std::collections::{BTreeMap, BTreeSet};
 

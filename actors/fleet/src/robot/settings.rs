@@ -1,4 +1,4 @@
-//! Settings of a robot.
+//! Settings of a robot, grouped by the part that uses them.
 
 use super::task_timeout::TaskTimeout;
 use crate::events::EventPublisher;
@@ -18,48 +18,72 @@ use consort_skills::library::SkillLibrary;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Settings of a robot.
-pub struct RobotSettings {
-    /// Id of the robot.
-    pub robot: RobotId,
-    /// Incarnation of its node.
-    pub incarnation: u64,
+/// Arguments of the robot actor.
+pub(crate) struct RobotStart {
+    /// Settings of the robot.
+    pub(crate) settings: RobotSettings,
     /// Published worker until the driver has reported.
-    pub worker: RobotKnowledge,
-    /// The fleet's keys.
-    pub keys: Keys,
-    /// The bus.
-    pub bus: SharedBus,
-    /// The node's clock.
-    pub clock: Clock,
-    /// Event publisher.
-    pub events: EventPublisher,
-    /// Gossip of the node: publishes the worker.
-    pub gossip: GossipHandle,
-    /// Records received from other nodes.
-    pub knowledge: SharedKnowledge,
-    /// The ensemble of the fleet.
-    pub ensemble: Arc<Ensemble>,
-    /// Limits of bids. The remaining plan is checked against the same limits.
-    pub limits: BidLimits,
-    /// Durations of leases.
-    pub lease_terms: LeaseTerms,
-    /// Estimator of time and energy.
-    pub estimator: Arc<Estimator>,
-    /// Skills of the robot.
-    pub library: Arc<SkillLibrary>,
+    pub(crate) worker: RobotKnowledge,
     /// Driver of the robot.
-    pub driver: RobotDriver,
-    /// Store of the checkpoint.
-    pub checkpoint_store: Arc<dyn CheckpointStore>,
-    /// Time limits of tasks.
-    pub task_timeout: TaskTimeout,
-    /// Pause between two attempts at a task, in node time. Raised: an obstacle has more time to
-    /// move away. Default 500 ms (a guess).
-    pub retry_delay: Duration,
+    pub(crate) driver: RobotDriver,
+}
+
+/// Settings of a robot.
+pub(crate) struct RobotSettings {
+    /// Id of the robot.
+    pub(crate) robot: RobotId,
+    /// Incarnation of its node.
+    pub(crate) incarnation: u64,
+    /// Connections to the rest of the node and to the fleet.
+    pub(crate) links: RobotLinks,
+    /// Prices of plans.
+    pub(crate) pricing: PricingSettings,
+    /// Execution of tasks.
+    pub(crate) execution: ExecutionSettings,
+    /// Durations of leases.
+    pub(crate) lease_terms: LeaseTerms,
     /// Interval for properties sensing and for lease checks. Default 250 ms. Gossip is updated at
     /// most once per second while only pose and charge change.
-    pub update_interval: Duration,
+    pub(crate) update_interval: Duration,
+}
+
+/// Connections of a robot to the rest of its node and to the fleet.
+pub(crate) struct RobotLinks {
+    /// The fleet's keys.
+    pub(crate) keys: Keys,
+    /// The bus.
+    pub(crate) bus: SharedBus,
+    /// The node's clock.
+    pub(crate) clock: Clock,
+    /// Event publisher.
+    pub(crate) events: EventPublisher,
+    /// Gossip of the node: publishes the worker.
+    pub(crate) gossip: GossipHandle,
+    /// Records received from other nodes.
+    pub(crate) knowledge: SharedKnowledge,
+    /// Store of the checkpoint.
+    pub(crate) checkpoint_store: Arc<dyn CheckpointStore>,
+}
+
+/// Settings for the prices of plans: bids, and the energy check during execution.
+pub(crate) struct PricingSettings {
+    /// The ensemble of the fleet.
+    pub(crate) ensemble: Arc<Ensemble>,
+    /// Limits of bids. The remaining plan is checked against the same limits.
+    pub(crate) limits: BidLimits,
+    /// Estimator of time and energy.
+    pub(crate) estimator: Arc<Estimator>,
+}
+
+/// Settings for the execution of tasks.
+pub(crate) struct ExecutionSettings {
+    /// Skills of the robot.
+    pub(crate) library: Arc<SkillLibrary>,
+    /// Time limits of tasks.
+    pub(crate) task_timeout: TaskTimeout,
+    /// Pause between two attempts at a task, in node time. Raised: an obstacle has more time to
+    /// move away. Default 500 ms (a guess).
+    pub(crate) retry_delay: Duration,
     /// Tick interval of a running skill while the driver sends no state. Default 100 ms.
-    pub skill_tick_interval: Duration,
+    pub(crate) skill_tick_interval: Duration,
 }

@@ -134,7 +134,7 @@ impl SignalExchange {
                     match reply.payload.map(|bytes| codec::decode::<SignalHistory>(&bytes)) {
                         Ok(Ok(history)) => deliver(history),
                         Ok(Err(problem)) => warn!(key, %problem, "reply cannot be decoded"),
-                        Err(problem) => debug!(key, problem, "no reply"),
+                        Err(refused) => debug!(key, problem = refused.0, "no reply"),
                     }
                 }
             });

@@ -4,12 +4,12 @@
 use crate::robot_driver::RobotDriver;
 use consort_bus::tasks::Tasks;
 use consort_skills::library::{ActiveSkill, SkillStatus};
-use ractor::{Actor, ActorProcessingErr, ActorRef};
+use ractor::{Actor, ActorCell, ActorId, ActorProcessingErr, ActorRef, SpawnErr};
 use std::time::Duration;
 
 /// Outcome of a skill.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum SkillOutcome {
+pub(crate) enum SkillOutcome {
     /// The skill has reached its goal.
     Succeeded,
     /// The skill has failed, with the cause.
@@ -26,6 +26,8 @@ pub(super) enum RunnerMessage {
 
 /// Arguments of a skill runner.
 pub(super) struct SkillRun {
+    /// Number of the skill run.
+    pub(super) run: u64,
     pub(super) skill: ActiveSkill,
     pub(super) driver: RobotDriver,
     /// Tick interval while the driver sends no state (thesis: 100 ms).
@@ -34,11 +36,45 @@ pub(super) struct SkillRun {
     pub(super) on_end: Box<dyn FnOnce(SkillOutcome) + Send + Sync>,
 }
 
+/// Handle of a running skill.
+pub(super) struct RunningSkill {
+    run: u64,
+    runner: ActorRef<RunnerMessage>,
+}
+
+impl RunningSkill {
+    /// Starts a skill under a supervisor.
+    ///
+    /// # Errors
+    /// The supervisor has ended.
+    pub(super) async fn start(skill: SkillRun, supervisor: ActorCell) -> Result<RunningSkill, SpawnErr> {
+        let run = skill.run;
+        let (runner, _) = Actor::spawn_linked(None, SkillRunner, skill, supervisor).await?;
+        Ok(RunningSkill { run, runner })
+    }
+
+    /// Returns the number of the skill run.
+    pub(super) fn run(&self) -> u64 {
+        self.run
+    }
+
+    /// Checks whether this actor executes the skill.
+    pub(super) fn is_executed_by(&self, actor: ActorId) -> bool {
+        self.runner.get_id() == actor
+    }
+
+    /// Stops the robot safely and ends the skill.
+    pub(super) fn halt(&self) {
+        // A skill that has just ended ignores this.
+        let _ = self.runner.cast(RunnerMessage::Halt);
+    }
+}
+
 /// The skill runner actor.
-pub(super) struct SkillRunner;
+struct SkillRunner;
 
 /// State of [`SkillRunner`].
-pub(super) struct RunnerState {
+struct RunnerState {
     started: bool,
     skill: ActiveSkill,
     driver: RobotDriver,

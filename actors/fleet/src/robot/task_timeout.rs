@@ -9,21 +9,21 @@ use std::time::Duration;
 /// Tasks take place in the world, so they are timed by the driver's clock, never by the node's
 /// clock. A driver without reports provides no clock: it gets `report_timeout` on the node's clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TaskTimeout {
+pub(crate) struct TaskTimeout {
     /// Factor on the estimated duration. Raised: slow floors are tolerated, a stuck robot is
     /// noticed later. Default 3 (a guess: people and other robots in the way double a drive).
-    pub factor: f64,
+    pub(crate) factor: f64,
     /// Additional world time, so that the skill of a short task can retry by itself. Default 60 s
     /// (a guess).
-    pub margin: Seconds,
+    pub(crate) margin: Seconds,
     /// World time for a task that needs another participant: a joint task, or a task whose
     /// parameters name another role (`person_role`, `robot_role`, `from_role`, …). No estimate
     /// predicts the duration for people. Default 600 s (a guess: a nurse is called away, and
     /// returns).
-    pub cooperative: Seconds,
+    pub(crate) cooperative: Seconds,
     /// Node time without a report of the driver. Default 60 s: longer than a restart of its server
     /// takes.
-    pub report_timeout: Duration,
+    pub(crate) report_timeout: Duration,
 }
 
 impl Default for TaskTimeout {
@@ -41,7 +41,7 @@ impl Default for TaskTimeout {
 impl TaskTimeout {
     /// Returns the time limit of a task in world time, from the robot's own estimate. Without an
     /// estimate, the limit is that of a cooperative task.
-    pub fn limit(&self, spec: &TaskSpec, estimate: Option<Seconds>) -> Seconds {
+    pub(super) fn limit(&self, spec: &TaskSpec, estimate: Option<Seconds>) -> Seconds {
         match estimate {
             Some(time) if !is_cooperative(spec) => {
                 Seconds::new(time.get() * self.factor).unwrap_or(self.cooperative) + self.margin
@@ -59,7 +59,7 @@ fn is_cooperative(spec: &TaskSpec) -> bool {
 
 /// Timer of a single attempt at a task.
 #[derive(Debug, Clone, PartialEq)]
-pub struct TaskTimer {
+pub(super) struct TaskTimer {
     limit: Seconds,
     silence: Duration,
     started: Option<WorldTime>,
@@ -67,13 +67,13 @@ pub struct TaskTimer {
 
 impl TaskTimer {
     /// Creates the timer of an attempt that starts now.
-    pub fn new(timeout: &TaskTimeout, spec: &TaskSpec, estimate: Option<Seconds>) -> TaskTimer {
+    pub(super) fn new(timeout: &TaskTimeout, spec: &TaskSpec, estimate: Option<Seconds>) -> TaskTimer {
         TaskTimer { limit: timeout.limit(spec, estimate), silence: timeout.report_timeout, started: None }
     }
 
     /// Returns the reason to abort the attempt, if any. Call it periodically with the driver's
     /// clock and the age of that reading.
-    pub fn check(&mut self, world: Option<WorldTime>, silent_for: Duration) -> Option<String> {
+    pub(super) fn check(&mut self, world: Option<WorldTime>, silent_for: Duration) -> Option<String> {
         if silent_for >= self.silence {
             return Some(format!("the driver has reported nothing for {} s", silent_for.as_secs()));
         }

@@ -49,7 +49,7 @@ pub struct RobotDriver {
 }
 
 /// Message for the driver client.
-pub enum DriverClientMessage {
+pub(super) enum DriverClientMessage {
     /// Requests wait to be sent.
     SendRequests,
     /// Periodic timer: send a heartbeat and repeat requests without a reply.
@@ -61,10 +61,10 @@ pub enum DriverClientMessage {
 }
 
 /// The driver client actor.
-pub struct DriverClient;
+struct DriverClient;
 
 /// State of [`DriverClient`].
-pub struct DriverClientState {
+struct DriverClientState {
     settings: DriverClientSettings,
     driver: RobotDriver,
     /// Time of the latest reply to a command.
@@ -258,7 +258,9 @@ impl DriverClientState {
                 }
                 self.receive_state(&payload);
             }
-            Err(problem) => debug!(robot = %self.settings.robot, problem, "driver server refused a command"),
+            Err(refused) => {
+                debug!(robot = %self.settings.robot, problem = refused.0, "driver server refused a command");
+            }
         }
     }
 

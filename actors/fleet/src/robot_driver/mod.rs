@@ -24,6 +24,6 @@ use std::time::Duration;
 /// of every server: the release of a role whose driver is unreachable waits for this time.
 pub const CLIENT_TIMEOUT: Duration = Duration::from_secs(3);
 
-pub use client::{DriverClient, DriverClientMessage, DriverClientSettings, RobotDriver};
+pub use client::{DriverClientSettings, RobotDriver};
 pub use messages::{DriverCommand, DriverState, GoalRequest, PersonCommand, PersonEvent, PersonRequestState};
 pub use server::{DriverServer, DriverServerMessage, DriverServerSettings};

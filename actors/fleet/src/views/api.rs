@@ -1,12 +1,17 @@
 //! Read-only requests, served by any node.
 
 use super::ViewService;
-use crate::api_types::{self, MissionQuery};
-use consort_protocol::auction::{AuctionRecord, Explanation, explain};
-use consort_protocol::count::count;
+use super::draw::json;
+use crate::api_help;
+use consort_protocol::api::{ErrorReply, ExplainReply, MissionQuery, UninvitedRobot, parse_request};
+use consort_protocol::auction::{Explanation, explain};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key};
-use serde_json::{Value, json};
+use consort_protocol::ledger::{MissionState, RoleRelease};
+use consort_protocol::view::{EnsembleView, EnsemblesView, MissionView, WithProvenance};
+use consort_text::count;
+use serde::Deserialize;
+use serde_json::Value;
 use std::collections::BTreeSet;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -23,18 +28,16 @@ impl ViewService {
     /// Returns the reply to a request.
     pub(super) async fn answer_request(&self, call: ApiCall, payload: &[u8]) -> Value {
         let reply = match call {
-            ApiCall::List => {
-                self.view(&Key::ViewMissions).await.ok_or_else(|| error_reply("missions are unknown".to_owned()))
-            }
-            ApiCall::Get => match api_types::parse_request(call, payload) {
+            ApiCall::List => self.view(&Key::ViewMissions).await.ok_or_else(|| error_reply("missions are unknown")),
+            ApiCall::Get => match parse_request(call, payload) {
                 Ok(MissionQuery { mission }) => self.mission(&mission).await,
-                Err(problem) => Err(error_reply(problem)),
+                Err(problem) => Err(error_reply(problem.to_string())),
             },
-            ApiCall::Explain => match api_types::parse_request(call, payload) {
+            ApiCall::Explain => match parse_request(call, payload) {
                 Ok(MissionQuery { mission }) => self.explain(&mission).await,
-                Err(problem) => Err(error_reply(problem)),
+                Err(problem) => Err(error_reply(problem.to_string())),
             },
-            ApiCall::Help => Ok(api_types::help()),
+            ApiCall::Help => Ok(json(api_help::help())),
             ApiCall::Submit | ApiCall::Cancel | ApiCall::Resolve | ApiCall::Backup | ApiCall::Upgrade => {
                 Err(error_reply(format!("{} is served by the coordinator only", call.as_str())))
             }
@@ -72,75 +75,63 @@ impl ViewService {
 
     async fn explain(&self, mission: &MissionId) -> Result<Value, Value> {
         let view = self.mission(mission).await?;
-        let record: Option<AuctionRecord> = serde_json::from_value(view["auction"].clone()).ok();
-        let explanation = record.as_ref().map(explain);
-        let asked: BTreeSet<NodeId> =
-            record.iter().flat_map(|record| &record.entries).map(|entry| NodeId::from(entry.robot.clone())).collect();
-        let uninvited = self.not_asked(&asked).await;
-        let state = view["state"].as_str().unwrap_or("unknown").to_owned();
-        let releases: Vec<String> = view["releases"].as_array().into_iter().flatten().map(release_text).collect();
-        let text = text(mission, &state, explanation.as_ref(), &uninvited, &releases);
-        let mut reply = json!({
-            "mission": mission,
-            "state": state,
-            "explanation": explanation,
-            "not_asked": uninvited.iter().map(|(robot, why)| json!({ "robot": robot, "why": why })).collect::<Vec<_>>(),
-            "releases": view["releases"],
-            "text": text,
-        });
-        for field in ["seen_by", "age_ms", "coordinator", "term", "at_ms", "version"] {
-            reply[field] = view[field].clone();
-        }
-        Ok(reply)
+        let read = WithProvenance::<MissionView>::deserialize(&view);
+        let WithProvenance { provenance, content: view } =
+            read.map_err(|problem| error_reply(format!("mission {mission} cannot be read: {problem}")))?;
+        let explanation = view.auction.as_ref().map(explain);
+        let entries = view.auction.iter().flat_map(|record| &record.entries);
+        let asked: BTreeSet<NodeId> = entries.map(|entry| NodeId::from(entry.robot.clone())).collect();
+        let not_asked = self.not_asked(&asked).await;
+        let MissionView { brief, releases, .. } = view;
+        let text = text(mission, &brief.status.detail, explanation.as_ref(), &not_asked, &releases);
+        let content =
+            ExplainReply { mission: brief.mission, state: brief.status.state, explanation, not_asked, releases, text };
+        Ok(json(WithProvenance { provenance, content }))
     }
 
     /// Returns the robots without a bid response in the auction, with the reason they are not
     /// members, as far as this node can determine now.
-    async fn not_asked(&self, asked: &BTreeSet<NodeId>) -> Vec<(NodeId, String)> {
-        let Some(seen) = self.view(&Key::ViewEnsembles).await else { return vec![] };
+    async fn not_asked(&self, asked: &BTreeSet<NodeId>) -> Vec<UninvitedRobot> {
+        let seen = self.view(&Key::ViewEnsembles).await;
+        let ensembles = seen.and_then(|seen| EnsemblesView::deserialize(seen).ok()).unwrap_or_default().ensembles;
+        let Some(ensemble) = ensembles.first() else { return vec![] };
         let robots: BTreeSet<NodeId> = self.views.knowledge.read(|base| {
             let robots = base.iter().filter(|(_, stored)| stored.record.knowledge.robot.is_some());
             robots.map(|(node, _)| node.clone()).filter(|node| !asked.contains(node)).collect()
         });
-        let ensemble = &seen["ensembles"][0];
-        let why = |robot: NodeId| {
-            let why = match ensemble["not_members"][robot.as_str()].as_str() {
-                Some(reason) => {
-                    format!("{robot} was not asked; it is not a member of {}: {reason}", ensemble_name(ensemble))
-                }
-                None => format!("{robot} was not asked; it became a member of {} later", ensemble_name(ensemble)),
+        let EnsembleView { name, not_members, .. } = ensemble;
+        let uninvited = |robot: NodeId| {
+            let why = match not_members.get(&robot) {
+                Some(reason) => format!("{robot} was not asked; it is not a member of {name}: {reason}"),
+                None => format!("{robot} was not asked; it became a member of {name} later"),
             };
-            (robot, why)
+            UninvitedRobot { robot, why }
         };
-        robots.into_iter().map(why).collect()
+        robots.into_iter().map(uninvited).collect()
     }
 }
 
-fn error_reply(problem: String) -> Value {
-    json!({ "error": problem })
+fn error_reply(problem: impl Into<String>) -> Value {
+    json(ErrorReply::rejected(problem))
 }
 
-fn ensemble_name(ensemble: &Value) -> &str {
-    ensemble["name"].as_str().unwrap_or("the ensemble")
-}
-
-fn release_text(released: &Value) -> String {
-    let text = |key: &str| released[key].as_str().unwrap_or("?").to_owned();
-    let again = if released["robot_failed"] == true { ", and it is not asked for it again" } else { "" };
-    format!("{} was taken from {}: {}{again}", text("role"), text("robot"), text("cause"))
+fn release_text(RoleRelease { role, robot, cause, robot_failed, .. }: &RoleRelease) -> String {
+    let again = if *robot_failed { ", and it is not asked for it again" } else { "" };
+    format!("{role} was taken from {robot}: {cause}{again}")
 }
 
 /// Returns the explanation as text, with 1 entry per line.
 fn text(
     mission: &MissionId,
-    state: &str,
+    state: &MissionState,
     explanation: Option<&Explanation>,
-    uninvited: &[(NodeId, String)],
-    releases: &[String],
+    uninvited: &[UninvitedRobot],
+    releases: &[RoleRelease],
 ) -> Vec<String> {
+    let state = state.as_str().replace('_', " ");
     let mut lines = vec![match explanation {
-        Some(explanation) => format!("{mission} is {}; auction {}:", state.replace('_', " "), explanation.round),
-        None => format!("{mission} is {}; no auction was held for it yet", state.replace('_', " ")),
+        Some(explanation) => format!("{mission} is {state}; auction {}:", explanation.round),
+        None => format!("{mission} is {state}; no auction was held for it yet"),
     }];
     for role in explanation.iter().flat_map(|explanation| &explanation.roles) {
         lines.push(format!("{}: {}", role.role, role.why));
@@ -152,7 +143,7 @@ fn text(
     if let Some(omitted) = explanation.map(|explanation| explanation.omitted).filter(|omitted| *omitted > 0) {
         lines.push(count(omitted, "more response was not stored", "more responses were not stored"));
     }
-    lines.extend(uninvited.iter().map(|(_, why)| why.clone()));
-    lines.extend(releases.iter().cloned());
+    lines.extend(uninvited.iter().map(|robot| robot.why.clone()));
+    lines.extend(releases.iter().map(release_text));
     lines
 }

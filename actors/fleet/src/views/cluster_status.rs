@@ -1,19 +1,7 @@
 //! Cluster status: coordinator and voters as seen by a single node.
 
-use crate::api_types::Provenance;
 use consort_protocol::ids::NodeId;
-use serde_json::Value;
-
-/// Status of an active coordinator.
-#[derive(Debug, Clone)]
-pub struct CoordinatorStatus {
-    /// Its term.
-    pub term: u64,
-    /// Duration of its session in milliseconds.
-    pub since_ms: u64,
-    /// Status of its autopilot.
-    pub autopilot: Value,
-}
+use consort_protocol::view::{AutopilotView, Provenance};
 
 /// View of the cluster at a single moment.
 #[derive(Debug, Clone, Default)]
@@ -38,16 +26,16 @@ pub(super) struct ClusterStatus {
     /// coordinator.
     pub(super) quorum_age_ms: Option<u64>,
     /// Status of its autopilot, if this node is the coordinator.
-    pub(super) autopilot: Option<Value>,
+    pub(super) autopilot: Option<AutopilotView>,
 }
 
 impl ClusterStatus {
     /// Returns the provenance of a reply at `at_ms` (milliseconds since 1970).
     pub(super) fn provenance(&self, node: &NodeId, at_ms: u64) -> Provenance {
         Provenance {
-            seen_by: node.to_string(),
+            seen_by: node.clone(),
             age_ms: self.age_ms,
-            coordinator: self.coordinator.as_ref().map(NodeId::to_string),
+            coordinator: self.coordinator.clone(),
             term: self.term,
             at_ms,
             version: env!("CARGO_PKG_VERSION").to_owned(),

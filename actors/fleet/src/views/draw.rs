@@ -1,17 +1,23 @@
-//! Views of a fleet as seen by a single node, in JSON.
+//! Views of a fleet as seen by a single node.
 
 use super::Views;
 use super::cluster_status::ClusterStatus;
-use super::health::{HealthInputs, findings};
+use super::health::{HealthInputs, health};
 use super::mission::{auctions, mission, missions};
 use consort_gossip::MemberStatus;
-use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::api::ErrorReply;
+use consort_protocol::ensemble::Membership;
+use consort_protocol::ids::{ClusterId, NodeId, RobotId};
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, KnownRecord};
-use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Ledger, MissionState};
 use consort_protocol::units::NodeTime;
-use serde_json::{Map, Value, json};
+use consort_protocol::view::{
+    Contact, CoordinatorView, EnsembleMember, EnsembleView, EnsemblesView, FleetView, HealthView, HeldRole, NodeStatus,
+    NodeTraits, NodeView, Provenance, PublishedRecord, RobotView, WithProvenance,
+};
+use serde::Serialize;
+use serde_json::Value;
 use std::collections::BTreeMap;
 
 /// Inputs of all views at a single moment.
@@ -28,11 +34,11 @@ impl ViewContext<'_> {
         for key in [Key::ViewFleet, Key::ViewEnsembles, Key::ViewCoordinator, Key::ViewMap, Key::ViewHealth] {
             if wanted(&key) {
                 let value = match &key {
-                    Key::ViewFleet => self.fleet(),
-                    Key::ViewEnsembles => json!({ "ensembles": [self.ensemble()] }),
-                    Key::ViewCoordinator => self.coordinator(),
+                    Key::ViewFleet => self.with_provenance(self.fleet()),
+                    Key::ViewEnsembles => self.with_provenance(EnsemblesView { ensembles: vec![self.ensemble()] }),
+                    Key::ViewCoordinator => self.with_provenance(self.coordinator()),
                     Key::ViewMap => self.map(),
-                    _ => self.health(),
+                    _ => self.with_provenance(self.health()),
                 };
                 views.push((key, value));
             }
@@ -42,10 +48,10 @@ impl ViewContext<'_> {
             let robots = base.iter().filter(|(_, stored)| stored.record.knowledge.robot.is_some());
             let keys = robots.map(|(node, stored)| (Key::ViewRobot(RobotId::from(node.clone())), node, stored));
             let wanted = keys.filter(|(key, ..)| wanted(key));
-            wanted.map(|(key, node, stored)| (key, self.node(node, stored, &statuses))).collect::<Vec<_>>()
+            wanted.map(|(key, node, stored)| (key, self.robot(node, stored, &statuses))).collect::<Vec<_>>()
         }));
         views.extend(self.ledger_views(wanted));
-        views.into_iter().map(|(key, value)| (key, self.with_provenance(value))).collect()
+        views
     }
 
     /// Returns the views of the ledger, if this node has a copy.
@@ -53,13 +59,14 @@ impl ViewContext<'_> {
         let drawn = self.ledger(|ledger| {
             let mut views = vec![];
             if wanted(&Key::ViewMissions) {
-                views.push((Key::ViewMissions, missions(ledger)));
+                views.push((Key::ViewMissions, self.with_provenance(missions(ledger))));
             }
             if wanted(&Key::ViewAuctions) {
-                views.push((Key::ViewAuctions, auctions(ledger)));
+                views.push((Key::ViewAuctions, self.with_provenance(auctions(ledger))));
             }
             let entries = ledger.missions().map(|entry| (Key::ViewMission(entry.id.clone()), entry));
-            views.extend(entries.filter(|(key, _)| wanted(key)).map(|(key, entry)| (key, mission(entry))));
+            let wanted = entries.filter(|(key, _)| wanted(key));
+            views.extend(wanted.map(|(key, entry)| (key, self.with_provenance(mission(entry)))));
             views
         });
         drawn.unwrap_or_default()
@@ -71,134 +78,146 @@ impl ViewContext<'_> {
         Some(replica.read(look))
     }
 
-    /// Adds the provenance to a view. Fields of the same name in the view are kept.
-    pub(super) fn with_provenance(&self, value: Value) -> Value {
-        let Value::Object(own) = value else { return value };
-        let mark = serde_json::to_value(self.status.provenance(&self.views.node, self.views.clock.wall_ms()))
-            .unwrap_or_default();
-        let Value::Object(mut marked) = mark else { return Value::Object(own) };
-        marked.extend(own);
-        Value::Object(marked)
+    /// Returns the JSON of a view with its provenance. The fields of `view/world` and `view/map`
+    /// take precedence over fields of the provenance.
+    pub(super) fn with_provenance<T: Serialize>(&self, content: T) -> Value {
+        json(WithProvenance { provenance: self.provenance(), content })
     }
 
-    fn coordinator(&self) -> Value {
-        let ClusterStatus { term, since_ms, voters, observers, autopilot, quorum_age_ms, .. } = &self.status;
-        let foreign: BTreeMap<String, NodeId> = self.foreign().into_iter().collect();
-        json!({
-            "voters_lost": self.status.voters_lost,
-            "cluster": self.views.membership.cluster(),
-            "foreign": foreign,
-            "autopilot": autopilot,
-            "node": self.status.coordinator,
-            "term": term,
-            "since_ms": since_ms,
-            "quorum_age_ms": quorum_age_ms,
-            "voters": voters,
-            "observers": observers,
-        })
+    fn provenance(&self) -> Provenance {
+        self.status.provenance(&self.views.node, self.views.clock.wall_ms())
     }
 
-    fn foreign(&self) -> Vec<(String, NodeId)> {
-        let own = self.views.membership.cluster();
-        let foreign = crate::coordinator::foreign_clusters(&self.views.knowledge, own);
-        foreign.into_iter().map(|(cluster, node)| (cluster.to_string(), node)).collect()
+    fn coordinator(&self) -> CoordinatorView {
+        let status = self.status.clone();
+        CoordinatorView {
+            node: status.coordinator,
+            since_ms: status.since_ms,
+            quorum_age_ms: status.quorum_age_ms,
+            voters: status.voters,
+            voters_lost: status.voters_lost,
+            observers: status.observers,
+            cluster: self.views.membership.cluster(),
+            foreign: self.foreign(),
+            autopilot: status.autopilot,
+        }
     }
 
-    fn fleet(&self) -> Value {
+    fn foreign(&self) -> BTreeMap<ClusterId, NodeId> {
+        crate::coordinator::foreign_clusters(&self.views.knowledge, self.views.membership.cluster())
+    }
+
+    fn fleet(&self) -> FleetView {
         let statuses = self.views.knowledge.statuses();
-        let nodes: Vec<Value> = self
+        let nodes = self
             .views
             .knowledge
             .read(|base| base.iter().map(|(node, stored)| self.node(node, stored, &statuses)).collect());
-        json!({ "cluster": self.views.membership.cluster(), "nodes": nodes, "ensembles": [self.ensemble()] })
+        FleetView { cluster: self.views.membership.cluster(), nodes, ensembles: vec![self.ensemble()] }
     }
 
     /// Returns the ensemble: its requirements and its members.
-    fn ensemble(&self) -> Value {
+    fn ensemble(&self) -> EnsembleView {
         let statuses = self.views.knowledge.statuses();
         let spec = self.views.ensemble.spec();
         // Evaluated like the coordinator does, from the records received here.
         let coordinator = self.status.coordinator.as_ref().unwrap_or(&self.views.node);
-        let mut not_members = Map::new();
+        let mut not_members = BTreeMap::new();
         let mut members = vec![];
-        let nodes: Vec<Value> = self.views.knowledge.read(|base| {
+        let nodes = self.views.knowledge.read(|base| {
             let judge = |(node, _): (&NodeId, &KnownRecord)| {
                 let verdict = self.views.ensemble.membership_of(node, coordinator, base, self.now);
                 // A node that is down gets no call for bids, however recent its last record is.
                 let down = verdict.member && !statuses.get(node).is_some_and(MemberStatus::is_alive);
-                let reason = if down { "judged down" } else { &verdict.reason };
-                let member = verdict.member && !down;
-                if member {
+                let membership = match down {
+                    true => Membership { member: false, reason: "judged down".to_owned(), ..verdict },
+                    false => verdict,
+                };
+                if membership.member {
                     members.push(node.clone());
                 } else {
-                    not_members.insert(node.to_string(), json!(reason));
+                    not_members.insert(node.clone(), membership.reason.clone());
                 }
-                json!({ "node": node, "member": member, "reason": reason, "age_ms": verdict.age_ms })
+                EnsembleMember { node: node.clone(), membership }
             };
             base.iter().map(judge).collect()
         });
-        json!({
-            "name": spec.name,
-            "membership": spec.membership,
-            "skills": spec.skills,
-            "stale_after_ms": spec.stale_after_ms,
-            "nodes": nodes,
-            "members": members,
-            "not_members": not_members,
-        })
+        EnsembleView {
+            name: spec.name.clone(),
+            membership: spec.membership.clone(),
+            skills: spec.skills.clone(),
+            stale_after_ms: spec.stale_after_ms,
+            nodes,
+            members,
+            not_members,
+        }
+    }
+
+    /// Returns the JSON of a robot's node. The age and the version are those of its record.
+    fn robot(&self, node: &NodeId, stored: &KnownRecord, statuses: &BTreeMap<NodeId, MemberStatus>) -> Value {
+        let Provenance { coordinator, term, at_ms, .. } = self.provenance();
+        json(RobotView { node: self.node(node, stored, statuses), coordinator, term, at_ms })
     }
 
     /// Returns a single node. The caller passes the statuses, because the knowledge is locked while
     /// its records are read.
-    fn node(&self, node: &NodeId, stored: &KnownRecord, statuses: &BTreeMap<NodeId, MemberStatus>) -> Value {
+    fn node(&self, node: &NodeId, stored: &KnownRecord, statuses: &BTreeMap<NodeId, MemberStatus>) -> NodeView {
         let record = &stored.record;
         let alive = statuses.get(node).is_some_and(MemberStatus::is_alive);
         let by_ledger = self.ledger(|ledger| {
             let held = ledger.held_by(&RobotId::from(node.clone()));
-            held.map(|(entry, role, epoch)| (entry.id.clone(), role.clone(), Some(epoch)))
+            held.map(|(entry, role, epoch)| HeldRole {
+                mission: entry.id.clone(),
+                role: role.clone(),
+                epoch: Some(epoch.to_string()),
+            })
         });
-        let mut worker = record.knowledge.robot.clone();
-        if let (false, Some(worker)) = (alive, &mut worker) {
+        let mut robot = record.knowledge.robot.clone();
+        if let (false, Some(worker)) = (alive, &mut robot) {
             worker.availability =
                 availability_when_down(&worker.availability, by_ledger.as_ref().and_then(Option::as_ref));
         }
         // Without the ledger, use the robot's own record.
-        let held = by_ledger.unwrap_or_else(|| match worker.as_ref().map(|worker| &worker.availability) {
-            Some(Availability::Holding { mission, role, .. }) => Some((mission.clone(), role.clone(), None)),
+        let holds = by_ledger.unwrap_or_else(|| match robot.as_ref().map(|worker| &worker.availability) {
+            Some(Availability::Holding { mission, role, .. }) => {
+                Some(HeldRole { mission: mission.clone(), role: role.clone(), epoch: None })
+            }
             Some(Availability::Free | Availability::OutOfService { .. }) | None => None,
         });
-        let held = held.map(|(mission, role, epoch)| {
-            json!({ "mission": mission, "role": role, "epoch": epoch.map(|epoch: Epoch| epoch.to_string()) })
-        });
-        json!({
-            "node": node,
-            "alive": alive,
-            "status": statuses.get(node).unwrap_or(&MemberStatus::Unknown).as_str(),
-            "age_ms": stored.age(self.now).as_millis(),
-            "seen_by": self.views.node,
-            "incarnation": record.stamp.incarnation,
-            "version": record.stamp.version,
-            "may_vote": record.knowledge.may_vote,
-            "stationary": record.knowledge.stationary,
-            "mains_powered": record.knowledge.mains_powered,
-            "cluster": record.knowledge.cluster,
-            "leaving": record.knowledge.leaving,
-            "robot": worker,
-            "holds": held,
-        })
-    }
-
-    /// Returns the fleet's map, if this node has a map.
-    fn map(&self) -> Value {
-        match self.views.map.as_deref() {
-            Some(map) => map.clone(),
-            None => json!({ "error": format!("{} has no map", self.views.node) }),
+        NodeView {
+            node: node.clone(),
+            contact: Contact {
+                seen_by: self.views.node.clone(),
+                alive,
+                status: node_status(statuses.get(node)),
+                age_ms: u64::try_from(stored.age(self.now).as_millis()).unwrap_or(u64::MAX),
+            },
+            record: PublishedRecord {
+                incarnation: record.stamp.incarnation,
+                version: record.stamp.version,
+                cluster: record.knowledge.cluster,
+                leaving: record.knowledge.leaving,
+                robot,
+            },
+            traits: NodeTraits {
+                may_vote: record.knowledge.may_vote,
+                stationary: record.knowledge.stationary,
+                mains_powered: record.knowledge.mains_powered,
+            },
+            holds,
         }
     }
 
-    fn health(&self) -> Value {
-        let findings = findings(&self.health_inputs());
-        json!({ "level": findings.first().map(|worst| worst.level), "findings": findings })
+    /// Returns the JSON of the fleet's map, if this node has a map.
+    fn map(&self) -> Value {
+        match self.views.map.as_deref() {
+            Some(map) => self.with_provenance(map),
+            None => self.with_provenance(ErrorReply::rejected(format!("{} has no map", self.views.node))),
+        }
+    }
+
+    fn health(&self) -> HealthView {
+        health(&self.health_inputs())
     }
 
     fn health_inputs(&self) -> HealthInputs {
@@ -207,7 +226,7 @@ impl ViewContext<'_> {
         let mut inputs = HealthInputs {
             coordinator: self.status.coordinator.clone().map(|node| (node, self.status.term)),
             coordinator_age_ms: self.status.age_ms,
-            foreign: self.foreign(),
+            foreign: self.foreign().into_iter().collect(),
             alive: statuses.values().filter(|status| status.is_alive()).count(),
             knows_missions: self.status.has_ledger,
             ..HealthInputs::default()
@@ -252,15 +271,26 @@ impl ViewContext<'_> {
     }
 }
 
-/// A role held by a robot, according to the ledger.
-type HeldRole = (MissionId, RoleId, Option<Epoch>);
+/// Returns the JSON of a view.
+pub(super) fn json(view: impl Serialize) -> Value {
+    serde_json::to_value(view).expect("a view serializes to JSON")
+}
+
+fn node_status(status: Option<&MemberStatus>) -> NodeStatus {
+    match status {
+        None | Some(MemberStatus::Unknown) => NodeStatus::Unknown,
+        Some(MemberStatus::Alive { .. }) => NodeStatus::Alive,
+        Some(MemberStatus::Suspect { .. }) => NodeStatus::Suspect,
+        Some(MemberStatus::Down { .. }) => NodeStatus::Down,
+    }
+}
 
 /// Returns the availability of a robot that is down. Its last record may be outdated: the role it
 /// holds is taken from the ledger, and without a ledger no role is known.
 fn availability_when_down(published: &Availability, held: Option<&HeldRole>) -> Availability {
     match (published, held) {
         (Availability::OutOfService { .. }, _) => published.clone(),
-        (_, Some((mission, role, _))) => {
+        (_, Some(HeldRole { mission, role, .. })) => {
             let suspended = matches!(published, Availability::Holding { suspended: true, .. });
             Availability::Holding { mission: mission.clone(), role: role.clone(), suspended }
         }

@@ -1,33 +1,8 @@
 //! Health of a fleet: findings with a severity and a text.
 
-use consort_protocol::count::count;
-use consort_protocol::ids::NodeId;
-use serde::Serialize;
-
-/// Severity of a finding.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum HealthLevel {
-    /// No problem.
-    Ok,
-    /// The fleet continues to work; an operator should check.
-    Warning,
-    /// A function has stopped until an operator intervenes.
-    Error,
-}
-
-/// Finding of the health check.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub(super) struct Finding {
-    /// Severity.
-    pub(super) level: HealthLevel,
-    /// Subject: `coordinator`, `quorum`, `cluster`, `node`, `robot`, `mission` or `ledger`.
-    pub(super) about: &'static str,
-    /// Id of the node, robot or mission, if the finding concerns any.
-    pub(super) name: Option<String>,
-    /// Description for people.
-    pub(super) text: String,
-}
+use consort_protocol::ids::{ClusterId, NodeId};
+use consort_protocol::view::{HealthFinding, HealthLevel, HealthView};
+use consort_text::count;
 
 /// Inputs of the health check, as seen by a single node.
 #[derive(Debug, Clone, Default)]
@@ -39,7 +14,7 @@ pub(super) struct HealthInputs {
     /// Voters of the ledger, each with its reachability.
     pub(super) voters: Vec<(NodeId, bool)>,
     /// Other clusters with the name of this fleet, each with a node of it.
-    pub(super) foreign: Vec<(String, NodeId)>,
+    pub(super) foreign: Vec<(ClusterId, NodeId)>,
     /// Nodes that are down or suspected, with the status and the age of their last record in
     /// milliseconds.
     pub(super) unreachable: Vec<(NodeId, &'static str, u64)>,
@@ -57,11 +32,12 @@ pub(super) struct HealthInputs {
     pub(super) knows_missions: bool,
 }
 
-/// Returns all findings, the most severe first. Without a problem, a single finding confirms this.
-pub(super) fn findings(inputs: &HealthInputs) -> Vec<Finding> {
+/// Returns the health with all findings, the most severe first. Without a problem, a single finding
+/// confirms this.
+pub(super) fn health(inputs: &HealthInputs) -> HealthView {
     let mut all = vec![];
-    let mut add = |level, about, name: Option<&str>, text: String| {
-        all.push(Finding { level, about, name: name.map(str::to_owned), text });
+    let mut add = |level, about: &str, name: Option<&str>, text: String| {
+        all.push(HealthFinding { level, about: about.to_owned(), name: name.map(str::to_owned), text });
     };
     let (alive, voters) = (inputs.voters.iter().filter(|(_, alive)| *alive).count(), inputs.voters.len());
     let has_quorum = voters == 0 || alive > voters / 2;
@@ -117,10 +93,10 @@ pub(super) fn findings(inputs: &HealthInputs) -> Vec<Finding> {
         let coordinator = inputs.coordinator.as_ref().map(|(node, term)| format!("{node} coordinates in term {term}"));
         let nodes = count(inputs.alive, "node is alive", "nodes are alive");
         let text = format!("{}; {voters} of {voters} voters reachable; {nodes}", coordinator.unwrap_or_default());
-        all.push(Finding { level: HealthLevel::Ok, about: "fleet", name: None, text });
+        all.push(HealthFinding { level: HealthLevel::Ok, about: "fleet".to_owned(), name: None, text });
     }
     all.sort_by_key(|finding| std::cmp::Reverse(finding.level));
-    all
+    HealthView { level: all.first().map_or(HealthLevel::Ok, |worst| worst.level), findings: all }
 }
 
 #[cfg(test)]
@@ -145,7 +121,7 @@ mod tests {
     }
 
     fn texts(inputs: &HealthInputs) -> Vec<(HealthLevel, String)> {
-        findings(inputs).into_iter().map(|finding| (finding.level, finding.text)).collect()
+        health(inputs).findings.into_iter().map(|finding| (finding.level, finding.text)).collect()
     }
 
     #[test]
@@ -180,9 +156,10 @@ mod tests {
         inputs.suspended = vec![(node("f"), "r1 of m-1".to_owned())];
         inputs.pending = vec![("m-2".to_owned(), "no viable bid for r1".to_owned())];
         inputs.needs_intervention = vec![("m-3".to_owned(), "g was lost with the sample".to_owned())];
-        inputs.foreign = vec![("00ff".to_owned(), node("z"))];
+        inputs.foreign = vec![(ClusterId(0xff), node("z"))];
+        let health = health(&inputs);
         let levels: Vec<(HealthLevel, &str)> =
-            findings(&inputs).iter().map(|finding| (finding.level, finding.about)).collect();
+            health.findings.iter().map(|finding| (finding.level, finding.about.as_str())).collect();
         use HealthLevel::{Error, Warning};
         let expected = [
             (Error, "cluster"),

@@ -5,88 +5,75 @@ use consort_protocol::ids::{RoleId, TaskId};
 use consort_protocol::ledger::{HeldItem, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase};
 use consort_protocol::mission::{Mission, RoleKind, TaskBody, TaskIndex, TaskSpec};
 use consort_protocol::plan::{LocalPlan, Step, StepAction, StepIndex};
-use serde_json::{Value, json};
+use consort_protocol::view::{
+    AuctionView, AuctionsView, MissionBrief, MissionProgress, MissionStatus, MissionSummary, MissionView, MissionsView,
+    RequestTerms, RoleView, StepView, TaskParticipant, TaskProgress, TaskView,
+};
 use std::collections::BTreeSet;
 
 /// Maximum number of auctions in a view.
 const AUCTIONS_SHOWN: usize = 20;
 
 /// Returns a summary of all missions in the order of submission.
-pub(super) fn missions(ledger: &Ledger) -> Value {
+pub(super) fn missions(ledger: &Ledger) -> MissionsView {
     let mut entries: Vec<&MissionEntry> = ledger.missions().collect();
     entries.sort_by_key(|entry| entry.number);
-    let brief = entries.into_iter().map(|entry| {
-        let (done, steps) = entry.progress();
-        json!({
-            "mission": entry.id,
-            "number": entry.number,
-            "state": entry.state.as_str(),
-            "detail": entry.state,
-            "priority": entry.submission.priority,
-            "deadline_at_ms": entry.submission.deadline_ms,
-            "branch": entry.branch,
-            "items": items(entry),
-            "pending_reason": entry.auction.as_ref().and_then(|auction| auction.failure.clone()),
-            "parameters": entry.submission.parameters,
-            "holders": entry.holders(),
-            "done": done,
-            "steps": steps,
-            "submitted_at_ms": entry.submission.at_ms,
-        })
-    });
-    json!({ "missions": brief.collect::<Vec<_>>() })
+    let summary = |entry: &MissionEntry| MissionSummary {
+        brief: brief(entry),
+        pending_reason: entry.auction.as_ref().and_then(|auction| auction.failure.clone()),
+    };
+    MissionsView { missions: entries.into_iter().map(summary).collect() }
 }
 
 /// Returns a single mission with the plans and the progress of its roles.
-pub(super) fn mission(entry: &MissionEntry) -> Value {
-    let roles = entry.roles.iter().map(|(id, role)| {
-        let plan = entry.plan(id).map(|plan| steps(plan, &role.ended));
-        json!({
-            "role": id,
-            "kind": role.kind,
-            "phase": role.phase,
-            "holder": role.holder.as_ref().map(|holder| &holder.robot),
-            "epoch": role.holder.as_ref().map(|holder| holder.epoch.to_string()),
-            "steps": plan,
-        })
-    });
+pub(super) fn mission(entry: &MissionEntry) -> MissionView {
+    MissionView {
+        brief: brief(entry),
+        request: Some(entry.submission.request.clone()),
+        released: entry.release_count,
+        releases: entry.releases.clone(),
+        tasks: entry.mission().tasks.clone(),
+        tree: task_tree(entry, entry.mission(), 0).map(|(_, tree)| tree),
+        roles: entry.roles.iter().map(|(id, role)| role_view(entry, id, role)).collect(),
+        auction: entry.auction.clone(),
+        explanation: entry.auction.as_ref().map(explanation_of),
+    }
+}
+
+fn brief(entry: &MissionEntry) -> MissionBrief {
     let (done, steps) = entry.progress();
-    json!({
-        "mission": entry.id,
-        "number": entry.number,
-        "request": entry.submission.request,
-        "state": entry.state.as_str(),
-        "detail": entry.state,
-        "parameters": entry.submission.parameters,
-        "priority": entry.submission.priority,
-        "deadline_at_ms": entry.submission.deadline_ms,
-        "branch": entry.branch,
-        "items": items(entry),
-        "released": entry.release_count,
-        "releases": entry.releases,
-        "tasks": entry.mission().tasks,
-        "tree": tree(entry, entry.mission(), 0),
-        "roles": roles.collect::<Vec<_>>(),
-        "holders": entry.holders(),
-        "done": done,
-        "steps": steps,
-        "auction": entry.auction,
-        "explanation": entry.auction.as_ref().map(explanation_of),
-        "submitted_at_ms": entry.submission.at_ms,
-    })
+    MissionBrief {
+        mission: entry.id.clone(),
+        number: entry.number,
+        status: MissionStatus::from((&entry.state, entry.branch)),
+        terms: RequestTerms {
+            parameters: entry.submission.parameters.clone(),
+            priority: entry.submission.priority,
+            deadline_at_ms: entry.submission.deadline_ms,
+            submitted_at_ms: entry.submission.at_ms,
+        },
+        progress: MissionProgress { holders: entry.holders(), items: items(entry), done, steps },
+    }
+}
+
+fn role_view(entry: &MissionEntry, id: &RoleId, role: &RoleEntry) -> RoleView {
+    RoleView {
+        role: id.clone(),
+        kind: role.kind,
+        phase: role.phase,
+        holder: role.holder.as_ref().map(|holder| holder.robot.clone()),
+        epoch: role.holder.as_ref().map(|holder| holder.epoch.to_string()),
+        steps: entry.plan(id).map(|plan| steps(plan, &role.ended)),
+    }
 }
 
 /// Returns the latest auction of each mission, latest first, with its explanation.
-pub(super) fn auctions(ledger: &Ledger) -> Value {
+pub(super) fn auctions(ledger: &Ledger) -> AuctionsView {
     let mut records: Vec<&AuctionRecord> = ledger.missions().filter_map(|entry| entry.auction.as_ref()).collect();
     records.sort_by_key(|record| std::cmp::Reverse((record.at_ms, record.auction.clone())));
     records.truncate(AUCTIONS_SHOWN);
-    let shown = records.into_iter().map(|record| {
-        let mut shown = json!(record);
-        shown["explanation"] = json!(explanation_of(record));
-        shown
-    });
-    json!({ "auctions": shown.collect::<Vec<_>>() })
+    let shown = |record: &AuctionRecord| AuctionView { record: record.clone(), explanation: explanation_of(record) };
+    AuctionsView { auctions: records.into_iter().map(shown).collect() }
 }
 
 /// Returns the explanation of an auction without the bids' parts, which the record next to it
@@ -104,98 +91,51 @@ fn items(entry: &MissionEntry) -> Vec<HeldItem> {
     }
 }
 
-fn steps(plan: &LocalPlan, ended: &BTreeSet<StepIndex>) -> Vec<Value> {
-    let step = |(index, step): (usize, &Step)| {
-        let done = u32::try_from(index).is_ok_and(|index| ended.contains(&index));
-        let (kind, label) = match &step.action {
+fn steps(plan: &LocalPlan, ended: &BTreeSet<StepIndex>) -> Vec<StepView> {
+    let view = |(index, step): (usize, &Step)| {
+        let (step_type, label) = match &step.action {
             StepAction::Task { id, spec } => (spec.task_type.to_string(), id.to_string()),
             StepAction::Send(signal) => ("send_message".to_owned(), signal.to_string()),
             StepAction::Wait(signal) => ("wait_message".to_owned(), signal.to_string()),
         };
-        json!({ "step": index, "type": kind, "label": label, "after": step.after, "done": done })
+        let done = u32::try_from(index).is_ok_and(|index| ended.contains(&index));
+        StepView { step: index, step_type, label, after: step.after.clone(), done }
     };
-    plan.steps.iter().enumerate().map(step).collect()
+    plan.steps.iter().enumerate().map(view).collect()
 }
 
-/// Progress of a task.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Progress {
-    /// Its predecessors have not ended.
-    Waiting,
-    /// It could be performed now, or a part of it is in progress.
-    UnderWay,
-    /// It has ended.
-    Done,
-}
-
-impl Progress {
-    fn as_str(self) -> &'static str {
-        match self {
-            Progress::Waiting => "waiting",
-            Progress::UnderWay => "under_way",
-            Progress::Done => "done",
-        }
-    }
-
-    /// Returns the progress of an abstract task from the progress of its parts.
-    fn of_all(parts: &[Progress]) -> Progress {
-        match parts {
-            _ if parts.iter().all(|part| *part == Progress::Done) => Progress::Done,
-            _ if parts.iter().all(|part| *part == Progress::Waiting) => Progress::Waiting,
-            _ => Progress::UnderWay,
-        }
-    }
-}
-
-/// Returns a task with all its subtasks. Children have larger indices than their parents, so the
-/// recursion ends.
-fn tree(entry: &MissionEntry, mission: &Mission, index: TaskIndex) -> Value {
-    task_tree(entry, mission, index).1
-}
-
-fn task_tree(entry: &MissionEntry, mission: &Mission, index: TaskIndex) -> (Progress, Value) {
-    let Some(node) = mission.tasks.get(index as usize) else { return (Progress::Waiting, Value::Null) };
-    match &node.body {
+/// Returns a task with all its subtasks, and its progress. Children have larger indices than their
+/// parents, so the recursion ends.
+fn task_tree(entry: &MissionEntry, mission: &Mission, index: TaskIndex) -> Option<(TaskProgress, TaskView)> {
+    let node = mission.tasks.get(index as usize)?;
+    let task = node.id.clone();
+    Some(match &node.body {
         TaskBody::Abstract(method) => {
-            let subtasks = method.children.iter().map(|child| task_tree(entry, mission, *child));
-            let (parts, children): (Vec<Progress>, Vec<Value>) = subtasks.unzip();
-            let progress = Progress::of_all(&parts);
-            let view = json!({
-                "task": node.id,
-                "kind": "abstract",
-                "order": method.order,
-                "state": progress.as_str(),
-                "children": children,
-            });
-            (progress, view)
+            let subtasks = method.children.iter().filter_map(|child| task_tree(entry, mission, *child));
+            let (parts, children): (Vec<TaskProgress>, Vec<TaskView>) = subtasks.unzip();
+            let state = TaskProgress::of_all(&parts);
+            (state, TaskView::Abstract { task, order: method.order, state, children })
         }
         TaskBody::Elementary(spec) => {
-            let progress = elementary(entry, &node.id, spec);
-            let holders: Vec<Value> = spec.roles.iter().map(|role| holder(entry, role)).collect();
-            let view = json!({
-                "task": node.id,
-                "kind": "elementary",
-                "type": spec.task_type,
-                "parameters": spec.parameters,
-                "state": progress.as_str(),
-                "roles": holders,
-            });
-            (progress, view)
+            let state = elementary(entry, &node.id, spec);
+            let (task_type, parameters) = (spec.task_type.clone(), spec.parameters.clone());
+            let roles = spec.roles.iter().map(|role| participant(entry, role)).collect();
+            (state, TaskView::Elementary { task, task_type, parameters, state, roles })
         }
-    }
-}
-
-fn holder(entry: &MissionEntry, role: &RoleId) -> Value {
-    let holder = entry.roles.get(role).and_then(|role| role.holder.as_ref());
-    json!({
-        "role": role,
-        "holder": holder.map(|holder| &holder.robot),
-        "epoch": holder.map(|holder| holder.epoch.to_string()),
     })
 }
 
-fn elementary(entry: &MissionEntry, task: &TaskId, spec: &TaskSpec) -> Progress {
-    let parts: Vec<Progress> = spec
+fn participant(entry: &MissionEntry, role: &RoleId) -> TaskParticipant {
+    let holder = entry.roles.get(role).and_then(|role| role.holder.as_ref());
+    TaskParticipant {
+        role: role.clone(),
+        holder: holder.map(|holder| holder.robot.clone()),
+        epoch: holder.map(|holder| holder.epoch.to_string()),
+    }
+}
+
+fn elementary(entry: &MissionEntry, task: &TaskId, spec: &TaskSpec) -> TaskProgress {
+    let parts: Vec<TaskProgress> = spec
         .roles
         .iter()
         .filter_map(|id| {
@@ -206,12 +146,12 @@ fn elementary(entry: &MissionEntry, task: &TaskId, spec: &TaskSpec) -> Progress 
         })
         .collect();
     // A joint task is in progress once the first participant performs it.
-    Progress::of_all(&parts)
+    TaskProgress::of_all(&parts)
 }
 
-fn step_progress(entry: &MissionEntry, role: &RoleEntry, plan: &LocalPlan, index: StepIndex) -> Progress {
+fn step_progress(entry: &MissionEntry, role: &RoleEntry, plan: &LocalPlan, index: StepIndex) -> TaskProgress {
     if role.ended.contains(&index) {
-        return Progress::Done;
+        return TaskProgress::Done;
     }
     let at_work = match role.kind {
         RoleKind::Managed => role.phase == RolePhase::Active,
@@ -229,5 +169,5 @@ fn step_progress(entry: &MissionEntry, role: &RoleEntry, plan: &LocalPlan, index
         awaited || role.ended.contains(step)
     };
     let permitted = plan.steps.get(index as usize).is_some_and(|step| step.after.iter().all(is_past));
-    if runs && permitted { Progress::UnderWay } else { Progress::Waiting }
+    if runs && permitted { TaskProgress::UnderWay } else { TaskProgress::Waiting }
 }

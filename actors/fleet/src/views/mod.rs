@@ -22,10 +22,8 @@ mod draw;
 mod health;
 mod mission;
 
-pub use cluster_status::CoordinatorStatus;
-
-use crate::api_types::call_help;
-use crate::coordinator::CoordinatorMessage;
+use crate::api_help::call_help;
+use crate::coordinator::{CoordinatorMessage, CoordinatorStatus};
 use bytes::Bytes;
 use cluster_status::ClusterStatus;
 use consort_bus::clock::Clock;
@@ -34,6 +32,7 @@ use consort_bus::reply;
 use consort_bus::tasks::Tasks;
 use consort_bus::{BusError, Query, Sample, SharedBus, Stream};
 use consort_gossip::SharedKnowledge;
+use consort_protocol::api::ErrorReply;
 use consort_protocol::codec;
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::NodeId;
@@ -42,9 +41,9 @@ use consort_protocol::ledger::Ledger;
 use consort_protocol::message::Beacon;
 use consort_protocol::units::NodeTime;
 use consort_raft::{RaftId, Replica};
-use draw::ViewContext;
+use draw::{ViewContext, json};
 use ractor::ActorRef;
-use serde_json::{Value, json};
+use serde_json::{Map, Value};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::oneshot;
@@ -63,6 +62,9 @@ const WORLD_TIMEOUT: Duration = Duration::from_millis(400);
 
 /// Timeout for this node's own coordinator to return its status.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(100);
+
+/// Suggested delay of a retry in milliseconds if no voter replies.
+const RETRY_AFTER_MS: u64 = 300;
 
 /// Number of missed beacons after which a coordinator no longer counts as active.
 const MISSED_BEACONS_MAX: u32 = 4;
@@ -166,7 +168,7 @@ impl ViewService {
             Service::Help => {
                 let keys = ApiCall::ALL.iter().map(|call| (Key::Help(*call), *call));
                 let requested = keys.filter(|(key, _)| self.is_requested(requested, key));
-                requested.map(|(key, call)| (key, call_help(call))).collect()
+                requested.map(|(key, call)| (key, json(call_help(call)))).collect()
             }
         };
         for (key, value) in replies {
@@ -202,9 +204,9 @@ impl ViewService {
                     }
                 }
                 None => {
-                    let error = json!({ "error": "no voter of the ledger replies", "retry_after_ms": 300 });
+                    let error = ErrorReply::retry_after("no voter of the ledger replies", RETRY_AFTER_MS);
                     for key in [Key::ViewMissions, Key::ViewAuctions].into_iter().filter(&wanted) {
-                        views.push((key, context.with_provenance(error.clone())));
+                        views.push((key, context.with_provenance(&error)));
                     }
                 }
             }
@@ -247,7 +249,7 @@ impl ViewService {
         None
     }
 
-    async fn world(&self) -> Option<Value> {
+    async fn world(&self) -> Option<Map<String, Value>> {
         let key = self.views.keys.write(&Key::World);
         let mut replies = self.views.bus.query(&key, Bytes::new(), WORLD_TIMEOUT).await.ok()?;
         serde_json::from_slice(&replies.recv().await?.payload.ok()?).ok()

@@ -1,6 +1,9 @@
 use super::*;
-use consort_protocol::ids::FleetId;
+use consort_protocol::ids::{FleetId, NodeId};
+use consort_protocol::knowledge::{Digest, DigestScope};
+use consort_protocol::message::RecordUpdate;
 use consort_protocol::versions::VersionRange;
+use std::time::Duration;
 
 fn node(name: &str) -> NodeId {
     NodeId::new(name).unwrap()
@@ -28,7 +31,8 @@ fn ada() -> (Gossiper, GossipState) {
     let mut state = GossipState::default();
     let settings = Settings::new(FleetId::new("ward").unwrap(), node("ada"), 1);
     let rng = ChaCha8Rng::seed_from_u64(1);
-    let (gossiper, first) = Gossiper::new(settings, knowledge(None), None, rng, &mut state, NodeTime::ZERO);
+    let start = GossiperStart { settings, knowledge: knowledge(None), signer: None, rng };
+    let (gossiper, first) = Gossiper::new(start, &mut state, NodeTime::ZERO);
     assert!(matches!(&first[..], [Action::Publish(RecordUpdate::Record(_))]));
     for other in ["bob", "cyd"] {
         state.status.insert(node(other), MemberStatus::Alive { since: NodeTime::ZERO });
@@ -92,7 +96,7 @@ fn an_unchanged_record_is_refreshed_and_a_change_is_repeated() {
     assert!(
         matches!(&actions[..], [Action::Publish(RecordUpdate::Record(record))] if record.knowledge == knowledge(Some(7)))
     );
-    let changed = ada.records.own().stamp.version;
+    let changed = ada.core.records.own().stamp.version;
     let (full, _) = run((&mut ada, &mut state), 20_000..30_000, same_records);
     assert!(full.len() >= 8 && full.iter().all(|updates| refresh_of(updates).is_none()), "{full:?}");
     let (refreshes, _) = run((&mut ada, &mut state), 30_000..34_000, same_records);
@@ -134,7 +138,7 @@ fn a_node_that_missed_an_update_queries_its_owner() {
         assert_eq!(state.base.get(&node(owner)).unwrap().record, record);
         // After she has received the record, the same refresh only confirms it.
         ada.handle(refresh(), &mut state, at(6_000)).unwrap();
-        assert!(ada.missing_from.is_empty());
+        assert_eq!(ada.core.records.next_missing_owner(&state), None);
         assert_eq!(state.base.get(&node(owner)).unwrap().last_contact, at(6_000));
     }
 }
@@ -157,7 +161,7 @@ fn a_reply_to_sums_is_the_digest_of_the_difference() {
     assert_eq!(other.digest, state.base.digest(DigestScope::ALL));
     assert!(other.records.is_empty());
     let next = Exchange { sums: vec![], scope: other.scope, digest: Digest::new(), records: vec![] };
-    assert_eq!(request(next, &mut ada, &mut state).records, [ada.records.own().clone()]);
+    assert_eq!(request(next, &mut ada, &mut state).records, [ada.core.records.own().clone()]);
     // With more sums than allowed, everything is compared.
     assert_eq!(request(sums(vec![0; 200]), &mut ada, &mut state).digest, state.base.digest(DigestScope::ALL));
 }

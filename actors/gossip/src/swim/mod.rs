@@ -13,14 +13,30 @@ use foca::{
     AccumulatingRuntime, Codec as _, Foca, Header, Identity as _, Member, Message, NoCustomBroadcast,
     OwnedNotification, State,
 };
-use packet::PacketCodec;
-pub(super) use packet::SwimId;
+use packet::{PacketCodec, PacketError, SwimId};
 use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// A timer requested by foca, to be returned to it.
 pub(super) type Timer = foca::Timer<SwimId>;
+
+/// The failure detector rejects a packet or an operation.
+#[derive(Debug, PartialEq, thiserror::Error)]
+pub(super) enum SwimError {
+    /// Another program writes on the fleet's keys.
+    #[error("empty packet")]
+    EmptyPacket,
+    /// The packet comes from a node of another version, or from another program.
+    #[error("unsupported wire version {0}; expected {expected}", expected = codec::FIRST_VERSION)]
+    UnsupportedVersion(u8),
+    /// The packet has no valid header.
+    #[error(transparent)]
+    Packet(#[from] PacketError),
+    /// foca rejects the packet or the operation.
+    #[error(transparent)]
+    Foca(#[from] foca::Error),
+}
 
 /// An effect for the caller to perform, in the order given.
 #[derive(Debug, PartialEq, Eq)]
@@ -115,12 +131,12 @@ impl Swim {
     }
 
     /// Handles a packet. Returns its sender.
-    pub(super) fn receive(&mut self, bytes: &[u8]) -> Result<(NodeId, Vec<SwimAction>), String> {
-        let (version, packet) = bytes.split_first().ok_or("empty packet")?;
+    pub(super) fn receive(&mut self, bytes: &[u8]) -> Result<(NodeId, Vec<SwimAction>), SwimError> {
+        let (version, packet) = bytes.split_first().ok_or(SwimError::EmptyPacket)?;
         if *version != codec::FIRST_VERSION {
-            return Err(format!("unsupported wire version {version}; expected {}", codec::FIRST_VERSION));
+            return Err(SwimError::UnsupportedVersion(*version));
         }
-        let header = PacketCodec.decode_header(packet).map_err(|e| e.to_string())?;
+        let header = PacketCodec.decode_header(packet)?;
         self.probe_answered |= match header.message {
             Message::Ack(probe) => probe != QUERY_PROBE,
             Message::ForwardedAck { .. } => true,
@@ -139,7 +155,7 @@ impl Swim {
         &mut self,
         timer: Timer,
         sends: impl Fn(&NodeId) -> bool,
-    ) -> Result<Vec<SwimAction>, String> {
+    ) -> Result<Vec<SwimAction>, SwimError> {
         let mut actions = vec![];
         match &timer {
             foca::Timer::ChangeSuspectToDown { member_id, incarnation, .. } => {
@@ -187,7 +203,7 @@ impl Swim {
 
     /// Queries the view of all members: the answer of a suspect may have reached them, and not this
     /// node.
-    fn query_members(&mut self) -> Result<Vec<SwimAction>, String> {
+    fn query_members(&mut self) -> Result<Vec<SwimAction>, SwimError> {
         let all: Vec<SwimId> = self.foca.iter_members().map(|member| member.id().clone()).collect();
         self.act(|foca, runtime| all.into_iter().try_for_each(|member| foca.announce(member, &mut *runtime)))
     }
@@ -207,13 +223,13 @@ impl Swim {
     }
 
     /// Announces this node to another node, which replies with its members.
-    pub(super) fn announce_to(&mut self, node: &NodeId) -> Result<Vec<SwimAction>, String> {
+    pub(super) fn announce_to(&mut self, node: &NodeId) -> Result<Vec<SwimAction>, SwimError> {
         self.act(|foca, runtime| foca.announce(SwimId::lowest(node.clone()), runtime))
     }
 
     /// Suspects a member for a reason outside of foca, and gossips the suspicion so that the member
     /// can refute it.
-    pub(super) fn suspect(&mut self, node: &NodeId) -> Result<Option<(Suspicion, Vec<SwimAction>)>, String> {
+    pub(super) fn suspect(&mut self, node: &NodeId) -> Result<Option<(Suspicion, Vec<SwimAction>)>, SwimError> {
         let Some(member) = self.foca.iter_members().find(|member| member.id().node == *node) else { return Ok(None) };
         let suspicion = Suspicion { id: member.id().clone(), incarnation: member.incarnation() };
         let update = Member::new(suspicion.id.clone(), suspicion.incarnation, State::Suspect);
@@ -221,7 +237,7 @@ impl Swim {
     }
 
     /// Declares a suspect down, unless it has refuted the suspicion.
-    pub(super) fn declare_down(&mut self, suspicion: &Suspicion) -> Result<Vec<SwimAction>, String> {
+    pub(super) fn declare_down(&mut self, suspicion: &Suspicion) -> Result<Vec<SwimAction>, SwimError> {
         if !self.unanswered(&suspicion.id, suspicion.incarnation) {
             return Ok(vec![]);
         }
@@ -229,7 +245,7 @@ impl Swim {
     }
 
     /// Adopts a later incarnation of this node that another node has stored.
-    pub(super) fn adopt_incarnation(&mut self, incarnation: u64) -> Result<Vec<SwimAction>, String> {
+    pub(super) fn adopt_incarnation(&mut self, incarnation: u64) -> Result<Vec<SwimAction>, SwimError> {
         let own = self.foca.identity();
         let next = SwimId { incarnation, ..own.clone() };
         match next.renew() {
@@ -239,7 +255,7 @@ impl Swim {
     }
 
     /// Announces to a few members that this node leaves.
-    pub(super) fn leave(&mut self) -> Result<Vec<SwimAction>, String> {
+    pub(super) fn leave(&mut self) -> Result<Vec<SwimAction>, SwimError> {
         self.act(|foca, runtime| foca.leave_cluster(runtime))
     }
 
@@ -249,7 +265,7 @@ impl Swim {
         members.any(|m| m.id() == id && m.incarnation() == incarnation && m.state() == State::Suspect)
     }
 
-    fn gossip_update(&mut self, update: Member<SwimId>) -> Result<Vec<SwimAction>, String> {
+    fn gossip_update(&mut self, update: Member<SwimId>) -> Result<Vec<SwimAction>, SwimError> {
         self.act(|foca, runtime| {
             foca.apply_many(std::iter::once(update), true, &mut *runtime)?;
             foca.gossip(runtime)
@@ -262,7 +278,7 @@ impl Swim {
             &mut Foca<SwimId, PacketCodec, ChaCha8Rng, NoCustomBroadcast>,
             &mut AccumulatingRuntime<SwimId>,
         ) -> Result<(), foca::Error>,
-    ) -> Result<Vec<SwimAction>, String> {
+    ) -> Result<Vec<SwimAction>, SwimError> {
         let mut actions = vec![];
         self.collect(&mut actions, operation)?;
         Ok(actions)
@@ -275,9 +291,9 @@ impl Swim {
             &mut Foca<SwimId, PacketCodec, ChaCha8Rng, NoCustomBroadcast>,
             &mut AccumulatingRuntime<SwimId>,
         ) -> Result<(), foca::Error>,
-    ) -> Result<(), String> {
+    ) -> Result<(), SwimError> {
         let mut runtime = AccumulatingRuntime::new();
-        let result = operation(&mut self.foca, &mut runtime).map_err(|e| e.to_string());
+        let result = operation(&mut self.foca, &mut runtime);
         while let Some(notification) = runtime.to_notify() {
             match notification {
                 OwnedNotification::MemberUp(id) => actions.push(SwimAction::Up(id.node)),
@@ -308,7 +324,7 @@ impl Swim {
             }
             actions.push(SwimAction::SetTimer(extended(after, &timer), timer));
         }
-        result
+        Ok(result?)
     }
 
     /// Queries a suspect and sends it the suspicion, which it refutes with the same packet. Gossip

@@ -12,16 +12,16 @@ use foca::{Codec, Header, Member, Message, State};
 /// time.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct SwimId {
-    pub(crate) node: NodeId,
+    pub(super) node: NodeId,
     /// Incarnation: identifies the start of the node.
-    pub(crate) incarnation: u64,
+    pub(super) incarnation: u64,
     /// Number of rejoins after a wrong down verdict.
-    pub(crate) rejoins: u32,
+    pub(super) rejoins: u32,
 }
 
 impl SwimId {
     /// Returns the lowest identity of a node, sufficient to announce to a node known only by name.
-    pub(crate) fn lowest(node: NodeId) -> SwimId {
+    pub(super) fn lowest(node: NodeId) -> SwimId {
         SwimId { node, incarnation: 0, rejoins: 0 }
     }
 
@@ -62,7 +62,7 @@ pub(crate) enum PacketError {
 }
 
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct PacketCodec;
+pub(super) struct PacketCodec;
 
 fn put_id(id: &SwimId, buf: &mut impl BufMut) {
     let name = id.node.as_str().as_bytes();

@@ -28,11 +28,10 @@ use zenoh_protocol::{
 };
 use zenoh_result::ZResult;
 
-// Added for Consort.
-mod refusal;
+mod link_check; // Added for Consort: see CHANGES.md.
 mod unicast;
 mod utils;
-pub use refusal::{judge_by, Judge, Judging};
+pub use link_check::{check_links, LinkCheck};
 pub use unicast::*;
 pub use utils::TlsConfigurator;
 

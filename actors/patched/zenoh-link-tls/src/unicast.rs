@@ -24,7 +24,7 @@ use std::{
 use async_trait::async_trait;
 use time::OffsetDateTime;
 use tokio::{
-    io::{AsyncReadExt, AsyncWriteExt, ReadHalf, WriteHalf},
+    io::{AsyncReadExt, AsyncWriteExt},
     net::{TcpListener, TcpStream},
     sync::Mutex as AsyncMutex,
 };
@@ -46,7 +46,7 @@ use zenoh_protocol::{
 use zenoh_result::{zerror, ZResult};
 
 use crate::{
-    refusal::Admitted,
+    link_check::SharedStream,
     utils::{get_tls_addr, get_tls_host, get_tls_server_name, TlsClientConfig, TlsServerConfig},
     TLS_ACCEPT_THROTTLE_TIME, TLS_DEFAULT_MTU, TLS_LINGER_TIMEOUT, TLS_LOCATOR_PREFIX,
 };
@@ -55,22 +55,28 @@ use crate::{
 pub struct TlsCommonName(String);
 
 pub struct LinkUnicastTls {
-    // Changed for Consort: the two halves of a stream take turns at every poll. The state of a TLS
-    // connection is shared by both directions, and a reader and a writer must not use it at the
-    // same time (eclipse-zenoh/zenoh#2557).
-    reader: AsyncMutex<ReadHalf<TlsStream<TcpStream>>>,
-    writer: AsyncMutex<WriteHalf<TlsStream<TcpStream>>>,
+    // The underlying socket as returned from the async-rustls library
+    // NOTE: TlsStream requires &mut for read and write operations. This means
+    //       that concurrent reads and writes are not possible. To achieve that,
+    //       we use an UnsafeCell for interior mutability. Using an UnsafeCell
+    //       is safe in our case since the transmission and reception logic
+    //       already ensures that no concurrent reads or writes can happen on
+    //       the same stream: there is only one task at the time that writes on
+    //       the stream and only one task at the time that reads from the stream.
+    // Changed for Consort: a lock instead of the UnsafeCell, see CHANGES.md.
+    inner: SharedStream,
     // The source socket address of this link (address used on the local host)
     src_addr: SocketAddr,
     src_locator: Locator,
     // The destination socket address of this link (address used on the local host)
     dst_addr: SocketAddr,
     dst_locator: Locator,
+    // Make sure there are no concurrent read or writes
+    write_mtx: AsyncMutex<()>,
+    read_mtx: AsyncMutex<()>,
     auth_identifier: LinkAuthId,
     mtu: BatchSize,
     expiration_manager: Option<LinkCertExpirationManager>,
-    // Changed for Consort: a link with a rejected certificate is neither read nor written.
-    admitted: Arc<Admitted>,
 }
 
 impl LinkUnicastTls {
@@ -80,7 +86,6 @@ impl LinkUnicastTls {
         dst_addr: SocketAddr,
         auth_identifier: LinkAuthId,
         expiration_manager: Option<LinkCertExpirationManager>,
-        admitted: Arc<Admitted>,
     ) -> LinkUnicastTls {
         let (tcp_stream, _) = socket.get_ref();
         // Set the TLS nodelay option
@@ -130,45 +135,38 @@ impl LinkUnicastTls {
         }
 
         // Build the Tls object
-        let (reader, writer) = tokio::io::split(socket);
         LinkUnicastTls {
-            reader: AsyncMutex::new(reader),
-            writer: AsyncMutex::new(writer),
+            inner: SharedStream::new(socket),
             src_addr,
             src_locator: Locator::new(TLS_LOCATOR_PREFIX, src_addr.to_string(), "").unwrap(),
             dst_addr,
             dst_locator: Locator::new(TLS_LOCATOR_PREFIX, dst_addr.to_string(), "").unwrap(),
+            write_mtx: AsyncMutex::new(()),
+            read_mtx: AsyncMutex::new(()),
             auth_identifier,
             mtu,
             expiration_manager,
-            admitted,
         }
+    }
+
+    // NOTE: It is safe to suppress Clippy warning since no concurrent reads
+    //       or concurrent writes will ever happen. The read_mtx and write_mtx
+    //       are respectively acquired in any read and write operation.
+    fn get_mut_socket(&self) -> SharedStream {
+        self.inner.clone()
     }
 
     async fn close(&self) -> ZResult<()> {
         tracing::trace!("Closing TLS link: {}", self);
-        if self.admitted.is_refused() {
-            // Changed for Consort: a rejected peer gets no flush of the remaining data, and cannot
-            // delay the shutdown.
-            let mut writer = zasynclock!(self.writer);
-            let _ = tokio::time::timeout(Duration::from_secs(1), writer.shutdown()).await;
-            return Ok(());
-        }
         // Flush the TLS stream
-        let mut writer = zasynclock!(self.writer);
-        let res = writer.flush().await;
+        let _guard = zasynclock!(self.write_mtx);
+        let mut tls_stream = self.get_mut_socket();
+        let res = tls_stream.flush().await;
         tracing::trace!("TLS link flush {}: {:?}", self, res);
-        // Say so to the other end, and close the underlying TCP stream
-        let res = writer.shutdown().await;
+        // Close the underlying TCP stream
+        let res = tls_stream.shutdown().await;
         tracing::trace!("TLS link shutdown {}: {:?}", self, res);
         res.map_err(|e| zerror!(e).into())
-    }
-
-    fn check_admitted(&self) -> ZResult<()> {
-        if self.admitted.is_refused() {
-            bail!("{self}: the other end is refused");
-        }
-        Ok(())
     }
 }
 
@@ -190,45 +188,39 @@ impl LinkUnicastTrait for LinkUnicastTls {
     }
 
     async fn write(&self, buffer: &[u8], _priority: Option<Priority>) -> ZResult<usize> {
-        self.check_admitted()?;
-        zasynclock!(self.writer).write(buffer).await.map_err(|e| {
+        let _guard = zasynclock!(self.write_mtx);
+        self.get_mut_socket().write(buffer).await.map_err(|e| {
             tracing::trace!("Write error on TLS link {}: {}", self, e);
             zerror!(e).into()
         })
     }
 
     async fn write_all(&self, buffer: &[u8], _priority: Option<Priority>) -> ZResult<()> {
-        self.check_admitted()?;
-        zasynclock!(self.writer).write_all(buffer).await.map_err(|e| {
+        let _guard = zasynclock!(self.write_mtx);
+        self.get_mut_socket().write_all(buffer).await.map_err(|e| {
             tracing::trace!("Write error on TLS link {}: {}", self, e);
             zerror!(e).into()
         })
     }
 
     async fn read(&self, buffer: &mut [u8], _priority: Option<Priority>) -> ZResult<usize> {
-        let mut reader = zasynclock!(self.reader);
-        let read = tokio::select! {
-            biased;
-            _ = self.admitted.refused() => bail!("{self}: the other end is refused"),
-            read = reader.read(buffer) => read,
-        };
-        read.map_err(|e| {
+        let _guard = zasynclock!(self.read_mtx);
+        self.get_mut_socket().read(buffer).await.map_err(|e| {
             tracing::trace!("Read error on TLS link {}: {}", self, e);
             zerror!(e).into()
         })
     }
 
     async fn read_exact(&self, buffer: &mut [u8], _priority: Option<Priority>) -> ZResult<()> {
-        let mut reader = zasynclock!(self.reader);
-        let read = tokio::select! {
-            biased;
-            _ = self.admitted.refused() => bail!("{self}: the other end is refused"),
-            read = reader.read_exact(buffer) => read,
-        };
-        let _ = read.map_err(|e| {
-            tracing::trace!("Read error on TLS link {}: {}", self, e);
-            zerror!(e)
-        })?;
+        let _guard = zasynclock!(self.read_mtx);
+        let _ = self
+            .get_mut_socket()
+            .read_exact(buffer)
+            .await
+            .map_err(|e| {
+                tracing::trace!("Read error on TLS link {}: {}", self, e);
+                zerror!(e)
+            })?;
         Ok(())
     }
 
@@ -285,6 +277,15 @@ impl LinkWithCertExpiration for LinkUnicastTls {
         }
         // Transport is already closing the link
         Ok(())
+    }
+}
+
+impl Drop for LinkUnicastTls {
+    fn drop(&mut self) {
+        // Close the underlying TCP stream
+        let mut tcp_stream = self.get_mut_socket();
+        let _ = zenoh_runtime::ZRuntime::Acceptor
+            .block_in_place(async move { tcp_stream.shutdown().await });
     }
 }
 
@@ -381,10 +382,6 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastTls {
         let auth_identifier = get_server_cert_common_name(tls_conn)?;
         let certchain_expiration_time = get_cert_chain_expiration(&tls_conn.peer_certificates())?
             .expect("server should have certificate chain");
-        // Changed for Consort: see `refusal`.
-        let Some(admitted) = Admitted::new(first_certificate(tls_conn.peer_certificates())) else {
-            bail!("Can not create a new TLS link bound to {server_name:?}: the other end is refused");
-        };
 
         let tls_stream = TlsStream::Client(tls_stream);
 
@@ -406,7 +403,6 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastTls {
                 dst_addr,
                 auth_identifier.into(),
                 expiration_manager,
-                admitted,
             )
         });
 
@@ -556,12 +552,6 @@ async fn accept_task(
                             }
                         }
 
-                        // Changed for Consort: see `refusal`.
-                        let Some(admitted) = Admitted::new(first_certificate(tls_conn.peer_certificates())) else {
-                            tracing::debug!("{dst_addr} is refused");
-                            continue;
-                        };
-
                         tracing::debug!("Accepted TLS connection on {:?}: {:?}. {:?}.", src_addr, dst_addr, auth_identifier);
                         // Create the new link object
                         let link = Arc::<LinkUnicastTls>::new_cyclic(|weak_link| {
@@ -582,7 +572,6 @@ async fn accept_task(
                                 dst_addr,
                                 auth_identifier.into(),
                                 expiration_manager,
-                                admitted,
                             )
                         });
 
@@ -610,11 +599,6 @@ async fn accept_task(
     }
 
     Ok(())
-}
-
-/// The certificate of whoever is at the other end.
-fn first_certificate<'a>(chain: Option<&'a [rustls_pki_types::CertificateDer<'_>]>) -> Option<&'a [u8]> {
-    chain?.first().map(AsRef::as_ref)
 }
 
 fn get_client_cert_common_name(tls_conn: &rustls::CommonState) -> ZResult<TlsAuthId> {

@@ -1,11 +1,13 @@
 //! Backup of the mission ledger: taken from a running fleet, restored as the start of a new
 //! cluster.
 
-use super::DurableStore;
-use crate::{Epoch, LogStore as _, restore_as_only_voter};
+use super::durable::DurableStore;
+use crate::log_store::LogStore as _;
+use crate::offline_recovery::restore_as_only_voter;
+use crate::types::Epoch;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use consort_protocol::codec;
+use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::{ClusterId, FleetId, NodeId};
 use consort_protocol::ledger::Ledger;
 use flate2::Compression;
@@ -42,13 +44,33 @@ pub struct Backup {
     pub ledger: String,
 }
 
+/// The backup cannot be made or read.
+#[derive(Debug, thiserror::Error)]
+pub enum BackupError {
+    /// A bug.
+    #[error("{0}")]
+    Unencodable(CodecError),
+    /// Out of memory.
+    #[error("{0}")]
+    Uncompressible(io::Error),
+    /// The text was changed.
+    #[error("ledger: it is damaged: {0}")]
+    NotBase64(base64::DecodeError),
+    /// The checksum does not match.
+    #[error("ledger: it is damaged: {0}")]
+    Damaged(io::Error),
+    /// Written by another release.
+    #[error("ledger: {0}")]
+    Undecodable(CodecError),
+}
+
 impl Backup {
     /// Creates a backup of this ledger up to the entry `last`.
     ///
     /// # Errors
-    /// The ledger cannot be encoded; a text for the user.
-    pub fn new(ledger: &Ledger, last: Epoch, fleet: FleetId, by: NodeId, at_ms: u64) -> Result<Backup, String> {
-        let bytes = codec::encode_record(ledger).map_err(|error| error.to_string())?;
+    /// [`BackupError`] if the ledger cannot be encoded.
+    pub fn new(ledger: &Ledger, last: Epoch, fleet: FleetId, by: NodeId, at_ms: u64) -> Result<Backup, BackupError> {
+        let bytes = codec::encode_record(ledger).map_err(BackupError::Unencodable)?;
         Ok(Backup {
             fleet,
             by,
@@ -58,18 +80,18 @@ impl Backup {
             index: last.index,
             missions: ledger.missions().count(),
             under_way: ledger.active_missions().len(),
-            ledger: STANDARD.encode(compress(&bytes).map_err(|error| error.to_string())?),
+            ledger: STANDARD.encode(compress(&bytes).map_err(BackupError::Uncompressible)?),
         })
     }
 
     /// Returns the ledger and the position of its last entry.
     ///
     /// # Errors
-    /// The backup is damaged, or was made by another release; a text for the user.
-    pub fn decode(&self) -> Result<(Ledger, Epoch), String> {
-        let bytes = STANDARD.decode(&self.ledger).map_err(|error| format!("ledger: it is damaged: {error}"))?;
-        let bytes = decompress(&bytes).map_err(|error| format!("ledger: it is damaged: {error}"))?;
-        let ledger = codec::decode_record(&bytes).map_err(|error| format!("ledger: {error}"))?;
+    /// [`BackupError`] if the backup is damaged, or was made by another release.
+    pub fn decode(&self) -> Result<(Ledger, Epoch), BackupError> {
+        let bytes = STANDARD.decode(&self.ledger).map_err(BackupError::NotBase64)?;
+        let bytes = decompress(&bytes).map_err(BackupError::Damaged)?;
+        let ledger = codec::decode_record(&bytes).map_err(BackupError::Undecodable)?;
         Ok((ledger, Epoch { term: self.term, index: self.index }))
     }
 }
@@ -114,15 +136,15 @@ mod tests {
         let backup = Backup::new(&Ledger::default(), last, fleet, by, 7).unwrap();
         let text = serde_json::to_string(&backup).unwrap();
         let read: Backup = serde_json::from_str(&text).unwrap();
-        assert_eq!(read.decode(), Ok((Ledger::default(), last)));
+        assert_eq!(read.decode().unwrap(), (Ledger::default(), last));
         let mut bytes = STANDARD.decode(&read.ledger).unwrap();
         // The header of gzip is not checked: it contains the time and system of the compression.
         for at in 10..bytes.len() {
             bytes[at] ^= 1;
             let damaged = Backup { ledger: STANDARD.encode(&bytes), ..read.clone() };
-            assert!(damaged.decode().unwrap_err().contains("it is damaged"), "at {at}");
+            assert!(damaged.decode().unwrap_err().to_string().contains("it is damaged"), "at {at}");
             bytes[at] ^= 1;
         }
-        assert!(Backup { ledger: "?".to_owned(), ..read }.decode().unwrap_err().contains("it is damaged"));
+        assert!(Backup { ledger: "?".to_owned(), ..read }.decode().unwrap_err().to_string().contains("it is damaged"));
     }
 }

@@ -24,7 +24,7 @@ pub trait CheckpointStore: Send + Sync + 'static {
 
 /// Checkpoint store in memory. Clones share the same store.
 #[derive(Debug, Clone, Default)]
-pub struct MemoryCheckpointStore {
+pub(super) struct MemoryCheckpointStore {
     checkpoint: Arc<Mutex<Option<Vec<u8>>>>,
 }
 

@@ -3,33 +3,13 @@
 mod backup;
 mod checkpoint_store;
 mod durable;
+mod node_store;
 mod recover;
 
-use crate::{LogStore, MemoryLogStore};
-pub use backup::{Backup, restore};
-pub use checkpoint_store::{CheckpointStore, MemoryCheckpointStore};
-pub use durable::{
-    COMMIT_MARKER_FILE, DurableStore, LEDGER_FILE, LOCK_FILE, OpenError, REPAIR_ADVICE, StorageBackend, StoreOwner,
-};
+pub use backup::{Backup, BackupError, restore};
+pub use checkpoint_store::CheckpointStore;
+#[cfg(feature = "test-util")]
+pub use durable::StorageBackend;
+pub use durable::{COMMIT_MARKER_FILE, DurableStore, LEDGER_FILE, OpenError, REPAIR_ADVICE, StoreOwner};
+pub use node_store::NodeStore;
 pub use recover::{inspect_ledger, recover};
-use std::sync::Arc;
-
-/// Storage of a node. Clones share the same storage.
-#[derive(Clone)]
-pub struct NodeStore {
-    /// Log, vote and snapshot of its replica of the ledger.
-    pub log_store: Arc<dyn LogStore>,
-    /// Checkpoint of its robot.
-    pub checkpoints: Arc<dyn CheckpointStore>,
-}
-
-impl NodeStore {
-    /// Creates storage in memory, lost with its last clone. A clone given to a restarted node
-    /// simulates a disk that survived.
-    pub fn in_memory(identity_seed: u64) -> NodeStore {
-        NodeStore {
-            log_store: Arc::new(MemoryLogStore::new(identity_seed)),
-            checkpoints: Arc::new(MemoryCheckpointStore::default()),
-        }
-    }
-}

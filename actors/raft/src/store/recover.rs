@@ -1,8 +1,9 @@
 //! Recovery after the permanent loss of a majority of the voters: on an operator's request, the
 //! remaining store becomes the ledger of a single voter.
 
-use super::DurableStore;
-use crate::{LogStore, LogStoreContents, inspect_log_store, recover_as_only_voter, with_repair_advice};
+use super::durable::DurableStore;
+use crate::log_store::{LogStore, with_repair_advice};
+use crate::offline_recovery::{LogStoreContents, inspect_log_store, recover_as_only_voter};
 use consort_protocol::ids::ClusterId;
 use consort_protocol::ledger::Ledger;
 use std::io;

@@ -4,11 +4,12 @@ use super::{file_error, unix_time};
 use crate::diagnostic::Diagnostic;
 use consort_bus::trust::issue::{RevokedCertificate, fleet_of_authority};
 use consort_protocol::ids::FleetId;
-use consort_protocol::trust::Identity;
+use consort_protocol::trust::{Identity, IdentityError};
 use std::fs;
 use std::net::IpAddr;
 use std::path::Path;
 use std::time::Duration;
+use x509_parser::error::X509Error;
 use x509_parser::extensions::GeneralName;
 use x509_parser::pem::{Pem, parse_x509_pem};
 use x509_parser::prelude::{FromDer, X509Certificate};
@@ -76,20 +77,31 @@ impl CertificateEntry {
     }
 }
 
+/// The names in a certificate are not those of a node or person.
+#[derive(Debug, thiserror::Error)]
+enum NamesError {
+    #[error(transparent)]
+    Form(#[from] X509Error),
+    #[error(transparent)]
+    Identity(#[from] IdentityError),
+    #[error("it has no identity: there is no name of the form consort://… in it")]
+    NoIdentity,
+}
+
 /// Returns the identity in a certificate, and the addresses of its node.
-fn names(certificate: &X509Certificate<'_>) -> Result<(Identity, Vec<String>), String> {
-    let names = certificate.subject_alternative_name().map_err(|problem| problem.to_string())?;
+fn names(certificate: &X509Certificate<'_>) -> Result<(Identity, Vec<String>), NamesError> {
+    let names = certificate.subject_alternative_name()?;
     let names = names.map(|names| names.value.general_names.as_slice()).unwrap_or_default();
     let (mut identity, mut addresses) = (None, Vec::new());
     for name in names {
         match name {
-            GeneralName::URI(text) => identity = Some(text.parse::<Identity>().map_err(|problem| problem.to_string())?),
+            GeneralName::URI(text) => identity = Some(text.parse::<Identity>()?),
             GeneralName::DNSName(name) => addresses.push((*name).to_owned()),
             GeneralName::IPAddress(bytes) => addresses.extend(address(bytes)),
             _ => {}
         }
     }
-    let identity = identity.ok_or("it has no identity: there is no name of the form consort://… in it")?;
+    let identity = identity.ok_or(NamesError::NoIdentity)?;
     Ok((identity, addresses))
 }
 

@@ -4,10 +4,10 @@ use crate::client::ClientFlags;
 use crate::exit::Failure;
 use crate::file::{already_exists, write_atomically};
 use crate::output;
-use consort_protocol::count::count;
 use consort_protocol::keys::ApiCall;
 use consort_raft::store::Backup;
-use serde_json::{Value, json};
+use consort_text::count;
+use serde_json::Value;
 use std::path::PathBuf;
 
 /// Copy the ledger of a running fleet to a file
@@ -50,11 +50,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if !force && out.exists() {
         return Err(already_exists(&out));
     }
-    let given = client.with_client(async |client| client.api(ApiCall::Backup, &json!({})).await)?;
+    let given = client.with_client(async |client| client.api(ApiCall::Backup, &()).await)?;
     let damaged = |problem: String| Failure::Unsuccessful(format!("the copy is damaged: {problem}"));
     let backup: Backup = serde_json::from_value(given.clone()).map_err(|problem| damaged(problem.to_string()))?;
     // Damage must be found now and not when the copy is needed.
-    backup.decode().map_err(damaged)?;
+    backup.decode().map_err(|problem| damaged(problem.to_string()))?;
     write_atomically(&out, &format!("{given}\n"), 0o600)?;
     let Backup { fleet, by, term, index, missions, under_way, .. } = &backup;
     if json {

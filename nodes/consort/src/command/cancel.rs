@@ -3,7 +3,7 @@
 use super::mission_action::MissionActionFlags;
 use crate::exit::Failure;
 use consort_protocol::keys::ApiCall;
-use serde_json::Value;
+use consort_protocol::ledger::MissionState;
 
 /// Cancel a mission
 ///
@@ -24,12 +24,5 @@ pub struct Args {
 /// See [`Client::api`](crate::client::Client::api); a mission that has ended otherwise, or does not
 /// exist, is [`Failure::Unsuccessful`].
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.on_word.request(ApiCall::Cancel, |state| {
-        let word = state.as_str().or_else(|| state.as_object().and_then(first_key));
-        word.unwrap_or("canceled").to_owned()
-    })
-}
-
-fn first_key(map: &serde_json::Map<String, Value>) -> Option<&str> {
-    map.keys().next().map(String::as_str)
+    args.on_word.request(ApiCall::Cancel, |state| state.map_or("canceled", MissionState::as_str))
 }

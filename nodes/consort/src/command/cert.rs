@@ -3,9 +3,9 @@
 use crate::certs::{CertificateEntry, CertificateState, CertificateStore};
 use crate::exit::Failure;
 use crate::output;
-use consort_protocol::count::count;
 use consort_protocol::ids::{FleetId, NodeId, PersonId};
 use consort_protocol::trust::{AccessScope, Identity, NodeRole, Principal};
+use consort_text::count;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 

@@ -5,7 +5,7 @@ use crate::diagnostic::Diagnostics;
 use crate::exit::Failure;
 use crate::extensions::Extensions;
 use crate::{lab_program, output};
-use consort_protocol::count::count;
+use consort_text::count;
 use std::path::{Path, PathBuf};
 
 /// Check mission, map, fleet, robot, station, world and workers files

@@ -5,7 +5,7 @@ use crate::doctor::{DiagnosisTarget, Severity, run_checks};
 use crate::exit::Failure;
 use crate::extensions::Extensions;
 use crate::output;
-use consort_protocol::count::count;
+use consort_text::count;
 use serde_json::json;
 use std::path::PathBuf;
 

@@ -1,9 +1,9 @@
 //! Converts the robots, people and objects of a drawing to a world file.
 
 use crate::config::{FleetConfig, FleetRef, WorldConfig};
+use consort_map_import::{Drawing, DrawnItem, DrawnObject, DrawnPerson, DrawnRobot};
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
-use consort_world::map::{Drawing, DrawnItem, DrawnObject, DrawnPerson, DrawnRobot};
 use consort_world::world::{ObjectSetup, PersonName, PersonSetup, RobotSetup, SampleId};
 use std::str::FromStr;
 

@@ -1,6 +1,6 @@
 //! `consort dry-run`: computes the result of a mission's auction.
 
-use super::flags::key_value;
+use super::flag_values::key_value;
 use crate::dry_run::{DryRunOutcome, WorkerBid, simulate_auction};
 use crate::exit::Failure;
 use crate::extensions::Extensions;

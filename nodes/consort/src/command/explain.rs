@@ -2,8 +2,9 @@
 
 use crate::client::{Client, QueryFlags};
 use crate::exit::Failure;
+use consort_protocol::api::{ExplainReply, MissionQuery};
+use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
-use serde_json::{Value, json};
 
 /// Explain why each robot did or did not get each role of a mission
 ///
@@ -17,7 +18,7 @@ Examples:
   consort explain lab-samples-1 --json --connect tcp/192.0.2.7:7447")]
 pub struct Args {
     /// The mission
-    mission: String,
+    mission: MissionId,
     #[command(flatten)]
     ask: QueryFlags,
 }
@@ -29,10 +30,7 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let Args { mission, ask } = args;
     ask.print(
-        async |client: &mut Client| client.api(ApiCall::Explain, &json!({ "mission": mission })).await,
-        |answer| {
-            let lines = answer["text"].as_array().into_iter().flatten().filter_map(Value::as_str);
-            lines.collect::<Vec<_>>().join("\n")
-        },
+        async |client: &mut Client| client.api(ApiCall::Explain, &MissionQuery { mission }).await,
+        |answer: &ExplainReply| answer.text.join("\n"),
     )
 }

@@ -1,5 +1,6 @@
 //! Flags shared by several commands.
 
+use super::flag_values::{seconds, share, timing};
 use crate::config::{
     BusConfig, ConfigFile, FleetConfig, FleetRef, LogFormat, NodeFile, TelemetryConfig, load, to_toml,
 };
@@ -13,41 +14,9 @@ use consort_protocol::ids::FleetId;
 use consort_protocol::mission::Domain;
 use consort_protocol::timing::Timing;
 use consort_protocol::units::{BatteryShare, Seconds};
+use consort_protocol::versions::VersionRange;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-
-/// Reads `NAME=VALUE`.
-pub(super) fn key_value(text: &str) -> Result<(String, String), String> {
-    match text.split_once('=') {
-        Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
-        _ => Err("expected NAME=VALUE, as room='IC Room 6'".to_owned()),
-    }
-}
-
-/// Parses a battery share.
-pub(super) fn share(text: &str) -> Result<BatteryShare, String> {
-    quantity(text, BatteryShare::new)
-}
-
-pub(super) fn seconds(text: &str) -> Result<Seconds, String> {
-    quantity(text, Seconds::new)
-}
-
-pub(super) fn quantity<Q>(
-    text: &str,
-    new: impl Fn(f64) -> Result<Q, consort_protocol::units::UnitError>,
-) -> Result<Q, String> {
-    let number: f64 = text.parse().map_err(|_| format!("{text:?} is not a number"))?;
-    new(number).map_err(|problem| problem.to_string())
-}
-
-fn timing(text: &str) -> Result<Timing, String> {
-    match text {
-        "lan" => Ok(Timing::Lan),
-        "wifi" => Ok(Timing::Wifi),
-        _ => Err("allowed is lan or wifi".to_owned()),
-    }
-}
 
 /// Flags for running a node.
 #[derive(Debug, clap::Args)]
@@ -122,6 +91,16 @@ pub(super) struct NodeFlags {
     fleet: FleetFlags,
     #[command(flatten)]
     run: RunFlags,
+    /// Read and write wire versions only up to this version, as an earlier release does: for tests
+    /// of rolling upgrades
+    #[arg(
+        long,
+        env = "CONSORT_NEWEST_WIRE_VERSION",
+        hide = true,
+        default_value_t = VersionRange::OWN.newest,
+        value_parser = clap::value_parser!(u8).range(i64::from(VersionRange::OWN.oldest)..=i64::from(VersionRange::OWN.newest))
+    )]
+    newest_wire_version: u8,
 }
 
 impl NodeFlags {
@@ -152,7 +131,10 @@ impl NodeFlags {
         let surroundings = file.common_mut();
         node_runtime::run_node(self.run.until_stdin_closes, &surroundings, &fleet, || {
             let data_dir = surroundings.data_dir.as_deref();
-            wire(&config_for_node, &fleet, NodeIncarnation::start(&config_for_node.node(), &fleet, data_dir)?)
+            let incarnation = NodeIncarnation::start(&config_for_node.node(), &fleet, data_dir)?;
+            let settings = wire(&config_for_node, &fleet, incarnation)?;
+            let supported_versions = settings.supported_versions.up_to(self.newest_wire_version);
+            Ok(NodeSettings { supported_versions, ..settings })
         })
     }
 }

@@ -4,7 +4,9 @@ use crate::client::{Client, QueryFlags};
 use crate::exit::Failure;
 use crate::output;
 use consort_protocol::keys::Key;
-use serde_json::{Value, json};
+use consort_protocol::view::{CoordinatorView, FleetView, NodeStatus, NodeView, WithProvenance};
+use serde::Deserialize;
+use serde_json::json;
 
 /// Show the nodes of a fleet and its coordinator
 ///
@@ -19,6 +21,13 @@ pub struct Args {
     ask: QueryFlags,
 }
 
+/// The views that the command shows.
+#[derive(Deserialize)]
+struct FleetStatus {
+    fleet: FleetView,
+    coordinator: WithProvenance<CoordinatorView>,
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -29,77 +38,59 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let coordinator = client.query_view(&Key::ViewCoordinator).await?;
         Ok(json!({ "fleet": fleet, "coordinator": coordinator }))
     };
-    args.ask.print(look, |seen| format_fleet(&seen["fleet"], &seen["coordinator"]))
+    args.ask.print(look, format_fleet)
 }
 
-fn format_fleet(fleet: &Value, coordinator: &Value) -> String {
+fn format_fleet(FleetStatus { fleet, coordinator }: &FleetStatus) -> String {
     let heads = ["NODE", "ALIVE", "VOTES", "PLACE", "BATTERY", "SPEED", "HOLDS", "MEMBER", "CONTACT", "SKILLS"];
-    let nodes = fleet.get("nodes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-    let rows = nodes.iter().map(|node| row(node, fleet, coordinator));
+    let rows = fleet.nodes.iter().map(|node| row(node, fleet, &coordinator.content));
     let rows: Vec<Vec<String>> = std::iter::once(heads.map(str::to_owned).to_vec()).chain(rows).collect();
     format!("{}\n{}", format_coordinator(coordinator), output::table(&rows))
 }
 
-fn format_coordinator(coordinator: &Value) -> String {
-    let text = |key: &str| coordinator.get(key).and_then(Value::as_str).unwrap_or("?");
-    let number = |key: &str| coordinator.get(key).and_then(Value::as_u64).unwrap_or(0);
-    let list = |key: &str| {
-        let names = coordinator.get(key).and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str);
-        let names: Vec<&str> = names.collect();
-        if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+fn format_coordinator(WithProvenance { provenance, content: view }: &WithProvenance<CoordinatorView>) -> String {
+    let term = provenance.term;
+    let voters: Vec<&str> = view.voters.iter().map(|voter| voter.as_str()).collect();
+    let voters = if voters.is_empty() { "none".to_owned() } else { voters.join(", ") };
+    let Some(node) = &view.node else {
+        let seen_by = &provenance.seen_by;
+        return format!("no coordinator, as seen by {seen_by}; the last term was {term}; voters: {voters}");
     };
-    let (term, voters) = (number("term"), list("voters"));
-    if coordinator.get("node").is_none_or(Value::is_null) {
-        return format!("no coordinator, as seen by {}; the last term was {term}; voters: {voters}", text("seen_by"));
-    }
-    let since = number("since_ms") as f64 / 1000.0;
-    let node = text("node");
+    let since = view.since_ms.unwrap_or(0) as f64 / 1000.0;
     format!("{node} is the coordinator for {since:.1} s, term {term}; voters: {voters}")
 }
 
-fn row(node: &Value, fleet: &Value, coordinator: &Value) -> Vec<String> {
-    let name = node.get("node").and_then(Value::as_str).unwrap_or("?");
-    let yes_no = |value: Option<&Value>| value.and_then(Value::as_bool).map_or("?", |is| if is { "yes" } else { "no" });
-    let number = |pointer: &str| node.pointer(pointer).and_then(Value::as_f64);
+fn row(view: &NodeView, fleet: &FleetView, coordinator: &CoordinatorView) -> Vec<String> {
+    let NodeView { node, contact, record, holds, .. } = view;
+    let yes_no = |is: bool| if is { "yes" } else { "no" };
     let dash = || "-".to_owned();
-    let member = fleet.pointer("/ensembles/0/nodes").and_then(Value::as_array).into_iter().flatten();
-    let member = member.into_iter().find(|entry| entry.get("node").and_then(Value::as_str) == Some(name));
-    let holds = node.get("holds").filter(|holds| holds.is_object()).map(|holds| {
-        let text = |key: &str| holds.get(key).and_then(Value::as_str).unwrap_or("?");
-        format!("{} of {}", text("role"), text("mission"))
-    });
-    let skills = node
-        .pointer("/robot/skills")
-        .and_then(Value::as_array)
-        .map(|skills| skills.iter().filter_map(Value::as_str).collect::<Vec<_>>().join(", "));
-    let among = |list: &str| {
-        let list = coordinator.get(list).and_then(Value::as_array);
-        list.is_some_and(|list| list.iter().any(|node| node.as_str() == Some(name)))
-    };
-    let coordinates = coordinator.get("node").and_then(Value::as_str) == Some(name);
+    let robot = record.robot.as_ref();
+    let mut members = fleet.ensembles.first().into_iter().flat_map(|ensemble| &ensemble.nodes);
+    let member = members.find(|member| member.node == *node).map(|member| yes_no(member.membership.member));
+    let skills = robot.map(|robot| robot.skills.iter().map(|skill| skill.as_str()).collect::<Vec<_>>().join(", "));
     vec![
-        name.to_owned(),
-        match node.get("status").and_then(Value::as_str) {
-            Some("suspect") => "suspect",
-            _ => yes_no(node.get("alive")),
+        node.to_string(),
+        match contact.status {
+            NodeStatus::Suspect => "suspect",
+            NodeStatus::Unknown | NodeStatus::Alive | NodeStatus::Down => yes_no(contact.alive),
         }
         .to_owned(),
-        if coordinates {
+        if coordinator.node.as_ref() == Some(node) {
             "coordinates"
-        } else if among("voters_lost") {
+        } else if coordinator.voters_lost.contains(node) {
             "lost"
-        } else if among("voters") {
+        } else if coordinator.voters.contains(node) {
             "votes"
         } else {
             "-"
         }
         .to_owned(),
-        node.pointer("/robot/place").and_then(Value::as_str).map_or_else(dash, str::to_owned),
-        number("/robot/battery").map_or_else(dash, |share| format!("{:.1} %", share * 100.0)),
-        number("/robot/speed").map_or_else(dash, |speed| format!("{speed:.2} m/s")),
-        holds.unwrap_or_else(dash),
-        yes_no(member.and_then(|member| member.get("member"))).to_owned(),
-        number("/age_ms").map_or_else(dash, |age| format!("{:.1} s ago", age / 1000.0)),
+        robot.map_or_else(dash, |robot| robot.place.to_string()),
+        robot.map_or_else(dash, |robot| format!("{:.1} %", robot.battery.get() * 100.0)),
+        robot.and_then(|robot| robot.speed).map_or_else(dash, |speed| format!("{:.2} m/s", speed.get())),
+        holds.as_ref().map_or_else(dash, |held| format!("{} of {}", held.role, held.mission)),
+        member.unwrap_or("?").to_owned(),
+        format!("{:.1} s ago", contact.age_ms as f64 / 1000.0),
         skills.unwrap_or_else(dash),
     ]
 }

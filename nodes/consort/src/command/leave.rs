@@ -2,9 +2,9 @@
 
 use crate::client::QueryFlags;
 use crate::exit::Failure;
+use consort_fleet::autopilot::DecommissionReport;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
-use serde_json::Value;
 use std::time::Duration;
 
 /// Time limit for a node to leave: its robot waits for a lease and its grace time, its vote for the
@@ -44,21 +44,20 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 .show(format_args!("{} is leaving: its robot's role and its vote go to others", args.node));
             client.query_node(&leave, &args.node, LEAVES_WITHIN).await
         },
-        |answer| words(&args.node, answer),
+        words,
     )
 }
 
-fn words(node: &NodeId, answer: &Value) -> String {
-    let is = |key: &str| answer.get(key).and_then(Value::as_bool).unwrap_or(false);
-    let successor = answer.get("successor").and_then(Value::as_str);
+fn words(report: &DecommissionReport) -> String {
+    let DecommissionReport { node, successor, was_member, vote_released, role_released } = report;
     let mut words = format!("{node} has left");
     if let Some(successor) = successor {
         words += &format!("; {successor} is the coordinator");
     }
-    if is("was_member") {
-        words += if is("vote_released") { "; it is no longer a voter" } else { "; its vote is not removed yet" };
+    if *was_member {
+        words += if *vote_released { "; it is no longer a voter" } else { "; its vote is not removed yet" };
     }
-    if !is("role_released") {
+    if !role_released {
         words += "; its robot's role was not released in time; another robot gets it when the lease has expired";
     }
     words

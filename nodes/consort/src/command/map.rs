@@ -1,12 +1,14 @@
 //! `consort map`: draws, checks and converts maps.
 
 use super::drawn_world;
+use super::flag_values::InvalidValue;
 use crate::config::to_toml;
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::exit::Failure;
 use crate::{map_loader, output};
-use consort_protocol::count::count;
-use consort_world::map::{self, Drawing, ImportOptions, Map, render};
+use consort_map_import::{Drawing, ImportOptions};
+use consort_text::count;
+use consort_world::map::{self, Map, render};
 use std::path::{Path, PathBuf};
 
 /// Draw, check and convert maps
@@ -110,19 +112,19 @@ struct Reading {
     graph: Option<i64>,
 }
 
-fn scale(text: &str) -> Result<f64, String> {
+fn scale(text: &str) -> Result<f64, InvalidValue> {
     let scale: Option<f64> = text.parse().ok();
     scale
         .filter(|scale| (1e-6..=1e6).contains(scale))
-        .ok_or_else(|| "allowed is a number from 0.000001 to 1000000".into())
+        .ok_or_else(|| InvalidValue::new("allowed is a number from 0.000001 to 1000000"))
 }
 
 impl Reading {
     fn read(&self, file: &Path) -> Result<(Drawing, Map), Diagnostics> {
         let name = file.to_string_lossy();
-        let wrong = |error| map_loader::diagnostics(&name, error);
         if map_loader::is_shipped(&name) {
-            return Ok((map::shipped_drawing(&name).map_err(wrong)?, map::shipped(&name).map_err(wrong)?));
+            let wrong = |error| map_loader::diagnostics(&name, error);
+            return Ok((map::shipped_file(&name).map_err(wrong)?.into(), map::shipped(&name).map_err(wrong)?));
         }
         let text = map_loader::read_text(&name)?;
         if map_loader::is_published_format(&text) {
@@ -131,8 +133,9 @@ impl Reading {
             return Err(Diagnostic::for_file(&name, what).into());
         }
         let options = ImportOptions { scale_m: self.scale, graph: self.graph };
-        let drawing = map::parse_drawing(&text, &name, &options).map_err(wrong)?;
-        let map = drawing.map.check(&name).map_err(wrong)?;
+        let drawing =
+            consort_map_import::parse(&text, &name, &options).map_err(|error| map_loader::diagnostics(&name, error))?;
+        let map = drawing.map.check(&name).map_err(|error| map_loader::diagnostics(&name, error))?;
         Ok((drawing, map))
     }
 }

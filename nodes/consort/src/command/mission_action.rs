@@ -2,9 +2,10 @@
 
 use crate::client::QueryFlags;
 use crate::exit::Failure;
+use consort_protocol::api::{MissionChangeReply, MissionChangeRequest};
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
-use serde_json::{Value, json};
+use consort_protocol::ledger::MissionState;
 
 /// Flags for the mission and the person.
 #[derive(Debug, clap::Args)]
@@ -23,13 +24,17 @@ impl MissionActionFlags {
     ///
     /// # Errors
     /// See [`QueryFlags::print`].
-    pub(super) fn request(&self, call: ApiCall, word: impl FnOnce(&Value) -> String) -> Result<(), Failure> {
-        let request = json!({ "mission": self.mission, "by": self.by });
+    pub(super) fn request(
+        &self,
+        call: ApiCall,
+        word: impl FnOnce(Option<&MissionState>) -> &'static str,
+    ) -> Result<(), Failure> {
+        let request = MissionChangeRequest { mission: self.mission.clone(), by: self.by.clone() };
         self.ask.print(
             async |client| client.api(call, &request).await,
-            |answer| {
-                let state = &answer["state"];
-                format!("{} {}{}", self.mission, word(state), super::missions::detail(state))
+            |MissionChangeReply { mission, state }: &MissionChangeReply| {
+                let detail = state.as_ref().map(super::missions::detail).unwrap_or_default();
+                format!("{mission} {}{detail}", word(state.as_ref()))
             },
         )
     }

@@ -1,11 +1,15 @@
 //! `consort missions`: lists missions and their progress.
 
-use crate::client::{Client, ClientFlags};
+use crate::client::{Client, ClientFlags, read_answer};
 use crate::exit::Failure;
 use crate::output;
+use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
-use serde_json::{Value, json};
+use consort_protocol::ledger::{HeldItem, MissionState};
+use consort_protocol::view::{MissionBrief, MissionSummary, MissionsView};
+use serde_json::Value;
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::time::Duration;
 
 /// Show missions and their progress
@@ -46,11 +50,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 async fn list(client: &mut Client) -> Result<Value, Failure> {
-    client.api(ApiCall::List, &json!(null)).await
-}
-
-fn entries(answer: &Value) -> &[Value] {
-    answer.get("missions").and_then(Value::as_array).map_or(&[], Vec::as_slice)
+    client.api(ApiCall::List, &()).await
 }
 
 async fn once(client: &mut Client, in_json: bool) -> Result<(), Failure> {
@@ -58,7 +58,7 @@ async fn once(client: &mut Client, in_json: bool) -> Result<(), Failure> {
     if in_json {
         return output::line(&answer);
     }
-    let missions = entries(&answer);
+    let MissionsView { missions } = read_answer(&answer)?;
     if missions.is_empty() {
         return output::line("no missions yet; `consort submit lab-samples` submits a mission");
     }
@@ -68,80 +68,57 @@ async fn once(client: &mut Client, in_json: bool) -> Result<(), Failure> {
 }
 
 async fn watch(client: &mut Client, in_json: bool) -> Result<(), Failure> {
-    let mut shown: BTreeMap<String, Value> = BTreeMap::new();
+    let mut shown: BTreeMap<MissionId, MissionSummary> = BTreeMap::new();
     loop {
-        let answer = list(client).await?;
-        for mission in entries(&answer) {
-            let id = text(mission, "mission");
-            if shown.get(&id) != Some(mission) {
+        let MissionsView { missions } = read_answer(&list(client).await?)?;
+        for mission in missions {
+            if shown.get(&mission.brief.mission) != Some(&mission) {
                 client.progress().clear();
                 if in_json {
-                    output::line(mission)?;
+                    output::line(serde_json::to_value(&mission).expect("a summary serializes to JSON"))?;
                 } else {
-                    output::line(row(mission).join("  ").trim_end())?;
+                    output::line(row(&mission).join("  ").trim_end())?;
                 }
-                shown.insert(id, mission.clone());
+                shown.insert(mission.brief.mission.clone(), mission);
             }
         }
         tokio::time::sleep(LOOK).await;
     }
 }
 
-fn text(value: &Value, key: &str) -> String {
-    value.get(key).and_then(Value::as_str).unwrap_or("?").to_owned()
-}
-
-fn row(mission: &Value) -> Vec<String> {
-    let number = |key: &str| mission.get(key).and_then(Value::as_u64).unwrap_or(0);
-    let why = mission.get("pending_reason").and_then(Value::as_str).map(str::to_owned);
-    let why = why.filter(|_| text(mission, "state") == "pending");
+fn row(mission: &MissionSummary) -> Vec<String> {
+    let MissionSummary { brief: MissionBrief { mission, status, terms, progress, .. }, pending_reason } = mission;
+    let why = pending_reason.clone().filter(|_| status.detail == MissionState::Pending);
     vec![
-        text(mission, "mission"),
-        text(mission, "state").replace('_', " "),
-        format!("{}/{}", number("done"), number("steps")),
-        pairs(mission.get("parameters")),
-        pairs(mission.get("holders")),
-        why.unwrap_or_else(|| {
-            mission.get("detail").map(detail).unwrap_or_default().trim_start_matches(": ").to_owned()
-        }),
+        mission.to_string(),
+        status.detail.as_str().replace('_', " "),
+        format!("{}/{}", progress.done, progress.steps),
+        pairs(&terms.parameters),
+        pairs(&progress.holders),
+        why.unwrap_or_else(|| detail(&status.detail).trim_start_matches(": ").to_owned()),
     ]
 }
 
-fn pairs(value: Option<&Value>) -> String {
-    let Some(Value::Object(map)) = value else { return "-".to_owned() };
-    let plain = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-    let pairs: Vec<String> = map.iter().map(|(name, value)| format!("{name}={}", plain(value))).collect();
+fn pairs<K: Display, V: Display>(map: &BTreeMap<K, V>) -> String {
+    let pairs: Vec<String> = map.iter().map(|(name, value)| format!("{name}={value}")).collect();
     if pairs.is_empty() { "-".to_owned() } else { pairs.join(", ") }
 }
 
 /// Formats the last known places of items: `sample with amber (r1) at IC Room 6, not certain`.
-fn last_known_places(items: &Value) -> String {
-    let line = |kept: &Value| {
-        let place = kept.get("place").and_then(Value::as_str).map(|place| format!(" at {place}"));
-        let certain = kept.get("certain").and_then(Value::as_bool).unwrap_or(false);
-        format!(
-            "{} with {} ({}){}{}",
-            text(kept, "item"),
-            text(kept, "robot"),
-            text(kept, "role"),
-            place.unwrap_or_default(),
-            if certain { "" } else { ", not certain" },
-        )
+fn last_known_places(items: &[HeldItem]) -> String {
+    let line = |HeldItem { item, role, robot, place, certain }: &HeldItem| {
+        let place = place.as_ref().map(|place| format!(" at {place}")).unwrap_or_default();
+        format!("{item} with {robot} ({role}){place}{}", if *certain { "" } else { ", not certain" })
     };
-    items.as_array().into_iter().flatten().map(line).collect::<Vec<_>>().join("; ")
+    items.iter().map(line).collect::<Vec<_>>().join("; ")
 }
 
-/// Formats the fields of a mission's state, as `: cause`.
-pub(super) fn detail(state: &Value) -> String {
-    let Value::Object(map) = state else { return String::new() };
-    let fields = map.values().filter_map(Value::as_object).flat_map(|fields| fields.iter());
-    let fields_text: Vec<String> = fields
-        .map(|(name, value)| match (name.as_str(), value.as_str()) {
-            ("items", None) => last_known_places(value),
-            ("by", Some(who)) => format!("by {who}"),
-            (_, Some(text)) => text.to_owned(),
-            (name, None) => format!("{name} {value}"),
-        })
-        .collect();
-    if fields_text.is_empty() { String::new() } else { format!(": {}", fields_text.join(", ")) }
+/// Formats the details of a mission's state, as `: cause`.
+pub(super) fn detail(state: &MissionState) -> String {
+    match state {
+        MissionState::Pending | MissionState::Running | MissionState::Completed => String::new(),
+        MissionState::Failed { cause } => format!(": {cause}"),
+        MissionState::Canceled { by } => format!(": by {by}"),
+        MissionState::NeedsIntervention { cause, items } => format!(": {cause}, {}", last_known_places(items)),
+    }
 }

@@ -1,7 +1,7 @@
 //! `consort record`: records a fleet's messages to a file.
 
+use super::flag_values::parse_duration;
 use crate::client::{Client, ClientFlags};
-use crate::command::duration::parse_duration;
 use crate::exit::Failure;
 use crate::file::already_exists;
 use crate::output::{self, Progress};
@@ -10,7 +10,7 @@ use consort_bus::clock::Clock;
 use consort_dashboard::fleet_model::{FleetListener, FleetModel, FloorPlan};
 use consort_dashboard::recording::{Recorder, RecordingStats, RecordingWriter};
 use consort_dashboard::subscriber::subscribe_fleet;
-use consort_protocol::count::count;
+use consort_text::count;
 use consort_world::record::foxglove::ExistingFile;
 use indicatif::HumanBytes;
 use std::path::PathBuf;

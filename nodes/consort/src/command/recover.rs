@@ -4,11 +4,11 @@
 use crate::exit::Failure;
 use crate::output::{self, Progress};
 use crate::wiring::random_u64;
-use consort_protocol::count::count;
 use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::ledger::Ledger;
 use consort_raft::LogStoreContents;
 use consort_raft::store::{DurableStore, OpenError, inspect_ledger, recover};
+use consort_text::count;
 use std::collections::BTreeSet;
 use std::io;
 use std::path::PathBuf;

@@ -8,7 +8,7 @@ use crate::shutdown_signals::ShutdownSignals;
 use consort_dashboard::address::BoundAddress;
 use consort_dashboard::recording::{Player, RecordingReader};
 use consort_dashboard::server::Dashboard;
-use consort_protocol::count::count;
+use consort_text::count;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use time::OffsetDateTime;
@@ -51,7 +51,7 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     start_log(rust_log().as_deref().unwrap_or("off"), LogFormat::Human)?;
     build_runtime()?.block_on(async {
-        let address = BoundAddress::bind("--dashboard", args.dashboard).await.map_err(Failure::Usage)?;
+        let address = BoundAddress::bind("--dashboard", args.dashboard).await?;
         let reader = RecordingReader::open(&args.file).map_err(|problem| Failure::Usage(problem.to_string()))?;
         let player = Player::new(reader.from_ms(), reader.to_ms(), args.speed);
         let player = player.map_err(|problem| Failure::Usage(format!("--speed: {problem}")))?;

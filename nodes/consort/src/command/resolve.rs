@@ -24,5 +24,5 @@ pub struct Args {
 /// See [`Client::api`](crate::client::Client::api); a mission that does not need intervention, or
 /// does not exist, is [`Failure::Unsuccessful`].
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.on_word.request(ApiCall::Resolve, |_| "closed".to_owned())
+    args.on_word.request(ApiCall::Resolve, |_| "closed")
 }

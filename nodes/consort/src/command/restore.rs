@@ -4,9 +4,9 @@ use crate::certs::unix_time;
 use crate::exit::Failure;
 use crate::output;
 use crate::wiring::{new_store_identity, random_u64};
-use consort_protocol::count::count;
 use consort_protocol::ids::{ClusterId, NodeId};
 use consort_raft::store::{Backup, DurableStore, OpenError, StoreOwner, restore};
+use consort_text::count;
 use std::fs;
 use std::path::PathBuf;
 

@@ -1,6 +1,7 @@
 //! `consort robot`: runs the node of a robot.
 
-use super::flags::{NodeFlags, VoterFlags, quantity, set, share};
+use super::flag_values::{InvalidValue, quantity, share};
+use super::flags::{NodeFlags, VoterFlags, set};
 use crate::config::{RobotConfig, load};
 use crate::exit::Failure;
 use crate::extensions::Extensions;
@@ -60,11 +61,11 @@ struct RobotFlags {
     keeper: VoterFlags,
 }
 
-fn speed(text: &str) -> Result<MetresPerSecond, String> {
+fn speed(text: &str) -> Result<MetresPerSecond, InvalidValue> {
     quantity(text, MetresPerSecond::new)
 }
 
-fn rate(text: &str) -> Result<SharePerSecond, String> {
+fn rate(text: &str) -> Result<SharePerSecond, InvalidValue> {
     quantity(text, SharePerSecond::new)
 }
 

@@ -4,8 +4,8 @@ use crate::check::FileKind;
 use crate::config::{FleetConfig, RobotConfig, StationConfig, WorldConfig};
 use crate::exit::Failure;
 use crate::{inputs, lab_program, output};
-use consort_evaluation::calibration::Calibration;
 use consort_protocol::mission::MissionTemplate;
+use consort_skills::descriptor::Calibration;
 use consort_world::map::MapFile;
 use schemars::{Schema, schema_for};
 

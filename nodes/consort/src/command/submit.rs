@@ -1,16 +1,17 @@
 //! `consort submit`: submits a mission.
 
-use super::flags::key_value;
-use crate::client::{Client, ClientFlags};
+use super::flag_values::{InvalidValue, key_value};
+use crate::client::{Client, ClientFlags, read_answer};
 use crate::exit::Failure;
 use crate::{inputs, node_runtime, output};
-use consort_protocol::ids::RequestId;
+use consort_protocol::api::{MissionQuery, SubmitReply, SubmitRequest};
+use consort_protocol::ids::{MissionId, RequestId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::ledger::{Priority, time_until_deadline};
+use consort_protocol::ledger::{MissionState, Priority, time_until_deadline};
+use consort_protocol::view::{MissionBrief, MissionView};
 use rand::TryRng;
 use rand::rngs::SysRng;
-use serde_json::{Value, json};
-use std::collections::BTreeMap;
+use serde_json::{Map, Value};
 use std::env;
 use std::time::Duration;
 
@@ -67,13 +68,14 @@ const LOOK: Duration = Duration::from_millis(500);
 /// complete.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mission = inputs::mission_request(&args.mission)?;
-    let parameters: BTreeMap<&str, &str> = args.parameters.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
-    let name = args.request.as_ref().map_or_else(random_name, ToString::to_string);
-    let mut request = json!({ "mission": mission, "parameters": parameters, "request": name });
-    request["priority"] = json!(args.priority.get());
-    if let Some(deadline) = args.deadline {
-        request["deadline_s"] = json!(deadline);
-    }
+    let name = args.request.clone().unwrap_or_else(random_name);
+    let request = SubmitRequest {
+        mission,
+        parameters: args.parameters.iter().cloned().collect(),
+        request: Some(name.clone()),
+        priority: args.priority.get().into(),
+        deadline_s: args.deadline,
+    };
     node_runtime::build_runtime()?.block_on(async {
         let mut client = Client::open(&args.client).await?;
         let ended = submit(&mut client, &args, &name, &request).await;
@@ -82,10 +84,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     })
 }
 
-async fn submit(client: &mut Client, args: &Args, name: &str, request: &Value) -> Result<(), Failure> {
-    let repeat_command =
-        || repeat_command(env::args_os().map(|word| word.to_string_lossy().into_owned()), args.request.is_none(), name);
-    let mut answer = client.api(ApiCall::Submit, request).await.map_err(|failure| match failure {
+async fn submit(client: &mut Client, args: &Args, name: &RequestId, request: &SubmitRequest) -> Result<(), Failure> {
+    let words = || env::args_os().map(|word| word.to_string_lossy().into_owned());
+    let repeat_command = || repeat_command(words(), args.request.is_none(), name.as_str());
+    let answer = client.api(ApiCall::Submit, request).await.map_err(|failure| match failure {
         Failure::Unreachable(problem) => Failure::Unreachable(format!(
             "{problem}\nIt is unknown if request {name} was accepted. It can be repeated safely: it creates a single mission, \
              however often it is sent:\n  {}",
@@ -93,15 +95,15 @@ async fn submit(client: &mut Client, args: &Args, name: &str, request: &Value) -
         )),
         other => other,
     })?;
-    let Some(id) = answer.get("mission").and_then(Value::as_str).map(str::to_owned) else {
+    let Ok(SubmitReply { mission: id, again }) = read_answer(&answer) else {
         return Err(Failure::Unsuccessful(format!("the coordinator answered {answer}")));
     };
     if args.json {
-        answer["request"] = json!(name);
-        output::line(&answer)?;
+        let mut fields = read_answer::<Map<String, Value>>(&answer)?;
+        fields.insert("request".to_owned(), name.as_str().into());
+        output::line(Value::Object(fields))?;
     } else {
-        let before = answer.get("again") == Some(&Value::Bool(true));
-        output::line(format_args!("{id}{}", if before { " (requested before)" } else { "" }))?;
+        output::line(format_args!("{id}{}", if again { " (requested before)" } else { "" }))?;
     }
     if !args.wait {
         return Ok(());
@@ -127,43 +129,44 @@ fn repeat_command(words: impl Iterator<Item = String>, add_request: bool, name: 
     shlex::try_join(words.iter().map(String::as_str)).expect("the words of a command line hold no NUL")
 }
 
-fn priority(text: &str) -> Result<Priority, String> {
-    let number = text.parse().map_err(|_| format!("{text:?} is not a whole number; allowed are -100 to 100"))?;
-    Priority::new(number).map_err(|problem| problem.to_string())
+fn priority(text: &str) -> Result<Priority, InvalidValue> {
+    let number = text
+        .parse()
+        .map_err(|_| InvalidValue::new(format_args!("{text:?} is not a whole number; allowed are -100 to 100")))?;
+    Priority::new(number).map_err(InvalidValue::new)
 }
 
-fn deadline(text: &str) -> Result<f64, String> {
-    let number = text.parse().map_err(|_| format!("{text:?} is not a number of seconds from now"))?;
-    time_until_deadline(number).map(|_| number).map_err(|problem| problem.to_string())
+fn deadline(text: &str) -> Result<f64, InvalidValue> {
+    let number =
+        text.parse().map_err(|_| InvalidValue::new(format_args!("{text:?} is not a number of seconds from now")))?;
+    time_until_deadline(number).map(|_| number).map_err(InvalidValue::new)
 }
 
-fn random_name() -> String {
+fn random_name() -> RequestId {
     let number = SysRng.try_next_u64().expect("the system has random numbers");
-    format!("cli-{number:016x}")
+    RequestId::new(format!("cli-{number:016x}")).expect("a prefix and a number are a slug")
 }
 
-async fn wait(client: &mut Client, id: &str, in_json: bool) -> Result<(), Failure> {
+async fn wait(client: &mut Client, id: &MissionId, in_json: bool) -> Result<(), Failure> {
     loop {
-        let mission = client.api(ApiCall::Get, &json!({ "mission": id })).await?;
-        let state = mission.get("state").and_then(Value::as_str).unwrap_or("unknown");
-        let number = |key: &str| mission.get(key).and_then(Value::as_u64).unwrap_or(0);
-        if !["pending", "running"].contains(&state) {
+        let answer = client.api(ApiCall::Get, &MissionQuery { mission: id.clone() }).await?;
+        let MissionView { brief: MissionBrief { status, progress, .. }, auction, .. } = read_answer(&answer)?;
+        let state = status.detail.as_str().replace('_', " ");
+        if !matches!(status.detail, MissionState::Pending | MissionState::Running) {
             client.progress().clear();
             if in_json {
-                output::line(&mission)?;
+                output::line(&answer)?;
             } else {
-                output::line(format_args!("{id} {}", state.replace('_', " ")))?;
+                output::line(format_args!("{id} {state}"))?;
             }
-            let state = state.replace('_', " ");
-            let detail = mission.get("detail").map(super::missions::detail).unwrap_or_default();
-            return match state.as_str() {
-                "completed" => Ok(()),
-                _ => Err(Failure::Unsuccessful(format!("{id} {state}{detail}"))),
+            return match &status.detail {
+                MissionState::Completed => Ok(()),
+                detail => Err(Failure::Unsuccessful(format!("{id} {state}{}", super::missions::detail(detail)))),
             };
         }
-        let why = mission.pointer("/auction/failure").and_then(Value::as_str).filter(|_| state == "pending");
+        let why = auction.and_then(|auction| auction.failure).filter(|_| status.detail == MissionState::Pending);
         let why = why.map(|why| format!(" ({why})")).unwrap_or_default();
-        client.progress().show(format_args!("{id} {state}{why}: {} of {} steps", number("done"), number("steps")));
+        client.progress().show(format_args!("{id} {state}{why}: {} of {} steps", progress.done, progress.steps));
         tokio::time::sleep(LOOK).await;
     }
 }

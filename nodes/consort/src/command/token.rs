@@ -1,7 +1,7 @@
 //! `consort token`: makes a token for the HTTP pages of a closed fleet.
 
+use super::flag_values::parse_duration;
 use crate::certs::{read_fleet_of_authority, unix_time};
-use crate::command::duration::parse_duration;
 use crate::exit::Failure;
 use crate::output;
 use crate::trust::person_keyring;

@@ -1,10 +1,10 @@
 //! `consort upgrade`: shows the progress of a rolling upgrade, and finishes it.
 
-use crate::client::ClientFlags;
+use crate::client::{ClientFlags, read_answer};
 use crate::exit::Failure;
 use crate::output;
+use consort_protocol::api::{NodeVersions, UpgradeReply, UpgradeRequest};
 use consort_protocol::keys::ApiCall;
-use serde_json::{Value, json};
 
 /// Show the progress of a rolling upgrade, and finish it
 ///
@@ -40,42 +40,40 @@ pub struct Args {
 /// coordinator.
 pub fn run(args: Args) -> Result<(), Failure> {
     let Args { finish, json, client } = args;
-    let asked = json!({ "finish": finish });
-    let status = client.with_client(async |client| client.api(ApiCall::Upgrade, &asked).await)?;
+    let request = UpgradeRequest { finish };
+    let status = client.with_client(async |client| client.api(ApiCall::Upgrade, &request).await)?;
     match json {
         true => output::line(status),
-        false => output::line(format_status(&status)),
+        false => output::line(format_status(&read_answer(&status)?)),
     }
 }
 
-fn format_status(status: &Value) -> String {
+fn format_status(UpgradeReply { wire, next, nodes }: &UpgradeReply) -> String {
     let heads = ["NODE", "ALIVE", "READS", "NEXT"].map(str::to_owned).to_vec();
-    let nodes = status["nodes"].as_array().map_or(&[][..], Vec::as_slice);
     let rows: Vec<Vec<String>> = std::iter::once(heads).chain(nodes.iter().map(row)).collect();
-    let (wire, next) = (&status["wire"], &status["next"]);
-    let behind = nodes.iter().filter(|node| node["ready"] == false).count();
-    let head = match (next.is_null(), behind) {
-        (true, _) => format!("the fleet writes wire version {wire}; the coordinator's release reads no later version"),
-        (false, 0) => format!(
+    let behind = nodes.iter().filter(|node| node.ready == Some(false)).count();
+    let head = match (next, behind) {
+        (None, _) => format!("the fleet writes wire version {wire}; the coordinator's release reads no later version"),
+        (Some(next), 0) => format!(
             "the fleet writes wire version {wire}; every node reads {next}: switch with `consort upgrade --finish`"
         ),
-        (false, behind) => {
+        (Some(next), behind) => {
             format!("the fleet writes wire version {wire}; {behind} of {} nodes do not read {next} yet", nodes.len())
         }
     };
     format!("{head}\n{}", output::table(&rows))
 }
 
-fn row(node: &Value) -> Vec<String> {
-    let yes_no = |key: &str| match node[key].as_bool() {
+fn row(NodeVersions { node, alive, oldest, newest, ready }: &NodeVersions) -> Vec<String> {
+    let yes_no = |value: Option<bool>| match value {
         Some(true) => "yes",
         Some(false) => "no",
         None => "-",
     };
-    let reads = match (node["oldest"].as_u64(), node["newest"].as_u64()) {
+    let reads = match (oldest, newest) {
         (Some(oldest), Some(newest)) if oldest == newest => newest.to_string(),
         (Some(oldest), Some(newest)) => format!("{oldest} to {newest}"),
         _ => "unknown".to_owned(),
     };
-    vec![node["node"].as_str().unwrap_or("?").to_owned(), yes_no("alive").to_owned(), reads, yes_no("ready").to_owned()]
+    vec![node.to_string(), yes_no(Some(*alive)).to_owned(), reads, yes_no(*ready).to_owned()]
 }

@@ -2,7 +2,8 @@
 
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::file;
-use consort_protocol::mission::{AllowedNames, Domain};
+use consort_protocol::mission::Domain;
+use consort_text::AllowedNames;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::ops::Range;

@@ -21,6 +21,7 @@ pub use fleet::DemoFleet;
 pub use process_fleet::ProcessFleet;
 pub use scenario::{DemoScenario, MissionRequest};
 
+use crate::command::flag_values::InvalidValue;
 use crate::exit::Failure;
 use crate::extensions::Extensions;
 use crate::rendering::{self, RenderFlags};
@@ -88,9 +89,9 @@ pub struct Args {
     render: RenderFlags,
 }
 
-fn speed(text: &str) -> Result<f64, String> {
-    let speed: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
-    if (0.1..=200.0).contains(&speed) { Ok(speed) } else { Err("allowed is 0.1 to 200".to_owned()) }
+fn speed(text: &str) -> Result<f64, InvalidValue> {
+    let speed: f64 = text.parse().map_err(|_| InvalidValue::new("not a number"))?;
+    if (0.1..=200.0).contains(&speed) { Ok(speed) } else { Err(InvalidValue::new("allowed is 0.1 to 200")) }
 }
 
 impl Args {
@@ -131,7 +132,7 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
             let program =
                 program.map_err(|problem| Failure::Unsuccessful(format!("this program's own file: {problem}")))?;
             let address = args.dashboard.unwrap_or(SocketAddr::from(([127, 0, 0, 1], 0)));
-            let address = BoundAddress::bind("--dashboard", address).await.map_err(Failure::Usage)?;
+            let address = BoundAddress::bind("--dashboard", address).await?;
             let floor_plan = FloorPlan::new(&map_loader::load(&scenario.fleet.map)?);
             let fleet = ProcessFleet::start(&scenario, &program, args.port).await?;
             let dashboard =

@@ -11,8 +11,8 @@ use crate::exit::Failure;
 use crate::shutdown_signals::ShutdownSignals;
 use consort_bus::zenoh_bus::Mode;
 use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
-use consort_protocol::count::count;
 use consort_protocol::ids::NodeId;
+use consort_text::count;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::future::Future;
@@ -88,7 +88,7 @@ impl ProcessFleet {
             Err(problem) => {
                 // The last output of the child that ended most likely contains the reason.
                 let ended = children.iter_mut().find_map(|(node, child)| last_output(&folder.0, node, child));
-                return Err(Failure::Unreachable(ended.unwrap_or(problem)));
+                return Err(ended.map_or(problem, Failure::Unreachable));
             }
         };
         let speed = scenario.world.speed;
@@ -276,7 +276,7 @@ fn spawn(program: &Path, folder: &Path, node: &NodeId, kind: &str) -> Result<Chi
         .map_err(failed(format_args!("{node} could not be started")))
 }
 
-async fn connect(endpoint: &str) -> Result<ZenohBus, String> {
+async fn connect(endpoint: &str) -> Result<ZenohBus, Failure> {
     let deadline = Instant::now() + CONNECT_LIMIT;
     loop {
         let settings = ZenohSettings {
@@ -288,7 +288,8 @@ async fn connect(endpoint: &str) -> Result<ZenohBus, String> {
         match ZenohBus::open(settings).await {
             Ok(bus) => return Ok(bus),
             Err(problem) if Instant::now() >= deadline => {
-                return Err(format!("no connection to the world at {endpoint} within {CONNECT_LIMIT:?}: {problem}"));
+                let what = format!("no connection to the world at {endpoint} within {CONNECT_LIMIT:?}: {problem}");
+                return Err(Failure::Unreachable(what));
             }
             Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
         }

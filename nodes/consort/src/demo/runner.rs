@@ -9,12 +9,16 @@ use crate::inputs;
 use consort_bus::{Sample, Stream};
 use consort_dashboard::query::{QueryError, QueryTarget, query_once};
 use consort_dashboard::server::Dashboard;
-use consort_protocol::count::count;
+use consort_protocol::api::{MissionSource, SubmitReply, SubmitRequest};
 use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::MissionState;
 use consort_protocol::mission::Domain;
+use consort_protocol::view::{CoordinatorView, MissionsView};
+use consort_text::count;
+use consort_world::world::WorldReport;
+use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -36,7 +40,7 @@ pub(super) struct DemoOptions {
     /// True if the fleet stays up after the summary.
     pub(super) keep_running: bool,
     /// The mission to submit, in the format of the API: a name, or a whole file.
-    pub(super) mission: Value,
+    pub(super) mission: MissionSource,
 }
 
 /// Runs a demo on a fleet.
@@ -70,7 +74,7 @@ struct MissionProgress {
 ///
 /// # Errors
 /// [`Failure::Usage`] with the problem, or with the bundled missions.
-pub(super) fn mission_request(text: &str, domain: &Domain) -> Result<Value, Failure> {
+pub(super) fn mission_request(text: &str, domain: &Domain) -> Result<MissionSource, Failure> {
     let template = inputs::mission(text).map_err(|problems| Failure::Usage(format!("--mission {problems}")))?;
     if !template.parameters().contains_key("room") {
         return Err(Failure::Usage(format!(
@@ -148,8 +152,8 @@ impl<S: DemoFleet> DemoRunner<S> {
                 return Err(Failure::Unreachable(words));
             }
             self.listen(events, Duration::from_millis(100)).await?;
-            if let Some(view) = self.query_view(&Key::ViewCoordinator).await {
-                self.coordinator = view["node"].as_str().and_then(|node| node.parse().ok());
+            if let Some(view) = self.query_view::<CoordinatorView>(&Key::ViewCoordinator).await {
+                self.coordinator = view.node;
             }
         }
         Ok(())
@@ -157,17 +161,20 @@ impl<S: DemoFleet> DemoRunner<S> {
 
     async fn submit_all(&mut self, events: &mut Stream<Sample>) -> Result<(), Failure> {
         for request in self.scenario.requests.clone() {
-            let asked = json!({
-                "mission": self.options.mission,
-                "parameters": { "room": request.room },
-                "request": request.request,
-            });
+            let submission = SubmitRequest {
+                mission: self.options.mission.clone(),
+                parameters: [("room".to_owned(), request.room.to_string())].into(),
+                request: Some(request.request.clone()),
+                priority: 0,
+                deadline_s: None,
+            };
+            let payload = serde_json::to_string(&submission).expect("a request serializes to JSON");
             let deadline = self.fleet.elapsed() + ELECTION_LIMIT;
             let mission: MissionId = loop {
-                let problem = match self.query(&Key::Api(ApiCall::Submit), &asked.to_string(), QueryTarget::All).await {
-                    Ok(answer) => match answer["mission"].as_str().and_then(|id| id.parse().ok()) {
-                        Some(mission) => break mission,
-                        None => "an answer without a mission".to_owned(),
+                let problem = match self.query(&Key::Api(ApiCall::Submit), &payload, QueryTarget::All).await {
+                    Ok(answer) => match SubmitReply::deserialize(answer) {
+                        Ok(reply) => break reply.mission,
+                        Err(_) => "an answer without a mission".to_owned(),
                     },
                     Err(QueryError::Rejected(problem) | QueryError::Retryable(problem, _)) => problem,
                     Err(QueryError::NoReply) => "no reply".to_owned(),
@@ -294,27 +301,22 @@ impl<S: DemoFleet> DemoRunner<S> {
 
     /// Events may be lost; the coordinator has the state of the missions.
     async fn refresh_missions(&mut self) {
-        let Some(view) = self.query_view(&Key::ViewMissions).await else { return };
+        let Some(view) = self.query_view::<MissionsView>(&Key::ViewMissions).await else { return };
         let at = self.fleet.elapsed();
-        for entry in view["missions"].as_array().into_iter().flatten() {
-            let id = entry["mission"].as_str().and_then(|id| id.parse::<MissionId>().ok());
-            let Some(progress) = id.and_then(|id| self.missions.get_mut(&id)) else { continue };
-            let holders = entry["holders"].as_object().into_iter().flatten();
-            let holders = holders.map(|(role, robot)| format!("{role}: {}", robot.as_str().unwrap_or("?")));
+        for brief in view.missions.into_iter().map(|summary| summary.brief) {
+            let Some(progress) = self.missions.get_mut(&brief.mission) else { continue };
+            let holders = brief.progress.holders.iter().map(|(role, robot)| format!("{role}: {robot}"));
             progress.holders = holders.collect::<Vec<_>>().join(", ");
-            if let Ok(state) = serde_json::from_value::<MissionState>(entry["detail"].clone())
-                && state.is_final()
-            {
-                progress.end.get_or_insert((at, state));
+            if brief.status.detail.is_final() {
+                progress.end.get_or_insert((at, brief.status.detail));
             }
         }
     }
 
     async fn summarize(&mut self) -> Result<(), Failure> {
         self.refresh_missions().await;
-        let world = self.query_view(&Key::ViewWorld).await.unwrap_or(Value::Null);
-        let samples: Vec<(String, String)> = world["samples"].as_array().into_iter().flatten().map(sample).collect();
-        let delivered = samples.iter().filter(|(_, place)| place == "Laboratory").count();
+        let samples = self.query_view::<WorldReport>(&Key::ViewWorld).await.unwrap_or_default().samples;
+        let delivered = samples.iter().filter(|sample| sample.place.as_str() == "Laboratory").count();
 
         let (rows, missions) = self.table();
         let completed = self
@@ -386,16 +388,11 @@ impl<S: DemoFleet> DemoRunner<S> {
         })
     }
 
-    async fn query_view(&self, key: &Key) -> Option<Value> {
-        self.query(key, "", QueryTarget::Nearest).await.ok()
+    async fn query_view<T: for<'de> Deserialize<'de>>(&self, key: &Key) -> Option<T> {
+        T::deserialize(self.query(key, "", QueryTarget::Nearest).await.ok()?).ok()
     }
 
     async fn query(&self, key: &Key, payload: &str, target: QueryTarget) -> Result<Value, QueryError> {
         query_once(&*self.fleet.bus(), &self.keys.write(key), payload, QUERY_LIMIT, target).await
     }
-}
-
-fn sample(report: &Value) -> (String, String) {
-    let text = |key: &str| report[key].as_str().unwrap_or("?").to_owned();
-    (text("id"), text("place"))
 }

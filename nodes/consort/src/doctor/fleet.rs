@@ -2,12 +2,12 @@
 
 use super::{DiagnosisTarget, Finding, Severity};
 use crate::certs::unix_time;
-use crate::client::Client;
+use crate::client::{Client, read_answer};
 use crate::exit::Failure;
 use crate::node_runtime::build_runtime;
 use bytes::Bytes;
 use consort_protocol::keys::Key;
-use serde_json::Value;
+use consort_protocol::view::{HealthFinding, HealthLevel, HealthView, Provenance, WithProvenance};
 use std::time::Duration;
 
 /// Time limit for the replies of all nodes.
@@ -32,11 +32,10 @@ async fn query(target: &DiagnosisTarget) -> Result<Vec<Finding>, Failure> {
     let nodes = query_all_nodes(&client).await;
     client.close().await;
     let mut findings = vec![];
-    let health = health?;
-    let notes = health["findings"].as_array().cloned().unwrap_or_default();
-    findings.extend(notes.iter().filter_map(|note| finding_of(target, note)));
+    let WithProvenance::<HealthView> { provenance, content: health } = read_answer(&health?)?;
+    findings.extend(health.findings.iter().filter_map(|note| finding_of(target, note)));
     if findings.is_empty() {
-        let coordinator = health["coordinator"].as_str().unwrap_or("none");
+        let coordinator = provenance.coordinator.as_ref().map_or("none", |node| node.as_str());
         findings.push(Finding::ok(
             format!("fleet {}", target.fleet),
             format!("coordinator {coordinator}; no problems found"),
@@ -46,38 +45,35 @@ async fn query(target: &DiagnosisTarget) -> Result<Vec<Finding>, Failure> {
     Ok(findings)
 }
 
-/// Queries the status of every node.
-async fn query_all_nodes(client: &Client) -> Vec<Value> {
+/// Queries the clock and the version of every node.
+async fn query_all_nodes(client: &Client) -> Vec<Provenance> {
     let key = client.keys().any_seen_coordinator();
     let Ok(mut replies) = client.bus().query(&key, Bytes::new(), LIMIT).await else { return vec![] };
     let mut all = Vec::new();
     while let Ok(Some(reply)) = tokio::time::timeout(LIMIT, replies.recv()).await {
-        all.extend(reply.payload.ok().and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok()));
+        all.extend(reply.payload.ok().and_then(|bytes| serde_json::from_slice::<Provenance>(&bytes).ok()));
     }
-    all.sort_by_key(|view| view["seen_by"].to_string());
+    all.sort_by(|one, other| one.seen_by.cmp(&other.seen_by));
     all
 }
 
 /// Converts a health finding of the nearest node.
-fn finding_of(target: &DiagnosisTarget, note: &Value) -> Option<Finding> {
-    let state = match note["level"].as_str()? {
-        "warning" => Severity::Warning,
-        "error" => Severity::Error,
-        _ => return None,
+fn finding_of(target: &DiagnosisTarget, note: &HealthFinding) -> Option<Finding> {
+    let state = match note.level {
+        HealthLevel::Warning => Severity::Warning,
+        HealthLevel::Error => Severity::Error,
+        HealthLevel::Ok => return None,
     };
-    let text = note["text"].as_str().unwrap_or_default();
     let advice = "`consort fleet` and `consort missions` show more";
-    Some(Finding { state, ..Finding::warning(format!("fleet {}", target.fleet), text, advice) })
+    Some(Finding { state, ..Finding::warning(format!("fleet {}", target.fleet), &note.text, advice) })
 }
 
 /// Compares a node's clock and version with this machine's.
-fn node(seen: &Value) -> Vec<Finding> {
-    let about = format!("node {}", seen["seen_by"].as_str().unwrap_or("?"));
+fn node(Provenance { seen_by, at_ms, version, .. }: &Provenance) -> Vec<Finding> {
+    let about = format!("node {seen_by}");
     let own = u64::try_from(unix_time().as_millis()).unwrap_or(u64::MAX);
-    let difference = seen["at_ms"].as_u64().map(|at| own.abs_diff(at));
-    let version = seen["version"].as_str().unwrap_or("?");
-    let clock = match difference {
-        Some(difference) if difference > CLOCK_DIFFERENCE_MAX_MS => {
+    let clock = match own.abs_diff(*at_ms) {
+        difference if difference > CLOCK_DIFFERENCE_MAX_MS => {
             let text = format!("its clock and this machine's differ by {:.1} s", difference as f64 / 1e3);
             let advice = "synchronise both (timedatectl set-ntp true): certificates and deadlines depend on it";
             Finding::warning(&about, text, advice)

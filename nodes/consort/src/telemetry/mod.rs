@@ -13,7 +13,7 @@ pub use log::EventLogger;
 use consort_bus::cluster_membership::ClusterMembership;
 use consort_fleet::node::NodeSettings;
 use consort_fleet::observe::SharedObserver;
-use consort_protocol::ids::ClusterId;
+use consort_protocol::ids::{ClusterId, NodeId};
 use std::sync::{Arc, OnceLock};
 
 /// Time limit for sending the last spans when a node ends.
@@ -37,14 +37,33 @@ pub struct Telemetry {
     exporter: Option<otlp::Exporter>,
 }
 
+/// Spans cannot be sent. The node is not started.
+#[derive(Debug, thiserror::Error)]
+pub enum TelemetryError {
+    /// The program does not contain the exporter.
+    #[error("{0} was built without OpenTelemetry: build it with --features otlp, or leave out --otlp")]
+    NotBuilt(NodeId),
+    /// The address of the collector is not usable.
+    #[error("--otlp {endpoint}: {problem}; as http://127.0.0.1:4318")]
+    Collector {
+        /// The address.
+        endpoint: String,
+        /// The reason.
+        problem: String,
+    },
+}
+
 impl Telemetry {
     /// Creates the telemetry of the node with `settings`; spans go to the collector at `endpoint`
     /// (as `http://127.0.0.1:4318`), if given. Called within a tokio runtime. Also returns the
     /// observers to attach to the node.
     ///
     /// # Errors
-    /// A message with the reason why spans cannot be sent there.
-    pub fn open(endpoint: Option<&str>, settings: &NodeSettings) -> Result<(Telemetry, Vec<SharedObserver>), String> {
+    /// [`TelemetryError`] with the reason why spans cannot be sent there.
+    pub fn open(
+        endpoint: Option<&str>,
+        settings: &NodeSettings,
+    ) -> Result<(Telemetry, Vec<SharedObserver>), TelemetryError> {
         let membership = ClusterCell::default();
         let mut observers: Vec<SharedObserver> = vec![Arc::new(EventLogger(membership.clone()))];
         #[cfg(feature = "otlp")]
@@ -55,10 +74,7 @@ impl Telemetry {
         }
         #[cfg(not(feature = "otlp"))]
         match endpoint {
-            Some(_) => Err(format!(
-                "{} was built without OpenTelemetry: build it with --features otlp, or leave out --otlp",
-                settings.node
-            )),
+            Some(_) => Err(TelemetryError::NotBuilt(settings.node.clone())),
             None => Ok((Telemetry { membership }, std::mem::take(&mut observers))),
         }
     }

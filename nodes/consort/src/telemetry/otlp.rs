@@ -1,7 +1,7 @@
 //! Sends spans to a collector, by OTLP over HTTP.
 
-use super::ClusterCell;
 use super::spans::{Span, SpanTracker};
+use super::{ClusterCell, TelemetryError};
 use consort_fleet::node::NodeSettings;
 use consort_fleet::observe::{Observer, SharedObserver};
 use consort_protocol::event::Event;
@@ -35,9 +35,16 @@ pub(super) struct Exporter {
 }
 
 impl Exporter {
-    pub(super) fn start(endpoint: &str, settings: &NodeSettings, membership: ClusterCell) -> Result<Exporter, String> {
+    pub(super) fn start(
+        endpoint: &str,
+        settings: &NodeSettings,
+        membership: ClusterCell,
+    ) -> Result<Exporter, TelemetryError> {
         let at = format!("{}/v1/traces", endpoint.trim_end_matches('/'));
-        let wrong = |problem: &dyn std::fmt::Display| format!("--otlp {endpoint}: {problem}; as http://127.0.0.1:4318");
+        let wrong = |problem: &dyn std::fmt::Display| TelemetryError::Collector {
+            endpoint: endpoint.to_owned(),
+            problem: problem.to_string(),
+        };
         if !endpoint.starts_with("http://") {
             return Err(wrong(&"a collector's address starts with http://"));
         }

@@ -5,7 +5,7 @@
 mod panels;
 
 use consort_dashboard::fleet_model::{FleetModel, ReachabilityState};
-use consort_protocol::count::count;
+use consort_text::count;
 use ratatui::Frame;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -205,15 +205,15 @@ mod tests {
     /// A fleet of two robots and a mission, as published by a coordinator.
     fn model() -> FleetModel {
         let mut model = FleetModel::new("ward", "desk", FloorPlan::default(), 0);
-        let worker = json!({ "skills": ["navigation"], "place": "Dock", "pose": { "x": 0.0, "y": 0.0, "yaw": 0.0 },
+        let worker = json!({ "skills": ["navigation"], "place": "Dock", "pose": { "x_m": 0.0, "y_m": 0.0, "yaw_rad": 0.0 },
             "battery": 0.42, "discharge": 0.0001, "useful_charge": 0.1, "speed": 0.5, "availability": "free",
             "estimator": "standard" });
         let node = |name: &str, alive: bool| {
-            json!({ "node": name, "alive": alive, "status": if alive { "alive" } else { "down" }, "age_ms": 100,
+            json!({ "node": name, "seen_by": "desk", "alive": alive, "status": if alive { "alive" } else { "down" }, "age_ms": 100,
                 "may_vote": true, "stationary": false, "mains_powered": false, "leaving": false, "robot": worker })
         };
         model.apply_view(&Key::ViewFleet, &json!({ "nodes": [node("ada", true), node("bea", false)] }), NOW_MS);
-        let coordinator = json!({ "node": "ada", "term": 3, "since_ms": 1000, "voters": ["ada"], "observers": [] });
+        let coordinator = json!({ "seen_by": "desk", "node": "ada", "term": 3, "since_ms": 1000, "voters": ["ada"], "observers": [] });
         model.apply_view(&Key::ViewCoordinator, &coordinator, NOW_MS);
         let mission = json!({ "mission": "lab-samples-1", "state": "running", "detail": "running", "done": 4, "steps": 16,
             "holders": { "r1": "ada" }, "parameters": {}, "priority": 0, "submitted_at_ms": 40_000 });

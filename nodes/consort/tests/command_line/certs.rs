@@ -20,19 +20,19 @@ fn cert(dir: &Path, arguments: &[&str]) -> (i32, String) {
 #[test]
 fn certificates_are_created_shown_renewed_and_revoked() {
     let dir = folder("made");
-    let (code, said) = cert(&dir, &["node", "ada", "--roles", "robot"]);
-    assert!(code == 2 && said.contains("there is no authority here; `consort cert init"), "{said}");
+    let (code, output) = cert(&dir, &["node", "ada", "--roles", "robot"]);
+    assert!(code == 2 && output.contains("there is no authority here; `consort cert init"), "{output}");
     assert_eq!(cert(&dir, &["init", "--fleet", "ward"]).0, 0);
-    let (code, said) = cert(&dir, &["init", "--fleet", "ward"]);
-    assert!(code == 2 && said.contains("there is an authority already"), "{said}");
+    let (code, output) = cert(&dir, &["init", "--fleet", "ward"]);
+    assert!(code == 2 && output.contains("there is an authority already"), "{output}");
     assert_eq!(cert(&dir, &["node", "ada", "--roles", "robot,voter", "--address", "192.0.2.7"]).0, 0);
     assert_eq!(cert(&dir, &["person", "kim", "--scope", "submit", "--days", "30"]).0, 0);
-    let (code, said) = cert(&dir, &["node", "ada", "--roles", "robot"]);
-    assert!(code == 2 && said.contains("it exists already; `consort cert renew`"), "{said}");
-    let (code, said) = cert(&dir, &["node", "bob", "--roles", "boss"]);
-    assert!(code == 2 && said.contains("allowed: robot, voter, host"), "{said}");
-    let (code, said) = cert(&dir, &["person", "authority"]);
-    assert!(code == 2 && said.contains("this name is reserved for the authority"), "{said}");
+    let (code, output) = cert(&dir, &["node", "ada", "--roles", "robot"]);
+    assert!(code == 2 && output.contains("it exists already; `consort cert renew`"), "{output}");
+    let (code, output) = cert(&dir, &["node", "bob", "--roles", "boss"]);
+    assert!(code == 2 && output.contains("allowed: robot, voter, host"), "{output}");
+    let (code, output) = cert(&dir, &["person", "authority"]);
+    assert!(code == 2 && output.contains("this name is reserved for the authority"), "{output}");
 
     for key in ["authority/ca.key", "ada/key.pem", "kim/key.pem"] {
         let mode = std::fs::metadata(dir.join(key)).expect(key).permissions().mode();
@@ -52,10 +52,10 @@ fn certificates_are_created_shown_renewed_and_revoked() {
     assert_ne!(after[0]["serial"], before[0]["serial"]);
     assert_eq!((&after[0]["identity"], &after[0]["addresses"]), (&before[0]["identity"], &before[0]["addresses"]));
 
-    let (code, said) = cert(&dir, &["revoke", "bob"]);
-    assert!(code == 2 && said.contains("there is no certificate of \"bob\"; there are: ada, kim"), "{said}");
-    let (code, said) = cert(&dir, &["revoke", "ada"]);
-    assert!(code == 0 && said.contains("kim/revoked.pem"), "{said}");
+    let (code, output) = cert(&dir, &["revoke", "bob"]);
+    assert!(code == 2 && output.contains("there is no certificate of \"bob\"; there are: ada, kim"), "{output}");
+    let (code, output) = cert(&dir, &["revoke", "ada"]);
+    assert!(code == 0 && output.contains("kim/revoked.pem"), "{output}");
     assert_eq!((&shown()[0]["state"], &shown()[1]["state"]), (&"revoked".into(), &"valid".into()));
     // A certificate that was revoked before stays revoked.
     assert_eq!(cert(&dir, &["revoke", "kim"]).0, 0);

@@ -1,8 +1,8 @@
 //! Shipped deployment files: configurations and units.
 
+use super::skip::skip;
 use super::support::{crate_file, run};
 use std::fs;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -51,9 +51,7 @@ fn copy(from: &Path, to: &Path) {
 fn systemd_accepts_the_units() {
     let system = Path::new("/lib/systemd/system");
     if Command::new("systemd-analyze").arg("--version").output().is_err() || !system.exists() {
-        // Tests may print; the lint applies to the program.
-        let _ = writeln!(std::io::stderr(), "skipped: there is no systemd-analyze, or no units of systemd's own");
-        return;
+        return skip("no program systemd-analyze, or no units of systemd");
     }
     let root = Path::new(env!("CARGO_TARGET_TMPDIR")).join("command_line/machine");
     let units = root.join("usr/lib/systemd/system");
@@ -70,10 +68,10 @@ fn systemd_accepts_the_units() {
     let root = format!("--root={}", root.display());
     for kind in ["station", "robot", "world"] {
         let unit = format!("consort-{kind}@{kind}-1.service");
-        let said = Command::new("systemd-analyze").args(["verify", "--man=no", &root, &unit]).output();
-        let said = said.expect("it was there a moment ago");
+        let verified = Command::new("systemd-analyze").args(["verify", "--man=no", &root, &unit]).output();
+        let verified = verified.expect("it was there a moment ago");
         // An unknown key does not make it fail.
-        let text = String::from_utf8_lossy(&said.stderr).into_owned();
-        assert!(said.status.success() && text.is_empty(), "{unit}: {text}");
+        let text = String::from_utf8_lossy(&verified.stderr).into_owned();
+        assert!(verified.status.success() && text.is_empty(), "{unit}: {text}");
     }
 }

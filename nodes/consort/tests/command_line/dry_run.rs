@@ -1,3 +1,4 @@
+use super::skip::skip;
 use super::support::{crate_file, run, test_file};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -75,7 +76,7 @@ fn a_mission_without_viable_bids_fails_with_the_reason() {
     assert!(ran.err.contains("the mission would stay pending: no viable bid for r1"), "{}", ran.err);
 }
 
-/// Returns the folder of the published evaluation, if available.
+/// Returns the folder of the published evaluation; skips the test if it is not installed.
 fn reference() -> Option<PathBuf> {
     let folder = std::env::var_os("CONSORT_REFERENCE")
         .map_or_else(|| crate_file("../../../shared/reference").into(), PathBuf::from);
@@ -83,10 +84,7 @@ fn reference() -> Option<PathBuf> {
     if folder.join("bids_27.jsonl").is_file() {
         return Some(folder);
     }
-    #[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
-    {
-        eprintln!("skipped: {} is not there; CONSORT_REFERENCE names its parent", folder.display());
-    }
+    skip("no published evaluation (CONSORT_REFERENCE names the folder that contains it)");
     None
 }
 

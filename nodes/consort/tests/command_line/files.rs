@@ -13,7 +13,7 @@ fn the_shipped_examples_missions_and_maps_are_valid() {
         ("../../examples/calibration.toml", "a calibration: 0 skills, 0 legs"),
         ("tests/data/ward_map.json", "a map: 5 places, 4 ways"),
         ("tests/data/ward_scenarios.json", "scenarios: 1 of them"),
-        ("../../protocol/missions/lab-samples.yaml", "a mission: lab-samples, 3 roles, 19 steps"),
+        ("../../skills/missions/lab-samples.yaml", "a mission: lab-samples, 3 roles, 19 steps"),
         ("../../sim_bridge/world/maps/hospital.yaml", "a map: 32 places, 31 ways"),
     ];
     let paths: Vec<String> = files.iter().map(|(path, _)| crate_file(path)).collect();

@@ -5,10 +5,14 @@ mod certs;
 mod deploy;
 mod dry_run;
 mod files;
+#[path = "../../../../tests/support/free_port.rs"]
+mod free_port;
 mod help;
 mod map;
 mod network;
 mod recordings;
 mod recover;
 mod requests;
+#[path = "../../../../tests/support/skip.rs"]
+mod skip;
 mod support;

@@ -2,7 +2,7 @@ use super::support::{command, crate_file, run, test_file};
 use std::path::PathBuf;
 
 fn sample(name: &str) -> String {
-    crate_file(&format!("../sim_bridge/world/maps/{name}"))
+    crate_file(&format!("../../sim_bridge/map_import/maps/{name}"))
 }
 
 /// Returns an empty folder of a test.

@@ -3,10 +3,11 @@ use consort_bus::{LinkModel, VirtualNetwork};
 use consort_nodes::config::FleetConfig;
 use consort_protocol::ids::{ClusterId, NodeId, RequestId};
 use consort_protocol::ledger::{Command, Ledger, Submission};
-use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::plan::divide_and_check;
 use consort_raft::store::{DurableStore, LEDGER_FILE, StoreOwner, inspect_ledger};
 use consort_raft::{RaftSettings, Replica, StoreIdentity};
+use consort_skills::domain::hospital;
+use consort_skills::missions::shipped;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -50,7 +51,7 @@ fn name(name: &str) -> NodeId {
 fn three_voters(folder: &Folder) {
     let fleet = FleetConfig::default().name;
     let template = &shipped()["lab-samples"];
-    let mission = template.instantiate(&BTreeMap::new(), &Domain::hospital()).expect("a shipped mission");
+    let mission = template.instantiate(&BTreeMap::new(), &hospital()).expect("a shipped mission");
     let submit = |request: &str| {
         let (request, division) = (RequestId::new(request).expect("a slug"), divide_and_check(&mission));
         let division = division.expect("a shipped mission");
@@ -137,7 +138,7 @@ fn the_last_of_three_becomes_the_only_voter_and_coordinates_again() {
     let ran = recover(&cyd, &[]);
     assert_eq!(ran.code, Some(1), "{}", ran.err);
     assert!(ran.err.contains("nothing was changed; confirm with y, or use --yes"), "{}", ran.err);
-    for said in [
+    for expected in [
         "is the store of node cyd of fleet ward.",
         "voters                   ada, bob, cyd",
         "missions                 2, of which 1 has not ended",
@@ -146,7 +147,7 @@ fn the_last_of_three_becomes_the_only_voter_and_coordinates_again() {
         "that only the disks of ada, bob hold",
         "Before cyd is started: end ada, bob, and make sure that they do not restart",
     ] {
-        assert!(ran.out.contains(said), "{said} is missing in\n{}", ran.out);
+        assert!(ran.out.contains(expected), "{expected} is missing in\n{}", ran.out);
     }
     assert_eq!(held(), before);
 

@@ -37,18 +37,18 @@ fn an_invalid_priority_or_deadline_is_rejected_before_connecting() {
 fn a_mission_keeps_its_priority_and_fails_after_its_deadline() {
     let address = free_address();
     let _station = station(&address, &[]);
-    let ask = |args: &[&str]| run(&[args, &["--connect", &address]].concat());
+    let command = |args: &[&str]| run(&[args, &["--connect", &address]].concat());
 
-    let ran = ask(&["submit", "lab-samples", "--priority", "-7", "--deadline", "900", "--json"]);
+    let ran = command(&["submit", "lab-samples", "--priority", "-7", "--deadline", "900", "--json"]);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
-    let ran = ask(&["missions", "--json"]);
+    let ran = command(&["missions", "--json"]);
     let missions: Value = serde_json::from_str(&ran.out).unwrap_or_else(|problem| panic!("{problem}: {}", ran.out));
     let mission = &missions["missions"][0];
     assert_eq!(mission["priority"], -7, "{mission}");
-    let (asked, due) = (mission["submitted_at_ms"].as_u64(), mission["deadline_at_ms"].as_u64());
-    assert_eq!(due, asked.map(|asked| asked + 900_000), "{mission}");
+    let (submitted_at, deadline_at) = (mission["submitted_at_ms"].as_u64(), mission["deadline_at_ms"].as_u64());
+    assert_eq!(deadline_at, submitted_at.map(|submitted_at| submitted_at + 900_000), "{mission}");
 
-    let ran = ask(&["submit", "lab-samples", "--deadline", "0.5", "--wait"]);
+    let ran = command(&["submit", "lab-samples", "--deadline", "0.5", "--wait"]);
     assert_eq!((ran.code, ran.out.as_str()), (Some(1), "lab-samples-2\nlab-samples-2 failed\n"), "{}", ran.err);
     let expected = "consort: lab-samples-2 failed: its deadline passed while it waited: no viable bid for lab_arm, r1";
     assert!(ran.err.contains(expected), "{}", ran.err);
@@ -58,18 +58,18 @@ fn a_mission_keeps_its_priority_and_fails_after_its_deadline() {
 fn a_mission_without_need_of_intervention_cannot_be_resolved() {
     let address = free_address();
     let _station = station(&address, &[]);
-    let ask = |args: &[&str]| run(&[args, &["--connect", &address]].concat());
-    let ran = ask(&["submit", "lab-samples"]);
+    let command = |args: &[&str]| run(&[args, &["--connect", &address]].concat());
+    let ran = command(&["submit", "lab-samples"]);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
     for (mission, expected) in [
         ("lab-samples-1", "lab-samples-1 is pending; only a mission that needs intervention can be resolved"),
         ("lab-samples-9", "no mission lab-samples-9"),
     ] {
-        let ran = ask(&["resolve", mission, "--by", "Nia"]);
+        let ran = command(&["resolve", mission, "--by", "Nia"]);
         assert_eq!((ran.code, ran.out.as_str()), (Some(1), ""), "{}", ran.err);
         assert!(ran.err.contains(expected), "{}", ran.err);
     }
-    let ran = ask(&["resolve", "Lab Samples"]);
+    let ran = command(&["resolve", "Lab Samples"]);
     assert_eq!(ran.code, Some(2), "{}", ran.err);
     assert!(ran.err.contains("invalid value 'Lab Samples' for '<MISSION>'"), "{}", ran.err);
 }
@@ -81,16 +81,16 @@ fn a_command_retries_until_there_is_a_coordinator() {
     let args = ["submit", "lab-samples", "--connect", &address, "--timeout", "60"];
     let asking = command(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the binary starts");
     let mut asking = Running(asking);
-    let said = asking.0.stderr.take().expect("it is piped");
+    let errors = asking.0.stderr.take().expect("it is piped");
     let retries = |line: &String| line.starts_with("no coordinator yet: trying again in 0.3 s");
-    let mut said = BufReader::new(said).lines().map(|line| line.expect("it writes UTF-8"));
-    assert!(said.any(|line| retries(&line)), "it ended without a word of it");
+    let mut errors = BufReader::new(errors).lines().map(|line| line.expect("it writes UTF-8"));
+    assert!(errors.any(|line| retries(&line)), "it ended without a word of it");
 
     let args = ["station", "--name", "s2", "--bootstrap-expect", "2", "--connect", &address];
     let _second = Running(command(&args).stderr(Stdio::null()).spawn().expect("the binary starts"));
     let out = asking.0.stdout.take().expect("it is piped");
     let out: Vec<String> = BufReader::new(out).lines().map(|line| line.expect("it writes UTF-8")).collect();
-    assert_eq!(out, ["lab-samples-1"], "{:?}", said.collect::<Vec<_>>());
+    assert_eq!(out, ["lab-samples-1"], "{:?}", errors.collect::<Vec<_>>());
     assert!(asking.0.wait().expect("a child of ours").success());
 
     // Without a second node the command gives up after its timeout.
@@ -112,8 +112,9 @@ fn said_to_repeat(err: &str) -> Vec<String> {
 fn an_unanswered_request_can_be_repeated_and_gets_a_single_mission() {
     let address = free_address();
     let _first = station(&address, &["--bootstrap-expect", "2"]);
-    let asked = ["submit", "lab-samples", "--set", "room=IC Room 6", "--json", "--connect", &address, "--timeout", "2"];
-    let ran = run(&asked);
+    let arguments =
+        ["submit", "lab-samples", "--set", "room=IC Room 6", "--json", "--connect", &address, "--timeout", "2"];
+    let ran = run(&arguments);
     assert_eq!((ran.code, ran.out.as_str()), (Some(3), ""), "{}", ran.err);
     let again = said_to_repeat(&ran.err);
     let flag = again.iter().position(|word| word == "--request").unwrap_or_else(|| panic!("no name: {again:?}"));
@@ -121,7 +122,7 @@ fn an_unanswered_request_can_be_repeated_and_gets_a_single_mission() {
     assert!(ran.err.contains(&format!("It is unknown if request {name} was accepted")), "{}", ran.err);
     let mut words = again[1..].to_vec();
     words.drain(flag - 1..=flag);
-    assert_eq!(words, asked, "the suggestion differs in the name only");
+    assert_eq!(words, arguments, "the suggestion differs in the name only");
 
     let args = ["station", "--name", "s2", "--bootstrap-expect", "2", "--connect", &address];
     let _second = Running(command(&args).stderr(Stdio::null()).spawn().expect("the binary starts"));

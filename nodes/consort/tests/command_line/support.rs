@@ -1,7 +1,7 @@
 //! Helpers that run the binary.
 
 pub(crate) use super::binary::command;
-use std::net::TcpListener;
+use super::free_port::free_port;
 use std::path::PathBuf;
 use std::process::{Child, Output};
 
@@ -18,10 +18,9 @@ pub(crate) fn run(args: &[&str]) -> CommandOutput {
     CommandOutput { code: status.code(), out: text(stdout), err: text(stderr) }
 }
 
-/// Returns a loopback address that was free a moment ago.
+/// Returns a free address of the loopback.
 pub(crate) fn free_address() -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
-    format!("tcp/{}", listener.local_addr().expect("its address"))
+    format!("tcp/127.0.0.1:{}", free_port())
 }
 
 /// Returns the path of a file of this crate.

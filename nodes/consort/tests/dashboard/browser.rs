@@ -1,6 +1,7 @@
 //! A headless browser and the actions of its user.
 
-use crate::support::{Folder, until};
+use crate::slots::Slot;
+use crate::support::{Folder, skip, until};
 use fantoccini::actions::{InputSource, KeyAction, KeyActions};
 use fantoccini::wd::WebDriverCompatibleCommand;
 use fantoccini::{Client, ClientBuilder};
@@ -13,7 +14,7 @@ use std::time::Duration;
 use tokio::runtime::Runtime;
 
 /// Limit for the page to show something.
-pub(crate) const SOON: Duration = Duration::from_secs(30);
+pub(crate) const SOON: Duration = Duration::from_secs(90);
 
 /// Control key in WebDriver.
 const CONTROL: char = '\u{e009}';
@@ -26,6 +27,7 @@ pub(crate) struct Browser {
     runtime: Runtime,
     client: Client,
     driver: Child,
+    _slot: Slot,
 }
 
 /// A command of chromedriver beyond the standard.
@@ -46,18 +48,18 @@ impl WebDriverCompatibleCommand for Raw {
 }
 
 impl Browser {
-    /// Starts a browser. Returns `None` and prints the reason if there is none.
-    #[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
+    /// Starts a browser. Returns `None` and skips the test if there is none.
     pub(crate) fn start(folder: &Folder) -> Option<Browser> {
         for program in ["chromedriver", "chromium"] {
             let there = Command::new(program).arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
             if !there.is_ok_and(|status| status.success()) {
-                eprintln!("skipped: there is no program {program} here (apt-get install chromium chromium-driver)");
+                skip(&format!("no program {program} (apt-get install chromium chromium-driver)"));
                 return None;
             }
         }
-        let said = folder.path().join("chromedriver.out");
-        let out = File::create(&said).expect("the folder can be written to");
+        let slot = Slot::take();
+        let output = folder.path().join("chromedriver.out");
+        let out = File::create(&output).expect("the folder can be written to");
         let mut command = Command::new("chromedriver");
         command
             .arg("--port=0")
@@ -67,8 +69,8 @@ impl Browser {
             .stderr(Stdio::null());
         let driver = command.spawn().expect("chromedriver can be started");
         let port = until("the port of chromedriver", SOON, || {
-            let said = fs::read_to_string(&said).ok()?;
-            let (_, rest) = said.split_once("successfully on port ")?;
+            let output = fs::read_to_string(&output).ok()?;
+            let (_, rest) = output.split_once("successfully on port ")?;
             rest.split(|sign: char| !sign.is_ascii_digit()).next()?.parse::<u16>().ok()
         });
         let options = json!({
@@ -88,7 +90,7 @@ impl Browser {
             builder.connect(&format!("http://127.0.0.1:{port}")).await
         });
         let client = connected.expect("a session with the browser");
-        Some(Browser { runtime, client, driver })
+        Some(Browser { runtime, client, driver, _slot: slot })
     }
 
     pub(crate) fn open(&self, url: &str) {
@@ -125,7 +127,8 @@ impl Browser {
             until(what, limit, || (self.value(&script) == true).then(|| seen.set(true)));
         }));
         if outcome.is_err() {
-            self.screenshot("failed");
+            let test = std::thread::current().name().unwrap_or("main").replace("::", "-");
+            self.screenshot(&format!("failed-{test}"));
             panic!(
                 "not seen within {limit:?}: {what}: {expression}\n--- the page\n{}\n--- its console\n{:#?}",
                 self.text("body"),
@@ -180,9 +183,9 @@ impl Browser {
     /// Stores a screenshot.
     pub(crate) fn screenshot(&self, name: &str) {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("dashboard");
-        let picture = self.runtime.block_on(self.client.screenshot()).expect("a picture can be taken");
+        let model = self.runtime.block_on(self.client.screenshot()).expect("a picture can be taken");
         fs::create_dir_all(&folder).expect("the folder can be made");
-        fs::write(folder.join(format!("{name}.png")), &picture).expect("the folder can be written to");
+        fs::write(folder.join(format!("{name}.png")), &model).expect("the folder can be written to");
     }
 
     /// Stores a screenshot, also for the documentation if requested.

@@ -19,8 +19,8 @@ fn a_closed_dashboard_requires_a_valid_token() {
     closed.start("station", station, &[]);
     closed.start_others();
     let url = until("the address of the dashboard", SOON, || {
-        let said = closed.fleet.node("station-1").stdout();
-        Some(said.lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
+        let output = closed.fleet.node("station-1").stdout();
+        Some(output.lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
     });
     browser.open(&url);
     browser.wait_until("the sign-in dialog", "document.querySelector('#admission').open");

@@ -19,8 +19,8 @@ const END: &str = "\u{e010}";
 /// Returns the dashboard address that a demo prints.
 fn address(demo: &Program) -> String {
     until("the address of the dashboard", SOON, || {
-        let said = demo.stdout();
-        let events = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        let output = demo.stdout();
+        let events = output.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
         let url = events
             .filter(|event| event["event"] == "demo_dashboard")
             .find_map(|event| Some(event["url"].as_str()?.to_owned()));
@@ -184,8 +184,8 @@ fn the_demo_is_usable_without_a_mouse() {
     );
     check_access(&browser, "history");
 
-    ask_for_one_by_keyboard_and_withdraw_it(&browser);
-    in_the_dark_and_on_a_phone(&browser);
+    submit_and_cancel_by_keyboard(&browser);
+    check_dark_and_narrow(&browser);
     assert_eq!(browser.console(), Vec::<String>::new());
     assert_eq!(browser.value("window.loadedOnce"), true);
 }
@@ -204,11 +204,13 @@ fn look_at_the_schedule(browser: &Browser) {
     );
     let bars =
         "[...document.querySelectorAll('#schedule-chart .bar')].map((bar) => bar.getAttribute('aria-label')).join()";
-    let said = browser.value(bars);
-    let said = said.as_str().expect("text");
+    let output = browser.value(bars);
+    let output = output.as_str().expect("text");
     assert!(
-        said.contains("r1 of lab-samples-1: ") && said.contains("r1 of lab-samples-2: ") && said.contains(", planned "),
-        "{said}"
+        output.contains("r1 of lab-samples-1: ")
+            && output.contains("r1 of lab-samples-2: ")
+            && output.contains(", planned "),
+        "{output}"
     );
     check_access(browser, "the schedule");
     browser.documentation_screenshot("schedule");
@@ -230,7 +232,7 @@ fn look_at_the_schedule(browser: &Browser) {
     );
 }
 
-fn ask_for_one_by_keyboard_and_withdraw_it(browser: &Browser) {
+fn submit_and_cancel_by_keyboard(browser: &Browser) {
     browser.value("document.activeElement.blur()");
     tab_to(browser, "#new-mission");
     browser.press(ENTER);
@@ -270,11 +272,11 @@ fn ask_for_one_by_keyboard_and_withdraw_it(browser: &Browser) {
     assert_eq!(refused[0], 400);
     assert!(refused[1].as_str().expect("words").contains("no mission \"dance\" is shipped"), "{refused}");
     // The console of the browser reports the same rejection.
-    let said = browser.console();
-    assert!(said.iter().all(|line| line.contains("/api/missions") && line.contains("400")), "{said:#?}");
+    let output = browser.console();
+    assert!(output.iter().all(|line| line.contains("/api/missions") && line.contains("400")), "{output:#?}");
 }
 
-fn in_the_dark_and_on_a_phone(browser: &Browser) {
+fn check_dark_and_narrow(browser: &Browser) {
     browser.prefers("dark");
     browser.wait_until("dark colours", "document.documentElement.dataset.theme === 'dark'");
     check_access(browser, "in the dark");
@@ -307,8 +309,8 @@ fn a_page_shows_the_loss_of_its_node_and_reconnects() {
     let Some(browser) = Browser::start(&folder) else { return };
     let mut demo = Program::start(&folder, "demo", &["demo", "--json", "--keep-running", "--no-kill", "--speed", "6"]);
     let link = until("where the demo's world listens", SOON, || {
-        let said = demo.stdout();
-        let (_, rest) = said.split_once("--connect ")?;
+        let output = demo.stdout();
+        let (_, rest) = output.split_once("--connect ")?;
         Some(rest.split(['"', ' ', '\n']).next()?.to_owned())
     });
     let station = |name: &str, dashboard: &str| {

@@ -38,8 +38,8 @@ fn a_door_is_shown_opening_and_a_mission_is_resolved() {
     fleet.start("robot", example("robot"), &["station-1", "world"]);
     fleet.start("robot", example("arm"), &["station-1", "world"]);
     let url = until("the address of the dashboard", SOON, || {
-        let said = fleet.node("station-1").stdout();
-        Some(said.lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
+        let output = fleet.node("station-1").stdout();
+        Some(output.lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
     });
     browser.open(&url);
     browser.wait_until("both robots", "document.querySelectorAll('#robots tbody tr').length === 2");
@@ -104,7 +104,7 @@ fn a_door_is_shown_opening_and_a_mission_is_resolved() {
         refused[1].as_str().expect("words").contains("only a mission that needs intervention can be resolved"),
         "{refused}"
     );
-    let said = browser.console();
-    assert!(said.iter().all(|line| line.contains("/resolve") && line.contains("400")), "{said:#?}");
+    let output = browser.console();
+    assert!(output.iter().all(|line| line.contains("/resolve") && line.contains("400")), "{output:#?}");
     fleet.stop();
 }

@@ -1,7 +1,7 @@
 //! The dashboard in a real browser: headless Chromium, driven over WebDriver.
 //!
 //! The tests need the programs `chromium` and `chromedriver` (Debian:
-//! `apt-get install chromium chromium-driver`); without them each test is skipped with a message.
+//! `apt-get install chromium chromium-driver`); without them each test is skipped.
 //! Screenshots are stored in `target/tmp/dashboard/`. With `CONSORT_PICTURES` set, the same tests
 //! also write the screenshots in `docs/`.
 
@@ -11,6 +11,8 @@ mod demo_fleet;
 mod doors_and_interventions;
 mod many_robots;
 mod recording;
+#[path = "../../../../tests/support/slots.rs"]
+mod slots;
 #[path = "../processes/support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "the tests of processes use the rest")]
 mod support;

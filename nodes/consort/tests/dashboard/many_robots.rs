@@ -37,11 +37,12 @@ fn fleet() -> Value {
             0 => json!({ "holding": { "mission": format!("round-{index}"), "role": "r1", "suspended": false } }),
             _ => json!("free"),
         };
-        json!({ "node": name(index), "alive": true, "status": "alive", "age_ms": 0, "robot": {
+        json!({ "node": name(index), "seen_by": name(0), "alive": true, "status": "alive", "age_ms": 0, "robot": {
             "skills": ["navigation"], "place": "Crossing", "pose": { "x_m": 0.0, "y_m": 0.0, "yaw_rad": 0.0 },
-            "battery": 0.9, "useful_charge": 0.08, "speed": 0.7, "availability": availability } })
+            "battery": 0.9, "discharge": 0.001, "useful_charge": 0.08, "speed": 0.7, "availability": availability,
+            "estimator": "standard" } })
     };
-    let members = (0..ROBOTS).map(|index| json!({ "node": name(index), "member": true, "reason": "" }));
+    let members = (0..ROBOTS).map(|index| json!({ "node": name(index), "member": true, "reason": "", "age_ms": 0 }));
     json!({ "nodes": (0..ROBOTS).map(node).collect::<Vec<_>>(),
         "ensembles": [{ "name": "logistics", "nodes": members.collect::<Vec<_>>() }] })
 }
@@ -63,11 +64,11 @@ fn telemetry(index: usize, now_ms: u64) -> Telemetry {
 fn report(board: &FramePublisher) {
     let coordinator = NodeId::new(name(0)).expect("a slug");
     let beacon = Beacon { node: coordinator, term: 1, voters: [].into(), since_ms: 1000, cluster: None, wire: None };
-    board.with_model(|picture, now_ms| {
-        picture.apply_beacon(&beacon, now_ms);
-        picture.apply_links(3, now_ms);
+    board.with_model(|model, now_ms| {
+        model.apply_beacon(&beacon, now_ms);
+        model.apply_links(3, now_ms);
         for index in 0..ROBOTS {
-            picture.apply_telemetry(&name(index), &telemetry(index, now_ms), now_ms);
+            model.apply_telemetry(&name(index), &telemetry(index, now_ms), now_ms);
         }
     });
 }
@@ -115,9 +116,9 @@ fn two_hundred_robots_are_drawn_in_every_frame() {
         tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().expect("a runtime");
     let clock = runtime.block_on(async { Clock::real() });
     let plan = FloorPlan::new(&map_loader::load("hospital").expect("a shipped map"));
-    let mut picture = FleetModel::new("many", "station-1", plan, clock.wall_ms());
-    picture.apply_view(&Key::ViewFleet, &fleet(), clock.wall_ms());
-    let board = Arc::new(FramePublisher::new(picture, clock));
+    let mut model = FleetModel::new("many", "station-1", plan, clock.wall_ms());
+    model.apply_view(&Key::ViewFleet, &fleet(), clock.wall_ms());
+    let board = Arc::new(FramePublisher::new(model, clock));
     report(&board);
     let dashboard = runtime.block_on(async {
         let address =

@@ -2,12 +2,8 @@
 
 use crate::browser::{Browser, SOON};
 use crate::demo_fleet::check_access;
-use crate::support::{Client, Folder, Program, hospital, until};
+use crate::support::{Client, Folder, LONG, Program, hospital, until};
 use serde_json::{Value, json};
-use std::time::Duration;
-
-/// Limit for each part of a mission.
-const LONG: Duration = Duration::from_secs(120);
 
 /// Key codes of WebDriver.
 const LEFT: &str = "\u{e012}";
@@ -21,7 +17,7 @@ fn record(folder: &Folder) -> (String, String, String) {
     let file = folder.path().join("run.mcap").display().to_string();
     let mut fleet = hospital("taped");
     let mut client = Client::open(&fleet.address("world"), "taped");
-    let first = until("somebody coordinates", LONG, || Some(client.view("coordinator")["node"].as_str()?.to_owned()));
+    let first = until("there is a coordinator", LONG, || Some(client.view("coordinator")["node"].as_str()?.to_owned()));
     let recorder = fleet.begin(&["record", "--out", &file], "world");
     until("it records", SOON, || recorder.stderr().contains("recording taped to ").then_some(()));
     let holds = |text: &str| {
@@ -29,21 +25,23 @@ fn record(folder: &Folder) -> (String, String, String) {
         std::fs::read(&file).is_ok_and(there).then_some(())
     };
     until("the recorder has received the coordinator", SOON, || holds(&format!(r#"{{"node":"{first}","term":"#)));
-    let asked = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "taped-1"}"#;
+    let payload = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "taped-1"}"#;
     until("the mission is acknowledged", LONG, || {
-        client.ask("api/submit", asked)["mission"].as_str().map(|mission| assert_eq!(mission, "lab-samples-1"))
+        client.request("api/submit", payload)["mission"].as_str().map(|mission| assert_eq!(mission, "lab-samples-1"))
     });
-    client.hears("a task begins", LONG, |event| event["event"] == "task_began");
+    client.wait_for_event("a task begins", LONG, |event| event["event"] == "task_began");
     fleet.kill(&first);
-    let elected = client
-        .hears("another is elected", LONG, |event| event["event"] == "elected" && event["node"] != first.as_str());
-    client
-        .hears("the mission is completed", LONG, |event| event["event"] == "mission" && event["state"] == "completed");
+    let elected = client.wait_for_event("another is elected", LONG, |event| {
+        event["event"] == "elected" && event["node"] != first.as_str()
+    });
+    client.wait_for_event("the mission is completed", LONG, |event| {
+        event["event"] == "mission" && event["state"] == "completed"
+    });
     // The mission completed before, but the recorder may receive it a moment later.
     until("the recorder has received it", SOON, || holds(r#""state":"completed","submitted_at_ms""#));
     recorder.signal("INT");
-    let said = recorder.end(SOON).expect(0).stdout;
-    assert!(said.starts_with(&format!("{file}: ")) && said.contains(" events, "), "{said}");
+    let output = recorder.end(SOON).expect(0).stdout;
+    assert!(output.starts_with(&format!("{file}: ")) && output.contains(" events, "), "{output}");
     fleet.stop();
     (file, first, elected["node"].as_str().expect("a name").to_owned())
 }
@@ -145,13 +143,13 @@ fn a_recorded_takeover_is_replayed_in_both_directions() {
     slide(&browser, "slider.max * 0.5");
     let middle = "(consort.connection.model.recording.from_ms + consort.connection.model.recording.to_ms) / 2";
     browser.wait_until("the middle", &format!("Math.abs(consort.connection.now() - {middle}) < 2"));
-    let said = browser.value("document.querySelector('#replay-slider').getAttribute('aria-valuetext')");
-    assert!(said.as_str().expect("words").contains(" of "), "{said}");
+    let output = browser.value("document.querySelector('#replay-slider').getAttribute('aria-valuetext')");
+    assert!(output.as_str().expect("words").contains(" of "), "{output}");
     let drawn = "/ term [2-9]/.test(document.querySelector('#coordinator').innerText) && document.querySelector('#missions tbody').innerText.includes('/16')";
     browser.wait_until("all of it is drawn", drawn);
     check_access(&browser, "a recording");
     browser.documentation_screenshot("replay");
-    in_the_dark_and_on_a_phone(&browser);
+    check_dark_and_narrow(&browser);
 
     // Played to its end at a hundred times its speed, the replay stops there.
     let set = |command: Value| {
@@ -185,7 +183,7 @@ fn a_recorded_takeover_is_replayed_in_both_directions() {
     cut_short(&folder, &browser, &file);
 }
 
-fn in_the_dark_and_on_a_phone(browser: &Browser) {
+fn check_dark_and_narrow(browser: &Browser) {
     browser.prefers("dark");
     browser.wait_until("dark colours", "document.documentElement.dataset.theme === 'dark'");
     check_access(browser, "a recording in the dark");

@@ -3,10 +3,14 @@
 
 #[path = "../command_line/binary.rs"]
 mod binary;
+#[path = "../../../../tests/support/free_port.rs"]
+mod free_port;
 mod links;
 mod page;
 mod reference;
 mod schema_tables;
 mod schemas;
 mod shell;
+#[path = "../../../../tests/support/skip.rs"]
+mod skip;
 mod tutorials;

@@ -7,12 +7,19 @@ use std::fmt::Write;
 /// Writer of sections. An object with an existing section is only linked.
 #[derive(Default)]
 pub(crate) struct SchemaTables {
+    /// True for replies of nodes: they have no defaults.
+    replies: bool,
     text: String,
     /// Anchors of the sections, by object name.
     anchors: BTreeMap<String, String>,
 }
 
 impl SchemaTables {
+    /// Creates a writer for the JSON that nodes write.
+    pub(crate) fn of_replies() -> SchemaTables {
+        SchemaTables { replies: true, ..SchemaTables::default() }
+    }
+
     /// Adds the sections of a file kind; `depth` is the level of the first heading.
     pub(crate) fn file(&mut self, depth: usize, title: &str, kind: &str, schema: &Value) {
         let name = schema["title"].as_str().expect("schemas of files have a title").to_owned();
@@ -32,7 +39,12 @@ impl SchemaTables {
         let required: Vec<&str> =
             object["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
         // Required keys come first.
-        let (must, may): (Vec<_>, Vec<_>) = properties.iter().partition(|(key, _)| required.contains(&key.as_str()));
+        let (mut must, may): (Vec<_>, Vec<_>) =
+            properties.iter().partition(|(key, _)| required.contains(&key.as_str()));
+        if self.replies {
+            // In the order of the declaration.
+            must.sort_by_key(|(key, _)| required.iter().position(|name| name == key));
+        }
         let properties = [must, may].concat();
         let mut met = vec![];
         // The section titles must be known first, because rows link to them.
@@ -46,7 +58,10 @@ impl SchemaTables {
             }
         }
         if !properties.is_empty() {
-            self.text.push_str("| key | what | default | meaning |\n|---|---|---|---|\n");
+            self.text.push_str(match self.replies {
+                true => "| key | what | meaning |\n|---|---|---|\n",
+                false => "| key | what | default | meaning |\n|---|---|---|---|\n",
+            });
         }
         for (key, schema) in &properties {
             let default = match &schema["default"] {
@@ -58,7 +73,8 @@ impl SchemaTables {
                 value => format!("`{value}`"),
             };
             let (what, meaning) = (self.what(schema, defs), meaning(schema));
-            writeln!(self.text, "| `{key}` | {what} | {default} | {meaning} |").expect("text grows");
+            let default = if self.replies { String::new() } else { format!(" {default} |") };
+            writeln!(self.text, "| `{key}` | {what} |{default} {meaning} |").expect("text grows");
         }
         if !properties.is_empty() {
             self.text.push('\n');
@@ -175,7 +191,7 @@ fn anchor(title: &str) -> String {
 }
 
 /// Returns the comment of a schema as a table cell.
-fn meaning(schema: &Value) -> String {
+pub(crate) fn meaning(schema: &Value) -> String {
     plain(schema["description"].as_str().unwrap_or_default())
 }
 

@@ -1,12 +1,17 @@
 //! The shipped JSON Schemas match the code. Files that the program accepts satisfy them, and files
 //! that the program rejects for their form violate them. Python's `jsonschema` checks the latter
-//! two; without it these checks are skipped with a message.
+//! two; without it these checks are skipped.
 
 use super::page::repository;
+use super::skip::skip;
 use consort_lab::command::schema::design_schema;
 use consort_nodes::check::{self, FileKind};
 use consort_nodes::command::schema::schema;
 use consort_nodes::extensions::Extensions;
+use consort_protocol::event::Event;
+use consort_protocol::view::{PUBLISHED_VIEWS, WithProvenance, schema_of};
+use consort_world::world::WorldReport;
+use schemars::Schema;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -24,8 +29,42 @@ const KINDS: [(&str, FileKind); 9] = [
     ("calibration", FileKind::Calibration),
 ];
 
+/// Returns the schemas of all views, by name.
+pub(crate) fn published_views() -> Vec<(String, Schema)> {
+    let views = PUBLISHED_VIEWS.iter().map(|view| (view.name.to_owned(), (view.schema)()));
+    let world = ("world".to_owned(), schema_of::<WithProvenance<WorldReport>>());
+    views.chain([world]).collect()
+}
+
+#[test]
+fn the_schemas_of_views_and_events_match_the_code() {
+    let folder = repository().join("docs/schemas/published");
+    let views = published_views().into_iter().map(|(name, schema)| (format!("view-{name}"), schema));
+    let mut names = vec![];
+    for (name, schema) in views.chain([("event".to_owned(), schema_of::<Event>())]) {
+        let name = format!("{name}.json");
+        let text = serde_json::to_string_pretty(&schema).expect("JSON") + "\n";
+        check_shipped(&folder.join(&name), &text);
+        names.push(name);
+    }
+    let shipped = std::fs::read_dir(folder).expect("a folder of the repository").flatten();
+    let mut shipped: Vec<String> = shipped.map(|file| file.file_name().to_string_lossy().into_owned()).collect();
+    shipped.sort();
+    names.sort();
+    assert_eq!(shipped, names);
+}
+
+/// Checks that a shipped schema has this text.
+fn check_shipped(path: &Path, text: &str) {
+    if std::env::var_os("CONSORT_DOCUMENTATION").is_some() {
+        std::fs::write(path, text).expect("a shipped schema");
+    }
+    let shipped = std::fs::read_to_string(path).expect("a shipped schema");
+    assert!(shipped == text, "{}: CONSORT_DOCUMENTATION=1 writes it anew", path.display());
+}
+
 /// Returns the schema of a kind of file, from the program that reads it.
-pub(crate) fn schema_of(kind: FileKind) -> Value {
+pub(crate) fn file_schema(kind: FileKind) -> Value {
     let schema = if kind == FileKind::Design { Some(design_schema()) } else { schema(kind) };
     schema.expect("a kind with a schema").to_value()
 }
@@ -35,15 +74,10 @@ fn the_shipped_schemas_match_the_code() {
     let folder = repository().join("docs/schemas");
     for (name, kind) in KINDS {
         let path = folder.join(format!("{name}.json"));
-        let text = serde_json::to_string_pretty(&schema_of(kind)).expect("JSON") + "\n";
-        if std::env::var_os("CONSORT_DOCUMENTATION").is_some() {
-            std::fs::write(&path, &text).expect("a shipped schema");
-        }
-        let shipped = std::fs::read_to_string(&path).expect("a shipped schema");
-        assert!(shipped == text, "{}: CONSORT_DOCUMENTATION=1 writes it anew", path.display());
+        check_shipped(&path, &(serde_json::to_string_pretty(&file_schema(kind)).expect("JSON") + "\n"));
     }
-    let count = std::fs::read_dir(folder).expect("a folder of the repository").count();
-    assert_eq!(count, KINDS.len());
+    let files = std::fs::read_dir(folder).expect("a folder of the repository").flatten();
+    assert_eq!(files.filter(|file| file.path().is_file()).count(), KINDS.len());
 }
 
 /// Returns the files in a folder with these suffixes.
@@ -67,49 +101,42 @@ fn value(text: &str, path: &Path) -> Value {
 
 /// Validates values against their schemas. Returns an error text or `None` for each; returns `None`
 /// without Python's `jsonschema`.
-fn judged(asked: &[(FileKind, Value)]) -> Option<Vec<Option<String>>> {
+fn validate(values: &[(FileKind, Value)]) -> Option<Vec<Option<String>>> {
     const JUDGE: &str = "import json, sys\nfrom jsonschema import Draft202012Validator as V\nout = []\n\
         for a in json.load(sys.stdin):\n    V.check_schema(a['schema'])\n    e = next(V(a['schema']).iter_errors(a['value']), None)\n    \
         out.append(e and f'{e.json_path}: {e.message}')\nprint(json.dumps(out))";
-    let asked: Vec<Value> =
-        asked.iter().map(|(kind, value)| json!({ "schema": schema_of(*kind), "value": value })).collect();
+    let values: Vec<Value> =
+        values.iter().map(|(kind, value)| json!({ "schema": file_schema(*kind), "value": value })).collect();
     let python = Command::new("python3").args(["-c", JUDGE]).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
     let mut python = python.ok()?;
-    let question = serde_json::to_vec(&asked).expect("JSON");
+    let question = serde_json::to_vec(&values).expect("JSON");
     // Without `jsonschema` the script ends before it has read its input.
     let _ = python.stdin.take().expect("it was piped").write_all(&question);
     let output = python.wait_with_output().expect("it was started");
     output.status.success().then(|| serde_json::from_slice(&output.stdout).expect("JSON"))
 }
 
-/// Prints that the test is skipped.
-fn skipped() {
-    let why = "skipped: python3 has no jsonschema (apt-get install python3-jsonschema)\n";
-    std::io::stderr().write_all(why.as_bytes()).expect("the standard error");
-}
+const NO_JSONSCHEMA: &str = "python3 has no jsonschema (apt-get install python3-jsonschema)";
 
 #[test]
 fn shipped_files_satisfy_their_schemas() {
     let mut paths = files("examples", &[".toml", ".yaml"]);
-    paths.extend(files("protocol/missions", &[".yaml"]));
+    paths.extend(files("skills/missions", &[".yaml"]));
     paths.extend(files("tests/features/missions", &[".yaml"]));
     paths.extend(files("tests/features/maps", &[".yaml"]));
     paths.extend(files("sim_bridge/evaluation/designs", &[".toml"]));
     paths.extend(["hospital", "clinic"].map(|name| repository().join(format!("sim_bridge/world/maps/{name}.yaml"))));
-    let asked: Vec<(FileKind, Value)> = paths
+    let values: Vec<(FileKind, Value)> = paths
         .iter()
         .map(|path| {
             let text = std::fs::read_to_string(path).expect("a file of the repository");
             (check::detect_kind(path).expect("a shipped file"), value(&text, path))
         })
         .collect();
-    assert!(asked.len() > 20, "{} files", asked.len());
-    let Some(answers) = judged(&asked) else { return skipped() };
-    let wrong: Vec<String> = paths
-        .iter()
-        .zip(answers)
-        .filter_map(|(path, answer)| Some(format!("{}: {}", path.display(), answer?)))
-        .collect();
+    assert!(values.len() > 20, "{} files", values.len());
+    let Some(errors) = validate(&values) else { return skip(NO_JSONSCHEMA) };
+    let wrong: Vec<String> =
+        paths.iter().zip(errors).filter_map(|(path, error)| Some(format!("{}: {}", path.display(), error?))).collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
@@ -168,16 +195,16 @@ fn schemas_and_program_accept_the_same_forms() {
     ];
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("documentation/forms");
     std::fs::create_dir_all(&folder).expect("cargo's own folder");
-    let mut asked = vec![];
+    let mut values = vec![];
     for (kind, file, text, taken) in &cases {
         let path = folder.join(file);
         std::fs::write(&path, text).expect("cargo's own folder");
         let program = check::check_file(&path, Some(*kind), Extensions::default());
         assert_eq!(program.is_ok(), *taken, "{text}\n{program:?}");
-        asked.push((*kind, value(text, &path)));
+        values.push((*kind, value(text, &path)));
     }
-    let Some(answers) = judged(&asked) else { return skipped() };
-    for ((kind, _, text, taken), answer) in cases.iter().zip(answers) {
-        assert_eq!(answer.is_none(), *taken, "{kind}: {text}\n{answer:?}");
+    let Some(errors) = validate(&values) else { return skip(NO_JSONSCHEMA) };
+    for ((kind, _, text, taken), error) in cases.iter().zip(errors) {
+        assert_eq!(error.is_none(), *taken, "{kind}: {text}\n{error:?}");
     }
 }

@@ -2,9 +2,9 @@
 //! compares their output.
 //!
 //! - ```` ```yaml ward.yaml ``` is a file of that name.
-//! - ```` ```console ```` contains commands after `$
-//!   `, each followed by its output. `…` matches any text, within a line or over several lines, and the number of spaces between words is ignored. A command must succeed, unless `$
-//!   echo $? follows with another exit code.
+//! - ```` ```console ```` contains commands after `$ `, each followed by its output. `…` matches any
+//!   text, within a line or over several lines, and the number of spaces between words is ignored.
+//!   A command must succeed, unless `$ echo $?` follows with another exit code.
 //! - A command that ends in `&` runs until the end of the page, or until `$ kill -9 %N` for the Nth
 //!   of them. After such a command, a query command is repeated until its output matches, up to a
 //!   generous limit, because nodes need time to meet.
@@ -12,8 +12,8 @@
 //! Ports of the page are replaced by free ports, so that pages do not interfere.
 
 use super::binary::{command, program};
+use super::free_port::free_port;
 use super::page::Page;
-use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -31,10 +31,10 @@ pub(crate) type Programs<'a> = &'a [(&'a str, fn(&[String]) -> Command)];
 
 /// A command and its expected output.
 #[derive(Debug, PartialEq, Eq)]
-struct Deed {
+struct PageStep {
     line: usize,
     command: String,
-    prints: Vec<String>,
+    expected_output: Vec<String>,
 }
 
 /// Runs a page in its own folder, which keeps the files.
@@ -49,42 +49,40 @@ pub(crate) fn run_page(page: &Page, programs: Programs<'_>) -> PathBuf {
     std::fs::create_dir_all(&folder).expect("cargo's own folder");
     let ports = free_ports();
     let mut shell = Shell { page, folder: folder.clone(), programs, running: vec![] };
-    let mut told = 0;
+    let mut commands = 0;
     for block in &page.blocks {
         let text = ports.iter().fold(block.text.clone(), |text, (usual, free)| text.replace(usual, free));
         if let Some(file) = &block.file {
             std::fs::write(folder.join(file), text).expect("cargo's own folder");
         } else if block.language == "console" {
-            told += shell.give(&deeds(block.line, &text));
+            commands += shell.run_steps(&steps(block.line, &text));
         }
     }
-    assert!(told > 0, "{}: there are no commands", page.path.display());
+    assert!(commands > 0, "{}: there are no commands", page.path.display());
     folder
 }
 
-/// Returns the ports that pages use, each with a port that was free a moment ago.
+/// Returns the ports that pages use, each with a free port.
 fn free_ports() -> Vec<(String, String)> {
-    let taken: Vec<TcpListener> = (0..4).map(|_| TcpListener::bind("127.0.0.1:0").expect("a free port")).collect();
-    let free = taken.iter().map(|listener| format!("127.0.0.1:{}", listener.local_addr().expect("its address").port()));
-    (7447..).map(|port| format!("127.0.0.1:{port}")).zip(free).collect()
+    (7447..7451).map(|port| (format!("127.0.0.1:{port}"), format!("127.0.0.1:{}", free_port()))).collect()
 }
 
 /// Returns the commands of a block whose fence is in line `first`.
-fn deeds(first: usize, text: &str) -> Vec<Deed> {
-    let mut deeds: Vec<Deed> = vec![];
+fn steps(first: usize, text: &str) -> Vec<PageStep> {
+    let mut steps: Vec<PageStep> = vec![];
     for (line, text) in (first + 1..).zip(text.lines()) {
-        match (text.strip_prefix("$ "), deeds.last_mut()) {
-            (Some(command), _) => deeds.push(Deed { line, command: command.to_owned(), prints: vec![] }),
+        match (text.strip_prefix("$ "), steps.last_mut()) {
+            (Some(command), _) => steps.push(PageStep { line, command: command.to_owned(), expected_output: vec![] }),
             // A long command continues in the next line.
-            (None, Some(deed)) if deed.command.ends_with('\\') => {
-                deed.command.pop();
-                deed.command.push_str(text.trim_start());
+            (None, Some(step)) if step.command.ends_with('\\') => {
+                step.command.pop();
+                step.command.push_str(text.trim_start());
             }
-            (None, Some(deed)) => deed.prints.push(text.to_owned()),
+            (None, Some(step)) => step.expected_output.push(text.to_owned()),
             (None, None) => panic!("line {line}: output without a command"),
         }
     }
-    deeds
+    steps
 }
 
 struct Shell<'a> {
@@ -106,58 +104,58 @@ impl Drop for Shell<'_> {
 
 impl Shell<'_> {
     /// Executes commands in order and returns their number.
-    fn give(&mut self, deeds: &[Deed]) -> usize {
-        let mut deeds = deeds.iter().peekable();
-        let mut given = 0;
-        while let Some(deed) = deeds.next() {
-            given += 1;
-            if let Some(number) = deed.command.strip_prefix("kill -9 %") {
+    fn run_steps(&mut self, steps: &[PageStep]) -> usize {
+        let mut steps = steps.iter().peekable();
+        let mut count = 0;
+        while let Some(step) = steps.next() {
+            count += 1;
+            if let Some(number) = step.command.strip_prefix("kill -9 %") {
                 let number: usize =
-                    number.parse().unwrap_or_else(|_| panic!("line {}: a process number is required", deed.line));
+                    number.parse().unwrap_or_else(|_| panic!("line {}: a process number is required", step.line));
                 let (_, child) = &mut self.running[number - 1];
                 child.kill().and_then(|()| child.wait()).expect("a program started by this test");
-            } else if let Some(command) = deed.command.strip_suffix('&') {
-                self.start(command.trim_end(), deed);
+            } else if let Some(command) = step.command.strip_suffix('&') {
+                self.start(command.trim_end(), step);
             } else {
-                let code = deeds.next_if(|next| next.command == "echo $?");
-                let code = code.map_or("0".to_owned(), |next| next.prints.concat());
-                self.until_it_prints(
-                    deed,
-                    code.trim().parse().unwrap_or_else(|_| panic!("line {}: {code}", deed.line)),
+                let code = steps.next_if(|next| next.command == "echo $?");
+                let code = code.map_or("0".to_owned(), |next| next.expected_output.concat());
+                self.run_until_expected(
+                    step,
+                    code.trim().parse().unwrap_or_else(|_| panic!("line {}: {code}", step.line)),
                 );
             }
         }
-        given
+        count
     }
 
-    fn start(&mut self, command: &str, deed: &Deed) {
+    fn start(&mut self, command: &str, step: &PageStep) {
         let log = self.folder.join(format!("{}.log", self.running.len()));
         let file = std::fs::File::create(&log).expect("cargo's own folder");
-        let child = self.command(command, deed).stdout(Stdio::null()).stderr(file).spawn().expect("the program starts");
+        let child = self.command(command, step).stdout(Stdio::null()).stderr(file).spawn().expect("the program starts");
         self.running.push((command.to_owned(), child));
     }
 
-    fn until_it_prints(&mut self, deed: &Deed, code: i32) {
+    fn run_until_expected(&mut self, step: &PageStep, code: i32) {
         let since = Instant::now();
-        let asks = ["fleet", "missions", "explain", "doctor"]
+        let is_query = ["fleet", "missions", "explain", "doctor"]
             .iter()
-            .any(|word| deed.command.starts_with(&format!("consort {word}")));
+            .any(|word| step.command.starts_with(&format!("consort {word}")));
         loop {
-            let output = self.command(&deed.command, deed).output().expect("the program starts");
+            let output = self.command(&step.command, step).output().expect("the program starts");
             let out = String::from_utf8_lossy(&output.stdout);
             let out = out.split_once(OUTPUT_MARKER).map_or(&*out, |(_, program)| program);
             let printed = format!("{out}{}", String::from_utf8_lossy(&output.stderr));
-            let as_told = output.status.code() == Some(code) && is_as_told(&printed, &deed.prints);
-            if as_told {
+            let matches = output.status.code() == Some(code) && matches_pattern(&printed, &step.expected_output);
+            if matches {
                 return;
             }
-            let again = asks && !self.running.is_empty() && since.elapsed() < LIMIT;
+            let again = is_query && !self.running.is_empty() && since.elapsed() < LIMIT;
             assert!(
                 again,
                 "{}:{}: $ {}\nended with {:?} instead of {code}, and printed:\n{printed}\n{}",
                 self.page.path.display(),
-                deed.line,
-                deed.command,
+                step.line,
+                step.command,
                 output.status.code(),
                 self.logs()
             );
@@ -175,15 +173,15 @@ impl Shell<'_> {
         self.running.iter().enumerate().map(tail).collect::<Vec<_>>().join("\n")
     }
 
-    fn command(&self, text: &str, deed: &Deed) -> Command {
+    fn command(&self, text: &str, step: &PageStep) -> Command {
         let of = |words: &str| {
-            shlex::split(words).unwrap_or_else(|| panic!("line {}: a quote is not closed: {words}", deed.line))
+            shlex::split(words).unwrap_or_else(|| panic!("line {}: a quote is not closed: {words}", step.line))
         };
         let mut command = match self.programs.iter().find_map(|(name, make)| Some((text.strip_prefix(name)?, make))) {
             Some((rest, make)) => make(&of(rest)),
             None => {
                 let rest = text.strip_prefix("consort ");
-                command(&of(rest.unwrap_or_else(|| panic!("line {}: {text:?} is no program of ours", deed.line))))
+                command(&of(rest.unwrap_or_else(|| panic!("line {}: {text:?} is no program of ours", step.line))))
             }
         };
         command.current_dir(&self.folder);
@@ -203,60 +201,60 @@ pub(crate) fn substitute_program(name: &str, args: &[String]) -> Command {
 }
 
 /// Checks whether a text matches the expected lines, in which `…` matches anything.
-fn is_as_told(text: &str, told: &[String]) -> bool {
+fn matches_pattern(text: &str, pattern: &[String]) -> bool {
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
     let lines: Vec<String> = text.lines().map(words).filter(|line| !line.is_empty()).collect();
-    let told: Vec<String> = told.iter().map(|line| words(line)).filter(|line| !line.is_empty()).collect();
-    fit(&lines, &told, &|line: &String, told: &String| {
+    let pattern: Vec<String> = pattern.iter().map(|line| words(line)).filter(|line| !line.is_empty()).collect();
+    matches_list(&lines, &pattern, &|line: &String, pattern: &String| {
         let pieces = |text: &str| text.chars().map(String::from).collect::<Vec<_>>();
-        fit(&pieces(line), &pieces(told), &|a, b| a == b)
+        matches_list(&pieces(line), &pieces(pattern), &|a, b| a == b)
     })
 }
 
 /// Checks whether a list matches a pattern, in which `…` matches any number of elements.
-fn fit(list: &[String], told: &[String], same: &dyn Fn(&String, &String) -> bool) -> bool {
+fn matches_list(list: &[String], pattern: &[String], same: &dyn Fn(&String, &String) -> bool) -> bool {
     // Positions in the pattern at which the rest may match, after the elements of `list` so far.
     let skip = |mut at: Vec<bool>| {
-        for place in 0..told.len() {
-            at[place + 1] |= at[place] && told[place] == "…";
+        for place in 0..pattern.len() {
+            at[place + 1] |= at[place] && pattern[place] == "…";
         }
         at
     };
-    let mut at = vec![false; told.len() + 1];
+    let mut at = vec![false; pattern.len() + 1];
     at[0] = true;
     at = skip(at);
     for element in list {
-        let mut next = vec![false; told.len() + 1];
-        for place in 0..told.len() {
+        let mut next = vec![false; pattern.len() + 1];
+        for place in 0..pattern.len() {
             if at[place] {
-                next[place] |= told[place] == "…";
-                next[place + 1] |= told[place] != "…" && same(element, &told[place]);
+                next[place] |= pattern[place] == "…";
+                next[place + 1] |= pattern[place] != "…" && same(element, &pattern[place]);
             }
         }
         at = skip(next);
     }
-    at[told.len()]
+    at[pattern.len()]
 }
 
 #[test]
 fn output_is_compared_with_ellipses_as_wildcards() {
-    let told = |lines: &[&str]| lines.iter().map(|line| (*line).to_owned()).collect::<Vec<_>>();
+    let pattern = |lines: &[&str]| lines.iter().map(|line| (*line).to_owned()).collect::<Vec<_>>();
     let text = "a  1.5 s\n\nb 2\nc\n";
-    assert!(is_as_told(text, &told(&["a 1.5 s", "b   2", "c"])));
-    assert!(is_as_told(text, &told(&["a … s", "…"])) && is_as_told(text, &told(&["…", "c"])));
-    assert!(is_as_told("x … y", &told(&["x … y"])));
+    assert!(matches_pattern(text, &pattern(&["a 1.5 s", "b   2", "c"])));
+    assert!(matches_pattern(text, &pattern(&["a … s", "…"])) && matches_pattern(text, &pattern(&["…", "c"])));
+    assert!(matches_pattern("x … y", &pattern(&["x … y"])));
     for wrong in [&["a 1.5 s", "c"][..], &["a … m", "…"], &["…", "b"], &["a 1.5 s", "b 2", "c", "d"], &[]] {
-        assert!(!is_as_told(text, &told(wrong)), "{wrong:?}");
+        assert!(!matches_pattern(text, &pattern(wrong)), "{wrong:?}");
     }
 }
 
 #[test]
 fn commands_are_separated_from_their_output() {
     let text = "$ consort a \\\n    --b\nx\n$ consort c &\n";
-    let deed = |line, command: &str, prints: &[&str]| Deed {
+    let step = |line, command: &str, expected_output: &[&str]| PageStep {
         line,
         command: command.to_owned(),
-        prints: prints.iter().map(|line| (*line).to_owned()).collect(),
+        expected_output: expected_output.iter().map(|line| (*line).to_owned()).collect(),
     };
-    assert_eq!(deeds(4, text), [deed(5, "consort a --b", &["x"]), deed(8, "consort c &", &[])]);
+    assert_eq!(steps(4, text), [step(5, "consort a --b", &["x"]), step(8, "consort c &", &[])]);
 }

@@ -12,17 +12,14 @@
 //! unprivileged user namespaces
 //! are allowed. All of it ends with the first process in the namespace.
 
-use crate::support::{Client, Ended, Folder, Program, until};
+use crate::slots::Slot;
+use crate::support::{Client, Ended, Folder, LONG, Program, skip, until};
 use std::collections::BTreeMap;
-use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 use toml::Table;
-
-/// Limit for a node to open its port, and to end.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Set for a test that was restarted inside the namespaces.
 const INSIDE: &str = "CONSORT_HOSTS_INSIDE";
@@ -32,29 +29,28 @@ const INSIDE: &str = "CONSORT_HOSTS_INSIDE";
 const UNSHARE: [&str; 6] = ["-Urnm", "--pid", "--fork", "--mount-proc", "--kill-child", "--"];
 
 /// Runs a test in its own namespaces by restarting the test binary with the name of the test. Where
-/// that is not allowed or a tool is missing, the test is skipped with a message.
-pub(crate) fn inside(test: &str, tools: &[&str], story: impl FnOnce()) {
-    inside_again(&["--exact", test, "--nocapture"], tools, story);
+/// that is not allowed or a tool is missing, the test is skipped.
+pub(crate) fn inside(name: &str, tools: &[&str], test: impl FnOnce()) {
+    inside_again(&["--exact", name, "--nocapture"], tools, test);
 }
 
 /// Same for a program other than a test, restarted with these arguments.
-pub(crate) fn inside_again(arguments: &[&str], tools: &[&str], story: impl FnOnce()) {
+pub(crate) fn inside_again(arguments: &[&str], tools: &[&str], test: impl FnOnce()) {
     let what = arguments.join(" ");
     if std::env::var_os(INSIDE).is_some() {
         run("mount", &["-t", "tmpfs", "none", "/run"]);
-        return story();
+        return test();
     }
     if let Some(reason) = hindrance(tools) {
-        // Tests may print; the lint applies to the program.
-        let _ = writeln!(std::io::stderr(), "skipped: {what}: {reason}");
-        return;
+        return skip(&reason);
     }
+    let _slot = Slot::take();
     let program = std::env::current_exe().expect("a test has a path");
     let mut again = Command::new("unshare");
     again.args(UNSHARE).arg(program).args(arguments);
     // In a namespace every test is process 1 or 2; this id distinguishes their folders.
-    static STORIES: AtomicU32 = AtomicU32::new(0);
-    let own = format!("{}-{}", std::process::id(), STORIES.fetch_add(1, Ordering::Relaxed));
+    static TESTS: AtomicU32 = AtomicU32::new(0);
+    let own = format!("{}-{}", std::process::id(), TESTS.fetch_add(1, Ordering::Relaxed));
     let status = again.env(INSIDE, own).status().expect("unshare was there a moment ago");
     assert!(status.success(), "inside its namespaces, {what} failed");
 }
@@ -219,7 +215,7 @@ impl Lab {
     pub(crate) fn await_open(&mut self) {
         for (name, host) in &mut self.hosts {
             let Some(program) = &mut host.program else { continue };
-            until(&format!("{name} is open"), PATIENCE, || {
+            until(&format!("{name} is open"), LONG, || {
                 assert!(!program.has_ended(), "{name} has ended:\n{}", program.stderr());
                 program.stderr().contains("listening=\"").then_some(())
             });
@@ -232,7 +228,7 @@ impl Lab {
         let (name, patience) = (format!("command-{}", self.commands), patience.as_secs().to_string());
         let more = ["--connect", "tcp/127.0.0.1:7447", "--fleet", &self.fleet, "--timeout", &patience];
         let program = Program::start_by(&within(on), &self.folder, &name, &[arguments, &more].concat());
-        program.end(PATIENCE * 2)
+        program.end(LONG)
     }
 
     /// Removes the cable of a host from the switch: both ends see the link go down.

@@ -2,11 +2,11 @@
 
 use crate::lab::Lab;
 use crate::lab::inside;
-use crate::story::{
-    FLEET, LONG, agreed, begins, completes, completes_once, coordinator, fleet, hospital, robot, serves_nobody, submit,
-    succession, with, world,
+use crate::scenario::{
+    FLEET, assert_completes_once, assert_rejects_requests, coordinator, fleet, hospital, robot, submit,
+    wait_for_agreement, wait_for_completion, wait_for_first_task, wait_for_successor, with, world,
 };
-use crate::support::{Client, example, until};
+use crate::support::{Client, LONG, example, until};
 use serde_json::json;
 use toml::Table;
 
@@ -15,15 +15,15 @@ fn a_mission_completes_although_the_coordinator_loses_its_cable() {
     inside("link_failures::a_mission_completes_although_the_coordinator_loses_its_cable", &[], || {
         let (mut lab, mut client) = hospital(5.0, false);
         let mission = submit(&client, "cable-1");
-        begins(&mut client, &mission);
+        wait_for_first_task(&mut client, &mission);
         let (first, term) = coordinator(&client);
         lab.unplug(&first);
-        let second = succession(&mut client, &first, term);
-        completes_once(&mut client, &mission, &lab);
+        let second = wait_for_successor(&mut client, &first, term);
+        assert_completes_once(&mut client, &mission, &lab);
 
-        serves_nobody(&mut lab, &first);
+        assert_rejects_requests(&mut lab, &first);
         lab.plug(&first, "br0");
-        assert_eq!(agreed(&mut lab, &[&first, &second, "world"]), coordinator(&client).0);
+        assert_eq!(wait_for_agreement(&mut lab, &[&first, &second, "world"]), coordinator(&client).0);
         assert_eq!(client.view("missions")["missions"].as_array().map(Vec::len), Some(1));
     });
 }
@@ -50,16 +50,16 @@ fn a_role_holder_without_its_cable_suspends_and_is_replaced() {
             (members == 3).then_some(())
         });
         let mission = submit(&client, "cable-2");
-        let lost = begins(&mut client, &mission)["node"].as_str().expect("a name").to_owned();
+        let lost = wait_for_first_task(&mut client, &mission)["node"].as_str().expect("a name").to_owned();
         let other = if lost == "ada" { "bob" } else { "ada" };
         lab.unplug(&lost);
-        client.hears("the role is given to the other robot", LONG, |event| {
+        client.wait_for_event("the role is given to the other robot", LONG, |event| {
             event["event"] == "awarded" && event["mission"] == mission.as_str() && event["holders"]["r1"] == other
         });
         // By then it has stopped by itself, without a link.
         assert!(lab.log(&lost).contains("suspend"), "{}", lab.log(&lost));
         lab.plug(&lost, "br0");
-        completes(&mut client, &mission);
+        wait_for_completion(&mut client, &mission);
         let tasks = client.tasks(&mission);
         assert_eq!(tasks.values().filter(|counts| **counts != (1, 1)).count(), 1, "{tasks:?}");
         assert_eq!(tasks["r1/navto_room"].1, 1, "{tasks:?}");

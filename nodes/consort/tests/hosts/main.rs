@@ -1,7 +1,7 @@
 //! Tests on separate hosts: network namespaces, cut cables, packet loss and partitions.
 //!
 //! Each test restarts itself inside its own namespaces (`lab`); where that is not allowed it is
-//! skipped with a message. nftables (`nft`) drops packets, virtual Ethernet pairs are the cables,
+//! skipped. nftables (`nft`) drops packets, virtual Ethernet pairs are the cables,
 //! and a bridge is the switch.
 
 #[expect(dead_code, reason = "the benches use the rest")]
@@ -10,8 +10,10 @@ mod link_failures;
 mod multi_hop;
 mod packet_loss;
 mod partition;
+mod scenario;
 mod shipped_topology;
-mod story;
+#[path = "../../../../tests/support/slots.rs"]
+mod slots;
 #[path = "../processes/support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "the tests of processes use the rest")]
 mod support;

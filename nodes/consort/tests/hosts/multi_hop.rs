@@ -1,8 +1,8 @@
 //! Hosts in a row, each with cables to its neighbours only.
 
 use crate::lab::{Lab, inside};
-use crate::story::{LONG, fleet, robot, with, world};
-use crate::support::{example, until};
+use crate::scenario::{fleet, robot, with, world};
+use crate::support::{LONG, example, until};
 use std::time::Duration;
 
 #[test]

@@ -1,7 +1,9 @@
 //! Packet loss: some packets at all hosts, or all packets in a direction.
 
 use crate::lab::{Way, inside};
-use crate::story::{agreed, begins, completes_once, coordinator, hospital, submit, succession};
+use crate::scenario::{
+    assert_completes_once, coordinator, hospital, submit, wait_for_agreement, wait_for_first_task, wait_for_successor,
+};
 
 const HOSTS: [&str; 8] = ["s1", "s2", "s3", "s4", "s5", "world", "ada", "lab-arm"];
 
@@ -13,24 +15,24 @@ fn missions_and_takeovers_survive_a_tenth_of_packet_loss() {
             lab.lose(host, Way::In, 10);
         }
         let mission = submit(&client, "loss-1");
-        begins(&mut client, &mission);
+        wait_for_first_task(&mut client, &mission);
         let (first, term) = coordinator(&client);
         lab.kill(&first);
-        succession(&mut client, &first, term);
-        completes_once(&mut client, &mission, &lab);
+        wait_for_successor(&mut client, &first, term);
+        assert_completes_once(&mut client, &mission, &lab);
     });
 }
 
 fn the_coordinator_loses_all(way: Way, request: &str) {
     let (mut lab, mut client) = hospital(5.0, false);
     let mission = submit(&client, request);
-    begins(&mut client, &mission);
+    wait_for_first_task(&mut client, &mission);
     let (first, term) = coordinator(&client);
     lab.lose(&first, way, 100);
-    succession(&mut client, &first, term);
-    completes_once(&mut client, &mission, &lab);
+    wait_for_successor(&mut client, &first, term);
+    assert_completes_once(&mut client, &mission, &lab);
     lab.lose_nothing(&first);
-    let last = agreed(&mut lab, &[&first, "world", "ada"]);
+    let last = wait_for_agreement(&mut lab, &[&first, "world", "ada"]);
     assert_eq!(last, coordinator(&client).0);
 }
 

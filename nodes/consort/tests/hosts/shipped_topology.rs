@@ -12,13 +12,9 @@
 //! names are in `/etc/hosts`.
 
 use crate::lab::{ip, run, within};
-use crate::support::{Ended, Folder, Program, until};
+use crate::support::{Ended, Folder, LONG, Program, until};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
-
-/// Limit for events that must happen.
-pub(crate) const LONG: Duration = Duration::from_secs(90);
 
 /// Folder of the shipped deployment files.
 const DEPLOY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy");
@@ -217,8 +213,8 @@ impl ShippedTopology {
         until(&format!("{name} is linked with {others:?} alone"), LONG, || {
             let ids: BTreeSet<String> = others.iter().map(|other| id(other)).collect::<Option<_>>()?;
             let log = self.log(name);
-            let said = log.lines().rfind(|line| line.contains(" linked ") || line.contains(" no links"))?;
-            let links = said.split_once("links=\"").map_or("", |(_, links)| links.trim_end_matches('"'));
+            let line = log.lines().rfind(|line| line.contains(" linked ") || line.contains(" no links"))?;
+            let links = line.split_once("links=\"").map_or("", |(_, links)| links.trim_end_matches('"'));
             let linked = links.split(", ").filter_map(|link| link.split_once(" ("));
             (linked.map(|(id, _)| id.to_owned()).collect::<BTreeSet<_>>() == ids).then_some(())
         });

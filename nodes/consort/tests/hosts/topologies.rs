@@ -1,7 +1,8 @@
 //! The shipped topologies, each with the failure that it must survive.
 
 use crate::lab::{inside, within};
-use crate::shipped_topology::{LONG, ShippedTopology};
+use crate::shipped_topology::ShippedTopology;
+use crate::support::LONG;
 use serde_json::Value;
 use std::cell::RefCell;
 use std::process::{Child, Command};
@@ -25,8 +26,8 @@ fn coordinator(fleet: &Value) -> Option<String> {
 
 /// Waits until a node sees `count` nodes alive and a coordinator, and returns the coordinator.
 fn settled(shipped: &mut ShippedTopology, count: usize, on: &str, more: &[&str]) -> String {
-    let asked = [&["fleet", "--json"], more].concat();
-    shipped.wait_for_json(&format!("{count} are there"), &asked, on, |fleet| {
+    let command = [&["fleet", "--json"], more].concat();
+    shipped.wait_for_json(&format!("{count} are there"), &command, on, |fleet| {
         (alive(fleet) == count).then(|| coordinator(fleet)).flatten()
     })
 }

@@ -1,8 +1,8 @@
 //! Backups of the ledger taken from a fleet under load. After the loss of all disks, the fleet
 //! continues from a backup.
 
-use crate::crashes::{STATIONS, reign, start_hospital, submit, with};
-use crate::support::{Client, Fleet, example, until};
+use crate::crashes::{STATIONS, coordinator_and_term, start_hospital, submit, with};
+use crate::support::{Client, Fleet, LONG, example, until};
 use consort_protocol::ledger::Ledger;
 use consort_raft::store::Backup;
 use serde_json::json;
@@ -10,9 +10,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
-const LONG: Duration = Duration::from_secs(90);
 const SPEED: f64 = 8.0;
 
 /// Below the number of ended missions that a ledger keeps.
@@ -57,10 +55,10 @@ fn a_fleet_without_disks_continues_from_a_backup_made_under_load() {
     start_hospital(&mut fleet, SPEED);
     let address = fleet.address("world");
     let client = Client::open(&address, "backups");
-    reign(&client);
+    coordinator_and_term(&client);
     let (acknowledged, ended) = (Acknowledged::default(), Arc::new(AtomicBool::new(false)));
-    let (told, told_to_end) = (Arc::clone(&acknowledged), Arc::clone(&ended));
-    let busy = std::thread::spawn(move || load(address, told, told_to_end));
+    let (load_acknowledged, stop) = (Arc::clone(&acknowledged), Arc::clone(&ended));
+    let worker = std::thread::spawn(move || load(address, load_acknowledged, stop));
     until("there is something to be lost", LONG, || (acknowledged.lock().ok()?.len() >= 10).then_some(()));
 
     let mut positions = vec![];
@@ -68,14 +66,14 @@ fn a_fleet_without_disks_continues_from_a_backup_made_under_load() {
         let before = acknowledged.lock().expect("no panic while it is locked").clone();
         let file = fleet.path(&format!("copy-{number}.json"));
         let ran = fleet.run(&["backup", "--out", &file.display().to_string()], "world").expect(0);
-        let (backup, copied) = ledger(&file);
+        let (backup, copied_ledger) = ledger(&file);
         assert!(ran.stdout.contains(&format!("up to entry {}.{}", backup.term, backup.index)), "{}", ran.stdout);
         assert!(before.len() >= 10, "there is load");
-        has_all(&copied, &before);
+        has_all(&copied_ledger, &before);
         positions.push((backup.term, backup.index));
         if number == 1 {
             // The next coordinator can create backups too.
-            fleet.kill(&reign(&client).0);
+            fleet.kill(&coordinator_and_term(&client).0);
         }
     }
     assert!(positions.is_sorted() && positions[0] < positions[3], "{positions:?}");
@@ -88,7 +86,7 @@ fn a_fleet_without_disks_continues_from_a_backup_made_under_load() {
         refused.stderr
     );
     ended.store(true, Ordering::SeqCst);
-    busy.join().expect("the load was borne");
+    worker.join().expect("the load was borne");
 
     // Kills all nodes and removes all disks. Only a backup stored elsewhere remains.
     for name in fleet.names().into_iter().map(str::to_owned).collect::<Vec<_>>() {
@@ -101,8 +99,8 @@ fn a_fleet_without_disks_continues_from_a_backup_made_under_load() {
     fs::write(&file, copy).expect("the folder can be written to");
     let file = file.display().to_string();
     let restore = ["restore", "--from", &file, "--node", STATIONS[0], "--data-dir", &data];
-    let said = fleet.tool(&restore).expect(0).stdout;
-    assert!(said.contains("station-1, the only voter of backups, with "), "{said}");
+    let output = fleet.tool(&restore).expect(0).stdout;
+    assert!(output.contains("station-1, the only voter of backups, with "), "{output}");
     let refused = fleet.tool(&restore).expect(2).stderr;
     assert!(refused.contains("this is the store of node station-1 of fleet backups; nothing was changed"), "{refused}");
 
@@ -113,7 +111,7 @@ fn a_fleet_without_disks_continues_from_a_backup_made_under_load() {
     assert!(!under_way.is_empty(), "the first few missions were not canceled");
     let (request, mission) = acknowledged.lock().expect("no panic while it is locked")[0].clone();
     assert_eq!(submit(&client, &request), mission, "an acknowledged request is not a new request");
-    client.hears("a mission of before completes", LONG * 2, |event| {
+    client.wait_for_event("a mission of before completes", LONG * 2, |event| {
         event["event"] == "mission"
             && event["state"] == "completed"
             && under_way.iter().any(|mission| event["mission"] == mission.as_str())

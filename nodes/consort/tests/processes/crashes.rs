@@ -1,12 +1,10 @@
 //! Processes are killed, stopped and restarted at any step of a mission.
 
 use crate::demo::each_once;
-use crate::support::{Client, Fleet, example, until};
+use crate::support::{Client, Fleet, LONG, example, until};
 use serde_json::Value;
-use std::time::Duration;
 use toml::Table;
 
-const LONG: Duration = Duration::from_secs(90);
 pub(crate) const STATIONS: [&str; 3] = ["station-1", "station-2", "station-3"];
 
 pub(crate) fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -> Table {
@@ -24,13 +22,13 @@ pub(crate) fn world(speed: f64) -> Table {
 
 /// Starts three stations as voters, each with its own data directory. They connect to the world,
 /// which a real fleet does not contain.
-pub(crate) fn keepers(name: &str, speed: f64) -> Fleet {
+pub(crate) fn start_voters(name: &str, speed: f64) -> Fleet {
     let mut fleet = Fleet::new(&with(example("fleet"), "name", name));
-    start_keepers(&mut fleet, speed);
+    start_voters_in(&mut fleet, speed);
     fleet
 }
 
-fn start_keepers(fleet: &mut Fleet, speed: f64) {
+fn start_voters_in(fleet: &mut Fleet, speed: f64) {
     fleet.start("world", world(speed), &[]);
     for station in STATIONS {
         let data = fleet.path(&format!("{station}-data")).display().to_string();
@@ -50,7 +48,7 @@ fn hospital(name: &str, speed: f64) -> Fleet {
 
 /// Starts the nodes of such a hospital.
 pub(crate) fn start_hospital(fleet: &mut Fleet, speed: f64) {
-    start_keepers(fleet, speed);
+    start_voters_in(fleet, speed);
     for (kind, robot) in [("robot", "ada"), ("arm", "lab-arm")] {
         let data = fleet.path(&format!("{robot}-data")).display().to_string();
         fleet.start("robot", with(with(example(kind), "may_vote", false), "data_dir", data), &["world", "station-1"]);
@@ -59,12 +57,12 @@ pub(crate) fn start_hospital(fleet: &mut Fleet, speed: f64) {
 
 /// Waits for a coordinator and returns its name.
 fn coordinator(client: &Client) -> String {
-    reign(client).0
+    coordinator_and_term(client).0
 }
 
 /// Waits for a coordinator and returns its name and term.
-pub(crate) fn reign(client: &Client) -> (String, u64) {
-    until("somebody coordinates", LONG, || {
+pub(crate) fn coordinator_and_term(client: &Client) -> (String, u64) {
+    until("there is a coordinator", LONG, || {
         let answers = client.all("view/coordinator", "");
         let latest = answers.iter().max_by_key(|(_, view)| view["term"].as_u64())?;
         Some((latest.1["node"].as_str()?.to_owned(), latest.1["term"].as_u64()?))
@@ -73,10 +71,10 @@ pub(crate) fn reign(client: &Client) -> (String, u64) {
 
 /// Repeats a request under the same name until it is acknowledged.
 pub(crate) fn submit(client: &Client, request: &str) -> String {
-    let asked =
+    let payload =
         format!(r#"{{"mission": "lab-samples", "parameters": {{"room": "IC Room 6"}}, "request": "{request}"}}"#);
     until("the mission is acknowledged", LONG, || {
-        let answers = client.all("api/submit", &asked);
+        let answers = client.all("api/submit", &payload);
         answers.iter().find_map(|(_, answer)| answer["mission"].as_str().map(str::to_owned))
     })
 }
@@ -94,7 +92,7 @@ fn is_of(event: &Value, name: &str, mission: &str) -> bool {
 }
 
 pub(crate) fn completes(client: &mut Client, mission: &str) {
-    client.hears(&format!("{mission} completes"), LONG, |event| {
+    client.wait_for_event(&format!("{mission} completes"), LONG, |event| {
         is_of(event, "mission", mission) && event["state"] == "completed"
     });
 }
@@ -183,11 +181,14 @@ fn a_coordinator_that_was_stopped_returns_without_authority() {
     let mut client = Client::open(&fleet.address("world"), "still");
     ready(&client, 2);
     let mission = submit(&client, "still-1");
-    client.hears("the carrier sets out", LONG, |event| is_of(event, "task_began", &mission) && event["role"] == "r1");
+    client.wait_for_event("the carrier sets out", LONG, |event| {
+        is_of(event, "task_began", &mission) && event["role"] == "r1"
+    });
     let first = coordinator(&client);
     fleet.node(&first).signal("STOP");
-    let elected = client
-        .hears("another is elected", LONG, |event| event["event"] == "elected" && event["node"] != first.as_str());
+    let elected = client.wait_for_event("another is elected", LONG, |event| {
+        event["event"] == "elected" && event["node"] != first.as_str()
+    });
     let before = client.events().len();
     fleet.node(&first).signal("CONT");
     until("the stopped node has noticed that it no longer coordinates", LONG, || {
@@ -195,12 +196,12 @@ fn a_coordinator_that_was_stopped_returns_without_authority() {
     });
     completes(&mut client, &mission);
     assert_eq!(client.tasks(&mission), each_once(), "{}", fleet.logs());
-    let says = |event: &&Value| {
+    let acts_as_coordinator = |event: &&Value| {
         let what = event["event"].as_str().unwrap_or("?");
         event["node"] == first.as_str()
             && ["awarded", "released", "mission", "bids_requested", "closed"].contains(&what)
     };
-    assert_eq!(client.events()[before..].iter().filter(says).collect::<Vec<_>>(), Vec::<&Value>::new());
+    assert_eq!(client.events()[before..].iter().filter(acts_as_coordinator).collect::<Vec<_>>(), Vec::<&Value>::new());
     let last = coordinator(&client);
     assert_eq!(elected["node"], last.as_str());
     assert!(
@@ -218,7 +219,9 @@ fn a_running_mission_completes_after_all_nodes_were_killed() {
     ready(&client, 2);
     let under_way = submit(&client, "all-1");
     let waiting = submit(&client, "all-2");
-    client.hears("the carrier sets out", LONG, |event| is_of(event, "task_began", &under_way) && event["role"] == "r1");
+    client.wait_for_event("the carrier sets out", LONG, |event| {
+        is_of(event, "task_began", &under_way) && event["role"] == "r1"
+    });
     let nodes: Vec<String> = fleet.names().into_iter().filter(|name| *name != "world").map(str::to_owned).collect();
     for node in &nodes {
         fleet.kill(node);
@@ -255,7 +258,9 @@ fn the_fleet_continues_after_a_restart_of_the_world() {
     let mut client = Client::open(&fleet.address("station-1"), "worldless");
     ready(&client, 2);
     let first = submit(&client, "before");
-    client.hears("the carrier sets out", LONG, |event| is_of(event, "task_began", &first) && event["role"] == "r1");
+    client.wait_for_event("the carrier sets out", LONG, |event| {
+        is_of(event, "task_began", &first) && event["role"] == "r1"
+    });
     fleet.kill("world");
     until("the carrier reports that its driver server does not reply, or has ended its mission", LONG, || {
         let (_, view) = client.all("view/robot/ada", "").into_iter().next()?;

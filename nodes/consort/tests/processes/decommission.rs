@@ -1,12 +1,9 @@
 //! Voters leave for good or for a while.
 
-use crate::crashes::{STATIONS, keepers, reign, submit};
-use crate::support::{Client, Fleet, until};
+use crate::crashes::{STATIONS, coordinator_and_term, start_voters, submit};
+use crate::support::{Client, Fleet, LONG, until};
 use serde_json::Value;
 use std::collections::BTreeSet;
-use std::time::Duration;
-
-const LONG: Duration = Duration::from_secs(60);
 
 /// Returns the names in a list of a view.
 fn names(list: &Value) -> BTreeSet<&str> {
@@ -14,11 +11,11 @@ fn names(list: &Value) -> BTreeSet<&str> {
 }
 
 /// Waits until a station coordinates, these stations are the voters, and there are no learners.
-fn kept_by(client: &Client, keepers: &BTreeSet<&str>) {
-    until(&format!("{keepers:?} are the voters"), LONG, || {
+fn kept_by(client: &Client, start_voters: &BTreeSet<&str>) {
+    until(&format!("{start_voters:?} are the voters"), LONG, || {
         let (_, view) = client.all("view/coordinator", "").into_iter().next()?;
-        let by_them = names(&view["voters"]) == *keepers && names(&view["observers"]).is_empty();
-        (by_them && keepers.contains(view["node"].as_str()?)).then_some(())
+        let by_them = names(&view["voters"]) == *start_voters && names(&view["observers"]).is_empty();
+        (by_them && start_voters.contains(view["node"].as_str()?)).then_some(())
     });
 }
 
@@ -32,15 +29,15 @@ fn missions(client: &Client) -> Vec<String> {
 /// Waits for an election after a term and returns the new coordinator.
 fn elected_after(client: &mut Client, term: u64) -> String {
     let is_later = |event: &Value| event["event"] == "elected" && event["term"].as_u64() > Some(term);
-    let elected = client.hears("another is elected", LONG, is_later);
+    let elected = client.wait_for_event("another is elected", LONG, is_later);
     elected["node"].as_str().expect("a name").to_owned()
 }
 
 /// Returns the Raft member id of a node from its log.
 fn member(fleet: &mut Fleet, node: &str) -> String {
     until(&format!("{node} replica started"), LONG, || {
-        let said = fleet.node(node).stderr();
-        let (_, rest) = said.split_once(&format!("replica started node={node} raft="))?;
+        let output = fleet.node(node).stderr();
+        let (_, rest) = output.split_once(&format!("replica started node={node} raft="))?;
         let (member, _) = rest.split_once('\n')?;
         Some(member.to_owned())
     })
@@ -48,17 +45,17 @@ fn member(fleet: &mut Fleet, node: &str) -> String {
 
 #[test]
 fn a_coordinator_is_decommissioned_and_the_others_stay_voters() {
-    let mut fleet = keepers("farewell", 1.0);
+    let mut fleet = start_voters("farewell", 1.0);
     let mut client = Client::open(&fleet.address("world"), "farewell");
     kept_by(&client, &BTreeSet::from(STATIONS));
     let before = submit(&client, "before");
-    let (leaver, term) = reign(&client);
+    let (leaver, term) = coordinator_and_term(&client);
 
-    let said = fleet.run(&["leave", &leaver], "world").expect(0).stdout;
-    let successor = said.strip_prefix(&format!("{leaver} has left; "));
+    let output = fleet.run(&["leave", &leaver], "world").expect(0).stdout;
+    let successor = output.strip_prefix(&format!("{leaver} has left; "));
     let successor = successor.and_then(|rest| rest.strip_suffix(" is the coordinator; it is no longer a voter\n"));
     let left: BTreeSet<&str> = STATIONS.into_iter().filter(|station| *station != leaver).collect();
-    assert!(successor.is_some_and(|successor| left.contains(successor)), "{said:?}\n{}", fleet.logs());
+    assert!(successor.is_some_and(|successor| left.contains(successor)), "{output:?}\n{}", fleet.logs());
     let ended = fleet.ends(&leaver);
     assert!(ended.stderr.contains("decommissioned"), "{}", ended.stderr);
 
@@ -69,18 +66,18 @@ fn a_coordinator_is_decommissioned_and_the_others_stay_voters() {
     let after = submit(&client, "after");
     assert_eq!(missions(&client), [before, after]);
     // The node is gone: no other node answers for it.
-    let said = fleet.run(&["leave", &leaver], "world").expect(3).stderr;
-    assert!(said.contains(&format!("no node {leaver} answers in fleet farewell")), "{said}");
+    let output = fleet.run(&["leave", &leaver], "world").expect(3).stderr;
+    assert!(output.contains(&format!("no node {leaver} answers in fleet farewell")), "{output}");
     fleet.stop();
 }
 
 #[test]
 fn a_terminated_coordinator_transfers_the_lead_and_rejoins() {
-    let mut fleet = keepers("interlude", 1.0);
+    let mut fleet = start_voters("interlude", 1.0);
     let mut client = Client::open(&fleet.address("world"), "interlude");
     kept_by(&client, &BTreeSet::from(STATIONS));
     let before = submit(&client, "before");
-    let (first, term) = reign(&client);
+    let (first, term) = coordinator_and_term(&client);
     let was = member(&mut fleet, &first);
 
     fleet.node(&first).signal("TERM");

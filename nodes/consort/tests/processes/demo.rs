@@ -1,9 +1,8 @@
 //! `consort demo` without arguments: the main job.
 
-use crate::support::{Folder, Program, tasks};
+use crate::support::{Folder, LONG, Program, tasks};
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::time::Duration;
 
 /// Tasks of the shipped mission with their roles.
 pub(crate) const LAB_SAMPLES: [&str; 11] = [
@@ -32,7 +31,7 @@ fn of<'a>(events: &'a [Value], name: &str) -> Vec<&'a Value> {
 #[test]
 fn the_demo_kills_its_coordinator_and_the_sample_arrives() {
     let folder = Folder::new();
-    let ended = Program::start(&folder, "demo", &["demo", "--json"]).end(Duration::from_secs(120)).expect(0);
+    let ended = Program::start(&folder, "demo", &["demo", "--json"]).end(LONG).expect(0);
     let events = ended.json_lines();
 
     let [killed] = of(&events, "demo_killed")[..] else { panic!("expected a single kill\n{}", ended.stdout) };
@@ -60,6 +59,6 @@ fn the_demo_kills_its_coordinator_and_the_sample_arrives() {
     assert_eq!(summary["killed"], killed["node"]);
     assert_eq!(summary["takeover"]["node"], takeover["node"]);
 
-    folder.await_no_process(Duration::from_secs(1));
+    folder.await_no_process();
     assert_eq!(folder.temporary_files(), Vec::<String>::new());
 }

@@ -1,11 +1,10 @@
 //! `consort demo --virtual`: a seed determines a run.
 
-use crate::support::{Ended, Folder, Program};
-use std::time::Duration;
+use crate::support::{Ended, Folder, LONG, Program};
 
 fn play(folder: &Folder, name: &str, arguments: &[&str]) -> Ended {
     let all: Vec<&str> = ["demo", "--virtual"].into_iter().chain(arguments.iter().copied()).collect();
-    Program::start(folder, name, &all).end(Duration::from_secs(120)).expect(0)
+    Program::start(folder, name, &all).end(LONG).expect(0)
 }
 
 #[test]
@@ -49,6 +48,6 @@ fn recording_the_demo_does_not_change_its_run() {
     let picture = String::from_utf8(once[1].clone()).expect("text");
     assert!(picture.contains("class=\"trail-line\"") && picture.contains("Laboratory"), "{picture:.200}");
     let refused = Program::start(&folder, "refused", &["demo", "--record", "run.mcap"]);
-    let refused = refused.end(Duration::from_secs(20)).expect(2);
+    let refused = refused.end(LONG).expect(2);
     assert!(refused.stderr.contains("--record and --svg go with --virtual"), "{}", refused.stderr);
 }

@@ -1,15 +1,11 @@
 //! The demo leaves no processes and no files, however it ends.
 
-use crate::support::{Folder, Program, until};
-use std::time::Duration;
-
-/// Longest time for which child processes may outlive the demo: their shutdown time plus a margin.
-const END: Duration = Duration::from_secs(10);
+use crate::support::{Folder, LONG, Program, until};
 
 /// Starts a demo and waits until its fleet has a coordinator and runs a mission.
 fn under_way(folder: &Folder) -> Program {
     let mut demo = Program::start(folder, "demo", &["demo", "--json", "--speed", "1"]);
-    until("the mission of the demo begins", Duration::from_secs(60), || {
+    until("the mission of the demo begins", LONG, || {
         assert!(!demo.has_ended(), "it has ended:\n{}", demo.stderr());
         demo.stdout().contains(r#""event":"task_began""#).then_some(())
     });
@@ -22,9 +18,9 @@ fn ctrl_c_ends_the_whole_fleet() {
     let folder = Folder::new();
     let demo = under_way(&folder);
     demo.signal("INT");
-    let ended = demo.end(END).expect(130);
+    let ended = demo.end(LONG).expect(130);
     assert!(ended.stderr.contains("interrupted"), "{}", ended.stderr);
-    folder.await_no_process(Duration::from_secs(1));
+    folder.await_no_process();
     assert_eq!(folder.temporary_files(), Vec::<String>::new());
 }
 
@@ -32,13 +28,13 @@ fn ctrl_c_ends_the_whole_fleet() {
 fn ctrl_c_before_the_fleet_has_met_ends_it_too() {
     let folder = Folder::new();
     let mut demo = Program::start(&folder, "demo", &["demo", "--json"]);
-    until("a first child of the demo", Duration::from_secs(20), || {
+    until("a first child of the demo", LONG, || {
         assert!(!demo.has_ended(), "it has ended:\n{}", demo.stderr());
         folder.processes().iter().any(|(_, line)| line.contains(" --config ")).then_some(())
     });
     demo.signal("INT");
-    demo.end(END).expect(130);
-    folder.await_no_process(Duration::from_secs(5));
+    demo.end(LONG).expect(130);
+    folder.await_no_process();
     assert_eq!(folder.temporary_files(), Vec::<String>::new());
 }
 
@@ -47,13 +43,13 @@ fn a_demo_that_keeps_running_ends_cleanly_at_sigterm() {
     let folder = Folder::new();
     let arguments = ["demo", "--json", "--no-kill", "--robots", "1", "--speed", "40", "--keep-running"];
     let demo = Program::start(&folder, "demo", &arguments);
-    until("the demo keeps its fleet running", Duration::from_secs(90), || {
+    until("the demo keeps its fleet running", LONG, || {
         demo.stdout().contains(r#""event":"demo_keeps_running""#).then_some(())
     });
     assert!(folder.processes().len() > 3, "{:?}", folder.processes());
     demo.signal("TERM");
-    demo.end(END).expect(0);
-    folder.await_no_process(Duration::from_secs(1));
+    demo.end(LONG).expect(0);
+    folder.await_no_process();
     assert_eq!(folder.temporary_files(), Vec::<String>::new());
 }
 
@@ -62,5 +58,5 @@ fn nodes_end_by_themselves_when_the_demo_is_killed() {
     let folder = Folder::new();
     let mut demo = under_way(&folder);
     demo.kill();
-    folder.await_no_process(END);
+    folder.await_no_process();
 }

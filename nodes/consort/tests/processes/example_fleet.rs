@@ -1,8 +1,7 @@
 //! The main job with the example files, a process per node, and the commands of a client.
 
-use crate::support::{Client, Fleet, Folder, Program, example, until};
+use crate::support::{Client, Fleet, Folder, LONG, Program, example, free_port, until};
 use serde_json::{Value, json};
-use std::time::Duration;
 
 fn mission<'a>(missions: &'a Value, id: &str) -> &'a Value {
     let all = missions["missions"].as_array().expect("a list");
@@ -59,16 +58,16 @@ fn commands_submit_watch_and_cancel_missions_of_the_example_fleet() {
         let seen = fleet.run(&["fleet", "--json"], "station-1").expect(0).json();
         let ended_after = ended(&client, &before);
         let after = fleet.run(&["missions", "--json"], "lab-arm").expect(0).json();
-        let told = holders(&before);
-        if told == holders(&after) && !told.is_empty() && ended_before == ended_after {
+        let held_roles = holders(&before);
+        if held_roles == holders(&after) && !held_roles.is_empty() && ended_before == ended_after {
             // An ended role is no longer held but still listed with its mission. This is the only
             // difference.
-            let left: Vec<_> = told.into_iter().filter(|role| !ended_before.contains(role)).collect();
+            let left: Vec<_> = held_roles.into_iter().filter(|role| !ended_before.contains(role)).collect();
             assert_eq!(held(&seen), left, "\n{seen}\n{before}");
             agreed += 1;
         }
     }
-    let ended = waiting.end(Duration::from_secs(1)).expect(0);
+    let ended = waiting.end(LONG).expect(0);
     assert_eq!(
         ended.stdout.lines().collect::<Vec<_>>(),
         ["lab-samples-1", "lab-samples-1 completed"],
@@ -102,24 +101,24 @@ fn commands_submit_watch_and_cancel_missions_of_the_example_fleet() {
     assert_eq!(pending, json!({ "mission": "bed-transfer-2", "again": false, "request": request }));
     let again = fleet.run(&["submit", "bed-transfer", "--json", "--request", &request], "world").expect(0).json();
     assert_eq!(again, json!({ "mission": "bed-transfer-2", "again": true, "request": request }));
-    until("the auction of bed-transfer-2 has a reason of failure", Duration::from_secs(30), || {
+    until("the auction of bed-transfer-2 has a reason of failure", LONG, || {
         let missions = fleet.run(&["missions", "--json"], "world").expect(0).json();
         let entry = mission(&missions, "bed-transfer-2");
         assert_eq!(entry["state"], "pending");
         entry["pending_reason"].is_string().then_some(())
     });
-    let said = fleet.run(&["cancel", "bed-transfer-2", "--by", "ward 3"], "station-1").expect(0).stdout;
-    assert_eq!(said, "bed-transfer-2 canceled: by ward 3\n");
+    let output = fleet.run(&["cancel", "bed-transfer-2", "--by", "ward 3"], "station-1").expect(0).stdout;
+    assert_eq!(output, "bed-transfer-2 canceled: by ward 3\n");
     let missions = fleet.run(&["missions", "--json"], "ada").expect(0).json();
     assert_eq!(mission(&missions, "bed-transfer-2")["state"], "canceled");
     assert_eq!(mission(&missions, "lab-samples-1")["state"], "completed");
     assert_eq!(missions["missions"].as_array().map(Vec::len), Some(2), "{missions}");
 
     // An ended mission keeps its state; an unknown mission is reported.
-    let said = fleet.run(&["cancel", "lab-samples-1"], "ada").expect(1).stderr;
-    assert!(said.contains("lab-samples-1") && said.contains("completed"), "{said}");
-    let said = fleet.run(&["cancel", "lab-samples-9"], "ada").expect(1).stderr;
-    assert!(said.contains("lab-samples-9"), "{said}");
+    let output = fleet.run(&["cancel", "lab-samples-1"], "ada").expect(1).stderr;
+    assert!(output.contains("lab-samples-1") && output.contains("completed"), "{output}");
+    let output = fleet.run(&["cancel", "lab-samples-9"], "ada").expect(1).stderr;
+    assert!(output.contains("lab-samples-9"), "{output}");
 
     fleet.stop();
 }
@@ -127,10 +126,8 @@ fn commands_submit_watch_and_cancel_missions_of_the_example_fleet() {
 #[test]
 fn an_unreachable_fleet_is_reported() {
     let folder = Folder::new();
-    let free = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
-    let address = format!("tcp/{}", free.local_addr().expect("it has an address"));
-    drop(free);
+    let address = format!("tcp/127.0.0.1:{}", free_port());
     let arguments = ["missions", "--connect", &address, "--timeout", "1"];
-    let ended = Program::start(&folder, "missions", &arguments).end(Duration::from_secs(20)).expect(3);
+    let ended = Program::start(&folder, "missions", &arguments).end(LONG).expect(3);
     assert!(ended.stderr.contains(&format!("no node answers at {address}")), "{}", ended.stderr);
 }

@@ -2,9 +2,9 @@
 //! the library of the MCAP authors.
 //!
 //! `pip` installs them once into a folder of the build, over the network. Where that fails, the
-//! tests are skipped and print the reason.
+//! tests are skipped.
 
-use crate::support::{Client, hospital, until};
+use crate::support::{Client, LONG, hospital, skip, until};
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::fs;
@@ -12,13 +12,9 @@ use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
-use std::time::Duration;
 
 /// The installed packages.
 const PACKAGES: [&str; 3] = ["eclipse-zenoh==1.10.2", "zenoh-cli==0.7.0", "mcap==1.6.0"];
-
-/// Limit for all steps of a client.
-const LONG: Duration = Duration::from_secs(150);
 
 /// Returns the folder with the programs of the clients, or the reason why there is none.
 fn clients() -> &'static Result<PathBuf, String> {
@@ -48,12 +44,11 @@ fn run(command: &mut Command) -> Result<String, String> {
 }
 
 /// Returns the program of a client, if it is available.
-#[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
 fn program(name: &str) -> Option<PathBuf> {
     match clients() {
         Ok(bin) => Some(bin.join(name)),
         Err(why) => {
-            eprintln!("SKIPPED: the clients of others cannot be had: {why}");
+            skip(&format!("pip cannot install the third-party clients: {why}"));
             None
         }
     }
@@ -78,13 +73,13 @@ fn a_python_client_follows_a_mission_through_a_takeover() {
     let mut command = Command::new(python);
     command.arg(script).args([&fleet.address("world"), "python"]).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut client = Running(command.spawn().expect("python can be started"));
-    let mut told = String::new();
+    let mut output = String::new();
     let (mut coordinator, mut elected) = (String::new(), String::new());
     let stdout = client.0.stdout.take().expect("it is piped");
     // The script has its own limits.
     for line in BufReader::new(stdout).lines() {
         let line = line.expect("text");
-        writeln!(told, "{line}").expect("a string takes text");
+        writeln!(output, "{line}").expect("a string takes text");
         match line.split_once(' ').unwrap_or((line.as_str(), "")) {
             ("coordinator", node) => coordinator = node.to_owned(),
             ("running", _) => fleet.kill(&coordinator),
@@ -93,13 +88,13 @@ fn a_python_client_follows_a_mission_through_a_takeover() {
         }
     }
     let status = until("the script ends", LONG, || client.0.try_wait().expect("a child of ours"));
-    let mut said = String::new();
+    let mut errors = String::new();
     if let Some(stderr) = client.0.stderr.take() {
-        std::io::Read::read_to_string(&mut BufReader::new(stderr), &mut said).expect("text");
+        std::io::Read::read_to_string(&mut BufReader::new(stderr), &mut errors).expect("text");
     }
-    assert!(status.success(), "{status}\n{told}\n{said}\n{}", fleet.logs());
-    assert!(elected.starts_with("station-") && elected != coordinator, "{told}");
-    assert!(told.contains("explain r1: ada gets the role with "), "{told}");
+    assert!(status.success(), "{status}\n{output}\n{errors}\n{}", fleet.logs());
+    assert!(elected.starts_with("station-") && elected != coordinator, "{output}");
+    assert!(output.contains("explain r1: ada gets the role with "), "{output}");
     fleet.stop();
 }
 
@@ -129,7 +124,7 @@ fn the_zenoh_command_shows_each_view_once() {
         let lines = run(&mut command).unwrap_or_else(|problem| panic!("{problem}"));
         lines.lines().filter_map(|line| serde_json::from_str(line).ok()).collect::<Vec<Value>>()
     };
-    until("somebody coordinates", LONG, || {
+    until("there is a coordinator", LONG, || {
         let views = get("view/coordinator", None);
         views.first().filter(|view| view["node"].is_string()).map(|_| assert_eq!(views.len(), 1, "{views:?}"))
     });
@@ -137,9 +132,9 @@ fn the_zenoh_command_shows_each_view_once() {
     let views = get("view/**", None);
     assert_eq!(views.iter().filter(|view| view["missions"].is_array()).count(), 1, "{views:#?}");
     assert!(views.iter().all(|view| view["seen_by"].is_string()), "{views:#?}");
-    let asked = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "command-1"}"#;
+    let payload = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "command-1"}"#;
     until("the mission is acknowledged", LONG, || {
-        let answers = get("api/submit", Some(asked));
+        let answers = get("api/submit", Some(payload));
         answers.first().and_then(|answer| answer["mission"].as_str().map(|id| assert_eq!(id, "lab-samples-1")))
     });
     let seen = get("api/get", Some(r#"{"mission": "lab-samples-1"}"#));
@@ -158,20 +153,22 @@ fn the_mcap_library_reads_a_recording() {
     let mut fleet = hospital("foreign-reader");
     let file = fleet.path("run.mcap").display().to_string();
     let recorder = fleet.begin(&["record", "--out", &file, "--json"], "world");
-    let asked = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}}"#;
+    let payload = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}}"#;
     let mut client = Client::open(&fleet.address("world"), "foreign-reader");
-    until("the mission is acknowledged", LONG, || client.ask("api/submit", asked)["mission"].as_str().map(|_| ()));
-    client.hears("a task ends", LONG, |event| event["event"] == "task_ended");
+    until("the mission is acknowledged", LONG, || {
+        client.request("api/submit", payload)["mission"].as_str().map(|_| ())
+    });
+    client.wait_for_event("a task ends", LONG, |event| event["event"] == "task_ended");
     recorder.signal("TERM");
-    let said = recorder.end(LONG).expect(0).json();
+    let summary = recorder.end(LONG).expect(0).json();
     // An existing file is not overwritten.
     let again = fleet.run(&["record", "--out", &file], "world").expect(2);
     assert!(again.stderr.contains("this file exists already; --force replaces it"), "{}", again.stderr);
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/processes/foreign/read_mcap.py");
-    let told = run(Command::new(python).arg(script).arg(&file)).unwrap_or_else(|problem| panic!("{problem}"));
-    let told: Value = serde_json::from_str(&told).expect("JSON");
-    assert_eq!(told["metadata"]["consort.fleet"]["fleet"], "foreign-reader", "{told:#}");
-    assert_eq!(told["topics"]["/events"]["messages"], said["recorded"]["events"], "{told:#}");
+    let contents = run(Command::new(python).arg(script).arg(&file)).unwrap_or_else(|problem| panic!("{problem}"));
+    let contents: Value = serde_json::from_str(&contents).expect("JSON");
+    assert_eq!(contents["metadata"]["consort.fleet"]["fleet"], "foreign-reader", "{contents:#}");
+    assert_eq!(contents["topics"]["/events"]["messages"], summary["recorded"]["events"], "{contents:#}");
     for (topic, schema) in [
         ("/events", "consort.Event"),
         ("/coordinator", "consort.Beacon"),
@@ -184,7 +181,7 @@ fn the_mcap_library_reads_a_recording() {
         ("/people", "foxglove.SceneUpdate"),
         ("/log", "foxglove.Log"),
     ] {
-        assert_eq!(told["topics"][topic]["schema"], schema, "{told:#}");
+        assert_eq!(contents["topics"][topic]["schema"], schema, "{contents:#}");
     }
     fleet.stop();
 }

@@ -1,12 +1,9 @@
 //! The robot that holds the carrier role is killed on its way to the nurse.
 
 use crate::demo::each_once;
-use crate::support::{Client, Fleet, example, until};
+use crate::support::{Client, Fleet, LONG, example, until};
 use serde_json::Value;
-use std::time::Duration;
 use toml::Table;
-
-const LONG: Duration = Duration::from_secs(60);
 
 fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -> Table {
     table.insert(key.to_owned(), value.into());
@@ -46,11 +43,11 @@ fn hospital() -> (Fleet, Client) {
 #[test]
 fn another_robot_takes_over_before_custody() {
     let (mut fleet, mut client) = hospital();
-    let asked = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}}"#;
-    let mission = client.ask("api/submit", asked)["mission"].as_str().expect("a mission").to_owned();
+    let payload = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}}"#;
+    let mission = client.request("api/submit", payload)["mission"].as_str().expect("a mission").to_owned();
     let is = |event: &Value, name: &str| event["event"] == name && event["mission"] == mission.as_str();
 
-    let began = client.hears("r1 sets out", LONG, |event| is(event, "task_began") && event["role"] == "r1");
+    let began = client.wait_for_event("r1 sets out", LONG, |event| is(event, "task_began") && event["role"] == "r1");
     assert_eq!(began["task"], "navto_room");
     let lost = began["node"].as_str().expect("a name").to_owned();
     // If a node dies within a second or two after its start, Zenoh 1.10.2 may keep its token
@@ -62,12 +59,12 @@ fn another_robot_takes_over_before_custody() {
     fleet.kill(&lost);
     let other = if lost == "ada" { "bob" } else { "ada" };
 
-    let released = client.hears("the role is given up", LONG, |event| is(event, "released"));
+    let released = client.wait_for_event("the role is given up", LONG, |event| is(event, "released"));
     assert_eq!(released["role"], "r1");
     let awarded = |event: &Value| is(event, "awarded") && event["holders"]["r1"] == other;
-    let award = client.hears("the role is given to the other robot", LONG, awarded);
+    let award = client.wait_for_event("the role is given to the other robot", LONG, awarded);
     assert_eq!(award["holders"].as_object().map(serde_json::Map::len), Some(1), "the arm keeps its role: {award}");
-    client.hears("the mission completes", LONG, |event| is(event, "mission") && event["state"] == "completed");
+    client.wait_for_event("the mission completes", LONG, |event| is(event, "mission") && event["state"] == "completed");
 
     // Only the drive to the nurse began twice, at both carriers.
     let mut expected = each_once();
@@ -87,15 +84,15 @@ fn another_robot_takes_over_before_custody() {
 fn a_person_resolves_the_mission_of_a_robot_lost_with_a_sample() {
     let (mut fleet, mut client) = hospital();
     let submit = ["submit", "lab-samples", "--request", "order-1", "--priority", "5", "--deadline", "3600"];
-    let said = fleet.run(&submit, "world").expect(0).stdout;
-    assert_eq!(said, "lab-samples-1\n");
+    let output = fleet.run(&submit, "world").expect(0).stdout;
+    assert_eq!(output, "lab-samples-1\n");
     // A running mission needs no intervention.
     let refused = fleet.run(&["resolve", "lab-samples-1"], "world").expect(1).stderr;
     assert!(refused.contains("only a mission that needs intervention can be resolved"), "{refused}");
 
     let is = |event: &Value, name: &str| event["event"] == name && event["mission"] == "lab-samples-1";
     let is_on_its_way = |event: &Value| is(event, "task_began") && event["task"] == "navto_lab";
-    let lost = client.hears("r1 drives to the laboratory", LONG, is_on_its_way)["node"].clone();
+    let lost = client.wait_for_event("r1 drives to the laboratory", LONG, is_on_its_way)["node"].clone();
     let lost = lost.as_str().expect("a name");
     fleet.kill(lost);
     until("the mission needs intervention", LONG, || {
@@ -108,9 +105,12 @@ fn a_person_resolves_the_mission_of_a_robot_lost_with_a_sample() {
     assert!(line.contains(&what), "{missions}");
     assert!(line.contains(&format!("sample with {lost} (r1) at ")), "{missions}");
 
-    let said = fleet.run(&["resolve", "lab-samples-1", "--by", "ward 3, Nia"], "lab-arm").expect(0).stdout;
-    assert!(said.starts_with(&format!("lab-samples-1 closed: {lost} was lost as r1 and has the sample: ")), "{said}");
-    assert!(said.ends_with("; resolved by ward 3, Nia\n"), "{said}");
+    let output = fleet.run(&["resolve", "lab-samples-1", "--by", "ward 3, Nia"], "lab-arm").expect(0).stdout;
+    assert!(
+        output.starts_with(&format!("lab-samples-1 closed: {lost} was lost as r1 and has the sample: ")),
+        "{output}"
+    );
+    assert!(output.ends_with("; resolved by ward 3, Nia\n"), "{output}");
     let again = fleet.run(&["resolve", "lab-samples-1"], "world").expect(1).stderr;
     assert!(
         again.contains("lab-samples-1 is failed; only a mission that needs intervention can be resolved"),

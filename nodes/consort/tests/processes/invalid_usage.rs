@@ -1,15 +1,14 @@
 //! Missing or wrong arguments are reported with a remedy; no process starts.
 
-use crate::support::{Folder, Program};
+use crate::support::{Folder, LONG, Program};
 use std::net::TcpListener;
-use std::time::Duration;
 
 /// Runs the demo, which must reject its arguments, and returns its error output.
 fn refused(folder: &Folder, arguments: &[&str]) -> String {
     let all: Vec<&str> = ["demo"].into_iter().chain(arguments.iter().copied()).collect();
-    let ended = Program::start(folder, "demo", &all).end(Duration::from_secs(20)).expect(2);
+    let ended = Program::start(folder, "demo", &all).end(LONG).expect(2);
     assert_eq!(ended.stdout, "", "{all:?}");
-    folder.await_no_process(Duration::from_secs(1));
+    folder.await_no_process();
     assert_eq!(folder.temporary_files(), Vec::<String>::new(), "{all:?}");
     ended.stderr
 }
@@ -19,35 +18,35 @@ fn an_occupied_port_is_reported() {
     let folder = Folder::new();
     let taken = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
     let port = taken.local_addr().expect("it has an address").port().to_string();
-    let said = refused(&folder, &["--port", &port]);
-    assert!(said.contains(&format!("port {port} of {port} to ")), "{said}");
-    assert!(said.contains("choose other ports with --port, or leave it out to use free ports"), "{said}");
-    let said = refused(&folder, &["--port", "65530"]);
-    assert!(said.contains("--port 65530: 8 ports are needed, up to 65537; allowed is up to 65535"), "{said}");
+    let error = refused(&folder, &["--port", &port]);
+    assert!(error.contains(&format!("port {port} of {port} to ")), "{error}");
+    assert!(error.contains("choose other ports with --port, or leave it out to use free ports"), "{error}");
+    let error = refused(&folder, &["--port", "65530"]);
+    assert!(error.contains("--port 65530: 8 ports are needed, up to 65537; allowed is up to 65535"), "{error}");
 }
 
 #[test]
 fn an_unknown_or_invalid_mission_is_rejected_before_the_start() {
     let folder = Folder::new();
-    let said = refused(&folder, &["--mission", "nope"]);
+    let error = refused(&folder, &["--mission", "nope"]);
     for word in [
         "nope",
         "no such file",
         "bed-transfer, food-logistics, lab-samples, lab-samples-watched, vital-signs, ward-disinfection",
     ] {
-        assert!(said.contains(word), "{word:?} in {said}");
+        assert!(error.contains(word), "{word:?} in {error}");
     }
-    let shipped = include_str!("../../../../protocol/missions/lab-samples.yaml");
+    let shipped = include_str!("../../../../skills/missions/lab-samples.yaml");
     let wrong =
         shipped.replace("task: approach_nurse, type: approach_person", "task: approach_nurse, type: approach_persn");
     let file = folder.write("wrong.yaml", &wrong).display().to_string();
     for stage in [&["--mission", &file][..], &["--mission", &file, "--virtual"]] {
-        let said = refused(&folder, stage);
+        let error = refused(&folder, stage);
         for word in ["wrong.yaml", "meet_nurse/approach_nurse: ", "approach_persn", "approach_person"] {
-            assert!(said.contains(word), "{word:?} in {said}");
+            assert!(error.contains(word), "{word:?} in {error}");
         }
     }
     // A mission without the parameter that the demo sets.
-    let said = refused(&folder, &["--mission", "bed-transfer"]);
-    assert!(said.contains("it has no parameter `room`"), "{said}");
+    let error = refused(&folder, &["--mission", "bed-transfer"]);
+    assert!(error.contains("it has no parameter `room`"), "{error}");
 }

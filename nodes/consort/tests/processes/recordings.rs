@@ -1,7 +1,7 @@
 //! Recordings of a world, however its process ends, and recordings of a fleet when its coordinator
 //! or the recorder is killed.
 
-use crate::support::{Client, Folder, Program, hospital, until};
+use crate::support::{Client, Folder, LONG, Program, hospital, until};
 use consort_dashboard::recording::{RecordingReader, TimelineMarkKind};
 use std::fs;
 use std::path::Path;
@@ -18,7 +18,7 @@ fn recorded(folder: &Folder) -> Program {
     fs::write(folder.path().join("world.toml"), WORLD).expect("the folder can be written to");
     let arguments = ["world", "--config", "world.toml", "--record", "run.mcap", "--svg", "paths.svg"];
     let mut world = Program::start(folder, "world", &arguments);
-    until("the world's start", Duration::from_secs(60), || {
+    until("the world's start", LONG, || {
         assert!(!world.has_ended(), "it has ended:\n{}", world.stderr());
         world.stderr().contains("started").then_some(())
     });
@@ -31,7 +31,7 @@ fn a_stopped_world_completes_its_recordings() {
         let folder = Folder::new();
         let world = recorded(&folder);
         world.signal(signal);
-        let ended = world.end(Duration::from_secs(20)).expect(0);
+        let ended = world.end(LONG).expect(0);
         for file in ["run.mcap: ", "paths.svg: "] {
             assert!(ended.stderr.contains(file), "{file}\n{}", ended.stderr);
         }
@@ -49,7 +49,7 @@ fn a_killed_world_leaves_a_partial_recording() {
     // The initial state of the world is written after 5 s of world time, which is a tenth of a
     // second.
     let written = || fs::read(folder.path().join("run.mcap")).ok().filter(|mcap| mcap.len() > 1000);
-    until("the first chunk", Duration::from_secs(20), written);
+    until("the first chunk", LONG, written);
     world.kill();
     let mcap = written().expect("a recording");
     assert!(mcap.starts_with(MAGIC) && !mcap.ends_with(MAGIC), "{} bytes", mcap.len());
@@ -68,14 +68,14 @@ fn a_recorder_survives_the_loss_of_its_node_and_can_be_killed() {
     let mut fleet = hospital("linked");
     let client = Client::open(&fleet.address("world"), "linked");
     let coordinator =
-        until("somebody coordinates", long, || Some(client.view("coordinator")["node"].as_str()?.to_owned()));
+        until("there is a coordinator", long, || Some(client.view("coordinator")["node"].as_str()?.to_owned()));
     let (address, file) = (fleet.address(&coordinator), fleet.path("run.mcap"));
     let name = file.display().to_string();
     // The client uses the first reachable node.
     let mut recorder = fleet.begin(&["record", "--out", &name, "--connect", &address], "world");
     until("it has received the coordinator", long, || holds(&file, &format!(r#"{{"node":"{coordinator}","term":"#)));
     fleet.kill(&coordinator);
-    let next = until("somebody else coordinates", long, || {
+    let next = until("there is another coordinator", long, || {
         let node = client.view("coordinator")["node"].as_str()?.to_owned();
         (node != coordinator).then_some(node)
     });

@@ -1,19 +1,16 @@
 //! Notifications of a node to its service manager.
 
-use crate::support::{Fleet, Folder, Program, example, until};
+use crate::support::{Fleet, Folder, LONG, Program, example, until};
 use std::os::unix::net::UnixDatagram;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-/// Limit for events that must happen.
-const LONG: Duration = Duration::from_secs(60);
-
 /// Notification socket of a service manager.
 struct Manager {
     socket: UnixDatagram,
     path: PathBuf,
-    heard: Vec<String>,
+    received: Vec<String>,
 }
 
 impl Manager {
@@ -23,7 +20,7 @@ impl Manager {
         let name = format!("consort-manager-{}-{}", std::process::id(), NUMBER.fetch_add(1, Ordering::Relaxed));
         let path = std::env::temp_dir().join(name);
         let socket = UnixDatagram::bind(&path).expect("a socket");
-        Manager { socket, path, heard: vec![] }
+        Manager { socket, path, received: vec![] }
     }
 
     /// Returns the environment variables of its services.
@@ -33,20 +30,21 @@ impl Manager {
     }
 
     /// Waits at most `limit` for the next notification.
-    fn hears(&mut self, limit: Duration) -> Option<String> {
+    fn receive(&mut self, limit: Duration) -> Option<String> {
         self.socket.set_read_timeout(Some(limit)).expect("a limit");
         let mut buffer = [0; 4096];
         let length = self.socket.recv(&mut buffer).ok()?;
-        let said = String::from_utf8(buffer[..length].to_vec()).expect("text");
-        self.heard.push(said.clone());
-        Some(said)
+        let notification = String::from_utf8(buffer[..length].to_vec()).expect("text");
+        self.received.push(notification.clone());
+        Some(notification)
     }
 
     /// Waits for a notification that contains a line.
     #[track_caller]
     fn awaits(&mut self, line: &str) -> String {
-        until(&format!("notification {line}; received so far: {:?}", self.heard), LONG, || {
-            self.hears(Duration::from_millis(100)).filter(|said| said.lines().any(|of| of.starts_with(line)))
+        until(&format!("notification {line}; received so far: {:?}", self.received), LONG, || {
+            self.receive(Duration::from_millis(100))
+                .filter(|notification| notification.lines().any(|of| of.starts_with(line)))
         })
     }
 }
@@ -75,10 +73,10 @@ fn a_node_notifies_its_start_links_and_stop() {
     manager.awaits("READY=1");
     let log = fleet.node("station-1").stderr();
     assert!(log.contains(" open node=station-1") && log.contains(" started node=station-1"), "too early:\n{log}");
-    assert!(!manager.heard.iter().any(|said| said.contains("STOPPING")), "{:?}", manager.heard);
+    assert!(!manager.received.iter().any(|notification| notification.contains("STOPPING")), "{:?}", manager.received);
     fleet.run(&["fleet"], "station-1").expect(0);
     let linked = "STATUS=linked with 1 neighbour";
-    if !manager.heard.iter().any(|said| said.contains(linked)) {
+    if !manager.received.iter().any(|notification| notification.contains(linked)) {
         manager.awaits(linked);
     }
     fleet.kill("world");
@@ -86,8 +84,9 @@ fn a_node_notifies_its_start_links_and_stop() {
     fleet.node("station-1").signal("TERM");
     manager.awaits("STOPPING=1");
     fleet.ends("station-1");
-    let told = |line: &str| manager.heard.iter().filter(|said| said.lines().any(|of| of == line)).count();
-    assert_eq!((told("READY=1"), told("STOPPING=1")), (1, 1), "{:?}", manager.heard);
+    let count =
+        |line: &str| manager.received.iter().filter(|notification| notification.lines().any(|of| of == line)).count();
+    assert_eq!((count("READY=1"), count("STOPPING=1")), (1, 1), "{:?}", manager.received);
     fleet.stop();
 }
 
@@ -100,7 +99,7 @@ fn a_node_that_cannot_start_never_reports_readiness() {
     let arguments = ["station", "--name", "late", "--listen", &address];
     let ended = Program::start_by(&by(&manager.variables(PATIENT)), &folder, "late", &arguments).end(LONG).expect(2);
     assert!(ended.stderr.contains("the port is taken"), "{}", ended.stderr);
-    assert_eq!(manager.hears(Duration::from_millis(100)), None);
+    assert_eq!(manager.receive(Duration::from_millis(100)), None);
 }
 
 #[test]
@@ -115,8 +114,8 @@ fn a_node_feeds_its_watchdog_unless_it_is_stopped() {
     }
     fleet.node("station-1").signal("STOP");
     // Drains notifications that were already on their way.
-    while manager.hears(Duration::from_millis(50)).is_some() {}
-    assert_eq!(manager.hears(patience), None, "it stands still");
+    while manager.receive(Duration::from_millis(50)).is_some() {}
+    assert_eq!(manager.receive(patience), None, "it stands still");
     fleet.node("station-1").signal("CONT");
     manager.awaits("WATCHDOG=1");
     fleet.stop();

@@ -2,12 +2,9 @@
 //! language.
 
 use crate::demo::each_once;
-use crate::support::{Client, hospital, until};
+use crate::support::{Client, LONG, hospital, until};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
-use std::time::Duration;
-
-const LONG: Duration = Duration::from_secs(60);
 
 fn names(list: &Value, key: &str) -> Vec<String> {
     let list = list.as_array().expect("a list");
@@ -26,7 +23,7 @@ fn a_plain_zenoh_client_runs_a_mission_through_a_takeover() {
         let alive = nodes.as_array()?.iter().all(|node| node["alive"] == true);
         (names(&nodes, "node") == everyone && alive).then_some(())
     });
-    let coordinator = until("somebody coordinates", LONG, || {
+    let coordinator = until("there is a coordinator", LONG, || {
         let view = client.view("coordinator");
         view["node"].is_string().then_some(view)
     });
@@ -50,7 +47,7 @@ fn a_plain_zenoh_client_runs_a_mission_through_a_takeover() {
         assert!(client.view_by_default(view).is_object(), "{view}");
         // Also for clients that query all nodes: of several replies on the same key Zenoh returns
         // one.
-        assert_eq!(client.asked_of_all_nodes(&format!("view/{view}")).len(), 1, "{view}");
+        assert_eq!(client.query_all_nodes(&format!("view/{view}")).len(), 1, "{view}");
     }
     let whole: BTreeSet<String> = client.all("view/**", "").into_iter().map(|(key, _)| key).collect();
     let expected = views.iter().chain(&["robot/lab-arm"]).map(|view| format!("view/{view}"));
@@ -60,26 +57,27 @@ fn a_plain_zenoh_client_runs_a_mission_through_a_takeover() {
     assert_eq!(seen, everyone.iter().map(|node| format!("seen/{node}/coordinator")).collect());
 
     // Impossible requests are answered too.
-    let refused = client.ask("api/submit", r#"{"mission": "nope"}"#);
+    let refused = client.request("api/submit", r#"{"mission": "nope"}"#);
     assert!(refused["error"].as_str().is_some_and(|text| text.contains("lab-samples")), "{refused}");
-    let refused = client.ask("api/submit", "no JSON");
+    let refused = client.request("api/submit", "no JSON");
     assert!(refused["error"].is_string(), "{refused}");
 
     // Submits a mission and kills the coordinator while it runs.
     let request = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "stock-1"}"#;
-    assert_eq!(client.ask("api/submit", request), json!({ "mission": "lab-samples-1", "again": false }));
-    client.hears("the mission's first task begins", LONG, |event| event["event"] == "task_began");
+    assert_eq!(client.request("api/submit", request), json!({ "mission": "lab-samples-1", "again": false }));
+    client.wait_for_event("the mission's first task begins", LONG, |event| event["event"] == "task_began");
     fleet.kill(&first);
-    let successor = client
-        .hears("another node is elected", LONG, |event| event["event"] == "elected" && event["node"] != first.as_str());
+    let successor = client.wait_for_event("another node is elected", LONG, |event| {
+        event["event"] == "elected" && event["node"] != first.as_str()
+    });
     assert!(successor["term"].as_u64() > term.as_u64(), "{successor}");
     // The acknowledged mission is not lost and not treated as new.
     let again = until("the next coordinator replies", LONG, || {
-        let answer = client.ask("api/submit", request);
+        let answer = client.request("api/submit", request);
         answer["error"].is_null().then_some(answer)
     });
     assert_eq!(again, json!({ "mission": "lab-samples-1", "again": true }));
-    client.hears("the mission completes", LONG, |event| {
+    client.wait_for_event("the mission completes", LONG, |event| {
         event["event"] == "mission" && event["mission"] == "lab-samples-1" && event["state"] == "completed"
     });
     assert_eq!(client.tasks("lab-samples-1"), each_once());
@@ -105,7 +103,7 @@ fn a_plain_zenoh_client_runs_a_mission_through_a_takeover() {
     until("the tokens of the dead node are removed", LONG, || (client.present() == present).then_some(()));
 
     // The command line shows the same.
-    let said = fleet.run(&["missions", "--json"], "ada").expect(0).json();
-    assert_eq!(said["missions"], client.view("missions")["missions"]);
+    let output = fleet.run(&["missions", "--json"], "ada").expect(0).json();
+    assert_eq!(output["missions"], client.view("missions")["missions"]);
     fleet.stop();
 }

@@ -1,13 +1,10 @@
 //! `consort watch` on a terminal that `script` (util-linux) provides. Without that program the test
-//! is skipped with a message.
+//! is skipped.
 
-use crate::support::{Fleet, Folder, example, until};
+use crate::support::{Fleet, Folder, LONG, example, skip, until};
 use std::fs;
 use std::io::Write as _;
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
-
-const LONG: Duration = Duration::from_secs(60);
 
 /// Size of the terminal: lines and columns.
 const SIZE: (usize, usize) = (40, 140);
@@ -23,14 +20,13 @@ struct Terminal {
 }
 
 impl Terminal {
-    /// Runs `consort` on a new terminal. Returns `None` and prints the reason if there can be no
+    /// Runs `consort` on a new terminal. Returns `None` and skips the test if there can be no
     /// terminal. After its end the terminal shows its exit code and whether the terminal settings
     /// were restored.
-    #[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
     fn start(arguments: &[&str]) -> Option<Terminal> {
         let there = Command::new("script").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
         if !there.is_ok_and(|status| status.success()) {
-            eprintln!("SKIPPED: there is no program `script` here (apt-get install bsdutils)");
+            skip("no program script (apt-get install bsdutils)");
             return None;
         }
         let (folder, (lines, columns)) = (Folder::new(), SIZE);

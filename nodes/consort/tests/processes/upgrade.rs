@@ -1,21 +1,19 @@
 //! Rolling upgrade of a fleet from the previous release to this version, while missions continue.
 //!
 //! The previous release is this program, limited to wire version 1. The layouts of version 1 itself
-//! are compared with stored bytes in `tests/untrusted/golden_bytes.rs`.
+//! are compared with stored bytes in `tests/fuzz_targets/golden_bytes.rs`.
 
-use crate::crashes::{STATIONS, reign, submit, with, world};
-use crate::support::{Client, Closed, Ended, Fleet, example, until};
+use crate::crashes::{STATIONS, coordinator_and_term, submit, with, world};
+use crate::support::{Client, Closed, Ended, Fleet, LONG, example, until};
 use serde_json::Value;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 use toml::Table;
 
-const LONG: Duration = Duration::from_secs(120);
 const ROBOTS: [&str; 2] = ["ada", "lab-arm"];
 
 /// Arguments in front of the program that make it read wire version 1 only, as the previous release
-/// does. Only builds for tests honour the variable.
+/// does: the variable of the hidden flag `--newest-wire-version` of a node.
 const PREVIOUS: [&str; 2] = ["env", "CONSORT_NEWEST_WIRE_VERSION=1"];
 
 /// A hospital whose nodes run either program.
@@ -101,12 +99,12 @@ fn a_fleet_is_upgraded_node_by_node_during_missions() {
     let mut hospital = Hospital::open("upgrade", 10.0);
     let address = hospital.fleet.address("world");
     let mut client = Client::open(&address, "upgrade");
-    let (leader, _) = reign(&client);
+    let (leader, _) = coordinator_and_term(&client);
     let ended = Arc::new(AtomicBool::new(false));
-    let told = Arc::clone(&ended);
+    let worker_ended = Arc::clone(&ended);
     let at = address.clone();
-    let worker = std::thread::spawn(move || work(&at, "upgrade", &told));
-    client.hears("a mission is under way", LONG, |event| event["event"] == "task_began");
+    let worker = std::thread::spawn(move || work(&at, "upgrade", &worker_ended));
+    client.wait_for_event("a mission is under way", LONG, |event| event["event"] == "task_began");
 
     // The coordinator comes last.
     let mut stations = STATIONS.to_vec();
@@ -121,8 +119,8 @@ fn a_fleet_is_upgraded_node_by_node_during_missions() {
     // Some nodes run the old release and some the new. The fleet writes the version that all of
     // them read.
     until("the versions of all nodes are known", LONG, || {
-        let told = client.ask("api/upgrade", "{}");
-        let ready: Vec<&str> = told["nodes"]
+        let state = client.request("api/upgrade", "{}");
+        let ready: Vec<&str> = state["nodes"]
             .as_array()?
             .iter()
             .filter(|node| node["ready"] == true)
@@ -139,7 +137,9 @@ fn a_fleet_is_upgraded_node_by_node_during_missions() {
     assert!(shown.starts_with("the fleet writes wire version 1; 3 of 6 nodes do not read 2 yet\n"), "{shown}");
 
     // Restarts a robot in the middle of a mission.
-    client.hears("ada carries something out", LONG, |event| event["event"] == "task_began" && event["node"] == "ada");
+    client.wait_for_event("ada carries something out", LONG, |event| {
+        event["event"] == "task_began" && event["node"] == "ada"
+    });
     for robot in ROBOTS {
         hospital.move_over(robot, false, &client);
     }
@@ -166,13 +166,13 @@ fn a_fleet_is_upgraded_node_by_node_during_missions() {
     }
     let client = Client::open(&hospital.fleet.address("world"), "upgrade");
     until("all nodes read version 2", LONG, || {
-        let told = client.ask("api/upgrade", "{}");
-        told["nodes"].as_array()?.iter().all(|node| node["ready"] == true).then_some(())
+        let state = client.request("api/upgrade", "{}");
+        state["nodes"].as_array()?.iter().all(|node| node["ready"] == true).then_some(())
     });
-    let said = hospital.upgrade(&["--finish"], "world").expect(0).stdout;
+    let output = hospital.upgrade(&["--finish"], "world").expect(0).stdout;
     assert!(
-        said.starts_with("the fleet writes wire version 2; the coordinator's release reads no later version"),
-        "{said}"
+        output.starts_with("the fleet writes wire version 2; the coordinator's release reads no later version"),
+        "{output}"
     );
     let mission = submit(&client, "afterwards");
     until("a mission is completed after it", LONG, || {
@@ -209,7 +209,7 @@ fn two_releases_accept_each_other_in_a_closed_fleet() {
     let ended = closed.fleet.begin_by(&PREVIOUS, &submit, "world").end(LONG).expect(0);
     assert!(ended.stdout.ends_with("completed\n"), "{}", ended.stdout);
     for name in ["station-1", "world", "ada", "lab-arm"] {
-        assert_eq!(closed.refused(name), "", "{name} takes friends for foes");
+        assert_eq!(closed.refused(name), "", "{name} rejects messages of its own fleet");
     }
 
     for (name, kind, file) in [("station-1", "station", file("station")), ("lab-arm", "robot", file("arm"))] {
@@ -226,7 +226,7 @@ fn two_releases_accept_each_other_in_a_closed_fleet() {
     let ended = closed.fleet.run(&again, "world").expect(0);
     assert!(ended.stdout.ends_with("completed\n"), "{}", ended.stdout);
     for name in ["station-1", "world", "ada", "lab-arm"] {
-        assert_eq!(closed.refused(name), "", "{name} takes friends for foes");
+        assert_eq!(closed.refused(name), "", "{name} rejects messages of its own fleet");
     }
     closed.fleet.stop();
 }

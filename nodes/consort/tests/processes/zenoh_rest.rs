@@ -1,23 +1,20 @@
 //! A fleet over plain HTTP: Zenoh's own router with its REST plug-in, both unmodified.
 //!
 //! `nodes/consort/tests/processes/foreign/router.sh` builds both in some minutes. This test runs the script if
-//! `CONSORT_FOREIGN_ROUTER` is set; otherwise, without the programs, it is skipped with a message.
+//! `CONSORT_FOREIGN_ROUTER` is set; otherwise, without the programs, it is skipped.
 
-use crate::support::{Folder, hospital_by, until};
+use crate::support::{Folder, LONG, free_port, hospital_by, skip, until};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
-use std::net::{TcpListener, TcpStream};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-const LONG: Duration = Duration::from_secs(60);
-
 /// Returns the folder with the router and its plug-in, if available.
-#[expect(clippy::print_stderr, reason = "a skipped test prints the reason")]
 fn programs() -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("foreign-router");
     if folder.join("zenohd").exists() {
@@ -25,15 +22,12 @@ fn programs() -> Option<PathBuf> {
     }
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/processes/foreign/router.sh");
     if std::env::var_os("CONSORT_FOREIGN_ROUTER").is_none() {
-        let line = "nodes/consort/tests/processes/foreign/router.sh";
-        eprintln!(
-            "SKIPPED: there is no zenohd with REST plug-in here; {line} builds them, as does CONSORT_FOREIGN_ROUTER=1"
-        );
+        skip("no zenohd with REST plug-in (nodes/consort/tests/processes/foreign/router.sh builds them)");
         return None;
     }
     let built = Command::new(script).arg(&folder).stdin(Stdio::null()).output().expect("there is a bash");
     if !built.status.success() {
-        eprintln!("SKIPPED: zenohd cannot be built here: {}", String::from_utf8_lossy(&built.stderr));
+        skip(&format!("zenohd cannot be built: {}", String::from_utf8_lossy(&built.stderr)));
         return None;
     }
     Some(folder)
@@ -53,21 +47,19 @@ impl Router {
     fn start(programs: &Path) -> Router {
         let folder = Folder::new();
         // The plug-in does not print its port, so the test chooses a port.
-        let free = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
-        let http = free.local_addr().expect("it has an address").to_string();
-        drop(free);
-        let said = folder.path().join("zenohd.out");
+        let http = format!("127.0.0.1:{}", free_port());
+        let log = folder.path().join("zenohd.out");
         let mut command = Command::new(programs.join("zenohd"));
         command.args(["--no-multicast-scouting", "--listen", "tcp/127.0.0.1:0", "--rest-http-port", &http]);
         command.arg("--plugin-search-dir").arg(programs).env("TMPDIR", folder.temporary()).env_remove("RUST_LOG");
-        let out = File::create(&said).expect("the folder can be written to");
+        let out = File::create(&log).expect("the folder can be written to");
         let err = out.try_clone().expect("a file can be had twice");
         let mut child =
             command.stdin(Stdio::null()).stdout(out).stderr(err).spawn().expect("the router can be started");
         let address = until("the router logs its address", LONG, || {
-            let said = fs::read_to_string(&said).ok()?;
-            assert!(child.try_wait().expect("a child of ours").is_none(), "the router has ended:\n{said}");
-            let (_, rest) = said.split_once("can be reached at: ")?;
+            let log = fs::read_to_string(&log).ok()?;
+            assert!(child.try_wait().expect("a child of ours").is_none(), "the router has ended:\n{log}");
+            let (_, rest) = log.split_once("can be reached at: ")?;
             let (address, _) = rest.split_once('\n')?;
             TcpStream::connect(&http).ok()?;
             Some(address.trim().to_owned())
@@ -76,7 +68,7 @@ impl Router {
     }
 
     /// Sends a request and returns a reader of the response body.
-    fn ask(&self, request: &str, headers: &str, body: &str) -> BufReader<TcpStream> {
+    fn request_stream(&self, request: &str, headers: &str, body: &str) -> BufReader<TcpStream> {
         let mut stream = TcpStream::connect(&self.http).expect("the router listens");
         stream.set_read_timeout(Some(LONG)).expect("a limit can be set");
         // HTTP/1.0 has no chunked encoding.
@@ -95,7 +87,9 @@ impl Router {
     fn answers(&self, request: &str, body: &str) -> BTreeMap<String, Value> {
         let mut text = String::new();
         let json = "Content-Type: application/json\r\n";
-        self.ask(request, if body.is_empty() { "" } else { json }, body).read_to_string(&mut text).expect("text");
+        self.request_stream(request, if body.is_empty() { "" } else { json }, body)
+            .read_to_string(&mut text)
+            .expect("text");
         let answers: Vec<Value> = serde_json::from_str(&text).unwrap_or_else(|problem| panic!("{problem}: {text}"));
         let mut by_key = BTreeMap::new();
         for answer in answers {
@@ -124,8 +118,8 @@ impl Router {
 
     /// Subscribes to the events as server-sent events.
     fn follow(&self) -> Receiver<Value> {
-        let stream = self.ask("GET /consort/rest/events/**", "Accept: text/event-stream\r\n", "");
-        let (to, heard) = channel();
+        let stream = self.request_stream("GET /consort/rest/events/**", "Accept: text/event-stream\r\n", "");
+        let (to, events) = channel();
         std::thread::spawn(move || {
             for line in stream.lines().map_while(Result::ok) {
                 let Some(sample) = line.strip_prefix("data: ") else { continue };
@@ -135,7 +129,7 @@ impl Router {
                 }
             }
         });
-        heard
+        events
     }
 }
 
@@ -152,7 +146,7 @@ fn an_http_client_follows_a_mission_through_a_takeover() {
     let Some(programs) = programs() else { return };
     let router = Router::start(&programs);
     let mut fleet = hospital_by("rest", &router.address);
-    let heard = router.follow();
+    let events = router.follow();
     let coordinator = until("there is a coordinator and the robots are members", LONG, || {
         let members = router.get("view/ensembles").remove("view/ensembles")?["ensembles"][0]["members"].clone();
         let view = router.get("view/coordinator").remove("view/coordinator")?;
@@ -185,15 +179,15 @@ fn an_http_client_follows_a_mission_through_a_takeover() {
     let refused = router.call("submit", &json!({ "mission": "lab-samples", "priority": "high" }));
     let error = refused["error"].as_str().expect("an error");
     assert!(error.starts_with("priority is a string; allowed is integer"), "{error}");
-    let asked = json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" }, "request": "rest-1" });
-    assert_eq!(router.call("submit", &asked), json!({ "mission": "lab-samples-1", "again": false }));
+    let request = json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" }, "request": "rest-1" });
+    assert_eq!(router.call("submit", &request), json!({ "mission": "lab-samples-1", "again": false }));
 
     let (mut killed, mut elected, mut state) = (false, None, String::new());
     let (mut last, mut slowest) = (BTreeMap::new(), Duration::ZERO);
     let end = Instant::now() + LONG;
     while state != "completed" {
         assert!(Instant::now() < end, "lab-samples-1 is {state}\n{}", fleet.logs());
-        let event = heard.recv_timeout(Duration::from_millis(100));
+        let event = events.recv_timeout(Duration::from_millis(100));
         if let Ok(event) = event {
             let (node, sequence) = (event["node"].to_string(), event["sequence"].as_u64().expect("a number"));
             let before = last.insert(node, sequence);
@@ -225,7 +219,7 @@ fn an_http_client_follows_a_mission_through_a_takeover() {
     }
     let elected = elected.expect("a new coordinator was elected");
     assert!(slowest < Duration::from_secs(5), "a view took {slowest:?}");
-    assert_eq!(router.call("submit", &asked), json!({ "mission": "lab-samples-1", "again": true }));
+    assert_eq!(router.call("submit", &request), json!({ "mission": "lab-samples-1", "again": true }));
     let explained = router.call("explain", &json!({ "mission": "lab-samples-1" }));
     assert!(explained["text"].to_string().contains("r1: ada gets the role with "), "{explained}");
     let now = router.get("view/coordinator").remove("view/coordinator").expect("a reply");

@@ -3,6 +3,7 @@
 use super::FleetModel;
 use super::state::{MissionModel, RoleAssignment};
 use consort_protocol::lease::EndReason;
+use consort_protocol::ledger::RolePhase;
 
 /// Time after a change in which a view does not change a role's holder again, in milliseconds: the
 /// view may be older than the change.
@@ -92,7 +93,7 @@ impl MissionModel {
             if changes.max().is_some_and(|changed| changed + HOLDER_SETTLED_MS > now_ms) {
                 continue;
             }
-            if shown.phase == "ended" {
+            if shown.phase == RolePhase::Ended {
                 let last = self.bars.iter().rfind(|bar| bar.role == role && bar.by == holder);
                 self.end_assignment(&role, last.and_then(|bar| bar.to_ms).unwrap_or(now_ms), COMPLETED);
             } else {

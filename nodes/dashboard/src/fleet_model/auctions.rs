@@ -1,10 +1,9 @@
 //! Auctions: the bids for each role, and the reason of the assignment.
 
 use super::state::{AuctionModel, RoleBid};
-use super::update::list;
 use super::{FleetModel, bounds};
-use consort_protocol::auction::{AuctionEntry, AuctionRecord, Bid, BidVerdict};
-use serde_json::Value;
+use consort_protocol::auction::{AuctionEntry, AuctionRecord, Bid, BidPart, BidVerdict};
+use consort_protocol::view::AuctionsView;
 
 /// Maximum number of bids kept for an open auction of a mission.
 const BIDS_MAX: usize = 512;
@@ -13,21 +12,15 @@ const BIDS_MAX: usize = 512;
 const OPEN_AUCTIONS_MAX: usize = 64;
 
 /// Returns the parts of a bid: as received, else from the record.
-fn parts(entry: &AuctionEntry, received: Option<&Bid>) -> Option<Value> {
+fn parts(entry: &AuctionEntry, received: Option<&Bid>) -> Option<Vec<BidPart>> {
     let parts = received.map_or(&entry.parts, |bid| &bid.parts);
     let known = received.is_some() || !parts.is_empty();
-    known.then(|| serde_json::to_value(parts).ok()).flatten()
+    known.then(|| parts.clone())
 }
 
 impl FleetModel {
-    pub(super) fn apply_auctions(&mut self, view: &Value) {
-        list(&view["auctions"]).for_each(|record| self.apply_auction(record));
-    }
-
-    pub(super) fn apply_auction(&mut self, record: &Value) {
-        if let Ok(record) = serde_json::from_value::<AuctionRecord>(record.clone()) {
-            self.apply_auction_record(&record);
-        }
+    pub(super) fn apply_auctions(&mut self, view: &AuctionsView) {
+        view.auctions.iter().for_each(|auction| self.apply_auction_record(&auction.record));
     }
 
     /// Opens a round: bids of former rounds are discarded.

@@ -93,7 +93,6 @@ impl FleetModel {
     fn mission(&mut self, id: &MissionId) -> &mut MissionModel {
         self.missions.get_or_insert_with(id.to_string(), || MissionModel {
             state: "pending".to_owned(),
-            branch: "main".to_owned(),
             ..MissionModel::default()
         })
     }

@@ -1,10 +1,9 @@
 //! Applies views of missions.
 
-use super::state::{MissionModel, RoleModel};
-use super::update::{flag, list, number, text};
+use super::state::{MissionModel, RoleModel, StepModel};
 use super::{FleetModel, bounds};
 use consort_protocol::ledger::MissionState;
-use serde_json::Value;
+use consort_protocol::view::{MissionBrief, MissionSummary, MissionView, MissionsView, RoleView, StepView};
 use std::collections::BTreeMap;
 
 impl FleetModel {
@@ -17,18 +16,16 @@ impl FleetModel {
         wanted.into_iter().map(|(id, _)| id.clone()).collect()
     }
 
-    pub(super) fn apply_missions(&mut self, view: &Value, now_ms: u64) {
-        for (index, brief) in (1..).zip(list(&view["missions"])) {
-            let Some(id) = text(brief, "mission") else { continue };
+    pub(super) fn apply_missions(&mut self, view: MissionsView, now_ms: u64) {
+        for (index, MissionSummary { brief, pending_reason }) in (1..).zip(view.missions) {
             // An ended mission changes no more, except when it is resolved.
-            let is_known = |known: &MissionModel| {
-                known.ended && known.number > 0 && text(brief, "state") == Some(known.state.as_str())
-            };
-            if self.missions.get(id).is_some_and(is_known) {
+            let is_known =
+                |known: &MissionModel| known.ended && known.number > 0 && known.state == brief.status.detail.as_str();
+            if self.missions.get(brief.mission.as_str()).is_some_and(is_known) {
                 continue;
             }
-            let mission = self.missions.get_or_insert_with(id.to_owned(), MissionModel::default);
-            mission.apply_brief(brief, now_ms);
+            let mission = self.missions.get_or_insert_with(brief.mission.to_string(), MissionModel::default);
+            mission.apply_brief(brief, pending_reason, now_ms);
             if mission.number == 0 {
                 mission.number = index;
             }
@@ -36,25 +33,28 @@ impl FleetModel {
         self.forget_old_missions();
     }
 
-    pub(super) fn apply_mission(&mut self, id: &str, view: &Value, now_ms: u64) {
-        let mission = self.missions.get_or_insert_with(id.to_owned(), MissionModel::default);
-        mission.apply_brief(view, now_ms);
-        if let Some(number) = number(view, "number") {
+    pub(super) fn apply_mission(&mut self, view: MissionView, now_ms: u64) {
+        let MissionView { brief, tasks, roles, auction, .. } = view;
+        let (id, number) = (brief.mission.to_string(), brief.number);
+        let mission = self.missions.get_or_insert_with(id, MissionModel::default);
+        mission.apply_brief(brief, None, now_ms);
+        if number > 0 {
             mission.number = number;
         }
-        mission.tasks = view.get("tasks").filter(|tasks| tasks.is_array()).cloned().or(mission.tasks.take());
-        let roles = list(&view["roles"]).filter_map(|role| Some((text(role, "role")?.to_owned(), role_model(role))));
-        let roles: BTreeMap<String, RoleModel> = roles.collect();
+        if !tasks.is_empty() {
+            mission.tasks = Some(tasks);
+        }
+        let roles: BTreeMap<String, RoleModel> =
+            roles.into_iter().map(|role| (role.role.to_string(), role_model(role))).collect();
         if !roles.is_empty() {
             let held = roles.iter().filter_map(|(role, shown)| Some((role.clone(), shown.holder.clone()?)));
             mission.holders = held.collect();
             mission.roles = roles;
             mission.apply_holders(now_ms);
         }
-        let auction = view.get("auction").filter(|auction| auction.is_object()).cloned();
         let robots: Vec<String> = mission.holders.values().cloned().collect();
         if let Some(auction) = auction {
-            self.apply_auction(&auction);
+            self.apply_auction_record(&auction);
         }
         for robot in robots {
             self.update_route(&robot);
@@ -79,35 +79,27 @@ impl FleetModel {
 }
 
 impl MissionModel {
-    fn apply_brief(&mut self, view: &Value, now_ms: u64) {
-        let state = serde_json::from_value::<MissionState>(view["detail"].clone());
-        if let Ok(state) = &state {
-            // An ended mission stays ended, whatever an older view contains; only a resolution
-            // still changes it.
-            let ended_before = self.ended && self.state != "needs_intervention";
-            if !ended_before || state.is_final() {
-                self.apply_state(state, now_ms);
-            }
+    fn apply_brief(&mut self, brief: MissionBrief, pending_reason: Option<String>, now_ms: u64) {
+        let MissionBrief { status, terms, progress, .. } = brief;
+        // An ended mission stays ended, whatever an older view contains; only a resolution still
+        // changes it.
+        let ended_before = self.ended && self.state != "needs_intervention";
+        if !ended_before || status.detail.is_final() {
+            self.apply_state(&status.detail, now_ms);
         }
-        self.priority = view["priority"].as_i64().unwrap_or(self.priority);
-        self.deadline_ms = number(view, "deadline_at_ms").or(self.deadline_ms);
-        text(view, "branch").unwrap_or("main").clone_into(&mut self.branch);
-        if let Ok(parameters) = serde_json::from_value(view["parameters"].clone()) {
-            self.parameters = parameters;
-        }
-        if let Ok(holders) = serde_json::from_value(view["holders"].clone()) {
-            self.holders = holders;
-        }
-        self.done = number(view, "done").unwrap_or(self.done);
-        self.steps = number(view, "steps").unwrap_or(self.steps);
-        // Recordings of earlier releases use the name `why_pending`.
-        let reason = text(view, "pending_reason").or_else(|| text(view, "why_pending"));
-        self.pending_reason = reason.map(str::to_owned).or(self.pending_reason.take());
+        self.branch = status.branch;
+        self.priority = i64::from(terms.priority.get());
+        self.deadline_ms = terms.deadline_at_ms.or(self.deadline_ms);
+        self.parameters = terms.parameters;
+        self.submitted_ms = terms.submitted_at_ms;
+        let holders = progress.holders.into_iter();
+        self.holders = holders.map(|(role, robot)| (role.to_string(), robot.to_string())).collect();
+        (self.done, self.steps) = (progress.done as u64, progress.steps as u64);
+        self.items = Some(progress.items).filter(|items| !items.is_empty());
+        self.pending_reason = pending_reason.or(self.pending_reason.take());
         if self.state != "pending" {
             self.pending_reason = None;
         }
-        self.items = view.get("items").filter(|items| list(items).next().is_some()).cloned();
-        self.submitted_ms = number(view, "submitted_at_ms").unwrap_or(self.submitted_ms);
     }
 
     /// Applies the mission's state. The end time is known only if the end was observed; a mission
@@ -134,16 +126,13 @@ impl MissionModel {
     }
 }
 
-fn role_model(role: &Value) -> RoleModel {
-    let phase = &role["phase"];
-    let phase = phase.as_str().map(str::to_owned).or_else(|| phase.as_object()?.keys().next().cloned());
-    let own = |key: &str| text(role, key).map(str::to_owned);
-    let steps = role.get("steps").filter(|steps| steps.is_array()).map(|steps| {
-        let brief = list(steps).map(
-            |step| serde_json::json!({ "type": step["type"], "label": step["label"], "done": flag(step, "done") }),
-        );
-        brief.collect()
-    });
-    let kind = own("kind").unwrap_or_default();
-    RoleModel { kind, phase: phase.unwrap_or_default(), holder: own("holder"), epoch: own("epoch"), steps }
+fn role_model(role: RoleView) -> RoleModel {
+    let step = |StepView { step_type, label, done, .. }| StepModel { step_type, label, done };
+    RoleModel {
+        kind: role.kind,
+        phase: role.phase,
+        holder: role.holder.map(|robot| robot.to_string()),
+        epoch: role.epoch,
+        steps: role.steps.map(|steps| steps.into_iter().map(step).collect()),
+    }
 }

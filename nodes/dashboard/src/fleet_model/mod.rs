@@ -25,10 +25,11 @@ pub use floor_plan::FloorPlan;
 pub use input::{FleetInput, FleetListener};
 pub use kpi::Kpis;
 pub use state::{
-    AuctionModel, CoordinatorModel, EnsembleModel, HealthFinding, LogEntry, MissionModel, NodeModel, PersonModel,
-    Reachability, ReachabilityState, RobotModel, RoleAssignment, RoleBid, RoleModel, Takeover, TaskBar,
+    AuctionModel, CoordinatorModel, EnsembleModel, LogEntry, MissionModel, NodeModel, PersonModel, Reachability,
+    ReachabilityState, RobotModel, RoleAssignment, RoleBid, RoleModel, StepModel, Takeover, TaskBar,
 };
 
+use consort_protocol::view::HealthFinding;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;

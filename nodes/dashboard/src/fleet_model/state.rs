@@ -1,7 +1,10 @@
 //! Parts of the fleet model, as serialised for clients.
 
+use consort_protocol::auction::BidPart;
+use consort_protocol::ledger::{Branch, HeldItem, RolePhase};
+use consort_protocol::mission::{RoleKind, TaskNode};
+use consort_protocol::view::NodeStatus;
 use serde::Serialize;
-use serde_json::Value;
 use std::collections::BTreeMap;
 
 /// Reachability of the fleet from the observing node.
@@ -71,7 +74,7 @@ pub struct NodeModel {
     /// True if it counts as alive.
     pub alive: bool,
     /// Its membership status.
-    pub status: String,
+    pub status: NodeStatus,
     /// Time of the last contact.
     pub last_contact_ms: u64,
     /// True if it may become a voter.
@@ -161,8 +164,8 @@ pub struct MissionModel {
     pub priority: i64,
     /// The deadline.
     pub deadline_ms: Option<u64>,
-    /// The executed tree: `main` or `recovery`.
-    pub branch: String,
+    /// The executed tree.
+    pub branch: Branch,
     /// Parameters of the request.
     pub parameters: BTreeMap<String, String>,
     /// Robot of each role.
@@ -174,7 +177,7 @@ pub struct MissionModel {
     /// Reason why it is still pending.
     pub pending_reason: Option<String>,
     /// Items in robots' hands.
-    pub items: Option<Value>,
+    pub items: Option<Vec<HeldItem>>,
     /// Time of the acknowledgement.
     pub submitted_ms: u64,
     /// Time of the first award.
@@ -186,7 +189,7 @@ pub struct MissionModel {
     /// Its roles.
     pub roles: BTreeMap<String, RoleModel>,
     /// The tree: a list of tasks; the first is the root, children are indices.
-    pub tasks: Option<Value>,
+    pub tasks: Option<Vec<TaskNode>>,
     /// Task bars of the chart, as far as received.
     pub bars: Vec<TaskBar>,
     /// Role assignments over time, as far as received.
@@ -194,18 +197,30 @@ pub struct MissionModel {
 }
 
 /// A role of a mission.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RoleModel {
-    /// `managed` or `unmanaged`.
-    pub kind: String,
+    /// Kind of role.
+    pub kind: RoleKind,
     /// The phase.
-    pub phase: String,
+    pub phase: RolePhase,
     /// The holder.
     pub holder: Option<String>,
     /// The epoch of the award.
     pub epoch: Option<String>,
-    /// The plan: each step with type, label and whether it is done.
-    pub steps: Option<Value>,
+    /// The plan.
+    pub steps: Option<Vec<StepModel>>,
+}
+
+/// A step of a role's plan.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct StepModel {
+    /// Type of the task, or of the message.
+    #[serde(rename = "type")]
+    pub step_type: String,
+    /// Name of the task, or the signal.
+    pub label: String,
+    /// True if it has ended.
+    pub done: bool,
 }
 
 /// A task on the chart.
@@ -241,19 +256,6 @@ pub struct RoleAssignment {
     /// Planned duration by the robot's bid, in milliseconds at the speed of its world, if both are
     /// known.
     pub planned_ms: Option<u64>,
-}
-
-/// A health finding of the fleet.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
-pub struct HealthFinding {
-    /// `ok`, `warning` or `error`.
-    pub level: String,
-    /// Subject of the finding.
-    pub about: String,
-    /// The node, robot or mission, if there is any.
-    pub name: Option<String>,
-    /// Description.
-    pub text: String,
 }
 
 /// A round of an auction.
@@ -299,7 +301,7 @@ pub struct RoleBid {
     /// Start place of the estimate.
     pub from: Option<String>,
     /// The parts of the price: label, skill, time and energy.
-    pub parts: Option<Value>,
+    pub parts: Option<Vec<BidPart>>,
 }
 
 /// An ensemble: members, and other nodes with the reason.

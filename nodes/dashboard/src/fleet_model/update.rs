@@ -1,35 +1,51 @@
 //! Applies views, beacons, links and telemetry to the model.
 
-use super::state::{
-    CoordinatorModel, EnsembleModel, HealthFinding, NodeModel, PersonModel, ReachabilityState, RobotModel, Takeover,
-};
+use super::state::{CoordinatorModel, EnsembleModel, NodeModel, PersonModel, ReachabilityState, RobotModel, Takeover};
 use super::{FleetModel, FloorPlan, NO_COORDINATOR_AFTER_MS, bounds};
 use crate::loaded_map::LoadedMap;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
+use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::message::Beacon;
+use consort_protocol::mission::{TaskBody, TaskNode};
 use consort_protocol::pose::Pose;
+use consort_protocol::view::{
+    AuctionsView, CoordinatorView, EnsembleView, FleetView, HealthView, MissionView, MissionsView, NodeView,
+    Provenance, WithProvenance,
+};
 use consort_skills::actions::Telemetry;
+use consort_world::world::WorldReport;
+use serde::Deserialize;
 use serde_json::Value;
-use std::collections::BTreeMap;
+use tracing::debug;
 
 impl FleetModel {
-    /// Applies a view, as returned by any node. Missing or unexpected parts change nothing.
+    /// Applies a view, as returned by any node. A view that cannot be read changes nothing.
     pub fn apply_view(&mut self, key: &Key, view: &Value, now_ms: u64) {
-        match key {
-            Key::ViewFleet => self.take_fleet(view, now_ms),
-            Key::ViewCoordinator => self.take_coordinator(view, now_ms),
-            Key::ViewMissions => self.apply_missions(view, now_ms),
-            Key::ViewMission(id) => self.apply_mission(id.as_str(), view, now_ms),
-            Key::ViewAuctions => self.apply_auctions(view),
-            Key::ViewWorld => self.take_world(view),
-            Key::ViewHealth => self.take_health(view),
-            Key::ViewMap => self.take_map(view),
+        let age_ms = Provenance::deserialize(view).ok().and_then(|provenance| provenance.age_ms);
+        let published_ms = now_ms.saturating_sub(age_ms.unwrap_or(0));
+        let applied = match key {
+            Key::ViewFleet => FleetView::deserialize(view).map(|view| self.take_fleet(view, published_ms)),
+            Key::ViewCoordinator => {
+                WithProvenance::deserialize(view).map(|view| self.take_coordinator(view, published_ms))
+            }
+            Key::ViewMissions => MissionsView::deserialize(view).map(|view| self.apply_missions(view, now_ms)),
+            Key::ViewMission(_) => MissionView::deserialize(view).map(|view| self.apply_mission(view, now_ms)),
+            Key::ViewAuctions => AuctionsView::deserialize(view).map(|view| self.apply_auctions(&view)),
+            Key::ViewWorld => WorldReport::deserialize(view).map(|view| self.take_world(view)),
+            Key::ViewHealth => HealthView::deserialize(view).map(|view| self.take_health(view)),
+            Key::ViewMap => {
+                self.take_map(view);
+                return;
+            }
             _ => return,
+        };
+        if let Err(problem) = applied {
+            debug!(%key, %problem, "a view cannot be read");
+            return;
         }
-        // A mission's time comes with the list of all missions; a map does not age.
-        if !matches!(key, Key::ViewMission(_) | Key::ViewMap) {
-            let published_ms = now_ms.saturating_sub(number(view, "age_ms").unwrap_or(0));
+        // A mission's time comes with the list of all missions.
+        if !matches!(key, Key::ViewMission(_)) {
             self.views.insert(key.to_string(), published_ms);
         }
     }
@@ -110,106 +126,75 @@ impl FleetModel {
         }
     }
 
-    fn take_coordinator(&mut self, view: &Value, now_ms: u64) {
-        let (Some(node), Some(term)) = (text(view, "node").and_then(|node| node.parse().ok()), number(view, "term"))
-        else {
-            return;
-        };
-        let published_ms = now_ms.saturating_sub(number(view, "age_ms").unwrap_or(0));
+    fn take_coordinator(&mut self, view: WithProvenance<CoordinatorView>, published_ms: u64) {
+        let WithProvenance { provenance, content: view } = view;
+        let (Some(node), term) = (view.node, provenance.term) else { return };
         // Beacons come more often than views, and show if a view is outdated.
         if self.coordinator.as_ref().is_some_and(|known| known.term > term) {
             return;
         }
-        let since_ms = published_ms.saturating_sub(number(view, "since_ms").unwrap_or(0));
+        let since_ms = published_ms.saturating_sub(view.since_ms.unwrap_or(0));
         self.update_coordinator(&node, term, since_ms, published_ms);
-        let quorum = number(view, "quorum_age_ms").map(|age| published_ms.saturating_sub(age));
+        let quorum = view.quorum_age_ms.map(|age| published_ms.saturating_sub(age));
         if let Some(shown) = &mut self.coordinator {
             shown.quorum_ms = quorum.or(shown.quorum_ms);
-            shown.voters = texts(&view["voters"]);
-            shown.observers = texts(&view["observers"]);
-            shown.voters_lost = texts(&view["voters_lost"]);
+            shown.voters = names(view.voters);
+            shown.observers = names(view.observers);
+            shown.voters_lost = names(view.voters_lost);
         }
     }
 
-    fn take_fleet(&mut self, view: &Value, now_ms: u64) {
-        let published_ms = now_ms.saturating_sub(number(view, "age_ms").unwrap_or(0));
+    fn take_fleet(&mut self, view: FleetView, published_ms: u64) {
         let mut present = vec![];
-        for entry in list(&view["nodes"]).take(bounds::NODES) {
-            let Some(name) = text(entry, "node") else { continue };
-            let last_contact_ms = published_ms.saturating_sub(number(entry, "age_ms").unwrap_or(0));
-            let worker = entry.get("robot").filter(|worker| worker.is_object());
+        for NodeView { node: name, contact, record, traits, .. } in view.nodes.into_iter().take(bounds::NODES) {
             let node = NodeModel {
-                alive: flag(entry, "alive"),
-                status: text(entry, "status").unwrap_or("unknown").to_owned(),
-                last_contact_ms,
-                may_vote: flag(entry, "may_vote"),
-                stationary: flag(entry, "stationary"),
-                mains_powered: flag(entry, "mains_powered"),
-                leaving: flag(entry, "leaving"),
-                robot: worker.is_some(),
+                alive: contact.alive,
+                status: contact.status,
+                last_contact_ms: published_ms.saturating_sub(contact.age_ms),
+                may_vote: traits.may_vote,
+                stationary: traits.stationary,
+                mains_powered: traits.mains_powered,
+                leaving: record.leaving,
+                robot: record.robot.is_some(),
             };
-            if let Some(worker) = worker {
-                self.take_worker(name, worker, &node);
+            if let Some(robot) = record.robot {
+                self.take_robot(name.as_str(), robot, &node);
             }
-            present.push(name.to_owned());
-            self.nodes.insert(name.to_owned(), node);
+            present.push(name.to_string());
+            self.nodes.insert(name.to_string(), node);
         }
         if !present.is_empty() {
             self.nodes.retain(|name, _| present.contains(name));
             self.robots.retain(|name, _| present.contains(name));
         }
-        let mut ensembles = BTreeMap::new();
-        for ensemble in list(&view["ensembles"]) {
-            let Some(name) = text(ensemble, "name") else { continue };
-            let mut shown = EnsembleModel {
-                membership: texts(&ensemble["membership"]),
-                skills: texts(&ensemble["skills"]),
-                stale_after_ms: number(ensemble, "stale_after_ms"),
-                ..EnsembleModel::default()
-            };
-            for node in list(&ensemble["nodes"]) {
-                let Some(name) = text(node, "node") else { continue };
-                match flag(node, "member") {
-                    true => shown.members.push(name.to_owned()),
-                    false => {
-                        let reason = text(node, "reason").unwrap_or("").to_owned();
-                        shown.non_members.insert(name.to_owned(), reason);
-                    }
-                }
-            }
-            ensembles.insert(name.to_owned(), shown);
-        }
-        self.ensembles.replace(ensembles);
+        self.ensembles.replace(view.ensembles.into_iter().map(ensemble_model).collect());
     }
 
-    fn take_worker(&mut self, name: &str, worker: &Value, node: &NodeModel) {
+    fn take_robot(&mut self, name: &str, robot: RobotKnowledge, node: &NodeModel) {
         let shown = self.robots.get_or_insert_with(name.to_owned(), RobotModel::default);
         shown.alive = node.alive;
         shown.last_contact_ms = node.last_contact_ms;
-        shown.skills = texts(&worker["skills"]);
-        shown.speed = worker["speed"].as_f64();
-        shown.useful_charge = worker["useful_charge"].as_f64().unwrap_or(0.0);
+        shown.skills = names(robot.skills);
+        shown.speed = robot.speed.map(|speed| speed.get());
+        shown.useful_charge = robot.useful_charge.get();
         // The driver's telemetry is more frequent than the node's own record.
         if shown.telemetry_ms.is_none_or(|body| body < node.last_contact_ms) {
-            if let Ok(pose) = serde_json::from_value::<Pose>(worker["pose"].clone()) {
-                (shown.x, shown.y, shown.yaw) = (round(pose.x), round(pose.y), round(pose.yaw));
-            }
-            text(worker, "place").unwrap_or("").clone_into(&mut shown.place);
-            shown.battery = round(worker["battery"].as_f64().unwrap_or(0.0));
+            (shown.x, shown.y, shown.yaw) = (round(robot.pose.x), round(robot.pose.y), round(robot.pose.yaw));
+            shown.place = robot.place.to_string();
+            shown.battery = round(robot.battery.get());
             shown.can_move = true;
         }
-        let availability = &worker["availability"];
-        let (word, holding, problem) = match (availability.get("holding"), availability.get("out_of_service")) {
-            (Some(holding), _) if flag(holding, "suspended") => ("suspended", Some(holding), None),
-            (Some(holding), _) => ("holding", Some(holding), None),
-            (None, Some(out)) => ("out_of_service", None, text(out, "problem").map(str::to_owned)),
-            (None, None) => ("free", None, None),
+        let (word, held, problem) = match robot.availability {
+            Availability::Holding { mission, role, suspended: true } => ("suspended", Some((mission, role)), None),
+            Availability::Holding { mission, role, suspended: false } => ("holding", Some((mission, role)), None),
+            Availability::OutOfService { problem } => ("out_of_service", None, Some(problem)),
+            Availability::Free => ("free", None, None),
         };
-        let of = |key: &str| holding.and_then(|holding| text(holding, key)).map(str::to_owned);
         word.clone_into(&mut shown.availability);
         shown.problem = problem;
-        let before = std::mem::replace(&mut shown.mission, of("mission"));
-        shown.role = of("role");
+        let (mission, role) = held.map(|(mission, role)| (mission.to_string(), role.to_string())).unzip();
+        let before = std::mem::replace(&mut shown.mission, mission);
+        shown.role = role;
         if shown.mission.is_none() {
             shown.task = None;
         }
@@ -225,44 +210,35 @@ impl FleetModel {
         }
     }
 
-    fn take_world(&mut self, view: &Value) {
-        let mut people = BTreeMap::new();
-        for person in list(&view["people"]).take(bounds::NODES) {
-            let (Some(name), Some(place)) = (text(person, "name"), text(person, "place")) else { continue };
-            let pose = self.plan.pose_of(place);
+    fn take_world(&mut self, view: WorldReport) {
+        let people = view.people.into_iter().take(bounds::NODES).map(|person| {
+            let pose = self.plan.pose_of(person.place.as_str());
             let shown = PersonModel {
-                role: text(person, "role").unwrap_or("").to_owned(),
-                place: place.to_owned(),
-                away: flag(person, "away"),
-                samples: texts(&person["samples"]),
+                role: person.role.to_string(),
+                place: person.place.to_string(),
+                away: person.away,
+                samples: names(person.samples),
                 x: pose.map(|pose| pose.x),
                 y: pose.map(|pose| pose.y),
             };
-            people.insert(name.to_owned(), shown);
-        }
+            (person.name.to_string(), shown)
+        });
+        let people = people.collect();
         self.people.replace(people);
-        let doors = list(&view["doors"]).filter_map(|door| Some((text(door, "name")?, text(door, "state")?)));
-        self.doors
-            .replace(doors.take(bounds::NODES).map(|(name, state)| (name.to_owned(), state.to_owned())).collect());
+        let doors = view.doors.into_iter().take(bounds::NODES);
+        self.doors.replace(doors.map(|door| (door.name, door.state)).collect());
     }
 
-    fn take_health(&mut self, view: &Value) {
-        let own = |finding: &Value, key: &str| text(finding, key).unwrap_or("").to_owned();
-        let shown = |finding: &Value| HealthFinding {
-            level: own(finding, "level"),
-            about: own(finding, "about"),
-            name: text(finding, "name").map(str::to_owned),
-            // Recordings of earlier releases use the name `says`.
-            text: text(finding, "text").or_else(|| text(finding, "says")).unwrap_or("").to_owned(),
-        };
-        self.health = list(&view["findings"]).take(bounds::FINDINGS).map(shown).collect();
+    fn take_health(&mut self, view: HealthView) {
+        self.health = view.findings;
+        self.health.truncate(bounds::FINDINGS);
     }
 
     /// Updates the destination of a robot, and its route.
     pub(super) fn update_route(&mut self, robot: &str) {
         let Some(shown) = self.robots.get(robot) else { return };
         let destination = shown.mission.as_ref().zip(shown.task.as_ref()).and_then(|(mission, task)| {
-            let tasks = self.missions.get(mission)?.tasks.as_ref()?;
+            let tasks = self.missions.get(mission)?.tasks.as_deref()?;
             destination(tasks, task).map(str::to_owned)
         });
         let pose = Pose::new(shown.x, shown.y, shown.yaw);
@@ -275,37 +251,39 @@ impl FleetModel {
     }
 }
 
-/// Returns the destination of a navigation task in a mission's tree.
-fn destination<'a>(tasks: &'a Value, task: &str) -> Option<&'a str> {
-    let node = list(tasks).find(|node| text(node, "id") == Some(task))?;
-    let spec = node.pointer("/body/Elementary")?;
-    if text(spec, "type") != Some("navigation") {
-        return None;
+fn ensemble_model(view: EnsembleView) -> (String, EnsembleModel) {
+    let mut shown = EnsembleModel {
+        membership: view.membership,
+        skills: names(view.skills),
+        stale_after_ms: Some(view.stale_after_ms),
+        ..EnsembleModel::default()
+    };
+    for node in view.nodes {
+        match node.membership.member {
+            true => shown.members.push(node.node.to_string()),
+            false => {
+                shown.non_members.insert(node.node.to_string(), node.membership.reason);
+            }
+        }
     }
-    spec.pointer("/parameters/to").and_then(Value::as_str)
+    (view.name.to_string(), shown)
+}
+
+/// Returns the destination of a navigation task in a mission's tree.
+fn destination<'a>(tasks: &'a [TaskNode], task: &str) -> Option<&'a str> {
+    match &tasks.iter().find(|node| node.id.as_str() == task)?.body {
+        TaskBody::Elementary(spec) if spec.task_type.as_str() == "navigation" => {
+            spec.parameters.get("to").map(String::as_str)
+        }
+        TaskBody::Elementary(_) | TaskBody::Abstract(_) => None,
+    }
+}
+
+fn names<T: ToString>(names: impl IntoIterator<Item = T>) -> Vec<String> {
+    names.into_iter().map(|name| name.to_string()).collect()
 }
 
 /// Rounds to a tenth of a millimetre, or of a thousandth: finer digits are noise, and cost bytes.
 fn round(number: f64) -> f64 {
     (number * 1e4).round() / 1e4
-}
-
-pub(super) fn list(value: &Value) -> impl Iterator<Item = &Value> {
-    value.as_array().into_iter().flatten()
-}
-
-pub(super) fn text<'a>(value: &'a Value, key: &str) -> Option<&'a str> {
-    value.get(key).and_then(Value::as_str)
-}
-
-pub(super) fn texts(value: &Value) -> Vec<String> {
-    list(value).filter_map(Value::as_str).map(str::to_owned).collect()
-}
-
-pub(super) fn number(value: &Value, key: &str) -> Option<u64> {
-    value.get(key).and_then(Value::as_u64)
-}
-
-pub(super) fn flag(value: &Value, key: &str) -> bool {
-    value.get(key).and_then(Value::as_bool).unwrap_or(false)
 }

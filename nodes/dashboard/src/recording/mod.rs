@@ -45,7 +45,7 @@ mod writer;
 
 pub use gaps::{EventGap, GapDetector};
 pub use parser::RecordingError;
-pub use player::{Player, PlayerCommand, SPEED_RANGE};
+pub use player::{Player, PlayerCommand, SPEED_RANGE, SpeedError};
 pub use reader::{KEYFRAMES_MAX, RecordingReader, TimelineMark, TimelineMarkKind};
 pub use recorder::Recorder;
 pub use writer::{FLUSH_AFTER, RecordingStats, RecordingWriter};

@@ -8,6 +8,11 @@ use std::time::Duration;
 /// Allowed playback speeds, in seconds of the recording per second.
 pub const SPEED_RANGE: RangeInclusive<f64> = 0.1..=100.0;
 
+/// The speed is outside of [`SPEED_RANGE`]. Nothing was changed.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("a speed of {0} is not allowed: from {min} to {max}", min = SPEED_RANGE.start(), max = SPEED_RANGE.end())]
+pub struct SpeedError(f64);
+
 /// A command to the player. Several fields may be set at once.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -42,8 +47,8 @@ impl Player {
     /// Creates a player at the beginning of a recording, playing.
     ///
     /// # Errors
-    /// A message, if the speed is outside of [`SPEED_RANGE`].
-    pub fn new(from_ms: u64, to_ms: u64, speed: f64) -> Result<Player, String> {
+    /// [`SpeedError`] if the speed is outside of [`SPEED_RANGE`].
+    pub fn new(from_ms: u64, to_ms: u64, speed: f64) -> Result<Player, SpeedError> {
         let speed = checked(speed)?;
         Ok(Player { from_ms, to_ms, at_ms: from_ms as f64, playing: true, speed, seeks: 0 })
     }
@@ -51,8 +56,8 @@ impl Player {
     /// Applies a command completely, or not at all.
     ///
     /// # Errors
-    /// A message, if the speed is outside of [`SPEED_RANGE`].
-    pub fn apply(&mut self, command: PlayerCommand) -> Result<(), String> {
+    /// [`SpeedError`] if the speed is outside of [`SPEED_RANGE`].
+    pub fn apply(&mut self, command: PlayerCommand) -> Result<(), SpeedError> {
         self.speed = command.speed.map(checked).transpose()?.unwrap_or(self.speed);
         if let Some(at_ms) = command.at_ms {
             self.seek(at_ms);
@@ -100,13 +105,8 @@ impl Player {
     }
 }
 
-fn checked(speed: f64) -> Result<f64, String> {
-    match SPEED_RANGE.contains(&speed) {
-        true => Ok(speed),
-        false => {
-            Err(format!("a speed of {speed} is not allowed: from {} to {}", SPEED_RANGE.start(), SPEED_RANGE.end()))
-        }
-    }
+fn checked(speed: f64) -> Result<f64, SpeedError> {
+    if SPEED_RANGE.contains(&speed) { Ok(speed) } else { Err(SpeedError(speed)) }
 }
 
 #[cfg(test)]
@@ -139,7 +139,7 @@ mod tests {
         for speed in [0.0, -1.0, 101.0, f64::NAN] {
             let command = PlayerCommand { at_ms: Some(12_000), speed: Some(speed), playing: Some(false) };
             let problem = player.apply(command).unwrap_err();
-            assert_eq!(problem, format!("a speed of {speed} is not allowed: from 0.1 to 100"));
+            assert_eq!(problem.to_string(), format!("a speed of {speed} is not allowed: from 0.1 to 100"));
             assert_eq!(player, before, "the command has no effect");
         }
     }

@@ -3,8 +3,8 @@
 use super::parser::{RecordedInput, RecordingContents, RecordingError, read};
 use super::schemas::{MessageKind, RepeatedViewMessage};
 use crate::fleet_model::{FleetInput, FleetModel, FloorPlan};
-use consort_protocol::count::count;
 use consort_protocol::keys::Keys;
+use consort_text::count;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};

@@ -7,11 +7,11 @@ use super::schemas::{
 };
 use crate::fleet_model::{FleetInput, FleetModel};
 use crate::loaded_map::LoadedMap;
-use consort_protocol::count::count;
 use consort_protocol::event::Event;
 use consort_protocol::ids::{FleetId, PlaceId, RobotId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::pose::Pose;
+use consort_text::count;
 use consort_world::record::RecordError;
 use consort_world::record::foxglove::{ExistingFile, FleetScene, LogMessage, McapFile, MessageStamp, RobotPose, Time};
 use serde::Serialize;

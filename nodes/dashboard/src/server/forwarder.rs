@@ -2,9 +2,11 @@
 
 use crate::query::{QueryError, QueryTarget, RETRY_DELAY, query_once};
 use consort_bus::SharedBus;
+use consort_protocol::api::MissionChangeRequest;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{ApiCall, Key, Keys};
-use serde_json::{Value, json};
+use serde::Serialize;
+use serde_json::Value;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::time::{Instant, sleep};
@@ -47,7 +49,7 @@ impl RequestForwarder {
             return Err(ForwardError::Rejected(what.to_owned()));
         };
         let number = self.unnamed_requests.fetch_add(1, Ordering::Relaxed);
-        fields.entry("request").or_insert_with(|| json!(format!("page-{now_ms}-{number}")));
+        fields.entry("request").or_insert_with(|| format!("page-{now_ms}-{number}").into());
         self.query(ApiCall::Submit, &request).await
     }
 
@@ -59,11 +61,12 @@ impl RequestForwarder {
         by: Option<String>,
     ) -> Result<Value, ForwardError> {
         let by = by.unwrap_or_else(|| format!("the dashboard of {}", self.node));
-        self.query(call, &json!({ "mission": mission, "by": by })).await
+        self.query(call, &MissionChangeRequest { mission: mission.clone(), by }).await
     }
 
-    async fn query(&self, call: ApiCall, request: &Value) -> Result<Value, ForwardError> {
-        let (key, payload) = (self.keys.write(&Key::Api(call)), request.to_string());
+    async fn query(&self, call: ApiCall, request: &impl Serialize) -> Result<Value, ForwardError> {
+        let payload = serde_json::to_string(request).expect("a request serializes to JSON");
+        let key = self.keys.write(&Key::Api(call));
         let until = Instant::now() + LIMIT;
         loop {
             let (problem, after) = match query_once(&*self.bus, &key, &payload, ONE_QUERY, QueryTarget::All).await {

@@ -2,8 +2,9 @@
 
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use consort_protocol::api::ErrorReply;
+use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde_json::{Value, json};
 
 /// Headers of a JSON reply.
 pub(super) const JSON_HEADERS: [(header::HeaderName, &str); 1] = [(header::CONTENT_TYPE, "application/json")];
@@ -13,7 +14,7 @@ pub(super) type Rejection = (StatusCode, [(header::HeaderName, &'static str); 1]
 
 /// Parses the JSON body of a request.
 pub(super) fn parse_body<T: DeserializeOwned>(headers: &HeaderMap, body: &[u8]) -> Result<T, Rejection> {
-    let refusal = |status, what: &str| (status, JSON_HEADERS, json!({ "error": what }).to_string());
+    let refusal = |status, what: &str| (status, JSON_HEADERS, json(&ErrorReply::rejected(what)));
     let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
     if kind.split(';').next().map(str::trim) != Some("application/json") {
         return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "a request must be application/json"));
@@ -24,10 +25,14 @@ pub(super) fn parse_body<T: DeserializeOwned>(headers: &HeaderMap, body: &[u8]) 
 
 /// Returns an error reply.
 pub(super) fn error_reply(status: StatusCode, what: &str) -> Response {
-    json_reply(status, &json!({ "error": what }))
+    json_reply(status, &ErrorReply::rejected(what))
 }
 
 /// Returns a JSON reply.
-pub(super) fn json_reply(status: StatusCode, value: &Value) -> Response {
-    (status, JSON_HEADERS, value.to_string()).into_response()
+pub(super) fn json_reply(status: StatusCode, value: &impl Serialize) -> Response {
+    (status, JSON_HEADERS, json(value)).into_response()
+}
+
+fn json(value: &impl Serialize) -> String {
+    serde_json::to_string(value).expect("a reply serializes to JSON")
 }

@@ -29,6 +29,7 @@ mod origin_check;
 mod replay_server;
 mod routes;
 mod session;
+mod state;
 mod websocket;
 
 pub use frame_publisher::{FRAME, FramePublisher};

@@ -1,7 +1,7 @@
 //! Publishes a recording.
 
 use super::frame_publisher::{FRAME, FramePublisher};
-use crate::recording::{Player, PlayerCommand, RecordingReader};
+use crate::recording::{Player, PlayerCommand, RecordingReader, SpeedError};
 use serde_json::{Value, json};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::time::{Instant, MissedTickBehavior};
@@ -45,8 +45,8 @@ impl ReplayServer {
     /// Applies a command of the page, publishes the result at once, and returns the new state.
     ///
     /// # Errors
-    /// A message, if the command is invalid.
-    pub(super) fn apply_command(&self, command: PlayerCommand) -> Result<Value, String> {
+    /// [`SpeedError`] if the command is invalid.
+    pub(super) fn apply_command(&self, command: PlayerCommand) -> Result<Value, SpeedError> {
         let mut at = self.lock();
         self.advance(&mut at);
         at.player.apply(command)?;

@@ -3,9 +3,11 @@
 use super::forwarder::ForwardError;
 use super::frame_publisher::FramePublisher;
 use super::json::{JSON_HEADERS, error_reply, json_reply, parse_body};
+use super::state::DashboardState;
 use super::websocket::{CLIENTS_MAX, open_websocket};
 use super::{DashboardSource, assets, csv, origin_check, session};
 use crate::admission::{Admission, AuthenticatedClient, admit};
+use crate::fleet_model::{LogEntry, Reachability};
 use crate::recording::PlayerCommand;
 use axum::body::Bytes;
 use axum::extract::{DefaultBodyLimit, Path, Query, State};
@@ -13,28 +15,21 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, get, post};
 use axum::{Extension, Router};
-use consort_protocol::ids::MissionId;
+use consort_protocol::access::required_scope;
+use consort_protocol::ids::{MissionId, TaskId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::mission::{FILE_BYTES_MAX, shipped};
+use consort_protocol::mission::{FILE_BYTES_MAX, TemplateParameter};
 use consort_protocol::trust::AccessScope;
-use consort_protocol::trust::access::required_scope;
-use serde::Deserialize;
-use serde_json::{Value, json};
+use consort_skills::missions::shipped;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::sync::Semaphore;
 
 /// Maximum number of events per reply.
 const EVENTS: usize = 500;
-
-/// State shared by the routes.
-#[derive(Clone)]
-pub(super) struct DashboardState {
-    pub(super) publisher: Arc<FramePublisher>,
-    served: DashboardSource,
-    pub(super) admission: Admission,
-    pub(super) client_permits: Arc<Semaphore>,
-}
 
 /// Returns the server's routes.
 pub(super) fn router(
@@ -88,6 +83,19 @@ struct EventFilter {
     limit: Option<usize>,
 }
 
+/// Reply with events of the log.
+#[derive(Serialize)]
+struct EventsReply {
+    events: Vec<NumberedEvent>,
+}
+
+/// An event with its number in the log.
+#[derive(Serialize)]
+struct NumberedEvent {
+    number: u64,
+    event: LogEntry,
+}
+
 async fn events(State(shared): State<DashboardState>, Query(filter): Query<EventFilter>) -> Response {
     let text = filter.text.as_deref().unwrap_or("").to_lowercase();
     let is = |filter: &Option<String>, is: Option<&str>| filter.as_deref().is_none_or(|filter| is == Some(filter));
@@ -100,16 +108,32 @@ async fn events(State(shared): State<DashboardState>, Query(filter): Query<Event
                 && event.text.to_lowercase().contains(&text)
         });
         let found = fitting.take(filter.limit.unwrap_or(EVENTS).min(EVENTS));
-        found.map(|(number, event)| json!({ "number": number, "event": event })).collect::<Vec<_>>()
+        found.map(|(number, event)| NumberedEvent { number: *number, event: event.clone() }).collect()
     });
-    json_reply(StatusCode::OK, &json!({ "events": found }))
+    json_reply(StatusCode::OK, &EventsReply { events: found })
+}
+
+/// Reply with the shipped missions.
+#[derive(Serialize)]
+struct ShippedReply<'a> {
+    missions: Vec<ShippedMission<'a>>,
+}
+
+/// A shipped mission, for the form of a request.
+#[derive(Serialize)]
+struct ShippedMission<'a> {
+    mission: &'a TaskId,
+    title: &'a str,
+    parameters: &'a BTreeMap<String, TemplateParameter>,
 }
 
 async fn shipped_missions() -> Response {
-    let missions = shipped().values().map(|template| {
-        json!({ "mission": template.name(), "title": template.title(), "parameters": template.parameters() })
+    let missions = shipped().values().map(|template| ShippedMission {
+        mission: template.name(),
+        title: template.title(),
+        parameters: template.parameters(),
     });
-    json_reply(StatusCode::OK, &json!({ "missions": missions.collect::<Vec<_>>() }))
+    json_reply(StatusCode::OK, &ShippedReply { missions: missions.collect() })
 }
 
 async fn history(State(shared): State<DashboardState>) -> Response {
@@ -201,13 +225,20 @@ async fn control_replay(State(shared): State<DashboardState>, headers: HeaderMap
     };
     match server.apply_command(command) {
         Ok(state) => json_reply(StatusCode::OK, &state),
-        Err(mistake) => error_reply(StatusCode::BAD_REQUEST, &mistake),
+        Err(mistake) => error_reply(StatusCode::BAD_REQUEST, &mistake.to_string()),
     }
+}
+
+/// Reply of the health check.
+#[derive(Serialize)]
+struct HealthReply {
+    serving: bool,
+    reachability: Reachability,
 }
 
 async fn health(State(shared): State<DashboardState>) -> Response {
     let reachability = shared.publisher.with_model(|model, _| model.reachability().clone());
-    json_reply(StatusCode::OK, &json!({ "serving": true, "reachability": reachability }))
+    json_reply(StatusCode::OK, &HealthReply { serving: true, reachability })
 }
 
 fn reply_of(outcome: Result<Value, ForwardError>) -> Response {

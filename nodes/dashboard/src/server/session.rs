@@ -1,14 +1,14 @@
 //! Sessions of browsers: the page sends the token once, and gets a cookie that no script can read.
 
 use super::json::{json_reply, parse_body};
-use super::routes::DashboardState;
+use super::state::DashboardState;
 use crate::admission::{AdmissionError, AuthenticatedClient};
 use axum::body::Bytes;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use serde::Deserialize;
-use serde_json::{Value, json};
+use consort_protocol::ids::PersonId;
+use serde::{Deserialize, Serialize};
 
 /// Body of a sign-in request.
 #[derive(Deserialize)]
@@ -17,20 +17,39 @@ struct SignIn {
     token: String,
 }
 
-/// Describes the client for the page: name and scope.
-fn describe(client: Option<&AuthenticatedClient>) -> Value {
-    match client {
-        None => json!({ "closed": false }),
-        Some(AuthenticatedClient { claims, .. }) => json!({
-            "closed": true, "name": claims.name, "scope": claims.scope.as_str(), "until_s": claims.expires.as_secs(),
-        }),
+/// The session of a client, for the page.
+#[derive(Serialize)]
+struct Session {
+    /// True if the dashboard requires a token.
+    closed: bool,
+    #[serde(flatten)]
+    client: Option<SessionClient>,
+}
+
+/// The person of a session.
+#[derive(Serialize)]
+struct SessionClient {
+    name: PersonId,
+    scope: &'static str,
+    /// End of the token's validity, in seconds since 1970.
+    until_s: u64,
+}
+
+impl Session {
+    fn of(client: Option<&AuthenticatedClient>) -> Session {
+        let person = client.map(|AuthenticatedClient { claims, .. }| SessionClient {
+            name: claims.name.clone(),
+            scope: claims.scope.as_str(),
+            until_s: claims.expires.as_secs(),
+        });
+        Session { closed: person.is_some(), client: person }
     }
 }
 
 /// Returns the current session.
 pub(super) async fn current(State(shared): State<DashboardState>, headers: HeaderMap) -> Response {
     match shared.admission.authenticate(&headers) {
-        Ok(client) => json_reply(StatusCode::OK, &describe(client.as_ref())),
+        Ok(client) => json_reply(StatusCode::OK, &Session::of(client.as_ref())),
         Err(refused) => refused.into_response(),
     }
 }
@@ -44,7 +63,7 @@ pub(super) async fn begin(State(shared): State<DashboardState>, headers: HeaderM
     let token = token.trim();
     match shared.admission.verify_token(token) {
         Ok(client) => {
-            let answered = json_reply(StatusCode::OK, &describe(client.as_ref()));
+            let answered = json_reply(StatusCode::OK, &Session::of(client.as_ref()));
             with_cookie(&shared, token, &headers, answered)
         }
         Err(refused) => refused.into_response(),

@@ -2,7 +2,7 @@
 
 use super::frame_publisher::Frame;
 use super::json::error_reply;
-use super::routes::DashboardState;
+use super::state::DashboardState;
 use crate::admission::AuthenticatedClient;
 use axum::Extension;
 use axum::extract::ws::{CloseFrame, Message, WebSocket};

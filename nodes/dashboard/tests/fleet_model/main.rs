@@ -8,9 +8,11 @@ use consort_protocol::event::Event;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
 use consort_protocol::message::Beacon;
-use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::units::WorldTime;
+use consort_protocol::view::HealthLevel;
 use consort_skills::actions::Telemetry;
+use consort_skills::domain::hospital;
+use consort_skills::missions::shipped;
 use consort_world::map;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -20,7 +22,7 @@ const NOW: u64 = 1_000_000;
 const SHED: &str = "{name: shed, places: [{name: Dock, kind: dock, x_m: 1, y_m: 2}, {name: Bench, kind: room, x_m: 3, y_m: 2}], \
     lanes: [{between: [Dock, Bench]}]}";
 
-fn picture() -> FleetModel {
+fn model() -> FleetModel {
     FleetModel::new("ward", "station-1", FloorPlan::new(&LoadedMap::from(map::shipped("hospital").unwrap())), NOW)
 }
 
@@ -42,11 +44,14 @@ fn worker(availability: Value) -> Value {
     })
 }
 
-fn fleet(nodes: Value) -> Value {
+fn fleet(mut nodes: Value) -> Value {
+    for node in nodes.as_array_mut().unwrap() {
+        node["seen_by"] = json!("station-1");
+    }
     json!({ "nodes": nodes, "ensembles": [{ "name": "logistics", "membership": ["member.robot"], "skills": ["navigation"],
         "stale_after_ms": 10_000, "nodes": [
         { "node": "ada", "member": true, "reason": "", "age_ms": 5 },
-        { "node": "bob", "member": false, "reason": "lacks navigation", "age_ms": null },
+        { "node": "bob", "member": false, "reason": "lacks navigation", "age_ms": 5 },
     ] }] })
 }
 
@@ -59,41 +64,41 @@ fn telemetry(x: f64, y: f64) -> Telemetry {
 
 #[test]
 fn a_robot_has_the_pose_of_its_telemetry_and_the_route_of_its_task() {
-    let mut picture = picture();
+    let mut model = model();
     let holding = json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
     let ada = json!({ "node": "ada", "alive": true, "status": "alive", "age_ms": 300, "robot": worker(holding) });
-    picture.apply_view(&Key::ViewFleet, &fleet(json!([ada])), NOW);
-    let mission = shipped()["lab-samples"].instantiate(&BTreeMap::new(), &Domain::hospital()).unwrap();
+    model.apply_view(&Key::ViewFleet, &fleet(json!([ada])), NOW);
+    let mission = shipped()["lab-samples"].instantiate(&BTreeMap::new(), &hospital()).unwrap();
     let view =
         json!({ "mission": "m-1", "detail": "running", "tasks": mission.tasks, "roles": [], "done": 0, "steps": 11 });
-    picture.apply_view(&Key::ViewMission("m-1".parse().unwrap()), &view, NOW);
-    picture.apply_event(
+    model.apply_view(&Key::ViewMission("m-1".parse().unwrap()), &view, NOW);
+    model.apply_event(
         &event("ada", 1, NOW, json!({ "event": "task_began", "mission": "m-1", "role": "r1", "task": "navto_room" })),
         NOW,
     );
-    picture.apply_telemetry("ada", &telemetry(6.0, 4.0), NOW + 10);
+    model.apply_telemetry("ada", &telemetry(6.0, 4.0), NOW + 10);
 
-    let ada = &picture.robots()["ada"];
+    let ada = &model.robots()["ada"];
     assert_eq!((ada.x, ada.y, ada.battery), (6.0, 4.0, 0.75));
     assert_eq!((ada.availability.as_str(), ada.task.as_deref()), ("holding", Some("navto_room")));
     assert_eq!(ada.last_contact_ms, NOW - 300);
     assert_eq!(ada.destination.as_deref(), Some("IC Room 6"));
-    let map = picture.to_json()["map"].clone();
+    let map = model.to_json()["map"].clone();
     let mut places = map["places"].as_array().unwrap().iter();
     let room = places.find(|place| place["name"] == "IC Room 6").unwrap();
     assert_eq!(json!(ada.route.last()), json!([room["x_m"], room["y_m"]]));
     assert!(ada.route.len() > 2, "along the corridor: {:?}", ada.route);
 
     // The record of its node is older than its telemetry.
-    picture.apply_view(
+    model.apply_view(
         &Key::ViewFleet,
         &fleet(json!([{ "node": "ada", "alive": true, "age_ms": 500, "robot": worker(json!("free")) }])),
         NOW + 20,
     );
-    let ada = &picture.robots()["ada"];
+    let ada = &model.robots()["ada"];
     assert_eq!((ada.y, ada.availability.as_str()), (4.0, "free"));
     assert_eq!((&ada.destination, ada.route.len()), (&None, 0));
-    let logistics = &picture.ensembles()["logistics"];
+    let logistics = &model.ensembles()["logistics"];
     assert_eq!(logistics.members, ["ada"]);
     assert_eq!(logistics.non_members["bob"], "lacks navigation");
     assert_eq!(
@@ -101,84 +106,81 @@ fn a_robot_has_the_pose_of_its_telemetry_and_the_route_of_its_task() {
         (&["member.robot".to_owned()][..], Some(10_000))
     );
 
-    picture.apply_view(&Key::ViewFleet, &fleet(json!([{ "node": "cyd", "alive": true }])), NOW + 30);
-    assert!(picture.robots().is_empty(), "unknown robots are removed");
+    model.apply_view(&Key::ViewFleet, &fleet(json!([{ "node": "cyd", "alive": true }])), NOW + 30);
+    assert!(model.robots().is_empty(), "unknown robots are removed");
 }
 
 #[test]
 fn a_takeover_records_the_previous_coordinator_and_the_gap() {
-    let mut picture = picture();
-    picture.apply_beacon(&beacon("ada", 1, 500), NOW);
-    picture.apply_beacon(&beacon("ada", 1, 750), NOW + 250);
-    assert_eq!(picture.kpis().takeovers, 0, "the first coordinator is no takeover");
-    picture.apply_event(
+    let mut model = model();
+    model.apply_beacon(&beacon("ada", 1, 500), NOW);
+    model.apply_beacon(&beacon("ada", 1, 750), NOW + 250);
+    assert_eq!(model.kpis().takeovers, 0, "the first coordinator is no takeover");
+    model.apply_event(
         &event("bob", 1, NOW + 600, json!({ "event": "elected", "term": 2, "voters": ["bob"] })),
         NOW + 600,
     );
-    picture.apply_beacon(&beacon("bob", 2, 100), NOW + 700);
-    let bob = picture.coordinator().unwrap();
+    model.apply_beacon(&beacon("bob", 2, 100), NOW + 700);
+    let bob = model.coordinator().unwrap();
     assert_eq!((bob.node.as_str(), bob.term, bob.voters.as_slice()), ("bob", 2, &["bob".to_owned()][..]));
-    let takeover = &picture.takeovers()[1];
-    assert_eq!((takeover.from.as_deref(), takeover.gap_ms, picture.takeovers().len()), (Some("ada"), Some(350), 2));
+    let takeover = &model.takeovers()[1];
+    assert_eq!((takeover.from.as_deref(), takeover.gap_ms, model.takeovers().len()), (Some("ada"), Some(350), 2));
     // A coordinator that has not noticed its replacement yet.
-    picture.apply_beacon(&beacon("ada", 1, 9_000), NOW + 800);
-    assert_eq!(picture.coordinator().unwrap().node, "bob");
-    assert_eq!(picture.kpis().takeovers, 1);
-    assert_eq!(picture.kpis().takeover_ms, Some(350));
+    model.apply_beacon(&beacon("ada", 1, 9_000), NOW + 800);
+    assert_eq!(model.coordinator().unwrap().node, "bob");
+    assert_eq!(model.kpis().takeovers, 1);
+    assert_eq!(model.kpis().takeover_ms, Some(350));
 }
 
 #[test]
 fn a_silent_fleet_is_shown_as_lost_with_the_time() {
-    let mut picture = picture();
-    picture.apply_links(2, NOW);
-    assert_eq!(picture.reachability().state, ReachabilityState::NoCoordinator, "no beacon was received yet");
-    picture.apply_beacon(&beacon("ada", 1, 0), NOW + 100);
-    picture.apply_links(2, NOW + 200);
-    assert_eq!(picture.reachability().state, ReachabilityState::Connected);
-    picture.apply_links(2, NOW + 100 + NO_COORDINATOR_AFTER_MS);
-    assert_eq!(picture.reachability().state, ReachabilityState::Connected);
+    let mut model = model();
+    model.apply_links(2, NOW);
+    assert_eq!(model.reachability().state, ReachabilityState::NoCoordinator, "no beacon was received yet");
+    model.apply_beacon(&beacon("ada", 1, 0), NOW + 100);
+    model.apply_links(2, NOW + 200);
+    assert_eq!(model.reachability().state, ReachabilityState::Connected);
+    model.apply_links(2, NOW + 100 + NO_COORDINATOR_AFTER_MS);
+    assert_eq!(model.reachability().state, ReachabilityState::Connected);
     let late = NOW + 101 + NO_COORDINATOR_AFTER_MS;
-    picture.apply_links(2, late);
+    model.apply_links(2, late);
+    assert_eq!((model.reachability().state, model.reachability().since_ms), (ReachabilityState::NoCoordinator, late));
+    model.apply_links(0, late + 5);
     assert_eq!(
-        (picture.reachability().state, picture.reachability().since_ms),
-        (ReachabilityState::NoCoordinator, late)
-    );
-    picture.apply_links(0, late + 5);
-    assert_eq!(
-        (picture.reachability().state, picture.reachability().last_contact_ms),
+        (model.reachability().state, model.reachability().last_contact_ms),
         (ReachabilityState::Isolated, Some(NOW + 100))
     );
     // The fleet may have been restarted: after a silence, the next beacon names the coordinator.
-    picture.apply_beacon(&beacon("bob", 1, 0), late + 10);
-    picture.apply_links(1, late + 11);
-    assert_eq!(picture.reachability().state, ReachabilityState::Connected);
+    model.apply_beacon(&beacon("bob", 1, 0), late + 10);
+    model.apply_links(1, late + 11);
+    assert_eq!(model.reachability().state, ReachabilityState::Connected);
 }
 
 #[test]
 fn tasks_become_bars_and_a_mission_ends_with_its_event() {
-    let mut picture = picture();
+    let mut model = model();
     let of = |what: &str, task: &str| json!({ "event": what, "mission": "m-1", "role": "r1", "task": task });
-    let tell = |picture: &mut FleetModel, at: u64, what: Value| picture.apply_event(&event("ada", 1, at, what), at);
-    tell(&mut picture, NOW, json!({ "event": "submitted", "mission": "m-1", "parameters": { "room": "IC Room 6" } }));
+    let apply = |model: &mut FleetModel, at: u64, what: Value| model.apply_event(&event("ada", 1, at, what), at);
+    apply(&mut model, NOW, json!({ "event": "submitted", "mission": "m-1", "parameters": { "room": "IC Room 6" } }));
     let awarded = json!({ "event": "awarded", "mission": "m-1", "holders": { "r1": "ada" }, "epoch": { "term": 1, "index": 3 }, "after_ms": 6.5 });
-    tell(&mut picture, NOW + 7, awarded);
-    tell(&mut picture, NOW + 10, of("task_began", "go"));
-    tell(&mut picture, NOW + 50, of("task_ended", "go"));
-    tell(&mut picture, NOW + 60, of("task_began", "open"));
-    tell(&mut picture, NOW + 90, of("task_ended", "unheard"));
-    tell(
-        &mut picture,
+    apply(&mut model, NOW + 7, awarded);
+    apply(&mut model, NOW + 10, of("task_began", "go"));
+    apply(&mut model, NOW + 50, of("task_ended", "go"));
+    apply(&mut model, NOW + 60, of("task_began", "open"));
+    apply(&mut model, NOW + 90, of("task_ended", "unheard"));
+    apply(
+        &mut model,
         NOW + 100,
         json!({ "event": "mission", "mission": "m-1", "state": "completed", "submitted_at_ms": NOW }),
     );
-    let shown = &picture.missions()["m-1"];
+    let shown = &model.missions()["m-1"];
     let bars: Vec<_> = shown.bars.iter().map(|bar| (bar.task.as_str(), bar.state.as_str(), bar.to_ms)).collect();
     assert_eq!(
         bars,
         [("go", "done", Some(NOW + 50)), ("open", "aborted", Some(NOW + 100)), ("unheard", "done", Some(NOW + 90)),]
     );
     assert_eq!((shown.state.as_str(), shown.ended, shown.ended_ms), ("completed", true, Some(NOW + 100)));
-    let kpis = picture.kpis();
+    let kpis = model.kpis();
     assert_eq!((kpis.success, kpis.completion_ms, kpis.award_ms), (Some(1.0), Some(100), Some(6.5)));
 
     // An older list does not change an ended mission back. The end time of a mission is unknown if
@@ -187,65 +189,65 @@ fn tasks_become_bars_and_a_mission_ends_with_its_event() {
         { "mission": "m-1", "detail": "running", "done": 1, "steps": 3 },
         { "mission": "m-2", "detail": { "failed": { "cause": "no robots" } }, "submitted_at_ms": 5 },
     ] });
-    picture.apply_view(&Key::ViewMissions, &list, NOW + 200);
-    assert_eq!(picture.missions()["m-1"].state, "completed");
-    let failed = &picture.missions()["m-2"];
+    model.apply_view(&Key::ViewMissions, &list, NOW + 200);
+    assert_eq!(model.missions()["m-1"].state, "completed");
+    let failed = &model.missions()["m-2"];
     assert_eq!((failed.cause.as_deref(), failed.ended_ms), (Some("no robots"), None));
-    assert_eq!(picture.kpis().success, Some(0.5));
+    assert_eq!(model.kpis().success, Some(0.5));
 }
 
 #[test]
 fn an_auction_contains_every_bid_with_its_parts_and_the_winner() {
-    let mut picture = picture();
-    let tell = |picture: &mut FleetModel, what: Value| picture.apply_event(&event("ada", 1, NOW, what), NOW);
-    tell(&mut picture, json!({ "event": "bids_requested", "mission": "m-1", "roles": ["r1"], "round": 1, "asked": 2 }));
+    let mut model = model();
+    let apply = |model: &mut FleetModel, what: Value| model.apply_event(&event("ada", 1, NOW, what), NOW);
+    apply(&mut model, json!({ "event": "bids_requested", "mission": "m-1", "roles": ["r1"], "round": 1, "asked": 2 }));
     let bid = json!({ "robot": "bob", "role": "r1", "time": 99.5, "energy": 0.06, "remaining": 0.84, "useful_charge": 0.08,
         "from": "Dock", "age_ms": 3, "parts": [{ "step": 0, "label": "navto_room", "skill": "navigation", "time": 60.0, "energy": 0.04 }] });
-    tell(&mut picture, json!({ "event": "bid", "mission": "m-1", "bid": bid }));
+    apply(&mut model, json!({ "event": "bid", "mission": "m-1", "bid": bid }));
     let auction = json!({ "mission": "m-1", "term": 1, "round": 1 });
     let record = json!({ "auction": auction, "at_ms": NOW, "omitted": 0, "chosen": { "r1": "bob" }, "failure": null, "entries": [
         { "role": "r1", "robot": "bob", "verdict": { "viable": { "time": 99.5, "energy": 0.06, "remaining": 0.84 } } },
         { "role": "r1", "robot": "cyd", "verdict": { "refused": { "reason": { "missing_skills": { "skills": ["navigation"] } } } } },
     ] });
-    tell(&mut picture, json!({ "event": "closed", "mission": "m-1", "record": record }));
+    apply(&mut model, json!({ "event": "closed", "mission": "m-1", "record": record }));
     // The views contain the same record without parts: the parts are kept.
-    picture.apply_view(&Key::ViewAuctions, &json!({ "auctions": [record] }), NOW);
-    let (name, shown) = picture.auctions().first_key_value().unwrap();
+    model.apply_view(&Key::ViewAuctions, &json!({ "auctions": [record] }), NOW);
+    let (name, shown) = model.auctions().first_key_value().unwrap();
     assert_eq!((name.as_str(), shown.offers.len()), ("m-1#1.1", 2));
     let (bob, cyd) = (&shown.offers[0], &shown.offers[1]);
     assert!(bob.chosen && !cyd.chosen);
     assert_eq!((bob.time_s, bob.from.as_deref()), (Some(99.5), Some("Dock")));
-    assert_eq!(bob.parts.as_ref().unwrap()[0]["label"], "navto_room");
+    assert_eq!(bob.parts.as_ref().unwrap()[0].label, "navto_room");
     assert_eq!((cyd.verdict.as_str(), cyd.why.as_deref()), ("refused", Some("lacks navigation")));
 }
 
 #[test]
 fn utilization_counts_the_time_of_busy_robots() {
-    let mut picture = picture();
+    let mut model = model();
     let node = |name: &str, availability: Value| json!({ "node": name, "alive": true, "robot": worker(availability) });
     let holding = json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
     let out = json!({ "out_of_service": { "problem": "no charge" } });
     let nodes = json!([node("ada", holding), node("bob", json!("free")), node("cyd", out)]);
-    picture.apply_view(&Key::ViewFleet, &fleet(nodes), NOW);
-    picture.apply_links(1, NOW);
-    picture.apply_links(1, NOW + 1000);
-    let kpis = picture.kpis();
+    model.apply_view(&Key::ViewFleet, &fleet(nodes), NOW);
+    model.apply_links(1, NOW);
+    model.apply_links(1, NOW + 1000);
+    let kpis = model.kpis();
     assert_eq!((kpis.busy, kpis.in_service, kpis.utilisation), (1, 2, Some(0.5)));
 }
 
 /// Returns the assignments of a role: the robot, start and end in milliseconds after the start, and
 /// the state.
-fn assignments(picture: &FleetModel) -> Vec<(&str, u64, Option<u64>, &str)> {
-    let all = picture.missions()["m-1"].assignments.iter();
+fn assignments(model: &FleetModel) -> Vec<(&str, u64, Option<u64>, &str)> {
+    let all = model.missions()["m-1"].assignments.iter();
     let since = |ms: u64| ms - NOW;
     all.map(|one| (one.by.as_str(), since(one.from_ms), one.to_ms.map(since), one.state.as_str())).collect()
 }
 
 #[test]
 fn each_assignment_of_a_role_has_its_times_and_planned_end() {
-    let mut picture = picture();
-    let tell = |picture: &mut FleetModel, node: &str, at: u64, what: Value| {
-        picture.apply_event(&event(node, 1, NOW + at, what), NOW + at);
+    let mut model = model();
+    let apply = |model: &mut FleetModel, node: &str, at: u64, what: Value| {
+        model.apply_event(&event(node, 1, NOW + at, what), NOW + at);
     };
     let of = |what: &str| json!({ "event": what, "mission": "m-1", "role": "r1" });
     let auction = |round: u32, robot: &str, time: f64| {
@@ -255,40 +257,40 @@ fn each_assignment_of_a_role_has_its_times_and_planned_end() {
         json!({ "event": "closed", "mission": "m-1", "record": record })
     };
     let award = |index: u64, robot: &str| json!({ "event": "awarded", "mission": "m-1", "holders": { "r1": robot }, "epoch": { "term": 1, "index": index }, "after_ms": 6.5 });
-    tell(&mut picture, "s1", 0, auction(1, "ada", 60.0));
-    tell(&mut picture, "s1", 1, award(3, "ada"));
-    tell(
-        &mut picture,
+    apply(&mut model, "s1", 0, auction(1, "ada", 60.0));
+    apply(&mut model, "s1", 1, award(3, "ada"));
+    apply(
+        &mut model,
         "ada",
         2,
         json!({ "event": "started", "mission": "m-1", "role": "r1", "epoch": { "term": 1, "index": 3 } }),
     );
-    assert_eq!(assignments(&picture), [("ada", 1, None, "active")], "begun once");
+    assert_eq!(assignments(&model), [("ada", 1, None, "active")], "begun once");
     // World time runs five times as fast: 60 s are planned as 12 s.
     let at = |world_s: f64| Telemetry { time: WorldTime::from_secs(world_s), ..telemetry(1.0, 1.0) };
     for (world_s, at_ms) in [(100.0, 10), (102.0, 410), (115.0, 3010)] {
-        picture.apply_telemetry("ada", &at(world_s), NOW + at_ms);
-        picture.apply_links(1, NOW + at_ms);
+        model.apply_telemetry("ada", &at(world_s), NOW + at_ms);
+        model.apply_links(1, NOW + at_ms);
     }
-    assert_eq!(picture.missions()["m-1"].assignments[0].planned_ms, Some(12_000));
+    assert_eq!(model.missions()["m-1"].assignments[0].planned_ms, Some(12_000));
 
-    tell(&mut picture, "ada", 4000, of("suspended"));
-    assert_eq!(assignments(&picture), [("ada", 1, None, "suspended")]);
-    tell(&mut picture, "s1", 5000, json!({ "event": "released", "mission": "m-1", "role": "r1", "cause": "silent" }));
-    tell(&mut picture, "s1", 5100, auction(2, "bob", 40.0));
-    tell(&mut picture, "s1", 5200, award(9, "bob"));
+    apply(&mut model, "ada", 4000, of("suspended"));
+    assert_eq!(assignments(&model), [("ada", 1, None, "suspended")]);
+    apply(&mut model, "s1", 5000, json!({ "event": "released", "mission": "m-1", "role": "r1", "cause": "silent" }));
+    apply(&mut model, "s1", 5100, auction(2, "bob", 40.0));
+    apply(&mut model, "s1", 5200, award(9, "bob"));
     // The previous holder reports late; the report changes nothing.
-    tell(&mut picture, "ada", 6000, json!({ "event": "halted", "mission": "m-1", "role": "r1", "reason": "replaced" }));
-    picture.apply_links(1, NOW + 6100);
+    apply(&mut model, "ada", 6000, json!({ "event": "halted", "mission": "m-1", "role": "r1", "reason": "replaced" }));
+    model.apply_links(1, NOW + 6100);
     let completed = json!({ "event": "mission", "mission": "m-1", "state": "completed", "submitted_at_ms": NOW });
-    tell(&mut picture, "s1", 9000, completed);
-    assert_eq!(assignments(&picture), [("ada", 1, Some(5000), "released"), ("bob", 5200, Some(9000), "completed")]);
-    assert_eq!(picture.missions()["m-1"].assignments[1].planned_ms, Some(8000));
+    apply(&mut model, "s1", 9000, completed);
+    assert_eq!(assignments(&model), [("ada", 1, Some(5000), "released"), ("bob", 5200, Some(9000), "completed")]);
+    assert_eq!(model.missions()["m-1"].assignments[1].planned_ms, Some(8000));
 }
 
 #[test]
 fn a_late_client_learns_role_holders_from_the_ledger() {
-    let mut picture = picture();
+    let mut model = model();
     let mission = |phase: &str, holder: &str| {
         json!({ "mission": "m-1", "detail": "running", "done": 1, "steps": 3, "roles": [
             { "role": "r1", "kind": "managed", "phase": phase, "holder": holder },
@@ -296,108 +298,104 @@ fn a_late_client_learns_role_holders_from_the_ledger() {
         ] })
     };
     let key = Key::ViewMission("m-1".parse().unwrap());
-    picture.apply_view(&key, &mission("active", "ada"), NOW + 100);
-    assert_eq!(assignments(&picture), [("ada", 100, None, "active")]);
+    model.apply_view(&key, &mission("active", "ada"), NOW + 100);
+    assert_eq!(assignments(&model), [("ada", 100, None, "active")]);
     let released = json!({ "event": "released", "mission": "m-1", "role": "r1", "cause": "silent" });
-    picture.apply_event(&event("s1", 1, NOW + 5000, released), NOW + 5000);
+    model.apply_event(&event("s1", 1, NOW + 5000, released), NOW + 5000);
     // A view from before the release does not restore the previous holder.
-    picture.apply_view(&key, &mission("active", "ada"), NOW + 5100);
-    assert_eq!(assignments(&picture), [("ada", 100, Some(5000), "released")]);
-    picture.apply_view(&key, &mission("active", "bob"), NOW + 8000);
-    picture.apply_view(&key, &mission("ended", "bob"), NOW + 12_000);
-    assert_eq!(assignments(&picture)[1..], [("bob", 8000, Some(12_000), "completed")]);
+    model.apply_view(&key, &mission("active", "ada"), NOW + 5100);
+    assert_eq!(assignments(&model), [("ada", 100, Some(5000), "released")]);
+    model.apply_view(&key, &mission("active", "bob"), NOW + 8000);
+    model.apply_view(&key, &mission("ended", "bob"), NOW + 12_000);
+    assert_eq!(assignments(&model)[1..], [("bob", 8000, Some(12_000), "completed")]);
 }
 
 #[test]
 fn health_findings_come_from_the_nearest_node() {
-    let mut picture = picture();
+    let mut model = model();
     let view = json!({ "level": "warning", "findings": [
         { "level": "warning", "about": "node", "name": "bob", "text": "bob is down; last contact 9.0 s ago" }] });
-    picture.apply_view(&Key::ViewHealth, &view, NOW);
-    let [finding] = picture.health() else { panic!("{:?}", picture.health()) };
-    assert_eq!((finding.level.as_str(), finding.name.as_deref()), ("warning", Some("bob")));
-    assert_eq!(picture.to_json()["health"], view["findings"]);
+    model.apply_view(&Key::ViewHealth, &view, NOW);
+    let [finding] = model.health() else { panic!("{:?}", model.health()) };
+    assert_eq!((finding.level, finding.name.as_deref()), (HealthLevel::Warning, Some("bob")));
+    assert_eq!(model.to_json()["health"], view["findings"]);
 }
 
 #[test]
 fn consecutive_patches_equal_the_whole_model() {
-    let mut picture = picture();
+    let mut model = model();
     let (mut drawn, mut seen) = (Value::Null, Value::Null);
-    picture.render_patch(&mut drawn);
+    model.render_patch(&mut drawn);
     delta::apply(&mut seen, &drawn);
     let holding = json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
     let node = |name: &str, availability: &Value| json!({ "node": name, "alive": true, "robot": worker(availability.clone()) });
     let steps: [&dyn Fn(&mut FleetModel); 7] = [
-        &|picture| {
-            picture.apply_view(
-                &Key::ViewFleet,
-                &fleet(json!([node("ada", &holding), node("bob", &json!("free"))])),
-                NOW,
-            );
+        &|model| {
+            model.apply_view(&Key::ViewFleet, &fleet(json!([node("ada", &holding), node("bob", &json!("free"))])), NOW);
         },
-        &|picture| picture.apply_telemetry("ada", &telemetry(3.0, 4.0), NOW + 1),
-        &|picture| {
-            picture.apply_view(
+        &|model| model.apply_telemetry("ada", &telemetry(3.0, 4.0), NOW + 1),
+        &|model| {
+            model.apply_view(
                 &Key::ViewMissions,
                 &json!({ "missions": [{ "mission": "m-1", "detail": "running" }] }),
                 NOW,
             );
         },
-        &|picture| {
-            picture.apply_view(&Key::ViewWorld, &json!({ "doors": [{ "name": "Narrow", "state": "open" }] }), NOW);
+        &|model| {
+            model.apply_view(&Key::ViewWorld, &json!({ "doors": [{ "name": "Narrow", "state": "open" }] }), NOW);
         },
-        &|picture| picture.apply_view(&Key::ViewFleet, &fleet(json!([node("bob", &holding)])), NOW),
-        &|picture| picture.apply_view(&Key::ViewWorld, &json!({ "doors": [] }), NOW),
-        &|picture| {
-            picture.apply_view(&Key::ViewMap, &LoadedMap::from(map::read(SHED, "shed.yaml").unwrap()).to_json(), NOW)
+        &|model| model.apply_view(&Key::ViewFleet, &fleet(json!([node("bob", &holding)])), NOW),
+        &|model| model.apply_view(&Key::ViewWorld, &json!({ "doors": [] }), NOW),
+        &|model| {
+            model.apply_view(&Key::ViewMap, &LoadedMap::from(map::read(SHED, "shed.yaml").unwrap()).to_json(), NOW);
         },
     ];
     for (number, step) in steps.iter().enumerate() {
-        step(&mut picture);
-        let patch = picture.render_patch(&mut drawn).unwrap_or_else(|| panic!("step {number} changes something"));
+        step(&mut model);
+        let patch = model.render_patch(&mut drawn).unwrap_or_else(|| panic!("step {number} changes something"));
         delta::apply(&mut seen, &patch);
-        assert_eq!(delta::between(&seen, &picture.to_json()), None, "after step {number}");
+        assert_eq!(delta::between(&seen, &model.to_json()), None, "after step {number}");
         assert_eq!(delta::between(&drawn, &seen), None, "after step {number}");
     }
-    assert_eq!(picture.render_patch(&mut drawn), None);
+    assert_eq!(model.render_patch(&mut drawn), None);
 }
 
 #[test]
 fn a_fleet_model_has_a_bounded_size() {
-    let mut picture = picture();
+    let mut model = model();
     for number in 0..3 * bounds::EVENTS as u64 {
         let of = |what: &str| json!({ "event": what, "mission": "m-0", "role": "r1", "task": "go" });
-        picture.apply_event(&event("ada", number, NOW + number, of("task_began")), NOW);
-        picture.apply_beacon(&beacon("ada", number, 0), NOW + number);
+        model.apply_event(&event("ada", number, NOW + number, of("task_began")), NOW);
+        model.apply_beacon(&beacon("ada", number, 0), NOW + number);
     }
-    assert_eq!(picture.missions()["m-0"].bars.len(), bounds::BARS);
+    assert_eq!(model.missions()["m-0"].bars.len(), bounds::BARS);
     let ended: Vec<Value> = (0..2 * bounds::ENDED_MISSIONS)
         .map(|number| json!({ "mission": format!("m-{number}"), "detail": "completed" }))
         .collect();
-    picture.apply_view(&Key::ViewMissions, &json!({ "missions": ended }), NOW);
-    assert_eq!(picture.log().len(), bounds::EVENTS);
-    assert_eq!(*picture.log().last_key_value().unwrap().0, 3 * bounds::EVENTS as u64);
-    assert_eq!(picture.takeovers().len(), bounds::TAKEOVERS);
-    assert_eq!(picture.missions().len(), bounds::ENDED_MISSIONS);
-    assert!(picture.missions().contains_key("m-599"));
+    model.apply_view(&Key::ViewMissions, &json!({ "missions": ended }), NOW);
+    assert_eq!(model.log().len(), bounds::EVENTS);
+    assert_eq!(*model.log().last_key_value().unwrap().0, 3 * bounds::EVENTS as u64);
+    assert_eq!(model.takeovers().len(), bounds::TAKEOVERS);
+    assert_eq!(model.missions().len(), bounds::ENDED_MISSIONS);
+    assert!(model.missions().contains_key("m-599"));
 }
 
 #[test]
 fn invalid_views_and_unchanged_values_produce_no_patch() {
-    let mut picture = picture();
-    let before = picture.to_json();
+    let mut model = model();
+    let before = model.to_json();
     for view in [json!(null), json!([]), json!({ "nodes": 7, "missions": "x", "auctions": [{}], "people": [1] })] {
         for key in [Key::ViewFleet, Key::ViewCoordinator, Key::ViewMissions, Key::ViewAuctions, Key::ViewWorld] {
-            picture.apply_view(&key, &view, NOW);
+            model.apply_view(&key, &view, NOW);
         }
     }
-    let mut after = picture.to_json();
+    let mut after = model.to_json();
     after["views"] = json!({});
     assert_eq!(delta::between(&before, &after), None);
 
-    picture.apply_telemetry("ada", &telemetry(1.0, 1.0), NOW);
-    let before = picture.to_json();
-    picture.apply_telemetry("ada", &telemetry(1.5, 1.0), NOW + 200);
-    let patch = delta::between(&before, &picture.to_json()).unwrap();
+    model.apply_telemetry("ada", &telemetry(1.0, 1.0), NOW);
+    let before = model.to_json();
+    model.apply_telemetry("ada", &telemetry(1.5, 1.0), NOW + 200);
+    let patch = delta::between(&before, &model.to_json()).unwrap();
     assert_eq!(patch, json!({ "robots": { "ada": { "x": 1.5, "telemetry_ms": NOW + 200 } } }));
 }

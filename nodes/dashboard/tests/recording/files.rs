@@ -14,8 +14,8 @@ fn driving() -> impl Iterator<Item = (u64, FleetInput)> {
     let words = [(1, map()), (2, robots(&["ada"])), (3, world(false, "closed")), (4, beacon("s-1", 1, 0))];
     let drive = (1..150u64).flat_map(|number| {
         let after_ms = number * 200;
-        let told = json!({ "event": "progress", "mission": "m-1", "done": number, "steps": 150 });
-        [(after_ms, body("ada", number as f64 / 8.0)), (after_ms + 50, event("s-1", number, after_ms, told))]
+        let progress = json!({ "event": "progress", "mission": "m-1", "done": number, "steps": 150 });
+        [(after_ms, body("ada", number as f64 / 8.0)), (after_ms + 50, event("s-1", number, after_ms, progress))]
     });
     words.into_iter().chain(drive)
 }
@@ -163,12 +163,12 @@ fn a_damaged_file_is_shown_up_to_the_damage_and_never_wrongly() {
 fn flushed_inputs_survive_a_kill_of_the_recorder() {
     let file = Scratch::new();
     let mut tape = recorder(&file.0, ExistingFile::Keep);
-    let mut picture = consort_dashboard::fleet_model::FleetModel::new("ward", "recorder", Default::default(), BEGAN);
+    let mut model = consort_dashboard::fleet_model::FleetModel::new("ward", "recorder", Default::default(), BEGAN);
     let chunk_ms = FLUSH_AFTER.as_millis() as u64;
-    for (after_ms, heard) in driving() {
+    for (after_ms, input) in driving() {
         let now_ms = BEGAN + after_ms;
-        picture.apply(&heard, now_ms);
-        tape.write_input(&heard, &picture, now_ms).unwrap();
+        model.apply(&input, now_ms);
+        tape.write_input(&input, &model, now_ms).unwrap();
         tape.flush_due(now_ms).unwrap();
         if after_ms > 2 * chunk_ms {
             // The current content of the disk.

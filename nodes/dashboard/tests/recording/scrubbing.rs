@@ -53,17 +53,17 @@ fn every_instant_of_a_recording_equals_the_live_model() {
         assert_eq!(&reel.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "{after_ms} ms");
     }
     // The states must differ.
-    let picture = |after_ms: u64| reel.model_at(BEGAN + after_ms);
-    assert!(picture(999).missions().is_empty());
-    assert_eq!(picture(4099).missions()["m-1"].state, "running");
-    assert_eq!(picture(9000).missions()["m-1"].state, "completed");
-    assert_eq!(picture(4099).coordinator().unwrap().node, "s-1");
-    assert_eq!(picture(4100).coordinator().unwrap().node, "s-2");
-    assert_eq!((picture(1300).robots()["ada"].x, picture(1400).robots()["ada"].x), (6.5, 7.5));
-    let places = picture(5).to_json()["map"]["places"].clone();
+    let model = |after_ms: u64| reel.model_at(BEGAN + after_ms);
+    assert!(model(999).missions().is_empty());
+    assert_eq!(model(4099).missions()["m-1"].state, "running");
+    assert_eq!(model(9000).missions()["m-1"].state, "completed");
+    assert_eq!(model(4099).coordinator().unwrap().node, "s-1");
+    assert_eq!(model(4100).coordinator().unwrap().node, "s-2");
+    assert_eq!((model(1300).robots()["ada"].x, model(1400).robots()["ada"].x), (6.5, 7.5));
+    let places = model(5).to_json()["map"]["places"].clone();
     let names: Vec<&str> = places.as_array().unwrap().iter().filter_map(|place| place["name"].as_str()).collect();
     assert_eq!(names, ["Dock", "IC Room 6"], "the map is that of the fleet");
-    assert_eq!(picture(1100).log().len(), 3, "events until then");
+    assert_eq!(model(1100).log().len(), 3, "events until then");
 }
 
 #[test]
@@ -81,7 +81,7 @@ fn coordinator_changes_and_mission_ends_are_marked() {
 }
 
 /// Any input after any delay.
-fn anything() -> impl Strategy<Value = (u64, FleetInput)> {
+fn arbitrary_input() -> impl Strategy<Value = (u64, FleetInput)> {
     let name = prop::sample::select(vec!["ada", "bob", "s-1"]);
     let what = (0..10u8, name, 0..60u64).prop_map(|(what, name, number)| match what {
         0 => beacon(name, number / 20 + 1, number),
@@ -104,29 +104,29 @@ proptest! {
 
     #[test]
     fn seeking_to_an_instant_equals_playing_up_to_it(
-        inputs in prop::collection::vec(anything(), 1..400),
+        inputs in prop::collection::vec(arbitrary_input(), 1..400),
         jumps in prop::collection::vec(0.0..1.1f64, 1..20),
     ) {
         let mut now_ms = 0;
-        let inputs = inputs.into_iter().map(|(later_ms, heard)| {
+        let inputs = inputs.into_iter().map(|(later_ms, input)| {
             now_ms += later_ms;
-            (now_ms, heard)
+            (now_ms, input)
         });
         let live = LiveRecording::record(inputs);
         let reel = RecordingReader::open(&live.file.0).unwrap();
         // A single model moves back and forth, as that of the publisher does.
-        let (mut picture, mut taken) = (reel.initial_model(), 0);
+        let (mut model, mut taken) = (reel.initial_model(), 0);
         // The rendered model, and the model of a client that applies the patches.
         let mut drawn = Value::Null;
-        picture.render_patch(&mut drawn);
+        model.render_patch(&mut drawn);
         let mut seen = drawn.clone();
         for share in jumps {
             let anywhere_ms = (live.length_ms() as f64 * share) as u64;
             // Mostly the exact instants of inputs.
             let after_ms = if share < 0.7 { live.last_input_ms(anywhere_ms) } else { anywhere_ms };
-            taken = reel.seek(&mut picture, taken, BEGAN + after_ms);
-            prop_assert_eq!(&picture.to_json(), live.at(after_ms), "{} ms, after a jump", after_ms);
-            if let Some(patch) = picture.render_patch(&mut drawn) {
+            taken = reel.seek(&mut model, taken, BEGAN + after_ms);
+            prop_assert_eq!(&model.to_json(), live.at(after_ms), "{} ms, after a jump", after_ms);
+            if let Some(patch) = model.render_patch(&mut drawn) {
                 delta::apply(&mut seen, &patch);
             }
             prop_assert_eq!(&seen, live.at(after_ms), "{} ms, by what has changed", after_ms);

@@ -64,14 +64,14 @@ impl LiveRecording {
     /// Records inputs, each with its delay in milliseconds after the start of the recording.
     pub(crate) fn record(inputs: impl IntoIterator<Item = (u64, FleetInput)>) -> LiveRecording {
         let file = Scratch::new();
-        let (mut tape, mut picture) = (recorder(&file.0, ExistingFile::Keep), empty());
-        let mut pictures = vec![(0, picture.to_json())];
-        for (after_ms, heard) in inputs {
+        let (mut tape, mut model) = (recorder(&file.0, ExistingFile::Keep), empty());
+        let mut pictures = vec![(0, model.to_json())];
+        for (after_ms, input) in inputs {
             let now_ms = BEGAN + after_ms;
-            picture.apply(&heard, now_ms);
-            tape.write_input(&heard, &picture, now_ms).unwrap();
+            model.apply(&input, now_ms);
+            tape.write_input(&input, &model, now_ms).unwrap();
             tape.flush_due(now_ms).unwrap();
-            pictures.push((after_ms, picture.to_json()));
+            pictures.push((after_ms, model.to_json()));
         }
         let recorded = tape.finish().unwrap();
         LiveRecording { file, recorded, pictures }
@@ -123,11 +123,14 @@ pub(crate) fn map() -> FleetInput {
 
 pub(crate) fn robots(names: &[&str]) -> FleetInput {
     let node = |name: &&str| {
-        json!({ "node": name, "alive": true, "status": "alive", "age_ms": 20, "robot": {
+        json!({ "node": name, "seen_by": "s-1", "alive": true, "status": "alive", "age_ms": 20, "robot": {
             "skills": ["navigation"], "place": "Dock", "pose": { "x_m": 6.0, "y_m": 2.5, "yaw_rad": 0.5 }, "battery": 0.75,
-            "useful_charge": 0.125, "speed": 0.5, "availability": "free" } })
+            "discharge": 0.001, "useful_charge": 0.125, "speed": 0.5, "availability": "free", "estimator": "e" } })
     };
-    view(Key::ViewFleet, json!({ "age_ms": 5, "nodes": names.iter().map(node).collect::<Vec<_>>(), "ensembles": [] }))
+    view(
+        Key::ViewFleet,
+        json!({ "seen_by": "s-1", "age_ms": 5, "nodes": names.iter().map(node).collect::<Vec<_>>(), "ensembles": [] }),
+    )
 }
 
 pub(crate) fn world(away: bool, door: &str) -> FleetInput {
@@ -146,7 +149,7 @@ pub(crate) fn missions(state: &str) -> FleetInput {
 pub(crate) fn missions_of(state: &str, age_ms: u64) -> FleetInput {
     let mission = json!({ "mission": "m-1", "detail": state, "parameters": { "room": "IC Room 6" }, "holders": { "r1": "ada" },
         "done": 3, "steps": 7, "submitted_at_ms": BEGAN });
-    view(Key::ViewMissions, json!({ "age_ms": age_ms, "missions": [mission] }))
+    view(Key::ViewMissions, json!({ "seen_by": "s-1", "age_ms": age_ms, "missions": [mission] }))
 }
 
 pub(crate) fn view(key: Key, view: Value) -> FleetInput {

@@ -1,16 +1,16 @@
 //! `consort-lab chaos`: runs whole fleets under generated faults, and checks invariants at every step.
 
 use clap::{ArgGroup, Args as ClapArgs};
+use consort_nodes::command::flag_values::InvalidValue;
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
-use consort_protocol::count::count;
-use consort_protocol::mutants::{self, Mutant};
-use consort_tests::chaos::mutants::{MUTANT_CHECKS, check_mutant};
+use consort_tests::chaos::mutants::{MUTANT_CHECKS, Mutant, check_mutant};
 use consort_tests::chaos::scoreboard::{self, markdown};
 use consort_tests::chaos::seed_sweep::percentiles;
 use consort_tests::chaos::{
     ChaosFleet, FaultKind, RunConfig, RunOutcome, Schedule, SeedSweep, Violation, chaos_fleet, generate, shrink,
 };
+use consort_text::count;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -55,7 +55,7 @@ Examples:
   consort-lab chaos --scoreboard --runs 50 --save score.json  # the results under each kind of fault
 
   # checks that injected bugs are found
-  cargo run --release -p consort-lab --features mutants -- chaos --mutants
+  consort-lab chaos --mutants
 
 The same seed, nodes, minutes and faults give the same run, to the byte, on any machine.
 
@@ -86,7 +86,7 @@ pub struct Args {
     /// The kinds of faults [default: all]
     #[arg(long, value_name = "KIND,…", value_delimiter = ',', conflicts_with_all = ["schedule", "mutants", "scoreboard"])]
     faults: Vec<FaultKind>,
-    /// Run with an injected bug (in programs built with the feature `mutants`)
+    /// Run with an injected bug
     #[arg(long, value_name = "NAME", conflicts_with_all = ["mutants", "scoreboard"])]
     mutant: Option<Mutant>,
     /// Hunt every injected bug, and print the number of seeds and the invariant that found it
@@ -110,23 +110,24 @@ pub struct Args {
     json: bool,
 }
 
-fn seeds(text: &str) -> Result<RangeInclusive<u64>, String> {
-    let wrong = || format!("{text:?} is not FIRST..LAST, as in 1..1000");
+fn seeds(text: &str) -> Result<RangeInclusive<u64>, InvalidValue> {
+    let wrong = || InvalidValue::new(format_args!("{text:?} is not FIRST..LAST, as in 1..1000"));
     let (first, last) = text.split_once("..").ok_or_else(wrong)?;
     let number = |text: &str| text.trim_start_matches('=').parse::<u64>().map_err(|_| wrong());
     let (first, last) = (number(first)?, number(last)?);
     if first > last || last == u64::MAX { Err(wrong()) } else { Ok(first..=last) }
 }
 
-fn minutes(text: &str) -> Result<f64, String> {
-    let minutes: f64 = text.parse().map_err(|_| format!("{text:?} is not a number of minutes"))?;
-    if (0.5..=120.0).contains(&minutes) { Ok(minutes) } else { Err("from 0.5 to 120 minutes".to_owned()) }
+fn minutes(text: &str) -> Result<f64, InvalidValue> {
+    let minutes: f64 =
+        text.parse().map_err(|_| InvalidValue::new(format_args!("{text:?} is not a number of minutes")))?;
+    if (0.5..=120.0).contains(&minutes) { Ok(minutes) } else { Err(InvalidValue::new("from 0.5 to 120 minutes")) }
 }
 
-fn nodes(text: &str) -> Result<usize, String> {
+fn nodes(text: &str) -> Result<usize, InvalidValue> {
     let (least, most) = (chaos_fleet::NODES_MIN, chaos_fleet::NODES_MAX);
     let number = text.parse().ok().filter(|number| (least..=most).contains(number));
-    number.ok_or_else(|| format!("from {least} to {most} nodes"))
+    number.ok_or_else(|| InvalidValue::new(format_args!("from {least} to {most} nodes")))
 }
 
 /// Runs the command.
@@ -134,8 +135,6 @@ fn nodes(text: &str) -> Result<usize, String> {
 /// # Errors
 /// [`Failure::Usage`] for a wrong schedule; [`Failure::Unsuccessful`] if an invariant was violated.
 pub fn run(args: &Args) -> Result<(), Failure> {
-    // Checks here, and not on each thread, that this program was built with injected bugs.
-    mutants::activate(args.mutant).map_err(|problem| Failure::Usage(problem.to_string()))?;
     match args.seed {
         _ if args.mutants => run_hunts(args),
         _ if args.scoreboard => score(args),
@@ -146,7 +145,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
 
 impl Args {
     fn order(&self, seed: u64) -> RunConfig {
-        RunConfig { seed, nodes: self.nodes, minutes: self.minutes, closed: false }
+        RunConfig { seed, nodes: self.nodes, minutes: self.minutes, closed: false, mutant: self.mutant }
     }
 
     fn generated(&self, seed: u64) -> Schedule {
@@ -171,11 +170,6 @@ impl Args {
             return Ok(());
         }
         output::line(text)
-    }
-
-    /// Activates the chosen bug on the current thread.
-    fn activate_mutant(&self) {
-        mutants::activate(self.mutant).expect("it was chosen before");
     }
 
     /// Returns the flags of a run besides its seed and its schedule, where they differ from the
@@ -206,8 +200,7 @@ fn run_hunts(args: &Args) -> Result<(), Failure> {
             runs += 1;
             bar.set_message(format!("{}: {runs} of {} seeds", wanted.mutant, wanted.seeds_max));
             bar.tick();
-        })
-        .map_err(|problem| Failure::Usage(problem.to_string()))?;
+        });
         if args.json {
             json(&found)?;
         }
@@ -265,7 +258,7 @@ fn one(args: &Args, seed: u64) -> Result<(), Failure> {
     let order = args.order(seed);
     let mut waiting = Progress::on_terminal();
     waiting.show(format_args!("seed {seed}: {} minutes of a fleet's time", args.minutes));
-    let outcome = run_quietly(args, &order, &schedule);
+    let outcome = run_quietly(&order, &schedule);
     waiting.clear();
     if args.json {
         json(&outcome)?;
@@ -288,7 +281,6 @@ fn many(args: &Args) -> Result<(), Failure> {
         seeds: args.seeds.clone(),
         jobs: args.jobs(),
         config: &|seed| (args.order(seed), args.generated(seed)),
-        prepare: &|| args.activate_mutant(),
     };
     let mut printed = Ok(());
     let found = many.run(|outcome| {
@@ -392,8 +384,7 @@ fn broken(
         let smallest = shrink(schedule, SHRINK_TRIES, |tried| {
             bar.set_message(format!("shrinking the schedule: {}", count(tried.steps.len(), "step", "steps")));
             bar.tick();
-            let again =
-                run_quietly(args, order, tried).violation.filter(|again| again.invariant == violation.invariant);
+            let again = run_quietly(order, tried).violation.filter(|again| again.invariant == violation.invariant);
             let fails = again.is_some();
             last = again.unwrap_or_else(|| last.clone());
             fails
@@ -420,14 +411,9 @@ fn broken(
 }
 
 /// Runs a schedule on a thread that does not print panics.
-fn run_quietly(args: &Args, order: &RunConfig, schedule: &Schedule) -> RunOutcome {
+fn run_quietly(order: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let again = (order.clone(), schedule.clone());
-    let many = SeedSweep {
-        seeds: order.seed..=order.seed,
-        jobs: 1,
-        config: &move |_| again.clone(),
-        prepare: &|| args.activate_mutant(),
-    };
+    let many = SeedSweep { seeds: order.seed..=order.seed, jobs: 1, config: &move |_| again.clone() };
     let mut outcome = None;
     many.run(|told| outcome = Some(told.clone()));
     outcome.expect("a run has an outcome")

@@ -6,7 +6,7 @@ use consort_nodes::command::check::check_each;
 use consort_nodes::config;
 use consort_nodes::diagnostic::Diagnostics;
 use consort_nodes::exit::Failure;
-use consort_protocol::count::count;
+use consort_text::count;
 use std::path::{Path, PathBuf};
 
 /// Check the designs of evaluations

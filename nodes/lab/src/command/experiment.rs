@@ -3,7 +3,7 @@
 use crate::design_file::{DesignFile, domain};
 use crate::evaluation::{Evaluation, InputOverrides};
 use clap::{Args as ClapArgs, Subcommand};
-use consort_evaluation::calibration::{Calibration, DEFAULT_QUANTILE, Observation};
+use consort_evaluation::calibration::{self, DEFAULT_QUANTILE, Observation};
 use consort_evaluation::design::{self, Design};
 use consort_evaluation::outcome::EndState;
 use consort_evaluation::policy::Policy;
@@ -11,12 +11,14 @@ use consort_evaluation::report::{CalibrationGain, ReportFile, ReportHeader, repo
 use consort_evaluation::results::{self, Treatment, TrialRow};
 use consort_evaluation::seeds::derive;
 use consort_evaluation::stats::Summary;
+use consort_nodes::command::flag_values::InvalidValue;
 use consort_nodes::config;
 use consort_nodes::diagnostic::{Diagnostic, Diagnostics};
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
-use consort_protocol::count::count;
+use consort_skills::descriptor::Calibration;
 use consort_tests::experiment::{ExperimentSetup, TrialOutcome, run as run_trials, trials};
+use consort_text::count;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -127,22 +129,25 @@ struct Common {
 }
 
 /// Finds the value with a name.
-fn named<T: Copy>(text: &str, all: &[T], name: impl Fn(T) -> &'static str) -> Result<T, String> {
+fn named<T: Copy>(text: &str, all: &[T], name: impl Fn(T) -> &'static str) -> Result<T, InvalidValue> {
     let known = || all.iter().map(|one| name(*one)).collect::<Vec<_>>().join(", ");
-    all.iter().copied().find(|one| name(*one) == text).ok_or_else(|| format!("there are: {}", known()))
+    all.iter()
+        .copied()
+        .find(|one| name(*one) == text)
+        .ok_or_else(|| InvalidValue::new(format_args!("there are: {}", known())))
 }
 
-fn policy(text: &str) -> Result<Policy, String> {
+fn policy(text: &str) -> Result<Policy, InvalidValue> {
     named(text, &Policy::ALL, Policy::as_str)
 }
 
-fn treatment(text: &str) -> Result<Treatment, String> {
+fn treatment(text: &str) -> Result<Treatment, InvalidValue> {
     named(text, &Treatment::ALL, Treatment::as_str)
 }
 
-fn share(text: &str) -> Result<f64, String> {
-    let share: f64 = text.parse().map_err(|_| format!("{text:?} is not a number"))?;
-    if (0.5..1.0).contains(&share) { Ok(share) } else { Err("from 0.5 to below 1".to_owned()) }
+fn share(text: &str) -> Result<f64, InvalidValue> {
+    let share: f64 = text.parse().map_err(|_| InvalidValue::new(format_args!("{text:?} is not a number")))?;
+    if (0.5..1.0).contains(&share) { Ok(share) } else { Err(InvalidValue::new("from 0.5 to below 1")) }
 }
 
 /// Runs the command.
@@ -248,7 +253,7 @@ fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     let outcomes = with_progress(&stage, jobs, "learning ");
     let trials = outcomes.len();
     let (_, observations) = split_outcomes(outcomes);
-    let calibration = Arc::new(Calibration::of(&observations, args.quantile));
+    let calibration = Arc::new(calibration::calibrate(&observations, args.quantile));
     let judged = one(&evaluation.design, vec![Policy::Consort]);
     let stage = evaluation.trial_fixture(judged.clone(), None)?;
     let (before, observed_before) = split_outcomes(with_progress(&stage, jobs, "as they were "));

@@ -3,8 +3,8 @@
 use clap::Args as ClapArgs;
 use consort_nodes::exit::Failure;
 use consort_nodes::output;
-use consort_protocol::count::count;
 use consort_tests::behavior::{self, Features, RunOptions, ScenarioFilter, step_docs};
+use consort_text::count;
 use std::io::{IsTerminal, stdout};
 use std::path::PathBuf;
 

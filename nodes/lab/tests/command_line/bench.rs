@@ -4,13 +4,13 @@ use serde_json::Value;
 #[test]
 fn each_swarm_prints_a_json_line_and_flies_deterministically() {
     let args = ["bench", "swarm", "--drones", "3,20", "--seed", "7", "--json"];
-    let told = || {
+    let measure = || {
         let ran = run(&args);
         assert_eq!(ran.code, Some(0), "{}", ran.err);
         let lines = ran.out.lines().map(|line| serde_json::from_str::<Value>(line).expect("a line of JSON"));
         lines.collect::<Vec<Value>>()
     };
-    let rows = told();
+    let rows = measure();
     let number = |row: &Value, key: &str| row[key].as_f64().unwrap_or_else(|| panic!("{key} in {row}"));
     assert_eq!(rows.iter().map(|row| number(row, "drones")).collect::<Vec<_>>(), [3.0, 20.0]);
     for row in &rows {
@@ -19,7 +19,7 @@ fn each_swarm_prints_a_json_line_and_flies_deterministically() {
         assert!((0.0..=number(row, "max_s")).contains(&number(row, "min_s")), "{row}");
         assert!(number(row, "average_s") > 0.0, "{row}");
     }
-    let again: Vec<Value> = told().iter().map(|row| row["simulated_s"].clone()).collect();
+    let again: Vec<Value> = measure().iter().map(|row| row["simulated_s"].clone()).collect();
     assert_eq!(again, rows.iter().map(|row| row["simulated_s"].clone()).collect::<Vec<_>>());
 }
 

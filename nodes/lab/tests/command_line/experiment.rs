@@ -1,4 +1,6 @@
 use super::support::{run, test_file};
+use consort_nodes::check::{FileKind, check_file};
+use consort_nodes::extensions::Extensions;
 use std::path::{Path, PathBuf};
 
 /// A design with two trials.
@@ -86,14 +88,13 @@ fn a_calibration_is_learned_written_and_used() {
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
     // A fleet file may refer to a calibration too, and its errors are reported.
     let fleet = test_file("fleet-that-learned.toml", &format!("calibration = {learned:?}\n"));
-    let ran = run(&["check", "--kind", "fleet", &fleet]);
-    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    let check = |file: &str| check_file(Path::new(file), Some(FileKind::Fleet), Extensions::default());
+    check(&fleet).unwrap();
     let wrong =
         test_file("wrong-calibration.toml", &std::fs::read_to_string(&learned).unwrap().replace("mean = ", "mean = -"));
     let fleet = test_file("fleet-that-learned-wrong.toml", &format!("calibration = {wrong:?}\n"));
-    let ran = run(&["check", "--kind", "fleet", &fleet]);
-    assert_eq!(ran.code, Some(1), "{}{}", ran.out, ran.err);
-    assert!(ran.out.contains(&format!("{wrong}: skills.operate_drawer: mean -")), "{}", ran.out);
+    let problems = check(&fleet).unwrap_err().to_string();
+    assert!(problems.contains(&format!("{wrong}: skills.operate_drawer: mean -")), "{problems}");
 }
 
 #[test]
@@ -115,22 +116,22 @@ fn flags_override_policies_treatments_and_repetitions() {
 #[test]
 fn errors_are_reported_with_their_place_and_the_allowed_values() {
     let out = folder("never").display().to_string();
-    let said = |text: &str| {
+    let error = |text: &str| {
         let ran = run(&["experiment", "run", &test_file("wrong-design.toml", text), "--out", &out]);
         assert_eq!(ran.code, Some(2), "{}{}", ran.out, ran.err);
         ran.err
     };
-    let unknown = said(&THIN.replace("repetitions = 1", "repetitions = 1\nrepetition = 2"));
+    let unknown = error(&THIN.replace("repetitions = 1", "repetitions = 1\nrepetition = 2"));
     assert!(unknown.contains(":5:1: unknown key `repetition` in a design file; allowed: name, seed, "), "{unknown}");
     assert!(
-        said(&THIN.replace("@room\"\nitems", "@rom\"\nitems"))
+        error(&THIN.replace("@room\"\nitems", "@rom\"\nitems"))
             .contains("there is no site @rom; did you mean \"room\"?")
     );
     assert!(
-        said(&THIN.replace("IC Room 1", "IC Rom 1"))
+        error(&THIN.replace("IC Room 1", "IC Rom 1"))
             .contains("there is no place \"IC Rom 1\" on map hospital; did you mean")
     );
-    let policy = said(&THIN.replace("\"random\"", "\"rnadom\""));
+    let policy = error(&THIN.replace("\"random\"", "\"rnadom\""));
     assert!(policy.contains("`rnadom`") && policy.contains("`mission-control`"), "{policy}");
     let ran = run(&["experiment", "run", "publishd", "--out", &out]);
     assert_eq!(ran.code, Some(2));

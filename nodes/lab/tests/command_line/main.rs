@@ -4,6 +4,8 @@ mod bench;
 mod binary;
 mod chaos;
 mod experiment;
+#[path = "../../../../tests/support/free_port.rs"]
+mod free_port;
 mod help;
 #[path = "../../../consort/tests/command_line/support.rs"]
 #[expect(dead_code, reason = "the tests of the other program use the rest")]

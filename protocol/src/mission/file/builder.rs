@@ -2,13 +2,14 @@
 
 use super::form::{RoleFile, TaskFile, TemplateParameter};
 use crate::ids::{ItemId, NameError, RoleId, TaskId, TaskType};
-use crate::mission::diagnostic::{AllowedNames, MissionDiagnostic, MissionErrorKind};
+use crate::mission::diagnostic::{MissionDiagnostic, MissionErrorKind};
 use crate::mission::domain::Domain;
+use crate::mission::limits::TASKS_MAX;
 use crate::mission::lost_item::LostItem;
 use crate::mission::model::{
     ATTEMPTS, AlternativeMethod, Method, Mission, Role, TaskBody, TaskIndex, TaskNode, TaskOrder, TaskSpec,
 };
-use crate::mission::validate::TASKS_MAX;
+use consort_text::AllowedNames;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Keeps in each branch the roles that have a task in it. The main branch also keeps roles without

@@ -3,9 +3,8 @@
 use super::local_check::{Part, StepPosition};
 use super::violation::DivisionViolation;
 use crate::ids::{RoleId, TaskId};
-use crate::plan::bits::Bits;
+use crate::mission::{Bits, GlobalOrder};
 use crate::plan::local::{Division, SignalKind, StepAction};
-use crate::plan::order::GlobalOrder;
 use petgraph::algo::{tarjan_scc, toposort};
 use petgraph::graph::{DiGraph, NodeIndex};
 use std::collections::{BTreeMap, BTreeSet};

@@ -2,8 +2,8 @@
 
 use super::violation::DivisionViolation;
 use crate::ids::{RoleId, TaskId};
+use crate::mission::GlobalOrder;
 use crate::plan::local::{Division, LocalPlan, Signal, SignalKind, StepAction, StepIndex};
-use crate::plan::order::GlobalOrder;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Part of a role in a task: task number and role.

@@ -1,8 +1,10 @@
 //! Validation of a design; each error contains its key.
 
-use super::{Design, Scenario, UniformRange};
+use super::{Design, PlaceError, Scenario, UniformRange};
 use consort_protocol::ids::{PlaceId, RoleId};
-use consort_protocol::mission::{Domain, Mission, RoleKind, shipped};
+use consort_protocol::mission::{Mission, RoleKind};
+use consort_skills::domain::hospital;
+use consort_skills::missions::shipped;
 use consort_world::map::Map;
 use consort_world::suggest::did_you_mean;
 use consort_world::world::STOPPING_SHARE;
@@ -177,7 +179,7 @@ impl Design {
             .iter()
             .map(|(name, value)| (name.clone(), value.trim_start_matches('@').to_owned()))
             .collect();
-        match template.instantiate(&parameters, &Domain::hospital()) {
+        match template.instantiate(&parameters, &hospital()) {
             Ok(mission) => violations.extend(self.role_problems(&mission)),
             Err(errors) => violations.extend(errors.diagnostics.iter().map(|error| format!("mission: {error}"))),
         }
@@ -208,7 +210,7 @@ impl Design {
     /// Returns an error for each place of a scenario that is not on the map.
     pub fn unknown_places(&self, scenario: &Scenario, map: &Map) -> Vec<String> {
         let mut violations = vec![];
-        let mut check_place = |owner: String, place: Result<PlaceId, String>| match place {
+        let mut check_place = |owner: String, place: Result<PlaceId, PlaceError>| match place {
             Ok(place) if map.place(&place).is_some() => {}
             Ok(place) => {
                 let (name, hint) = (map.name(), map.suggest(&place));

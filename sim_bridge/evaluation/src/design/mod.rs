@@ -51,7 +51,7 @@ use super::outcome::TrialLimits;
 use super::policy::Policy;
 use super::results::Treatment;
 use super::travel::TravelSettings;
-use consort_protocol::ids::{ItemId, PlaceId, RobotId, RoleId, TaskType};
+use consort_protocol::ids::{ItemId, NameError, PlaceId, RobotId, RoleId, TaskType};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -292,18 +292,34 @@ pub struct ScenarioRobot {
     pub roles: BTreeSet<RoleId>,
 }
 
+/// A place of a design is unknown in a scenario, or its name is not allowed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PlaceError {
+    /// The scenario has no such site.
+    #[error("there is no site {written}; sites: {known}")]
+    UnknownSite {
+        /// The site as written, with `@`.
+        written: String,
+        /// The sites of the scenario.
+        known: String,
+    },
+    /// The name of a place is not allowed.
+    #[error(transparent)]
+    Name(#[from] NameError),
+}
+
 impl Scenario {
     /// Returns a place of the design: `@site`, or the name of a place.
     ///
     /// # Errors
-    /// A message with the allowed sites.
-    pub fn place(&self, written: &str) -> Result<PlaceId, String> {
+    /// [`PlaceError`], with the allowed sites.
+    pub fn place(&self, written: &str) -> Result<PlaceId, PlaceError> {
         match written.strip_prefix('@') {
             Some(site) => self.sites.get(site).cloned().ok_or_else(|| {
                 let known = self.sites.keys().map(|site| format!("@{site}")).collect::<Vec<_>>().join(", ");
-                format!("there is no site {written}; sites: {known}")
+                PlaceError::UnknownSite { written: written.to_owned(), known }
             }),
-            None => PlaceId::new(written).map_err(|error| error.to_string()),
+            None => Ok(PlaceId::new(written)?),
         }
     }
 
@@ -311,7 +327,7 @@ impl Scenario {
     ///
     /// # Errors
     /// Those of [`place`](Scenario::place), for values that begin with `@`.
-    pub fn parameters(&self, mission: &DesignMission) -> Result<BTreeMap<String, String>, String> {
+    pub fn parameters(&self, mission: &DesignMission) -> Result<BTreeMap<String, String>, PlaceError> {
         let filled = |(name, value): (&String, &String)| {
             let value = if value.starts_with('@') { self.place(value)?.to_string() } else { value.clone() };
             Ok((name.clone(), value))

@@ -2,15 +2,13 @@
 
 use super::{SuccessEstimate, greedy, optimal, random};
 use crate::seeds::generator;
-use consort_protocol::auction::{Allocator, AllocatorInput, Bid};
+use consort_protocol::auction::{Allocator, AllocatorInput, AssignmentError, Bid};
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_protocol::units::Seconds;
 use consort_skills::descriptor::{EstimateContext, Estimator};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
-
-const NO_ROBOT_LEFT: &str = "no robot is left for a role";
 
 /// The rule of MissionControl: the times and energies of the bids are replaced by the coordinator's
 /// own estimates.
@@ -43,10 +41,10 @@ impl GreedyAllocator {
 }
 
 impl Allocator for GreedyAllocator {
-    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError> {
         let bids: Vec<Bid> = input.bids.iter().map(|bid| self.reprice(input, bid)).collect();
         let roles: BTreeSet<RoleId> = input.call.roles.keys().cloned().collect();
-        greedy(&roles, &bids, input.limits).ok_or_else(|| NO_ROBOT_LEFT.to_owned())
+        greedy(&roles, &bids, input.limits).ok_or(AssignmentError::NoRobotLeft)
     }
 }
 
@@ -60,7 +58,7 @@ pub struct RandomAllocator {
 }
 
 impl Allocator for RandomAllocator {
-    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError> {
         let open = input.candidates.iter().map(|(role, robots)| {
             let allowed = self.candidates.get(role);
             let robots = robots.iter().filter(|robot| allowed.is_none_or(|allowed| allowed.contains(*robot)));
@@ -69,7 +67,7 @@ impl Allocator for RandomAllocator {
         // A repeated call for the same round gives the same result.
         let auction = &input.call.auction;
         let round = format!("{}.{}", auction.term, auction.round);
-        random(&open.collect(), &mut generator(self.seed, &["choice", &round])).ok_or_else(|| NO_ROBOT_LEFT.to_owned())
+        random(&open.collect(), &mut generator(self.seed, &["choice", &round])).ok_or(AssignmentError::NoRobotLeft)
     }
 }
 
@@ -81,7 +79,7 @@ pub struct OracleAllocator {
 }
 
 impl Allocator for OracleAllocator {
-    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError> {
         let open =
             |role: &RoleId, robot: &RobotId| input.candidates.get(role).is_some_and(|robots| robots.contains(robot));
         // A robot without any chance of success is not assigned, as under the other policies.
@@ -90,7 +88,7 @@ impl Allocator for OracleAllocator {
             self.estimates.iter().filter(|((role, robot), estimate)| open(role, robot) && may_succeed(estimate));
         let estimates = estimates.map(|(of, estimate)| (of.clone(), *estimate)).collect();
         let roles: BTreeSet<RoleId> = input.call.roles.keys().cloned().collect();
-        optimal(&roles, &estimates).ok_or_else(|| NO_ROBOT_LEFT.to_owned())
+        optimal(&roles, &estimates).ok_or(AssignmentError::NoRobotLeft)
     }
 }
 
@@ -145,7 +143,7 @@ mod tests {
         }
     }
 
-    fn allocate(allocator: &dyn Allocator, round: u32, open: &[&str], bids: &[Bid]) -> Result<String, String> {
+    fn allocate(allocator: &dyn Allocator, round: u32, open: &[&str], bids: &[Bid]) -> Result<String, AssignmentError> {
         let open = BTreeMap::from([(role(), open.iter().map(|name| robot(name)).collect())]);
         let bids: Vec<&Bid> = bids.iter().collect();
         let limits = BidLimits::default();
@@ -180,7 +178,7 @@ mod tests {
         assert_eq!(allocate(&allocator, 1, &["ada", "bob"], &bids).unwrap(), "bob");
         let bids = [bid("ada", 5.0, 0.05, 0.45), bid("bob", 50.0, 0.1, 0.05)];
         assert_eq!(allocate(&allocator, 1, &["ada", "bob"], &bids).unwrap(), "ada");
-        assert_eq!(allocate(&allocator, 1, &[], &[]).unwrap_err(), NO_ROBOT_LEFT);
+        assert_eq!(allocate(&allocator, 1, &[], &[]).unwrap_err(), AssignmentError::NoRobotLeft);
     }
 
     #[test]
@@ -190,7 +188,7 @@ mod tests {
         let chosen: BTreeSet<String> =
             (1..60).map(|round| allocate(&allocator, round, &["ada", "bob", "dan"], &[]).unwrap()).collect();
         assert_eq!(chosen, ["ada", "bob"].map(str::to_owned).into());
-        assert_eq!(allocate(&allocator, 1, &["dan"], &[]).unwrap_err(), NO_ROBOT_LEFT);
+        assert_eq!(allocate(&allocator, 1, &["dan"], &[]).unwrap_err(), AssignmentError::NoRobotLeft);
     }
 
     #[test]
@@ -204,7 +202,7 @@ mod tests {
         let without_chance = [((role(), robot("ada")), estimate(0.0))];
         assert_eq!(
             allocate(&OracleAllocator { estimates: without_chance.into() }, 1, &["ada"], &[]).unwrap_err(),
-            NO_ROBOT_LEFT
+            AssignmentError::NoRobotLeft
         );
     }
 }

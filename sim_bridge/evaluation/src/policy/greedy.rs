@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 /// without a role; of equally fast bids the first by the robot's name. Returns `None` if a role
 /// remains open. Unlike the original it never gives a robot two roles: the same code executes the
 /// plans of all policies, and it cannot execute two roles of a robot.
-pub fn greedy(roles: &BTreeSet<RoleId>, bids: &[Bid], limits: &BidLimits) -> Option<Coalition> {
+pub(crate) fn greedy(roles: &BTreeSet<RoleId>, bids: &[Bid], limits: &BidLimits) -> Option<Coalition> {
     let mut chosen = Coalition::new();
     for role in roles {
         let free = |bid: &&Bid| !chosen.values().any(|robot| *robot == bid.robot);

@@ -8,9 +8,10 @@ mod optimal;
 mod random;
 
 pub use allocators::{GreedyAllocator, OracleAllocator, RandomAllocator};
-pub use greedy::greedy;
-pub use optimal::{SuccessEstimate, optimal};
-pub use random::random;
+use greedy::greedy;
+pub use optimal::SuccessEstimate;
+use optimal::optimal;
+use random::random;
 
 use consort_protocol::ids::{RobotId, RoleId};
 use schemars::JsonSchema;

@@ -17,7 +17,7 @@ pub struct SuccessEstimate {
 /// independent; of equally likely coalitions the quickest, then the first by the names of the
 /// robots. All combinations are tried (number of robots to the power of the number of roles), so
 /// this is for few roles. `None` if no coalition fills every role.
-pub fn optimal(
+pub(crate) fn optimal(
     roles: &BTreeSet<RoleId>,
     estimates: &BTreeMap<(RoleId, RobotId), SuccessEstimate>,
 ) -> Option<Coalition> {

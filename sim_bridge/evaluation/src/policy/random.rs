@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// probability. Skills and batteries are ignored: in the published evaluation 175 of 648 such
 /// trials failed because of a missing skill. The caller gives the candidates of each role, so a
 /// stationary arm is not sent to fetch a sample. `None` if a role remains open.
-pub fn random(candidates: &BTreeMap<RoleId, BTreeSet<RobotId>>, rng: &mut impl Rng) -> Option<Coalition> {
+pub(crate) fn random(candidates: &BTreeMap<RoleId, BTreeSet<RobotId>>, rng: &mut impl Rng) -> Option<Coalition> {
     let mut chosen = Coalition::new();
     for (role, robots) in candidates {
         let free: Vec<&RobotId> = robots.iter().filter(|robot| !chosen.values().any(|taken| taken == *robot)).collect();

@@ -64,7 +64,7 @@ pub fn tallies(rows: &[TrialRow]) -> Vec<TrialTally> {
 /// The tests of a hypothesis: a t-test, a permutation test and the effect size. A test that could
 /// not be computed contains the reason.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct HypothesisTests {
+pub(crate) struct HypothesisTests {
     /// The hypothesis, in words.
     pub hypothesis: &'static str,
     /// The t-test: paired for counts per scenario, Welch's for times.
@@ -90,7 +90,7 @@ fn serialize_result<T: Serialize, S: serde::Serializer>(
 
 /// Comparison of two policies, on trials without fault injection.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Comparison {
+pub(crate) struct Comparison {
     /// The first policy.
     pub first: Policy,
     /// The second policy.
@@ -102,7 +102,7 @@ pub struct Comparison {
 }
 
 /// Compares the first policy with each other policy.
-pub fn comparisons(rows: &[TrialRow], seed: u64) -> Vec<Comparison> {
+pub(crate) fn comparisons(rows: &[TrialRow], seed: u64) -> Vec<Comparison> {
     let calm: Vec<&TrialRow> = rows.iter().filter(|row| row.treatment == Treatment::Calm).collect();
     let mut policies: Vec<Policy> = vec![];
     for row in &calm {
@@ -143,7 +143,7 @@ fn compare(rows: &[&TrialRow], first: Policy, second: Policy, seed: u64) -> Comp
 }
 
 /// Counts the trials with an end state, scenario by scenario.
-pub fn per_scenario<'r>(rows: impl Iterator<Item = &'r TrialRow>, state: EndState) -> Vec<f64> {
+pub(crate) fn per_scenario<'r>(rows: impl Iterator<Item = &'r TrialRow>, state: EndState) -> Vec<f64> {
     let mut counts: BTreeMap<&str, f64> = BTreeMap::new();
     for row in rows {
         *counts.entry(&row.scenario).or_default() += if row.end_state == state { 1.0 } else { 0.0 };

@@ -1,7 +1,8 @@
 //! Effect of calibration: the same trials with uncorrected and with calibrated estimates.
 
-use super::super::calibration::{Calibration, Observation};
+use super::super::calibration::Observation;
 use super::super::results::TrialRow;
+use consort_skills::descriptor::Calibration;
 
 /// Effect of calibration.
 #[derive(Debug, Clone, PartialEq)]

@@ -4,65 +4,88 @@ use super::super::outcome::EndState;
 use super::super::policy::Policy;
 use super::super::results::{Treatment, TrialRow};
 use super::super::stats::{ConfidenceInterval, Summary, risk_difference};
+use super::analysis;
 use super::analysis::{Comparison, HypothesisTests, TrialTally, tallies};
 use super::calibration_gain::CalibrationGain;
-use super::{ReportHeader, analysis};
-use consort_protocol::count::count;
+use consort_text::count;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
-pub(super) fn text(
-    heading: &ReportHeader,
-    rows: &[TrialRow],
-    tallies: &[TrialTally],
-    comparisons: &[Comparison],
-    links: &BTreeMap<String, String>,
-    gain: Option<&CalibrationGain>,
-) -> String {
-    let mut text = String::new();
-    let link = |name: &str| links.get(name).cloned().unwrap_or_default();
-    let scenarios: BTreeSet<&str> = rows.iter().map(|row| row.scenario.as_str()).collect();
-    let ReportHeader { design, seed, map, travel, world_speed } = heading;
-    let mut push_line = |line: &str| {
-        text.push_str(line);
-        text.push('\n');
-    };
-    push_line(&format!("# Evaluation: {design}\n"));
-    push_line(&format!(
-        "{} in {} on the map {map}; seed {seed}; drives: {travel}; {world_speed} world seconds per \
-         second of the fleet's time. End states and times to conclude as in thesis 4.1.2; confidence level of all intervals: 95 %.\n",
-        count(rows.len(), "trial", "trials"),
-        count(scenarios.len(), "scenario", "scenarios"),
-    ));
-    push_line("## End states\n");
-    push_line(&ends_table(tallies));
-    push_line(&format!("{}\n", link("end-states")));
-    push_line(&format!("{}\n", link("successes")));
-    push_line("## Time to conclude\n");
-    push_line(&times_table(tallies));
-    push_line(&format!("{}\n", link("ttc")));
-    for (factor, _) in analysis::factors(rows) {
-        push_line(&format!("{}\n", link(&format!("ttc-by-{factor}"))));
-    }
-    if !comparisons.is_empty() {
-        push_line("## Comparison of policies\n");
-        push_line(
-            "Successes and battery failures are counted per scenario and paired; times are those of successful trials. \
-             Each test is one-sided; the interval of the difference is two-sided.\n",
-        );
-        for comparison in comparisons {
-            push_line(&comparison_text(comparison));
+/// Origin of the rows, for the head of a report.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReportHeader {
+    /// The design's name.
+    pub design: String,
+    /// Its seed.
+    pub seed: u64,
+    /// The map.
+    pub map: String,
+    /// The travel model, in words.
+    pub travel: String,
+    /// World seconds per second of the fleet's time.
+    pub world_speed: f64,
+}
+
+/// The content of a report.
+pub(super) struct ReportContent<'a> {
+    pub(super) header: &'a ReportHeader,
+    pub(super) rows: &'a [TrialRow],
+    pub(super) tallies: &'a [TrialTally],
+    pub(super) comparisons: &'a [Comparison],
+    /// Links to the figures by name, or the reason why a figure is not drawn.
+    pub(super) links: &'a BTreeMap<String, String>,
+    pub(super) gain: Option<&'a CalibrationGain>,
+}
+
+impl ReportContent<'_> {
+    /// Returns the report as Markdown.
+    pub(super) fn text(&self) -> String {
+        let &ReportContent { header, rows, tallies, comparisons, links, gain } = self;
+        let mut text = String::new();
+        let link = |name: &str| links.get(name).cloned().unwrap_or_default();
+        let scenarios: BTreeSet<&str> = rows.iter().map(|row| row.scenario.as_str()).collect();
+        let ReportHeader { design, seed, map, travel, world_speed } = header;
+        let mut push_line = |line: &str| {
+            text.push_str(line);
+            text.push('\n');
+        };
+        push_line(&format!("# Evaluation: {design}\n"));
+        push_line(&format!(
+            "{} in {} on the map {map}; seed {seed}; drives: {travel}; {world_speed} world seconds per \
+             second of the fleet's time. End states and times to conclude as in thesis 4.1.2; confidence level of all intervals: 95 %.\n",
+            count(rows.len(), "trial", "trials"),
+            count(scenarios.len(), "scenario", "scenarios"),
+        ));
+        push_line("## End states\n");
+        push_line(&ends_table(tallies));
+        push_line(&format!("{}\n", link("end-states")));
+        push_line(&format!("{}\n", link("successes")));
+        push_line("## Time to conclude\n");
+        push_line(&times_table(tallies));
+        push_line(&format!("{}\n", link("ttc")));
+        for (factor, _) in analysis::factors(rows) {
+            push_line(&format!("{}\n", link(&format!("ttc-by-{factor}"))));
         }
+        if !comparisons.is_empty() {
+            push_line("## Comparison of policies\n");
+            push_line(
+                "Successes and battery failures are counted per scenario and paired; times are those of successful trials. \
+                 Each test is one-sided; the interval of the difference is two-sided.\n",
+            );
+            for comparison in comparisons {
+                push_line(&comparison_text(comparison));
+            }
+        }
+        if tallies.iter().any(|tally| tally.treatment == Treatment::CoordinatorKilled) {
+            push_line("## With the coordinator killed\n");
+            push_line(&fault_table(tallies));
+        }
+        if let Some(gain) = gain {
+            push_line("## Effect of calibration\n");
+            push_line(&gain_text(gain));
+        }
+        text
     }
-    if tallies.iter().any(|tally| tally.treatment == Treatment::CoordinatorKilled) {
-        push_line("## With the coordinator killed\n");
-        push_line(&fault_table(tallies));
-    }
-    if let Some(gain) = gain {
-        push_line("## Effect of calibration\n");
-        push_line(&gain_text(gain));
-    }
-    text
 }
 
 fn percent(share: f64) -> String {

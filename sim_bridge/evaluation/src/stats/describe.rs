@@ -46,7 +46,7 @@ impl Summary {
 
 /// Returns the quantile `share` of the values, interpolated linearly (type 7 of Hyndman and Fan
 /// 1996, as in numpy and R). `None` for no values.
-pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
+pub(crate) fn quantile(values: &[f64], share: f64) -> Option<f64> {
     let sorted = sorted(values);
     if sorted.is_empty() { None } else { Some(of_sorted(&sorted, share)) }
 }
@@ -66,7 +66,7 @@ fn of_sorted(sorted: &[f64], share: f64) -> f64 {
 
 /// Returns the density of a sample at each point: Gaussian kernels by Scott's rule, but at least
 /// `width_min` wide (for integers, which would otherwise give spikes). All 0 for no values.
-pub fn density(values: &[f64], points: &[f64], width_min: f64) -> Vec<f64> {
+pub(crate) fn density(values: &[f64], points: &[f64], width_min: f64) -> Vec<f64> {
     if values.is_empty() {
         return vec![0.0; points.len()];
     }

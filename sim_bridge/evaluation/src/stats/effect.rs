@@ -21,7 +21,7 @@ pub struct EffectSize {
 ///
 /// # Errors
 /// [`StatsError`] for samples of fewer than two values.
-pub fn hedges_g(first: &[f64], second: &[f64]) -> Result<EffectSize, StatsError> {
+pub(crate) fn hedges_g(first: &[f64], second: &[f64]) -> Result<EffectSize, StatsError> {
     sample(first, 2)?;
     sample(second, 2)?;
     let (n, m) = (first.len() as f64, second.len() as f64);
@@ -35,7 +35,7 @@ pub fn hedges_g(first: &[f64], second: &[f64]) -> Result<EffectSize, StatsError>
 ///
 /// # Errors
 /// [`StatsError`] for fewer than two pairs.
-pub fn hedges_g_paired(first: &[f64], second: &[f64]) -> Result<EffectSize, StatsError> {
+pub(crate) fn hedges_g_paired(first: &[f64], second: &[f64]) -> Result<EffectSize, StatsError> {
     let differences = differences(first, second)?;
     let count = differences.len() as f64;
     let d = standardised(mean(&differences), variance(&differences));

@@ -2,7 +2,7 @@
 //! Welch's t-test on times. Each is accompanied by a permutation test, which makes no assumptions
 //! about the distributions, an effect size and a confidence interval.
 //!
-//! All intervals are two-sided with the level [`CONFIDENCE`]. Only functions with a seed use random
+//! All intervals are two-sided with a level of 95 %. Only functions with a seed use random
 //! numbers.
 
 mod describe;
@@ -11,16 +11,20 @@ mod permutation;
 mod risk;
 mod ttest;
 
-pub use describe::{Summary, density, quantile};
-pub use effect::{EffectSize, hedges_g, hedges_g_paired};
-pub use permutation::{PermutationTest, permute_paired, permute_two_samples};
-pub use risk::{risk_difference, wilson};
-pub use ttest::{TTest, paired, welch};
+pub use describe::Summary;
+pub(crate) use describe::{density, quantile};
+pub use effect::EffectSize;
+pub(crate) use effect::{hedges_g, hedges_g_paired};
+pub use permutation::PermutationTest;
+pub(crate) use permutation::{permute_paired, permute_two_samples};
+pub(crate) use risk::{risk_difference, wilson};
+pub use ttest::TTest;
+pub(crate) use ttest::{paired, welch};
 
 use serde::Serialize;
 
 /// Confidence level of all intervals: the level of the published evaluation.
-pub const CONFIDENCE: f64 = 0.95;
+pub(crate) const CONFIDENCE: f64 = 0.95;
 
 /// Alternative hypothesis of a test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -34,7 +38,7 @@ pub enum Alternative {
     Less,
 }
 
-/// Confidence interval with the level [`CONFIDENCE`].
+/// Confidence interval with a level of 95 %.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ConfidenceInterval {
     /// Lower end.
@@ -45,19 +49,14 @@ pub struct ConfidenceInterval {
 
 impl ConfidenceInterval {
     /// Returns the interval from `middle - reach` to `middle + reach`.
-    pub fn around(middle: f64, reach: f64) -> ConfidenceInterval {
+    pub(crate) fn around(middle: f64, reach: f64) -> ConfidenceInterval {
         ConfidenceInterval { low: middle - reach, high: middle + reach }
-    }
-
-    /// Checks whether the interval contains a number.
-    pub fn contains(&self, number: f64) -> bool {
-        (self.low..=self.high).contains(&number)
     }
 }
 
 /// A statistic could not be computed. Common for few trials or few successes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum StatsError {
+pub(crate) enum StatsError {
     /// A sample has too few values.
     #[error("{count} values are too few for a test: at least {least} are needed")]
     TooFew {
@@ -80,12 +79,12 @@ pub enum StatsError {
 }
 
 /// Returns the mean; 0 for no values.
-pub fn mean(values: &[f64]) -> f64 {
+pub(crate) fn mean(values: &[f64]) -> f64 {
     if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
 }
 
 /// Returns the sample variance (divided by n − 1); 0 for fewer than two values.
-pub fn variance(values: &[f64]) -> f64 {
+pub(crate) fn variance(values: &[f64]) -> f64 {
     if values.len() < 2 {
         return 0.0;
     }

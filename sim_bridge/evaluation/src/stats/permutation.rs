@@ -27,7 +27,7 @@ pub struct PermutationTest {
 ///
 /// # Errors
 /// [`StatsError`] for fewer than two pairs.
-pub fn permute_paired(
+pub(crate) fn permute_paired(
     first: &[f64],
     second: &[f64],
     alternative: Alternative,
@@ -57,7 +57,7 @@ pub fn permute_paired(
 ///
 /// # Errors
 /// [`StatsError`] for samples of fewer than two values.
-pub fn permute_two_samples(
+pub(crate) fn permute_two_samples(
     first: &[f64],
     second: &[f64],
     alternative: Alternative,

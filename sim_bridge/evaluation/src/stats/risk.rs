@@ -7,7 +7,7 @@ use super::{ConfidenceInterval, StatsError};
 ///
 /// # Errors
 /// [`StatsError::TooFew`] for no trials.
-pub fn wilson(successes: usize, trials: usize) -> Result<ConfidenceInterval, StatsError> {
+pub(crate) fn wilson(successes: usize, trials: usize) -> Result<ConfidenceInterval, StatsError> {
     if trials == 0 {
         return Err(StatsError::TooFew { count: 0, least: 1 });
     }
@@ -24,7 +24,10 @@ pub fn wilson(successes: usize, trials: usize) -> Result<ConfidenceInterval, Sta
 ///
 /// # Errors
 /// [`StatsError::TooFew`] for no trials.
-pub fn risk_difference(first: (usize, usize), second: (usize, usize)) -> Result<(f64, ConfidenceInterval), StatsError> {
+pub(crate) fn risk_difference(
+    first: (usize, usize),
+    second: (usize, usize),
+) -> Result<(f64, ConfidenceInterval), StatsError> {
     let share = |(successes, trials): (usize, usize)| successes as f64 / trials as f64;
     let (first_interval, second_interval) = (wilson(first.0, first.1)?, wilson(second.0, second.1)?);
     let (p, q) = (share(first), share(second));

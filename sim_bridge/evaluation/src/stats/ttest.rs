@@ -26,7 +26,7 @@ pub struct TTest {
 ///
 /// # Errors
 /// [`StatsError`] for fewer than two pairs.
-pub fn paired(first: &[f64], second: &[f64], alternative: Alternative) -> Result<TTest, StatsError> {
+pub(crate) fn paired(first: &[f64], second: &[f64], alternative: Alternative) -> Result<TTest, StatsError> {
     let differences = differences(first, second)?;
     let count = differences.len() as f64;
     Ok(test(mean(&differences), (variance(&differences) / count).sqrt(), count - 1.0, alternative))
@@ -37,7 +37,7 @@ pub fn paired(first: &[f64], second: &[f64], alternative: Alternative) -> Result
 ///
 /// # Errors
 /// [`StatsError`] for samples of fewer than two values.
-pub fn welch(first: &[f64], second: &[f64], alternative: Alternative) -> Result<TTest, StatsError> {
+pub(crate) fn welch(first: &[f64], second: &[f64], alternative: Alternative) -> Result<TTest, StatsError> {
     sample(first, 2)?;
     sample(second, 2)?;
     let part = |values: &[f64]| variance(values) / values.len() as f64;

@@ -178,7 +178,9 @@ impl Bridge {
                     }
                     Err(problem) => warn!(robot = %self.robot, %problem, "unreadable state"),
                 },
-                Err(problem) => debug!(robot = %self.robot, problem, "a driver server refused a command"),
+                Err(refused) => {
+                    debug!(robot = %self.robot, problem = refused.0, "a driver server refused a command");
+                }
             }
         }
         None

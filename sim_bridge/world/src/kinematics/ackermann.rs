@@ -12,7 +12,7 @@ const REACHED_M: f64 = 0.001;
 
 /// A chassis with steered wheels.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ackermann {
+pub(crate) struct Ackermann {
     settings: AckermannSettings,
     pub(super) max_mps: f64,
     pose: Isometry2<f64>,
@@ -39,22 +39,23 @@ fn reversed(pose: Isometry2<f64>) -> Isometry2<f64> {
 
 impl Ackermann {
     /// Creates a chassis at standstill.
-    pub fn new(settings: AckermannSettings, max_mps: f64, pose: Isometry2<f64>) -> Ackermann {
+    pub(crate) fn new(settings: AckermannSettings, max_mps: f64, pose: Isometry2<f64>) -> Ackermann {
         Ackermann { settings, max_mps, pose, speed_mps: 0.0, path_progress: None }
     }
 
     /// Current pose.
-    pub fn pose(&self) -> &Isometry2<f64> {
+    pub(crate) fn pose(&self) -> &Isometry2<f64> {
         &self.pose
     }
 
     /// Current speed in metres per second, forward or in reverse; never negative.
-    pub fn speed_mps(&self) -> f64 {
+    #[cfg(test)]
+    pub(crate) fn speed_mps(&self) -> f64 {
         self.speed_mps
     }
 
     /// Distance left along the path, in metres.
-    pub fn remaining_m(&self) -> f64 {
+    pub(crate) fn remaining_m(&self) -> f64 {
         self.path_progress
             .filter(|path_progress| path_progress.drive_to_end)
             .map_or(0.0, |path_progress| (path_progress.length_m - path_progress.along_m).max(0.0))

@@ -5,7 +5,7 @@
 use super::avoidance::{AvoidanceLimits, Neighbour, avoid_neighbours};
 use super::motion_math::{next_turn_rate, step_toward, step_toward_scalar, stopping_speed, wrap_angle};
 use super::settings::AerialSettings;
-use nalgebra::{Isometry2, Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Isometry2, Vector2, Vector3};
 
 /// Position tolerance for arrival, in metres. The drone must also be almost at a standstill.
 const REACHED_M: f64 = 0.02;
@@ -24,7 +24,7 @@ const AT_REST_M: f64 = 1e-6;
 
 /// An aerial robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Aerial {
+pub(crate) struct Aerial {
     settings: AerialSettings,
     pub(super) max_mps: f64,
     radius_m: f64,
@@ -44,7 +44,7 @@ pub struct Aerial {
 impl Aerial {
     /// Creates a drone that stands on the floor. `radius_m` is the distance from its centre to its
     /// outermost part, in metres.
-    pub fn new(settings: AerialSettings, max_mps: f64, radius_m: f64, pose: &Isometry2<f64>) -> Aerial {
+    pub(crate) fn new(settings: AerialSettings, max_mps: f64, radius_m: f64, pose: &Isometry2<f64>) -> Aerial {
         let (at, yaw) = (pose.translation.vector, pose.rotation.angle());
         Aerial {
             settings,
@@ -61,40 +61,35 @@ impl Aerial {
         }
     }
 
-    /// Current pose in space.
-    pub fn pose(&self) -> Isometry3<f64> {
-        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.yaw);
-        Isometry3::from_parts(Translation3::from(self.position), yaw)
-    }
-
     /// Current pose, projected onto the floor.
-    pub fn pose_above(&self) -> Isometry2<f64> {
+    pub(crate) fn pose_above(&self) -> Isometry2<f64> {
         Isometry2::new(self.position.xy(), self.yaw)
     }
 
     /// Position of the centre.
-    pub fn position(&self) -> &Vector3<f64> {
+    pub(crate) fn position(&self) -> &Vector3<f64> {
         &self.position
     }
 
     /// Current velocity in metres per second.
-    pub fn velocity(&self) -> &Vector3<f64> {
+    #[cfg(test)]
+    pub(crate) fn velocity(&self) -> &Vector3<f64> {
         &self.velocity
     }
 
     /// Distance to the target in metres.
-    pub fn remaining_m(&self) -> f64 {
+    pub(crate) fn remaining_m(&self) -> f64 {
         self.hold.filter(|_| !self.arrived).map_or(0.0, |(target, _)| (target - self.position).norm())
     }
 
     /// Checks whether the drone holds a position in the air that it has reached.
-    pub fn is_holding(&self) -> bool {
+    pub(crate) fn is_holding(&self) -> bool {
         self.arrived && self.hold.is_some()
     }
 
     /// Applies a push: the velocity changes at once. A drone on the ground does not move, since no
     /// controller would bring it back.
-    pub fn push(&mut self, by: Vector3<f64>) {
+    pub(crate) fn push(&mut self, by: Vector3<f64>) {
         if self.hold.is_some() {
             self.velocity += by;
         }
@@ -103,7 +98,7 @@ impl Aerial {
     /// Returns the distance, from centre to centre, within which the drone must consider other
     /// bodies with a radius of at most `radius_m`. Bodies beyond it do not matter until the next
     /// control cycle.
-    pub fn neighbour_range_m(&self, radius_m: f64) -> f64 {
+    pub(crate) fn neighbour_range_m(&self, radius_m: f64) -> f64 {
         let AerialSettings { acceleration_mps2, climb_acceleration_mps2, climb_mps, control_period_s, .. } =
             self.settings;
         let (now, change_mps) =

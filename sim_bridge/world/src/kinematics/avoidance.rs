@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 /// Another body, relative to the body that avoids it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Neighbour {
+pub(crate) struct Neighbour {
     /// Vector from the body's centre to the other body's centre, in metres.
     pub offset: Vector3<f64>,
     /// Distance from the other body's centre to its outermost part, in metres.

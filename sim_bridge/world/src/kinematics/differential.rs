@@ -22,7 +22,7 @@ const RESERVE: f64 = 0.7;
 
 /// A differential drive and its controllers.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Differential {
+pub(crate) struct Differential {
     settings: DifferentialSettings,
     pub(super) max_mps: f64,
     pose: Isometry2<f64>,
@@ -47,7 +47,7 @@ enum Target {
 
 impl Differential {
     /// Creates a chassis at standstill.
-    pub fn new(settings: DifferentialSettings, max_mps: f64, pose: Isometry2<f64>) -> Differential {
+    pub(crate) fn new(settings: DifferentialSettings, max_mps: f64, pose: Isometry2<f64>) -> Differential {
         let (heading, speed) = (Pid::new(settings.heading), Pid::new(settings.speed));
         Differential {
             settings,
@@ -63,17 +63,18 @@ impl Differential {
     }
 
     /// Current pose.
-    pub fn pose(&self) -> &Isometry2<f64> {
+    pub(crate) fn pose(&self) -> &Isometry2<f64> {
         &self.pose
     }
 
     /// Forward speed (metres per second) and turn rate (radians per second, positive to the left).
-    pub fn speeds(&self) -> (f64, f64) {
+    #[cfg(test)]
+    pub(crate) fn speeds(&self) -> (f64, f64) {
         (self.speed_mps, self.turn_rps)
     }
 
     /// Straight-line distance to the target in metres.
-    pub fn remaining_m(&self) -> f64 {
+    pub(crate) fn remaining_m(&self) -> f64 {
         match self.set_target {
             Target::Point(target) => (target.translation.vector - self.pose.translation.vector).norm(),
             Target::Rest | Target::Heading(_) => 0.0,

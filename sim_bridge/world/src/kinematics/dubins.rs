@@ -19,7 +19,7 @@ enum Turn {
 
 /// A shortest forward path between two poses with a minimum turning radius.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DubinsPath {
+pub(crate) struct DubinsPath {
     start: Isometry2<f64>,
     radius_m: f64,
     /// Segments with their lengths in metres.
@@ -33,7 +33,7 @@ impl DubinsPath {
     ///
     /// # Panics
     /// Panics if the radius is not above 0.
-    pub fn shortest(start: Isometry2<f64>, end: Isometry2<f64>, radius_m: f64) -> DubinsPath {
+    pub(crate) fn shortest(start: Isometry2<f64>, end: Isometry2<f64>, radius_m: f64) -> DubinsPath {
         assert!(radius_m > 0.0, "a turning radius is above 0: {radius_m}");
         let relative = start.inverse() * end;
         let to = relative.translation.vector / radius_m;
@@ -54,12 +54,12 @@ impl DubinsPath {
     }
 
     /// Length in metres.
-    pub fn length_m(&self) -> f64 {
+    pub(crate) fn length_m(&self) -> f64 {
         self.stretches.iter().map(|(_, length)| length).sum()
     }
 
     /// Returns the pose `distance_m` metres along the path, clamped to its start and end.
-    pub fn pose_at(&self, distance_m: f64) -> Isometry2<f64> {
+    pub(crate) fn pose_at(&self, distance_m: f64) -> Isometry2<f64> {
         let (mut pose, mut left) = (self.start, distance_m.max(0.0));
         for (turn, length) in self.stretches {
             let curvature = match turn {

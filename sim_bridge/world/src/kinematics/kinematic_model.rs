@@ -1,14 +1,17 @@
 //! Any kinematic model, with the clock of its control loop.
 
+use super::ackermann::Ackermann;
+use super::aerial::Aerial;
 use super::avoidance::Neighbour;
+use super::differential::Differential;
 use super::motion_math::TIME_EPSILON_S;
+use super::omnidirectional::Omnidirectional;
 use super::settings::Kinematics;
-use super::{Ackermann, Aerial, Differential, Omnidirectional};
 use nalgebra::{Isometry2, Vector3};
 
 /// A moving robot. It takes a target and elapsed time, and reports its arrival.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct KinematicModel {
+pub(crate) struct KinematicModel {
     chassis: Chassis,
     period_s: f64,
     /// Time until the next control cycle.
@@ -38,7 +41,7 @@ macro_rules! any {
 impl KinematicModel {
     /// Creates a robot at standstill. `max_mps` is its top speed in metres per second, `radius_m`
     /// the distance from its centre to its outermost part in metres.
-    pub fn new(kinematics: &Kinematics, max_mps: f64, radius_m: f64, pose: Isometry2<f64>) -> KinematicModel {
+    pub(crate) fn new(kinematics: &Kinematics, max_mps: f64, radius_m: f64, pose: Isometry2<f64>) -> KinematicModel {
         let (chassis, period_s) = match *kinematics {
             Kinematics::Differential(settings) => {
                 (Chassis::Differential(Differential::new(settings, max_mps, pose)), settings.control_period_s)
@@ -57,13 +60,13 @@ impl KinematicModel {
     }
 
     /// Sets a new target pose, replacing the previous target.
-    pub fn set_target(&mut self, target: Isometry2<f64>) {
+    pub(crate) fn set_target(&mut self, target: Isometry2<f64>) {
         any!(&mut self.chassis, model => model.set_target(Some(target)));
     }
 
     /// Sets a new target pose to be reached in reverse. For models that move in every direction
     /// this is the same as [`set_target`](KinematicModel::set_target).
-    pub fn set_target_backward(&mut self, target: Isometry2<f64>) {
+    pub(crate) fn set_target_backward(&mut self, target: Isometry2<f64>) {
         match &mut self.chassis {
             Chassis::Differential(model) => model.set_target_backward(target),
             Chassis::Ackermann(model) => model.set_target_backward(target),
@@ -72,28 +75,28 @@ impl KinematicModel {
     }
 
     /// Limits the speed from now on, in metres per second.
-    pub fn set_max_speed(&mut self, max_mps: f64) {
+    pub(crate) fn set_max_speed(&mut self, max_mps: f64) {
         any!(&mut self.chassis, model => model.max_mps = max_mps);
     }
 
     /// Sets the heading of a robot at standstill, in radians, at once.
-    pub fn set_heading(&mut self, yaw: f64) {
+    pub(crate) fn set_heading(&mut self, yaw: f64) {
         any!(&mut self.chassis, model => model.set_heading(yaw));
     }
 
     /// Brakes to a standstill as fast as the brakes allow. A drone hovers afterwards.
-    pub fn brake(&mut self) {
+    pub(crate) fn brake(&mut self) {
         any!(&mut self.chassis, model => model.set_target(None));
     }
 
     /// Stops instantly, after a collision.
-    pub fn stop_immediately(&mut self) {
+    pub(crate) fn stop_immediately(&mut self) {
         any!(&mut self.chassis, model => model.stop_immediately());
     }
 
     /// Advances time by `dt_s` seconds among other bodies at their current positions. Returns the
     /// seconds that had passed on arrival, if the robot arrived. Only drones avoid other bodies.
-    pub fn advance(&mut self, dt_s: f64, around: &[Neighbour]) -> Option<f64> {
+    pub(crate) fn advance(&mut self, dt_s: f64, around: &[Neighbour]) -> Option<f64> {
         let (mut elapsed, mut arrived) = (0.0, None);
         while dt_s - elapsed > TIME_EPSILON_S {
             if self.decides_in_s <= TIME_EPSILON_S {
@@ -120,12 +123,12 @@ impl KinematicModel {
     }
 
     /// Checks whether the robot moves or is about to. If not, advancing time has no effect.
-    pub fn is_moving(&self) -> bool {
+    pub(crate) fn is_moving(&self) -> bool {
         any!(&self.chassis, model => model.is_moving())
     }
 
     /// Current pose, projected onto the floor.
-    pub fn pose(&self) -> Isometry2<f64> {
+    pub(crate) fn pose(&self) -> Isometry2<f64> {
         match &self.chassis {
             Chassis::Differential(model) => *model.pose(),
             Chassis::Omnidirectional(model) => *model.pose(),
@@ -135,7 +138,7 @@ impl KinematicModel {
     }
 
     /// Position of the centre: x, y and height above the floor, in metres.
-    pub fn position(&self) -> Vector3<f64> {
+    pub(crate) fn position(&self) -> Vector3<f64> {
         match &self.chassis {
             Chassis::Aerial(model) => *model.position(),
             Chassis::Differential(_) | Chassis::Omnidirectional(_) | Chassis::Ackermann(_) => {
@@ -146,13 +149,13 @@ impl KinematicModel {
     }
 
     /// Distance to the target in metres; 0 without a target.
-    pub fn remaining_m(&self) -> f64 {
+    pub(crate) fn remaining_m(&self) -> f64 {
         any!(&self.chassis, model => model.remaining_m())
     }
 
     /// Returns the distance, from centre to centre, within which the robot must consider other
     /// bodies with a radius of at most `radius_m`; `None` if the model avoids no other bodies.
-    pub fn neighbour_range_m(&self, radius_m: f64) -> Option<f64> {
+    pub(crate) fn neighbour_range_m(&self, radius_m: f64) -> Option<f64> {
         match &self.chassis {
             Chassis::Aerial(model) => Some(model.neighbour_range_m(radius_m)),
             Chassis::Differential(_) | Chassis::Omnidirectional(_) | Chassis::Ackermann(_) => None,
@@ -160,34 +163,38 @@ impl KinematicModel {
     }
 
     /// Applies a gust. It pushes a robot in the air, and has no effect on the floor.
-    pub fn push(&mut self, by: Vector3<f64>) {
+    pub(crate) fn push(&mut self, by: Vector3<f64>) {
         if let Chassis::Aerial(model) = &mut self.chassis {
             model.push(by);
         }
     }
 
     /// Checks whether the robot is in the air and holds its position there.
-    pub fn is_hovering(&self) -> bool {
+    pub(crate) fn is_hovering(&self) -> bool {
         matches!(&self.chassis, Chassis::Aerial(model) if model.is_holding())
     }
 
     /// The differential drive, if this model is a differential drive.
-    pub fn as_differential(&self) -> Option<&Differential> {
+    #[cfg(test)]
+    pub(crate) fn as_differential(&self) -> Option<&Differential> {
         if let Chassis::Differential(model) = &self.chassis { Some(model) } else { None }
     }
 
     /// The omnidirectional chassis, if this model is omnidirectional.
-    pub fn as_omnidirectional(&self) -> Option<&Omnidirectional> {
+    #[cfg(test)]
+    pub(crate) fn as_omnidirectional(&self) -> Option<&Omnidirectional> {
         if let Chassis::Omnidirectional(model) = &self.chassis { Some(model) } else { None }
     }
 
     /// The car, if this model is a car.
-    pub fn as_ackermann(&self) -> Option<&Ackermann> {
+    #[cfg(test)]
+    pub(crate) fn as_ackermann(&self) -> Option<&Ackermann> {
         if let Chassis::Ackermann(model) = &self.chassis { Some(model) } else { None }
     }
 
     /// The drone, if this model is a drone.
-    pub fn as_aerial(&self) -> Option<&Aerial> {
+    #[cfg(test)]
+    pub(crate) fn as_aerial(&self) -> Option<&Aerial> {
         if let Chassis::Aerial(model) = &self.chassis { Some(model) } else { None }
     }
 }

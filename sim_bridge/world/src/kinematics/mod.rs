@@ -2,17 +2,17 @@
 //!
 //! | model | motion | limits |
 //! |---|---|---|
-//! | [`Differential`] | forward and turning, by PID control of heading and speed (thesis Figure 5.2) | speed, acceleration, turn rate, turn acceleration |
-//! | [`Omnidirectional`] | in every direction, turning at the same time | the same |
-//! | [`Ackermann`] | forward or in reverse along arcs and straight lines, as a car does | speed, acceleration, turning radius |
-//! | [`Aerial`] | in space, climbing and sinking at its own rate | speed, acceleration, climb rate, climb acceleration, turn rate |
+//! | [`Differential`](Kinematics::Differential) | forward and turning, by PID control of heading and speed (thesis Figure 5.2) | speed, acceleration, turn rate, turn acceleration |
+//! | [`Omnidirectional`](Kinematics::Omnidirectional) | in every direction, turning at the same time | the same |
+//! | [`Ackermann`](Kinematics::Ackermann) | forward or in reverse along arcs and straight lines, as a car does | speed, acceleration, turning radius |
+//! | [`Aerial`](Kinematics::Aerial) | in space, climbing and sinking at its own rate | speed, acceleration, climb rate, climb acceleration, turn rate |
 //!
-//! A [`KinematicModel`] is any of them with a clock. A model *decides* at the instants of its own
+//! A `KinematicModel` is any of them with a clock. A model *decides* at the instants of its own
 //! control loop, as the computer of a robot does. Between two decisions its speeds are constant and
 //! its motion has a closed form. The size of the time steps therefore makes no difference: a drive
 //! takes as long at 10 Hz as at 60 Hz.
 //!
-//! A straight run needs no control at all: [`TrapezoidProfile`] gives its position at any time, and
+//! A straight run needs no control at all: `TrapezoidProfile` gives its position at any time, and
 //! its end.
 
 mod ackermann;
@@ -29,16 +29,9 @@ mod settings;
 mod tests;
 mod trapezoid_profile;
 
-pub use ackermann::Ackermann;
-pub use aerial::Aerial;
-pub use avoidance::Neighbour;
-pub use differential::Differential;
-pub use dubins::DubinsPath;
-pub use kinematic_model::KinematicModel;
-pub use motion_math::drive_arc;
-pub use omnidirectional::Omnidirectional;
-pub use pid::{Pid, PidGains};
+pub(crate) use avoidance::Neighbour;
+pub(crate) use kinematic_model::KinematicModel;
 pub use settings::{
     AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, KinematicsError, OmnidirectionalSettings,
 };
-pub use trapezoid_profile::{ProfileLimits, StopPoint, TrapezoidProfile};
+pub(crate) use trapezoid_profile::{ProfileLimits, TrapezoidProfile};

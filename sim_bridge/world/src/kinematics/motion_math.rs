@@ -48,7 +48,7 @@ pub(crate) fn next_turn_rate(now: f64, error: f64, rate: f64, acceleration: f64,
 
 /// Returns the pose after driving for `dt_s` seconds at `speed` metres per second while turning at
 /// `turn` radians per second: on an arc, or straight ahead. Reversing both speeds leads back.
-pub fn drive_arc(pose: &Isometry2<f64>, speed: f64, turn: f64, dt_s: f64) -> Isometry2<f64> {
+pub(crate) fn drive_arc(pose: &Isometry2<f64>, speed: f64, turn: f64, dt_s: f64) -> Isometry2<f64> {
     let (length, angle) = (speed * dt_s, turn * dt_s);
     // The chord of the arc: sin(x)/x and (1 - cos x)/x, by their series where the direct formulas
     // would lose digits.

@@ -11,7 +11,7 @@ const REACHED_RAD: f64 = 0.001;
 
 /// An omnidirectional chassis.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Omnidirectional {
+pub(crate) struct Omnidirectional {
     settings: OmnidirectionalSettings,
     pub(super) max_mps: f64,
     pose: Isometry2<f64>,
@@ -22,23 +22,24 @@ pub struct Omnidirectional {
 
 impl Omnidirectional {
     /// Creates a chassis at standstill.
-    pub fn new(settings: OmnidirectionalSettings, max_mps: f64, pose: Isometry2<f64>) -> Omnidirectional {
+    pub(crate) fn new(settings: OmnidirectionalSettings, max_mps: f64, pose: Isometry2<f64>) -> Omnidirectional {
         Omnidirectional { settings, max_mps, pose, velocity: Vector2::zeros(), turn_rps: 0.0, target: None }
     }
 
     /// Current pose.
-    pub fn pose(&self) -> &Isometry2<f64> {
+    pub(crate) fn pose(&self) -> &Isometry2<f64> {
         &self.pose
     }
 
     /// Velocity over the floor (metres per second) and turn rate (radians per second, positive to
     /// the left).
-    pub fn velocity(&self) -> (Vector2<f64>, f64) {
+    #[cfg(test)]
+    pub(crate) fn velocity(&self) -> (Vector2<f64>, f64) {
         (self.velocity, self.turn_rps)
     }
 
     /// Distance to the target in metres.
-    pub fn remaining_m(&self) -> f64 {
+    pub(crate) fn remaining_m(&self) -> f64 {
         self.target.map_or(0.0, |target| (target.translation.vector - self.pose.translation.vector).norm())
     }
 

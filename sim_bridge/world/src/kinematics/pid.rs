@@ -20,7 +20,7 @@ pub struct PidGains {
 /// A PID controller and its state. While the output is at its limit, the integral does not grow
 /// (anti-windup).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pid {
+pub(crate) struct Pid {
     gains: PidGains,
     integral: f64,
     before: Option<f64>,
@@ -28,13 +28,13 @@ pub struct Pid {
 
 impl Pid {
     /// Creates a controller without history.
-    pub fn new(gains: PidGains) -> Pid {
+    pub(crate) fn new(gains: PidGains) -> Pid {
         Pid { gains, integral: 0.0, before: None }
     }
 
     /// Returns the output for an error `dt_s` seconds after the previous error, from `-limit` to
     /// `limit`.
-    pub fn output(&mut self, error: f64, dt_s: f64, limit: f64) -> f64 {
+    pub(crate) fn output(&mut self, error: f64, dt_s: f64, limit: f64) -> f64 {
         let PidGains { kp, ki, kd } = self.gains;
         let rate = self.before.map_or(0.0, |before| (error - before) / dt_s);
         self.before = Some(error);
@@ -47,7 +47,7 @@ impl Pid {
     }
 
     /// Clears the history.
-    pub fn reset(&mut self) {
+    pub(crate) fn reset(&mut self) {
         (self.integral, self.before) = (0.0, None);
     }
 }

@@ -20,7 +20,7 @@ pub enum Kinematics {
     Aerial(AerialSettings),
 }
 
-/// Settings of a [`Differential`](super::Differential) chassis. The defaults are those of a small
+/// Settings of a [differential](Kinematics::Differential) chassis. The defaults are those of a small
 /// hospital robot.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -52,7 +52,7 @@ impl Default for DifferentialSettings {
     }
 }
 
-/// Settings of an [`Omnidirectional`](super::Omnidirectional) chassis.
+/// Settings of an [`Omnidirectional`](Kinematics::Omnidirectional) chassis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct OmnidirectionalSettings {
@@ -72,7 +72,7 @@ impl Default for OmnidirectionalSettings {
     }
 }
 
-/// Settings of an [`Ackermann`](super::Ackermann) chassis.
+/// Settings of an [`Ackermann`](Kinematics::Ackermann) chassis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AckermannSettings {
@@ -90,7 +90,7 @@ impl Default for AckermannSettings {
     }
 }
 
-/// Settings of an [`Aerial`](super::Aerial) robot. The defaults are those of a small quadrotor.
+/// Settings of an [aerial](Kinematics::Aerial) robot. The defaults are those of a small quadrotor.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AerialSettings {

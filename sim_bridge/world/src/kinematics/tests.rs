@@ -1,5 +1,8 @@
 //! Tests of the models alone: arrival, limits, and independence of the size of time steps.
 
+use super::dubins::DubinsPath;
+use super::motion_math::drive_arc;
+use super::pid::{Pid, PidGains};
 use super::*;
 use nalgebra::{Isometry2, Vector2, Vector3};
 use proptest::prelude::*;
@@ -234,16 +237,11 @@ proptest! {
         let time = share * run.duration_s();
         prop_assert!((run.distance_at(run.duration_s()) - length).abs() < 1e-9);
         prop_assert!(run.speed_at(time) <= speed + 1e-9);
-        prop_assert!((run.distance_at(run.time_at(run.distance_at(time))) - run.distance_at(time)).abs() < 1e-6);
         // The distance is the integral of the speed.
         let parts = 2000;
         let sum: f64 = (0..parts).map(|n| run.speed_at((f64::from(n) + 0.5) * time / f64::from(parts))).sum();
         let driven = sum * time / f64::from(parts);
         prop_assert!((driven - run.distance_at(time)).abs() < 1e-3 * (1.0 + length), "{driven} m");
-        // An interrupted run stops later and further on, but not beyond the end.
-        let halt = run.stop_from(time);
-        prop_assert!(halt.distance_m >= run.distance_at(time) && halt.distance_m <= length);
-        prop_assert!(halt.stands_at_s >= time && halt.stands_at_s <= run.duration_s() + 1e-9);
         // With the limits swapped, it is the same run backwards in time.
         let back = TrapezoidProfile::new(length, ProfileLimits { speed_mps: speed, acceleration_mps2: down, deceleration_mps2: up });
         prop_assert!((back.duration_s() - run.duration_s()).abs() < 1e-9);
@@ -286,7 +284,7 @@ fn check_limits(name: &str, before: &KinematicModel, after: &KinematicModel, per
 #[test]
 fn a_constant_speed_run_takes_length_over_speed() {
     let run = TrapezoidProfile::constant_speed(6.0, 0.5);
-    assert_eq!((run.duration_s(), run.distance_at(3.0), run.time_at(4.5)), (12.0, 1.5, 9.0));
+    assert_eq!((run.duration_s(), run.distance_at(3.0)), (12.0, 1.5));
     assert_eq!((run.speed_at(0.1), run.speed_at(11.9), run.distance_at(99.0)), (0.5, 0.5, 6.0));
     let nowhere = TrapezoidProfile::constant_speed(0.0, 0.5);
     assert_eq!((nowhere.duration_s(), nowhere.distance_at(1.0)), (0.0, 0.0));

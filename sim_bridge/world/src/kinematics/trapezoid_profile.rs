@@ -3,7 +3,7 @@
 
 /// Limits of a straight run: top speed, acceleration, deceleration.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ProfileLimits {
+pub(crate) struct ProfileLimits {
     /// Top speed, in metres per second; above 0.
     pub speed_mps: f64,
     /// Acceleration, in metres per second squared; above 0, infinite for an instant change.
@@ -15,7 +15,7 @@ pub struct ProfileLimits {
 /// A straight run of a given length. Its speed over time is a trapezoid, or a triangle if the run
 /// is too short to reach the top speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TrapezoidProfile {
+pub(crate) struct TrapezoidProfile {
     ramp: ProfileLimits,
     length_m: f64,
     peak_mps: f64,
@@ -25,21 +25,12 @@ pub struct TrapezoidProfile {
     duration_s: f64,
 }
 
-/// The end of a run that is interrupted.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct StopPoint {
-    /// Seconds from the start of the run until standstill.
-    pub stands_at_s: f64,
-    /// Metres from the start of the run to the stopping point.
-    pub distance_m: f64,
-}
-
 impl TrapezoidProfile {
     /// Creates a run over `length_m` metres.
     ///
     /// # Panics
     /// Panics if the length is negative or a limit is not above 0.
-    pub fn new(length_m: f64, ramp: ProfileLimits) -> TrapezoidProfile {
+    pub(crate) fn new(length_m: f64, ramp: ProfileLimits) -> TrapezoidProfile {
         let ProfileLimits { speed_mps, acceleration_mps2: up, deceleration_mps2: down } = ramp;
         assert!(length_m >= 0.0, "a length is not negative: {length_m}");
         assert!(speed_mps > 0.0 && up > 0.0 && down > 0.0, "limits are above 0: {ramp:?}");
@@ -64,7 +55,7 @@ impl TrapezoidProfile {
     ///
     /// # Panics
     /// Panics as [`TrapezoidProfile::new`] does.
-    pub fn constant_speed(length_m: f64, speed_mps: f64) -> TrapezoidProfile {
+    pub(crate) fn constant_speed(length_m: f64, speed_mps: f64) -> TrapezoidProfile {
         let at_once = f64::INFINITY;
         TrapezoidProfile::new(
             length_m,
@@ -73,18 +64,19 @@ impl TrapezoidProfile {
     }
 
     /// Length in metres.
-    pub fn length_m(&self) -> f64 {
+    pub(crate) fn length_m(&self) -> f64 {
         self.length_m
     }
 
     /// Duration in seconds.
-    pub fn duration_s(&self) -> f64 {
+    pub(crate) fn duration_s(&self) -> f64 {
         self.duration_s
     }
 
     /// Returns the speed `time_s` seconds after the start, in metres per second; 0 before the start
     /// and after the end.
-    pub fn speed_at(&self, time_s: f64) -> f64 {
+    #[cfg(test)]
+    pub(crate) fn speed_at(&self, time_s: f64) -> f64 {
         if time_s <= 0.0 || time_s >= self.duration_s {
             0.0
         } else if time_s < self.faster_until_s {
@@ -98,7 +90,7 @@ impl TrapezoidProfile {
 
     /// Returns the distance covered `time_s` seconds after the start, in metres; from 0 to the
     /// length.
-    pub fn distance_at(&self, time_s: f64) -> f64 {
+    pub(crate) fn distance_at(&self, time_s: f64) -> f64 {
         let distance = if time_s <= 0.0 {
             0.0
         } else if time_s >= self.duration_s {
@@ -112,30 +104,5 @@ impl TrapezoidProfile {
             self.length_m - self.ramp.deceleration_mps2 * left_s * left_s / 2.0
         };
         distance.clamp(0.0, self.length_m)
-    }
-
-    /// Returns the time at which `distance_m` metres are covered, in seconds after the start: 0 for
-    /// no distance, the duration for the length or more.
-    pub fn time_at(&self, distance_m: f64) -> f64 {
-        let (faster_m, slower_m) = (self.peak_mps * self.faster_until_s / 2.0, self.distance_at(self.steady_until_s));
-        if distance_m <= 0.0 {
-            0.0
-        } else if distance_m >= self.length_m {
-            self.duration_s
-        } else if distance_m < faster_m {
-            (2.0 * distance_m / self.ramp.acceleration_mps2).sqrt()
-        } else if distance_m <= slower_m {
-            self.faster_until_s + (distance_m - faster_m) / self.peak_mps
-        } else {
-            self.duration_s - (2.0 * (self.length_m - distance_m) / self.ramp.deceleration_mps2).sqrt()
-        }
-    }
-
-    /// Returns the stopping time and point if braking begins `time_s` seconds after the start.
-    pub fn stop_from(&self, time_s: f64) -> StopPoint {
-        let time_s = time_s.clamp(0.0, self.duration_s);
-        let (speed, down) = (self.speed_at(time_s), self.ramp.deceleration_mps2);
-        let distance_m = (self.distance_at(time_s) + speed * speed / (2.0 * down)).min(self.length_m);
-        StopPoint { stands_at_s: time_s + speed / down, distance_m }
     }
 }

@@ -1,8 +1,6 @@
 //! Errors in a map.
 
-use super::building_check::BuildingDiagnostic;
 use super::file::limits;
-use super::{drawio, rmf};
 use consort_protocol::ids::{NameError, PlaceId};
 use std::fmt;
 
@@ -108,12 +106,137 @@ pub enum MapDiagnostic {
     /// An error in a level, a door or a lift.
     #[error("{0}")]
     Structure(#[from] BuildingDiagnostic),
-    /// An error in a drawing.
-    #[error("{0}")]
-    Drawio(#[from] drawio::DrawioDiagnostic),
-    /// An error in a building of Open-RMF.
-    #[error("{0}")]
-    RmfBuilding(#[from] rmf::RmfDiagnostic),
+}
+
+/// An error in a level, a door or a lift.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum BuildingDiagnostic {
+    /// The name of a level, door or lift is not allowed.
+    #[error(
+        "{text:?} is not a name for a {what}: allowed are 1 to 64 characters, no control characters, no space at either end"
+    )]
+    Name {
+        /// `level`, `door` or `lift`.
+        what: &'static str,
+        /// The name as given.
+        text: String,
+    },
+    /// Two levels, doors or lifts have the same name.
+    #[error("{what} {name:?} occurs more than once")]
+    Duplicate {
+        /// `level`, `door` or `lift`.
+        what: &'static str,
+        /// Its name.
+        name: String,
+    },
+    /// A number is infinite, not a number, or out of range.
+    #[error("{what} {name:?}: {field} is {value}, allowed: a number from {min} to {max}")]
+    Number {
+        /// `level`, `door` or `lift`.
+        what: &'static str,
+        /// Its name.
+        name: String,
+        /// The field.
+        field: &'static str,
+        /// The number.
+        value: f64,
+        /// Smallest allowed value.
+        min: f64,
+        /// Greatest allowed value.
+        max: f64,
+    },
+    /// The level of a place does not exist.
+    #[error("place {place:?}: there is no level {level:?}{hint}")]
+    UnknownLevel {
+        /// The place with this level.
+        place: String,
+        /// The name as written.
+        level: String,
+        /// Suggestion of a level name, in words; may be empty.
+        hint: String,
+    },
+    /// A lane connects two levels.
+    #[error("lane {lane}: its ends are on levels {from:?} and {to:?}; only lifts connect levels")]
+    LaneAcrossLevels {
+        /// The lane.
+        lane: LaneName,
+        /// Level of the first end.
+        from: String,
+        /// Level of the second end.
+        to: String,
+    },
+    /// A speed limit is not allowed.
+    #[error("lane {lane}: speed limit is {value} m/s, allowed: a number above 0")]
+    SpeedLimit {
+        /// The lane.
+        lane: LaneName,
+        /// The number.
+        value: f64,
+    },
+    /// A door has no lanes.
+    #[error("door {door:?} has no lanes: add the lanes through it")]
+    DoorOnNoLane {
+        /// The door.
+        door: String,
+    },
+    /// A lane of a door does not exist.
+    #[error("door {door:?}: there is no lane {lane}{hint}")]
+    UnknownLane {
+        /// The door.
+        door: String,
+        /// The lane as written.
+        lane: LaneName,
+        /// Suggestion, in words; may be empty.
+        hint: String,
+    },
+    /// The lanes of a door are on several levels.
+    #[error("door {door:?} has lanes on several levels; allowed: lanes on the same level")]
+    DoorAcrossLevels {
+        /// The door.
+        door: String,
+    },
+    /// A lane of a door does not pass between its posts.
+    #[error("door {door:?}: lane {lane} does not pass between its posts")]
+    DoorMissesLane {
+        /// The door.
+        door: String,
+        /// The lane.
+        lane: LaneName,
+    },
+    /// A stop of a lift does not exist.
+    #[error("lift {lift:?}: there is no place {place:?}{hint}")]
+    UnknownStop {
+        /// The lift.
+        lift: String,
+        /// The name as written.
+        place: String,
+        /// Suggestion of a place name, in words; may be empty.
+        hint: String,
+    },
+    /// A place is a stop of two lifts, or twice a stop of the same lift.
+    #[error("lift {lift:?}: place {place:?} is a stop of lift {other:?} already")]
+    StopOfAnotherLift {
+        /// The lift.
+        lift: String,
+        /// The place.
+        place: String,
+        /// The other lift with this stop.
+        other: String,
+    },
+    /// All stops of a lift are on the same level.
+    #[error("lift {lift:?} has stops on {levels} level(s), needed: 2 or more")]
+    SingleLevelLift {
+        /// The lift.
+        lift: String,
+        /// Number of levels with a stop.
+        levels: usize,
+    },
+    /// A lift has room for no robot.
+    #[error("lift {lift:?}: capacity is 0, allowed: a number of robots from 1")]
+    ZeroCapacity {
+        /// The lift.
+        lift: String,
+    },
 }
 
 /// The ends of a lane as written.

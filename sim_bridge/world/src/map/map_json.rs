@@ -1,6 +1,8 @@
 //! Maps as JSON: written for programs that draw a map, and read back from such JSON.
 
-use super::{DoorEntry, Lane, LaneEntry, LevelEntry, LevelIndex, LiftEntry, Map, MapError, MapFile, PlaceEntry};
+use super::file::{DoorEntry, LaneEntry, LevelEntry, LiftEntry, MapFile, PlaceEntry};
+use super::model::{Lane, LevelIndex, Map};
+use super::read::MapError;
 use serde::Deserialize;
 use serde_json::{Value, json};
 

@@ -1,7 +1,7 @@
 //! The map as estimators and skills use it: places, connections of neighbours, and the time that
 //! they cost.
 
-use super::{Lane, Map};
+use super::model::{Lane, Map};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::Seconds;
 use consort_skills::environment::{Edge, Environment, MapError, Passage, Passages, Routes, TopologicalMap};

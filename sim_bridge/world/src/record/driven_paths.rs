@@ -1,12 +1,12 @@
 //! The paths of robots, drawn over the map when the recording ends.
 
-use super::{RecordError, RecordingSink, WorldChanges};
-use crate::map::render::{Trail, svg_with_trails};
-use crate::map::{DrawnItem, LevelIndex};
+use super::sink::{RecordError, RecordingSink, WorldChanges};
+use crate::map::LevelIndex;
+use crate::map::render::{DrawnItem, Trail, svg_with_trails};
 use crate::world::{MotionState, World};
-use consort_protocol::count::count;
 use consort_protocol::ids::RobotId;
 use consort_skills::actions::RobotBackend;
+use consort_text::count;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 

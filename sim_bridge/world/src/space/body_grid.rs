@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 /// Space that a body occupies: a disc seen from above, a ball in space.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Disc {
+pub(crate) struct Disc {
     /// Centre: x, y, and height above the floor of its level, in metres.
     pub at: Vector3<f64>,
     /// Distance from the centre to the outermost part, in metres.
@@ -16,7 +16,7 @@ pub struct Disc {
 /// Bodies in a grid of square cells; the bodies of a cell are stored together. A body's index is
 /// its position in the list given to [`rebuild`](BodyGrid::rebuild).
 #[derive(Debug, Default)]
-pub struct BodyGrid {
+pub(crate) struct BodyGrid {
     discs: Vec<Disc>,
     /// The discs ordered by cell, with their indices.
     sorted: Vec<(Disc, usize)>,
@@ -40,7 +40,7 @@ impl BodyGrid {
     ///
     /// # Panics
     /// Panics if a position is not finite, or the cell size is not above 0.
-    pub fn rebuild(&mut self, discs: impl IntoIterator<Item = Disc>, cell_m: f64) {
+    pub(crate) fn rebuild(&mut self, discs: impl IntoIterator<Item = Disc>, cell_m: f64) {
         assert!(cell_m > 0.0, "cells have a size, not {cell_m}");
         self.discs.clear();
         self.discs.extend(discs);
@@ -101,29 +101,19 @@ impl BodyGrid {
         (column.min(self.columns - 1), row.min(self.rows - 1))
     }
 
-    /// Number of bodies.
-    pub fn len(&self) -> usize {
-        self.discs.len()
-    }
-
-    /// Checks whether there are no bodies.
-    pub fn is_empty(&self) -> bool {
-        self.discs.is_empty()
-    }
-
     /// Returns a body by its index.
-    pub fn disc(&self, name: usize) -> &Disc {
+    pub(crate) fn disc(&self, name: usize) -> &Disc {
         &self.discs[name]
     }
 
     /// Largest radius of all bodies, in metres.
-    pub fn max_radius_m(&self) -> f64 {
+    pub(crate) fn max_radius_m(&self) -> f64 {
         self.largest_m
     }
 
     /// Calls `show` for every body whose centre is at most `reach_m` metres from a point of its
     /// level, in a fixed order. Returns the number of bodies examined.
-    pub fn for_each_near(
+    pub(crate) fn for_each_near(
         &self,
         at: &Vector3<f64>,
         level: usize,
@@ -145,21 +135,6 @@ impl BodyGrid {
                     show(*name, disc);
                 }
             }
-        }
-        looked_at
-    }
-
-    /// Calls `show` for each pair of touching bodies, the smaller index first. Returns the number
-    /// of pairs examined.
-    pub fn touching(&self, mut show: impl FnMut(usize, usize)) -> usize {
-        let mut looked_at = 0;
-        for (name, disc) in self.discs.iter().enumerate() {
-            looked_at += self.for_each_near(&disc.at, disc.level, disc.radius_m + self.largest_m, |other, found| {
-                let touch_m = disc.radius_m + found.radius_m;
-                if other > name && (found.at - disc.at).norm_squared() < touch_m * touch_m {
-                    show(name, other);
-                }
-            });
         }
         looked_at
     }
@@ -187,12 +162,28 @@ mod tests {
         found
     }
 
+    /// Calls `show` for each pair of touching bodies, the smaller index first. Returns the number
+    /// of pairs examined.
+    fn touching(bodies: &BodyGrid, mut show: impl FnMut(usize, usize)) -> usize {
+        let mut looked_at = 0;
+        for (name, disc) in bodies.discs.iter().enumerate() {
+            looked_at +=
+                bodies.for_each_near(&disc.at, disc.level, disc.radius_m + bodies.largest_m, |other, found| {
+                    let touch_m = disc.radius_m + found.radius_m;
+                    if other > name && (found.at - disc.at).norm_squared() < touch_m * touch_m {
+                        show(name, other);
+                    }
+                });
+        }
+        looked_at
+    }
+
     #[test]
     fn bodies_on_another_level_are_not_near() {
         let bodies = laid_out(vec![disc(0.0, 0.0), Disc { level: 1, ..disc(0.1, 0.0) }, disc(0.2, 0.0)], 1.0);
         assert_eq!(near(&bodies, 0.0, 0.0, 5.0), [0, 2]);
         let mut pairs = Vec::new();
-        bodies.touching(|a, b| pairs.push((a, b)));
+        touching(&bodies, |a, b| pairs.push((a, b)));
         assert_eq!(pairs, [(0, 2)]);
         assert_eq!(near(&laid_out(vec![], 1.0), 0.0, 0.0, 5.0), [0_usize; 0]);
     }
@@ -201,7 +192,7 @@ mod tests {
     fn work_grows_with_the_number_of_bodies_and_not_with_its_square() {
         let field = |side: usize| {
             let spots = (0..side * side).map(|n| disc((n % side) as f64 * 2.0, (n / side) as f64 * 2.0));
-            laid_out(spots.collect(), 1.0).touching(|_, _| panic!("they stand apart"))
+            touching(&laid_out(spots.collect(), 1.0), |_, _| panic!("they stand apart"))
         };
         let (quarter, ten_thousand) = (field(50), field(100));
         let times = ten_thousand as f64 / quarter as f64;
@@ -232,7 +223,7 @@ mod tests {
             let all: Vec<usize> = (0..discs.len()).filter(|n| (discs[*n].at - at).norm() <= reach).collect();
             prop_assert_eq!(near(&bodies, x, y, reach), all);
             let mut pairs = Vec::new();
-            bodies.touching(|a, b| pairs.push((a, b)));
+            touching(&bodies, |a, b| pairs.push((a, b)));
             pairs.sort_unstable();
             let touch = |a: usize, b: usize| (discs[a].at - discs[b].at).norm() < discs[a].radius_m + discs[b].radius_m;
             let all: Vec<_> = (0..discs.len()).flat_map(|a| (a + 1..discs.len()).map(move |b| (a, b))).filter(|(a, b)| touch(*a, *b)).collect();

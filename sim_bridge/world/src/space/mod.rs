@@ -9,7 +9,7 @@ mod rays;
 mod sensor;
 mod wall_grid;
 
-pub use body_grid::{BodyGrid, Disc};
-pub use rays::{Ray, Segment};
+pub(crate) use body_grid::{BodyGrid, Disc};
+pub(crate) use rays::Ray;
 pub use sensor::Sensor;
 pub use wall_grid::WallGrid;

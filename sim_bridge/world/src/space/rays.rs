@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 
 /// A half-line from a point in a direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ray {
+pub(crate) struct Ray {
     /// Start, in metres.
     pub from: Vector2<f64>,
     /// Direction, of length 1.
@@ -13,7 +13,7 @@ pub struct Ray {
 
 /// A straight wall segment.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Segment {
+pub(crate) struct Segment {
     /// First end, in metres.
     pub a: Vector2<f64>,
     /// Second end, in metres.
@@ -22,25 +22,25 @@ pub struct Segment {
 
 impl Ray {
     /// Creates a ray at an angle, in radians counter-clockwise from the x axis.
-    pub fn at_angle(from: Vector2<f64>, angle: f64) -> Ray {
+    pub(crate) fn at_angle(from: Vector2<f64>, angle: f64) -> Ray {
         let (sin, cos) = angle.sin_cos();
         Ray { from, direction: Vector2::new(cos, sin) }
     }
 
     /// Creates the ray from a point towards another, with their distance; `None` for equal points.
-    pub fn towards(from: Vector2<f64>, to: Vector2<f64>) -> Option<(Ray, f64)> {
+    pub(crate) fn towards(from: Vector2<f64>, to: Vector2<f64>) -> Option<(Ray, f64)> {
         let length = (to - from).norm();
         (length > 0.0).then(|| (Ray { from, direction: (to - from) / length }, length))
     }
 
     /// Returns the point `distance_m` metres along the ray.
-    pub fn at(&self, distance_m: f64) -> Vector2<f64> {
+    pub(crate) fn at(&self, distance_m: f64) -> Vector2<f64> {
         self.from + self.direction * distance_m
     }
 
     /// Returns the distance to the intersection with a wall; `None` if there is none, or the ray is
     /// parallel.
-    pub fn intersect_wall(&self, wall: &Segment) -> Option<f64> {
+    pub(crate) fn intersect_wall(&self, wall: &Segment) -> Option<f64> {
         let along = wall.b - wall.a;
         let across = self.direction.perp(&along);
         if across == 0.0 {
@@ -53,7 +53,7 @@ impl Ray {
 
     /// Returns the distance at which the ray enters a disc: 0 if it starts inside, `None` if it
     /// misses.
-    pub fn intersect_disc(&self, middle: Vector2<f64>, radius_m: f64) -> Option<f64> {
+    pub(crate) fn intersect_disc(&self, middle: Vector2<f64>, radius_m: f64) -> Option<f64> {
         let to = middle - self.from;
         if to.norm_squared() <= radius_m * radius_m {
             return Some(0.0);
@@ -66,7 +66,7 @@ impl Ray {
 
 impl Segment {
     /// Returns the point of the segment that is closest to a point.
-    pub fn closest_point(&self, to: Vector2<f64>) -> Vector2<f64> {
+    pub(crate) fn closest_point(&self, to: Vector2<f64>) -> Vector2<f64> {
         let along = self.b - self.a;
         let length_2 = along.norm_squared();
         if length_2 == 0.0 {

@@ -67,7 +67,7 @@ impl Sensor {
     /// Returns the distance in metres from the centre of body `own`, with the heading of `pose`, to
     /// the first wall or body along the centre of the field of view; `None` if the path is free
     /// within the range.
-    pub fn measure_range_m(
+    pub(crate) fn measure_range_m(
         &self,
         pose: &Isometry2<f64>,
         own: usize,
@@ -93,7 +93,7 @@ impl Sensor {
     /// Calls `show` for each body that the camera or proximity sensor of `own` detects, with its
     /// index, its distance from centre to centre (metres) and its direction (radians to the left of
     /// ahead).
-    pub fn for_each_detection(
+    pub(crate) fn for_each_detection(
         &self,
         pose: &Isometry2<f64>,
         own: usize,

@@ -63,7 +63,7 @@ impl WallGrid {
     }
 
     /// Returns the distance from a point to the nearest wall in metres, if it is at most `reach_m`.
-    pub fn nearest_distance(&self, at: Vector2<f64>, reach_m: f64) -> Option<f64> {
+    pub(crate) fn nearest_distance(&self, at: Vector2<f64>, reach_m: f64) -> Option<f64> {
         if self.is_empty() {
             return None;
         }
@@ -76,7 +76,7 @@ impl WallGrid {
     }
 
     /// Returns the distance along a ray to the first wall in metres, if it is at most `reach_m`.
-    pub fn first_hit(&self, ray: &Ray, reach_m: f64) -> Option<f64> {
+    pub(crate) fn first_hit(&self, ray: &Ray, reach_m: f64) -> Option<f64> {
         if self.is_empty() {
             return None;
         }

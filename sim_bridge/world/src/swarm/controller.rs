@@ -1,6 +1,6 @@
 //! The controller of a swarm, and its clock.
 
-use super::formation::{Swarm, assign, circles, robot};
+use super::formation::{Swarm, SwarmError, assign, circles, robot};
 use super::table::SwarmResult;
 use crate::world::{World, WorldEvent};
 use consort_protocol::ids::RobotId;
@@ -11,12 +11,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// Time for which the controller waits for the next result, in seconds.
-pub const RESULT_TIMEOUT_S: f64 = 15.0;
-
-/// A swarm is impossible: it has no drones, or more than a map has places.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct SwarmError(pub(super) String);
+const RESULT_TIMEOUT_S: f64 = 15.0;
 
 /// Lets a swarm take off and fly to its circles. `clock` returns the time elapsed outside the
 /// simulation. It is called once for each simulated second.
@@ -25,7 +20,7 @@ pub struct SwarmError(pub(super) String);
 /// [`SwarmError`] if the swarm is impossible.
 pub fn run_swarm(swarm: Swarm, mut clock: impl FnMut() -> Duration) -> Result<SwarmResult, SwarmError> {
     if swarm.drones == 0 {
-        return Err(SwarmError("a swarm needs at least 1 drone".to_owned()));
+        return Err(SwarmError::NoDrones);
     }
     let mut flight = Flight::prepare(swarm)?;
     let (mut seconds, mut before) = (Vec::new(), clock());

@@ -1,9 +1,8 @@
 //! Start and target positions of drones.
 
-use super::controller::SwarmError;
 use crate::kinematics::{AerialSettings, Kinematics};
-use crate::map::{LaneEntry, MapFile, PlaceEntry, PlaceKind};
-use crate::world::{RobotSetup, WindSettings, World, WorldLimits, WorldSetup};
+use crate::map::{LaneEntry, MapError, MapFile, PlaceEntry, PlaceKind};
+use crate::world::{RobotSetup, SetupErrors, WindSettings, World, WorldLimits, WorldSetup};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use rand::RngExt;
@@ -24,6 +23,20 @@ const ALONG_M: f64 = 1.5;
 /// Speed of a drone: a guess for a small quadrotor in company.
 const SPEED_MPS: f64 = 3.0;
 
+/// A swarm is impossible: it has no drones, or more than a map has places.
+#[derive(Debug, thiserror::Error)]
+pub enum SwarmError {
+    /// The swarm has no drones.
+    #[error("a swarm needs at least 1 drone")]
+    NoDrones,
+    /// The field of the swarm is not a valid map.
+    #[error(transparent)]
+    Field(#[from] MapError),
+    /// The drones are not a valid world.
+    #[error(transparent)]
+    Setup(#[from] SetupErrors),
+}
+
 /// Configuration of a swarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Swarm {
@@ -39,7 +52,7 @@ impl Swarm {
     /// # Errors
     /// [`SwarmError`] if there are no drones, or more than a map has places.
     pub(super) fn world(&self) -> Result<World, SwarmError> {
-        let map = self.field().check("field").map_err(|error| SwarmError(error.to_string()))?;
+        let map = self.field().check("field")?;
         let mut setup = WorldSetup::new(map, self.seed);
         let kinematics = Some(Kinematics::Aerial(AerialSettings::default()));
         for n in 0..self.drones {
@@ -51,7 +64,7 @@ impl Swarm {
         setup.systems = ["steering", "driving", "collisions", "wind"].map(str::to_owned).to_vec();
         setup.wind = Some(WindSettings::default());
         setup.limits = WorldLimits { history_kept: 4 * self.drones.max(1_000), ..WorldLimits::default() };
-        World::new(setup).map_err(|errors| SwarmError(errors.to_string()))
+        Ok(World::new(setup)?)
     }
 
     /// A field with a pad for each drone, in a square around the origin.
@@ -85,7 +98,7 @@ fn pad(n: usize) -> PlaceId {
 
 /// Returns positions on circles around the origin, in metres: from the innermost circle outwards,
 /// equally spaced on each.
-pub fn circles(places: usize) -> Vec<(f64, f64)> {
+pub(crate) fn circles(places: usize) -> Vec<(f64, f64)> {
     let mut found = Vec::with_capacity(places);
     let mut circle = 1.0;
     while found.len() < places {

@@ -7,13 +7,13 @@
 //! result has arrived for 15 s.
 //!
 //! All this runs in an ordinary [`World`](crate::world::World): drones are robots with [aerial
-//! kinematics](crate::kinematics::Aerial), and the controller sends goals and receives their
-//! results.
+//! kinematics](crate::kinematics::Kinematics::Aerial), and the controller sends goals and receives
+//! their results.
 
 mod controller;
 mod formation;
 mod table;
 
-pub use controller::{RESULT_TIMEOUT_S, SwarmError, run_swarm};
-pub use formation::{Swarm, circles};
+pub use controller::run_swarm;
+pub use formation::{Swarm, SwarmError};
 pub use table::{SwarmResult, TABLE_HEADER};

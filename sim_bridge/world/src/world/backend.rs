@@ -1,9 +1,9 @@
 //! The world as a robot backend.
 
-use super::World;
 use super::location::RobotLocation;
 use super::preconditions::action_error;
 use super::sim_state::{ScheduledEvent, SimCommand};
+use super::simulation::World;
 use super::systems::people::PersonRequests;
 use super::systems::power::Battery;
 use consort_protocol::ids::RobotId;
@@ -22,8 +22,8 @@ impl World {
                 }
             }
             ScheduledEvent::Step => self.step(),
-            ScheduledEvent::SystemTimer(place, wake) => {
-                self.run_system(super::SystemIndex(place), |system, state| system.on_timer(state, wake));
+            ScheduledEvent::SystemTimer(index, wake) => {
+                self.run_system(index, |system, state| system.on_timer(state, wake));
             }
         }
     }
@@ -170,7 +170,6 @@ impl RobotBackend for World {
     }
 
     fn report(&self) -> serde_json::Value {
-        let (samples, people, doors) = (self.samples(), self.people(), self.doors());
-        serde_json::json!({ "time_s": self.state.now, "samples": samples, "people": people, "doors": doors })
+        serde_json::to_value(self.world_report()).expect("a report serializes to JSON")
     }
 }

@@ -1,12 +1,15 @@
 //! Building a world from a setup.
 
 use super::components::SimRobot;
-use super::goals::GoalHistory;
+use super::goal_history::GoalHistory;
 use super::location::{MapPosition, RobotLocation};
 use super::samples::{HandoverCount, HolderEntity, PayloadData};
-use super::setup::{Durations, RobotSetup, SetupError, SetupErrors, WorldLimits, WorldSetup};
+use super::setup::environment;
+use super::setup::{Durations, RobotSetup, SetupError, SetupErrors, WorldLimits, WorldSetup, default_step_s};
 use super::sim_state::SimState;
-use super::{World, environment_setup, systems};
+use super::simulation::World;
+use super::systems;
+use crate::map::Map;
 use consort_protocol::ids::PlaceId;
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
@@ -14,6 +17,18 @@ use std::ops::RangeInclusive;
 const SPEED_MPS: RangeInclusive<f64> = 0.001..=100.0;
 const RADIUS_M: RangeInclusive<f64> = 0.01..=10.0;
 const DURATION_S: RangeInclusive<f64> = 0.0..=86_400.0;
+
+impl WorldSetup {
+    /// An empty world with default durations and limits.
+    pub fn new(map: Map, seed: u64) -> Self {
+        let (durations, limits) = (Durations::default(), WorldLimits::default());
+        let systems = systems::system_names().map(str::to_owned).collect();
+        let (robots, people, objects) = (Vec::new(), Vec::new(), Vec::new());
+        let (doors, obstacles) = (Vec::new(), Vec::new());
+        let (step_s, wind) = (default_step_s(), None);
+        Self { map, robots, people, objects, doors, obstacles, seed, durations, limits, systems, step_s, wind }
+    }
+}
 
 impl World {
     /// Creates a world at time zero.
@@ -28,7 +43,7 @@ impl World {
         let systems = setup.systems.iter().filter_map(|name| systems::by_name(name)).collect();
         let mut state = SimState::new(setup.map.clone(), setup.durations, setup.limits, setup.step_s);
         state.insert_resource(HandoverCount::default());
-        let mut world = World { state, systems };
+        let mut world = World::with(state, systems);
         world.for_each_system(|system, state| system.init_world(state, &setup));
         for object in &setup.objects {
             let place = world.state.map.index(&object.place).expect("checked: the place is on the map");
@@ -67,7 +82,7 @@ fn check(setup: &WorldSetup) -> Vec<SetupError> {
     check_numbers(&setup.durations, &setup.limits, &mut errors);
     check_step(setup, &mut errors);
     check_systems(&setup.systems, &mut errors);
-    environment_setup::check(&setup.map, &setup.doors, &setup.obstacles, &mut errors);
+    environment::check(&setup.map, &setup.doors, &setup.obstacles, &mut errors);
     let mut seen = BTreeSet::new();
     for robot in &setup.robots {
         let subject = format!("robot {}", robot.id);
@@ -127,7 +142,7 @@ fn check_robot(robot: &RobotSetup, subject: &str, errors: &mut Vec<SetupError>) 
         });
     }
     for (field, value) in [("payload_max_kg", robot.payload_max_kg), ("reach_m", robot.reach_m)] {
-        environment_setup::check_non_negative(subject, field, value, errors);
+        environment::check_non_negative(subject, field, value, errors);
     }
     if !SPEED_MPS.contains(&robot.speed.get()) {
         let (field, allowed) = ("speed_mps", "a number from 0.001 to 100");

@@ -1,60 +1,15 @@
 //! Life cycle of a goal: started or rejected, active, ended, kept for a while.
 
-use super::event_log::WorldEvent;
-use super::event_queue::TimerId;
+use super::event::WorldEvent;
+use super::goal_history::{ActiveGoal, EndedGoal, GoalHistory};
 use super::preconditions::{action_error, goal_name};
 use super::sim_state::{ScheduledEvent, SimState};
-use super::{SystemIndex, World};
+use super::simulation::World;
+use super::system_access::SystemIndex;
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::{Metres, Seconds};
 use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, Feedback, Goal, GoalId, GoalStatus};
 use hecs::Entity;
-use std::collections::VecDeque;
-
-/// Goals of a robot: the active goal, and those that ended lately.
-#[derive(Default)]
-pub(crate) struct GoalHistory {
-    active: Option<ActiveGoal>,
-    ended: VecDeque<EndedGoal>,
-    /// Largest id no longer stored. An id that is not larger counts as a repetition.
-    dropped_up_to: Option<GoalId>,
-}
-
-struct ActiveGoal {
-    id: GoalId,
-    goal: Goal,
-    /// `None` for a goal that its system ends.
-    ends: Option<TimerId>,
-    /// The system that executes the goal.
-    system: SystemIndex,
-}
-
-struct EndedGoal {
-    id: GoalId,
-    goal: Goal,
-    status: GoalStatus,
-}
-
-impl GoalHistory {
-    /// Checks whether a goal is active.
-    pub(crate) fn is_busy(&self) -> bool {
-        self.active.is_some()
-    }
-
-    fn is_known(&self, id: GoalId) -> bool {
-        self.active.as_ref().is_some_and(|active| active.id == id)
-            || self.ended.iter().any(|ended| ended.id == id)
-            || self.dropped_up_to.is_some_and(|dropped_up_to| id <= dropped_up_to)
-    }
-
-    fn store(&mut self, ended: EndedGoal, kept: usize) {
-        self.ended.push_back(ended);
-        if self.ended.len() > kept {
-            let gone = self.ended.pop_front().map(|ended| ended.id);
-            self.dropped_up_to = self.dropped_up_to.max(gone);
-        }
-    }
-}
 
 impl World {
     /// Starts a goal, or rejects it. An id seen before changes nothing.
@@ -153,7 +108,7 @@ impl World {
                 let left = active.ends.map_or(0.0, |ends| ends.time - self.state.now);
                 let time_remaining = Seconds::new(left.max(0.0)).unwrap_or(Seconds::ZERO);
                 let usual = Feedback::remaining(Metres::ZERO, time_remaining);
-                let system = self.systems[active.system.0];
+                let system = self.system(active.system);
                 Some(GoalStatus::Executing(system.feedback(&self.state, robot, &active.goal, usual)))
             }
             _ => history.ended.iter().find(|ended| ended.id == id).map(|ended| ended.status.clone()),

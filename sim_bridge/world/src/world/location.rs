@@ -1,12 +1,9 @@
 //! Locations of robots, as functions of time.
 
-use super::sim_state::SimState;
-use super::systems::steering::Steered;
 use crate::kinematics::TrapezoidProfile;
 use crate::map::{Map, PlaceIndex};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Metres;
-use hecs::Entity;
 
 /// Position of a robot on the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -157,20 +154,5 @@ impl RobotLocation {
             RobotLocation::Standing { position: spot, .. } => *spot,
             RobotLocation::Driving(drive) => drive.map_position(time),
         }
-    }
-}
-
-impl SimState {
-    /// Checks whether a robot is moving now.
-    pub(crate) fn is_moving(&self, robot: Entity) -> bool {
-        let drives = match &*self.get::<RobotLocation>(robot) {
-            RobotLocation::Standing { .. } => false,
-            RobotLocation::Driving(drive) => drive.end_time() > self.now,
-        };
-        drives || self.find::<Steered>(robot).is_some_and(|steered| steered.model.is_moving())
-    }
-
-    pub(crate) fn map_position(&self, robot: Entity) -> MapPosition {
-        self.get::<RobotLocation>(robot).map_position(self.now)
     }
 }

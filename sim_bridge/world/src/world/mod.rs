@@ -56,9 +56,9 @@ mod backend;
 mod build;
 mod components;
 mod drive_progress;
-mod environment_setup;
-mod event_log;
+mod event;
 mod event_queue;
+mod goal_history;
 mod goals;
 mod location;
 mod motion_state;
@@ -69,88 +69,27 @@ mod routing;
 mod samples;
 mod sensing;
 mod setup;
-mod shared;
 mod sim_state;
+mod simulation;
 mod speed;
-mod spontaneous_action;
+mod steered;
 mod system;
+mod system_access;
 mod systems;
 #[cfg(test)]
 mod tests;
 
-pub use environment_setup::{DoorSetup, ObjectSetup, Obstacle};
-pub use event_log::{LoggedEvent, WorldEvent};
+pub use event::{LoggedEvent, SampleHolder, WorldEvent};
 pub(crate) use motion_state::{MotionState, MotionSummary};
 pub use names::{PersonName, SampleId};
 pub(crate) use preconditions::goal_name;
-pub use report::{DoorReport, PersonReport, RobotReport};
-pub use samples::{SampleHolder, SampleReport};
+pub use report::{DoorReport, PersonReport, RobotReport, WorldReport};
+pub use samples::SampleReport;
 pub use sensing::{DetectedObject, Detection, SensorReading};
 pub use setup::{
-    Durations, PersonSetup, RobotSetup, SetupError, SetupErrors, WindSettings, WorldLimits, WorldSetup,
-    default_radius_m, default_step_s,
+    DoorSetup, Durations, ObjectSetup, Obstacle, PersonAction, PersonSetup, PersonTrigger, RobotSetup, SetupError,
+    SetupErrors, SpontaneousAction, WindSettings, WorldLimits, WorldSetup, default_step_s,
 };
-pub use shared::SharedWorld;
-pub use spontaneous_action::{PersonAction, PersonTrigger, SpontaneousAction};
-pub use systems::power::{STOPPING_SHARE, default_idle_factor};
+pub use simulation::World;
+pub use systems::power::STOPPING_SHARE;
 pub use systems::system_names;
-
-use crate::map::Map;
-use sim_state::SimState;
-use system::System;
-
-/// A simulated world. Created by [`World::new`], driven through
-/// [`RobotBackend`](consort_skills::actions::RobotBackend).
-pub struct World {
-    state: SimState,
-    systems: Vec<&'static dyn System>,
-}
-
-/// Index of a system in a world.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct SystemIndex(usize);
-
-impl World {
-    /// The map.
-    pub fn map(&self) -> &Map {
-        &self.state.map
-    }
-
-    fn system_indices(&self) -> impl Iterator<Item = SystemIndex> + use<> {
-        (0..self.systems.len()).map(SystemIndex)
-    }
-
-    /// Runs `run` as the system with this index.
-    fn run_system<T>(&mut self, index: SystemIndex, run: impl FnOnce(&dyn System, &mut SimState) -> T) -> T {
-        let system = self.systems[index.0];
-        self.state.run_as_system(index.0, system, |state| run(system, state))
-    }
-
-    /// Runs `run` as each of the systems in turn.
-    fn for_each_system(&mut self, mut run: impl FnMut(&dyn System, &mut SimState)) {
-        for index in self.system_indices() {
-            self.run_system(index, &mut run);
-        }
-    }
-
-    /// Runs `run` as a given system on behalf of a caller from outside, if the system is part of
-    /// this world.
-    fn run_as(&mut self, caller: &dyn System, run: impl FnOnce(&mut SimState)) {
-        if let Some(place) = self.systems.iter().position(|system| system.name() == caller.name()) {
-            self.run_system(SystemIndex(place), |_, state| run(state));
-            self.process_commands_and_defer();
-        }
-    }
-}
-
-impl std::fmt::Debug for World {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("World")
-            .field("map", &self.state.map.name())
-            .field("now", &self.state.now)
-            .field("robots", &self.state.robots.len())
-            .field("people", &self.state.people.len())
-            .field("due", &self.state.queue.len())
-            .finish_non_exhaustive()
-    }
-}

@@ -1,8 +1,8 @@
 //! Current positions of robots, for displays and recordings.
 
-use super::World;
 use super::components::DepartureCount;
 use super::location::RobotLocation;
+use super::simulation::World;
 use crate::map::LevelIndex;
 use consort_protocol::ids::RobotId;
 use consort_protocol::pose::Pose;

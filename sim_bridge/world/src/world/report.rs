@@ -1,11 +1,29 @@
-//! Reports on robots, people and doors, for displays and checks.
+//! Reports on robots, people, doors, samples and events, for displays and checks.
 
 use super::components::{CoPresence, DrawerOpen, PersonInfo, SimRobot};
+use super::event::LoggedEvent;
 use super::names::{PersonName, SampleId};
-use super::samples::HolderEntity;
-use super::{RobotSetup, World};
+use super::samples::{HolderEntity, SampleReport};
+use super::setup::RobotSetup;
+use super::simulation::World;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
+use consort_protocol::units::WorldTime;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+/// State of a world, as served on `view/world`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct WorldReport {
+    /// World time, in seconds since the start of the world.
+    pub time_s: WorldTime,
+    /// Samples, in the order of their labels.
+    pub samples: Vec<SampleReport>,
+    /// People, in the order of their names.
+    pub people: Vec<PersonReport>,
+    /// Automatic doors, in the order of their names.
+    pub doors: Vec<DoorReport>,
+}
 
 /// State of a robot that its telemetry does not contain.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,7 +43,7 @@ pub struct RobotReport {
 }
 
 /// Current state of a person.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct PersonReport {
     /// Name.
     pub name: PersonName,
@@ -40,7 +58,7 @@ pub struct PersonReport {
 }
 
 /// Current state of an automatic door.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct DoorReport {
     /// Name on the map.
     pub name: String,
@@ -49,8 +67,18 @@ pub struct DoorReport {
 }
 
 impl World {
+    /// Returns the state of samples, people and doors.
+    pub fn world_report(&self) -> WorldReport {
+        WorldReport {
+            time_s: WorldTime::from_secs(self.state.now),
+            samples: self.samples(),
+            people: self.people(),
+            doors: self.doors(),
+        }
+    }
+
     /// Returns the setup of a robot, with its current speed; `None` for an unknown robot.
-    pub fn robot_setup(&self, robot: &RobotId) -> Option<RobotSetup> {
+    pub(crate) fn robot_setup(&self, robot: &RobotId) -> Option<RobotSetup> {
         self.state.robots.get(robot).map(|robot| self.state.get::<SimRobot>(*robot).0.clone())
     }
 
@@ -96,5 +124,26 @@ impl World {
     pub fn doors(&self) -> Vec<DoorReport> {
         let states = self.state.door_states().into_iter();
         states.map(|(name, state)| DoorReport { name, state: state.to_owned() }).collect()
+    }
+
+    /// Returns the holder of every sample.
+    pub fn samples(&self) -> Vec<SampleReport> {
+        self.state.samples.iter().map(|(id, sample)| self.state.sample_report(id, *sample)).collect()
+    }
+
+    /// Returns the holder of a sample; `None` for an unknown sample.
+    pub fn sample(&self, id: &SampleId) -> Option<SampleReport> {
+        self.state.samples.get(id).map(|sample| self.state.sample_report(id, *sample))
+    }
+
+    /// Returns and removes the logged events, oldest first.
+    pub fn drain_event_log(&mut self) -> Vec<LoggedEvent> {
+        self.state.event_log.drain()
+    }
+
+    /// Returns the events after the first `number` events of this world that are still in the log,
+    /// oldest first, and the number of events so far. The entries stay in the log.
+    pub(crate) fn events_after(&self, number: u64) -> (impl Iterator<Item = &LoggedEvent>, u64) {
+        self.state.event_log.after(number)
     }
 }

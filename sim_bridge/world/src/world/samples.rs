@@ -3,35 +3,21 @@
 //! Each sample stores its holder, and there is no other record. The content of a drawer, a hand or
 //! a table is derived from the samples, so a sample is never in two places.
 
-use super::World;
 use super::components::{PersonInfo, SampleLabel, SimRobot};
-use super::event_log::WorldEvent;
+use super::event::{SampleHolder, WorldEvent};
 use super::location::RobotLocation;
-use super::names::{PersonName, SampleId};
+use super::names::SampleId;
 use super::sim_state::SimState;
 use crate::map::PlaceIndex;
-use consort_protocol::ids::{PlaceId, RobotId};
+use consort_protocol::ids::PlaceId;
 use consort_protocol::units::WorldTime;
 use hecs::Entity;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Holder of a sample.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SampleHolder {
-    /// The table of a place.
-    Table(PlaceId),
-    /// A robot's drawer.
-    Drawer(RobotId),
-    /// A robot's arm.
-    Arm(RobotId),
-    /// A person.
-    Person(PersonName),
-}
-
 /// Current and earlier holders of a sample.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SampleReport {
     /// Sample.
     pub id: SampleId,
@@ -72,18 +58,6 @@ pub(crate) struct PayloadData {
 #[derive(Default)]
 pub(crate) struct HandoverCount(u64);
 
-impl World {
-    /// Returns the holder of every sample.
-    pub fn samples(&self) -> Vec<SampleReport> {
-        self.state.samples.iter().map(|(id, sample)| self.state.sample_report(id, *sample)).collect()
-    }
-
-    /// Returns the holder of a sample; `None` for an unknown sample.
-    pub fn sample(&self, id: &SampleId) -> Option<SampleReport> {
-        self.state.samples.get(id).map(|sample| self.state.sample_report(id, *sample))
-    }
-}
-
 impl SimState {
     /// Creates a sample with its first holder.
     pub(crate) fn spawn_sample(&mut self, id: SampleId, holder: HolderEntity, load: PayloadData) {
@@ -101,7 +75,7 @@ impl SimState {
         handovers.0
     }
 
-    fn sample_report(&self, id: &SampleId, sample: Entity) -> SampleReport {
+    pub(super) fn sample_report(&self, id: &SampleId, sample: Entity) -> SampleReport {
         let custody = self.get::<Custody>(sample);
         let earlier = custody.earlier.iter();
         SampleReport {

@@ -1,18 +1,17 @@
 //! Sensors of robots. A sensor costs nothing until it is read: a reading is computed from the
 //! current positions.
 
-use super::World;
 use super::components::{PersonInfo, SimRobot};
 use super::location::RobotLocation;
 use super::names::PersonName;
-use super::systems::steering::Steered;
+use super::simulation::World;
+use super::steered::Steered;
 use crate::space::{BodyGrid, Disc, Sensor};
 use consort_protocol::ids::RobotId;
 use consort_protocol::pose::Pose;
 use hecs::Entity;
 use nalgebra::{Isometry2, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 
 /// Reading of a sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -55,19 +54,10 @@ const CELL_M: f64 = 2.0;
 
 impl World {
     /// Returns the current readings of a robot's sensors, in the order of its setup; `None` for an
-    /// unknown robot. For many robots [`read_all_sensors`](World::read_all_sensors) is quicker.
+    /// unknown robot.
     pub fn read_sensors(&self, robot: &RobotId) -> Option<Vec<SensorReading>> {
         let own_index = self.state.robots.keys().position(|name| name == robot)?;
         Some(Scene::of(self).read(self, own_index, self.state.robots[robot]))
-    }
-
-    /// Returns the current readings of all robots with sensors. The work grows with the number of
-    /// robots and detections, not with the number of pairs.
-    pub fn read_all_sensors(&self) -> BTreeMap<RobotId, Vec<SensorReading>> {
-        let scene = Scene::of(self);
-        let robots = self.state.robots.iter().enumerate();
-        let with_sensors = robots.filter(|(_, (_, robot))| !self.state.get::<SimRobot>(**robot).0.sensors.is_empty());
-        with_sensors.map(|(own_index, (name, robot))| (name.clone(), scene.read(self, own_index, *robot))).collect()
     }
 }
 

@@ -3,17 +3,16 @@
 //! Systems access the world only through it. A system requests effects by commands. The commands
 //! are executed in turn once the system has returned, so no system calls another.
 
-use super::event_log::{EventLog, WorldEvent};
+use super::event::{EventLog, WorldEvent};
 use super::event_queue::{EventQueue, TimerId};
 use super::names::{PersonName, SampleId};
 use super::setup::{Durations, WorldLimits};
-use super::system::{ComponentType, System, SystemTimer};
+use super::system_access::{ComponentType, RunningSystem, SystemIndex, SystemTimer};
 use crate::map::Map;
 use crate::space::WallGrid;
 use consort_protocol::ids::RobotId;
 use consort_skills::actions::{ActionError, BackendEvent};
 use hecs::{Component, Entity, Fetch, Query, QueryMut, Ref, RefMut};
-use std::any::TypeId;
 use std::collections::{BTreeMap, VecDeque};
 
 /// An entry of the event queue.
@@ -22,8 +21,8 @@ pub(crate) enum ScheduledEvent {
     Emit(Box<BackendEvent>),
     /// A robot's goal ends.
     GoalEnds(Entity),
-    /// A timer of a system, given by its index in this world.
-    SystemTimer(usize, SystemTimer),
+    /// A timer of a system.
+    SystemTimer(SystemIndex, SystemTimer),
     /// A grid instant, at which the world steps.
     Step,
 }
@@ -38,14 +37,6 @@ pub(crate) enum SimCommand {
     AbortGoal(Entity, ActionError),
     /// Complete the active goal, if any.
     CompleteGoal(Entity),
-}
-
-/// The system that is running: its index in this world, and the components it may access.
-struct RunningSystem {
-    index: usize,
-    name: &'static str,
-    reads: Vec<ComponentType>,
-    writes: Vec<ComponentType>,
 }
 
 /// See the [module](self).
@@ -101,17 +92,9 @@ impl SimState {
         }
     }
 
-    /// Runs `work` as the system at index `index`. Only the components that the system declares can
-    /// be accessed.
-    pub(super) fn run_as_system<T>(
-        &mut self,
-        index: usize,
-        system: &dyn System,
-        work: impl FnOnce(&mut SimState) -> T,
-    ) -> T {
-        // The lists are only needed for the check.
-        let (reads, writes) = if cfg!(debug_assertions) { (system.reads(), system.writes()) } else { (vec![], vec![]) };
-        let previous = self.running.replace(RunningSystem { index, name: system.name(), reads, writes });
+    /// Runs `work` as a system. Only the components that the system declares can be accessed.
+    pub(super) fn run_as_system<T>(&mut self, running: RunningSystem, work: impl FnOnce(&mut SimState) -> T) -> T {
+        let previous = self.running.replace(running);
         let done = work(self);
         self.running = previous;
         done
@@ -240,21 +223,5 @@ impl SimState {
         if let Some(running) = self.running.as_ref().filter(|_| cfg!(debug_assertions)) {
             running.check(kind, writes);
         }
-    }
-}
-
-impl RunningSystem {
-    fn check(&self, kind: ComponentType, writes: bool) {
-        let allowed = self.writes.contains(&kind) || !writes && self.reads.contains(&kind);
-        let does = if writes { "writes" } else { "reads" };
-        assert!(allowed, "system {} {does} {}, which it does not declare", self.name, kind.name());
-    }
-
-    /// The same as [`check`](Self::check) where only the type's id is known.
-    fn check_id(&self, id: TypeId, writes: bool) {
-        let named = |component_types: &[ComponentType]| component_types.iter().any(|kind| kind.is(id));
-        let does = if writes { "writes" } else { "reads" };
-        let allowed = named(&self.writes) || !writes && named(&self.reads);
-        assert!(allowed, "system {} {does} a component of its query without declaring it", self.name);
     }
 }

@@ -1,8 +1,8 @@
 //! Changes of a robot's speed from outside: a crowd in the corridor, a worn tyre, a trial of an
 //! evaluation.
 
-use super::World;
 use super::components::SimRobot;
+use super::simulation::World;
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::MetresPerSecond;
 

@@ -17,54 +17,15 @@
 //!
 //! [`systems::ALL`]: super::systems::ALL
 
-use super::event_log::WorldEvent;
+use super::event::WorldEvent;
 use super::setup::{RobotSetup, WorldSetup};
 use super::sim_state::SimState;
+use super::system_access::{ComponentType, SystemTimer};
 use consort_skills::actions::{ActionError, Feedback, Goal, GoalId, PersonRequest};
-use hecs::{Component, Entity};
-use std::any::TypeId;
-
-/// Type of a component.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct ComponentType {
-    id: TypeId,
-    name: &'static str,
-}
-
-impl ComponentType {
-    /// Returns the component type of `T`.
-    pub(crate) fn of<T: Component>() -> ComponentType {
-        ComponentType { id: TypeId::of::<T>(), name: std::any::type_name::<T>() }
-    }
-
-    /// Checks whether this is the type with the given id.
-    pub(crate) fn is(self, id: TypeId) -> bool {
-        self.id == id
-    }
-
-    /// Name of the type, without its path.
-    pub(crate) fn name(self) -> &'static str {
-        self.name.rsplit("::").next().unwrap_or(self.name)
-    }
-}
-
-/// Expands to a list of [`ComponentType`]s.
-macro_rules! component_types {
-    ($($component:ty),* $(,)?) => { vec![$($crate::world::system::ComponentType::of::<$component>()),*] };
-}
-pub(crate) use component_types;
+use hecs::Entity;
 
 /// End time of a goal with an unknown end.
 pub(crate) const END_UNKNOWN: f64 = f64::INFINITY;
-
-/// A timer that a system scheduled for itself.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct SystemTimer {
-    /// The entity concerned.
-    pub(crate) entity: Entity,
-    /// Number by which the system distinguishes its timers.
-    pub(crate) number: u64,
-}
 
 /// One aspect of the world.
 pub(crate) trait System: Sync {

@@ -6,9 +6,10 @@ mod foxglove;
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WorldTime};
 use consort_skills::actions::{Goal, GoalId, RobotBackend, Waypoint};
+use consort_world::SharedWorld;
 use consort_world::map;
 use consort_world::record::{Recorder, RecordingOutputs};
-use consort_world::world::{PersonSetup, RobotSetup, SharedWorld, World, WorldSetup};
+use consort_world::world::{PersonSetup, RobotSetup, World, WorldSetup};
 use std::fs;
 use std::path::PathBuf;
 

@@ -3,9 +3,9 @@
 //!
 //! [`Registry::check`]: crate::bt::Registry::check
 
-use crate::bt::blueprint::{MAX_DEPTH, MAX_NODES};
+use crate::bt::checked_node::{MAX_DEPTH, MAX_NODES};
 use crate::bt::error::{TreeError, TreeErrorKind};
-use crate::bt::ports::{NodeKind, join_names};
+use crate::bt::manifest::{NodeKind, join_names};
 use crate::bt::spec::{NodeSpec, TreeSpec};
 use crate::xml;
 use roxmltree::Node;

@@ -1,6 +1,6 @@
 //! The XML writer. It adds the model of the registered leaves, so that editors have their ports.
 
-use crate::bt::ports::{NodeKind, NodeManifest, PortDirection, PortPresence, PortSpec};
+use crate::bt::manifest::{NodeKind, NodeManifest, PortDirection, PortPresence, PortSpec};
 use crate::bt::registry::Registry;
 use crate::bt::spec::{NodeSpec, TreeSpec};
 use std::fmt::Write;

@@ -17,6 +17,8 @@ mod signals;
 mod single_voter_change;
 mod under_lease;
 
+pub(super) use reference_ledger::ReferenceLedger;
+
 use crate::{Fleet, Observation};
 use consort_world::world::LoggedEvent;
 use std::time::Duration;

@@ -1,9 +1,8 @@
 //! Scheduled events, in the order of their processing.
 
-use super::publications::Publication;
-use super::{EntityId, Incarnation, NodeIndex};
+use super::publication::Publication;
 use crate::bus::Reply;
-use crate::virtual_bus::responder::QueryPart;
+use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex, QueryPart};
 use std::cmp::Ordering;
 use std::sync::Arc;
 use tokio::time::Instant;

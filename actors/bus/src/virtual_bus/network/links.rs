@@ -1,9 +1,10 @@
 //! Reachability between nodes, and latencies.
 
 use super::event_queue::Event;
-use super::{Network, NodeIndex};
-use crate::virtual_bus::LinkModel;
+use super::state::Network;
 use crate::virtual_bus::faults::Faults;
+use crate::virtual_bus::ids::NodeIndex;
+use crate::virtual_bus::link::LinkModel;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::KeyKind;
 use rand::RngExt;
@@ -11,13 +12,13 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 impl Network {
-    pub(in super::super) fn set_model(&mut self, model: LinkModel) {
+    pub(crate) fn set_model(&mut self, model: LinkModel) {
         self.model = model.validated();
         self.models.clear();
         self.refresh_models();
     }
 
-    pub(in super::super) fn set_model_between(&mut self, from: NodeId, to: NodeId, model: LinkModel) {
+    pub(crate) fn set_model_between(&mut self, from: NodeId, to: NodeId, model: LinkModel) {
         self.models.insert((from, to), model.validated());
         self.refresh_models();
     }
@@ -31,11 +32,11 @@ impl Network {
             .collect();
     }
 
-    pub(in super::super) fn set_lease(&mut self, lease: Duration) {
+    pub(crate) fn set_lease(&mut self, lease: Duration) {
         self.lease = lease;
     }
 
-    pub(in super::super) fn change_faults(&mut self, change: impl FnOnce(&mut Faults)) {
+    pub(crate) fn change_faults(&mut self, change: impl FnOnce(&mut Faults)) {
         change(&mut self.faults);
         self.refresh_reachability();
     }

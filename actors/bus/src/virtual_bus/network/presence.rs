@@ -1,29 +1,23 @@
 //! Presence: each node's delayed view of the tokens, and the notification of watchers.
 
 use super::event_queue::Event;
-use super::{EntityId, Incarnation, Network, NodeIndex};
+use super::presence_watch::PresenceWatch;
+use super::state::Network;
 use crate::bus::Presence;
+use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex};
 use std::collections::BTreeMap;
 use tokio::sync::mpsc::UnboundedSender;
 use zenoh_keyexpr::OwnedKeyExpr;
 
-pub(super) struct PresenceWatch {
-    pub(super) node: NodeIndex,
-    key_expr: OwnedKeyExpr,
-    mailbox: UnboundedSender<Presence>,
-    /// Number of known tokens per key.
-    present: BTreeMap<String, u32>,
-}
-
 impl Network {
-    pub(in super::super) fn announce(&mut self, incarnation: Incarnation, key: OwnedKeyExpr) -> EntityId {
+    pub(crate) fn announce(&mut self, incarnation: Incarnation, key: OwnedKeyExpr) -> EntityId {
         let id = self.next_id();
         self.nodes[incarnation.index].tokens.insert(id, key);
         self.send_presence_to_all(incarnation.index);
         id
     }
 
-    pub(in super::super) fn withdraw_token(&mut self, id: EntityId) {
+    pub(crate) fn withdraw_token(&mut self, id: EntityId) {
         let owner = self.nodes.iter_mut().position(|node| node.tokens.remove(&id).is_some());
         if let Some(index) = owner {
             self.send_presence_to_all(index);
@@ -43,7 +37,7 @@ impl Network {
         }
     }
 
-    pub(in super::super) fn watch(
+    pub(crate) fn watch(
         &mut self,
         incarnation: Incarnation,
         key_expr: OwnedKeyExpr,
@@ -60,7 +54,7 @@ impl Network {
         id
     }
 
-    pub(in super::super) fn stop_watching(&mut self, id: EntityId) {
+    pub(crate) fn stop_watching(&mut self, id: EntityId) {
         self.watches.remove(&id);
     }
 
@@ -95,25 +89,6 @@ impl Network {
         if peer.silent && peer.silence_changes == change {
             self.update_peer(at, of, false, BTreeMap::new());
             self.drop_parts(at, of, |_| true);
-        }
-    }
-}
-
-impl PresenceWatch {
-    fn update(&mut self, key: &OwnedKeyExpr, alive: bool) {
-        if !self.key_expr.intersects(key) {
-            return;
-        }
-        let count = self.present.entry(key.to_string()).or_insert(0);
-        let before = *count;
-        *count = if alive { before + 1 } else { before.saturating_sub(1) };
-        let after = *count;
-        if after == 0 {
-            self.present.remove(key.as_str());
-        }
-        if (before == 0) != (after == 0) {
-            // The watcher may be gone: ignore the error.
-            let _ = self.mailbox.send(Presence { key: key.to_string(), alive });
         }
     }
 }

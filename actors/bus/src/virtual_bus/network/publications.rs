@@ -2,9 +2,11 @@
 //! all subscribers of the node.
 
 use super::event_queue::Event;
-use super::routing_table::{Declaration, Route};
-use super::{EntityId, Incarnation, Network, NodeIndex};
+use super::publication::{EARLIEST_ARRIVALS_MIN, Publication};
+use super::routing_table::Declaration;
+use super::state::Network;
 use crate::bus::Sample;
+use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex};
 use rand::RngExt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,29 +14,13 @@ use tokio::sync::mpsc::UnboundedSender;
 use tokio::time::Instant;
 use zenoh_keyexpr::OwnedKeyExpr;
 
-/// Number of entries in [`Network::earliest_arrivals`] before past entries are removed.
-pub(super) const EARLIEST_ARRIVALS_MIN: usize = 4_096;
-
-/// A publication in transit, shared by all its receivers.
-pub(super) struct Publication {
-    sample: Sample,
-    route: Arc<Route>,
-    edition: u64,
-}
-
-impl Publication {
-    fn bytes(&self) -> usize {
-        self.route.key.len() + self.sample.payload.len() + self.sample.attachment.len()
-    }
-}
-
 impl Network {
     /// Returns the key if it was used recently, and hence is known to be valid.
-    pub(in super::super) fn cached_key(&self, key: &str) -> Option<OwnedKeyExpr> {
+    pub(crate) fn cached_key(&self, key: &str) -> Option<OwnedKeyExpr> {
         self.subscriptions.cached_route(key).map(|route| route.key.clone())
     }
 
-    pub(in super::super) fn subscribe(
+    pub(crate) fn subscribe(
         &mut self,
         incarnation: Incarnation,
         key_expr: OwnedKeyExpr,
@@ -45,11 +31,11 @@ impl Network {
         id
     }
 
-    pub(in super::super) fn unsubscribe(&mut self, id: EntityId) {
+    pub(crate) fn unsubscribe(&mut self, id: EntityId) {
         self.subscriptions.remove(id);
     }
 
-    pub(in super::super) fn publish(&mut self, incarnation: Incarnation, key: &OwnedKeyExpr, sample: Sample) {
+    pub(crate) fn publish(&mut self, incarnation: Incarnation, key: &OwnedKeyExpr, sample: Sample) {
         let from = incarnation.index;
         let route = self.subscriptions.route(key);
         if route.targets.is_empty() {

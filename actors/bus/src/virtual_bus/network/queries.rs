@@ -1,12 +1,13 @@
 //! Queries: a part per service, which ends when the service drops its replier.
 
 use super::event_queue::Event;
+use super::pending_query::{PendingQuery, QueryPartState};
 use super::routing_table::Declaration;
-use super::{EntityId, Incarnation, Network, NodeIndex};
+use super::state::Network;
 use crate::bus::{Query, Reply, ServiceSelection};
-use crate::virtual_bus::responder::{QueryPart, VirtualReplier};
+use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex, QueryPart};
+use crate::virtual_bus::responder::{QueryRequest, VirtualReplier};
 use bytes::Bytes;
-use consort_protocol::keys::KeyKind;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,56 +15,13 @@ use tokio::sync::mpsc::UnboundedSender;
 use tokio::time::Instant;
 use zenoh_keyexpr::OwnedKeyExpr;
 
-/// A query that has not ended.
-pub(super) struct PendingQuery {
-    pub(super) requester: NodeIndex,
-    replies: UnboundedSender<Reply>,
-    /// Latest reply per key, delivered at the end. Only for queries with a single reply per key.
-    latest: Option<BTreeMap<String, Reply>>,
-    request: Arc<QueryRequest>,
-    kind: KeyKind,
-    /// Parts, by id of the service.
-    parts: BTreeMap<EntityId, QueryPartState>,
-}
-
-impl Drop for PendingQuery {
-    fn drop(&mut self) {
-        for (_, reply) in self.latest.take().unwrap_or_default() {
-            // The receiver may be gone: ignore the error.
-            let _ = self.replies.send(reply);
-        }
-    }
-}
-
-pub(in super::super) struct QueryRequest {
-    pub(in super::super) key_expr: OwnedKeyExpr,
-    pub(in super::super) parameters: String,
-    pub(in super::super) payload: Bytes,
-    pub(in super::super) attachment: Bytes,
-}
-
-impl QueryRequest {
-    fn bytes(&self) -> usize {
-        self.key_expr.len() + self.parameters.len() + self.payload.len() + self.attachment.len()
-    }
-}
-
-/// State of a service's part in a query.
-pub(super) struct QueryPartState {
-    pub(super) service: Incarnation,
-    /// A message of this part was lost, so all later messages are lost as well.
-    broken: bool,
-    /// Arrival time of the latest reply; no reply arrives earlier.
-    earliest: Instant,
-}
-
 /// Returns the size of a reply in bytes.
 fn size(reply: &Reply) -> usize {
-    reply.key.len() + reply.payload.as_ref().map_or_else(String::len, Bytes::len) + reply.attachment.len()
+    reply.key.len() + reply.payload.as_ref().map_or_else(|refused| refused.0.len(), Bytes::len) + reply.attachment.len()
 }
 
 impl Network {
-    pub(in super::super) fn serve(
+    pub(crate) fn serve(
         &mut self,
         incarnation: Incarnation,
         key_expr: OwnedKeyExpr,
@@ -75,11 +33,11 @@ impl Network {
         id
     }
 
-    pub(in super::super) fn stop_serving(&mut self, id: EntityId) {
+    pub(crate) fn stop_serving(&mut self, id: EntityId) {
         self.services.remove(id);
     }
 
-    pub(in super::super) fn query(
+    pub(crate) fn query(
         &mut self,
         incarnation: Incarnation,
         request: QueryRequest,
@@ -128,17 +86,17 @@ impl Network {
         query
     }
 
-    pub(in super::super) fn cancel_query(&mut self, query: EntityId) {
+    pub(crate) fn cancel_query(&mut self, query: EntityId) {
         self.queries.remove(&query);
     }
 
-    pub(in super::super) fn reply(&mut self, part: QueryPart, reply: Reply) {
+    pub(crate) fn reply(&mut self, part: QueryPart, reply: Reply) {
         if let Some((from, to, due)) = self.transmit_from_service(part, Some(size(&reply))) {
             self.schedule(due, Event::Reply { from, to, part, reply });
         }
     }
 
-    pub(in super::super) fn finish_part(&mut self, part: QueryPart) {
+    pub(crate) fn finish_part(&mut self, part: QueryPart) {
         if let Some((from, to, due)) = self.transmit_from_service(part, None) {
             self.schedule(due, Event::Finished { from, to, part });
         }
@@ -188,7 +146,12 @@ impl Network {
             parameters: request.parameters.clone(),
             payload: request.payload.clone(),
             attachment: request.attachment.clone(),
-            replier: Box::new(VirtualReplier::new(self.shared.clone(), part, to, Arc::clone(&request))),
+            replier: Box::new(VirtualReplier {
+                sink: self.sink.clone(),
+                part,
+                incarnation: to,
+                request: Arc::clone(&request),
+            }),
         };
         let delivered = service.mailbox.send(query).is_ok();
         self.count_received(from, to.index, kind, request.bytes());
@@ -200,7 +163,7 @@ impl Network {
         let Some(query) = self.queries.get_mut(&part.query) else { return self.count_delivery(false) };
         let content = match &reply.payload {
             Ok(payload) => payload.clone(),
-            Err(reason) => Bytes::copy_from_slice(reason.as_bytes()),
+            Err(refused) => Bytes::copy_from_slice(refused.0.as_bytes()),
         };
         let bytes = size(&reply);
         let kind = query.kind;

@@ -1,6 +1,6 @@
 //! Matching of declarations to keys, cached per key.
 
-use super::{EntityId, NodeIndex};
+use crate::virtual_bus::ids::{EntityId, NodeIndex};
 use consort_protocol::keys::KeyKind;
 use std::collections::{BTreeMap, HashMap};
 use std::hash::{DefaultHasher, Hash, Hasher};

@@ -1,11 +1,12 @@
 use super::*;
 use consort_protocol::auction::{AuctionId, AuctionRecord};
-use consort_protocol::ids::{RequestId, RoleId};
+use consort_protocol::ids::{MissionId, RequestId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{RecoveryBranch, Submission};
 use consort_protocol::message::TaskFailure;
-use consort_protocol::mission::{Domain, Format, MissionTemplate};
+use consort_protocol::mission::{Format, MissionTemplate};
 use consort_protocol::plan::divide_and_check;
+use consort_skills::domain::hospital;
 use std::collections::BTreeSet;
 
 /// The nurse has a plan in both branches: she inserts a sample, and another sample if the first is
@@ -28,7 +29,7 @@ fn nurse() -> RoleId {
 /// Ledger with the mission in progress; `lost` means that the sample is lost in the drawer of `r1`.
 fn ledger(lost: bool) -> (Ledger, MissionId) {
     let template = MissionTemplate::parse(MISSION, Format::Json).unwrap();
-    let (mission, recovery) = template.instantiate_with_recovery(&BTreeMap::new(), &Domain::hospital()).unwrap();
+    let (mission, recovery) = template.instantiate_with_recovery(&BTreeMap::new(), &hospital()).unwrap();
     let division = divide_and_check(&mission).unwrap();
     let recovery = recovery.map(|mission| RecoveryBranch { division: divide_and_check(&mission).unwrap(), mission });
     let mut ledger = Ledger::default();

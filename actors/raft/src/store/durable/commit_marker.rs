@@ -10,7 +10,7 @@
 //! Two slots are written in turn, each within a sector of its own, so that at least one of them is
 //! always complete.
 
-use crate::StoreIdentity;
+use crate::log_store::StoreIdentity;
 use redb::StorageBackend;
 use std::fmt::{self, Debug};
 use std::io;

@@ -1,10 +1,10 @@
 //! Data directory of a node: its lock, and the creation of its files.
 
 use super::commit_marker::{CommitMarker, MarkerRecord};
+use super::layout::{COMMIT_MARKER_FILE, LEDGER_FILE, LOCK_FILE, StoreOwner};
 use super::ledger_file::LedgerFile;
-use super::open::OpenError;
-use super::{COMMIT_MARKER_FILE, LEDGER_FILE, LOCK_FILE, StoreOwner};
-use crate::StoreIdentity;
+use super::open_error::OpenError;
+use crate::log_store::StoreIdentity;
 use redb::backends::FileBackend;
 use std::fs::{self, File, TryLockError};
 use std::io;

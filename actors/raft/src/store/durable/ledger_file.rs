@@ -5,8 +5,8 @@
 //! or not at all. `redb` keeps a checksum of every page in the parent page; opening the file
 //! verifies all of them.
 
-use super::StoreOwner;
-use crate::{PersistentState, StoreIdentity};
+use super::layout::StoreOwner;
+use crate::log_store::{PersistentState, StoreIdentity};
 use consort_protocol::ids::{FleetId, NodeId};
 use redb::{Database, ReadableDatabase, ReadableTable, StorageBackend, Table, TableDefinition};
 use std::io;

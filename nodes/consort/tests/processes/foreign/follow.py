@@ -1,8 +1,8 @@
-"""A client of a fleet with eclipse-zenoh and nothing of ours: looks, asks for a mission, and follows it to its end.
+"""A client of a fleet with eclipse-zenoh and no other library: queries views, requests a mission, and follows it to its end.
 
     python follow.py tcp/127.0.0.1:7447 FLEET
 
-Tells what it does in lines; after `running` somebody may kill the coordinator.
+Prints a line per step; after `running` the test may kill the coordinator.
 """
 
 import json
@@ -16,18 +16,18 @@ ADDRESS, FLEET = sys.argv[1:3]
 LIMIT = 90.0
 
 
-def say(*words):
+def report(*words):
     print(*words, flush=True)
 
 
-def until(what, look):
+def until(condition, check):
     end = time.monotonic() + LIMIT
     while time.monotonic() < end:
-        found = look()
+        found = check()
         if found:
             return found
         time.sleep(0.05)
-    sys.exit(f"in vain: {what}")
+    sys.exit(f"not within {LIMIT} s: {condition}")
 
 
 config = zenoh.Config()
@@ -37,30 +37,30 @@ with zenoh.open(config) as session:
     base = f"consort/{FLEET}"
 
     def get(key, payload=None):
-        """The answers by key; every setting is as Zenoh has it."""
-        answers = {}
+        """Returns the replies by key, with the default settings of Zenoh."""
+        replies = {}
         for reply in session.get(f"{base}/{key}", payload=payload):
             if reply.ok:
                 name = str(reply.ok.key_expr).removeprefix(base + "/")
-                assert name not in answers, f"{name} was answered twice"
+                assert name not in replies, f"{name} has two replies"
                 assert reply.ok.encoding == zenoh.Encoding.APPLICATION_JSON, reply.ok.encoding
-                answers[name] = json.loads(reply.ok.payload.to_string())
-        return answers
+                replies[name] = json.loads(reply.ok.payload.to_string())
+        return replies
 
     def view(name):
         return get(f"view/{name}").get(f"view/{name}")
 
     def request(call, **payload):
-        """Made again as long as it is asked for: the request has a name, so it is done once."""
+        """Repeats a request until it is acknowledged: it has a name, so it is executed once."""
 
-        def answer():
-            said = get(f"api/{call}", json.dumps(payload)).get(f"api/{call}")
-            return said if said and "retry_after_ms" not in said else None
+        def acknowledged():
+            reply = get(f"api/{call}", json.dumps(payload)).get(f"api/{call}")
+            return reply if reply and "retry_after_ms" not in reply else None
 
-        return until(f"an answer to {call}", answer)
+        return until(f"a reply to {call}", acknowledged)
 
-    heard = queue.Queue()
-    subscriber = session.declare_subscriber(f"{base}/events/**", heard.put)
+    events = queue.Queue()
+    subscriber = session.declare_subscriber(f"{base}/events/**", events.put)
 
     coordinator = until("a coordinator", lambda: (view("coordinator") or {}).get("node"))
     until("two members", lambda: len(view("ensembles")["ensembles"][0]["members"]) == 2)
@@ -71,30 +71,30 @@ with zenoh.open(config) as session:
     names = ["auctions", "coordinator", "ensembles", "fleet", "health", "map", "missions", "world"]
     assert all(f"view/{name}" in views for name in names), views.keys()
     assert all("seen_by" in view and "age_ms" in view for view in views.values())
-    say("coordinator", coordinator)
+    report("coordinator", coordinator)
 
     help = {call["call"]: call for call in get("api/help")["api/help"]["calls"]}
     assert help["submit"]["payload_schema"]["required"] == ["mission"], help["submit"]
-    wrong = request("submit", mission="lab-samples", priority="high")
-    assert wrong["error"].startswith("priority is a string; allowed is integer"), wrong
-    asked = {"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "python-1"}
-    mission = request("submit", **asked)["mission"]
-    say("mission", mission)
+    rejected = request("submit", mission="lab-samples", priority="high")
+    assert rejected["error"].startswith("priority is a string; allowed is integer"), rejected
+    order = {"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "python-1"}
+    mission = request("submit", **order)["mission"]
+    report("mission", mission)
     until("the mission runs", lambda: request("get", mission=mission)["state"] == "running")
-    say("running")
+    report("running")
 
-    # Whatever happens to the coordinator: events go on, and views are answered.
+    # Events and views continue without the coordinator.
     last = {}
     state, elected, slowest = None, None, 0.0
     end = time.monotonic() + LIMIT
     while state != "completed":
         assert time.monotonic() < end, f"{mission} is {state}"
         began = time.monotonic()
-        seen = view("missions")
+        missions = view("missions")
         slowest = max(slowest, time.monotonic() - began)
-        assert seen and seen["missions"][0]["mission"] == mission, seen
-        while not heard.empty():
-            sample = heard.get()
+        assert missions and missions["missions"][0]["mission"] == mission, missions
+        while not events.empty():
+            sample = events.get()
             event = json.loads(sample.payload.to_string())
             assert str(sample.key_expr) == f"{base}/events/{event['node']}", sample.key_expr
             assert event["sequence"] == last.get(event["node"], event["sequence"] - 1) + 1, f"a gap: {event}"
@@ -104,10 +104,10 @@ with zenoh.open(config) as session:
             if event["event"] == "mission" and event["mission"] == mission:
                 state = event["state"]
         time.sleep(0.05)
-    assert request("submit", **asked) == {"mission": mission, "again": True}
+    assert request("submit", **order) == {"mission": mission, "again": True}
     assert request("get", mission=mission)["tree"]["state"] == "done"
     for line in request("explain", mission=mission)["text"]:
-        say("explain", line)
-    assert elected, "nobody was elected in the place of the coordinator"
+        report("explain", line)
+    assert elected, "no successor was elected"
     assert slowest < 5.0, f"a view took {slowest} s"
-    say("completed", elected)
+    report("completed", elected)

@@ -1,4 +1,4 @@
-"""Reads a recording with the library of the format's makers, and tells what is in it as JSON."""
+"""Reads a recording with the library of the authors of the format, and prints its contents as JSON."""
 
 import json
 import sys
@@ -12,10 +12,10 @@ with open(sys.argv[1], "rb") as file:
     latest = 0
     for schema, channel, message in reader.iter_messages():
         data = json.loads(message.data)
-        described = json.loads(schema.data)
+        definition = json.loads(schema.data)
         assert schema.encoding == "jsonschema" and channel.message_encoding == "json", channel
-        assert described["title"] == schema.name and described["type"] == "object", schema.name
-        missing = [name for name in described["required"] if name not in data]
+        assert definition["title"] == schema.name and definition["type"] == "object", schema.name
+        missing = [name for name in definition["required"] if name not in data]
         assert not missing, f"{channel.topic}: {missing} of {data}"
         assert latest <= message.log_time, f"{channel.topic}: time goes back"
         latest = message.log_time

@@ -1,11 +1,10 @@
 #!/usr/bin/env bash
-# Puts Zenoh's own router, zenohd, and its REST plug-in into a folder, both of the version that Consort speaks:
+# Builds Zenoh's router, zenohd, and its REST plug-in into a folder, both of the version that Consort uses:
 #
-#     nodes/consort/tests/processes/foreign/router.sh [FOLDER]      # by default where the tests look for them
+#     nodes/consort/tests/processes/foreign/router.sh [FOLDER]      # default: the folder in which the tests expect them
 #
-# A router takes a plug-in only if one compiler has built both, with one set of features of zenoh inside. So their published
-# sources become two members of one workspace, which is built at once; shared crates are of the versions that Consort's
-# Cargo.lock names.
+# A router loads a plug-in only if the same compiler has built both, with the same features of zenoh. So the published sources
+# become two members of a workspace, which is built at once. Shared crates have the versions of Consort's Cargo.lock.
 set -euo pipefail
 checkout=$(cd "$(dirname "$0")/../../.." && pwd)
 folder=${1:-${CARGO_TARGET_DIR:-$checkout/target}/tmp/foreign-router}
@@ -14,7 +13,7 @@ version=$(sed -n '/^name = "zenoh"$/{n;s/version = "\(.*\)"/\1/p;}' "$checkout/C
 mkdir -p "$folder/sources/fetched/src"
 cd "$folder/sources"
 
-# Cargo unpacks what it fetches. It warns that zenohd has no library, which nobody wants of it here.
+# Cargo unpacks the fetched sources. Its warning that zenohd has no library does not matter here.
 cat >fetched/Cargo.toml <<END
 [package]
 name = "fetched"
@@ -42,7 +41,7 @@ exclude = ["fetched"]
 END
 cp "$checkout/Cargo.lock" .
 
-# A router that carries a test's messages need not be quick, but should be there soon.
+# The build time of a router for tests matters more than its speed.
 export CARGO_TARGET_DIR=$folder/sources/target CARGO_INCREMENTAL=0 CARGO_PROFILE_DEV_DEBUG=0
 cargo build --package zenohd --package zenoh-plugin-rest \
     --no-default-features --features zenoh/transport_tcp,zenoh-plugin-rest/dynamic_plugin

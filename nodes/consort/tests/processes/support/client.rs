@@ -1,6 +1,6 @@
 //! A plain Zenoh client with default settings and the address of a node.
 
-use super::until;
+use super::{LONG, until};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -16,7 +16,7 @@ use zenoh::{Config, Session, Wait};
 pub(crate) struct Client {
     session: Session,
     events: Subscriber<FifoChannelHandler<Sample>>,
-    heard: Vec<Value>,
+    received: Vec<Value>,
     fleet: &'static str,
 }
 
@@ -47,39 +47,37 @@ impl Client {
     /// Same, with a certificate for a closed fleet.
     pub(crate) fn open_with(address: &str, fleet: &'static str, certs: Option<&Path>) -> Client {
         let config = config(address, certs);
-        let session = until(&format!("a connection to {address}"), Duration::from_secs(20), || {
-            zenoh::open(config.clone()).wait().ok()
-        });
+        let session = until(&format!("a connection to {address}"), LONG, || zenoh::open(config.clone()).wait().ok());
         // Zenoh's default queue holds 256 samples and blocks the sender when it is full.
         let events = session.declare_subscriber(format!("consort/{fleet}/events/**"));
         let events = events.with(zenoh::handlers::FifoChannel::new(8192)).wait().expect("events can be followed");
-        Client { session, events, heard: vec![], fleet }
+        Client { session, events, received: vec![], fleet }
     }
 
     /// Returns the replies on `consort/{fleet}/{key}` by their keys without `consort/{fleet}/`.
     /// Views use the default query target of Zenoh; requests return the replies of all nodes.
     pub(crate) fn all(&self, key: &str, payload: &str) -> Vec<(String, Value)> {
         let prefix = format!("consort/{}/", self.fleet);
-        let asked = self.session.get(format!("{prefix}{key}")).payload(payload).timeout(Duration::from_secs(5));
-        let asked = match key.starts_with("view/") {
-            true => asked,
-            false => asked.target(QueryTarget::All).consolidation(ConsolidationMode::None),
+        let query = self.session.get(format!("{prefix}{key}")).payload(payload).timeout(Duration::from_secs(5));
+        let query = match key.starts_with("view/") {
+            true => query,
+            false => query.target(QueryTarget::All).consolidation(ConsolidationMode::None),
         };
-        self.hear(key, asked.wait().expect("a query can be sent"))
+        self.collect_json(key, query.wait().expect("a query can be sent"))
     }
 
     /// Queries all nodes with otherwise default settings.
-    pub(crate) fn asked_of_all_nodes(&self, key: &str) -> Vec<(String, Value)> {
-        let asked = self.session.get(format!("consort/{}/{key}", self.fleet)).target(QueryTarget::All);
-        self.hear(key, asked.wait().expect("a query can be sent"))
+    pub(crate) fn query_all_nodes(&self, key: &str) -> Vec<(String, Value)> {
+        let query = self.session.get(format!("consort/{}/{key}", self.fleet)).target(QueryTarget::All);
+        self.collect_json(key, query.wait().expect("a query can be sent"))
     }
 
-    fn hear(&self, key: &str, answers: FifoChannelHandler<Reply>) -> Vec<(String, Value)> {
+    fn collect_json(&self, key: &str, replies: FifoChannelHandler<Reply>) -> Vec<(String, Value)> {
         let prefix = format!("consort/{}/", self.fleet);
         let mut all = vec![];
-        while let Ok(answer) = answers.recv() {
+        while let Ok(reply) = replies.recv() {
             // A query to a node that is being killed may time out; this is no reply.
-            let Ok(sample) = answer.into_result() else { continue };
+            let Ok(sample) = reply.into_result() else { continue };
             assert_eq!(
                 *sample.encoding(),
                 Encoding::APPLICATION_JSON,
@@ -96,28 +94,28 @@ impl Client {
 
     /// Waits for the reply to a query: a single reply, on the same key. Replies that ask for a
     /// retry are ignored.
-    pub(crate) fn ask(&self, key: &str, payload: &str) -> Value {
-        let answers = until(&format!("a reply on {key}"), Duration::from_secs(20), || {
+    pub(crate) fn request(&self, key: &str, payload: &str) -> Value {
+        let replies = until(&format!("a reply on {key}"), LONG, || {
             let mut all = self.all(key, payload);
             all.retain(|(_, value)| value.get("retry_after_ms").is_none());
             (!all.is_empty()).then_some(all)
         });
-        let [(from, value)] = &answers[..] else { panic!("{key} has more than one reply: {answers:#?}") };
+        let [(from, value)] = &replies[..] else { panic!("{key} has more than one reply: {replies:#?}") };
         assert_eq!(from, key);
         value.clone()
     }
 
     /// Returns a view.
     pub(crate) fn view(&self, key: &str) -> Value {
-        self.ask(&format!("view/{key}"), "")
+        self.request(&format!("view/{key}"), "")
     }
 
     /// Returns a view with default query settings.
     pub(crate) fn view_by_default(&self, key: &str) -> Value {
-        let answers = self.session.get(format!("consort/{}/view/{key}", self.fleet)).wait().expect("a question");
-        let answers: Vec<_> = std::iter::from_fn(|| answers.recv().ok()).collect();
-        let [answer] = &answers[..] else { panic!("{} replies on view/{key}", answers.len()) };
-        let sample = answer.result().unwrap_or_else(|problem| panic!("view/{key}: {problem:?}"));
+        let replies = self.session.get(format!("consort/{}/view/{key}", self.fleet)).wait().expect("a question");
+        let replies: Vec<_> = std::iter::from_fn(|| replies.recv().ok()).collect();
+        let [reply] = &replies[..] else { panic!("{} replies on view/{key}", replies.len()) };
+        let sample = reply.result().unwrap_or_else(|problem| panic!("view/{key}: {problem:?}"));
         serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON")
     }
 
@@ -134,14 +132,14 @@ impl Client {
     pub(crate) fn events(&mut self) -> &[Value] {
         while let Ok(Some(sample)) = self.events.try_recv() {
             assert_eq!(*sample.encoding(), Encoding::APPLICATION_JSON, "of an event");
-            self.heard.push(serde_json::from_slice(&sample.payload().to_bytes()).expect("an event is JSON"));
+            self.received.push(serde_json::from_slice(&sample.payload().to_bytes()).expect("an event is JSON"));
         }
-        &self.heard
+        &self.received
     }
 
     /// Waits for the first matching event.
-    pub(crate) fn hears(&mut self, what: &str, limit: Duration, is_it: impl Fn(&Value) -> bool) -> Value {
-        until(what, limit, || self.events().iter().find(|event| is_it(event)).cloned())
+    pub(crate) fn wait_for_event(&mut self, what: &str, limit: Duration, is_match: impl Fn(&Value) -> bool) -> Value {
+        until(what, limit, || self.events().iter().find(|event| is_match(event)).cloned())
     }
 
     /// Counts, by `ROLE/TASK`, how often each task of a mission began and ended.
@@ -156,7 +154,7 @@ impl Drop for Client {
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.events();
-            let last = self.heard.iter().rev().take(40).rev().map(Value::to_string);
+            let last = self.received.iter().rev().take(40).rev().map(Value::to_string);
             eprintln!("--- the last events received\n{}", last.collect::<Vec<_>>().join("\n"));
             for (key, view) in self.all("view/**", "") {
                 eprintln!("--- {key}\n{view}");

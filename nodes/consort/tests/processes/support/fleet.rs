@@ -1,15 +1,8 @@
 //! A fleet with a process per node, from the example files.
 
-use super::{Ended, Folder, Program, until};
+use super::{Ended, Folder, LONG, Program, until};
 use std::collections::BTreeMap;
-use std::time::Duration;
 use toml::Table;
-
-/// Limit for a node to open its port.
-const OPEN_LIMIT: Duration = Duration::from_secs(30);
-
-/// Limit for a command that queries a fleet.
-const ANSWER_LIMIT: Duration = Duration::from_secs(60);
 
 /// Returns an example file for changes.
 pub(crate) fn example(kind: &str) -> Table {
@@ -28,9 +21,6 @@ pub(crate) fn example(kind: &str) -> Table {
     table.remove("calibration");
     table
 }
-
-/// Limit for a node to shut down.
-const END_LIMIT: Duration = Duration::from_secs(20);
 
 /// Program prefix and arguments of a node.
 type Line = (Vec<String>, Vec<String>);
@@ -84,8 +74,8 @@ impl Fleet {
         node.insert("bus".to_owned(), bus.into());
         let file = self.folder.write(&format!("{name}.toml"), &node.to_string());
         let file = file.display().to_string();
-        let own = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
-        let line = (own(by), own(&[kind, "--config", &file, "--until-stdin-closes"]));
+        let owned = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
+        let line = (owned(by), owned(&[kind, "--config", &file, "--until-stdin-closes"]));
         self.lines.insert(name.clone(), line);
         self.start_again(&name);
     }
@@ -121,10 +111,10 @@ impl Fleet {
             return address.clone();
         }
         let node = self.nodes.get_mut(name).expect("a node of this fleet");
-        let address = until(&format!("{name} logs its address"), OPEN_LIMIT, || {
-            let said = node.stderr();
-            assert!(!node.has_ended(), "{name} has ended:\n{said}");
-            let (_, rest) = said.split_once("listening=\"")?;
+        let address = until(&format!("{name} logs its address"), LONG, || {
+            let log = node.stderr();
+            assert!(!node.has_ended(), "{name} has ended:\n{log}");
+            let (_, rest) = log.split_once("listening=\"")?;
             let (address, _) = rest.split_once(['"', ','])?;
             Some(address.to_owned())
         });
@@ -134,7 +124,7 @@ impl Fleet {
 
     /// Removes a node that was told to end, and waits for its clean shutdown.
     pub(crate) fn ends(&mut self, name: &str) -> Ended {
-        well(self.take(name))
+        check_clean_shutdown(self.take(name))
     }
 
     /// Ends the process of a node with SIGKILL.
@@ -164,12 +154,12 @@ impl Fleet {
     /// Runs a command without a connection.
     pub(crate) fn tool(&mut self, arguments: &[&str]) -> Ended {
         self.commands += 1;
-        Program::start(&self.folder, &format!("tool-{}", self.commands), arguments).end(ANSWER_LIMIT)
+        Program::start(&self.folder, &format!("tool-{}", self.commands), arguments).end(LONG)
     }
 
     /// Runs a command that queries the fleet.
     pub(crate) fn run(&mut self, arguments: &[&str], by: &str) -> Ended {
-        self.begin(arguments, by).end(ANSWER_LIMIT)
+        self.begin(arguments, by).end(LONG)
     }
 
     /// Stops all nodes and waits for their clean shutdown.
@@ -182,9 +172,9 @@ impl Fleet {
             node.signal("TERM");
         }
         for (_, node) in std::mem::take(&mut self.nodes) {
-            well(node);
+            check_clean_shutdown(node);
         }
-        self.folder.await_no_process(Duration::from_secs(5));
+        self.folder.await_no_process();
     }
 
     /// Returns the logs of all nodes, for the message of a failed test.
@@ -205,21 +195,21 @@ impl Drop for Fleet {
 
 /// Starts three stations as voters, so that the coordinator has no other task and can be killed.
 pub(crate) fn hospital(name: &str) -> Fleet {
-    opened(Fleet::new(&named(name)))
+    start_hospital(Fleet::new(&named_fleet(name)))
 }
 
 /// Same, with every node also linked to an external router.
 pub(crate) fn hospital_by(name: &str, router: &str) -> Fleet {
-    opened(Fleet::linked_with(router, &named(name)))
+    start_hospital(Fleet::linked_with(router, &named_fleet(name)))
 }
 
-fn named(name: &str) -> Table {
+fn named_fleet(name: &str) -> Table {
     let mut file = example("fleet");
     file.insert("name".to_owned(), name.into());
     file
 }
 
-fn opened(mut fleet: Fleet) -> Fleet {
+fn start_hospital(mut fleet: Fleet) -> Fleet {
     let mut world = example("world");
     world.insert("speed".to_owned(), 20.0.into());
     fleet.start("world", world, &[]);
@@ -238,8 +228,8 @@ fn opened(mut fleet: Fleet) -> Fleet {
 
 /// Waits until a node has ended with exit code 0 and checks its log for problems.
 #[track_caller]
-fn well(node: Program) -> Ended {
-    let ended = node.end(END_LIMIT).expect(0);
+fn check_clean_shutdown(node: Program) -> Ended {
+    let ended = node.end(LONG).expect(0);
     // Zenoh 1.10.2 has a race when neighbours leave at once: while a session is closed, one of its
     // threads may panic about a closed peer (similar to its issue 2624). Everything of ours has
     // finished by then.

@@ -7,6 +7,9 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
+/// Limit for processes to end after the process that started them.
+const END_LIMIT: Duration = Duration::from_secs(30);
+
 /// A folder that is removed on drop. Every process with the path of the folder is killed then.
 pub(crate) struct Folder(PathBuf);
 
@@ -69,9 +72,9 @@ impl Folder {
 
     /// Waits until no process remains.
     #[track_caller]
-    pub(crate) fn await_no_process(&self, limit: Duration) {
-        let ended = within(limit, || self.processes().is_empty().then_some(()));
-        assert!(ended.is_some(), "processes are left after {limit:?}: {:#?}", self.processes());
+    pub(crate) fn await_no_process(&self) {
+        let ended = within(END_LIMIT, || self.processes().is_empty().then_some(()));
+        assert!(ended.is_some(), "processes are left after {END_LIMIT:?}: {:#?}", self.processes());
     }
 }
 

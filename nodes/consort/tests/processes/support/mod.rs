@@ -4,17 +4,26 @@ mod client;
 mod closed;
 mod fleet;
 mod folder;
+#[path = "../../../../../tests/support/free_port.rs"]
+mod free_port;
 mod http;
 mod program;
+#[path = "../../../../../tests/support/skip.rs"]
+mod skip;
 
 pub(crate) use client::{Client, config, tasks};
 pub(crate) use closed::Closed;
 pub(crate) use fleet::{Fleet, example, hospital, hospital_by};
 pub(crate) use folder::Folder;
+pub(crate) use free_port::free_port;
 pub(crate) use http::{Answer, http};
 pub(crate) use program::{Ended, Program};
+pub(crate) use skip::skip;
 
 use std::time::{Duration, Instant};
+
+/// Limit for events that must happen. It is generous, because the tests run side by side.
+pub(crate) const LONG: Duration = Duration::from_secs(150);
 
 /// Interval between two checks of a condition.
 const LOOK: Duration = Duration::from_millis(30);

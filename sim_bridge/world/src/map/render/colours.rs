@@ -1,6 +1,6 @@
 //! Colours of drawings and recordings.
 
-use crate::map::PlaceKind;
+use crate::map::model::PlaceKind;
 
 pub(crate) const WALL: &str = "#37474f";
 pub(crate) const LANE: &str = "#90caf9";

@@ -1,6 +1,6 @@
 //! Placement of names: they cover little of the map, and do not cover each other.
 
-use super::Point;
+use super::elements::Point;
 use std::collections::BTreeMap;
 
 /// Edge of a cell of the index, in pixels.

@@ -1,7 +1,8 @@
 //! Layout of the drawing.
 
-use super::{Point, Trail};
-use crate::map::{DrawnItem, Map};
+use super::content::{DrawnItem, Trail};
+use super::elements::Point;
+use crate::map::model::Map;
 
 /// Approximate greatest size of the drawing, in pixels.
 const WIDTH: f64 = 1600.0;

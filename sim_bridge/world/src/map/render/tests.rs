@@ -1,15 +1,13 @@
 //! Tests of drawn maps: their content, and that they can be converted to images.
 
 use super::*;
-use crate::map::{ImportOptions, parse_drawing, read, shipped};
+use crate::map::{read, shipped};
 use roxmltree::{Document, Node};
+use std::collections::BTreeSet;
 
-const CLINIC: &str = include_str!("../../../maps/clinic.drawio");
-const OFFICE: &str = include_str!("../../../maps/office.building.yaml");
-
-fn drawing_of(text: &str, file: &str) -> String {
-    let drawing = parse_drawing(text, file, &ImportOptions::default()).unwrap();
-    svg(&read(text, file).unwrap(), &drawing.items().collect::<Vec<_>>())
+/// Returns the drawing of a shipped map.
+fn drawing_of(name: &str) -> String {
+    svg(&shipped(name).unwrap(), &[])
 }
 
 fn of_class<'a>(document: &'a Document<'a>, class: &'a str) -> impl Iterator<Item = Node<'a, 'a>> {
@@ -41,40 +39,8 @@ fn everything_on_a_map_is_drawn() {
 }
 
 #[test]
-fn levels_doors_lifts_limits_and_robots_are_drawn() {
-    let svg = drawing_of(OFFICE, "office.building.yaml");
-    assert_eq!(counts(&svg, &["level", "door", "lift", "one-way", "item", "place"]), [2, 1, 2, 2, 1, 10]);
-    let texts = texts(&svg);
-    for name in ["L2 (4.5 m)", "pantry_door", "lift_1", "0.5 m/s", "tiny1", "reception", "charger"] {
-        assert!(texts.contains(name), "{name}: {texts:?}");
-    }
-    assert!(texts.contains("meeting – lobby (L2), 14.58 m, one way, facing backward"), "{texts:?}");
-}
-
-#[test]
-fn all_panels_have_the_same_origin_and_scale() {
-    let svg = drawing_of(OFFICE, "office.building.yaml");
-    let document = Document::parse(&svg).unwrap();
-    let first_wall = |level: Node| {
-        let wall = level.descendants().find(|node| node.attribute("class") == Some("wall")).unwrap();
-        let points = wall.attribute("points").unwrap().split([' ', ',']);
-        let points: Vec<f64> = points.map(|number| number.parse().unwrap()).collect();
-        points.chunks(2).map(|at| (at[0] - points[0], at[1] - points[1])).collect::<Vec<_>>()
-    };
-    let walls: Vec<_> = of_class(&document, "level").map(first_wall).collect();
-    assert_eq!(walls[0].len(), walls[1].len());
-    for (a, b) in walls[0].iter().zip(&walls[1]) {
-        assert!((a.0 - b.0).abs() < 0.25 && (a.1 - b.1).abs() < 0.25, "{a:?} {b:?}");
-    }
-}
-
-#[test]
 fn everything_is_within_the_image() {
-    for svg in [
-        drawing_of(CLINIC, "clinic.drawio"),
-        drawing_of(OFFICE, "office.building.yaml"),
-        svg(&shipped("hospital").unwrap(), &[]),
-    ] {
+    for svg in ["clinic", "hospital"].map(drawing_of) {
         let document = Document::parse(&svg).unwrap();
         let number = |node: Node, name| node.attribute(name).unwrap().parse::<f64>().unwrap();
         let (width, height) = (number(document.root_element(), "width"), number(document.root_element(), "height"));
@@ -88,7 +54,7 @@ fn everything_is_within_the_image() {
 
 #[test]
 fn names_do_not_cover_each_other() {
-    let svg = svg(&shipped("hospital").unwrap(), &[]);
+    let svg = drawing_of("hospital");
     let document = Document::parse(&svg).unwrap();
     let names = document.descendants().filter(|node| node.has_tag_name("text") && node.has_attribute("paint-order"));
     let boxes: Vec<(f64, f64, f64, f64, String)> = names
@@ -124,13 +90,12 @@ fn names_with_markup_are_escaped() {
 #[test]
 fn a_map_with_a_single_place_can_be_drawn() {
     let text = "{name: one, places: [{name: A, kind: room, x_m: 5, y_m: 5}]}";
-    let drawing_of = svg(&read(text, "one.yaml").unwrap(), &[]);
-    png(&drawing_of).unwrap();
+    png(&svg(&read(text, "one.yaml").unwrap(), &[])).unwrap();
 }
 
 #[test]
 fn a_png_has_the_size_of_the_svg_and_is_not_blank() {
-    for svg in [drawing_of(CLINIC, "clinic.drawio"), svg(&shipped("hospital").unwrap(), &[])] {
+    for svg in ["clinic", "hospital"].map(drawing_of) {
         let png = png(&svg).unwrap();
         let pixels = resvg::tiny_skia::Pixmap::decode_png(&png).unwrap();
         let document = Document::parse(&svg).unwrap();

@@ -4,10 +4,12 @@
 //! A viewer that jumps to the middle of a recording receives the latest message of each topic. Each
 //! message therefore contains its whole scene.
 
-use super::message::{Log, Pose, Vector3, elevation_m};
-use super::{McapFile, MessageStamp, Time, scene, schema, write_poses};
+use super::mcap_file::{McapFile, MessageStamp};
+use super::message::{Log, Pose, Time, Vector3, elevation_m};
+use super::poses::write_poses;
+use super::{event_text, scene, schema};
 use crate::map::Map;
-use crate::record::RecordError;
+use crate::record::sink::RecordError;
 use consort_protocol::ids::{PlaceId, RobotId};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -157,7 +159,7 @@ impl FleetScene {
     /// # Errors
     /// As [`set_map`](Self::set_map).
     pub fn log(&self, file: &mut McapFile, message: LogMessage, stamp: MessageStamp) -> Result<(), RecordError> {
-        let level = if message.is_warning { super::event_text::WARNING } else { super::event_text::INFO };
+        let level = if message.is_warning { event_text::WARNING } else { event_text::INFO };
         let LogMessage { name, message, .. } = message;
         let log = Log { timestamp: stamp.publish_time, level, message, name, file: String::new(), line: 0 };
         file.write("/log", &schema::LOG, stamp, &log)

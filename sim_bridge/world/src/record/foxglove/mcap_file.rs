@@ -2,7 +2,7 @@
 
 use super::message::Time;
 use super::schema::Schema;
-use crate::record::RecordError;
+use crate::record::sink::RecordError;
 use mcap::records::MessageHeader;
 use mcap::{WriteOptions, Writer};
 use serde::Serialize;
@@ -12,9 +12,13 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+/// A chunk is written to the file after this many seconds of world time, or after 256 KiB.
+/// A killed process loses at most this much.
+pub const CHUNK_S: f64 = 5.0;
+
 /// A chunk is written to the file after this many bytes, regardless of its age. A killed process
 /// loses at most this much.
-pub const CHUNK_BYTES: u64 = 256 * 1024;
+const CHUNK_BYTES: u64 = 256 * 1024;
 
 /// Treatment of a file that already exists.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

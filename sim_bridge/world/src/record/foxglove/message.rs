@@ -14,7 +14,7 @@ pub struct Time {
 
 impl Time {
     /// Converts from seconds.
-    pub fn from_seconds(seconds: f64) -> Time {
+    pub(crate) fn from_seconds(seconds: f64) -> Time {
         Time::of_ns((seconds.max(0.0) * 1e9).round() as u64)
     }
 

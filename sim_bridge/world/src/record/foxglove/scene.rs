@@ -5,7 +5,7 @@ use super::message::{
     Arrow, Colour, Cube, Cylinder, Line, Pose, SceneEntity, SceneEntityDeletion, SceneUpdate, Text, Time, Vector3,
     elevation_m,
 };
-use super::{WORLD_FRAME, frame_of};
+use super::poses::{WORLD_FRAME, frame_of};
 use crate::map::render::colours::{self, DOOR, INK, LANE, LIFT, WALL};
 use crate::map::{Door, LevelIndex, Map, PlaceKind};
 use consort_protocol::ids::{PlaceId, RobotId};

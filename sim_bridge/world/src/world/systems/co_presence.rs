@@ -1,12 +1,13 @@
 //! Co-presence: approaching people and robots, and authenticating people.
 
 use crate::world::components::{CoPresence, DepartureCount, PersonInfo, SimRobot};
-use crate::world::event_log::WorldEvent;
+use crate::world::event::WorldEvent;
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, component_types};
+use crate::world::system::System;
+use crate::world::system_access::{ComponentType, component_types};
 use crate::world::systems::spontaneous_actions::PersonStates;
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_skills::actions::{ActionError, ErrorCode, Goal};

@@ -5,15 +5,16 @@
 //! new collision. Robots that drive in straight lines computed ahead pass through everything, but
 //! steered robots can collide with them.
 
-use super::steering::{BodyIndex, Footprint, Steered};
 use crate::space::WallGrid;
 use crate::world::components::SimRobot;
-use crate::world::event_log::WorldEvent;
+use crate::world::event::WorldEvent;
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::setup::WorldSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, component_types};
+use crate::world::steered::{BodyIndex, Footprint, Steered};
+use crate::world::system::System;
+use crate::world::system_access::{ComponentType, component_types};
 use consort_skills::actions::ErrorCode;
 use hecs::Entity;
 use std::collections::BTreeSet;

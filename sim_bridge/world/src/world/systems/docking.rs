@@ -2,13 +2,14 @@
 
 use crate::map::PlaceKind;
 use crate::world::components::SimRobot;
-use crate::world::event_log::WorldEvent;
-use crate::world::goals::GoalHistory;
+use crate::world::event::WorldEvent;
+use crate::world::goal_history::GoalHistory;
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, component_types};
+use crate::world::system::System;
+use crate::world::system_access::{ComponentType, component_types};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::Seconds;
 use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress};

@@ -10,12 +10,13 @@
 //! and its slot taken.
 
 use crate::world::components::SimRobot;
-use crate::world::environment_setup::DoorSetup;
-use crate::world::event_log::WorldEvent;
+use crate::world::event::WorldEvent;
 use crate::world::event_queue::TimerId;
+use crate::world::setup::DoorSetup;
 use crate::world::setup::WorldSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, SystemTimer, component_types};
+use crate::world::system::System;
+use crate::world::system_access::{ComponentType, SystemTimer, component_types};
 use consort_protocol::ids::RobotId;
 use hecs::Entity;
 use std::collections::{BTreeMap, VecDeque};

@@ -1,11 +1,12 @@
 //! Drawers that people and arms reach into.
 
 use crate::world::components::{DrawerOpen, SimRobot};
-use crate::world::event_log::WorldEvent;
+use crate::world::event::WorldEvent;
 use crate::world::preconditions::action_error;
 use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, component_types};
+use crate::world::system::System;
+use crate::world::system_access::{ComponentType, component_types};
 use consort_skills::actions::{ActionError, ErrorCode, Goal};
 use hecs::Entity;
 

@@ -13,10 +13,11 @@
 
 use crate::map::PlaceIndex;
 use crate::world::components::SimRobot;
-use crate::world::event_log::WorldEvent;
+use crate::world::event::WorldEvent;
 use crate::world::setup::WorldSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, SystemTimer, component_types};
+use crate::world::system::System;
+use crate::world::system_access::{ComponentType, SystemTimer, component_types};
 use consort_protocol::ids::PlaceId;
 use hecs::Entity;
 use std::collections::BTreeMap;

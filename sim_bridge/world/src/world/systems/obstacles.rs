@@ -6,13 +6,14 @@
 //! again.
 
 use crate::map::PlaceIndex;
-use crate::world::World;
-use crate::world::environment_setup::Obstacle;
-use crate::world::event_log::WorldEvent;
+use crate::world::event::WorldEvent;
+use crate::world::setup::Obstacle;
 use crate::world::setup::{RobotSetup, SetupError, WorldSetup};
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, SystemTimer, component_types};
-use consort_protocol::ids::{PlaceId, RobotId};
+use crate::world::simulation::World;
+use crate::world::system::System;
+use crate::world::system_access::{ComponentType, SystemTimer, component_types};
+use consort_protocol::ids::PlaceId;
 use hecs::Entity;
 use std::collections::BTreeMap;
 
@@ -101,34 +102,9 @@ impl World {
     }
 
     /// Removes an obstacle. Without effect if there is none with this name. Robots that remember it
-    /// find out after [`Durations::closure_memory_s`](crate::world::Durations), or by a
-    /// [report](Self::report_lane_open).
+    /// try the lane again after [`Durations::closure_memory_s`](crate::world::Durations).
     pub fn remove_obstacle(&mut self, obstacle: &str) {
         self.run_as(&Obstacles, |state| state.clear_obstacle(obstacle));
-    }
-
-    /// Reports to a robot that the lane between two places is closed. The robot accepts the report.
-    /// An unknown robot is ignored.
-    pub fn report_lane_closed(&mut self, robot: &RobotId, a: &PlaceId, b: &PlaceId) {
-        self.report_lane(robot, a, b, true);
-    }
-
-    /// Reports to a robot that the lane between two places is open.
-    pub fn report_lane_open(&mut self, robot: &RobotId, a: &PlaceId, b: &PlaceId) {
-        self.report_lane(robot, a, b, false);
-    }
-
-    fn report_lane(&mut self, robot: &RobotId, a: &PlaceId, b: &PlaceId, closed: bool) {
-        let (robot, ends) =
-            (self.state.robots.get(robot).copied(), self.state.map.index(a).zip(self.state.map.index(b)));
-        let (Some(robot), Some((a, b))) = (robot, ends) else { return };
-        self.run_as(&Obstacles, |state| {
-            if closed {
-                state.remember_closure(robot, a, b);
-            } else {
-                state.get_mut::<KnownClosures>(robot).0.remove(&(a.min(b), a.max(b)));
-            }
-        });
     }
 }
 

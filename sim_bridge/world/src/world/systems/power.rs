@@ -5,15 +5,16 @@
 //! Between two such changes the charge is linear, so the instant at which it crosses the stopping
 //! share is known in advance and is scheduled.
 
-use crate::world::World;
 use crate::world::components::SimRobot;
-use crate::world::event_log::WorldEvent;
+use crate::world::event::WorldEvent;
 use crate::world::event_queue::TimerId;
-use crate::world::goals::GoalHistory;
+use crate::world::goal_history::GoalHistory;
 use crate::world::preconditions::action_error;
 use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, SystemTimer, component_types};
+use crate::world::simulation::World;
+use crate::world::system::System;
+use crate::world::system_access::{ComponentType, SystemTimer, component_types};
 use crate::world::systems::docking::Docked;
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::BatteryShare;
@@ -22,12 +23,6 @@ use hecs::Entity;
 
 /// State of charge below which a robot stops: 5 %, as in the published evaluation (thesis 4.1.2).
 pub const STOPPING_SHARE: f64 = 0.05;
-
-/// Default discharge of an idle robot, as a fraction of its discharge rate: 0.1, as in the
-/// published rig.
-pub const fn default_idle_factor() -> f64 {
-    0.1
-}
 
 /// A robot's battery.
 pub(crate) struct Battery {

@@ -5,15 +5,15 @@
 //! handover times. Actions are logged as events. [`people`](super::people) observes them and
 //! interrupts handovers.
 
-use crate::world::World;
 use crate::world::components::{PersonInfo, SimRobot};
-use crate::world::event_log::WorldEvent;
+use crate::world::event::{SampleHolder, WorldEvent};
 use crate::world::names::PersonName;
-use crate::world::samples::SampleHolder;
 use crate::world::setup::WorldSetup;
+use crate::world::setup::{PersonAction, PersonTrigger, SpontaneousAction};
 use crate::world::sim_state::SimState;
-use crate::world::spontaneous_action::{PersonAction, PersonTrigger, SpontaneousAction};
-use crate::world::system::{ComponentType, System, SystemTimer, component_types};
+use crate::world::simulation::World;
+use crate::world::system::System;
+use crate::world::system_access::{ComponentType, SystemTimer, component_types};
 use consort_protocol::ids::RobotId;
 use consort_skills::actions::BackendEvent;
 use rand::RngExt;

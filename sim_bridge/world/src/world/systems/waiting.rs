@@ -1,7 +1,8 @@
 //! Waiting at standstill.
 
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, component_types};
+use crate::world::system::System;
+use crate::world::system_access::{ComponentType, component_types};
 use consort_skills::actions::{ActionError, Goal};
 use hecs::Entity;
 

@@ -20,7 +20,7 @@ mod steering;
 mod systems;
 
 use super::*;
-use crate::map;
+use crate::map::{self, Map};
 use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond, WorldTime};

@@ -72,19 +72,10 @@ fn a_remembered_closure_expires() {
     assert_eq!(world.now(), at(0.0), "it stands right before the robot");
     world.remove_obstacle("trolley");
     world.advance(at(299.0));
-    assert_eq!(known(&world, "r1").len(), 1, "nobody has told it that the way is open");
+    assert_eq!(known(&world, "r1").len(), 1, "the robot has not tried the lane again");
     world.advance(at(300.0));
     assert_eq!(known(&world, "r1"), []);
     run_to_success(&mut world, "r1", 2, goal);
-}
-
-#[test]
-fn a_robot_accepts_reports_of_closed_lanes() {
-    let mut world = World::new(corridor().robot(carrier("r1", "A"))).unwrap();
-    world.report_lane_closed(&robot("r1"), &place("B"), &place("A"));
-    assert_eq!(known(&world, "r1"), [(place("A"), place("B"))]);
-    world.report_lane_open(&robot("r1"), &place("A"), &place("B"));
-    assert_eq!(known(&world, "r1"), []);
 }
 
 #[test]

@@ -5,7 +5,8 @@ use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::samples::Custody;
 use crate::world::sim_state::SimState;
-use crate::world::system::{ComponentType, System, component_types};
+use crate::world::system::System;
+use crate::world::system_access::{ComponentType, component_types};
 use hecs::Entity;
 
 /// Declares that it reads locations, and reads custody without declaring it.

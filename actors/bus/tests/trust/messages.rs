@@ -1,0 +1,148 @@
+//! Messages between nodes: signature, authorization, freshness.
+
+use crate::fixture::*;
+use bytes::Bytes;
+use consort_bus::{Bus, Encoding, QueryRefused};
+use consort_protocol::codec;
+use consort_protocol::keys::{BodyCall, Key};
+use consort_protocol::message::BootstrapRequest;
+use std::time::Duration;
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_node_publishes_in_its_own_name_only() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=robot,voter").await;
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=robot").await;
+    let eve = fixture.node("eve", "consort://ward/node/eve?roles=robot").await;
+    let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
+    introduce(&mut at_bob, &ada, &Key::Beacon, &beacon("ada")).await;
+    publish(&ada, &Key::Beacon, &beacon("bob")).await;
+    assert_eq!(received(&mut at_bob).await, [] as [Bytes; 0], "ada publishes in the name of bob");
+    for _ in 0..3 {
+        publish(&eve, &Key::Beacon, &beacon("eve")).await;
+        assert_eq!(received(&mut at_bob).await, [] as [Bytes; 0], "eve is no voter");
+    }
+    publish(&ada, &Key::Beacon, &beacon("ada")).await;
+    assert_eq!(received(&mut at_bob).await, [beacon("ada")]);
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn messages_without_a_fleet_certificate_are_dropped() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let mut at_ada = ada.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
+    let stranger = fixture.plain("stranger");
+    publish(&*stranger, &Key::Beacon, &beacon("stranger")).await;
+    let other = Fixture { network: fixture.network.clone(), ..Fixture::new() };
+    let foreign = other.node("foreign", "consort://ward/node/foreign?roles=voter").await;
+    for _ in 0..3 {
+        publish(&foreign, &Key::Beacon, &beacon("foreign")).await;
+        assert_eq!(received(&mut at_ada).await, [] as [Bytes; 0]);
+    }
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_changed_moved_or_replayed_message_is_dropped() {
+    let fixture = Fixture::new();
+    let (ada, bob) = (
+        fixture.node("ada", "consort://ward/node/ada?roles=host").await,
+        fixture.node("bob", "consort://ward/node/bob?roles=robot").await,
+    );
+    let (own_key, other_key) = ("bob".parse().unwrap(), "cyd".parse().unwrap());
+    let (own_key, other_key) = (Key::Body(own_key, BodyCall::State), Key::Body(other_key, BodyCall::State));
+    let mut at_bob = bob.subscribe(&keys().any_body_state()).await.unwrap();
+    introduce(&mut at_bob, &ada, &own_key, b"at the dock").await;
+    // A relay receives the passing messages and publishes modified copies.
+    let relay = fixture.plain("relay");
+    let mut intercepted = relay.subscribe(&keys().any_body_state()).await.unwrap();
+    publish(&ada, &own_key, b"at the lift").await;
+    assert_eq!(received(&mut at_bob).await, ["at the lift"]);
+    let intercepted_sample = received(&mut intercepted).await.pop().unwrap();
+    publish(&*relay, &own_key, &intercepted_sample).await;
+    publish(&*relay, &other_key, &intercepted_sample).await;
+    for index in 0..intercepted_sample.len() {
+        let mut changed = intercepted_sample.to_vec();
+        changed[index] ^= 1;
+        publish(&*relay, &own_key, &changed).await;
+    }
+    assert_eq!(received(&mut at_bob).await, [] as [Bytes; 0]);
+    // A message with a later number is still accepted.
+    publish(&ada, &own_key, b"at the ward").await;
+    assert_eq!(received(&mut at_bob).await, ["at the ward"]);
+}
+
+/// Queries until the certificate of the replying node is known.
+async fn query_until_known(bus: &dyn Bus, key: &str, content: &[u8]) -> Vec<Result<Bytes, QueryRefused>> {
+    let mut payloads = Vec::new();
+    for _ in 0..3 {
+        payloads.clear();
+        let mut replies = bus.query(key, Bytes::copy_from_slice(content), Duration::from_secs(1)).await.unwrap();
+        while let Some(reply) = replies.recv().await {
+            payloads.push(reply.payload);
+        }
+        tokio::time::sleep(Duration::from_secs(2)).await;
+    }
+    payloads
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn queries_and_replies_are_authorized() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=voter").await;
+    let eve = fixture.node("eve", "consort://ward/node/eve?roles=robot").await;
+    let key = keys().write(&Key::Bootstrap(node("bob")));
+    for bus in [&bob, &eve] {
+        // Eve replies in place of bob.
+        let mut queries = bus.serve(&key).await.unwrap();
+        tokio::spawn(async move {
+            while let Some(query) = queries.recv().await {
+                query.replier.reply(&query.key, query.payload.clone(), Encoding::Wire).await.unwrap();
+            }
+        });
+    }
+    let request_of =
+        |name: &str| codec::encode(&BootstrapRequest { mobile: false, on_battery: false, node: node(name) }).unwrap();
+    assert_eq!(
+        query_until_known(&ada, &key, &request_of("ada")).await,
+        [Ok(Bytes::from(request_of("ada")))],
+        "eve's reply is rejected"
+    );
+    for (requester, request) in [(&eve, request_of("eve")), (&ada, request_of("bob"))] {
+        let payloads = query_until_known(requester, &key, &request).await;
+        assert!(payloads.iter().all(Result::is_err) && !payloads.is_empty(), "{payloads:?}");
+    }
+    let payloads = query_until_known(&eve, &key, &request_of("eve")).await;
+    assert!(
+        payloads
+            .iter()
+            .flat_map(|payload| payload.clone().err())
+            .any(|problem| problem.0.contains("node eve (robot) may not query")),
+        "{payloads:?}"
+    );
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_message_older_than_the_window_is_rejected() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=host").await;
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=robot").await;
+    let key = Key::Body("bob".parse().unwrap(), BodyCall::State);
+    let mut at_bob = bob.subscribe(&keys().any_body_state()).await.unwrap();
+    introduce(&mut at_bob, &ada, &key, b"at the dock").await;
+    let relay = fixture.plain("relay");
+    let mut intercepted = relay.subscribe(&keys().any_body_state()).await.unwrap();
+    publish(&ada, &key, b"at the lift").await;
+    let intercepted_sample = intercepted.recv().await.unwrap().payload;
+    for _ in 0..1100 {
+        publish(&ada, &key, b"at the ward").await;
+    }
+    assert_eq!(received(&mut at_bob).await.len(), 1101);
+    publish(&*relay, &key, &intercepted_sample).await;
+    assert_eq!(received(&mut at_bob).await, [] as [Bytes; 0]);
+    let rejections = bob.rejections();
+    assert!(
+        rejections.iter().any(|rejection| rejection.contains("it is older than earlier messages")),
+        "{rejections:?}"
+    );
+}

@@ -1,0 +1,80 @@
+//! Members of the ensemble and other clusters, as far as the coordinator has received their
+//! records.
+
+use super::last_known_place::foreign_clusters;
+use super::session_context::SessionContext;
+use super::settings::CoordinatorSettings;
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::{ClusterId, NodeId};
+use consort_protocol::units::NodeTime;
+use std::collections::{BTreeMap, BTreeSet};
+use tracing::error;
+
+/// Members of the ensemble during a session.
+#[derive(Default)]
+pub(super) struct EnsembleMembers {
+    members: BTreeSet<NodeId>,
+    /// Members that are free by their own record.
+    free: BTreeSet<NodeId>,
+    /// Other clusters with the name of this fleet, each with a node of it.
+    foreign: BTreeMap<ClusterId, NodeId>,
+}
+
+impl EnsembleMembers {
+    /// Publishes changes of the ensemble's membership. Returns true if a robot has become free.
+    pub(super) fn update(&mut self, context: &SessionContext, now: NodeTime) -> bool {
+        let CoordinatorSettings { parts, auctions, .. } = &context.settings;
+        let ensemble = auctions.ensemble.spec().name.clone();
+        let members = live_members(&context.settings, now);
+        for member in members.difference(&self.members) {
+            context.publish_event(EventKind::Joined { ensemble: ensemble.clone(), member: member.clone() });
+        }
+        for member in self.members.difference(&members) {
+            let membership =
+                parts.knowledge.read(|base| auctions.ensemble.membership_of(member, &parts.node, base, now));
+            let reason = if membership.member { "judged dead".to_owned() } else { membership.reason };
+            context.publish_event(EventKind::Left { ensemble: ensemble.clone(), member: member.clone(), reason });
+        }
+        let free = parts.knowledge.read(|base| {
+            let is_free = |node: &&NodeId| base.get(node).is_some_and(|stored| stored.record.knowledge.is_free());
+            members.iter().filter(is_free).cloned().collect::<BTreeSet<_>>()
+        });
+        let newly_free = !free.is_subset(&self.free);
+        self.free = free;
+        self.members = members;
+        newly_free
+    }
+
+    /// Reports each other cluster with the name of this fleet, once.
+    pub(super) fn report_foreign_clusters(&mut self, context: &SessionContext) {
+        let parts = &context.settings.parts;
+        let Some(own) = *parts.replica.cluster().borrow() else { return };
+        let foreign = foreign_clusters(&parts.knowledge, Some(own));
+        for (cluster, node) in &foreign {
+            if !self.foreign.contains_key(cluster) {
+                error!(%own, foreign = %cluster, %node, "another cluster with this fleet's name was founded separately: \
+                    they do not merge. Stop the nodes of either cluster and restart them with empty stores");
+                let (cluster, foreign, member) = (own, *cluster, node.clone());
+                context.publish_event(EventKind::Foreign { cluster, foreign, member });
+            }
+        }
+        // A reported cluster is not reported again, although views show it only while its records
+        // arrive.
+        self.foreign.extend(foreign);
+    }
+}
+
+/// Returns the members of the ensemble that are alive.
+pub(super) fn live_members(settings: &CoordinatorSettings, now: NodeTime) -> BTreeSet<NodeId> {
+    let CoordinatorSettings { parts, auctions, .. } = settings;
+    let members = parts.knowledge.read(|base| auctions.ensemble.members(&parts.node, base, now));
+    let own = *parts.replica.cluster().borrow();
+    let own_members = parts.knowledge.read(|base| {
+        let own_members = |node: &NodeId| {
+            let cluster = base.get(node).and_then(|stored| stored.record.knowledge.cluster);
+            cluster.is_none() || own.is_none() || cluster == own
+        };
+        members.into_iter().filter(own_members).collect::<Vec<_>>()
+    });
+    own_members.into_iter().filter(|node| parts.knowledge.is_alive(node)).collect()
+}

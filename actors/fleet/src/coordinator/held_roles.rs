@@ -1,0 +1,75 @@
+//! Held roles: award notices, and holders that make no progress.
+
+use super::message::AwardedRole;
+use super::session_context::SessionContext;
+use super::stall_detector::{StallDetector, StalledRole};
+use consort_protocol::ids::RoleId;
+use consort_protocol::lease::{Award, Epoch, LeaseMonitor};
+use consort_protocol::ledger::Ledger;
+use consort_protocol::message::AwardNotice;
+use consort_protocol::units::NodeTime;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// Held roles during a session.
+pub(super) struct HeldRoles {
+    stall_detector: StallDetector,
+    /// Roles to be released because their holders reply but make no progress, once the leases have
+    /// expired.
+    stalled: BTreeMap<(Epoch, RoleId), String>,
+    /// Time of the last award notice for each role.
+    notified: BTreeMap<(Epoch, RoleId), NodeTime>,
+}
+
+impl HeldRoles {
+    /// Creates the state of a session. A role is stalled if none of its steps has ended for
+    /// `stall_timeout`.
+    pub(super) fn new(stall_timeout: Duration) -> HeldRoles {
+        HeldRoles {
+            stall_detector: StallDetector::new(stall_timeout),
+            stalled: BTreeMap::new(),
+            notified: BTreeMap::new(),
+        }
+    }
+
+    /// Returns the time of the last award notice for each role.
+    pub(super) fn notified(&self) -> &BTreeMap<(Epoch, RoleId), NodeTime> {
+        &self.notified
+    }
+
+    /// Forgets the roles of other epochs, and ends the renewal of stalled roles.
+    pub(super) fn follow(
+        &mut self,
+        ledger: &Ledger,
+        epochs: &BTreeSet<Epoch>,
+        lease_monitor: &mut LeaseMonitor,
+        now: NodeTime,
+    ) {
+        self.notified.retain(|(epoch, _), _| epochs.contains(epoch));
+        self.stalled.retain(|(epoch, _), _| epochs.contains(epoch));
+        for StalledRole { role, robot, epoch, cause } in self.stall_detector.check(ledger, now) {
+            lease_monitor.stop_renewing(epoch, &robot, now);
+            self.stalled.entry((epoch, role)).or_insert(cause);
+        }
+    }
+
+    /// Notifies a robot of its award.
+    pub(super) fn notify_award(&mut self, awarded: AwardedRole, context: &mut SessionContext, now: NodeTime) {
+        let award = context.read_ledger(|ledger| {
+            let AwardedRole { mission, role, robot, epoch } = awarded.clone();
+            let entry = ledger.mission(&mission)?;
+            let (plan, holders) = (entry.plan(&role)?.clone(), entry.role_holders());
+            Some(Award { mission, role, robot, epoch, plan, holders })
+        });
+        let Some(award) = award else { return };
+        self.notified.insert((awarded.epoch, awarded.role.clone()), now);
+        context.notify_award(awarded, &AwardNotice::Awarded(Box::new(award)));
+    }
+
+    /// Releases a role with an expired lease. The holder of a stalled role may not get it again.
+    pub(super) fn release(&self, awarded: AwardedRole, cause: String, context: &mut SessionContext) {
+        let stalled = self.stalled.get(&(awarded.epoch, awarded.role.clone())).cloned();
+        let robot_failed = stalled.is_some();
+        context.release_role(awarded, stalled.unwrap_or(cause), robot_failed);
+    }
+}

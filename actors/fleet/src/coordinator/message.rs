@@ -1,0 +1,67 @@
+//! Messages of the coordinator actor.
+
+use super::status::CoordinatorStatus;
+use crate::autopilot::ActionResult;
+use consort_bus::{Query, Sample};
+use consort_protocol::auction::{AuctionId, BidResponse, CallForBids};
+use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::CommandOutcome;
+use consort_protocol::message::AwardReply;
+use consort_raft::ProposeError;
+use std::collections::BTreeSet;
+use tokio::sync::oneshot;
+
+/// Message for the coordinator actor.
+pub(crate) enum CoordinatorMessage {
+    /// The leader of the ledger has changed.
+    Leadership,
+    /// The ledger has changed.
+    Ledger,
+    /// Periodic timer: publish the beacon and perform all periodic work.
+    Tick,
+    /// All bids have arrived, or the bid window has closed.
+    BidsCollected(Box<CollectedBids>),
+    /// The ledger has committed or refused an award or a deferral.
+    AuctionRecorded {
+        auction: AuctionId,
+        /// Outcome of the proposal.
+        outcome: Result<CommandOutcome, ProposeError>,
+    },
+    /// A robot has replied to an award notice.
+    NoticeReplied(AwardedRole, AwardReply),
+    /// A voter change has ended, with or without success.
+    VotersChanged(ActionResult),
+    /// Report of a robot.
+    Report(Query),
+    /// Query for the active missions.
+    ActiveMissions(Query),
+    /// Beacon of a coordinator.
+    Beacon(Sample),
+    /// Request of a client.
+    Api(Query),
+    /// Request of a client that arrived while another node was the coordinator, to be checked
+    /// again.
+    ApiRecheck(Query),
+    /// Query for the status of this node's session. Without a session the query is dropped.
+    QueryStatus(oneshot::Sender<CoordinatorStatus>),
+}
+
+/// Bids for the roles of a mission.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct CollectedBids {
+    pub(super) call: CallForBids,
+    /// Robots that were expected to reply.
+    pub(super) expected: BTreeSet<RobotId>,
+    pub(super) responses: Vec<BidResponse>,
+}
+
+/// A role that was awarded to a robot.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct AwardedRole {
+    pub(super) mission: MissionId,
+    pub(super) role: RoleId,
+    pub(super) robot: RobotId,
+    /// Epoch of the award.
+    pub(super) epoch: Epoch,
+}

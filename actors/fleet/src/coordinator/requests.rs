@@ -1,0 +1,74 @@
+//! Requests of clients during a session.
+
+use super::api::ApiHandler;
+use super::no_leader::busy_reply;
+use super::rate_limit::RequestLimiter;
+use super::session_context::SessionContext;
+use super::settings::NodeParts;
+use consort_bus::{Query, reply};
+use consort_protocol::api::ErrorReply;
+use consort_protocol::keys::{ApiCall, Key};
+use std::sync::Arc;
+
+/// Requests of clients, counted and limited.
+pub(super) struct Requests {
+    /// Number of accepted requests.
+    count: u64,
+    limiter: RequestLimiter,
+    /// Start of the session by the node's wall clock, in milliseconds. Distinguishes the sessions
+    /// of a term.
+    since_wall_ms: u64,
+}
+
+impl Requests {
+    pub(super) fn new(context: &SessionContext) -> Requests {
+        Requests {
+            count: 0,
+            limiter: RequestLimiter::new(context.settings.request_limits, context.since),
+            since_wall_ms: context.settings.parts.clock.wall_ms(),
+        }
+    }
+
+    /// Handles a request and replies to it.
+    pub(super) fn handle(&mut self, query: Query, context: &mut SessionContext) {
+        let Some(Key::Api(call)) = context.settings.parts.keys.read(&query.key) else {
+            let asked = query.key.rsplit('/').next().unwrap_or_default();
+            let calls = ApiCall::ALL.iter().map(|call| call.as_str()).collect::<Vec<_>>().join(", ");
+            let reply = ErrorReply::rejected(format!("no such request: {asked}; there are {calls}"));
+            context.tasks.spawn(async move { reply::json(&query, &query.key, &reply).await });
+            return;
+        };
+        if let Err(after) = self.limiter.try_acquire(context.now()) {
+            let reply = busy_reply("too many requests per second", after);
+            context.tasks.spawn(async move { reply::json(&query, &query.key, &reply).await });
+            return;
+        }
+        self.count += 1;
+        let handler = self.handler(context);
+        context.tasks.spawn(async move {
+            let reply = handler.handle(call, &query.payload).await;
+            reply::json(&query, &query.key, &reply).await;
+        });
+    }
+
+    fn handler(&self, context: &SessionContext) -> ApiHandler {
+        let NodeParts { node, keys, replica, knowledge, clock, wire_version, .. } = &context.settings.parts;
+        ApiHandler {
+            fleet: keys.fleet().clone(),
+            node: node.clone(),
+            replica: replica.clone(),
+            knowledge: knowledge.clone(),
+            supported_versions: wire_version.supported(),
+            domain: Arc::clone(&context.settings.domain),
+            request_prefix: format!(
+                "unnamed-{}-{:x}-{}",
+                context.term,
+                self.since_wall_ms,
+                node.as_str().chars().take(20).collect::<String>()
+            ),
+            at_ms: clock.wall_ms(),
+            request_number: self.count,
+            missions_max: context.settings.request_limits.missions_max,
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! Context of a leader session: what its parts share, and the ways in which they act.
+
+use super::last_known_place::{last_known_place, last_known_places};
+use super::lease_monitor::SharedLeaseMonitor;
+use super::message::{AwardedRole, CoordinatorMessage};
+use super::settings::CoordinatorSettings;
+use bytes::Bytes;
+use consort_bus::tasks::Tasks;
+use consort_bus::{Delivery, Encoding, SharedBus};
+use consort_protocol::codec;
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::{MissionId, RobotId};
+use consort_protocol::keys::Key;
+use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger};
+use consort_protocol::message::{AwardNotice, AwardReply};
+use consort_protocol::units::NodeTime;
+use ractor::ActorRef;
+use std::time::Duration;
+use tracing::{debug, warn};
+
+/// Timeout for the ledger to commit the release of a role or the end of a mission.
+const RELEASE_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Timeout for the reply of a robot to a notice.
+const NOTICE_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// Context of a leader session. Dropping it aborts all tasks of the session.
+pub(super) struct SessionContext {
+    pub(super) settings: CoordinatorSettings,
+    /// Mailbox of the coordinator actor.
+    mailbox: ActorRef<CoordinatorMessage>,
+    pub(super) term: u64,
+    /// Start of the session.
+    pub(super) since: NodeTime,
+    pub(super) lease_monitor: SharedLeaseMonitor,
+    pub(super) tasks: Tasks,
+}
+
+impl SessionContext {
+    pub(super) fn new(
+        settings: CoordinatorSettings,
+        mailbox: ActorRef<CoordinatorMessage>,
+        term: u64,
+        tasks: Tasks,
+    ) -> SessionContext {
+        let since = settings.parts.clock.now();
+        let lease_monitor = SharedLeaseMonitor::new(settings.lease_terms);
+        SessionContext { settings, mailbox, term, since, lease_monitor, tasks }
+    }
+
+    /// Returns the time of the node's clock.
+    pub(super) fn now(&self) -> NodeTime {
+        self.settings.parts.clock.now()
+    }
+
+    /// Reads the node's copy of the ledger.
+    pub(super) fn read_ledger<R>(&self, read: impl FnOnce(&Ledger) -> R) -> R {
+        self.settings.parts.replica.read(read)
+    }
+
+    /// Publishes an event of this node.
+    pub(super) fn publish_event(&self, event: EventKind) {
+        self.settings.parts.events.publish(event);
+    }
+
+    /// Sends the result of a task to the coordinator actor. If the coordinator has stopped, the
+    /// next coordinator continues from the ledger.
+    pub(super) fn send_result(&mut self, task: impl Future<Output = CoordinatorMessage> + Send + 'static) {
+        let mailbox = self.mailbox.clone();
+        self.tasks.spawn(async move {
+            let _ = mailbox.cast(task.await);
+        });
+    }
+
+    /// Proposes a command in the background. The ledger shows its outcome.
+    pub(super) fn propose(&mut self, command: Command) {
+        let replica = self.settings.parts.replica.clone();
+        self.tasks.spawn(async move {
+            let outcome = replica.propose(command.clone(), RELEASE_TIMEOUT).await;
+            if !matches!(outcome, Ok(CommandOutcome::Done)) {
+                debug!(?command, ?outcome, "proposal was not applied");
+            }
+        });
+    }
+
+    /// Proposes the failure of a mission.
+    pub(super) fn fail_mission(&mut self, mission: MissionId, cause: String, branch: Option<Branch>) {
+        let knowledge = &self.settings.parts.knowledge;
+        let places = self.read_ledger(|ledger| last_known_places(knowledge, ledger.mission(&mission)));
+        self.propose(Command::Fail { mission, cause, branch, places });
+    }
+
+    /// Proposes the release of a role. `robot_failed` is true if the robot may not get the role
+    /// again.
+    pub(super) fn release_role(&mut self, awarded: AwardedRole, cause: String, robot_failed: bool) {
+        let AwardedRole { mission, role, robot, epoch } = awarded;
+        let place = last_known_place(&self.settings.parts.knowledge, &robot);
+        self.propose(Command::Release { mission, role, epoch, cause, robot_failed, place });
+    }
+
+    /// Notifies a robot of the end of an award.
+    pub(super) fn notify(&mut self, robot: RobotId, notice: &AwardNotice) {
+        let Some(sending) = self.notice(robot, notice) else { return };
+        self.tasks.spawn(async move { drop(sending.await) });
+    }
+
+    /// Notifies a robot of its award.
+    pub(super) fn notify_award(&mut self, awarded: AwardedRole, notice: &AwardNotice) {
+        let Some(sending) = self.notice(awarded.robot.clone(), notice) else { return };
+        let mailbox = self.mailbox.clone();
+        self.tasks.spawn(async move {
+            if let Some(reply) = sending.await {
+                // If the coordinator has stopped, the next coordinator sends the award notice.
+                let _ = mailbox.cast(CoordinatorMessage::NoticeReplied(awarded, reply));
+            }
+        });
+    }
+
+    /// Encodes a notice. Returns the task that sends it and waits for the reply.
+    fn notice(
+        &self,
+        robot: RobotId,
+        notice: &AwardNotice,
+    ) -> Option<impl Future<Output = Option<AwardReply>> + Send + use<>> {
+        let key = self.settings.parts.keys.write(&Key::Award(robot.clone()));
+        match codec::encode(notice) {
+            Ok(bytes) => Some(send_notice(self.settings.parts.bus.clone(), key, robot, bytes.into())),
+            Err(problem) => {
+                warn!(%robot, %problem, "award notice does not fit a message");
+                None
+            }
+        }
+    }
+
+    /// Encodes a message. Returns the task that publishes it.
+    pub(super) fn publish<T: serde::Serialize>(
+        &self,
+        key: &Key,
+        message: &T,
+    ) -> impl Future<Output = ()> + Send + use<T> {
+        let bytes = Bytes::from(codec::encode(message).expect("a beacon fits a message"));
+        let (key, bus) = (self.settings.parts.keys.write(key), self.settings.parts.bus.clone());
+        async move {
+            if let Err(problem) = bus.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await {
+                debug!(%problem, key, "not published");
+            }
+        }
+    }
+}
+
+async fn send_notice(bus: SharedBus, key: String, robot: RobotId, notice: Bytes) -> Option<AwardReply> {
+    let mut replies = bus.query(&key, notice, NOTICE_TIMEOUT).await.ok()?;
+    match replies.recv().await.map(|reply| reply.payload.map(|bytes| codec::decode(&bytes))) {
+        Some(Ok(Ok(reply))) => Some(reply),
+        other => {
+            debug!(%robot, ?other, "award notice got no reply");
+            None
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! Settings of a coordinator.
+
+use super::rate_limit::RequestLimits;
+use crate::autopilot::AutopilotSettings;
+use crate::events::EventPublisher;
+use consort_bus::SharedBus;
+use consort_bus::clock::Clock;
+use consort_bus::wire_version::WireVersion;
+use consort_gossip::SharedKnowledge;
+use consort_protocol::auction::{Allocator, BidLimits};
+use consort_protocol::ensemble::Ensemble;
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::Keys;
+use consort_protocol::lease::LeaseTerms;
+use consort_protocol::ledger::Ledger;
+use consort_protocol::mission::Domain;
+use consort_raft::Replica;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Settings of a coordinator. Most are the same in the whole fleet.
+#[derive(Clone)]
+pub(crate) struct CoordinatorSettings {
+    /// Parts of the node that the coordinator uses.
+    pub(crate) parts: NodeParts,
+    pub(crate) auctions: AuctionSettings,
+    pub(crate) autopilot: AutopilotSettings,
+    /// The task types that missions may use.
+    pub(crate) domain: Arc<Domain>,
+    /// Limits of accepted requests and missions.
+    pub(crate) request_limits: RequestLimits,
+    /// Durations of leases.
+    pub(crate) lease_terms: LeaseTerms,
+    /// Maximum time for a held role without an ended step, while it could make progress. Then the
+    /// role is taken from its holder. Zero means never. Raised: long drives are not interrupted,
+    /// idle holders keep their roles for longer.
+    pub(crate) stall_timeout: Duration,
+    /// Interval of the beacon and of the periodic work. Default 250 ms.
+    pub(crate) tick_interval: Duration,
+    /// Seed of the cluster id, in case this node founds the ledger.
+    pub(crate) cluster_seed: u64,
+}
+
+/// Parts of a node that its coordinator uses.
+#[derive(Clone)]
+pub(crate) struct NodeParts {
+    /// Id of this node.
+    pub(crate) node: NodeId,
+    /// The fleet's keys.
+    pub(crate) keys: Keys,
+    pub(crate) bus: SharedBus,
+    pub(crate) clock: Clock,
+    /// The node's copy of the ledger.
+    pub(crate) replica: Replica<Ledger>,
+    /// Records received from other nodes.
+    pub(crate) knowledge: SharedKnowledge,
+    /// Wire version that the node writes.
+    pub(crate) wire_version: WireVersion,
+    pub(crate) events: EventPublisher,
+}
+
+/// Settings of auctions.
+#[derive(Clone)]
+pub(crate) struct AuctionSettings {
+    /// The ensemble: its members receive calls for bids.
+    pub(crate) ensemble: Arc<Ensemble>,
+    /// Limits that bids must meet.
+    pub(crate) limits: BidLimits,
+    /// Allocation rule of the auctions.
+    pub(crate) allocator: Arc<dyn Allocator>,
+    /// Time for which an auction waits for missing bids. Raised: robots on slow links still win
+    /// roles, unreachable robots delay every auction for longer. Default 200 ms.
+    pub(crate) bid_window: Duration,
+}

@@ -1,0 +1,30 @@
+//! Messages for the human task proxy.
+
+use crate::robot_driver::PersonRequestState;
+use consort_bus::Sample;
+use consort_protocol::ids::{MissionId, RoleId};
+use consort_protocol::ledger::Branch;
+use consort_protocol::message::{ActiveMissions, ReportReply, SignalHistory};
+use consort_skills::actions::GoalId;
+
+/// Message for the human task proxy.
+pub(crate) enum HumanTaskProxyMessage {
+    /// Periodic timer: repeat queries, requests and reports.
+    Tick,
+    /// Beacon of the coordinator.
+    Beacon(Sample),
+    /// The active missions have changed.
+    MissionsChanged,
+    /// Active missions, as a coordinator reports them, with the number of the query.
+    ActiveMissions(u64, ActiveMissions),
+    /// Signal of a role.
+    Signal(Sample),
+    /// Signal history of a role, in reply to a query.
+    SignalHistory(SignalHistory),
+    /// Event of a person.
+    PersonEvent(Sample),
+    /// State of a person request, in reply to a command.
+    RequestReplied(GoalId, PersonRequestState),
+    /// Reply to a report for this branch.
+    ReportReplied(MissionId, RoleId, Branch, ReportReply),
+}

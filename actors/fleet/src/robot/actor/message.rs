@@ -1,0 +1,53 @@
+//! Messages for the robot actor.
+
+use crate::robot::skill_runner::SkillOutcome;
+use consort_bus::{Query, Sample};
+use consort_protocol::message::{ReportReply, SignalHistory};
+use consort_protocol::units::NodeTime;
+use ractor::RpcReplyPort;
+use std::io;
+use std::time::Duration;
+
+/// Message for the robot actor.
+pub(crate) enum RobotMessage {
+    /// Periodic timer: update the knowledge record, the lease and the task.
+    Tick,
+    /// Beacon of the coordinator.
+    Beacon(Sample),
+    /// Call for bids of the coordinator.
+    CallForBids(Query),
+    /// Award of a role, or its end, from the coordinator.
+    AwardNotice(Query),
+    /// The query of a report has ended, with or without a reply.
+    ReportReplied {
+        /// Time at which the report was sent.
+        sent: NodeTime,
+        /// Reply of the coordinator; `None` without a reply.
+        reply: Option<ReportReply>,
+    },
+    /// A skill has ended.
+    SkillEnded {
+        /// Number of the skill run.
+        run: u64,
+        /// Its outcome.
+        outcome: SkillOutcome,
+    },
+    /// Signal of another role of the mission.
+    Signal(Sample),
+    /// Signal history of another role, in reply to a query.
+    SignalHistory(SignalHistory),
+    /// Result of writing the checkpoint.
+    CheckpointWritten(io::Result<()>),
+    /// Decommission: the robot takes no new role and releases the role it holds. The reply is true
+    /// once it holds no role, and false when the timeout has passed. The caller then ends the node.
+    /// A node that only stops for a while does not send this: its robot continues its role if it is
+    /// back in time.
+    Decommission {
+        /// Time for the coordinator to confirm the release. Lease plus grace time is enough.
+        timeout: Duration,
+        /// Reply port: true if the robot holds no role.
+        done: RpcReplyPort<bool>,
+    },
+    /// The time for the decommission has passed.
+    DecommissionTimeout,
+}

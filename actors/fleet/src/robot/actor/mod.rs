@@ -1,0 +1,225 @@
+//! The robot actor: mailbox, timers and bus around the values that make the decisions.
+//!
+//! `state` holds the values and performs single effects, `plan` and `role` perform the decisions
+//! about the plan and the role, and this file dispatches messages.
+
+mod message;
+mod plan;
+mod role;
+mod state;
+
+pub(crate) use message::RobotMessage;
+
+use super::bidder::{BidContext, Bidder};
+use super::checkpoint::Checkpoint;
+use super::checkpoint_storage::CheckpointStorage;
+use super::driver_link::DriverLink;
+use super::execution::Execution;
+use super::lease_client::LeaseClient;
+use super::recovery_policy::AttemptFailure;
+use super::settings::{RobotLinks, RobotSettings, RobotStart};
+use super::signals::SignalExchange;
+use super::worker_record::WorkerRecord;
+use consort_bus::reply;
+use consort_bus::tasks::Tasks;
+use consort_bus::{Query, Sample};
+use consort_protocol::auction::CallForBids;
+use consort_protocol::codec;
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::Key;
+use consort_protocol::lease::Event;
+use consort_protocol::message::{Beacon, FailureKind, SignalHistory};
+use ractor::{Actor, ActorProcessingErr, ActorRef, RpcReplyPort, SupervisionEvent};
+use state::{DECOMMISSION_CAUSE, DecommissionRequests, RobotState};
+use std::sync::Arc;
+use std::time::Duration;
+use tracing::{info, warn};
+
+/// The robot actor.
+pub(crate) struct Robot;
+
+#[ractor::async_trait]
+impl Actor for Robot {
+    type Msg = RobotMessage;
+    type State = RobotState;
+    type Arguments = RobotStart;
+
+    async fn pre_start(
+        &self,
+        myself: ActorRef<Self::Msg>,
+        RobotStart { settings, worker, driver }: RobotStart,
+    ) -> Result<Self::State, ActorProcessingErr> {
+        let (robot, RobotLinks { keys, bus, .. }) = (&settings.robot, &settings.links);
+        let restored = read_checkpoint(&settings).await;
+        let mut tasks = Tasks::default();
+        tasks.forward(bus.subscribe(&keys.write(&Key::Beacon)).await?, &myself, RobotMessage::Beacon);
+        tasks.forward(bus.serve(&keys.write(&Key::Bid(robot.clone()))).await?, &myself, RobotMessage::CallForBids);
+        tasks.forward(bus.serve(&keys.write(&Key::Award(robot.clone()))).await?, &myself, RobotMessage::AwardNotice);
+        let (now, report_timeout) = (settings.links.clock.now(), settings.execution.task_timeout.report_timeout);
+        let driver = DriverLink::new(driver, WorkerRecord::new(worker, now), report_timeout);
+        let (mut changes, to) = (driver.changes(), myself.clone());
+        let interval = settings.update_interval;
+        tasks.spawn(async move {
+            // The first report of the driver is published at once; later reports wait for the
+            // timer. The role needs attention even if the driver reports nothing.
+            let _ = tokio::time::timeout(Duration::from_secs(1), changes.changed()).await;
+            while to.cast(RobotMessage::Tick).is_ok() {
+                tokio::time::sleep(interval).await;
+            }
+        });
+        let mut state = RobotState {
+            lease: LeaseClient::new(robot.clone(), settings.lease_terms, restored.as_ref(), now),
+            execution: Execution::new(now),
+            checkpoint: CheckpointStorage::new(restored, now),
+            driver,
+            signals: SignalExchange::new(bus.clone(), keys.clone()),
+            decommission: DecommissionRequests::default(),
+            tasks,
+            myself,
+            settings,
+        };
+        if state.checkpoint.restored().is_some() {
+            state.sense(now);
+        } else {
+            state.write_checkpoint();
+        }
+        Ok(state)
+    }
+
+    async fn handle(
+        &self,
+        _: ActorRef<Self::Msg>,
+        message: Self::Msg,
+        state: &mut Self::State,
+    ) -> Result<(), ActorProcessingErr> {
+        match message {
+            RobotMessage::Tick => state.tick().await,
+            RobotMessage::Beacon(sample) => {
+                state.follow_coordinator(&sample);
+                Ok(())
+            }
+            RobotMessage::CallForBids(query) => {
+                state.bid(&query).await;
+                Ok(())
+            }
+            RobotMessage::AwardNotice(query) => state.handle_award_notice(&query).await,
+            RobotMessage::ReportReplied { sent, reply } => state.handle_report_reply(sent, reply).await,
+            RobotMessage::SkillEnded { run, outcome } => state.skill_ended(run, outcome).await,
+            RobotMessage::Signal(sample) => state.receive_signal_sample(&sample).await,
+            RobotMessage::SignalHistory(history) => state.receive_signals(&history).await,
+            RobotMessage::CheckpointWritten(result) => state.handle_checkpoint_written(result).await,
+            RobotMessage::Decommission { timeout, done } => state.decommission(timeout, done).await,
+            RobotMessage::DecommissionTimeout => {
+                state.decommission.reply(false);
+                Ok(())
+            }
+        }
+    }
+
+    async fn handle_supervisor_evt(
+        &self,
+        _: ActorRef<Self::Msg>,
+        event: SupervisionEvent,
+        state: &mut Self::State,
+    ) -> Result<(), ActorProcessingErr> {
+        match event {
+            SupervisionEvent::ActorFailed(actor, problem) => {
+                state.skill_crashed(actor.get_id(), problem.to_string()).await
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Reads the checkpoint of the previous incarnation. Returns `None` if there is none or it cannot
+/// be decoded.
+async fn read_checkpoint(settings: &RobotSettings) -> Option<Checkpoint> {
+    let robot = &settings.robot;
+    let bytes = match settings.links.checkpoint_store.read().await {
+        Ok(bytes) => bytes?,
+        Err(problem) => {
+            warn!(%robot, %problem, "checkpoint store cannot be read: the robot has lost its role");
+            return None;
+        }
+    };
+    match Checkpoint::decode(&bytes, robot) {
+        Ok(checkpoint) => {
+            let award = &checkpoint.award;
+            info!(%robot, mission = %award.mission, role = %award.role, epoch = %award.epoch, "checkpoint restored");
+            Some(checkpoint)
+        }
+        Err(problem) => {
+            warn!(%robot, %problem, "checkpoint discarded: the robot has lost its role");
+            None
+        }
+    }
+}
+
+impl RobotState {
+    async fn tick(&mut self) -> Result<(), ActorProcessingErr> {
+        let now = self.now();
+        self.sense(now);
+        self.handle_lease_event(Event::Tick, now).await?;
+        let is_idle = self.driver.is_idle();
+        let needs_report = self.execution.plan.as_ref().is_some_and(|active| active.needs_report(is_idle, now));
+        if needs_report || self.lease.is_report_due(now) {
+            self.report();
+        }
+        if self.execution.take_signal_query(now) {
+            self.query_signals();
+        }
+        self.check_progress(now).await?;
+        self.advance().await
+    }
+
+    fn follow_coordinator(&mut self, sample: &Sample) {
+        let beacon = match codec::decode::<Beacon>(&sample.payload) {
+            Ok(beacon) => beacon,
+            Err(problem) => return warn!(%problem, "beacon cannot be decoded"),
+        };
+        let node = beacon.node.clone();
+        let Some(change) = self.lease.follow(beacon) else { return };
+        if change.other_cluster {
+            info!(robot = %self.settings.robot, %node, "follows the coordinator of another cluster");
+        }
+        if change.new_session {
+            self.report();
+        }
+    }
+
+    async fn bid(&mut self, query: &Query) {
+        let Some(call) = reply::decode_or_refuse::<CallForBids>(query).await else { return };
+        let now = self.now();
+        self.sense(now);
+        let RobotSettings { robot, links, pricing, .. } = &self.settings;
+        let me = NodeId::from(robot.clone());
+        let coordinator = self.lease.coordinator().unwrap_or(&me);
+        let membership = links.knowledge.read(|base| pricing.ensemble.membership_of(&me, coordinator, base, now));
+        let (age_ms, closed_lanes) = (self.driver.telemetry_age_ms(), self.driver.closed_lanes());
+        let context = BidContext { worker: self.driver.worker(), closed_lanes, age_ms, membership };
+        let response = Bidder::new(robot.clone(), Arc::clone(&pricing.estimator)).respond(&call, &context);
+        reply::wire(query, &links.keys.write(&Key::Bid(robot.clone())), &response).await;
+    }
+
+    async fn receive_signal_sample(&mut self, sample: &Sample) -> Result<(), ActorProcessingErr> {
+        match codec::decode::<SignalHistory>(&sample.payload) {
+            Ok(history) => self.receive_signals(&history).await,
+            Err(problem) => {
+                warn!(key = sample.key, %problem, "signal cannot be decoded");
+                Ok(())
+            }
+        }
+    }
+
+    /// Refuses new roles and releases the held role.
+    async fn decommission(&mut self, timeout: Duration, done: RpcReplyPort<bool>) -> Result<(), ActorProcessingErr> {
+        self.decommission.add(done);
+        self.tasks.send_after(timeout, &self.myself, RobotMessage::DecommissionTimeout);
+        if self.execution.continuing_plan().is_some() {
+            let (kind, cause) = (FailureKind::Leaving, DECOMMISSION_CAUSE.to_owned());
+            self.handle_failure(AttemptFailure { kind, cause, permanent: true }).await?;
+        }
+        self.report();
+        self.perform_actions(vec![]).await
+    }
+}

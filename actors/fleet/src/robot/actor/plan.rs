@@ -1,0 +1,203 @@
+//! The robot actor performs its plan: next step, skills, failures, checkpoints and signals.
+
+use super::message::RobotMessage;
+use super::state::RobotState;
+use crate::robot::active_plan::{PlanAction, RecoveryEffect, ShortfallEffect, TaskAttempt};
+use crate::robot::energy_check::EnergyForecast;
+use crate::robot::recovery_policy::AttemptFailure;
+use crate::robot::sequencer::{StaleSignal, StepRef};
+use crate::robot::settings::PricingSettings;
+use crate::robot::skill_runner::{RunningSkill, SkillOutcome, SkillRun};
+use crate::robot::task_timeout::TaskTimer;
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::TaskId;
+use consort_protocol::message::{FailureKind, SignalHistory};
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::plan::Signal;
+use consort_protocol::units::NodeTime;
+use consort_skills::skill::SkillContext;
+use ractor::{ActorId, ActorProcessingErr};
+use std::io;
+use tracing::{debug, warn};
+
+impl RobotState {
+    /// The sequencing process: performs all steps that are possible now.
+    pub(super) async fn advance(&mut self) -> Result<(), ActorProcessingErr> {
+        let mut moved = false;
+        while let Some(next) = self.next_action() {
+            moved = true;
+            match next {
+                PlanAction::Emit(outputs) => self.emit_outputs(outputs).await,
+                PlanAction::StartTask { step, task, spec } => self.start_task(step, &task, &spec).await?,
+                PlanAction::ReportReceived(signal) => self.emit_received(signal),
+            }
+        }
+        self.write_checkpoint();
+        if moved {
+            self.report();
+        }
+        Ok(())
+    }
+
+    fn next_action(&mut self) -> Option<PlanAction> {
+        let now = self.now();
+        if self.lease.may_act(now) { self.execution.next_action(now) } else { None }
+    }
+
+    fn emit_received(&self, signal: Signal) {
+        if let Some(mission) = self.execution.plan.as_ref().map(|active| active.award.mission.clone()) {
+            self.emit_event(EventKind::Received { mission, signal });
+        }
+    }
+
+    async fn start_task(&mut self, step: StepRef, task: &TaskId, spec: &TaskSpec) -> Result<(), ActorProcessingErr> {
+        self.check_energy();
+        let estimate_context = self.driver.estimate_context();
+        let Some(active) = self.execution.continuing_plan() else { return Ok(()) };
+        let (mission, role) = active.mission_and_role();
+        let (first_goal, holders) = (active.first_goal(), active.sequencer.holder_robots());
+        self.emit_event(EventKind::TaskBegan { mission, role, task: task.clone() });
+        let run = self.execution.next_run();
+        let skill = match self.settings.execution.library.load(spec, &SkillContext { holders }) {
+            Ok(skill) => skill,
+            Err(problem) => {
+                let (kind, cause) = (FailureKind::Task, problem.to_string());
+                self.recover(AttemptFailure { kind, cause, permanent: true });
+                return Ok(());
+            }
+        };
+        self.driver.begin_attempt(first_goal);
+        let to = self.myself.clone();
+        let on_end = Box::new(move |outcome| {
+            // A stopped robot needs no outcome.
+            let _ = to.cast(RobotMessage::SkillEnded { run, outcome });
+        });
+        let period = self.settings.execution.skill_tick_interval;
+        let skill_run = SkillRun { run, skill, driver: self.driver.driver(), period, on_end };
+        let skill = RunningSkill::start(skill_run, self.myself.get_cell()).await?;
+        let estimate = self.settings.pricing.estimator.estimate(spec, &estimate_context);
+        let estimate = estimate.ok().map(|estimate| estimate.time);
+        let timer = TaskTimer::new(&self.settings.execution.task_timeout, spec, estimate);
+        if let Some(active) = &mut self.execution.plan {
+            active.attempt = Some(TaskAttempt { step, skill, timer });
+        }
+        Ok(())
+    }
+
+    pub(super) async fn skill_ended(&mut self, run: u64, outcome: SkillOutcome) -> Result<(), ActorProcessingErr> {
+        let Some(active) = self.execution.plan.as_mut() else { return Ok(()) };
+        let Some(attempt) = active.take_attempt(run) else {
+            return Ok(()); // the skill was halted meanwhile
+        };
+        match outcome {
+            SkillOutcome::Succeeded => {
+                let Some(task) = active.sequencer.current_task().cloned() else { return Ok(()) };
+                active.end_task(attempt.step, task, self.driver.next_goal());
+                self.advance().await
+            }
+            SkillOutcome::Failed(cause) => {
+                let failure = self.driver.attempt_failure(cause);
+                self.handle_failure(failure).await
+            }
+        }
+    }
+
+    /// Handles the failure of an actor: if it executed the current skill, the attempt has failed.
+    pub(super) async fn skill_crashed(&mut self, actor: ActorId, problem: String) -> Result<(), ActorProcessingErr> {
+        let attempt = self.execution.plan.as_mut().map(|active| &mut active.attempt);
+        if attempt.and_then(|attempt| attempt.take_if(|attempt| attempt.skill.is_executed_by(actor))).is_none() {
+            return Ok(());
+        }
+        self.driver.stop();
+        let cause = format!("the skill crashed: {problem}");
+        self.handle_failure(AttemptFailure { kind: FailureKind::Crash, cause, permanent: false }).await
+    }
+
+    /// Handles a failure of the current task or of the whole plan.
+    pub(super) async fn handle_failure(&mut self, failure: AttemptFailure) -> Result<(), ActorProcessingErr> {
+        self.recover(failure);
+        self.report();
+        self.advance().await
+    }
+
+    fn recover(&mut self, failure: AttemptFailure) {
+        let (now, delay) = (self.now(), self.settings.execution.retry_delay);
+        let Some(active) = self.execution.plan.as_mut() else { return };
+        match active.recover(failure, delay, now) {
+            Some(RecoveryEffect::Retry(delay, event)) => {
+                self.tasks.send_after(delay, &self.myself, RobotMessage::Tick);
+                self.emit_event(event);
+            }
+            Some(RecoveryEffect::Release(event)) => self.emit_event(event),
+            Some(RecoveryEffect::Alternative) | None => {}
+        }
+    }
+
+    /// Checks the current task against its timeout, and the battery against the remaining plan.
+    pub(super) async fn check_progress(&mut self, now: NodeTime) -> Result<(), ActorProcessingErr> {
+        let (world, silent_for) = (self.driver.world_time(), self.driver.silent_for());
+        let Some(active) = self.execution.plan.as_mut().filter(|active| active.attempt.is_some()) else {
+            return Ok(());
+        };
+        if let Some(failure) = active.check_timer(world, silent_for) {
+            return self.handle_failure(failure).await;
+        }
+        if self.execution.is_pricing_due(now) {
+            self.check_energy();
+        }
+        Ok(())
+    }
+
+    /// Prices the remaining plan with the current charge. A robot that would strand releases the
+    /// role while another robot can still take over.
+    fn check_energy(&mut self) {
+        let now = self.now();
+        self.execution.set_priced(now);
+        self.sense(now);
+        let Some(active) = self.execution.continuing_plan().filter(|_| self.driver.telemetry().is_some()) else {
+            return;
+        };
+        let PricingSettings { estimator, limits, .. } = &self.settings.pricing;
+        let (rest, closed) = (active.sequencer.remaining_plan(), self.driver.closed_lanes());
+        let forecast = EnergyForecast::new(estimator, &rest, self.driver.worker(), closed, limits);
+        let Some(cause) = forecast.ok().and_then(|forecast| forecast.shortfall()) else { return };
+        match active.handle_shortfall(cause) {
+            ShortfallEffect::Fail(failure) => {
+                self.recover(failure);
+                self.report();
+            }
+            ShortfallEffect::Continue(event) => event.into_iter().for_each(|event| self.emit_event(event)),
+        }
+    }
+
+    /// Handles the end of a checkpoint write.
+    pub(super) async fn handle_checkpoint_written(&mut self, result: io::Result<()>) -> Result<(), ActorProcessingErr> {
+        match &result {
+            Ok(()) => debug!(robot = %self.settings.robot, "checkpoint written"),
+            Err(problem) => warn!(robot = %self.settings.robot, %problem, "checkpoint was not written"),
+        }
+        if let Some(failure) = self.checkpoint.finish_write(result, self.execution.plan.as_mut()) {
+            self.recover(failure);
+            self.report();
+        }
+        self.sense(self.now());
+        self.advance().await
+    }
+
+    /// Receives the signals of another role.
+    pub(super) async fn receive_signals(&mut self, history: &SignalHistory) -> Result<(), ActorProcessingErr> {
+        let active = self.execution.plan.as_mut().filter(|active| active.award.mission == history.mission);
+        let Some(active) = active else { return Ok(()) };
+        let mut has_new = false;
+        for signal in history.signals.iter().filter(|signal| signal.to == active.award.role) {
+            match active.sequencer.receive_signal(signal, history.epoch) {
+                Ok(new) => has_new |= new,
+                Err(StaleSignal { current: known }) => {
+                    let event = self.signals.record_stale(&mut active.stale_signals, history, signal, known);
+                    event.into_iter().for_each(|event| self.settings.links.events.publish(event));
+                }
+            }
+        }
+        if has_new { self.advance().await } else { Ok(()) }
+    }
+}

@@ -1,0 +1,183 @@
+//! The robot actor performs its role: awards, replies to reports, start and end of the plan.
+
+use super::message::RobotMessage;
+use super::state::RobotState;
+use crate::robot::active_plan::{ActivePlan, PlanStart};
+use crate::robot::checkpoint_writer::PendingOutput;
+use crate::robot::lease_client::Renewal;
+use consort_bus::reply;
+use consort_bus::{BusError, Query};
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::RoleId;
+use consort_protocol::keys::Key;
+use consort_protocol::lease::{Action, Award, EndReason, Epoch, Event, RoleHolder};
+use consort_protocol::message::{AwardNotice, ReportReply};
+use consort_protocol::plan::{Signal, StepIndex};
+use consort_protocol::units::NodeTime;
+use ractor::ActorProcessingErr;
+use std::collections::{BTreeMap, BTreeSet};
+use tracing::{debug, info, warn};
+
+impl RobotState {
+    pub(super) async fn handle_award_notice(&mut self, query: &Query) -> Result<(), ActorProcessingErr> {
+        let Some(notice) = reply::decode_or_refuse::<AwardNotice>(query).await else { return Ok(()) };
+        let now = self.now();
+        let (reply, event) = self.lease.answer(notice, self.decommission.is_leaving());
+        let key = self.settings.links.keys.write(&Key::Award(self.settings.robot.clone()));
+        reply::wire(query, &key, &reply).await;
+        match event {
+            Some(event) => self.handle_lease_event(event, now).await,
+            None => Ok(()),
+        }
+    }
+
+    /// Handles an event of the lease.
+    pub(super) async fn handle_lease_event(&mut self, event: Event, now: NodeTime) -> Result<(), ActorProcessingErr> {
+        let actions = self.lease.handle(event, now);
+        self.perform_actions(actions).await
+    }
+
+    pub(super) async fn handle_report_reply(
+        &mut self,
+        sent: NodeTime,
+        reply: Option<ReportReply>,
+    ) -> Result<(), ActorProcessingErr> {
+        self.lease.end_report();
+        let now = self.now();
+        let actions = match reply {
+            Some(ReportReply::Renewed { epoch, ended, holders, signals }) => {
+                self.update_plan(epoch, &ended, &holders, &signals);
+                self.lease.renew(Renewal { epoch, sent, ended, holders }, now)
+            }
+            Some(ReportReply::Ended { epoch, reason: EndReason::Over, .. }) => self.settle(epoch, now).await,
+            Some(ReportReply::Ended { epoch, reason, .. }) => self.lease.handle(Event::Revoked { epoch, reason }, now),
+            Some(ReportReply::NotCoordinator { coordinator }) => {
+                debug!(robot = %self.settings.robot, ?coordinator, "reported to a node that is not the coordinator");
+                vec![]
+            }
+            None => vec![],
+        };
+        self.perform_actions(actions).await?;
+        if self.lease.take_queued_report() {
+            self.report();
+        }
+        self.advance().await
+    }
+
+    /// Updates the plan of a renewed award from the ledger.
+    fn update_plan(
+        &mut self,
+        epoch: Epoch,
+        ended: &BTreeSet<StepIndex>,
+        holders: &BTreeMap<RoleId, RoleHolder>,
+        signals: &BTreeSet<Signal>,
+    ) {
+        let Some(active) = self.execution.plan_of(epoch) else { return };
+        active.sequencer.set_recorded(ended);
+        let discarded = active.sequencer.set_holders(holders.clone());
+        active.sequencer.receive_recorded(signals);
+        if discarded {
+            self.query_signals();
+        }
+    }
+
+    /// Ends the plan of a role that is over and has no successor. Every step in the ledger counts
+    /// as sent, so pending outputs are sent now, with or without a checkpoint.
+    async fn settle(&mut self, epoch: Epoch, now: NodeTime) -> Vec<Action> {
+        let unsent = self.execution.plan_of(epoch).map(ActivePlan::take_pending);
+        self.emit_outputs(unsent.unwrap_or_default()).await;
+        self.end_plan(epoch, EndReason::Over);
+        self.lease.handle(Event::Settled { epoch }, now)
+    }
+
+    /// Performs the actions of the lease, and then all steps of the plan that are possible.
+    pub(super) async fn perform_actions(&mut self, actions: Vec<Action>) -> Result<(), ActorProcessingErr> {
+        for action in actions {
+            match action {
+                Action::Report => self.report(),
+                Action::Start(award, ended) => self.start(*award, &ended).await?,
+                Action::Suspend => self.suspend(),
+                Action::Resume => self.resume(),
+                Action::Halt(reason) => self.halt(reason),
+            }
+        }
+        if self.lease.award().is_none() {
+            self.decommission.reply(true);
+        }
+        self.sense(self.now());
+        self.advance().await
+    }
+
+    async fn start(&mut self, award: Award, recorded: &BTreeSet<StepIndex>) -> Result<(), BusError> {
+        let (mission, role, epoch) = (award.mission.clone(), award.role.clone(), award.epoch);
+        let holders = self.lease.take_holders(&award);
+        let restored = self.checkpoint.take_restored_for(epoch);
+        info!(robot = %self.settings.robot, %mission, %role, %epoch, resumes = restored.is_some(), "starts its role");
+        let event = match restored.is_some() {
+            true => EventKind::Resumed { mission: mission.clone(), role: role.clone() },
+            false => EventKind::Started { mission: mission.clone(), role: role.clone(), epoch },
+        };
+        let next_goal = self.driver.next_goal();
+        let start = PlanStart { award, recorded, holders, restored, next_goal };
+        let Some((mut active, failure)) = ActivePlan::start(start) else { return Ok(()) };
+        let links = &self.settings.links;
+        let signals = links.bus.subscribe(&links.keys.write(&Key::Signal(mission.clone(), role.clone()))).await?;
+        active.subscriptions.forward(signals, &self.myself, RobotMessage::Signal);
+        self.signals.start_role(&mission, &role, epoch, active.sequencer.sent_signals().clone()).await?;
+        self.emit_event(event);
+        let release = failure.map(|failure| active.release(failure, self.now()));
+        self.execution.plan = Some(active);
+        release.into_iter().for_each(|event| self.emit_event(event));
+        // Signals that were sent before the subscription are queried.
+        self.query_signals();
+        Ok(())
+    }
+
+    fn suspend(&mut self) {
+        let Some(active) = self.execution.plan.as_mut() else { return };
+        active.suspend();
+        warn!(robot = %self.settings.robot, mission = %active.award.mission, "lease expired: suspended");
+        let (mission, role) = active.mission_and_role();
+        self.emit_event(EventKind::Suspended { mission, role });
+    }
+
+    fn resume(&mut self) {
+        if let Some((mission, role)) = self.execution.plan.as_ref().map(ActivePlan::mission_and_role) {
+            self.emit_event(EventKind::Resumed { mission, role });
+        }
+    }
+
+    fn halt(&mut self, reason: EndReason) {
+        let held = self.execution.plan.as_ref().map(|active| active.award.epoch);
+        let restored = self.checkpoint.restored().map(|checkpoint| checkpoint.award.epoch);
+        if let Some(epoch) = held.or(restored) {
+            self.end_plan(epoch, reason);
+        }
+    }
+
+    /// Ends the plan of the award `epoch`, whether active or restored from a checkpoint. Its sent
+    /// signals can still be queried.
+    fn end_plan(&mut self, epoch: Epoch, reason: EndReason) {
+        if let Some(mut active) = self.execution.take_plan(epoch) {
+            active.stop();
+            self.signals.end_role(&active.award.mission, &active.award.role);
+            // The events have happened and are published. Signals that were not sent are left to
+            // the next holder.
+            for output in active.take_pending() {
+                if let PendingOutput::Event(event) = output {
+                    self.emit_event(event);
+                }
+            }
+            self.emit_halted(&active.award, reason);
+        }
+        if let Some(checkpoint) = self.checkpoint.take_restored_if(epoch) {
+            self.emit_halted(&checkpoint.award, reason);
+        }
+    }
+
+    fn emit_halted(&self, award: &Award, reason: EndReason) {
+        info!(robot = %self.settings.robot, mission = %award.mission, ?reason, "ends its role");
+        let (mission, role) = (award.mission.clone(), award.role.clone());
+        self.emit_event(EventKind::Halted { mission, role, reason });
+    }
+}

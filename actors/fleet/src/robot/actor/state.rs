@@ -1,0 +1,162 @@
+//! State of the robot actor, and the effects that it performs: events, reports, checkpoint writes
+//! and queries.
+
+use super::message::RobotMessage;
+use crate::robot::checkpoint_storage::{CheckpointStorage, CheckpointWrite};
+use crate::robot::checkpoint_writer::PendingOutput;
+use crate::robot::driver_link::DriverLink;
+use crate::robot::execution::Execution;
+use crate::robot::lease_client::{LeaseClient, ReportHeader};
+use crate::robot::report::send_report;
+use crate::robot::settings::RobotSettings;
+use crate::robot::signals::SignalExchange;
+use consort_bus::tasks::Tasks;
+use consort_protocol::event::EventKind;
+use consort_protocol::keys::Key;
+use consort_protocol::ledger::Branch;
+use consort_protocol::message::{FailureKind, Report, TaskFailure};
+use consort_protocol::units::NodeTime;
+use ractor::{ActorRef, RpcReplyPort};
+use tracing::debug;
+
+/// Cause of a release because of a decommission.
+pub(super) const DECOMMISSION_CAUSE: &str = "it leaves the fleet";
+
+/// State of the robot actor, by concern.
+pub(crate) struct RobotState {
+    pub(super) settings: RobotSettings,
+    /// The actor itself: recipient of replies and results.
+    pub(super) myself: ActorRef<RobotMessage>,
+    pub(super) lease: LeaseClient,
+    pub(super) execution: Execution,
+    pub(super) checkpoint: CheckpointStorage,
+    pub(super) driver: DriverLink,
+    pub(super) signals: SignalExchange,
+    pub(super) decommission: DecommissionRequests,
+    pub(super) tasks: Tasks,
+}
+
+/// Pending decommission requests; `Some` once the first request has arrived.
+#[derive(Default)]
+pub(super) struct DecommissionRequests(Option<Vec<RpcReplyPort<bool>>>);
+
+impl DecommissionRequests {
+    /// Checks whether a decommission was requested.
+    pub(super) fn is_leaving(&self) -> bool {
+        self.0.is_some()
+    }
+
+    pub(super) fn add(&mut self, done: RpcReplyPort<bool>) {
+        self.0.get_or_insert_default().push(done);
+    }
+
+    /// Replies to all pending requests.
+    pub(super) fn reply(&mut self, is_free: bool) {
+        for done in self.0.iter_mut().flat_map(std::mem::take) {
+            // The caller may have stopped waiting.
+            let _ = done.send(is_free);
+        }
+    }
+}
+
+impl RobotState {
+    pub(super) fn now(&self) -> NodeTime {
+        self.settings.links.clock.now()
+    }
+
+    /// Publishes an event of the robot.
+    pub(super) fn emit_event(&self, event: EventKind) {
+        self.settings.links.events.publish(event);
+    }
+
+    /// Sends outputs after their steps were stored in the checkpoint.
+    pub(super) async fn emit_outputs(&mut self, outputs: Vec<PendingOutput>) {
+        let Some(mission) = self.execution.plan.as_ref().map(|active| active.award.mission.clone()) else { return };
+        for output in outputs {
+            match output {
+                PendingOutput::Event(event) => self.emit_event(event),
+                PendingOutput::Signal(signal) => {
+                    self.signals.send(&mission, &signal).await;
+                    self.emit_event(EventKind::Sent { mission: mission.clone(), signal });
+                }
+            }
+        }
+    }
+
+    /// Reads the latest driver report, and publishes the worker through gossip if it has changed.
+    pub(super) fn sense(&mut self, now: NodeTime) {
+        let leaving = self.decommission.is_leaving().then(|| DECOMMISSION_CAUSE.to_owned());
+        let problem = leaving.or_else(|| self.checkpoint.problem());
+        let Some(worker) = self.driver.sense(self.lease.holding(), problem, now) else { return };
+        if self.settings.links.gossip.update_with(move |knowledge| knowledge.robot = Some(worker)).is_err() {
+            debug!(robot = %self.settings.robot, "gossip has stopped");
+        }
+    }
+
+    /// Sends a report to the coordinator. At most 1 report is in flight; another follows at once if
+    /// this is called meanwhile.
+    pub(super) fn report(&mut self) {
+        let (sent, limit) = (self.now(), self.settings.lease_terms.lease / 4);
+        let Some(header) = self.lease.begin_report(sent) else { return };
+        let key = self.settings.links.keys.write(&Key::Report(header.coordinator.clone()));
+        let report = self.report_content(header, sent);
+        let (bus, to) = (self.settings.links.bus.clone(), self.myself.clone());
+        self.tasks.spawn(async move {
+            let reply = send_report(bus, &key, &report, limit).await;
+            // A stopped robot needs no reply.
+            let _ = to.cast(RobotMessage::ReportReplied { sent, reply });
+        });
+    }
+
+    fn report_content(&mut self, header: ReportHeader, now: NodeTime) -> Report {
+        let ReportHeader { mission, role, epoch, from_checkpoint, .. } = header;
+        let leaving = || TaskFailure { task: None, cause: DECOMMISSION_CAUSE.to_owned(), kind: FailureKind::Leaving };
+        let is_idle = self.driver.is_idle();
+        let active = self.execution.plan_of(epoch);
+        let failure = match active.and_then(|active| active.pending_release()) {
+            Some(release) => release.take_report(is_idle, now),
+            None => self.decommission.is_leaving().then(leaving),
+        };
+        let active = self.execution.plan_of(epoch).map(|active| &active.sequencer);
+        let restored = self.checkpoint.restored().filter(|checkpoint| checkpoint.award.epoch == epoch);
+        let ended = active.map(|sequencer| sequencer.ended()).or(restored.map(|checkpoint| &checkpoint.ended));
+        Report {
+            robot: self.settings.robot.clone(),
+            incarnation: self.settings.incarnation,
+            mission,
+            role,
+            epoch,
+            branch: Branch::default(),
+            ended: ended.cloned().unwrap_or_default(),
+            current_task: active.and_then(|sequencer| sequencer.current_task().cloned()),
+            place: self.driver.place(),
+            from_checkpoint,
+            failure,
+        }
+    }
+
+    /// Writes the checkpoint if it is outdated. The mailbox does not wait for the disk: a lease may
+    /// expire meanwhile.
+    pub(super) fn write_checkpoint(&mut self) {
+        let now = self.now();
+        let Some(CheckpointWrite(content)) = self.checkpoint.start_write(self.execution.plan.as_mut(), now) else {
+            return;
+        };
+        let (store, to) = (self.settings.links.checkpoint_store.clone(), self.myself.clone());
+        self.tasks.spawn(async move {
+            let result = store.write(content).await;
+            // A stopped robot needs no result.
+            let _ = to.cast(RobotMessage::CheckpointWritten(result));
+        });
+    }
+
+    /// Queries the signal histories of all roles with an awaited signal.
+    pub(super) fn query_signals(&mut self) {
+        let Some(active) = &self.execution.plan else { return };
+        let (to, awaited) = (self.myself.clone(), active.sequencer.awaited_signals());
+        self.signals.query_history(&active.award.mission, &awaited, &mut self.tasks, move |history| {
+            // A stopped robot needs no reply.
+            let _ = to.cast(RobotMessage::SignalHistory(history));
+        });
+    }
+}

@@ -1,0 +1,134 @@
+//! The link of a robot to its driver: latest telemetry, and the record derived from it.
+
+use super::energy_check::pricing_context;
+use super::recovery_policy::AttemptFailure;
+use super::worker_record::WorkerRecord;
+use crate::robot_driver::RobotDriver;
+use consort_protocol::ids::PlaceId;
+use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::message::FailureKind;
+use consort_protocol::units::{NodeTime, WorldTime};
+use consort_skills::actions::{GoalId, RobotActions, Telemetry};
+use consort_skills::descriptor::EstimateContext;
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// Link of a robot to its driver.
+pub(super) struct DriverLink {
+    driver: RobotDriver,
+    record: WorkerRecord,
+    /// Time without a report after which the robot is out of service.
+    report_timeout: Duration,
+}
+
+impl DriverLink {
+    pub(super) fn new(driver: RobotDriver, record: WorkerRecord, report_timeout: Duration) -> DriverLink {
+        DriverLink { driver, record, report_timeout }
+    }
+
+    /// Returns a clone of the driver for a skill.
+    pub(super) fn driver(&self) -> RobotDriver {
+        self.driver.clone()
+    }
+
+    /// Returns a counter of received states, which notifies its receivers of each new state.
+    pub(super) fn changes(&self) -> watch::Receiver<u64> {
+        self.driver.changes()
+    }
+
+    /// Properties sensing (thesis, Listing 3.1): reads the latest driver report. `holding` is the
+    /// availability of a robot with a role, and `problem` a problem of the robot that has nothing
+    /// to do with its driver. Returns the worker if it is to be published.
+    pub(super) fn sense(
+        &mut self,
+        holding: Option<Availability>,
+        problem: Option<String>,
+        now: NodeTime,
+    ) -> Option<RobotKnowledge> {
+        self.driver.refresh();
+        let availability = match (holding, problem.or_else(|| self.driver_problem())) {
+            (Some(holding), _) => holding,
+            (None, Some(problem)) => Availability::OutOfService { problem },
+            (None, None) => Availability::Free,
+        };
+        self.record.update(self.driver.telemetry(), availability, now)
+    }
+
+    fn driver_problem(&self) -> Option<String> {
+        match self.telemetry() {
+            Some(report) if !report.able => Some("its battery is too low to move".to_owned()),
+            Some(_) if self.silent_for() < self.report_timeout => None,
+            Some(_) | None => Some("its driver does not reply".to_owned()),
+        }
+    }
+
+    /// Returns the robot's own record.
+    pub(super) fn worker(&self) -> &RobotKnowledge {
+        self.record.worker()
+    }
+
+    /// Returns the telemetry of the last [`sense`](DriverLink::sense).
+    pub(super) fn telemetry(&self) -> Option<&Telemetry> {
+        self.driver.telemetry()
+    }
+
+    /// Returns the lanes that the driver has found closed.
+    pub(super) fn closed_lanes(&self) -> &[(PlaceId, PlaceId)] {
+        self.telemetry().map_or(&[], |report| &report.closed)
+    }
+
+    /// Returns the estimator's input for the robot at its current pose.
+    pub(super) fn estimate_context(&self) -> EstimateContext {
+        let worker = self.worker();
+        EstimateContext { pose: Some(worker.pose), ..pricing_context(worker, self.closed_lanes()) }
+    }
+
+    /// Returns the place of the robot, if its driver has reported.
+    pub(super) fn place(&self) -> Option<PlaceId> {
+        self.telemetry().map(|report| report.place.clone())
+    }
+
+    /// Returns the driver's clock.
+    pub(super) fn world_time(&self) -> Option<WorldTime> {
+        self.telemetry().map(|report| report.time)
+    }
+
+    /// Returns the age of the latest telemetry in milliseconds; 0 before the first.
+    pub(super) fn telemetry_age_ms(&self) -> u64 {
+        self.driver.telemetry_age_ms()
+    }
+
+    /// Returns the time since the latest state of the driver.
+    pub(super) fn silent_for(&self) -> Duration {
+        self.driver.silent_for()
+    }
+
+    /// Checks whether a state has arrived and no goal is in progress.
+    pub(super) fn is_idle(&self) -> bool {
+        self.driver.is_idle()
+    }
+
+    /// Returns the id of the next goal.
+    pub(super) fn next_goal(&self) -> GoalId {
+        self.driver.next_goal()
+    }
+
+    /// Begins an attempt at a task with this first goal.
+    pub(super) fn begin_attempt(&self, first: GoalId) {
+        self.driver.begin_attempt(first);
+    }
+
+    /// Cancels every goal in progress: the robot stops safely.
+    pub(super) fn stop(&self) {
+        self.driver.stop();
+    }
+
+    /// Returns the failure of an attempt from the cause that the skill returned: a robot that
+    /// cannot move any more has an empty battery.
+    pub(super) fn attempt_failure(&mut self, cause: String) -> AttemptFailure {
+        self.driver.refresh();
+        let stranded = self.telemetry().is_some_and(|report| !report.able);
+        let kind = if stranded { FailureKind::Battery } else { FailureKind::Task };
+        AttemptFailure { kind, cause, permanent: false }
+    }
+}

@@ -1,0 +1,310 @@
+//! Selection of the next step of a local plan (Algorithm 2 of the thesis), as a value.
+
+mod alternatives;
+mod role_awards;
+#[cfg(test)]
+mod tests;
+
+pub use alternatives::AlternativeProgress;
+pub(crate) use role_awards::StaleSignal;
+
+use alternatives::{alternative, alternative_task};
+use consort_protocol::ids::{RobotId, RoleId, TaskId};
+use consort_protocol::lease::{Epoch, RoleHolder};
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::plan::{LocalPlan, PlanProgress, ProgressError, Signal, SignalKind, Step, StepAction, StepIndex};
+use role_awards::RoleAwards;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// A plan in execution: ended steps, current task, next step.
+#[derive(Debug, Clone)]
+pub struct Sequencer {
+    progress: PlanProgress,
+    /// The current task.
+    running: Option<StepRef>,
+    alternatives: AlternativeProgress,
+    /// Steps that the ledger is known to contain as ended.
+    recorded: BTreeSet<StepIndex>,
+    /// Holders of the mission's managed roles.
+    roles: RoleAwards,
+    /// Signals that this role has sent.
+    sent: BTreeSet<Signal>,
+}
+
+/// Reference to a task within a plan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum StepRef {
+    /// A step of the plan.
+    Step(StepIndex),
+    /// A task of an alternative.
+    Alternative {
+        /// Index of the alternative.
+        alternative: usize,
+        /// Index of the task within the alternative.
+        task: usize,
+    },
+}
+
+/// Next action for the caller.
+#[derive(Debug, Clone, PartialEq)]
+pub enum SequencerAction {
+    /// Start a task.
+    StartTask {
+        /// Position of the task in the plan.
+        step: StepRef,
+        /// Its id.
+        task: TaskId,
+        /// Its specification.
+        spec: TaskSpec,
+    },
+    /// Send a signal to another role.
+    SendSignal(Signal),
+    /// An awaited signal has arrived.
+    SignalReceived(Signal),
+}
+
+impl Sequencer {
+    /// Starts a plan with the steps that the ledger contains as ended.
+    ///
+    /// # Errors
+    /// [`ProgressError`] if these steps cannot have ended in this order.
+    pub fn new(
+        plan: LocalPlan,
+        ended: &BTreeSet<StepIndex>,
+        holders: BTreeMap<RoleId, RoleHolder>,
+    ) -> Result<Sequencer, ProgressError> {
+        Sequencer::resume(plan, ended, &BTreeSet::new(), AlternativeProgress::default(), holders)
+    }
+
+    /// Resumes a plan after a restart. The checkpoint (`own`) may be ahead of the ledger
+    /// (`recorded`), or behind it.
+    ///
+    /// # Errors
+    /// Same as [`new`](Sequencer::new).
+    pub fn resume(
+        plan: LocalPlan,
+        recorded: &BTreeSet<StepIndex>,
+        own: &BTreeSet<StepIndex>,
+        alternatives: AlternativeProgress,
+        holders: BTreeMap<RoleId, RoleHolder>,
+    ) -> Result<Sequencer, ProgressError> {
+        let ended: BTreeSet<StepIndex> = recorded.union(own).copied().collect();
+        let sent = ended.iter().filter_map(|step| match &plan.steps.get(*step as usize)?.action {
+            StepAction::Send(signal) => Some(signal.clone()),
+            StepAction::Wait(_) | StepAction::Task { .. } => None,
+        });
+        let sent = sent.collect();
+        let progress = PlanProgress::restore(plan, ended, BTreeSet::new())?;
+        let alternatives = alternatives.restore(&progress);
+        let roles = RoleAwards::new(holders);
+        let recorded = recorded.clone();
+        Ok(Sequencer { progress, running: None, alternatives, recorded, roles, sent })
+    }
+
+    /// Returns the next action, which the caller performs at once. Returns `None` while a task is
+    /// running, and while every open step waits: for a signal, for the ledger, or for a holder of
+    /// another role that the task names. Sending and receiving a signal end with the return; a task
+    /// ends with [`end_task`](Sequencer::end_task).
+    pub fn next_action(&mut self) -> Option<SequencerAction> {
+        if self.running.is_some() {
+            return None;
+        }
+        let next = self.progress.next_guarded(&self.recorded).map(|(index, step)| (index, step.action.clone()));
+        match next {
+            Some((step, StepAction::Send(signal))) if signal.kind == SignalKind::Done => {
+                Some(self.send_signal(step, signal))
+            }
+            Some((step, StepAction::Wait(signal))) => {
+                self.finish(step);
+                Some(SequencerAction::SignalReceived(signal))
+            }
+            // The current alternative takes precedence over all other tasks until it has ended.
+            _ if self.alternatives.current().is_some() => self.next_alternative_task(),
+            Some((step, StepAction::Send(signal))) => Some(self.send_signal(step, signal)),
+            Some((step, StepAction::Task { id, spec })) => self.start_task(StepRef::Step(step), id, spec),
+            None => None,
+        }
+    }
+
+    fn send_signal(&mut self, step: StepIndex, signal: Signal) -> SequencerAction {
+        self.finish(step);
+        self.sent.insert(signal.clone());
+        SequencerAction::SendSignal(signal)
+    }
+
+    fn next_alternative_task(&mut self) -> Option<SequencerAction> {
+        let (alternative, task) = self.alternatives.current()?;
+        let (id, spec) = alternative_task(self.progress.plan(), alternative, task)?;
+        let (id, spec) = (id.clone(), spec.clone());
+        self.start_task(StepRef::Alternative { alternative, task }, id, spec)
+    }
+
+    fn start_task(&mut self, step: StepRef, task: TaskId, spec: TaskSpec) -> Option<SequencerAction> {
+        if self.roles.names_vacant_role(&spec) {
+            return None;
+        }
+        self.running = Some(step);
+        Some(SequencerAction::StartTask { step, task, spec })
+    }
+
+    fn finish(&mut self, step: StepIndex) {
+        self.progress.end(step).expect("a returned step may end");
+    }
+
+    /// Marks the current task as succeeded.
+    pub fn end_task(&mut self, step: StepRef) {
+        if self.running.take_if(|running| *running == step).is_none() {
+            return;
+        }
+        match step {
+            StepRef::Step(step) => self.finish(step),
+            StepRef::Alternative { alternative, task } => {
+                self.alternatives.end_task(alternative, task, &mut self.progress);
+            }
+        }
+    }
+
+    /// Aborts the current task. It starts again when the plan continues.
+    pub fn abort_task(&mut self) {
+        self.running = None;
+    }
+
+    /// Replaces the failed current task by the first alternative, in the order of the plan, that
+    /// has not been started yet. Returns the index of the alternative. Returns `None` if there is
+    /// none; the task is then only aborted.
+    pub fn switch_to_alternative(&mut self) -> Option<usize> {
+        let failed = self.running.take()?;
+        let replaced_steps = match failed {
+            StepRef::Step(step) => BTreeSet::from([step]),
+            StepRef::Alternative { alternative: number, .. } => {
+                alternative(self.progress.plan(), number)?.replaces.clone()
+            }
+        };
+        self.alternatives.start_for(&replaced_steps, &self.progress)
+    }
+
+    /// Receives a signal that another role sent under the award of `epoch`. Returns true if it was
+    /// awaited and is new.
+    ///
+    /// # Errors
+    /// [`StaleSignal`] if a later award of the sending role is known: the role has another holder.
+    /// The state is unchanged.
+    pub(crate) fn receive_signal(&mut self, signal: &Signal, epoch: Epoch) -> Result<bool, StaleSignal> {
+        if self.roles.check_signal(&signal.from, epoch)? {
+            self.progress.discard_signals_from(&signal.from);
+        }
+        Ok(self.progress.receive(signal))
+    }
+
+    /// Receives signals that the ledger contains as sent to this role. Their sender may be gone.
+    pub fn receive_recorded(&mut self, signals: &BTreeSet<Signal>) {
+        for signal in signals {
+            self.progress.receive(signal);
+        }
+    }
+
+    /// Returns the current task and its specification.
+    pub(crate) fn current_step(&self) -> Option<(StepRef, &TaskId, &TaskSpec)> {
+        let step = self.running?;
+        let (id, spec) = match step {
+            StepRef::Step(step) => match &self.progress.step(step)?.action {
+                StepAction::Task { id, spec } => (id, spec),
+                StepAction::Send(_) | StepAction::Wait(_) => return None,
+            },
+            StepRef::Alternative { alternative, task } => alternative_task(self.progress.plan(), alternative, task)?,
+        };
+        Some((step, id, spec))
+    }
+
+    /// Returns the id of the current task.
+    pub(crate) fn current_task(&self) -> Option<&TaskId> {
+        self.current_step().map(|(_, id, _)| id)
+    }
+
+    /// Returns the remaining work, including the current task, as a plan that can be priced.
+    pub fn remaining_plan(&self) -> LocalPlan {
+        let plan = self.progress.plan();
+        let (tasks, replaced) = self.alternatives.remaining(plan);
+        let first = tasks.iter().map(|(id, spec)| StepAction::Task { id: id.clone(), spec: spec.clone() });
+        let open = plan.steps.iter().zip(0..).filter(|(_, step)| {
+            !self.progress.ended().contains(step) && replaced.is_none_or(|replaced| !replaced.contains(step))
+        });
+        let actions = first.chain(open.map(|(step, _)| step.action.clone()));
+        let steps = actions.map(|action| Step { action, after: vec![] }).collect();
+        LocalPlan::of(plan.role.clone(), steps)
+    }
+
+    /// Checks whether this role may have received an item: a guarded step has ended. An item that
+    /// was handed on still counts, because the plan does not contain the recipient.
+    pub(crate) fn may_have_custody(&self) -> bool {
+        !self.progress.plan().guarded.is_disjoint(self.progress.ended())
+    }
+
+    /// Returns the tasks of an alternative.
+    pub(crate) fn alternative_tasks(&self, number: usize) -> Vec<TaskId> {
+        let tasks = alternative(self.progress.plan(), number).map_or(&[][..], |replacement| &replacement.tasks);
+        tasks.iter().map(|(id, _)| id.clone()).collect()
+    }
+
+    /// Returns the signals that this role still needs and has not received.
+    pub fn awaited_signals(&self) -> BTreeSet<Signal> {
+        self.progress.awaited_signals().into_iter().cloned().collect()
+    }
+
+    /// Checks whether the next step is blocked only because the ledger is not yet known to contain
+    /// the ended steps.
+    pub fn awaits_ledger(&self) -> bool {
+        self.running.is_none()
+            && self.progress.permitted().iter().any(|step| !self.progress.is_guard_met(*step, &self.recorded))
+    }
+
+    /// Marks steps as ended in the ledger.
+    pub fn set_recorded(&mut self, ended: &BTreeSet<StepIndex>) {
+        self.recorded.extend(ended);
+    }
+
+    /// Returns the steps that have ended.
+    pub fn ended(&self) -> &BTreeSet<StepIndex> {
+        self.progress.ended()
+    }
+
+    /// Returns the alternatives that were started.
+    pub(crate) fn alternative_progress(&self) -> &AlternativeProgress {
+        &self.alternatives
+    }
+
+    /// Returns the signals that this role has sent.
+    pub(crate) fn sent_signals(&self) -> &BTreeSet<Signal> {
+        &self.sent
+    }
+
+    /// Checks whether every step has ended.
+    #[cfg(test)]
+    fn is_complete(&self) -> bool {
+        self.progress.is_complete()
+    }
+
+    /// Returns the holders of the managed roles.
+    pub(crate) fn holders(&self) -> &BTreeMap<RoleId, RoleHolder> {
+        self.roles.holders()
+    }
+
+    /// Updates the holders of the managed roles. Signals of a former holder that were not yet acted
+    /// on are discarded, because its successor sends the valid ones again. Returns true if a signal
+    /// was discarded: the successor should then be queried.
+    pub(crate) fn set_holders(&mut self, holders: BTreeMap<RoleId, RoleHolder>) -> bool {
+        let changed = self.roles.set_holders(holders);
+        changed.iter().fold(false, |discarded, role| self.progress.discard_signals_from(role) | discarded)
+    }
+
+    /// Updates the managed roles without a holder; some may never have been held. Call
+    /// [`set_holders`](Sequencer::set_holders) first.
+    pub(crate) fn set_vacant_roles(&mut self, vacant: &BTreeSet<RoleId>) {
+        self.roles.set_vacant_roles(vacant);
+    }
+
+    /// Returns the robots that hold the managed roles.
+    pub(crate) fn holder_robots(&self) -> BTreeMap<RoleId, RobotId> {
+        RoleHolder::robots(self.roles.holders())
+    }
+}

@@ -1,0 +1,15 @@
+//! Storage of openraft over a [`LogStore`](crate::log_store::LogStore): the log, cached in memory,
+//! and the state machine with its snapshots.
+
+mod load;
+mod log_cache;
+mod records;
+mod state_machine;
+
+pub(crate) use load::{load_state, open};
+pub(crate) use log_cache::CachedEntry;
+#[cfg(feature = "test-util")]
+pub(crate) use records::decode_record;
+pub(crate) use records::{StoredSnapshot, encode_record};
+pub use state_machine::ApplyObserver;
+pub(crate) use state_machine::{AppliedState, StateMachineStore};

@@ -1,0 +1,61 @@
+//! Descriptions of the calls, for clients.
+
+use super::request::{MissionChangeRequest, MissionQuery, SubmitRequest, UpgradeRequest};
+use crate::keys::ApiCall;
+use schemars::{JsonSchema, Schema, schema_for};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+/// The calls on `api/**`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct HelpReply {
+    /// The calls, each with its key, description, example, and the JSON Schemas of payload and
+    /// reply.
+    pub calls: Vec<CallHelp>,
+}
+
+/// Description of a call.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct CallHelp {
+    /// Name of the call.
+    pub call: String,
+    /// Its key, below the prefix of the fleet.
+    pub key: String,
+    /// Meaning.
+    pub what: String,
+    /// The nodes that reply.
+    pub answered_by: String,
+    /// Example payload; null if there is no payload.
+    pub example: Option<Value>,
+    /// JSON Schema of the payload; null if there is no payload.
+    pub payload_schema: Option<Schema>,
+    /// JSON Schema of the reply.
+    pub answer_schema: Schema,
+    /// JSON Schema of an error reply.
+    pub error_schema: Schema,
+}
+
+/// Returns an example payload of a call; `None` if it has no payload.
+pub fn example(call: ApiCall) -> Option<Value> {
+    match call {
+        ApiCall::Submit => {
+            Some(json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" }, "request": "my-7" }))
+        }
+        ApiCall::Cancel => Some(json!({ "mission": "lab-samples-1", "by": "a nurse" })),
+        ApiCall::Resolve => Some(json!({ "mission": "lab-samples-1", "by": "Nia" })),
+        ApiCall::Get | ApiCall::Explain => Some(json!({ "mission": "lab-samples-1" })),
+        ApiCall::Upgrade => Some(json!({ "finish": false })),
+        ApiCall::List | ApiCall::Help | ApiCall::Backup => None,
+    }
+}
+
+/// Returns the JSON Schema of a call's payload; `None` if it has no payload.
+pub fn payload_schema(call: ApiCall) -> Option<Schema> {
+    match call {
+        ApiCall::Submit => Some(schema_for!(SubmitRequest)),
+        ApiCall::Cancel | ApiCall::Resolve => Some(schema_for!(MissionChangeRequest)),
+        ApiCall::Get | ApiCall::Explain => Some(schema_for!(MissionQuery)),
+        ApiCall::Upgrade => Some(schema_for!(UpgradeRequest)),
+        ApiCall::List | ApiCall::Help | ApiCall::Backup => None,
+    }
+}

@@ -1,0 +1,35 @@
+//! Client requests and replies in any language: JSON in, JSON out, on `consort/{fleet}/api/…`.
+//!
+//! | call | request | reply |
+//! |---|---|---|
+//! | `submit` | `{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "my-7"}`; `mission` may also be a whole mission file as an object; optional: `request`, `priority` (-100 to 100, higher is served first, default 0) and `deadline_s` (seconds from now until the mission should be completed) | `{"mission": "lab-samples-1", "again": false}` |
+//! | `cancel` | `{"mission": "lab-samples-1", "by": "a nurse"}` | `{"mission": …, "state": …}` |
+//! | `resolve` | `{"mission": "lab-samples-1", "by": "Nia"}`: the items that the mission left with robots have been taken care of | `{"mission": …, "state": …}` |
+//! | `backup` | nothing | a copy of the ledger, with everything acknowledged before the request: with key figures as plain text |
+//! | `upgrade` | `{"finish": false}`: the wire versions that each node reads; with `true` the fleet writes the next version from then on | `{"wire": 1, "next": 2, "nodes": […]}` |
+//! | `get` | `{"mission": "lab-samples-1"}` | the mission, as in `view/mission/{id}` |
+//! | `list` | nothing | `{"missions": […]}`, as in `view/missions` |
+//! | `explain` | `{"mission": "lab-samples-1"}` | why each robot did or did not get each role |
+//! | `help` | nothing | `{"calls": […]}`: all calls, with JSON Schemas; `api/{call}/help` returns a single call |
+//!
+//! Only the coordinator replies to the first 5 calls. All of them except `backup` may change state.
+//! A request that cannot be executed gets `{"error": "…"}`, and nothing has changed. With an
+//! additional `"retry_after_ms"` the same request, with the same `request` id, may be repeated
+//! after that time: there is no coordinator yet, or the ledger did not commit in time. The reply to
+//! a submission is sent once the mission is committed. Repeating the same `request` id gets the
+//! same reply. Any node replies to the other calls (see [`crate::view`]).
+//!
+//! A mission that is not completed by its deadline fails. The coordinators' wall clocks decide
+//! about deadlines.
+
+mod help;
+mod parse;
+mod reply;
+mod request;
+
+pub use help::{CallHelp, HelpReply, example, payload_schema};
+pub use parse::{RequestError, parse_request};
+pub use reply::{
+    ErrorReply, ExplainReply, MissionChangeReply, NodeVersions, SubmitReply, UninvitedRobot, UpgradeReply,
+};
+pub use request::{MissionChangeRequest, MissionQuery, MissionSource, SubmitRequest, UpgradeRequest};

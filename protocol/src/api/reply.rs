@@ -1,0 +1,103 @@
+//! Replies to requests.
+
+use crate::auction::Explanation;
+use crate::ids::{MissionId, NodeId};
+use crate::ledger::{MissionState, RoleRelease};
+use crate::view::MissionStateName;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Acknowledged mission: it is committed and will not be lost.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct SubmitReply {
+    /// Id of the mission.
+    pub mission: MissionId,
+    /// The mission had been submitted before, with the same request id.
+    #[serde(default)]
+    pub again: bool,
+}
+
+/// State of a mission after a change.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct MissionChangeReply {
+    /// The mission.
+    pub mission: MissionId,
+    /// Its state: a word, or an object with a single key and its details. Null if the ledger no
+    /// longer contains the mission.
+    pub state: Option<MissionState>,
+}
+
+/// Progress of the upgrade to the next wire version.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct UpgradeReply {
+    /// The version that the fleet writes.
+    pub wire: u8,
+    /// The next version; null if the coordinator's release reads no later version.
+    pub next: Option<u8>,
+    /// All nodes with a known record, and all voters, by name.
+    pub nodes: Vec<NodeVersions>,
+}
+
+/// Wire versions that a node reads.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct NodeVersions {
+    /// Id of the node.
+    pub node: NodeId,
+    /// The node is considered alive.
+    pub alive: bool,
+    /// The oldest version that the node reads; null if no record of it is known.
+    pub oldest: Option<u8>,
+    /// The newest version.
+    pub newest: Option<u8>,
+    /// The node reads the next version; null if there is none.
+    pub ready: Option<bool>,
+}
+
+/// Explanation of the assignment of a mission's roles.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ExplainReply {
+    /// The mission.
+    pub mission: MissionId,
+    /// Its state.
+    pub state: MissionStateName,
+    /// The latest auction by role and robot, each bid by step; null if no auction has taken place
+    /// yet.
+    pub explanation: Option<Explanation>,
+    /// Robots without a bid response in that auction.
+    pub not_asked: Vec<UninvitedRobot>,
+    /// Latest releases of its roles, oldest first.
+    pub releases: Vec<RoleRelease>,
+    /// The same as text, with 1 entry per line.
+    pub text: Vec<String>,
+}
+
+/// Robot that was not invited to an auction.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct UninvitedRobot {
+    /// The robot's node.
+    pub robot: NodeId,
+    /// Reason, as a sentence.
+    pub why: String,
+}
+
+/// Error reply.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct ErrorReply {
+    /// The problem, its location, and the allowed values.
+    pub error: String,
+    /// If present, the same request may be repeated after that time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub retry_after_ms: Option<u64>,
+}
+
+impl ErrorReply {
+    /// Creates a reply to a request that is wrong: repeating it would not help.
+    pub fn rejected(error: impl Into<String>) -> ErrorReply {
+        ErrorReply { error: error.into(), retry_after_ms: None }
+    }
+
+    /// Creates a reply to a request that may be repeated after a time in milliseconds.
+    pub fn retry_after(error: impl Into<String>, retry_after_ms: u64) -> ErrorReply {
+        ErrorReply { error: error.into(), retry_after_ms: Some(retry_after_ms) }
+    }
+}

@@ -1,0 +1,89 @@
+//! Payloads of requests.
+
+use crate::ids::{MissionId, RequestId};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+
+/// Submits a mission.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SubmitRequest {
+    /// The name of a shipped mission, or a whole mission file as an object.
+    pub mission: MissionSource,
+    /// The values of the mission's parameters, by name.
+    #[serde(default)]
+    pub parameters: BTreeMap<String, String>,
+    /// The client's id for this request. A repeated request with the same id is executed once.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<String>")]
+    pub request: Option<RequestId>,
+    /// Order in which waiting missions are served: higher priorities first.
+    #[serde(default)]
+    #[schemars(range(min = -100, max = 100))]
+    pub priority: i64,
+    /// Seconds from now until the mission should be completed; after that it fails.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub deadline_s: Option<f64>,
+}
+
+/// The mission of a request.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum MissionSource {
+    /// Name of a shipped mission.
+    Shipped(String),
+    /// A whole mission file.
+    File(Map<String, Value>),
+}
+
+impl JsonSchema for MissionSource {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        "MissionSource".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": ["string", "object"] })
+    }
+}
+
+/// Changes a mission on behalf of a person.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MissionChangeRequest {
+    /// The mission.
+    #[schemars(with = "String")]
+    pub mission: MissionId,
+    /// Name of the person, for display.
+    #[serde(default = "default_name")]
+    pub by: String,
+}
+
+fn default_name() -> String {
+    "a client".to_owned()
+}
+
+/// Queries the progress of the upgrade to the next wire version.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct UpgradeRequest {
+    /// The fleet writes the next version from now on. This cannot be undone.
+    #[serde(default)]
+    pub finish: bool,
+}
+
+/// Queries a mission.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MissionQuery {
+    /// The mission.
+    #[schemars(with = "String")]
+    pub mission: MissionId,
+}

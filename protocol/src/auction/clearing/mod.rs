@@ -1,0 +1,217 @@
+//! Clearing of an auction: from replies to a decision.
+
+use super::allocator::{Allocator, AllocatorInput, OptimalAssignment};
+use super::assignment::AssignmentError;
+use super::bid::{Bid, BidLimits, BidPart, BidResponse, CallForBids, RefusalReason, RoleReply};
+use super::record::{AuctionEntry, AuctionRecord, BidVerdict};
+use crate::ids::{RobotId, RoleId};
+use crate::units::Seconds;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Outcome of an auction.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AuctionOutcome {
+    /// Robot of each role: all roles of the call, or `None`.
+    pub holders: Option<BTreeMap<RoleId, RobotId>>,
+    /// Record of the auction.
+    pub record: AuctionRecord,
+    /// Roles that at least 1 robot has failed at and all others refuse permanently.
+    pub unfillable: BTreeSet<RoleId>,
+}
+
+/// Inputs of the clearing in addition to the replies.
+#[derive(Debug, Clone)]
+pub struct AuctionContext<'a> {
+    /// Robots that were invited.
+    pub invited: &'a BTreeSet<RobotId>,
+    /// Robots with bids that do not count, and the reasons. Such a robot holds a role or is about
+    /// to get one, and may have sent its bid before it was notified; or it carries an item of
+    /// another mission.
+    pub unavailable: &'a BTreeMap<RobotId, RefusalReason>,
+    /// Robots that failed at a role of this mission, with the causes.
+    pub excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
+    /// Limits for bids.
+    pub limits: &'a BidLimits,
+    /// Time waited for replies, in milliseconds.
+    pub window_ms: u64,
+    /// Time to write into the record, in milliseconds.
+    pub at_ms: u64,
+}
+
+/// Evaluates all replies to a call and assigns the roles. Invited robots without a reply are
+/// recorded as silent. So the record contains every robot that could have had a role, and the
+/// reason if it did not get it.
+pub fn clear_auction(call: &CallForBids, responses: &[BidResponse], context: &AuctionContext<'_>) -> AuctionOutcome {
+    clear_auction_with(call, responses, context, &OptimalAssignment)
+}
+
+/// Does the same with another allocator.
+pub fn clear_auction_with(
+    call: &CallForBids,
+    responses: &[BidResponse],
+    context: &AuctionContext<'_>,
+    allocator: &dyn Allocator,
+) -> AuctionOutcome {
+    let replies = replies_to(call, responses);
+    let mut entries = evaluate_all(call, &replies, context);
+    let unfillable = unfillable_roles(call, &entries, context);
+    let (holders, failure) = match allocate_roles(allocator, call, &replies, &entries, context.limits) {
+        Ok(holders) => (Some(holders), None),
+        Err(problem) => (None, Some(problem.to_string())),
+    };
+    let omitted = entries.len().saturating_sub(AuctionRecord::ENTRIES_MAX);
+    if omitted > 0 {
+        // Bids are kept first: people look for robots that could do the work.
+        entries.sort_by_key(|entry| matches!(entry.verdict, BidVerdict::Refused { .. }));
+        entries.truncate(AuctionRecord::ENTRIES_MAX);
+    }
+    let chosen = holders.clone().unwrap_or_default();
+    keep_parts(&mut entries, &chosen, |role, robot| bid_of(&replies, role, robot).map_or(&[], |bid| &bid.parts));
+    let record = AuctionRecord {
+        auction: call.auction.clone(),
+        at_ms: context.at_ms,
+        entries,
+        omitted: u32::try_from(omitted).unwrap_or(u32::MAX),
+        chosen,
+        failure,
+    };
+    AuctionOutcome { holders, record, unfillable }
+}
+
+/// Reply of each robot for each role; the first reply counts.
+type Replies<'a> = BTreeMap<(&'a RoleId, &'a RobotId), &'a RoleReply>;
+
+/// Collects the replies to this call. A robot may reply only for itself.
+fn replies_to<'a>(call: &CallForBids, responses: &'a [BidResponse]) -> Replies<'a> {
+    let mut replies = Replies::new();
+    for response in responses.iter().filter(|response| response.auction == call.auction) {
+        for reply in &response.replies {
+            let (role, robot) = match reply {
+                RoleReply::Bid(bid) => (&bid.role, &bid.robot),
+                RoleReply::Refusal(refusal) => (&refusal.role, &refusal.robot),
+            };
+            if *robot == response.robot {
+                replies.entry((role, robot)).or_insert(reply);
+            }
+        }
+    }
+    replies
+}
+
+fn bid_of<'a>(replies: &Replies<'a>, role: &RoleId, robot: &RobotId) -> Option<&'a Bid> {
+    match replies.get(&(role, robot)) {
+        Some(RoleReply::Bid(bid)) => Some(bid),
+        Some(RoleReply::Refusal(_)) | None => None,
+    }
+}
+
+/// Evaluates every robot for every role: robots that replied and robots that were invited.
+fn evaluate_all(call: &CallForBids, replies: &Replies<'_>, context: &AuctionContext<'_>) -> Vec<AuctionEntry> {
+    let robots: BTreeSet<&RobotId> = context.invited.iter().chain(replies.keys().map(|(_, robot)| *robot)).collect();
+    let mut entries = vec![];
+    for role in call.roles.keys() {
+        for &robot in &robots {
+            let excluded = context.excluded.get(role).and_then(|excluded| excluded.get(robot));
+            let verdict = match replies.get(&(role, robot)) {
+                _ if let Some(cause) = excluded => {
+                    BidVerdict::Refused { reason: RefusalReason::Excluded { cause: cause.clone() } }
+                }
+                Some(RoleReply::Bid(bid)) => evaluate(bid, context),
+                Some(RoleReply::Refusal(refusal)) => BidVerdict::Refused { reason: refusal.reason.clone() },
+                None => BidVerdict::Refused { reason: RefusalReason::Silent { window_ms: context.window_ms } },
+            };
+            entries.push(AuctionEntry { role: role.clone(), robot: robot.clone(), verdict, parts: vec![] });
+        }
+    }
+    entries
+}
+
+/// Returns the roles of the call that at least 1 robot has failed at and all others refuse
+/// permanently.
+fn unfillable_roles(call: &CallForBids, entries: &[AuctionEntry], context: &AuctionContext<'_>) -> BTreeSet<RoleId> {
+    let is_permanent = |entry: &AuctionEntry| match &entry.verdict {
+        // A robot that holds a role of this same mission will not be free before the mission ends.
+        BidVerdict::Refused { reason: RefusalReason::Busy { mission, .. } } => *mission == call.auction.mission,
+        BidVerdict::Refused { reason } => reason.is_permanent(),
+        BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => false,
+    };
+    let failed_at = context.excluded.iter().filter(|(_, excluded)| !excluded.is_empty()).map(|(role, _)| role);
+    let called = failed_at.filter(|role| call.roles.contains_key(*role));
+    called.filter(|role| entries.iter().filter(|entry| entry.role == **role).all(is_permanent)).cloned().collect()
+}
+
+/// Assigns the roles with the allocator, among the robots that the verdicts permit.
+fn allocate_roles(
+    allocator: &dyn Allocator,
+    call: &CallForBids,
+    replies: &Replies<'_>,
+    entries: &[AuctionEntry],
+    limits: &BidLimits,
+) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError> {
+    let mut open: BTreeMap<RoleId, BTreeSet<RobotId>> =
+        call.roles.keys().map(|role| (role.clone(), BTreeSet::new())).collect();
+    for entry in entries.iter().filter(|entry| is_candidate(&entry.verdict)) {
+        open.entry(entry.role.clone()).or_default().insert(entry.robot.clone());
+    }
+    let viable = entries.iter().filter(|entry| matches!(entry.verdict, BidVerdict::Viable { .. }));
+    let viable: Vec<&Bid> = viable.filter_map(|entry| bid_of(replies, &entry.role, &entry.robot)).collect();
+    let bids: Vec<&Bid> = replies
+        .iter()
+        .filter(|((role, robot), _)| open.get(*role).is_some_and(|robots| robots.contains(*robot)))
+        .filter_map(|(_, reply)| if let RoleReply::Bid(bid) = reply { Some(bid) } else { None })
+        .collect();
+    allocator.allocate(&AllocatorInput { call, candidates: &open, bids: &bids, viable: &viable, limits })
+}
+
+/// Adds the parts of bids to the record while there is room: first those of winners, then by time,
+/// and last those of bids outside the limits.
+fn keep_parts<'a>(
+    entries: &mut [AuctionEntry],
+    chosen: &BTreeMap<RoleId, RobotId>,
+    parts_of: impl Fn(&RoleId, &RobotId) -> &'a [BidPart],
+) {
+    let mut order: Vec<(bool, bool, Seconds, &mut AuctionEntry)> = entries
+        .iter_mut()
+        .filter_map(|entry| match entry.verdict {
+            BidVerdict::Viable { time, .. } => {
+                Some((chosen.get(&entry.role) != Some(&entry.robot), false, time, entry))
+            }
+            BidVerdict::Unviable { time, .. } => Some((true, true, time, entry)),
+            BidVerdict::Refused { .. } => None,
+        })
+        .collect();
+    order.sort_by(|one, other| (one.0, one.1).cmp(&(other.0, other.1)).then(one.2.get().total_cmp(&other.2.get())));
+    let mut room = AuctionRecord::PARTS_BYTES_MAX;
+    for (_, _, _, entry) in order {
+        let parts = parts_of(&entry.role, &entry.robot);
+        let bytes: usize = parts.iter().map(|part| part.label.len() + part.skill.as_str().len() + 24).sum();
+        let Some(left) = room.checked_sub(bytes) else { return };
+        room = left;
+        entry.parts = parts.to_vec();
+    }
+}
+
+/// Checks whether the allocator may assign the role to the robot. Robots that lack skills are
+/// included, for allocators other than ours.
+fn is_candidate(verdict: &BidVerdict) -> bool {
+    match verdict {
+        BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => true,
+        BidVerdict::Refused { reason } => {
+            matches!(reason, RefusalReason::MissingSkills { .. } | RefusalReason::NotFeasible { .. })
+        }
+    }
+}
+
+fn evaluate(bid: &Bid, context: &AuctionContext<'_>) -> BidVerdict {
+    let Bid { time, energy, remaining, .. } = *bid;
+    if let Some(reason) = context.unavailable.get(&bid.robot) {
+        return BidVerdict::Refused { reason: reason.clone() };
+    }
+    match bid.check_viable(context.limits) {
+        Ok(()) => BidVerdict::Viable { time, energy, remaining },
+        Err(why) => BidVerdict::Unviable { time, energy, remaining, why },
+    }
+}
+
+#[cfg(test)]
+mod tests;

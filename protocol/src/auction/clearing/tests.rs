@@ -1,0 +1,197 @@
+use super::*;
+use crate::auction::{AuctionId, BidRefusal};
+use crate::ids::{EnsembleId, MissionId, PlaceId};
+use crate::plan::LocalPlan;
+use crate::units::BatteryShare;
+
+fn robot(name: &str) -> RobotId {
+    RobotId::new(name).unwrap()
+}
+
+fn role() -> RoleId {
+    RoleId::new("r1").unwrap()
+}
+
+fn call() -> CallForBids {
+    CallForBids {
+        auction: AuctionId { mission: MissionId::new("m-1").unwrap(), term: 3, round: 1 },
+        ensemble: EnsembleId::new("all").unwrap(),
+        roles: BTreeMap::from([(role(), LocalPlan::of(role(), vec![]))]),
+    }
+}
+
+static NO_EXCLUDED: BTreeMap<RoleId, BTreeMap<RobotId, String>> = BTreeMap::new();
+
+fn context<'a>(
+    expected: &'a BTreeSet<RobotId>,
+    taken: &'a BTreeMap<RobotId, RefusalReason>,
+    excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
+) -> AuctionContext<'a> {
+    static LIMITS: std::sync::LazyLock<BidLimits> = std::sync::LazyLock::new(BidLimits::default);
+    AuctionContext { invited: expected, unavailable: taken, excluded, limits: &LIMITS, window_ms: 200, at_ms: 0 }
+}
+
+fn bids(name: &str, time: f64, remaining: f64) -> BidResponse {
+    let bid = Bid {
+        robot: robot(name),
+        role: role(),
+        time: Seconds::new(time).unwrap(),
+        energy: 0.1,
+        remaining,
+        useful_charge: BatteryShare::new(0.08).unwrap(),
+        from: PlaceId::new("dock").unwrap(),
+        age_ms: 0,
+        parts: vec![],
+    };
+    BidResponse { robot: robot(name), auction: call().auction, replies: vec![RoleReply::Bid(bid)] }
+}
+
+#[test]
+fn the_record_contains_every_robot_with_its_reason() {
+    let expected = ["ada", "bob", "cyd", "dan", "eve", "fay"].map(robot).into_iter().collect();
+    let taken_by = RefusalReason::Busy { mission: MissionId::new("m-0").unwrap(), role: role() };
+    let taken = BTreeMap::from([(robot("bob"), taken_by)]);
+    let context = context(&expected, &taken, &NO_EXCLUDED);
+    let busy = RefusalReason::Busy { mission: MissionId::new("m-7").unwrap(), role: role() };
+    let refusal = BidRefusal { robot: robot("dan"), role: role(), reason: busy.clone() };
+    let refuses =
+        BidResponse { robot: robot("dan"), auction: call().auction, replies: vec![RoleReply::Refusal(refusal)] };
+    let responses =
+        [bids("ada", 9.0, 0.5), bids("bob", 1.0, 0.5), bids("cyd", 2.0, 0.06), refuses, bids("eve", 8.0, 0.5)];
+    let outcome = clear_auction(&call(), &responses, &context);
+
+    assert_eq!(outcome.holders, Some(BTreeMap::from([(role(), robot("eve"))])));
+    let texts: Vec<String> = outcome
+        .record
+        .entries
+        .iter()
+        .map(|entry| match &entry.verdict {
+            BidVerdict::Viable { time, .. } => format!("{}: {time:.0}", entry.robot),
+            BidVerdict::Unviable { why, .. } => format!("{}: {why}", entry.robot),
+            BidVerdict::Refused { reason } => format!("{}: {reason}", entry.robot),
+        })
+        .collect();
+    assert_eq!(
+        texts,
+        [
+            "ada: 9 s",
+            "bob: busy as r1 of m-0",
+            "cyd: 6.0 % charge left is not above 8.0 %",
+            "dan: busy as r1 of m-7",
+            "eve: 8 s",
+            "fay: no reply within 200 ms",
+        ]
+    );
+}
+
+/// Assigns each role to the last candidate.
+#[derive(Debug)]
+struct Last;
+
+impl Allocator for Last {
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError> {
+        let bidders: Vec<&str> = input.bids.iter().map(|bid| bid.robot.as_str()).collect();
+        assert_eq!((bidders, input.viable.len()), (vec!["cyd", "eve"], 1));
+        let last = |robots: &BTreeSet<RobotId>| robots.last().cloned().ok_or(AssignmentError::NoRobotLeft);
+        input.candidates.iter().map(|(role, robots)| Ok((role.clone(), last(robots)?))).collect()
+    }
+}
+
+#[test]
+fn another_allocator_may_use_robots_that_lack_skills_or_charge() {
+    let expected = ["bob", "cyd", "dan", "eve", "fay", "gil"].map(robot).into_iter().collect();
+    let busy = RefusalReason::Busy { mission: MissionId::new("m-0").unwrap(), role: role() };
+    let taken = BTreeMap::from([(robot("fay"), busy)]);
+    let excluded = BTreeMap::from([(role(), BTreeMap::from([(robot("gil"), "lost its way".to_owned())]))]);
+    let reason = RefusalReason::MissingSkills { skills: vec![] };
+    let refusal = RoleReply::Refusal(BidRefusal { robot: robot("dan"), role: role(), reason });
+    let lacks = BidResponse { robot: robot("dan"), auction: call().auction, replies: vec![refusal] };
+    let responses =
+        [bids("eve", 9.0, 0.5), bids("cyd", 2.0, 0.01), lacks, bids("fay", 1.0, 0.5), bids("gil", 1.0, 0.5)];
+    let context = context(&expected, &taken, &excluded);
+    let by_last = clear_auction_with(&call(), &responses, &context, &Last);
+    assert_eq!(by_last.holders, Some(BTreeMap::from([(role(), robot("eve"))])));
+    let alone = clear_auction_with(&call(), &responses[1..3], &context, &AnyLast);
+    assert_eq!(alone.holders, Some(BTreeMap::from([(role(), robot("dan"))])));
+}
+
+#[derive(Debug)]
+struct AnyLast;
+
+impl Allocator for AnyLast {
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError> {
+        Ok(input.candidates.iter().filter_map(|(role, robots)| Some((role.clone(), robots.last()?.clone()))).collect())
+    }
+}
+
+#[test]
+fn a_role_is_unfillable_when_one_robot_failed_and_the_others_refuse() {
+    let (expected, taken) = (["ada", "bob"].map(robot).into_iter().collect(), BTreeMap::new());
+    let excluded = BTreeMap::from([(role(), BTreeMap::from([(robot("ada"), "lost its way".to_owned())]))]);
+    let context = context(&expected, &taken, &excluded);
+    let outcome = clear_auction(&call(), &[bids("ada", 1.0, 0.5), bids("bob", 9.0, 0.5)], &context);
+    assert_eq!(outcome.holders, Some(BTreeMap::from([(role(), robot("bob"))])));
+    let texts = |verdict: &BidVerdict| match verdict {
+        BidVerdict::Refused { reason } => reason.to_string(),
+        other => format!("{other:?}"),
+    };
+    assert_eq!(texts(&outcome.record.entries[0].verdict), "failed at it before: lost its way");
+    assert!(outcome.unfillable.is_empty());
+
+    let silent = clear_auction(&call(), &[bids("ada", 1.0, 0.5)], &context);
+    assert_eq!((silent.holders, silent.unfillable), (None, BTreeSet::new()), "bob may still reply");
+    let lacks = RefusalReason::MissingSkills { skills: vec![] };
+    let refusal = BidRefusal { robot: robot("bob"), role: role(), reason: lacks };
+    let refuses =
+        BidResponse { robot: robot("bob"), auction: call().auction, replies: vec![RoleReply::Refusal(refusal)] };
+    let outcome = clear_auction(&call(), &[bids("ada", 1.0, 0.5), refuses], &context);
+    assert_eq!((outcome.holders, outcome.unfillable), (None, [role()].into()));
+}
+
+#[test]
+fn the_parts_of_the_winner_and_closest_bids_are_kept_within_the_limit() {
+    let part = |step: u32| BidPart {
+        step,
+        label: "x".repeat(40),
+        skill: crate::ids::TaskType::new("navigation").unwrap(),
+        time: Seconds::new(1.0).unwrap(),
+        energy: 0.001,
+    };
+    let responses: Vec<BidResponse> = (0..20)
+        .map(|number| {
+            // The last bidder is the fastest within the limits; the first bidder would run out
+            // of charge.
+            let remaining = if number == 0 { 0.01 } else { 0.5 };
+            let mut response = bids(&format!("robot-{number:02}"), 100.0 - f64::from(number), remaining);
+            let RoleReply::Bid(bid) = &mut response.replies[0] else { panic!("the reply is a bid") };
+            bid.parts = (0..12).map(part).collect();
+            response
+        })
+        .collect();
+    let expected = responses.iter().map(|response| response.robot.clone()).collect();
+    let taken = BTreeMap::new();
+    let record = clear_auction(&call(), &responses, &context(&expected, &taken, &NO_EXCLUDED)).record;
+    let kept: Vec<&str> =
+        record.entries.iter().filter(|entry| !entry.parts.is_empty()).map(|entry| entry.robot.as_str()).collect();
+    // 12 parts of 74 bytes: nine bids fit into 8 KiB.
+    let closest: Vec<String> = (11..20).map(|number| format!("robot-{number}")).collect();
+    assert_eq!(kept, closest);
+    assert!(
+        record.entries.iter().all(|entry| [0, 12].contains(&entry.parts.len())),
+        "the parts of a bid are kept completely or not at all"
+    );
+}
+
+#[test]
+fn a_reply_to_another_call_or_for_another_robot_does_not_count() {
+    let expected = BTreeSet::new();
+    let taken = BTreeMap::new();
+    let context = context(&expected, &taken, &NO_EXCLUDED);
+    let mut old = bids("ada", 1.0, 0.5);
+    old.auction.round = 9;
+    let mut forged = bids("bob", 1.0, 0.5);
+    forged.robot = robot("mal");
+    let outcome = clear_auction(&call(), &[old, forged], &context);
+    assert_eq!(outcome.holders, None);
+    assert_eq!(outcome.record.failure.as_deref(), Some("no viable bid for r1"));
+}

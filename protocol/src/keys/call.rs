@@ -1,0 +1,129 @@
+//! Calls in keys, and the categories of keys.
+
+use crate::word_enum::words;
+
+words! {
+    /// Consensus call.
+    RaftCall {
+        /// A candidate requests a vote.
+        Vote = "vote",
+        /// The leader appends entries, or confirms its leadership.
+        Append = "append",
+        /// The leader sends a snapshot, in chunks.
+        Snapshot = "snapshot",
+        /// Before it campaigns, a node asks the voters whether they would vote for it.
+        PreVote = "pre_vote",
+        /// A leader that leaves transfers its leadership.
+        TransferLeadership = "transfer_leadership",
+        /// A leader that waits for a reply checks that the voter is reachable.
+        Heartbeat = "heartbeat",
+    }
+    /// Call between a robot's node and its driver server.
+    BodyCall {
+        /// Query to the server: start or cancel a goal, or only return the state.
+        Command = "command",
+        /// Publication by the server: telemetry and the state of goals.
+        State = "state",
+    }
+    /// Call between a human task proxy and the host of people.
+    PeopleCall {
+        /// Query to the host: ask or dismiss a person.
+        Ask = "ask",
+        /// Publication by the host: a task that a person has completed.
+        Done = "done",
+    }
+    /// Request of clients in any language, in JSON.
+    ApiCall {
+        /// Submit a mission.
+        Submit = "submit",
+        /// Cancel a mission.
+        Cancel = "cancel",
+        /// Resolve an intervention: a person has taken care of the items that robots had.
+        Resolve = "resolve",
+        /// Get a backup of the ledger.
+        Backup = "backup",
+        /// Get the progress of an upgrade to the next wire version, and complete it.
+        Upgrade = "upgrade",
+        /// Get a mission.
+        Get = "get",
+        /// List all missions.
+        List = "list",
+        /// Explain for each role of a mission the outcome of each robot's bid.
+        Explain = "explain",
+        /// List the calls with their parameters.
+        Help = "help",
+    }
+    /// Category of the messages on a key, for metrics.
+    KeyKind {
+        /// Certificates.
+        Certificate = "certificate",
+        /// Records of knowledge.
+        Knowledge = "knowledge",
+        /// Comparisons of knowledge.
+        Gossip = "gossip",
+        /// Failure detection.
+        Swim = "swim",
+        /// Heartbeats of the leader to its voters.
+        RaftHeartbeat = "raft/heartbeat",
+        /// Entries of the ledger, and confirmations of the leadership.
+        RaftAppend = "raft/append",
+        /// Other consensus messages.
+        Raft = "raft",
+        /// Beacons of the coordinator.
+        Beacon = "beacon",
+        /// Commands to driver servers.
+        BodyCommand = "body/command",
+        /// States published by driver servers.
+        BodyState = "body/state",
+        /// Auctions, awards and reports.
+        Work = "work",
+        /// Signals of missions, and queries for them.
+        Signal = "signal",
+        /// Changes of missions, and queries for active missions.
+        ActiveMissions = "active_missions",
+        /// Views and requests of people.
+        People = "people",
+        /// All other messages.
+        Other = "other",
+    }
+}
+
+impl ApiCall {
+    /// Checks whether the call changes nothing and any node can answer it from its own data. A
+    /// backup of the ledger is not such a call: only the coordinator can ensure that it is
+    /// complete.
+    pub fn is_read_only(self) -> bool {
+        match self {
+            ApiCall::Submit | ApiCall::Cancel | ApiCall::Resolve | ApiCall::Backup | ApiCall::Upgrade => false,
+            ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => true,
+        }
+    }
+}
+
+impl KeyKind {
+    /// Returns the category of a key or key expression, of any fleet.
+    pub fn of(text: &str) -> KeyKind {
+        let mut segments = text.split('/').skip(2);
+        match (segments.next(), segments.next()) {
+            (Some("wire"), Some(kind)) => match (kind, segments.last()) {
+                ("certificate", _) => KeyKind::Certificate,
+                ("knowledge", _) => KeyKind::Knowledge,
+                ("gossip", _) => KeyKind::Gossip,
+                ("swim", _) => KeyKind::Swim,
+                ("raft", Some("heartbeat")) => KeyKind::RaftHeartbeat,
+                ("raft", Some("append")) => KeyKind::RaftAppend,
+                ("raft" | "bootstrap", _) => KeyKind::Raft,
+                ("beacon", _) => KeyKind::Beacon,
+                ("body", Some("state")) => KeyKind::BodyState,
+                ("body", _) => KeyKind::BodyCommand,
+                ("bid" | "award" | "report", _) => KeyKind::Work,
+                ("signal" | "signal_history", _) => KeyKind::Signal,
+                ("active_missions" | "changed", _) => KeyKind::ActiveMissions,
+                ("people" | "world", _) => KeyKind::People,
+                _ => KeyKind::Other,
+            },
+            (Some("view" | "seen" | "api" | "events"), _) => KeyKind::People,
+            _ => KeyKind::Other,
+        }
+    }
+}

@@ -1,0 +1,83 @@
+//! Content of a record: the abilities and the state of a node and of its robot.
+
+use crate::ids::{ClusterId, MissionId, PlaceId, RoleId, TaskType};
+use crate::pose::Pose;
+use crate::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use crate::versions::VersionRange;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+
+/// Content of a node's record.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Knowledge {
+    /// True if the node may vote for the coordinator and be a voter of the ledger.
+    pub may_vote: bool,
+    /// True if the node does not move.
+    pub stationary: bool,
+    /// True if the node runs on mains power.
+    pub mains_powered: bool,
+    /// Member number in the ledger's consensus, if the node has a replica.
+    pub replica: Option<u64>,
+    /// Cluster of the node: that of its ledger, otherwise that of the first coordinator that it
+    /// received a beacon from.
+    pub cluster: Option<ClusterId>,
+    /// True if the node is about to leave the fleet permanently.
+    pub leaving: bool,
+    /// Wire versions that its program reads.
+    pub supported_versions: VersionRange,
+    /// Robot of the node, if it is a robot's node.
+    pub robot: Option<RobotKnowledge>,
+}
+
+impl Knowledge {
+    /// Checks whether the node is a robot that can take a role now.
+    pub fn is_free(&self) -> bool {
+        self.robot.as_ref().is_some_and(|worker| worker.availability == Availability::Free)
+    }
+}
+
+/// State and abilities of a robot, as published in its record.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RobotKnowledge {
+    /// Skills of the robot.
+    pub skills: BTreeSet<TaskType>,
+    /// Current or last place on the map.
+    pub place: PlaceId,
+    /// Pose on the map.
+    pub pose: Pose,
+    /// Charge left.
+    pub battery: BatteryShare,
+    /// Discharge rate during work.
+    pub discharge: SharePerSecond,
+    /// Charge below which the robot is no longer useful.
+    pub useful_charge: BatteryShare,
+    /// Average speed; `None` if the robot does not drive.
+    pub speed: Option<MetresPerSecond>,
+    /// Availability for a role.
+    pub availability: Availability,
+    /// Version of its estimator: bids of different versions are not comparable.
+    pub estimator: String,
+}
+
+/// Availability of a robot for a role.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Availability {
+    /// The robot can take a role.
+    Free,
+    /// The robot holds a role.
+    Holding {
+        /// Mission of the role.
+        mission: MissionId,
+        /// Role that it holds.
+        role: RoleId,
+        /// True if the robot is suspended since its lease ran out.
+        suspended: bool,
+    },
+    /// The robot cannot execute a role.
+    OutOfService {
+        /// Description of the problem.
+        problem: String,
+    },
+}

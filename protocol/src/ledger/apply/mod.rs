@@ -1,0 +1,337 @@
+//! State machine of the ledger.
+
+use super::command::{Command, CommandError, CommandOutcome, ReleaseCause};
+use super::entry::{Branch, HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase};
+use super::submission::Submission;
+use crate::auction::AuctionRecord;
+use crate::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
+use crate::lease::Epoch;
+use crate::mission::RoleKind;
+use crate::plan::StepIndex;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Maximum number of ended missions kept, for display and to answer repeated requests; the oldest
+/// are dropped.
+pub(super) const HISTORY_MAX: usize = 500;
+
+/// The replicated state: missions, awards and their results.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Ledger {
+    cluster: Option<ClusterId>,
+    pub(super) missions: BTreeMap<MissionId, MissionEntry>,
+    requests: BTreeMap<RequestId, MissionId>,
+    submitted: u64,
+    wire: Option<u8>,
+}
+
+impl Ledger {
+    /// Applies the command at position `at` in the log.
+    pub fn apply(&mut self, at: Epoch, command: Command) -> CommandOutcome {
+        let done = match command {
+            Command::Bootstrap { cluster } => Ok(self.bootstrap(cluster)),
+            Command::Submit(submission) => return self.submit(*submission),
+            Command::Award { mission, branch, holders, auction } => self.award(&mission, branch, holders, auction, at),
+            Command::Defer { mission, branch, auction } => self.defer(&mission, branch, auction),
+            Command::Accept { mission, role, epoch, incarnation, from_checkpoint } => {
+                self.accept(&mission, &role, epoch, incarnation, from_checkpoint)
+            }
+            Command::Progress { mission, role, epoch, branch, ended } => {
+                self.progress(&mission, &role, epoch, branch, &ended)
+            }
+            Command::Release { mission, role, epoch, cause, robot_failed, place } => {
+                self.release(&mission, &role, epoch, &ReleaseCause { cause, robot_failed, place })
+            }
+            Command::Fail { mission, cause, branch, places } => self.fail(&mission, cause, branch, &places),
+            Command::Cancel { mission, by, places } => self.cancel(&mission, by, &places),
+            Command::Resolve { mission, by } => self.resolve(&mission, &by),
+            Command::RaiseWireVersion { wire } => Ok(self.raise(wire)),
+        };
+        done.unwrap_or_else(CommandOutcome::Refused)
+    }
+
+    /// Returns the cluster id of this ledger; `None` until it is committed.
+    pub fn cluster(&self) -> Option<ClusterId> {
+        self.cluster
+    }
+
+    /// Returns the wire version that the fleet writes; `None` until it is set, right after the
+    /// ledger's creation.
+    pub fn wire(&self) -> Option<u8> {
+        self.wire
+    }
+
+    /// Makes this the ledger of another cluster, with all its contents. Never part of the log: only
+    /// an offline recovery, which restores a single replica outside the fleet, may separate it from
+    /// the other replicas.
+    pub fn replace_cluster(&mut self, cluster: ClusterId) {
+        self.cluster = Some(cluster);
+    }
+
+    /// Returns all missions, by id.
+    pub fn missions(&self) -> impl Iterator<Item = &MissionEntry> {
+        self.missions.values()
+    }
+
+    /// Returns a mission.
+    pub fn mission(&self, id: &MissionId) -> Option<&MissionEntry> {
+        self.missions.get(id)
+    }
+
+    /// Returns the mission of a request.
+    pub fn mission_of_request(&self, request: &RequestId) -> Option<&MissionEntry> {
+        self.missions.get(self.requests.get(request)?)
+    }
+
+    /// Returns the missions that have not ended, in the order in which they are served: by
+    /// priority, then by submission.
+    pub fn active_missions(&self) -> Vec<&MissionEntry> {
+        let mut live: Vec<_> = self.missions.values().filter(|entry| !entry.state.is_final()).collect();
+        live.sort_by_key(|entry| entry.rank());
+        live
+    }
+
+    /// Checks whether at least `count` missions are active.
+    pub fn has_active(&self, count: usize) -> bool {
+        self.missions.values().filter(|entry| !entry.state.is_final()).take(count).count() == count
+    }
+
+    /// Returns the items of missions that wait for a person, or that execute their recovery branch,
+    /// with these missions. Robots with such items get no role of another mission.
+    pub fn held_items(&self) -> impl Iterator<Item = (&MissionEntry, HeldItem)> {
+        self.missions.values().flat_map(|entry| {
+            let items = match &entry.state {
+                MissionState::NeedsIntervention { items, .. } => items.clone(),
+                MissionState::Pending | MissionState::Running => entry.unmoved_items(),
+                MissionState::Completed | MissionState::Failed { .. } | MissionState::Canceled { .. } => vec![],
+            };
+            items.into_iter().map(move |item| (entry, item))
+        })
+    }
+
+    /// Returns the role that a robot holds now, with the epoch of its award.
+    pub fn held_by(&self, robot: &RobotId) -> Option<(&MissionEntry, &RoleId, Epoch)> {
+        self.missions.values().filter(|entry| !entry.state.is_final()).find_map(|entry| {
+            entry.roles.iter().find_map(|(id, role)| match (&role.holder, role.phase) {
+                (Some(holder), RolePhase::Awarded | RolePhase::Active) if holder.robot == *robot => {
+                    Some((entry, id, holder.epoch))
+                }
+                _ => None,
+            })
+        })
+    }
+
+    /// Sets the cluster id once; a second bootstrap command has no effect, since its proposer may
+    /// have replaced the first proposer.
+    fn bootstrap(&mut self, cluster: ClusterId) -> CommandOutcome {
+        self.cluster.get_or_insert(cluster);
+        CommandOutcome::Done
+    }
+
+    fn raise(&mut self, wire: u8) -> CommandOutcome {
+        self.wire = self.wire.max(Some(wire));
+        CommandOutcome::Done
+    }
+
+    fn submit(&mut self, submission: Submission) -> CommandOutcome {
+        if let Some(mission) = self.requests.get(&submission.request) {
+            return CommandOutcome::Submitted { mission: mission.clone(), again: true };
+        }
+        self.submitted += 1;
+        let number = self.submitted;
+        let name: String = submission.mission.name.as_str().chars().take(40).collect();
+        let id = MissionId::new(format!("{name}-{number}")).expect("a task name, a dash and a number form a slug");
+        let roles = RoleEntry::all_open(&submission.mission);
+        self.requests.insert(submission.request.clone(), id.clone());
+        let state = MissionState::Pending;
+        let entry = MissionEntry {
+            id: id.clone(),
+            number,
+            submission,
+            state,
+            roles,
+            auction: None,
+            branch: Branch::Main,
+            items_at_recovery: vec![],
+            former_holders: vec![],
+            releases: vec![],
+            release_count: 0,
+        };
+        self.missions.insert(id.clone(), entry);
+        CommandOutcome::Submitted { mission: id, again: false }
+    }
+
+    fn award(
+        &mut self,
+        mission: &MissionId,
+        branch: Branch,
+        holders: BTreeMap<RoleId, RobotId>,
+        auction: AuctionRecord,
+        at: Epoch,
+    ) -> Result<CommandOutcome, CommandError> {
+        let open = self.in_branch(mission, branch)?.open_roles();
+        if open.is_empty() || !holders.keys().eq(open.iter()) {
+            return Err(CommandError::NotOpen { mission: mission.clone(), open });
+        }
+        let mut taken: BTreeMap<&RobotId, &RoleId> = BTreeMap::new();
+        for (role, robot) in &holders {
+            let two_roles = |mission: &MissionId, role: &RoleId| CommandError::TwoRoles {
+                robot: robot.clone(),
+                mission: mission.clone(),
+                role: role.clone(),
+            };
+            if let Some((held, role, _)) = self.held_by(robot) {
+                return Err(two_roles(&held.id, role));
+            }
+            if let Some(role) = taken.insert(robot, role) {
+                return Err(two_roles(mission, role));
+            }
+            let mut others = self.held_items().filter(|(entry, _)| entry.id != *mission);
+            if let Some((entry, held_item)) = others.find(|(_, held_item)| held_item.robot == *robot) {
+                let (robot, item, mission) = (robot.clone(), held_item.item, entry.id.clone());
+                return Err(CommandError::CarriesItem { robot, item, mission });
+            }
+        }
+        let entry = self.active_mission(mission)?;
+        entry.former_holders.clear();
+        for (id, robot) in holders {
+            if let Some(role) = entry.roles.get_mut(&id) {
+                role.holder = Some(RoleAssignment { robot, epoch: at, incarnation: None });
+                role.phase = RolePhase::Awarded;
+                role.ended.clear();
+            }
+        }
+        entry.auction = Some(auction);
+        entry.state = MissionState::Running;
+        Ok(CommandOutcome::Awarded { epoch: at })
+    }
+
+    fn defer(
+        &mut self,
+        mission: &MissionId,
+        branch: Branch,
+        auction: AuctionRecord,
+    ) -> Result<CommandOutcome, CommandError> {
+        self.in_branch(mission, branch)?.auction = Some(auction);
+        Ok(CommandOutcome::Done)
+    }
+
+    fn accept(
+        &mut self,
+        mission: &MissionId,
+        role_id: &RoleId,
+        epoch: Epoch,
+        incarnation: u64,
+        resumes: bool,
+    ) -> Result<CommandOutcome, CommandError> {
+        let role = self.held_role(mission, role_id, epoch)?;
+        let Some(holder) = &mut role.holder else { return Ok(CommandOutcome::Done) };
+        match holder.incarnation {
+            Some(known) if known > incarnation => {
+                let (robot, mission, role) = (holder.robot.clone(), mission.clone(), role_id.clone());
+                return Err(CommandError::StaleIncarnation { robot, mission, role });
+            }
+            Some(known) if known < incarnation && resumes => holder.incarnation = Some(incarnation),
+            Some(known) if known < incarnation => {
+                let (robot, mission, role) = (holder.robot.clone(), mission.clone(), role_id.clone());
+                return Err(CommandError::Restarted { robot, mission, role });
+            }
+            Some(_) => {}
+            None => {
+                holder.incarnation = Some(incarnation);
+                role.phase = RolePhase::Active;
+            }
+        }
+        Ok(CommandOutcome::Done)
+    }
+
+    fn progress(
+        &mut self,
+        mission: &MissionId,
+        role_id: &RoleId,
+        epoch: Epoch,
+        branch: Branch,
+        ended: &BTreeSet<StepIndex>,
+    ) -> Result<CommandOutcome, CommandError> {
+        let entry = self.active_mission(mission)?;
+        let (taken, steps) = (entry.branch, entry.plan(role_id).map_or(0, |plan| plan.steps.len()));
+        let role = self.held_role(mission, role_id, epoch)?;
+        if role.kind == RoleKind::Unmanaged && branch != taken {
+            return Err(CommandError::WrongBranch { mission: mission.clone(), taken });
+        }
+        role.ended.extend(ended.iter().filter(|step| (**step as usize) < steps));
+        if role.ended.len() == steps {
+            role.phase = RolePhase::Ended;
+        }
+        self.complete_if_done(mission)
+    }
+
+    fn fail(
+        &mut self,
+        mission: &MissionId,
+        cause: String,
+        branch: Option<Branch>,
+        places: &BTreeMap<RobotId, PlaceId>,
+    ) -> Result<CommandOutcome, CommandError> {
+        if let Some(branch) = branch {
+            self.in_branch(mission, branch)?;
+        }
+        self.end(mission, MissionState::Failed { cause }, places)
+    }
+
+    pub(super) fn active_mission(&mut self, mission: &MissionId) -> Result<&mut MissionEntry, CommandError> {
+        match self.missions.get_mut(mission) {
+            None => Err(CommandError::NoMission { mission: mission.clone() }),
+            Some(entry) if entry.state.is_final() => {
+                Err(CommandError::MissionEnded { mission: mission.clone(), state: entry.state.clone() })
+            }
+            Some(entry) => Ok(entry),
+        }
+    }
+
+    /// Returns a mission that has not ended and executes this branch.
+    fn in_branch(&mut self, mission: &MissionId, branch: Branch) -> Result<&mut MissionEntry, CommandError> {
+        let entry = self.active_mission(mission)?;
+        match entry.branch {
+            taken if taken != branch => Err(CommandError::WrongBranch { mission: mission.clone(), taken }),
+            _ => Ok(entry),
+        }
+    }
+
+    /// Returns a role of an active mission that is held under `epoch`, or an unmanaged role.
+    pub(super) fn held_role(
+        &mut self,
+        mission: &MissionId,
+        id: &RoleId,
+        epoch: Epoch,
+    ) -> Result<&mut RoleEntry, CommandError> {
+        let (mission_id, role_id) = (mission.clone(), id.clone());
+        let entry = self.active_mission(mission)?;
+        let Some(role) = entry.roles.get_mut(id) else {
+            return Err(CommandError::NoRole { mission: mission_id, role: role_id });
+        };
+        let held = role.holder.as_ref().map(|holder| holder.epoch);
+        if role.kind == RoleKind::Managed && held != Some(epoch) {
+            return Err(CommandError::StaleEpoch { mission: mission_id, role: role_id, held });
+        }
+        Ok(role)
+    }
+
+    pub(super) fn prune_history(&mut self) {
+        // Missions that wait for a person are not dropped.
+        let ended = self.missions.values().filter(|entry| entry.state.is_final() && !entry.state.needs_intervention());
+        let mut ended: Vec<(u64, MissionId, RequestId)> =
+            ended.map(|entry| (entry.number, entry.id.clone(), entry.submission.request.clone())).collect();
+        if ended.len() <= HISTORY_MAX {
+            return;
+        }
+        ended.sort();
+        for (_, mission, request) in ended.drain(..ended.len() - HISTORY_MAX) {
+            self.missions.remove(&mission);
+            self.requests.remove(&request);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,250 @@
+//! Commands of the ledger and their outcomes.
+
+use super::entry::{Branch, MissionState};
+use super::submission::Submission;
+use crate::auction::AuctionRecord;
+use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RobotId, RoleId};
+use crate::lease::Epoch;
+use crate::plan::StepIndex;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Command that the coordinator proposes to the log.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Command {
+    /// Sets the identity of the ledger: the first command in every log.
+    Bootstrap {
+        /// Cluster id, different from that of every other ledger under this fleet name.
+        cluster: ClusterId,
+    },
+    /// Adds a mission requested by a client.
+    Submit(Box<Submission>),
+    /// Awards all open roles after an auction.
+    Award {
+        /// The mission.
+        mission: MissionId,
+        /// Branch of the roles: a role may have the same name in both branches.
+        branch: Branch,
+        /// Robot of each open role: all open roles, and no others.
+        holders: BTreeMap<RoleId, RobotId>,
+        /// Record of the auction.
+        auction: AuctionRecord,
+    },
+    /// Records an auction that could not fill the open roles. The mission stays pending.
+    Defer {
+        /// The mission.
+        mission: MissionId,
+        /// Branch of the roles.
+        branch: Branch,
+        /// Record of the auction.
+        auction: AuctionRecord,
+    },
+    /// Records that the holder has confirmed a role.
+    Accept {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// Epoch of the award.
+        epoch: Epoch,
+        /// Incarnation of the robot's node that confirms.
+        incarnation: u64,
+        /// True if that incarnation restored the plan from a checkpoint.
+        from_checkpoint: bool,
+    },
+    /// Records that steps of a role have ended.
+    Progress {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// Epoch of the award; the default for an unmanaged role, which has none.
+        epoch: Epoch,
+        /// Branch of the plan, for an unmanaged role, which has the same name in both branches. For
+        /// a managed role the default, since the epoch identifies the branch.
+        branch: Branch,
+        /// All steps that have ended so far.
+        ended: BTreeSet<StepIndex>,
+    },
+    /// Releases a role from its holder.
+    Release {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// Epoch of the award.
+        epoch: Epoch,
+        /// Cause, as text.
+        cause: String,
+        /// True if the robot failed at the role, rather than losing contact. It is not invited
+        /// again for this role of the mission.
+        robot_failed: bool,
+        /// Last known place of the robot.
+        place: Option<PlaceId>,
+    },
+    /// Fails a mission that cannot be completed.
+    Fail {
+        /// The mission.
+        mission: MissionId,
+        /// Cause, as text.
+        cause: String,
+        /// Branch for which this holds; `None` for any branch, as for a deadline.
+        branch: Option<Branch>,
+        /// Last known places of its robots.
+        places: BTreeMap<RobotId, PlaceId>,
+    },
+    /// Cancels a mission at a client's request.
+    Cancel {
+        /// The mission.
+        mission: MissionId,
+        /// Person or client that cancels.
+        by: String,
+        /// Last known places of its robots.
+        places: BTreeMap<RobotId, PlaceId>,
+    },
+    /// Closes a mission that needs intervention: a person has taken care of the items that robots
+    /// had.
+    Resolve {
+        /// The mission.
+        mission: MissionId,
+        /// Person that resolved it.
+        by: String,
+    },
+    /// Raises the wire version that the fleet writes. From now on the ledger may contain what this
+    /// version adds. The proposer has checked that every node can read it; the version is never
+    /// lowered.
+    RaiseWireVersion {
+        /// New wire version.
+        wire: u8,
+    },
+}
+
+/// Outcome of a command.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum CommandOutcome {
+    /// The request was accepted as this mission.
+    Submitted {
+        /// Id of the mission.
+        mission: MissionId,
+        /// True if the request had been made before.
+        again: bool,
+    },
+    /// The roles were awarded under this epoch.
+    Awarded {
+        /// Epoch of the award.
+        epoch: Epoch,
+    },
+    /// The command was applied, now or before.
+    Done,
+    /// The command does not fit the ledger, which is unchanged.
+    Refused(CommandError),
+}
+
+/// Error: a command does not fit the ledger.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+pub enum CommandError {
+    /// There is no such mission; common for a mission that ended long ago.
+    #[error("there is no mission {mission}")]
+    NoMission {
+        /// Id of the mission.
+        mission: MissionId,
+    },
+    /// The mission has ended.
+    #[error("mission {mission} is {}", .state.as_str())]
+    MissionEnded {
+        /// Id of the mission.
+        mission: MissionId,
+        /// Final state.
+        state: MissionState,
+    },
+    /// The mission has no such role.
+    #[error("mission {mission} has no role {role}")]
+    NoRole {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+    },
+    /// The role is held under another award, or under none.
+    #[error("{role} of {mission} is held under epoch {}", .held.map_or("none".to_owned(), |epoch| epoch.to_string()))]
+    StaleEpoch {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// Epoch of the award in force.
+        held: Option<Epoch>,
+    },
+    /// The command concerns the branch that is not executed; common for delayed messages.
+    #[error("mission {mission} executes its {} branch, and the command concerns the other branch", .taken.as_str())]
+    WrongBranch {
+        /// The mission.
+        mission: MissionId,
+        /// Branch that is executed now.
+        taken: Branch,
+    },
+    /// The awarded roles differ from the open roles.
+    #[error("the open roles of {mission} are {}", .open.iter().map(RoleId::as_str).collect::<Vec<_>>().join(", "))]
+    NotOpen {
+        /// The mission.
+        mission: MissionId,
+        /// Open roles of the mission.
+        open: BTreeSet<RoleId>,
+    },
+    /// A robot would hold two roles.
+    #[error("{robot} would hold two roles: it already holds {role} of {mission}")]
+    TwoRoles {
+        /// The robot.
+        robot: RobotId,
+        /// Mission of the role that it holds.
+        mission: MissionId,
+        /// Role that it holds.
+        role: RoleId,
+    },
+    /// A robot has an item of a mission that waits for a person.
+    #[error("{robot} has the {item} of {mission}, which needs intervention")]
+    CarriesItem {
+        /// The robot.
+        robot: RobotId,
+        /// Item that it has, or may have.
+        item: ItemId,
+        /// Mission that waits.
+        mission: MissionId,
+    },
+    /// The mission does not wait for a person.
+    #[error("mission {mission} is {state}; only a mission that needs intervention can be resolved")]
+    NoInterventionNeeded {
+        /// The mission.
+        mission: MissionId,
+        /// Name of its state.
+        state: String,
+    },
+    /// The robot's node has restarted, and a later incarnation has confirmed the role; common for
+    /// delayed reports.
+    #[error("a later incarnation of {robot} has confirmed {role} of {mission}")]
+    StaleIncarnation {
+        /// The robot.
+        robot: RobotId,
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+    },
+    /// The robot's node has restarted since it confirmed the role, and has lost the plan.
+    #[error("{robot} has restarted since it confirmed {role} of {mission}")]
+    Restarted {
+        /// The robot.
+        robot: RobotId,
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+    },
+}
+
+/// Cause of a release.
+pub(super) struct ReleaseCause {
+    pub(super) cause: String,
+    pub(super) robot_failed: bool,
+    pub(super) place: Option<PlaceId>,
+}

@@ -1,0 +1,209 @@
+//! Consequences for a mission when a robot is lost, and when the mission fails, is canceled or is
+//! closed.
+//!
+//! ```text
+//! a role is released from its holder, which …
+//!   has, or may have, an item ──────▶ the mission's recovery branch, else needs intervention
+//!   has only cleanup left ──────────▶ the role has ended
+//!   has signalled no other role ────▶ the role is open again       (also: `on_loss: restart`)
+//!   has signalled other roles ──────▶ failed
+//! in the recovery branch: the robot has an item that the branch moves ──▶ needs intervention; else as above,
+//!   and the item that was lost first is still where it was
+//! failed or canceled while a robot has, or may have, an item ──▶ needs intervention ── a person ──▶ failed
+//! ```
+
+use super::apply::Ledger;
+use super::command::{CommandError, CommandOutcome, ReleaseCause};
+use super::entry::{HeldItem, MissionEntry, MissionState, RELEASES_KEPT, RolePhase, RoleRelease};
+use crate::ids::{MissionId, PlaceId, RobotId, RoleId};
+use crate::lease::Epoch;
+use crate::mission::{OnLoss, RoleKind};
+use std::collections::BTreeMap;
+
+/// Maximum number of releases from robots that had confirmed their roles; then the mission fails.
+/// Raised: a mission survives more losses, but a mission that no robot can complete occupies more
+/// robots. Default: a guess.
+const RELEASES_MAX: usize = 5;
+
+impl Ledger {
+    pub(super) fn release(
+        &mut self,
+        mission: &MissionId,
+        role_id: &RoleId,
+        epoch: Epoch,
+        loss: &ReleaseCause,
+    ) -> Result<CommandOutcome, CommandError> {
+        let role = self.held_role(mission, role_id, epoch)?;
+        if role.phase == RolePhase::Ended {
+            return Ok(CommandOutcome::Done); // completed: it need not be repeated
+        }
+        let Some(robot) = role.holder.as_ref().map(|holder| holder.robot.clone()) else {
+            return Ok(CommandOutcome::Done);
+        };
+        let confirmed = role.phase == RolePhase::Active;
+        let ReleaseCause { cause, robot_failed, place } = loss;
+        let entry = self.active_mission(mission)?;
+        let (role, holder) = (role_id.clone(), robot.clone());
+        entry.releases.push(RoleRelease {
+            role,
+            robot: holder,
+            cause: cause.clone(),
+            robot_failed: *robot_failed,
+            confirmed,
+        });
+        entry.release_count = entry.release_count.saturating_add(1);
+        if entry.releases.len() > RELEASES_KEPT {
+            let first = entry.releases.iter().position(|released| !released.confirmed).unwrap_or(0);
+            entry.releases.remove(first);
+        }
+
+        let places = place.iter().map(|place| (robot.clone(), place.clone())).collect();
+        let held = in_places(entry.custody(), &places);
+        let lost =
+            held.iter().filter(|held| held.role == *role_id && held.robot == robot).min_by_key(|held| !held.certain);
+        if let Some(lost) = lost.cloned() {
+            if entry.recover(&lost, held.clone()) {
+                return Ok(CommandOutcome::Done);
+            }
+            let has = if lost.certain { "has" } else { "may have" };
+            let cause = format!("{robot} was lost as {role_id} and {has} the {}: {cause}", lost.item);
+            entry.state = MissionState::NeedsIntervention { cause, items: held };
+            return Ok(CommandOutcome::Done);
+        }
+        if entry.only_cleanup_remains(role_id) {
+            self.held_role(mission, role_id, epoch)?.phase = RolePhase::Ended;
+            return self.complete_if_done(mission);
+        }
+        let on_loss = entry.mission().roles.get(role_id).map_or(OnLoss::Fail, |role| role.on_loss);
+        if entry.has_signalled(role_id) && on_loss == OnLoss::Fail {
+            let cause = format!("{robot} was lost as {role_id} after others had acted on its work: {cause}");
+            return self.end(mission, MissionState::Failed { cause }, &places);
+        }
+        let confirmed_releases: Vec<&RoleRelease> =
+            entry.releases.iter().filter(|released| released.confirmed).collect();
+        if confirmed_releases.len() >= RELEASES_MAX {
+            let causes = confirmed_releases.iter().map(|released| format!("{} ({})", released.cause, released.role));
+            let causes = causes.collect::<Vec<_>>().join("; ");
+            let cause = format!("its roles were given up {} times: {causes}", confirmed_releases.len());
+            return self.end(mission, MissionState::Failed { cause }, &places);
+        }
+        let role = self.held_role(mission, role_id, epoch)?;
+        role.holder = None;
+        role.phase = RolePhase::Open;
+        role.ended.clear();
+        self.active_mission(mission)?.state = MissionState::Pending;
+        Ok(CommandOutcome::Done)
+    }
+
+    /// Ends a mission in the given state. If a robot has an item, the mission needs intervention
+    /// instead.
+    pub(super) fn end(
+        &mut self,
+        mission: &MissionId,
+        state: MissionState,
+        places: &BTreeMap<RobotId, PlaceId>,
+    ) -> Result<CommandOutcome, CommandError> {
+        let entry = self.active_mission(mission)?;
+        let items = in_places(entry.custody(), places);
+        let cause = match &state {
+            MissionState::Failed { cause } => cause.clone(),
+            MissionState::Canceled { by } => format!("canceled by {by}"),
+            MissionState::Completed => "completed".to_owned(),
+            MissionState::Pending | MissionState::Running | MissionState::NeedsIntervention { .. } => String::new(),
+        };
+        entry.state = match items.is_empty() {
+            true => state,
+            false => MissionState::NeedsIntervention { cause: format!("{cause}; {}", custody_text(&items)), items },
+        };
+        self.prune_history();
+        Ok(CommandOutcome::Done)
+    }
+
+    /// Cancels a mission. A mission that waits for a person keeps its state, since only a person on
+    /// site can close it. A client that repeats the request, for lack of a reply, gets the same
+    /// outcome.
+    pub(super) fn cancel(
+        &mut self,
+        mission: &MissionId,
+        by: String,
+        places: &BTreeMap<RobotId, PlaceId>,
+    ) -> Result<CommandOutcome, CommandError> {
+        match self.missions.get(mission).map(|entry| &entry.state) {
+            Some(MissionState::NeedsIntervention { .. }) => Ok(CommandOutcome::Done),
+            Some(MissionState::Canceled { by: known }) if *known == by => Ok(CommandOutcome::Done),
+            _ => self.end(mission, MissionState::Canceled { by }, places),
+        }
+    }
+
+    pub(super) fn resolve(&mut self, mission: &MissionId, by: &str) -> Result<CommandOutcome, CommandError> {
+        let Some(entry) = self.missions.get_mut(mission) else {
+            return Err(CommandError::NoMission { mission: mission.clone() });
+        };
+        let closing = format!("; resolved by {by}");
+        let cause = match &entry.state {
+            MissionState::NeedsIntervention { cause, .. } => cause,
+            // The request was repeated for lack of a reply.
+            MissionState::Failed { cause } if cause.ends_with(&closing) => return Ok(CommandOutcome::Done),
+            state => {
+                let state = state.as_str().to_owned();
+                return Err(CommandError::NoInterventionNeeded { mission: mission.clone(), state });
+            }
+        };
+        entry.state = MissionState::Failed { cause: format!("{cause}{closing}") };
+        // The history is pruned when the next mission ends: this mission may be among the oldest,
+        // and must remain visible.
+        Ok(CommandOutcome::Done)
+    }
+
+    /// Completes a mission once all its managed roles have ended. If its recovery branch left an
+    /// item in place, a person is still needed.
+    pub(super) fn complete_if_done(&mut self, mission: &MissionId) -> Result<CommandOutcome, CommandError> {
+        let entry = self.active_mission(mission)?;
+        let mut managed = entry.roles.values().filter(|role| role.kind == RoleKind::Managed);
+        if !managed.all(|role| role.phase == RolePhase::Ended) {
+            return Ok(CommandOutcome::Done);
+        }
+        match entry.unmoved_items() {
+            items if items.is_empty() => entry.state = MissionState::Completed,
+            items => {
+                let cause = format!("the recovery branch was completed; {}", custody_text(&items));
+                entry.state = MissionState::NeedsIntervention { cause, items };
+            }
+        }
+        self.prune_history();
+        Ok(CommandOutcome::Done)
+    }
+}
+
+impl MissionEntry {
+    /// Returns the items that the recovery branch has not moved: they are still where they were
+    /// lost.
+    pub(super) fn unmoved_items(&self) -> Vec<HeldItem> {
+        if self.items_at_recovery.is_empty() {
+            return vec![];
+        }
+        self.custody().into_iter().filter(|held| self.items_at_recovery.contains(held)).collect()
+    }
+}
+
+fn in_places(mut held: Vec<HeldItem>, places: &BTreeMap<RobotId, PlaceId>) -> Vec<HeldItem> {
+    for item in &mut held {
+        if let Some(place) = places.get(&item.robot) {
+            item.place = Some(place.clone());
+        }
+    }
+    held
+}
+
+/// Formats custody: `the sample is with amber at IC Room 6`.
+fn custody_text(items: &[HeldItem]) -> String {
+    let line = |held: &HeldItem| {
+        let is = if held.certain { "is" } else { "may be" };
+        let at = held.place.as_ref().map(|place| format!(" at {place}")).unwrap_or_default();
+        format!("the {} {is} with {}{at}", held.item, held.robot)
+    };
+    items.iter().map(line).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests;

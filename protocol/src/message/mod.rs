@@ -1,0 +1,318 @@
+//! Messages between nodes in bincode, and the key of each message.
+//!
+//! | key | kind | sender → receiver | message | reply |
+//! |---|---|---|---|---|
+//! | `wire/knowledge/{node}` | publish | node → all | [`RecordUpdate`] | – |
+//! | `wire/gossip/{node}` | query | node → node | [`Exchange`] | [`Exchange`] |
+//! | `wire/bootstrap/*` | query | candidate → nodes that may vote | [`BootstrapRequest`] | [`BootstrapReply`] |
+//! | `wire/beacon` | publish | coordinator → all | [`Beacon`] | – |
+//! | `wire/bid/*` | query | coordinator → robots | [`CallForBids`](crate::auction::CallForBids) | [`BidResponse`](crate::auction::BidResponse) |
+//! | `wire/award/{robot}` | query | coordinator → robot | [`AwardNotice`] | [`AwardReply`] |
+//! | `wire/report/{node}` | query | robot → coordinator | [`Report`] | [`ReportReply`] |
+//! | `wire/active_missions/{node}` | query | any node → coordinator | empty | [`ActiveMissions`], in parts |
+//! | `wire/changed` | publish | coordinator → all | [`MissionsChanged`] | – |
+//! | `wire/signal/{mission}/{role}` | publish | role → role | [`SignalHistory`] | – |
+//! | `wire/signal_history/{mission}/{role}` | query | waiting role → role | empty | [`SignalHistory`] |
+//!
+//! From `wire/beacon` on, the payload of publications and queries is wrapped in a
+//! [`ClusterEnvelope`].
+
+use crate::codec::VersionedMessage;
+use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
+use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
+use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
+use crate::ledger::Branch;
+use crate::plan::{Signal, StepIndex};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+mod active_missions;
+pub mod v1;
+
+pub use active_missions::{ActiveMissions, ActivePlan};
+
+/// Publication of a node about itself.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "most updates are records; refreshes are small, and few of either are in memory at the same time"
+)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum RecordUpdate {
+    /// The whole record.
+    Record(Record),
+    /// The record has not changed. A node that has the record need not receive it again.
+    Refresh {
+        /// Latest version of the record.
+        stamp: RecordStamp,
+        /// Version, of the same incarnation, since which the content is unchanged.
+        since: u64,
+        /// Proof of the record with the latest version, if the fleet has certificates.
+        proof: Option<Proof>,
+    },
+}
+
+impl VersionedMessage for RecordUpdate {
+    const SINCE: u8 = 2;
+    type Previous = v1::RecordUpdate;
+}
+
+/// Message of an anti-entropy round. The round starts with sums over the sender's records if both
+/// nodes are likely to have the same records; the other node replies with its digest of the records
+/// that differ. Otherwise the round starts with the digest.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Exchange {
+    /// Sums over all records of the sender
+    /// ([`KnowledgeBase::class_sums`](crate::knowledge::KnowledgeBase::class_sums)) to compare; may
+    /// be empty.
+    pub sums: Vec<u64>,
+    /// Owners covered by the digest.
+    pub scope: DigestScope,
+    /// Versions of these owners' records at the sender.
+    pub digest: Digest,
+    /// Records that the other node seems to lack, as many as fit a message.
+    pub records: Vec<Record>,
+}
+
+impl VersionedMessage for Exchange {
+    const SINCE: u8 = 2;
+    type Previous = v1::Exchange;
+}
+
+/// Asks whether the sender may create the fleet's ledger. Candidates are ordered by suitability as
+/// a voter: stationary before mobile, mains power before battery, then by name.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct BootstrapRequest {
+    /// True if the node is mobile.
+    pub mobile: bool,
+    /// True if the node runs on a battery.
+    pub on_battery: bool,
+    /// Name of the node.
+    pub node: NodeId,
+}
+
+/// Reply to a [`BootstrapRequest`].
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum BootstrapReply {
+    /// The node grants the request. For a while it creates no ledger itself and grants no other
+    /// request.
+    Agreed,
+    /// A ledger exists, or the node has granted another request.
+    Refused {
+        /// The ledger or the other candidate, as text.
+        reason: String,
+    },
+}
+
+/// Periodic announcement of the coordinator.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Beacon {
+    /// Node of the coordinator.
+    pub node: NodeId,
+    /// Term of the coordinator, unique in its cluster. A beacon of an older term comes from a
+    /// coordinator that has been replaced and has not detected it.
+    pub term: u64,
+    /// Voters of the ledger.
+    pub voters: BTreeSet<NodeId>,
+    /// Time since the coordinator took over, in milliseconds.
+    pub since_ms: u64,
+    /// Cluster of the coordinator; `None` while the cluster is being created.
+    pub cluster: Option<ClusterId>,
+    /// Wire version that the fleet writes, once it is set. The layout of beacons is the same in all
+    /// versions, so that a node with an outdated program can detect it.
+    pub wire: Option<u8>,
+}
+
+impl Beacon {
+    /// Checks whether this beacon replaces `known`: its term is not older, or it belongs to another
+    /// cluster. The receiver has moved to that cluster, where terms are counted anew.
+    pub fn supersedes(&self, known: Option<&Beacon>) -> bool {
+        known.is_none_or(|known| self.term >= known.term || self.is_other_cluster(known))
+    }
+
+    /// Checks whether this beacon belongs to another leader session than `known`: another node, or
+    /// another term of the same node.
+    pub fn is_other_leader_session(&self, known: Option<&Beacon>) -> bool {
+        known.is_none_or(|known| (self.term, &self.node) != (known.term, &known.node))
+    }
+
+    /// Checks whether this is certainly the coordinator of another cluster.
+    pub fn is_other_cluster(&self, known: &Beacon) -> bool {
+        self.cluster.is_some() && known.cluster.is_some() && self.cluster != known.cluster
+    }
+}
+
+/// Envelope of every message about missions: two clusters under the same fleet name may have
+/// missions with the same name.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClusterEnvelope {
+    /// Cluster of the sender, if known.
+    pub cluster: Option<ClusterId>,
+    /// The message.
+    pub payload: Vec<u8>,
+}
+
+/// Notification of a robot by the coordinator about its entry in the ledger.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum AwardNotice {
+    /// The robot has a role.
+    Awarded(Box<Award>),
+    /// The robot no longer has the role.
+    Revoked {
+        /// Epoch of the award.
+        epoch: Epoch,
+        /// Reason for the end.
+        reason: EndReason,
+    },
+}
+
+/// Reply of a robot to a notice.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum AwardReply {
+    /// The robot will report, or has stopped.
+    Acknowledged,
+    /// The robot does not take the role.
+    Declined(DeclineReason),
+}
+
+/// Report of a robot about a role that it holds; also its request to renew the lease.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Report {
+    /// Robot that reports.
+    pub robot: RobotId,
+    /// Incarnation of its node.
+    pub incarnation: u64,
+    /// The mission.
+    pub mission: MissionId,
+    /// The role.
+    pub role: RoleId,
+    /// Epoch of the award; the default for an unmanaged role.
+    pub epoch: Epoch,
+    /// Branch of the plan, for an unmanaged role. For a managed role the default, since the epoch
+    /// identifies the branch.
+    pub branch: Branch,
+    /// All steps that have ended so far.
+    pub ended: BTreeSet<StepIndex>,
+    /// Task in progress, for display.
+    pub current_task: Option<TaskId>,
+    /// Place of the robot, if known: the place to look for the item that it carries if the robot is
+    /// lost.
+    pub place: Option<PlaceId>,
+    /// True if this incarnation of the node restored the plan from a checkpoint. An incarnation
+    /// that did not restore it has no data about the plan.
+    pub from_checkpoint: bool,
+    /// Failure, if the role cannot be completed.
+    pub failure: Option<TaskFailure>,
+}
+
+/// Failure of a role: its holder cannot complete it, after all recovery actions of its own.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TaskFailure {
+    /// Task that failed permanently, if a single task is the cause.
+    pub task: Option<TaskId>,
+    /// Cause, as text.
+    pub cause: String,
+    /// Kind of failure.
+    pub kind: FailureKind,
+}
+
+/// Reason for which a holder gives up its role.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FailureKind {
+    /// The skill of the task failed at every allowed attempt, and no alternative was left.
+    Task,
+    /// The skill of the task crashed.
+    Crash,
+    /// The task neither ended nor made progress.
+    NoProgress,
+    /// The battery will not last for the rest of the plan.
+    Battery,
+    /// The robot leaves the fleet.
+    Leaving,
+    /// The plan cannot be restored.
+    Plan,
+    /// The checkpoint cannot be written: after a crash the robot would not find its role.
+    #[serde(alias = "notebook")]
+    Checkpoint,
+}
+
+/// Reply of the coordinator to a report. The content of the report is in the ledger before any
+/// reply other than `NotCoordinator` is sent.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ReportReply {
+    /// The lease is renewed, counted from the time at which the report was sent.
+    Renewed {
+        /// Epoch of the award.
+        epoch: Epoch,
+        /// Steps that have ended according to the ledger.
+        ended: BTreeSet<StepIndex>,
+        /// Current holders of the mission's managed roles.
+        holders: BTreeMap<RoleId, RoleHolder>,
+        /// Signals from other roles to this role, according to the ledger: their sender may be gone
+        /// before the signal is received.
+        signals: BTreeSet<Signal>,
+    },
+    /// The reporter no longer holds the role, or the role is completed.
+    Ended {
+        /// Epoch of the award that was reported.
+        epoch: Epoch,
+        /// Reason.
+        reason: EndReason,
+        /// Epoch of the award of this role that is now in force, if any.
+        current: Option<Epoch>,
+    },
+    /// This node is not the coordinator, or cannot confirm that it still is.
+    NotCoordinator {
+        /// Coordinator, if known to this node.
+        coordinator: Option<NodeId>,
+    },
+}
+
+/// Active missions have changed; nodes that follow them should query again.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MissionsChanged {
+    /// Node of the coordinator.
+    pub node: NodeId,
+    /// Term of the coordinator.
+    pub term: u64,
+}
+
+/// Signals that a role has sent so far, to one role or to all roles. The message is idempotent,
+/// since signals are only ever added.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SignalHistory {
+    /// The mission.
+    pub mission: MissionId,
+    /// Epoch of the sender's award; the default for an unmanaged role.
+    pub epoch: Epoch,
+    /// Signals sent.
+    pub signals: BTreeSet<Signal>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_beacon_is_superseded_by_a_later_term_or_another_cluster() {
+        let beacon = |term, cluster: u64| Beacon {
+            node: NodeId::new("ada").unwrap(),
+            term,
+            voters: BTreeSet::new(),
+            since_ms: 0,
+            cluster: (cluster > 0).then_some(ClusterId(cluster)),
+            wire: None,
+        };
+        for (known, received, expected) in [
+            (None, beacon(1, 1), true),
+            (Some(beacon(5, 1)), beacon(5, 1), true),
+            (Some(beacon(5, 1)), beacon(4, 1), false),
+            (Some(beacon(5, 1)), beacon(1, 2), true),
+            (Some(beacon(5, 1)), beacon(4, 0), false),
+            (Some(beacon(5, 0)), beacon(4, 1), false),
+        ] {
+            assert_eq!(received.supersedes(known.as_ref()), expected, "{known:?} {received:?}");
+        }
+    }
+}

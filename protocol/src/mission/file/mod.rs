@@ -1,0 +1,299 @@
+//! Mission files: templates of missions with open parameters, written by people in YAML or JSON.
+//!
+//! ```yaml
+//! mission: inspect-room              # the name of the kind of mission: a slug
+//! title: Look after one room         # for people; optional
+//! parameters:                        # values that a request provides; optional
+//!   room: { kind: place, default: IC Room 6, description: which room }
+//! roles:                             # participants; at least 1 is managed
+//!   r1: { kind: managed }
+//!   nurse: { kind: unmanaged, description: on duty in the room }
+//! root:                              # an abstract task: `task`, `method`, `tasks`
+//!   task: inspect
+//!   method: sequential               # or `unordered`
+//!   tasks:
+//!     # an elementary task: `task`, `type`, `roles`, and where needed `parameters` and `reaches`
+//!     - { task: navto_room, type: navigation, roles: [r1], parameters: { to: "${room}" }, reaches: { location: "${room}" } }
+//!     - { task: meet, type: wait, roles: [r1, nurse], parameters: { seconds: "5" } }   # two roles: a joint task
+//! ```
+//!
+//! Optional fields of an elementary task:
+//!
+//! - `acquires: { sample: r1 }`: after the task, `r1` has the sample; `releases: [sample]`: after
+//!   the task, the sample is outside the mission. Tasks that touch the same item must be ordered.
+//!   The ledger derives from this which items a lost robot carries.
+//! - `attempts: 3`: maximum number of attempts of its skill before the task fails permanently; 1 to
+//!   10, default 2.
+//! - for tasks with a person (`approach_person`, `authenticate_person`, `deposit`),
+//!   `parameters: { patience: "300" }`: time in seconds that the robot waits, at each attempt, for
+//!   a person who has left; default 120.
+//!
+//! A role may set `on_loss: restart`: if its holder is lost after other roles have acted on its
+//! work, and has no item, another robot restarts the role from its first step. Without it such a
+//! mission fails.
+//!
+//! In addition to `root` a file may have a `recovery` branch of the same form. It is executed
+//! instead if a robot is lost that has, or may have, an item. Its roles are declared with the
+//! others, and robots are sought anew for all of them. Its tasks have different names. In its
+//! `parameters` and `reaches`, `${lost.item}`, `${lost.robot}` and `${lost.place}` stand for the
+//! lost item, the robot that had it, and the last known place of that robot. If another robot is
+//! lost during the recovery, it is replaced if it has no item. If it has an item, or if the branch
+//! cannot be executed, the mission needs a person.
+//!
+//! An abstract task may have `alternatives`: other methods, each
+//! `{ method: sequential, tasks: [ elementary tasks ] }`. They are tried in the order of the file
+//! when a task of its own method has failed permanently. They are *local*: a single managed role
+//! executes all tasks of the method and of its alternatives, and none of these tasks touches an
+//! item.
+//!
+//! A parameter's `kind` is `place`, `seconds` or `text`. Without a `default` a request must provide
+//! the value. `${name}` stands for the value, within the values of `parameters` and `reaches` only;
+//! `$$` stands for a dollar sign. A substituted value is never searched again, so a value cannot
+//! insert another value.
+//!
+//! Files may come from any source. The size of a text is limited before it is parsed, and its depth
+//! while it is parsed. YAML anchors, aliases, merge keys and multiple documents are rejected: no
+//! mission needs them, and a few of them can expand to gigabytes.
+
+mod builder;
+mod form;
+
+pub(super) use form::unique_keys;
+pub use form::{TemplateKind, TemplateParameter};
+
+use self::builder::{MissionBuilder, recovery_diagnostics, split_roles};
+use self::form::MissionFile;
+use super::diagnostic::{MissionDiagnostic, MissionErrorKind, MissionErrors};
+use super::domain::Domain;
+use super::limits::FILE_BYTES_MAX;
+use super::lost_item;
+use super::model::Mission;
+use crate::ids::{NameError, TaskId};
+use schemars::{Schema, schema_for};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::path::Path;
+
+/// Format of a mission file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// JSON, as clients send it.
+    Json,
+    /// YAML, as people write it.
+    Yaml,
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Format::Json => "JSON",
+            Format::Yaml => "YAML",
+        })
+    }
+}
+
+impl Format {
+    /// Determines the format: by the file's extension if it is known, otherwise JSON if the text
+    /// begins with a brace.
+    pub fn of(path: Option<&Path>, text: &str) -> Self {
+        match path.and_then(Path::extension).and_then(|extension| extension.to_str()) {
+            Some("json") => Format::Json,
+            Some("yaml" | "yml") => Format::Yaml,
+            _ if text.trim_start_matches('\u{feff}').trim_start().starts_with('{') => Format::Json,
+            _ => Format::Yaml,
+        }
+    }
+}
+
+/// Error: a text is not a mission file. Common for files written by hand; nothing was changed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum MissionFileError {
+    /// The text is larger than any mission needs; it was not parsed.
+    #[error("the mission file has {bytes} bytes; at most {FILE_BYTES_MAX} are allowed")]
+    TooLarge {
+        /// Size of the file.
+        bytes: usize,
+    },
+    /// The text has a syntax error, or wrong fields.
+    #[error("not a mission file in {format}: {message}")]
+    Syntax {
+        /// Format used for parsing.
+        format: Format,
+        /// Message of the parser, with line and column.
+        message: String,
+    },
+    /// The name of the mission is invalid.
+    #[error(transparent)]
+    Name(#[from] NameError),
+}
+
+/// Parsed mission file: a template that gives a mission for each choice of its parameters.
+#[derive(Debug, Clone)]
+pub struct MissionTemplate {
+    name: TaskId,
+    file: MissionFile,
+}
+
+fn yaml_options() -> serde_saphyr::Options {
+    serde_saphyr::options! {
+        budget: serde_saphyr::budget! {
+            max_aliases: 0,
+            max_anchors: 0,
+            max_depth: 128,
+            flow_nesting_limit: 128,
+            max_documents: 1,
+            max_nodes: 50_000,
+            max_events: 100_000,
+            max_merge_keys: 0,
+        },
+        merge_keys: serde_saphyr::options::MergeKeyPolicy::Error,
+    }
+}
+
+impl MissionTemplate {
+    /// Parses a mission file. Tasks, roles and parameters are checked by
+    /// [`MissionTemplate::instantiate`].
+    ///
+    /// ```
+    /// use consort_protocol::mission::{Domain, Format, MissionTemplate, TaskSchema, ValueKind};
+    ///
+    /// let file = r#"{ "mission": "go", "roles": { "r1": { "kind": "managed" } },
+    ///     "root": { "task": "go", "type": "navigate", "roles": ["r1"], "parameters": { "to": "Dock" } } }"#;
+    /// let navigation = TaskSchema::default().required("to", ValueKind::Place);
+    /// let domain = Domain::default().with("navigation".parse()?, navigation);
+    /// let template = MissionTemplate::parse(file, Format::Json)?;
+    /// let error = template.instantiate(&Default::default(), &domain).unwrap_err().to_string();
+    /// assert!(error.contains("unknown task type `navigate`") && error.ends_with("did you mean `navigation`?"), "{error}");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`MissionFileError`] with the place at which the text does not match the documented form.
+    pub fn parse(text: &str, format: Format) -> Result<Self, MissionFileError> {
+        if text.len() > FILE_BYTES_MAX {
+            return Err(MissionFileError::TooLarge { bytes: text.len() });
+        }
+        let text = text.trim_start_matches('\u{feff}');
+        let syntax = |message: String| MissionFileError::Syntax { format, message };
+        let file: MissionFile = match format {
+            Format::Json => serde_json::from_str(text).map_err(|error| syntax(error.to_string()))?,
+            Format::Yaml => {
+                serde_saphyr::from_str_with_options(text, yaml_options()).map_err(|error| syntax(error.to_string()))?
+            }
+        };
+        Ok(Self { name: TaskId::new(&*file.mission)?, file })
+    }
+
+    /// Converts a mission file for a request to the coordinator: the whole file, as JSON, from any
+    /// format.
+    ///
+    /// # Errors
+    /// Same as [`parse`](MissionTemplate::parse): errors of form are reported here, where the file
+    /// is, and not by the coordinator.
+    pub fn request(text: &str, format: Format) -> Result<Value, MissionFileError> {
+        MissionTemplate::parse(text, format)?;
+        let syntax = |message: String| MissionFileError::Syntax { format, message };
+        let text = text.trim_start_matches('\u{feff}');
+        let value: Value = match format {
+            Format::Json => serde_json::from_str(text).map_err(|problem| syntax(problem.to_string()))?,
+            Format::Yaml => serde_saphyr::from_str(text).map_err(|problem| syntax(problem.to_string()))?,
+        };
+        Ok(scalars_as_text(value))
+    }
+
+    /// Returns the JSON Schema of mission files. Rules beyond the schema, such as the known task
+    /// types, are checked by [`instantiate`].
+    ///
+    /// [`instantiate`]: MissionTemplate::instantiate
+    pub fn schema() -> Schema {
+        schema_for!(MissionFile)
+    }
+
+    /// Returns the name of the kind of mission.
+    pub fn name(&self) -> &TaskId {
+        &self.name
+    }
+
+    /// Returns the title for people; may be empty.
+    pub fn title(&self) -> &str {
+        &self.file.title
+    }
+
+    /// Returns the parameters that a request provides.
+    pub fn parameters(&self) -> &BTreeMap<String, TemplateParameter> {
+        &self.file.parameters
+    }
+
+    /// Creates the mission with the given parameters and checks it against the domain. The recovery
+    /// branch is checked, too.
+    ///
+    /// # Errors
+    /// [`MissionErrors`] lists every problem of the given values and of the file.
+    pub fn instantiate(&self, arguments: &BTreeMap<String, String>, domain: &Domain) -> Result<Mission, MissionErrors> {
+        self.instantiate_with_recovery(arguments, domain).map(|(mission, _)| mission)
+    }
+
+    /// Creates the mission and its recovery branch, if it has one. The values of the loss are
+    /// substituted when the loss occurs.
+    ///
+    /// # Errors
+    /// Same as [`instantiate`](MissionTemplate::instantiate).
+    pub fn instantiate_with_recovery(
+        &self,
+        arguments: &BTreeMap<String, String>,
+        domain: &Domain,
+    ) -> Result<(Mission, Option<Mission>), MissionErrors> {
+        let mut builder = MissionBuilder::default();
+        builder.bind_parameters(&self.file.parameters, arguments, domain);
+        let mut mission = builder.mission(&self.name, &self.file.roles, &self.file.root, "root");
+        let mut recovery = self.file.recovery.as_ref().map(|root| {
+            builder.values.extend(lost_item::VARIABLES);
+            builder.mission(&self.name, &self.file.roles, root, "recovery")
+        });
+        builder.find_unused(&self.file.parameters);
+        let mut problems = builder.diagnostics;
+        let incomplete = !problems.is_empty();
+        let place = |problem: &MissionDiagnostic| match &problem.kind {
+            MissionErrorKind::UnknownPlace { place, .. } => Some(place.clone()),
+            _ => None,
+        };
+        let unknown_places: BTreeSet<String> = problems.iter().filter_map(place).collect();
+        let mut diagnostics_found = vec![];
+        if let Some(recovery) = &mut recovery {
+            split_roles(&mut mission, recovery);
+            diagnostics_found = recovery_diagnostics(&mission, recovery, domain);
+        }
+        diagnostics_found.splice(0..0, mission.check(domain).err().into_iter().flat_map(|errors| errors.diagnostics));
+        // After a failed substitution, missing values that follow from it are not reported again.
+        let is_reported = |problem: &MissionDiagnostic| match &problem.kind {
+            MissionErrorKind::NoRole { .. }
+            | MissionErrorKind::UnusedRole
+            | MissionErrorKind::MissingParameter { .. } => !incomplete,
+            MissionErrorKind::BadValue { .. } | MissionErrorKind::EmptyMethod | MissionErrorKind::NoManagedRole => {
+                !incomplete
+            }
+            // Reported once, for the request, and not for every task that uses the place.
+            MissionErrorKind::UnknownPlace { place, .. } => !unknown_places.contains(place),
+            _ => true,
+        };
+        problems.extend(diagnostics_found.into_iter().filter(is_reported));
+        MissionErrors::ok_if_empty(&self.name, problems)?;
+        Ok((mission, recovery))
+    }
+}
+
+/// Converts scalars to text: mission files contain only texts, and YAML parses a bare `5` as a
+/// number.
+fn scalars_as_text(value: Value) -> Value {
+    match value {
+        Value::Array(list) => list.into_iter().map(scalars_as_text).collect(),
+        Value::Object(map) => map.into_iter().map(|(key, value)| (key, scalars_as_text(value))).collect(),
+        Value::Bool(value) => Value::String(value.to_string()),
+        Value::Number(value) => Value::String(value.to_string()),
+        Value::Null | Value::String(_) => value,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,73 @@
+//! Validation of missions from files and from the network.
+//!
+//! Every problem is reported, not only the first, each with the path to the task.
+
+use super::diagnostic::{MissionErrorKind, MissionErrors};
+use super::domain::{Domain, ValueKind};
+use super::limits::{ROLES_MAX, TASKS_MAX};
+use super::model::{Mission, TaskSpec};
+use super::order::GlobalOrder;
+use super::structure::{at, check_tree_and_roles, paths, specs};
+use consort_text::AllowedNames;
+
+impl Mission {
+    /// Checks the tree, the roles, and each task against the domain.
+    ///
+    /// # Errors
+    /// [`MissionErrors`] lists all problems.
+    pub fn check(&self, domain: &Domain) -> Result<(), MissionErrors> {
+        let mut found = check_tree_and_roles(self);
+        if found.is_empty()
+            && let Err(errors) = GlobalOrder::of(self)
+        {
+            found.extend(errors.diagnostics);
+        }
+        // In a malformed tree some paths are meaningless, but the tasks can still be checked.
+        if self.tasks.len() <= TASKS_MAX && self.roles.len() <= ROLES_MAX {
+            let paths = paths(self);
+            for (node, path) in self.tasks.iter().zip(&paths) {
+                for (path, _, spec) in specs(&node.id, &node.body, path) {
+                    found.extend(check_task(self, spec, domain).into_iter().map(|kind| at(&path, kind)));
+                }
+            }
+        }
+        MissionErrors::ok_if_empty(&self.name, found)
+    }
+}
+
+/// Checks the type and the parameters of a task.
+fn check_task(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<MissionErrorKind> {
+    let Some(schema) = domain.get(&spec.task_type) else {
+        let allowed = AllowedNames::suggest_for(spec.task_type.as_str(), domain.task_types());
+        return vec![MissionErrorKind::UnknownType { task_type: spec.task_type.to_string(), allowed }];
+    };
+    let task_type = || spec.task_type.to_string();
+    let mut found = Vec::new();
+    for (name, parameter) in &schema.parameters {
+        if parameter.required && !spec.parameters.contains_key(name) {
+            let kind = parameter.kind.to_string();
+            found.push(MissionErrorKind::MissingParameter { task_type: task_type(), name: name.clone(), kind });
+        }
+    }
+    for (name, value) in &spec.parameters {
+        let Some(parameter) = schema.parameters.get(name) else {
+            let allowed = AllowedNames::suggest_for(name, schema.parameters.keys());
+            found.push(MissionErrorKind::UnknownParameter { task_type: task_type(), name: name.clone(), allowed });
+            continue;
+        };
+        let is_role = parameter.kind == ValueKind::Role;
+        if is_role && !mission.roles.keys().any(|role| role.as_str() == value) {
+            let allowed = AllowedNames::suggest_for(value, mission.roles.keys());
+            found.push(MissionErrorKind::ParameterRole { name: name.clone(), role: value.clone(), allowed });
+        } else if !parameter.kind.admits(value) {
+            let kind = parameter.kind.to_string();
+            found.push(MissionErrorKind::BadValue { name: name.clone(), value: value.clone(), kind });
+        } else {
+            found.extend(domain.unknown_place(name, &parameter.kind, value));
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests;

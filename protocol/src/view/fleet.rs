@@ -1,0 +1,186 @@
+//! Views of nodes, robots and ensembles.
+
+use super::readable;
+use crate::ensemble::Membership;
+use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RoleId, TaskType};
+use crate::knowledge::RobotKnowledge;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The nodes of a fleet, and its ensembles.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct FleetView {
+    /// Cluster of the node that replies; null if it belongs to none yet.
+    #[serde(default)]
+    pub cluster: Option<ClusterId>,
+    /// Nodes with a known record, in the order of their names.
+    #[serde(default, deserialize_with = "readable")]
+    pub nodes: Vec<NodeView>,
+    /// Ensembles of the fleet.
+    #[serde(default, deserialize_with = "readable")]
+    pub ensembles: Vec<EnsembleView>,
+}
+
+/// A node, as seen by the node that replies.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct NodeView {
+    /// The node.
+    pub node: NodeId,
+    /// Contact with the node.
+    #[serde(flatten)]
+    pub contact: Contact,
+    /// Its record.
+    #[serde(flatten)]
+    pub record: PublishedRecord,
+    /// Its traits.
+    #[serde(flatten)]
+    pub traits: NodeTraits,
+    /// The role that its robot holds: by the ledger, or by the robot's record if the replying node
+    /// has no ledger.
+    #[serde(default)]
+    pub holds: Option<HeldRole>,
+}
+
+/// Contact with a node.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Contact {
+    /// The node that states the contact.
+    pub seen_by: NodeId,
+    /// True if the node counts as alive.
+    #[serde(default)]
+    pub alive: bool,
+    /// Its state in the membership protocol.
+    #[serde(default)]
+    pub status: NodeStatus,
+    /// Age of its record in milliseconds, since the last contact.
+    #[serde(default)]
+    pub age_ms: u64,
+}
+
+/// State of a node in the membership protocol.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum NodeStatus {
+    /// Not in contact yet, or removed.
+    #[default]
+    Unknown,
+    /// Alive.
+    Alive,
+    /// Suspected: it counts as alive until it is declared down.
+    Suspect,
+    /// Declared down.
+    Down,
+}
+
+impl NodeStatus {
+    /// Returns the word in JSON.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            NodeStatus::Unknown => "unknown",
+            NodeStatus::Alive => "alive",
+            NodeStatus::Suspect => "suspect",
+            NodeStatus::Down => "down",
+        }
+    }
+}
+
+/// Latest known record of a node.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct PublishedRecord {
+    /// Number that grows with each start of the node.
+    pub incarnation: u64,
+    /// Number that grows with each change of the record.
+    pub version: u64,
+    /// Cluster of the node; null if it belongs to none yet.
+    pub cluster: Option<ClusterId>,
+    /// True if the node is about to leave the fleet permanently.
+    pub leaving: bool,
+    /// State and abilities of its robot; null if the node has no robot.
+    pub robot: Option<RobotKnowledge>,
+}
+
+/// Traits of a node that do not change.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct NodeTraits {
+    /// True if it may become a voter of the ledger and the coordinator.
+    pub may_vote: bool,
+    /// True if it does not move.
+    pub stationary: bool,
+    /// True if it runs on mains power.
+    pub mains_powered: bool,
+}
+
+/// Role that a robot holds.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct HeldRole {
+    /// The mission.
+    pub mission: MissionId,
+    /// The role in it.
+    pub role: RoleId,
+    /// Epoch of the award, as `term.index`; null if it is not known.
+    #[serde(default)]
+    pub epoch: Option<String>,
+}
+
+/// A robot's node. `age_ms` is the age of its record, and `version` the version of its record.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RobotView {
+    /// The node.
+    #[serde(flatten)]
+    pub node: NodeView,
+    /// The coordinator, as seen by the replying node; null if there is none.
+    #[serde(default)]
+    pub coordinator: Option<NodeId>,
+    /// Term of the coordinator.
+    #[serde(default)]
+    pub term: u64,
+    /// Time by the replying node's clock, in milliseconds since 1970.
+    #[serde(default)]
+    pub at_ms: u64,
+}
+
+/// The ensembles of a fleet.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct EnsemblesView {
+    /// Ensembles.
+    #[serde(default, deserialize_with = "readable")]
+    pub ensembles: Vec<EnsembleView>,
+}
+
+/// An ensemble: its conditions, and its members as evaluated by the node that replies.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct EnsembleView {
+    /// Name of the ensemble.
+    pub name: EnsembleId,
+    /// Conditions on a member, all of which must hold.
+    #[serde(default)]
+    pub membership: Vec<String>,
+    /// Skills that its missions need.
+    #[serde(default)]
+    pub skills: BTreeSet<TaskType>,
+    /// Maximum age of knowledge, in milliseconds.
+    #[serde(default)]
+    pub stale_after_ms: u64,
+    /// Every known node, with its membership.
+    #[serde(default, deserialize_with = "readable")]
+    pub nodes: Vec<EnsembleMember>,
+    /// The members.
+    #[serde(default)]
+    pub members: Vec<NodeId>,
+    /// The other nodes, with the reasons.
+    #[serde(default)]
+    pub not_members: BTreeMap<NodeId, String>,
+}
+
+/// A node, with its membership in an ensemble.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct EnsembleMember {
+    /// The node.
+    pub node: NodeId,
+    /// Its membership.
+    #[serde(flatten)]
+    pub membership: Membership,
+}

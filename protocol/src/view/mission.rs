@@ -1,0 +1,267 @@
+//! Views of missions.
+
+use super::{readable, readable_or_default};
+use crate::auction::{AuctionRecord, Explanation};
+use crate::ids::{MissionId, RequestId, RobotId, RoleId, TaskId, TaskType};
+use crate::ledger::{Branch, HeldItem, MissionState, Priority, RolePhase, RoleRelease};
+use crate::mission::{RoleKind, TaskNode, TaskOrder};
+use crate::plan::StepIndex;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// A summary of all missions.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MissionsView {
+    /// The missions in the order of submission.
+    #[serde(deserialize_with = "readable")]
+    pub missions: Vec<MissionSummary>,
+}
+
+/// Summary of a mission.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MissionSummary {
+    /// Common part of all views of a mission.
+    #[serde(flatten)]
+    pub brief: MissionBrief,
+    /// Reason for which the latest auction assigned no role; null if it did.
+    // Recordings of earlier releases use the name `why_pending`.
+    #[serde(default, alias = "why_pending")]
+    pub pending_reason: Option<String>,
+}
+
+/// Common part of all views of a mission.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MissionBrief {
+    /// Id of the mission.
+    pub mission: MissionId,
+    /// Number among all missions ever submitted, from 1; 0 if it is not known.
+    #[serde(default)]
+    pub number: u64,
+    /// State of the mission.
+    #[serde(flatten)]
+    pub status: MissionStatus,
+    /// Terms of the request.
+    #[serde(flatten)]
+    pub terms: RequestTerms,
+    /// Progress of the roles.
+    #[serde(flatten)]
+    pub progress: MissionProgress,
+}
+
+/// State of a mission.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MissionStatus {
+    /// Name of the state.
+    #[serde(default)]
+    pub state: MissionStateName,
+    /// The state: its name, or an object with the name and its details.
+    pub detail: MissionState,
+    /// Branch that is executed.
+    #[serde(default)]
+    pub branch: Branch,
+}
+
+impl From<(&MissionState, Branch)> for MissionStatus {
+    fn from((detail, branch): (&MissionState, Branch)) -> MissionStatus {
+        MissionStatus { state: detail.into(), detail: detail.clone(), branch }
+    }
+}
+
+/// Name of a mission's state.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum MissionStateName {
+    /// At least 1 managed role is open.
+    #[default]
+    Pending,
+    /// All managed roles are held or ended.
+    Running,
+    /// Completed successfully.
+    Completed,
+    /// Failed.
+    Failed,
+    /// Canceled.
+    Canceled,
+    /// Failed or canceled while robots had items; a person closes it.
+    #[serde(alias = "needs_rescue")]
+    NeedsIntervention,
+}
+
+impl From<&MissionState> for MissionStateName {
+    fn from(state: &MissionState) -> MissionStateName {
+        match state {
+            MissionState::Pending => MissionStateName::Pending,
+            MissionState::Running => MissionStateName::Running,
+            MissionState::Completed => MissionStateName::Completed,
+            MissionState::Failed { .. } => MissionStateName::Failed,
+            MissionState::Canceled { .. } => MissionStateName::Canceled,
+            MissionState::NeedsIntervention { .. } => MissionStateName::NeedsIntervention,
+        }
+    }
+}
+
+/// Terms of a mission request.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct RequestTerms {
+    /// Values of the parameters.
+    pub parameters: BTreeMap<String, String>,
+    /// Priority among waiting missions; higher is served first.
+    pub priority: Priority,
+    /// Deadline in milliseconds since 1970; null if there is none.
+    pub deadline_at_ms: Option<u64>,
+    /// Time of submission in milliseconds since 1970.
+    pub submitted_at_ms: u64,
+}
+
+/// Progress of a mission's roles.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct MissionProgress {
+    /// Robots that hold or have completed each role.
+    pub holders: BTreeMap<RoleId, RobotId>,
+    /// Items that robots have, or that need intervention by a person.
+    #[serde(deserialize_with = "readable")]
+    pub items: Vec<HeldItem>,
+    /// Number of ended steps, over all managed roles.
+    pub done: usize,
+    /// Number of steps.
+    pub steps: usize,
+}
+
+/// A mission with the plans and the progress of its roles.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MissionView {
+    /// Common part of all views of a mission.
+    #[serde(flatten)]
+    pub brief: MissionBrief,
+    /// Id of the request.
+    #[serde(default)]
+    pub request: Option<RequestId>,
+    /// Total number of releases of its roles.
+    #[serde(default)]
+    pub released: u32,
+    /// Latest releases of its roles, oldest first.
+    #[serde(default, deserialize_with = "readable")]
+    pub releases: Vec<RoleRelease>,
+    /// Tasks of the mission, as in the ledger: the first is the root, children are indices.
+    #[serde(default, deserialize_with = "readable_or_default")]
+    pub tasks: Vec<TaskNode>,
+    /// The tasks as a tree, each with its progress and its participants.
+    #[serde(default, deserialize_with = "readable_or_default")]
+    pub tree: Option<TaskView>,
+    /// The roles, in the order of their names.
+    #[serde(default, deserialize_with = "readable")]
+    pub roles: Vec<RoleView>,
+    /// The latest auction; null if there was none.
+    #[serde(default, deserialize_with = "readable_or_default")]
+    pub auction: Option<AuctionRecord>,
+    /// Explanation of the latest auction, without the parts of the bids.
+    #[serde(default, deserialize_with = "readable_or_default")]
+    pub explanation: Option<Explanation>,
+}
+
+/// A role of a mission.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct RoleView {
+    /// The role.
+    pub role: RoleId,
+    /// Kind of role.
+    pub kind: RoleKind,
+    /// Phase of the role.
+    pub phase: RolePhase,
+    /// Its holder; kept after the end.
+    #[serde(default)]
+    pub holder: Option<RobotId>,
+    /// Epoch of the award, as `term.index`.
+    #[serde(default)]
+    pub epoch: Option<String>,
+    /// Steps of its plan; null if it has no plan.
+    #[serde(default)]
+    pub steps: Option<Vec<StepView>>,
+}
+
+/// A step of a role's plan.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct StepView {
+    /// Index in the plan.
+    #[serde(default)]
+    pub step: usize,
+    /// Type of the task, or `send_message` or `wait_message`.
+    #[serde(rename = "type")]
+    pub step_type: String,
+    /// Name of the task, or the signal.
+    pub label: String,
+    /// Steps that must have ended before it.
+    #[serde(default)]
+    pub after: Vec<StepIndex>,
+    /// True if it has ended.
+    #[serde(default)]
+    pub done: bool,
+}
+
+/// A task of a mission.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum TaskView {
+    /// A task with subtasks.
+    Abstract {
+        /// The task.
+        task: TaskId,
+        /// Order of its subtasks.
+        order: TaskOrder,
+        /// Progress of its subtasks.
+        state: TaskProgress,
+        /// Its subtasks.
+        children: Vec<TaskView>,
+    },
+    /// A task that a skill executes.
+    Elementary {
+        /// The task.
+        task: TaskId,
+        /// Its type.
+        #[serde(rename = "type")]
+        task_type: TaskType,
+        /// Parameters of the skill.
+        parameters: BTreeMap<String, String>,
+        /// Its progress.
+        state: TaskProgress,
+        /// Roles that execute it.
+        roles: Vec<TaskParticipant>,
+    },
+}
+
+/// Role that executes a task, with its holder.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct TaskParticipant {
+    /// The role.
+    pub role: RoleId,
+    /// Its holder.
+    pub holder: Option<RobotId>,
+    /// Epoch of the award, as `term.index`.
+    pub epoch: Option<String>,
+}
+
+/// Progress of a task.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TaskProgress {
+    /// Its predecessors have not ended.
+    Waiting,
+    /// It could be performed now, or a part of it is in progress.
+    UnderWay,
+    /// It has ended.
+    Done,
+}
+
+impl TaskProgress {
+    /// Returns the progress of an abstract task from the progress of its parts.
+    pub fn of_all(parts: &[TaskProgress]) -> TaskProgress {
+        match parts {
+            _ if parts.iter().all(|part| *part == TaskProgress::Done) => TaskProgress::Done,
+            _ if parts.iter().all(|part| *part == TaskProgress::Waiting) => TaskProgress::Waiting,
+            _ => TaskProgress::UnderWay,
+        }
+    }
+}

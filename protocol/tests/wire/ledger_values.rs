@@ -1,0 +1,189 @@
+//! Arbitrary auctions and ledger commands.
+
+use crate::values::*;
+use consort_protocol::auction::{
+    AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, BidVerdict, RefusalReason, ViabilityError,
+};
+use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
+use consort_protocol::ledger::{
+    Branch, Command, CommandError, CommandOutcome, HeldItem, MissionState, Priority, RecoveryBranch, Submission,
+};
+use consort_protocol::plan::Division;
+use proptest::collection::{btree_map, btree_set, vec};
+use proptest::option;
+use proptest::prelude::*;
+use std::collections::BTreeMap;
+
+pub(crate) fn auction() -> impl Strategy<Value = AuctionId> {
+    (name(), any::<u64>(), any::<u32>()).prop_map(|(mission, term, round)| AuctionId { mission, term, round })
+}
+
+pub(crate) fn part() -> impl Strategy<Value = BidPart> {
+    (any::<u32>(), text(), name(), seconds(), 0.0..2.0).prop_map(|(step, label, skill, time, energy)| BidPart {
+        step,
+        label,
+        skill,
+        time,
+        energy,
+    })
+}
+
+pub(crate) fn bid() -> impl Strategy<Value = Bid> {
+    (name(), name(), seconds(), 0.0..2.0, -1.0..1.0, share(), place(), any::<u64>(), vec(part(), 0..4)).prop_map(
+        |(robot, role, time, energy, remaining, useful_charge, from, age_ms, parts)| Bid {
+            robot,
+            role,
+            time,
+            energy,
+            remaining,
+            useful_charge,
+            from,
+            age_ms,
+            parts,
+        },
+    )
+}
+
+pub(crate) fn reason() -> impl Strategy<Value = RefusalReason> {
+    prop_oneof![
+        vec(name(), 0..4).prop_map(|skills| RefusalReason::MissingSkills { skills }),
+        (name(), name()).prop_map(|(mission, role)| RefusalReason::Busy { mission, role }),
+        (name(), text()).prop_map(|(task, problem)| RefusalReason::NotFeasible { task, problem }),
+        text().prop_map(|problem| RefusalReason::OutOfService { problem }),
+        (name(), text()).prop_map(|(ensemble, why)| RefusalReason::NotMember { ensemble, why }),
+        any::<u64>().prop_map(|window_ms| RefusalReason::Silent { window_ms }),
+        (name(), name()).prop_map(|(item, mission)| RefusalReason::CarriesItem { item, mission }),
+        text().prop_map(|cause| RefusalReason::Excluded { cause }),
+    ]
+}
+
+pub(crate) fn auction_record() -> impl Strategy<Value = AuctionRecord> {
+    let verdict = prop_oneof![
+        (seconds(), 0.0..2.0, -1.0..1.0).prop_map(|(time, energy, remaining)| BidVerdict::Viable {
+            time,
+            energy,
+            remaining
+        }),
+        (seconds(), 0.0..2.0, -1.0..1.0, share()).prop_map(|(time, energy, remaining, floor)| {
+            BidVerdict::Unviable { time, energy, remaining, why: ViabilityError::LowCharge { remaining, floor } }
+        }),
+        reason().prop_map(|reason| BidVerdict::Refused { reason }),
+    ];
+    let entry = (name(), name(), verdict, vec(part(), 0..3)).prop_map(|(role, robot, verdict, parts)| AuctionEntry {
+        role,
+        robot,
+        verdict,
+        parts,
+    });
+    let chosen = btree_map(name(), name(), 0..3);
+    (auction(), any::<u64>(), vec(entry, 0..4), any::<u32>(), chosen, option::of(text())).prop_map(
+        |(auction, at_ms, entries, omitted, chosen, failure)| AuctionRecord {
+            auction,
+            at_ms,
+            entries,
+            omitted,
+            chosen,
+            failure,
+        },
+    )
+}
+
+pub(crate) fn submission() -> impl Strategy<Value = Submission> {
+    let division = btree_map(name(), plan(), 0..3).prop_map(|plans| Division { plans });
+    let division = division.boxed();
+    let recovery = (mission(), division.clone()).prop_map(|(mission, division)| RecoveryBranch { mission, division });
+    let priority = (-100i64..=100).prop_map(|number| Priority::new(number).expect("a priority"));
+    let how = (option::of(recovery), priority, option::of(any::<u64>()));
+    (name::<RequestId>(), mission(), division, btree_map(text(), text(), 0..3), how, any::<u64>()).prop_map(
+        |(request, mission, division, parameters, (recovery, priority, deadline_ms), at_ms)| Submission {
+            request,
+            mission,
+            division,
+            parameters,
+            recovery,
+            priority,
+            deadline_ms,
+            at_ms,
+        },
+    )
+}
+
+pub(crate) fn command() -> impl Strategy<Value = Command> {
+    let held = || (name::<MissionId>(), name::<RoleId>(), epoch());
+    prop_oneof![
+        any::<u64>().prop_map(|cluster| Command::Bootstrap { cluster: ClusterId(cluster) }),
+        submission().prop_map(|submission| Command::Submit(Box::new(submission))),
+        (name(), branch(), btree_map(name(), name(), 0..3), auction_record())
+            .prop_map(|(mission, branch, holders, auction)| Command::Award { mission, branch, holders, auction }),
+        (name(), branch(), auction_record()).prop_map(|(mission, branch, auction)| Command::Defer {
+            mission,
+            branch,
+            auction
+        }),
+        (held(), any::<u64>(), any::<bool>()).prop_map(|((mission, role, epoch), incarnation, resumes)| {
+            Command::Accept { mission, role, epoch, incarnation, from_checkpoint: resumes }
+        }),
+        (held(), branch(), btree_set(any::<u32>(), 0..5)).prop_map(|((mission, role, epoch), branch, ended)| {
+            Command::Progress { mission, role, epoch, branch, ended }
+        }),
+        (held(), text(), any::<bool>(), option::of(place())).prop_map(
+            |((mission, role, epoch), cause, blamed, place)| Command::Release {
+                mission,
+                role,
+                epoch,
+                cause,
+                robot_failed: blamed,
+                place
+            }
+        ),
+        (name(), text(), option::of(branch()), places()).prop_map(|(mission, cause, branch, places)| Command::Fail {
+            mission,
+            cause,
+            branch,
+            places
+        }),
+        (name(), text(), places()).prop_map(|(mission, by, places)| Command::Cancel { mission, by, places }),
+        (name(), text()).prop_map(|(mission, by)| Command::Resolve { mission, by }),
+        any::<u8>().prop_map(|wire| Command::RaiseWireVersion { wire }),
+    ]
+}
+
+pub(crate) fn branch() -> impl Strategy<Value = Branch> {
+    prop_oneof![Just(Branch::Main), Just(Branch::Recovery)]
+}
+
+pub(crate) fn places() -> impl Strategy<Value = BTreeMap<RobotId, PlaceId>> {
+    btree_map(name(), place(), 0..3)
+}
+
+pub(crate) fn stranded() -> impl Strategy<Value = HeldItem> {
+    (name(), name(), name(), option::of(place()), any::<bool>())
+        .prop_map(|(item, role, robot, place, certain)| HeldItem { item, role, robot, place, certain })
+}
+
+pub(crate) fn outcome() -> impl Strategy<Value = CommandOutcome> {
+    prop_oneof![
+        (name(), any::<bool>()).prop_map(|(mission, again)| CommandOutcome::Submitted { mission, again }),
+        epoch().prop_map(|epoch| CommandOutcome::Awarded { epoch }),
+        Just(CommandOutcome::Done),
+        (name(), text()).prop_map(|(mission, cause)| {
+            CommandOutcome::Refused(CommandError::MissionEnded { mission, state: MissionState::Failed { cause } })
+        }),
+        (name(), text(), vec(stranded(), 0..3)).prop_map(|(mission, cause, items)| {
+            CommandOutcome::Refused(CommandError::MissionEnded {
+                mission,
+                state: MissionState::NeedsIntervention { cause, items },
+            })
+        }),
+        (name(), name(), name()).prop_map(|(robot, item, mission)| CommandOutcome::Refused(
+            CommandError::CarriesItem { robot, item, mission }
+        )),
+        (name(), text()).prop_map(|(mission, state)| CommandOutcome::Refused(CommandError::NoInterventionNeeded {
+            mission,
+            state
+        })),
+        (name(), name(), option::of(epoch())).prop_map(|(mission, role, held)| CommandOutcome::Refused(
+            CommandError::StaleEpoch { mission, role, held }
+        )),
+    ]
+}

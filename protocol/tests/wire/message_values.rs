@@ -1,0 +1,86 @@
+//! Arbitrary messages of robots and the coordinator.
+
+use crate::ledger_values::*;
+use crate::values::*;
+use consort_protocol::ids::{RobotId, RoleId, TaskId};
+use consort_protocol::lease::{Award, DeclineReason, EndReason, RoleHolder};
+use consort_protocol::message::{AwardNotice, AwardReply, FailureKind, Report, ReportReply, TaskFailure};
+use proptest::collection::{btree_map, btree_set};
+use proptest::option;
+use proptest::prelude::*;
+use std::collections::BTreeMap;
+
+pub(crate) fn ending() -> impl Strategy<Value = EndReason> {
+    prop_oneof![
+        Just(EndReason::Canceled),
+        Just(EndReason::Failed),
+        Just(EndReason::Over),
+        Just(EndReason::Replaced),
+        Just(EndReason::Released),
+        Just(EndReason::NeedsIntervention),
+    ]
+}
+
+pub(crate) fn holders() -> impl Strategy<Value = BTreeMap<RoleId, RoleHolder>> {
+    btree_map(name(), (name(), epoch()).prop_map(|(robot, epoch)| RoleHolder { robot, epoch }), 0..3)
+}
+
+pub(crate) fn notice() -> impl Strategy<Value = AwardNotice> {
+    let award = (name(), name(), name(), epoch(), plan(), holders())
+        .prop_map(|(mission, role, robot, epoch, plan, holders)| Award { mission, role, robot, epoch, plan, holders });
+    prop_oneof![
+        award.prop_map(|award| AwardNotice::Awarded(Box::new(award))),
+        (epoch(), ending()).prop_map(|(epoch, reason)| AwardNotice::Revoked { epoch, reason }),
+    ]
+}
+
+pub(crate) fn award_answer() -> impl Strategy<Value = AwardReply> {
+    prop_oneof![
+        Just(AwardReply::Acknowledged),
+        (name(), name()).prop_map(|(mission, role)| AwardReply::Declined(DeclineReason::Busy { mission, role })),
+        epoch().prop_map(|known| AwardReply::Declined(DeclineReason::Stale { known })),
+        name().prop_map(|robot| AwardReply::Declined(DeclineReason::WrongRobot { robot })),
+    ]
+}
+
+pub(crate) fn report() -> impl Strategy<Value = Report> {
+    let kind = prop_oneof![
+        Just(FailureKind::Task),
+        Just(FailureKind::Crash),
+        Just(FailureKind::NoProgress),
+        Just(FailureKind::Battery),
+        Just(FailureKind::Leaving),
+        Just(FailureKind::Plan),
+    ];
+    let failure = (option::of(name()), text(), kind).prop_map(|(task, cause, kind)| TaskFailure { task, cause, kind });
+    let who = (name::<RobotId>(), any::<u64>(), name(), name(), epoch(), branch());
+    let how = (option::of(place()), any::<bool>(), option::of(failure));
+    (who, btree_set(any::<u32>(), 0..5), option::of(name::<TaskId>()), how).prop_map(
+        |((robot, incarnation, mission, role, epoch, branch), ended, at, (place, resumes, failure))| Report {
+            robot,
+            incarnation,
+            mission,
+            role,
+            epoch,
+            branch,
+            ended,
+            current_task: at,
+            place,
+            from_checkpoint: resumes,
+            failure,
+        },
+    )
+}
+
+pub(crate) fn report_answer() -> impl Strategy<Value = ReportReply> {
+    prop_oneof![
+        (epoch(), btree_set(any::<u32>(), 0..5), holders(), btree_set(signal(), 0..4))
+            .prop_map(|(epoch, ended, holders, signals)| ReportReply::Renewed { epoch, ended, holders, signals }),
+        (epoch(), ending(), option::of(epoch())).prop_map(|(epoch, reason, current)| ReportReply::Ended {
+            epoch,
+            reason,
+            current
+        }),
+        option::of(name()).prop_map(|coordinator| ReportReply::NotCoordinator { coordinator }),
+    ]
+}

@@ -1,0 +1,148 @@
+//! Arbitrary missions, plans and records.
+
+use consort_protocol::ids::{ClusterId, PlaceId, TaskType};
+use consort_protocol::knowledge::{Availability, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
+use consort_protocol::lease::Epoch;
+use consort_protocol::mission::{
+    AlternativeMethod, Method, Mission, OnLoss, Role, RoleKind, TaskBody, TaskNode, TaskOrder, TaskSpec,
+};
+use consort_protocol::plan::{Alternative, LocalPlan, Signal, SignalKind, Step, StepAction};
+use consort_protocol::pose::Pose;
+use consort_protocol::trust::Fingerprint;
+use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
+use consort_protocol::versions::VersionRange;
+use proptest::collection::{btree_map, btree_set, vec};
+use proptest::option;
+use proptest::prelude::*;
+use std::fmt::Debug;
+
+pub(crate) fn name<T: TryFrom<String, Error: Debug> + Debug>() -> impl Strategy<Value = T> {
+    "[a-zA-Z0-9_.-]{1,12}".prop_map(|text| T::try_from(text).expect("a slug"))
+}
+
+pub(crate) fn place() -> impl Strategy<Value = PlaceId> {
+    "[A-Z][a-zäöü]{1,8} [0-9]{1,2}".prop_map(|text| PlaceId::new(text).expect("a label"))
+}
+
+pub(crate) fn text() -> impl Strategy<Value = String> {
+    "\\PC{0,20}"
+}
+
+pub(crate) fn epoch() -> impl Strategy<Value = Epoch> {
+    (any::<u64>(), any::<u64>()).prop_map(|(term, index)| Epoch { term, index })
+}
+
+pub(crate) fn stamp() -> impl Strategy<Value = RecordStamp> {
+    (any::<u64>(), any::<u64>()).prop_map(|(incarnation, version)| RecordStamp { incarnation, version })
+}
+
+pub(crate) fn share() -> impl Strategy<Value = BatteryShare> {
+    (0.0..=1.0).prop_map(|share| BatteryShare::new(share).expect("a share"))
+}
+
+pub(crate) fn seconds() -> impl Strategy<Value = Seconds> {
+    (0.0..1e6).prop_map(|seconds| Seconds::new(seconds).expect("a time"))
+}
+
+pub(crate) fn spec() -> impl Strategy<Value = TaskSpec> {
+    let items = (btree_map(name(), name(), 0..2), btree_set(name(), 0..2), any::<u8>());
+    (name(), vec(name(), 1..3), btree_map(text(), text(), 0..3), btree_map(text(), text(), 0..2), items).prop_map(
+        |(task_type, roles, parameters, reaches, (acquires, releases, attempts))| TaskSpec {
+            task_type,
+            roles,
+            parameters,
+            reaches,
+            acquires,
+            releases,
+            attempts,
+        },
+    )
+}
+
+pub(crate) fn signal() -> impl Strategy<Value = Signal> {
+    (any::<bool>(), name(), name(), name()).prop_map(|(done, task, from, to)| {
+        let kind = if done { SignalKind::Done } else { SignalKind::Ready };
+        Signal { kind, task, from, to }
+    })
+}
+
+pub(crate) fn plan() -> impl Strategy<Value = LocalPlan> {
+    let action = prop_oneof![
+        (name(), spec()).prop_map(|(id, spec)| StepAction::Task { id, spec }),
+        signal().prop_map(StepAction::Send),
+        signal().prop_map(StepAction::Wait),
+    ];
+    let step = (action, vec(any::<u32>(), 0..3)).prop_map(|(action, after)| Step { action, after });
+    let other = (btree_set(any::<u32>(), 0..3), vec((name(), spec()), 0..2))
+        .prop_map(|(replaces, tasks)| Alternative { replaces, tasks });
+    (name(), vec(step, 0..6), vec(other, 0..2), btree_set(any::<u32>(), 0..3))
+        .prop_map(|(role, steps, alternatives, guarded)| LocalPlan { role, steps, alternatives, guarded })
+}
+
+pub(crate) fn mission() -> impl Strategy<Value = Mission> {
+    let kind = prop_oneof![Just(RoleKind::Managed), Just(RoleKind::Unmanaged)];
+    let on_loss = prop_oneof![Just(OnLoss::Fail), Just(OnLoss::Restart)];
+    let order = prop_oneof![Just(TaskOrder::Sequential), Just(TaskOrder::Unordered)];
+    let other = vec((name(), spec()), 0..2).prop_map(|tasks| AlternativeMethod { tasks });
+    let body = prop_oneof![
+        spec().prop_map(TaskBody::Elementary),
+        (order, vec(any::<u32>(), 0..4), vec(other, 0..2)).prop_map(|(order, children, alternatives)| {
+            TaskBody::Abstract(Method { order, children, alternatives })
+        }),
+    ];
+    let node = (name(), body).prop_map(|(id, body)| TaskNode { id, body });
+    (
+        name(),
+        btree_map(name(), (kind, on_loss).prop_map(|(kind, on_loss)| Role { kind, on_loss }), 0..4),
+        vec(node, 0..6),
+    )
+        .prop_map(|(name, roles, tasks)| Mission { name, roles, tasks })
+}
+
+pub(crate) fn availability() -> impl Strategy<Value = Availability> {
+    prop_oneof![
+        Just(Availability::Free),
+        (name(), name(), any::<bool>()).prop_map(|(mission, role, suspended)| Availability::Holding {
+            mission,
+            role,
+            suspended
+        }),
+        text().prop_map(|problem| Availability::OutOfService { problem }),
+    ]
+}
+
+pub(crate) fn worker() -> impl Strategy<Value = RobotKnowledge> {
+    let speed = option::of((0.01..9.0).prop_map(|speed| MetresPerSecond::new(speed).expect("a speed")));
+    let pose = (-1e3..1e3, -1e3..1e3, -4.0..4.0).prop_map(|(x, y, yaw)| Pose::new(x, y, yaw));
+    let rate = (0.0..1.0).prop_map(|rate| SharePerSecond::new(rate).expect("a rate"));
+    (btree_set(name::<TaskType>(), 0..5), place(), pose, share(), rate, share(), speed, availability(), text())
+        .prop_map(|(skills, place, pose, battery, discharge, useful_charge, speed, availability, estimator)| {
+            RobotKnowledge { skills, place, pose, battery, discharge, useful_charge, speed, availability, estimator }
+        })
+}
+
+pub(crate) fn record() -> impl Strategy<Value = Record> {
+    let flags = (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>());
+    let numbers = (option::of(any::<u64>()), option::of(any::<u64>().prop_map(ClusterId)));
+    let speaks = (any::<u8>(), any::<u8>()).prop_map(|(oldest, newest)| VersionRange { oldest, newest });
+    let proof = option::of((any::<[u8; 16]>(), any::<[u8; 32]>()));
+    (name(), stamp(), flags, numbers, speaks, option::of(worker()), proof).prop_map(
+        |(owner, stamp, (may_vote, stationary, mains_powered, leaving), (replica, cluster), speaks, worker, proof)| {
+            Record {
+                owner,
+                stamp,
+                knowledge: Knowledge {
+                    may_vote,
+                    stationary,
+                    mains_powered,
+                    replica,
+                    cluster,
+                    leaving,
+                    supported_versions: speaks,
+                    robot: worker,
+                },
+                proof: proof.and_then(|(by, half)| Proof::new(Fingerprint(by), &[half, half].concat())),
+            }
+        },
+    )
+}

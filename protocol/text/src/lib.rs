@@ -1,0 +1,27 @@
+//! Text for people: counts with their nouns, and suggestions for misspelt names. Used by every
+//! crate that words a message.
+
+mod allowed_names;
+
+pub use allowed_names::AllowedNames;
+
+use std::fmt::Display;
+
+/// Formats a count with its noun: `1 robot`, `0 robots`, `2 people`. A verb that depends on the
+/// number belongs to the noun (`robot is`, `robots are`).
+pub fn count<N: Display + PartialEq + From<u8>>(number: N, singular: &str, plural: &str) -> String {
+    let noun = if number == N::from(1) { singular } else { plural };
+    format!("{number} {noun}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_singular_is_used_only_for_the_number_1() {
+        assert_eq!(count(0_usize, "person is", "people are"), "0 people are");
+        assert_eq!(count(1_u64, "person is", "people are"), "1 person is");
+        assert_eq!(count(21_u32, "person is", "people are"), "21 people are");
+    }
+}

@@ -1,0 +1,53 @@
+//! Goals of a robot, as a component.
+
+use super::event_queue::TimerId;
+use super::system_access::SystemIndex;
+use consort_skills::actions::{Goal, GoalId, GoalStatus};
+use std::collections::VecDeque;
+
+/// Goals of a robot: the active goal, and those that ended lately.
+#[derive(Default)]
+pub(crate) struct GoalHistory {
+    pub(super) active: Option<ActiveGoal>,
+    pub(super) ended: VecDeque<EndedGoal>,
+    /// Largest id no longer stored. An id that is not larger counts as a repetition.
+    dropped_up_to: Option<GoalId>,
+}
+
+/// The active goal.
+pub(super) struct ActiveGoal {
+    pub(super) id: GoalId,
+    pub(super) goal: Goal,
+    /// `None` for a goal that its system ends.
+    pub(super) ends: Option<TimerId>,
+    /// The system that executes the goal.
+    pub(super) system: SystemIndex,
+}
+
+/// An ended goal.
+pub(super) struct EndedGoal {
+    pub(super) id: GoalId,
+    pub(super) goal: Goal,
+    pub(super) status: GoalStatus,
+}
+
+impl GoalHistory {
+    /// Checks whether a goal is active.
+    pub(crate) fn is_busy(&self) -> bool {
+        self.active.is_some()
+    }
+
+    pub(super) fn is_known(&self, id: GoalId) -> bool {
+        self.active.as_ref().is_some_and(|active| active.id == id)
+            || self.ended.iter().any(|ended| ended.id == id)
+            || self.dropped_up_to.is_some_and(|dropped_up_to| id <= dropped_up_to)
+    }
+
+    pub(super) fn store(&mut self, ended: EndedGoal, kept: usize) {
+        self.ended.push_back(ended);
+        if self.ended.len() > kept {
+            let gone = self.ended.pop_front().map(|ended| ended.id);
+            self.dropped_up_to = self.dropped_up_to.max(gone);
+        }
+    }
+}

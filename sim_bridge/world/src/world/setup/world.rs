@@ -1,0 +1,81 @@
+//! Setup of a whole world.
+
+use super::environment::{DoorSetup, ObjectSetup, Obstacle};
+use super::limits::{Durations, WorldLimits};
+use super::person::PersonSetup;
+use super::robot::RobotSetup;
+use crate::map::Map;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Initial state of a world. Equal setups run alike.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WorldSetup {
+    /// The map.
+    pub map: Map,
+    /// Robots.
+    pub robots: Vec<RobotSetup>,
+    /// People.
+    pub people: Vec<PersonSetup>,
+    /// Objects on tables at the start.
+    pub objects: Vec<ObjectSetup>,
+    /// Doors with settings other than the defaults.
+    pub doors: Vec<DoorSetup>,
+    /// Obstacles, with their times.
+    pub obstacles: Vec<Obstacle>,
+    /// Seed of all random generators.
+    pub seed: u64,
+    /// Durations of actions.
+    pub durations: Durations,
+    /// Limits of memory and numbers.
+    pub limits: WorldLimits,
+    /// Names of the systems, in the order in which they receive events.
+    pub systems: Vec<String>,
+    /// Step of the time grid for state that cannot be computed ahead, in seconds; see
+    /// [`default_step_s`].
+    pub step_s: f64,
+    /// Gusts that push hovering drones; `None` indoors.
+    pub wind: Option<WindSettings>,
+}
+
+/// Default time between two steps of a world: 0.05 s. Longer steps are quicker to compute, but
+/// detect collisions later.
+pub const fn default_step_s() -> f64 {
+    0.05
+}
+
+/// Gusts: at equal intervals each hovering drone may be pushed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct WindSettings {
+    /// Interval, in seconds.
+    pub interval_s: f64,
+    /// Probability that a drone is pushed, from 0 to 1.
+    pub probability: f64,
+    /// Greatest change of velocity, in metres per second.
+    pub max_speed_change_mps: f64,
+}
+
+impl Default for WindSettings {
+    /// The gusts of the published swarm: every second, a fifth of the drones is pushed by up to 0.5
+    /// m/s.
+    fn default() -> Self {
+        Self { interval_s: 1.0, probability: 0.2, max_speed_change_mps: 0.5 }
+    }
+}
+
+impl WorldSetup {
+    /// Adds a robot.
+    #[must_use]
+    pub fn robot(mut self, robot: RobotSetup) -> Self {
+        self.robots.push(robot);
+        self
+    }
+
+    /// Adds a person.
+    #[must_use]
+    pub fn person(mut self, person: PersonSetup) -> Self {
+        self.people.push(person);
+        self
+    }
+}

@@ -1,0 +1,285 @@
+//! Robots that drive or fly with kinematics: their components, and their drives.
+
+use super::components::SimRobot;
+use super::location::{MapPosition, RobotLocation, StraightDrive};
+use super::sim_state::SimState;
+use super::simulation::World;
+use crate::kinematics::{KinematicModel, Kinematics, Neighbour, ProfileLimits, TrapezoidProfile};
+use crate::space::{BodyGrid, Disc};
+use consort_protocol::ids::RobotId;
+use consort_protocol::pose::Pose;
+use hecs::Entity;
+use nalgebra::{Isometry2, Vector2, Vector3};
+
+/// A robot with kinematics.
+pub(crate) struct Steered {
+    pub(crate) model: KinematicModel,
+    /// Time up to which the model is integrated.
+    pub(super) since: f64,
+    /// The current part of the drive, as a straight line.
+    pub(super) part: Option<StraightDrive>,
+    /// Remaining distance at which to notify [`driving`](super::systems::driving), in metres.
+    pub(super) notify_at_m: Option<f64>,
+    /// Current level.
+    pub(super) level: usize,
+}
+
+/// Radius of a robot, in metres.
+pub(crate) struct Footprint(pub(crate) f64);
+
+/// Positions of all bodies as of the latest step.
+#[derive(Default)]
+pub(crate) struct BodyIndex {
+    pub(crate) bodies: BodyGrid,
+    /// Entity of each body, by its index, and whether it is stepping.
+    pub(crate) owners: Vec<(Entity, bool)>,
+    /// Scratch space, reused between steps.
+    pub(super) found: Vec<(Entity, Disc, MapPosition, bool)>,
+    pub(super) neighbours: Vec<Neighbour>,
+    pub(super) arrived: Vec<Entity>,
+    pub(super) passed: Vec<Entity>,
+}
+
+/// Cell size of the body grid: about the distance at which drones consider others.
+const CELL_M: f64 = 2.0;
+/// Clearance to another robot that stands at the target, in metres.
+const CLEARANCE_M: f64 = 0.1;
+
+impl Steered {
+    /// Applies a push. If the robot stood still until now, its integration starts now.
+    pub(crate) fn push(&mut self, by: Vector3<f64>, now: f64) {
+        if !self.model.is_moving() {
+            self.since = now;
+        }
+        self.model.push(by);
+    }
+
+    /// Returns the current location, from the previous location.
+    pub(super) fn location(&self, before: &RobotLocation) -> RobotLocation {
+        let pose = self.pose();
+        let position = match (&self.part, before) {
+            (Some(part), _) => part.position_at(&self.pose()),
+            (None, RobotLocation::Standing { position, .. }) => *position,
+            (None, RobotLocation::Driving(drive)) => drive.start_position,
+        };
+        RobotLocation::Standing { position, pose }
+    }
+
+    /// Remaining distance of the current part, in metres.
+    pub(super) fn remaining_m(&self) -> f64 {
+        self.part.map_or(0.0, |part| part.length_m() * (1.0 - part.share_at(&self.pose())))
+    }
+
+    pub(super) fn pose(&self) -> Pose {
+        let pose = self.model.pose();
+        Pose::new(pose.translation.x, pose.translation.y, pose.rotation.angle())
+    }
+}
+
+impl StraightDrive {
+    /// Returns the share of the line that is covered, from 0 to 1, for a position next to it.
+    fn share_at(&self, at: &Pose) -> f64 {
+        let (start, end) = (&self.start_pose, &self.end_pose);
+        let along = Vector2::new(end.x - start.x, end.y - start.y);
+        let length_2 = along.norm_squared();
+        if length_2 > 0.0 {
+            (along.dot(&Vector2::new(at.x - start.x, at.y - start.y)) / length_2).clamp(0.0, 1.0)
+        } else {
+            0.0
+        }
+    }
+
+    /// Returns the map position for a position next to the line that is not known to be its end.
+    fn position_at(&self, at: &Pose) -> MapPosition {
+        let share = self.share_at(at);
+        match self.lane {
+            _ if share <= 0.0 => self.start_position,
+            Some((from, to, first, last)) => MapPosition::Lane { from, to, share: first + (last - first) * share },
+            None => MapPosition::Floor { near: self.start_position.last_place() },
+        }
+    }
+}
+
+impl BodyIndex {
+    /// Collects the bodies that a robot must avoid.
+    pub(super) fn collect_neighbours(&mut self, robot: Entity, steered: &Steered) {
+        self.neighbours.clear();
+        let Some(reach_m) = steered.model.neighbour_range_m(self.bodies.max_radius_m()) else { return };
+        let (at, level) = (steered.model.position(), steered.level);
+        let (neighbours, whose) = (&mut self.neighbours, &self.owners);
+        self.bodies.for_each_near(&at, level, reach_m, |name, disc| {
+            if whose[name].0 != robot {
+                neighbours.push(Neighbour { offset: disc.at - at, radius_m: disc.radius_m });
+            }
+        });
+    }
+}
+
+impl World {
+    /// Returns the kinematic model of a robot as of the latest step; `None` for a robot without
+    /// kinematics or an unknown robot.
+    pub(crate) fn kinematic_model(&self, robot: &RobotId) -> Option<KinematicModel> {
+        let robot = *self.state.robots.get(robot)?;
+        self.state.find::<Steered>(robot).map(|steered| steered.model)
+    }
+}
+
+impl SimState {
+    /// Checks whether a robot is moving now.
+    pub(crate) fn is_moving(&self, robot: Entity) -> bool {
+        let drives = match &*self.get::<RobotLocation>(robot) {
+            RobotLocation::Standing { .. } => false,
+            RobotLocation::Driving(drive) => drive.end_time() > self.now,
+        };
+        drives || self.find::<Steered>(robot).is_some_and(|steered| steered.model.is_moving())
+    }
+
+    pub(crate) fn map_position(&self, robot: Entity) -> MapPosition {
+        self.get::<RobotLocation>(robot).map_position(self.now)
+    }
+
+    /// Checks whether a robot has kinematics.
+    pub(crate) fn is_steered(&self, robot: Entity) -> bool {
+        self.find::<Steered>(robot).is_some()
+    }
+
+    /// Drives a steered robot along a straight line with its kinematics. At the end
+    /// [`SimState::on_steered_arrival`] is called. If the target is unchanged, the robot just
+    /// continues.
+    pub(crate) fn steer(&mut self, robot: Entity, part: StraightDrive, speed_mps: f64) {
+        let under_way = self.get::<Steered>(robot).part;
+        if under_way
+            .is_some_and(|current| current.end_pose == part.end_pose && current.end_position == part.end_position)
+        {
+            return;
+        }
+        self.advance_steered(robot);
+        if !self.is_stepping() {
+            let mut index = std::mem::take(&mut *self.resource_mut::<BodyIndex>());
+            self.rebuild_index(&mut index);
+            *self.resource_mut::<BodyIndex>() = index;
+        }
+        let (target, level) = (isometry(self.end_pose_beside(robot, &part)), self.level_of(part.start_position));
+        let mut steered = self.get_mut::<Steered>(robot);
+        steered.model.set_max_speed(speed_mps);
+        if part.backward {
+            steered.model.set_target_backward(target);
+        } else {
+            steered.model.set_target(target);
+        }
+        (steered.part, steered.level) = (Some(part), level);
+        drop(steered);
+        self.start_stepping();
+    }
+
+    /// Requests a call of [`SimState::on_steered_door_passed`] when `remaining_m` metres of the
+    /// current part remain.
+    pub(crate) fn notify_when_remaining(&self, robot: Entity, remaining_m: Option<f64>) {
+        self.get_mut::<Steered>(robot).notify_at_m = remaining_m;
+    }
+
+    /// Ends the drive of a steered robot, which brakes.
+    pub(crate) fn brake(&mut self, robot: Entity) {
+        self.advance_steered(robot);
+        let under_way = self.find_mut::<Steered>(robot).is_some_and(|mut steered| steered.part.take().is_some());
+        if under_way {
+            self.get_mut::<Steered>(robot).model.brake();
+            self.start_stepping();
+        }
+    }
+
+    /// Moves a robot to another position at once.
+    pub(crate) fn place_robot(&mut self, robot: Entity, position: MapPosition, pose: Pose) {
+        *self.get_mut::<RobotLocation>(robot) = RobotLocation::Standing { position, pose };
+        let level = self.level_of(position);
+        let body = &self.get::<SimRobot>(robot).0;
+        if let (Some(kinematics), Some(mut steered)) = (&body.kinematics, self.find_mut::<Steered>(robot)) {
+            let model = KinematicModel::new(kinematics, body.speed.get(), body.radius_m, isometry(pose));
+            *steered = Steered { model, since: self.now, part: None, notify_at_m: None, level };
+        }
+    }
+
+    /// Remaining distance of a steered robot's current part, by its position on the map, in metres.
+    pub(crate) fn steered_remaining_m(&self, robot: Entity) -> f64 {
+        self.find::<Steered>(robot).map_or(0.0, |steered| steered.remaining_m())
+    }
+
+    /// Remaining driving distance of a steered robot's current part, with an estimated time.
+    pub(crate) fn steered_remaining(&self, robot: Entity, speed_mps: f64) -> (f64, f64) {
+        let remaining_m = self.find::<Steered>(robot).map_or(0.0, |steered| steered.model.remaining_m());
+        let kinematics = self.get::<SimRobot>(robot).0.kinematics;
+        (remaining_m, kinematics.map_or(0.0, |kinematics| estimated_time_s(&kinematics, speed_mps, remaining_m)))
+    }
+
+    /// Returns the end of a drive: its target, or a point before a robot that stands there.
+    fn end_pose_beside(&self, robot: Entity, drive: &StraightDrive) -> Pose {
+        let (start, end) = (drive.start_pose, drive.end_pose);
+        let back = Vector2::new(start.x - end.x, start.y - end.y);
+        let (index, own_m) = (self.resource::<BodyIndex>(), self.get::<Footprint>(robot).0);
+        let (at, reach_m) = (Vector3::new(end.x, end.y, 0.0), own_m + index.bodies.max_radius_m() + CLEARANCE_M);
+        let mut room_m: f64 = 0.0;
+        index.bodies.for_each_near(&at, self.level_of(drive.end_position), reach_m, |name, disc| {
+            let (other, needs_m) = (index.owners[name].0, own_m + disc.radius_m + CLEARANCE_M);
+            if other != robot && self.map_position(other) == drive.end_position && (disc.at - at).norm() < needs_m {
+                room_m = room_m.max(needs_m);
+            }
+        });
+        if room_m == 0.0 || back.norm() <= room_m {
+            return end;
+        }
+        let beside = Vector2::new(end.x, end.y) + back.normalize() * room_m;
+        Pose::new(beside.x, beside.y, end.yaw)
+    }
+
+    /// Integrates the motion of a single steered robot up to now.
+    pub(crate) fn advance_steered(&mut self, robot: Entity) {
+        let now = self.now;
+        let Some(mut steered) = self.find_mut::<Steered>(robot) else { return };
+        if steered.model.is_moving() {
+            let elapsed_s = now - steered.since;
+            steered.model.advance(elapsed_s, &[]);
+            let mut location = self.get_mut::<RobotLocation>(robot);
+            *location = steered.location(&location);
+        }
+        steered.since = now;
+    }
+
+    pub(crate) fn level_of(&self, position: MapPosition) -> usize {
+        self.map.place_at(position.last_place()).level.0
+    }
+
+    /// Rebuilds the body index from the current positions.
+    pub(super) fn rebuild_index(&mut self, index: &mut BodyIndex) {
+        let (now, found) = (self.now, &mut index.found);
+        found.clear();
+        for (robot, footprint, location, steered) in
+            self.query::<(Entity, &Footprint, &RobotLocation, Option<&Steered>)>()
+        {
+            let at = match steered {
+                Some(steered) => steered.model.position(),
+                None => Vector3::new(location.pose(now).x, location.pose(now).y, 0.0),
+            };
+            let moves = steered.is_some_and(|steered| steered.model.is_moving());
+            found.push((robot, Disc { at, radius_m: footprint.0, level: 0 }, location.map_position(now), moves));
+        }
+        // A robot in a lift blocks no other.
+        found.retain(|(_, _, position, _)| !matches!(position, MapPosition::Lift { .. }));
+        let map = &self.map;
+        let level = |position: MapPosition| map.place_at(position.last_place()).level.0;
+        let discs = found.iter().map(|(_, disc, position, _)| Disc { level: level(*position), ..*disc });
+        index.bodies.rebuild(discs, CELL_M);
+        index.owners.clear();
+        index.owners.extend(found.iter().map(|(robot, _, _, moves)| (*robot, *moves)));
+    }
+}
+
+/// Estimates the time for a distance.
+fn estimated_time_s(kinematics: &Kinematics, speed_mps: f64, distance_m: f64) -> f64 {
+    let acceleration = kinematics.acceleration_mps2();
+    let ramp = ProfileLimits { speed_mps, acceleration_mps2: acceleration, deceleration_mps2: acceleration };
+    TrapezoidProfile::new(distance_m, ramp).duration_s()
+}
+
+pub(super) fn isometry(pose: Pose) -> Isometry2<f64> {
+    Isometry2::new(Vector2::new(pose.x, pose.y), pose.yaw)
+}

@@ -1,0 +1,132 @@
+//! Driving to a pose in a straight line, at the robot's speed or the lane's limit, equally fast in
+//! every direction; and riding lifts between places without a lane.
+//!
+//! A position is computed from the last departure, and the next point of interest is an entry in
+//! the queue, so a driving robot costs nothing. Robots may pass through each other. Doors, lifts
+//! and obstacles stop them. There are none of these off the lanes.
+//!
+//! A robot with kinematics takes the same routes, but [`steering`](super::steering) drives each
+//! part and reports its end. It stops only where it may have to wait.
+//!
+//! ```text
+//!  begin ─▶ driving ─▶ at a door ─▶ driving ─▶ … ─▶ complete          at a lift ─▶ in the lift ─▶ complete
+//!              └─▶ obstacle: blocked                                                   └─▶ the next target
+//! ```
+
+mod drive;
+mod task;
+mod waits;
+
+use crate::world::components::{CoPresence, DepartureCount, SimRobot};
+use crate::world::event::WorldEvent;
+use crate::world::location::RobotLocation;
+use crate::world::preconditions::action_error;
+use crate::world::routing::DriveTarget;
+use crate::world::setup::RobotSetup;
+use crate::world::sim_state::SimState;
+use crate::world::steered::{BodyIndex, Footprint, Steered};
+use crate::world::system::{END_UNKNOWN, System};
+use crate::world::system_access::{ComponentType, SystemTimer, component_types};
+use crate::world::systems::doors::{DoorState, DoorsByName};
+use crate::world::systems::lifts::LiftsByName;
+use crate::world::systems::obstacles::{ActiveObstacles, KnownClosures};
+use consort_protocol::ids::RobotId;
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress};
+use hecs::Entity;
+use std::collections::VecDeque;
+use task::{DriveTask, Stage};
+
+/// See the [module](self).
+pub(crate) struct Driving;
+
+impl System for Driving {
+    fn name(&self) -> &'static str {
+        "driving"
+    }
+
+    fn reads(&self) -> Vec<ComponentType> {
+        component_types![SimRobot, DoorState, DoorsByName, ActiveObstacles, LiftsByName, Footprint]
+    }
+
+    fn writes(&self) -> Vec<ComponentType> {
+        component_types![RobotLocation, DepartureCount, CoPresence, DriveTask, KnownClosures, Steered, BodyIndex]
+    }
+
+    fn init_robot(&self, state: &mut SimState, robot: Entity, _body: &RobotSetup) {
+        state.insert(robot, DepartureCount(0));
+        state.insert(
+            robot,
+            DriveTask { target: None, next_targets: VecDeque::new(), stage: Stage::Idle, timer: None, doorway: None },
+        );
+    }
+
+    fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+        let mut targets: VecDeque<DriveTarget> = match goal {
+            Goal::NavigateToPose { pose, place } => [DriveTarget { pose: *pose, place: place.clone() }].into(),
+            Goal::FollowWaypoints { waypoints } => waypoints.iter().map(DriveTarget::from).collect(),
+            _ => return None,
+        };
+        let Some(first) = targets.pop_front() else {
+            return Some(Err(action_error(ErrorCode::Unknown, "there are no waypoints to follow".to_owned())));
+        };
+        state.advance_steered(robot);
+        Some(state.set_target(robot, first).map(|()| {
+            state.get_mut::<DriveTask>(robot).next_targets = targets;
+            END_UNKNOWN
+        }))
+    }
+
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+        state.end_drive(robot);
+        Ok(())
+    }
+
+    fn halt_goal(&self, state: &mut SimState, robot: Entity, _goal: &Goal) {
+        state.end_drive(robot);
+    }
+
+    fn feedback(&self, state: &SimState, robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
+        let progress = match goal {
+            Goal::FollowWaypoints { waypoints } => {
+                let remaining = state.get::<DriveTask>(robot).next_targets.len();
+                GoalProgress::Waypoint(u32::try_from(waypoints.len().saturating_sub(remaining + 1)).unwrap_or(u32::MAX))
+            }
+            _ => GoalProgress::Unspecified,
+        };
+        Feedback { progress, ..state.remaining_feedback(robot).unwrap_or(usual) }
+    }
+
+    fn on_timer(&self, state: &mut SimState, SystemTimer { entity: robot, .. }: SystemTimer) {
+        state.get_mut::<DriveTask>(robot).timer = None;
+        match state.take_stage(robot) {
+            Stage::Driving(progress) => state.finish_part(robot, progress),
+            Stage::AtDoor(progress, door) => state.on_door_timeout(robot, progress, door),
+            stage @ (Stage::Idle | Stage::AtLift(_) | Stage::InLift) => {
+                state.get_mut::<DriveTask>(robot).stage = stage;
+            }
+        }
+    }
+
+    fn on_event(&self, state: &mut SimState, event: &WorldEvent) {
+        let entity_of = |robot: &RobotId| state.robots.get(robot).copied();
+        match event {
+            WorldEvent::DoorEntered { robot, .. } => {
+                if let Some(robot) = entity_of(robot) {
+                    state.enter_doorway(robot);
+                }
+            }
+            WorldEvent::LiftEntered { robot, .. } => {
+                if let Some(robot) = entity_of(robot) {
+                    state.enter_lift(robot);
+                }
+            }
+            WorldEvent::LiftLeft { robot, at, .. } => {
+                if let Some((robot, at)) = entity_of(robot).zip(state.map.index(at)) {
+                    state.leave_lift(robot, at);
+                }
+            }
+            WorldEvent::LaneBlocked { .. } | WorldEvent::LaneCleared { .. } => state.recheck_obstacles(),
+            _ => {}
+        }
+    }
+}

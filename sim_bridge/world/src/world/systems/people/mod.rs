@@ -1,0 +1,367 @@
+//! People, and the tasks requested of them.
+//!
+//! A request waits until a robot that holds a role of the mission has approached a person in the
+//! requested role and stands there with an open drawer. The approached person hands over: of
+//! several nurses, the nurse at the robot's place. A handover takes time. If the robot leaves or
+//! closes its drawer meanwhile, the person keeps the sample and the request waits on.
+//!
+//! While every person in the role is away, a request waits for a return: for the seconds of the
+//! task's parameter `patience`, or two minutes. A robot that has stayed at the place is next
+//! to the person again after the return.
+
+mod requests;
+
+pub(crate) use requests::PersonRequests;
+
+use crate::world::components::{CoPresence, DrawerOpen, HandoverRng, HandsBusy, PersonInfo, SampleLabel, SimRobot};
+use crate::world::event::WorldEvent;
+use crate::world::event_queue::TimerId;
+use crate::world::location::RobotLocation;
+use crate::world::names::PersonName;
+use crate::world::preconditions::action_error;
+use crate::world::samples::{Custody, HandoverCount, HolderEntity, PayloadData};
+use crate::world::setup::environment::sample_kg;
+use crate::world::setup::{PersonSetup, WorldSetup};
+use crate::world::sim_state::SimState;
+use crate::world::system::System;
+use crate::world::system_access::{ComponentType, SystemTimer, component_types};
+use crate::world::systems::spontaneous_actions::PersonStates;
+use consort_protocol::ids::{RobotId, RoleId};
+use consort_skills::actions::{
+    ActionError, BackendEvent, ErrorCode, GoalId, PERSON_TIMEOUT_PARAMETER, PERSON_TIMEOUT_S, PersonRequest,
+};
+use hecs::Entity;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use requests::{Handover, Request, RequestNumber};
+use std::collections::BTreeSet;
+
+/// Tasks that people can do, by task type.
+const TASK_TYPES: &[&str] = &["deposit"];
+
+/// Task parameter with the role of the robot that receives the sample. Without it, any robot of the
+/// mission may come.
+const INTO_ROLE: &str = "into_role";
+
+/// Bit in the number of a timer that distinguishes a timeout from the end of a handover.
+const TIMEOUT_FLAG: u64 = 1 << 63;
+
+/// See the [module](self).
+pub(crate) struct People;
+
+impl System for People {
+    fn name(&self) -> &'static str {
+        "people"
+    }
+
+    fn reads(&self) -> Vec<ComponentType> {
+        component_types![CoPresence, SimRobot, DrawerOpen, PersonStates, RobotLocation]
+    }
+
+    fn writes(&self) -> Vec<ComponentType> {
+        component_types![
+            PersonRequests,
+            Custody,
+            HandsBusy,
+            HandoverCount,
+            SampleLabel,
+            PayloadData,
+            HandoverRng,
+            PersonInfo
+        ]
+    }
+
+    fn init_world(&self, state: &mut SimState, setup: &WorldSetup) {
+        state.insert_resource(PersonRequests::default());
+        for (index, person) in setup.people.iter().enumerate() {
+            let mut rng = ChaCha8Rng::seed_from_u64(setup.seed);
+            rng.set_stream(index as u64);
+            state.spawn_person(person, rng);
+        }
+    }
+
+    fn request_person(&self, state: &mut SimState, id: GoalId, request_person: &PersonRequest) -> bool {
+        state.accept_request(id, request_person);
+        true
+    }
+
+    fn cancel_person_request(&self, state: &mut SimState, id: GoalId) {
+        state.cancel_request(id);
+    }
+
+    fn on_timer(&self, state: &mut SimState, SystemTimer { number, .. }: SystemTimer) {
+        match number & TIMEOUT_FLAG {
+            0 => state.finish_handover(RequestNumber(number)),
+            _ => state.time_out_request(RequestNumber(number & !TIMEOUT_FLAG)),
+        }
+    }
+
+    fn on_event(&self, state: &mut SimState, event: &WorldEvent) {
+        match event {
+            WorldEvent::GoalEnded { .. } => state.serve_requests(),
+            WorldEvent::PersonReturned { .. } => {
+                state.update_timeouts();
+                state.serve_requests();
+            }
+            WorldEvent::MissionCanceled { person, robot } => {
+                state.interrupt_handover(person, Some(robot));
+                state.serve_requests();
+            }
+            WorldEvent::HandoverDeclined { person, robot } => {
+                if let Some(id) = state.interrupt_handover(person, Some(robot)) {
+                    let error = action_error(ErrorCode::NotAuthenticated, format!("{person} declines"));
+                    state.end_request(id, Err(error));
+                    state.serve_requests();
+                }
+            }
+            WorldEvent::PersonLeft { person } => {
+                state.interrupt_handover(person, None);
+                state.update_timeouts();
+                state.serve_requests();
+            }
+            _ => {}
+        }
+    }
+}
+
+impl SimState {
+    fn spawn_person(&mut self, person: &PersonSetup, rng: ChaCha8Rng) {
+        let place = self.map.index(&person.place).expect("checked: the place is on the map");
+        let entity = self.spawn();
+        self.insert(entity, PersonInfo { name: person.name.clone(), role: person.role.clone(), place });
+        self.insert(entity, HandsBusy(false));
+        self.insert(entity, HandoverRng(rng));
+        self.people.insert(person.name.clone(), entity);
+        for sample in &person.samples {
+            let load = PayloadData { weight_kg: sample_kg(), distance_m: 0.0 };
+            self.spawn_sample(sample.clone(), HolderEntity::Hands(entity), load);
+        }
+    }
+
+    /// Accepts a request, or ends it at once with the reason why it is impossible. An id seen
+    /// before changes nothing.
+    fn accept_request(&mut self, id: GoalId, request: &PersonRequest) {
+        if self.resource::<PersonRequests>().is_known(id) {
+            return;
+        }
+        match self.accepting_robots(request) {
+            Ok(into) => {
+                let timeout =
+                    request.task.parameters.get(PERSON_TIMEOUT_PARAMETER).and_then(|seconds| seconds.parse().ok());
+                let timeout_s =
+                    timeout.filter(|seconds| (0.0..=f64::MAX).contains(seconds)).unwrap_or(PERSON_TIMEOUT_S);
+                let role = request.role.clone();
+                self.resource_mut::<PersonRequests>().open(Request {
+                    id,
+                    role,
+                    into,
+                    under_way: None,
+                    timeout_s,
+                    timeout_timer: None,
+                });
+                self.update_timeouts();
+                self.serve_requests();
+            }
+            Err(error) => {
+                self.end_request(id, Err(error));
+            }
+        }
+    }
+
+    /// Cancels a request without emitting an event. A request that is canceled before it arrives is
+    /// not served.
+    fn cancel_request(&mut self, id: GoalId) {
+        if self.resource::<PersonRequests>().ended.contains_key(&id) {
+            return;
+        }
+        let handover = self.resource::<PersonRequests>().under_way(id);
+        if let Some(handover) = handover {
+            self.queue.cancel(handover.ends);
+            self.get_mut::<HandsBusy>(handover.person).0 = false;
+        }
+        self.close(id, None);
+        self.serve_requests();
+    }
+
+    /// Returns the robots with an acceptable drawer.
+    fn accepting_robots(&self, request: &PersonRequest) -> Result<BTreeSet<Entity>, ActionError> {
+        let roles: BTreeSet<RoleId> =
+            self.people.values().map(|person| self.get::<PersonInfo>(*person).role.clone()).collect();
+        let unknown = |message| Err(action_error(ErrorCode::Unknown, message));
+        if !roles.contains(&request.role) {
+            let known = roles.iter().map(RoleId::as_str).collect::<Vec<_>>().join(", ");
+            let known = if known.is_empty() { "none".to_owned() } else { known };
+            return unknown(format!("no {} is here; roles present: {known}", request.role));
+        }
+        if !TASK_TYPES.contains(&request.task.task_type.as_str()) {
+            return unknown(format!(
+                "a {} cannot {}; supported tasks: {}",
+                request.role,
+                request.task.task_type,
+                TASK_TYPES.join(", ")
+            ));
+        }
+        let waiting = self.resource::<PersonRequests>().open.len();
+        if waiting >= self.limits.person_requests_max {
+            let message = format!("{waiting} person requests are open already");
+            return Err(action_error(ErrorCode::Busy, message));
+        }
+        let wanted = request.task.parameters.get(INTO_ROLE);
+        let holders = request.holders.iter().filter(|(role, _)| wanted.is_none_or(|wanted| role.as_str() == wanted));
+        let into: BTreeSet<Entity> = holders
+            .filter_map(|(_, robot)| self.robots.get(robot).copied())
+            .filter(|robot| self.get::<SimRobot>(*robot).0.has_drawer)
+            .collect();
+        match (into.is_empty(), wanted) {
+            (false, _) => Ok(into),
+            (true, Some(role)) => unknown(format!("no robot here that has a drawer holds role {role}")),
+            (true, None) => unknown("no robot here that has a drawer holds a role".to_owned()),
+        }
+    }
+
+    /// Starts a handover for each request with its conditions met, earlier requests first.
+    fn serve_requests(&mut self) {
+        let waiting = self.resource::<PersonRequests>().waiting();
+        for number in waiting {
+            let ready_pair =
+                self.resource::<PersonRequests>().open.get(&number).and_then(|request| self.ready_pair(request));
+            let Some((person, robot)) = ready_pair else { continue };
+            let (min_s, max_s) = (self.durations.person_min_s, self.durations.person_max_s);
+            let duration_s = self.get_mut::<HandoverRng>(person).0.random_range(min_s..=max_s);
+            let ends = self.schedule(self.now + duration_s, person, number.0);
+            self.get_mut::<HandsBusy>(person).0 = true;
+            let name = self.get::<PersonInfo>(person).name.clone();
+            self.log_event(WorldEvent::HandoverStarted { person: name, robot: self.robot_id(robot) });
+            if let Some(request) = self.resource_mut::<PersonRequests>().open.get_mut(&number) {
+                request.under_way = Some(Handover { person, robot, ends });
+            }
+        }
+    }
+
+    /// Returns a free person for the request, and the robot with an open drawer that has approached
+    /// them.
+    fn ready_pair(&self, request: &Request) -> Option<(Entity, Entity)> {
+        let with = |robot: Entity| {
+            self.person_ready_at(robot).filter(|person| self.get::<PersonInfo>(*person).role == request.role)
+        };
+        let mut pairs = request.into.iter().filter_map(|robot| Some((with(*robot)?, *robot)));
+        pairs.find(|(person, _)| !self.get::<HandsBusy>(*person).0)
+    }
+
+    /// Returns the person next to a robot with an open drawer.
+    fn person_ready_at(&self, robot: Entity) -> Option<Entity> {
+        match *self.get::<CoPresence>(robot) {
+            CoPresence::Person { person, .. } if self.get::<DrawerOpen>(robot).0 => {
+                let name = &self.get::<PersonInfo>(person).name;
+                (self.is_present(name) && self.is_willing(name, &self.robot_id(robot))).then_some(person)
+            }
+            CoPresence::Person { .. } | CoPresence::None | CoPresence::Robot { .. } => None,
+        }
+    }
+
+    /// Handles the end of a handover: transfers the sample, if the robot is still there.
+    fn finish_handover(&mut self, number: RequestNumber) {
+        let done = self
+            .resource_mut::<PersonRequests>()
+            .open
+            .get_mut(&number)
+            .and_then(|request| Some((request.id, request.under_way.take()?)));
+        let Some((id, handover)) = done else { return };
+        self.get_mut::<HandsBusy>(handover.person).0 = false;
+        if self.person_ready_at(handover.robot) == Some(handover.person) {
+            let result = self.transfer_to_drawer(handover);
+            self.end_request(id, result);
+        }
+        self.serve_requests();
+    }
+
+    /// Interrupts a person's handover, to the given robot or to any. The request stays open.
+    fn interrupt_handover(&mut self, person: &PersonName, robot: Option<&RobotId>) -> Option<GoalId> {
+        let person = self.people.get(person).copied()?;
+        let robot = robot.and_then(|robot| self.robots.get(robot).copied());
+        let (id, handover) = {
+            let mut requests = self.resource_mut::<PersonRequests>();
+            let matches =
+                |handover: &Handover| handover.person == person && robot.is_none_or(|robot| robot == handover.robot);
+            let request = requests.open.values_mut().find(|request| request.under_way.as_ref().is_some_and(matches))?;
+            (request.id, request.under_way.take()?)
+        };
+        self.queue.cancel(handover.ends);
+        self.get_mut::<HandsBusy>(person).0 = false;
+        Some(id)
+    }
+
+    /// Roles of the people present.
+    fn roles_present(&self) -> BTreeSet<RoleId> {
+        let info = self.people.values().map(|person| self.get::<PersonInfo>(*person));
+        info.filter(|info| self.is_present(&info.name)).map(|info| info.role.clone()).collect()
+    }
+
+    /// Starts the timeout of each request with an absent role, and stops it for roles that are
+    /// present.
+    fn update_timeouts(&mut self) {
+        let present = self.roles_present();
+        let changed: Vec<(RequestNumber, f64, Option<TimerId>)> = {
+            let requests = self.resource::<PersonRequests>();
+            let changed = requests
+                .open
+                .iter()
+                .filter(|(_, request)| present.contains(&request.role) == request.timeout_timer.is_some());
+            changed.map(|(number, request)| (*number, request.timeout_s, request.timeout_timer)).collect()
+        };
+        for (number, timeout_s, timeout_timer) in changed {
+            let timeout_timer = match timeout_timer {
+                Some(timer) => {
+                    self.queue.cancel(timer);
+                    None
+                }
+                None => Some(self.schedule(self.now + timeout_s, self.resource_entity(), number.0 | TIMEOUT_FLAG)),
+            };
+            if let Some(request) = self.resource_mut::<PersonRequests>().open.get_mut(&number) {
+                request.timeout_timer = timeout_timer;
+            }
+        }
+    }
+
+    /// Handles the timeout of a request: no person has returned in time.
+    fn time_out_request(&mut self, number: RequestNumber) {
+        let request = self
+            .resource::<PersonRequests>()
+            .open
+            .get(&number)
+            .map(|request| (request.id, request.role.clone(), request.timeout_s));
+        let Some((id, role, timeout_s)) = request else { return };
+        let message = format!("every {role} has walked away; waited for {timeout_s} s");
+        self.end_request(id, Err(action_error(ErrorCode::OutOfReach, message)));
+    }
+
+    fn transfer_to_drawer(&mut self, handover: Handover) -> Result<(), ActionError> {
+        self.check_drawer_space(handover.robot)?;
+        let Some(sample) = self.held(HolderEntity::Hands(handover.person)).first().copied() else {
+            let info = self.get::<PersonInfo>(handover.person);
+            let message = format!("{} {} has no sample to hand over", info.role, info.name);
+            return Err(action_error(ErrorCode::DrawerState, message));
+        };
+        self.transfer_sample(sample, HolderEntity::Drawer(handover.robot));
+        Ok(())
+    }
+
+    fn end_request(&mut self, id: GoalId, result: Result<(), ActionError>) {
+        self.close(id, Some(result.clone()));
+        self.emit(BackendEvent::PersonRequestEnded { request: id, result });
+    }
+
+    fn close(&mut self, id: GoalId, result: Option<Result<(), ActionError>>) {
+        let timeout_timer = {
+            let mut requests = self.resource_mut::<PersonRequests>();
+            let number = requests.ids.get(&id).copied();
+            number.and_then(|number| requests.open.get_mut(&number)?.timeout_timer.take())
+        };
+        if let Some(timer) = timeout_timer {
+            self.queue.cancel(timer);
+        }
+        let kept = self.limits.person_requests_max;
+        self.resource_mut::<PersonRequests>().close(id, result, kept);
+    }
+}

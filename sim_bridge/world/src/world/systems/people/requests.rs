@@ -1,0 +1,95 @@
+//! The requests to people: open, and ended lately.
+
+use crate::world::event_queue::TimerId;
+use consort_protocol::ids::RoleId;
+use consort_skills::actions::{ActionError, GoalId};
+use hecs::Entity;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+/// Sequence number of a request. Earlier requests are served first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct RequestNumber(pub(super) u64);
+
+/// The open requests, and the ids of those that ended lately.
+#[derive(Default)]
+pub(crate) struct PersonRequests {
+    pub(super) open: BTreeMap<RequestNumber, Request>,
+    pub(super) ids: BTreeMap<GoalId, RequestNumber>,
+    /// Ended requests with their results; `None` for a canceled request.
+    pub(super) ended: BTreeMap<GoalId, Option<Result<(), ActionError>>>,
+    /// Ended requests in the order of their ends.
+    ended_order: VecDeque<GoalId>,
+    next: u64,
+}
+
+/// A request.
+pub(super) struct Request {
+    pub(super) id: GoalId,
+    pub(super) role: RoleId,
+    /// Robots with an acceptable drawer.
+    pub(super) into: BTreeSet<Entity>,
+    pub(super) under_way: Option<Handover>,
+    /// Time for which the request waits for an absent person, in seconds.
+    pub(super) timeout_s: f64,
+    /// The timeout, while every person in the role is away.
+    pub(super) timeout_timer: Option<TimerId>,
+}
+
+/// A handover under way.
+#[derive(Clone, Copy)]
+pub(super) struct Handover {
+    pub(super) person: Entity,
+    pub(super) robot: Entity,
+    pub(super) ends: TimerId,
+}
+
+impl PersonRequests {
+    pub(super) fn is_known(&self, id: GoalId) -> bool {
+        self.ids.contains_key(&id) || self.ended.contains_key(&id)
+    }
+
+    pub(super) fn open(&mut self, request: Request) {
+        let number = RequestNumber(self.next);
+        self.next += 1;
+        self.ids.insert(request.id, number);
+        self.open.insert(number, request);
+    }
+
+    pub(super) fn under_way(&self, id: GoalId) -> Option<Handover> {
+        self.open.get(self.ids.get(&id)?)?.under_way
+    }
+
+    /// Requests that are not being served, earlier requests first.
+    pub(super) fn waiting(&self) -> Vec<RequestNumber> {
+        self.open.iter().filter(|(_, request)| request.under_way.is_none()).map(|(number, _)| *number).collect()
+    }
+
+    pub(super) fn close(&mut self, id: GoalId, result: Option<Result<(), ActionError>>, kept: usize) {
+        if let Some(number) = self.ids.remove(&id) {
+            self.open.remove(&number);
+        }
+        if self.ended.insert(id, result).is_none() {
+            self.ended_order.push_back(id);
+        }
+        if self.ended.len() > kept
+            && let Some(oldest) = self.ended_order.pop_front()
+        {
+            self.ended.remove(&oldest);
+        }
+    }
+
+    /// Open requests, earlier requests first.
+    pub(crate) fn open_requests(&self) -> Vec<GoalId> {
+        self.open.values().map(|request| request.id).collect()
+    }
+
+    /// Checks whether a request was canceled lately.
+    pub(crate) fn was_canceled(&self, id: GoalId) -> bool {
+        self.ended.get(&id).is_some_and(Option::is_none)
+    }
+
+    /// Result of a request that ended lately.
+    pub(crate) fn result(&self, id: GoalId) -> Option<Result<(), ActionError>> {
+        self.ended.get(&id).cloned().flatten()
+    }
+}

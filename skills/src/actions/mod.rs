@@ -1,0 +1,24 @@
+//! The robot-actions interface: skills use it to drive a robot, and backends implement its other
+//! side.
+//!
+//! The vocabulary is Nav2's: a *goal* is sent, reports *feedback* while it is executed, and ends
+//! with a *result*: succeeded, canceled or aborted with an error code. The backend is a simulated
+//! world (in this process or another) or a real robot's adapter. Skills cannot distinguish them.
+//!
+//! ```text
+//!  skill (behavior tree) ── RobotActions ──▶ goals   ┌────────────────┐
+//!                        ◀── status, telemetry ──────│  RobotBackend  │  a world, or an adapter
+//! ```
+
+mod backend;
+mod error;
+mod goal;
+mod nav2;
+mod robot;
+
+pub use backend::{BackendEvent, PersonRequest, RobotBackend};
+pub use error::{ActionError, ErrorCode};
+pub use goal::{
+    Feedback, Goal, GoalId, GoalProgress, GoalStatus, PERSON_TIMEOUT_PARAMETER, PERSON_TIMEOUT_S, Waypoint,
+};
+pub use robot::{RobotActions, Telemetry};

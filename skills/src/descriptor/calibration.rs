@@ -1,0 +1,309 @@
+//! Calibration of a robot's estimates: factors by skill and by leg, as a file contains them.
+//!
+//! A factor is the ratio of actual to estimated duration. A calibrated descriptor multiplies its
+//! estimates of time and energy by the mean factor, and uses its standard deviation as the
+//! uncertainty. The robot then keeps a reserve: a bid is viable only if the battery lasts for an
+//! upper quantile of the energy of the whole plan, not only for the mean. A leg with too few drives
+//! uses all drives to or from the same place, and failing that all drives.
+//!
+//! The evaluation computes the factors from trials; this module only applies them.
+
+use super::estimate::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
+use super::fixed::{FixedDuration, STEP_DURATION_S};
+use super::navigation::NavigationDescriptor;
+use super::registry::DescriptorRegistry;
+use crate::environment::Environment;
+use consort_protocol::ids::{PlaceId, TaskType};
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::units::Seconds;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// The only skill with tasks that drive from place to place.
+const NAVIGATION: &str = "navigation";
+
+/// Ratio of actual to estimated duration.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TimeFactor {
+    /// Number of observations.
+    pub count: usize,
+    /// Their mean.
+    pub mean: f64,
+    /// Their standard deviation.
+    pub sd: f64,
+    /// Their upper quantile.
+    pub upper: f64,
+}
+
+impl TimeFactor {
+    fn is_sound(&self) -> bool {
+        let above = |number: f64| number.is_finite() && number > 0.0;
+        above(self.mean) && above(self.upper) && self.sd.is_finite() && self.sd >= 0.0
+    }
+}
+
+/// The factor of drives between two places.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LegFactor {
+    /// Start of the drives.
+    pub from: PlaceId,
+    /// Destination of the drives.
+    pub to: PlaceId,
+    /// The factor.
+    pub factor: TimeFactor,
+}
+
+/// Factors computed from observations.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// Share of cases for which the upper quantiles hold, and in which the battery is to last: 0.5
+    /// to below 1.
+    pub quantile: f64,
+    /// Factors by skill.
+    #[serde(default)]
+    pub skills: BTreeMap<TaskType, TimeFactor>,
+    /// Factors of drives to a place.
+    #[serde(default)]
+    pub to: BTreeMap<PlaceId, TimeFactor>,
+    /// Factors of drives from a place.
+    #[serde(default)]
+    pub from: BTreeMap<PlaceId, TimeFactor>,
+    /// Factors of drives between two places.
+    #[serde(default)]
+    pub legs: Vec<LegFactor>,
+}
+
+impl Calibration {
+    /// Returns every value of the file that is out of range, as text.
+    pub fn validation_errors(&self) -> Vec<String> {
+        let skills = self.skills.iter().map(|(skill, factor)| (format!("skills.{skill}"), factor));
+        let to = self.to.iter().map(|(place, factor)| (format!("to.{:?}", place.as_str()), factor));
+        let from = self.from.iter().map(|(place, factor)| (format!("from.{:?}", place.as_str()), factor));
+        let legs = self.legs.iter().map(|leg| (format!("legs, {} to {}", leg.from, leg.to), &leg.factor));
+        let wrong = skills.chain(to).chain(from).chain(legs).filter(|(_, factor)| !factor.is_sound());
+        let mut errors: Vec<String> = wrong
+            .map(|(key, TimeFactor { mean, sd, upper, .. })| {
+                let allowed = "allowed are a mean and an upper quantile above 0, and a deviation of 0 or more";
+                format!("{key}: mean {mean}, sd {sd}, upper {upper}; {allowed}")
+            })
+            .collect();
+        if !(0.5..1.0).contains(&self.quantile) {
+            errors.push(format!("quantile is {}, allowed is 0.5 to below 1", self.quantile));
+        }
+        errors
+    }
+
+    /// Returns the factor of a drive; `None` without any observed drives.
+    pub fn leg_factor(&self, from: &PlaceId, to: &PlaceId) -> Option<TimeFactor> {
+        let leg = self.legs.iter().find(|leg| leg.from == *from && leg.to == *to).map(|leg| leg.factor);
+        // Of the two ends the slower determines the factor.
+        let ends = [self.to.get(to), self.from.get(from)].into_iter().flatten();
+        let end = ends.max_by(|a, b| a.mean.total_cmp(&b.mean)).copied();
+        leg.or(end).or_else(|| self.skill(NAVIGATION))
+    }
+
+    fn skill(&self, name: &str) -> Option<TimeFactor> {
+        self.skills.iter().find(|(skill, _)| skill.as_str() == name).map(|(_, factor)| *factor)
+    }
+
+    /// Returns the distance of the quantile from the mean in standard deviations, for plans with
+    /// normally distributed energy.
+    pub fn margin_sds(&self) -> f64 {
+        upper_normal_quantile(self.quantile.clamp(0.5, 0.9999))
+    }
+
+    /// Returns the standard descriptors with these factors, and with a reserve for the quantile.
+    pub fn descriptors(self: &Arc<Calibration>) -> DescriptorRegistry {
+        let name = |name: &str| TaskType::new(name).expect("the name of a skill is valid");
+        let drives = Calibrated { inner: NavigationDescriptor::new(name(NAVIGATION)), calibration: Arc::clone(self) };
+        let registry = DescriptorRegistry::standard().with(drives).with_energy_margin(self.margin_sds());
+        // Tasks with a given duration are not corrected.
+        let fixed = self.skills.keys().filter(|skill| ![NAVIGATION, "wait"].contains(&skill.as_str()));
+        let time = Seconds::new(STEP_DURATION_S).expect("two seconds are a valid duration");
+        fixed.fold(registry, |registry, skill| {
+            registry.with(Calibrated { inner: FixedDuration::new(skill.clone(), time), calibration: Arc::clone(self) })
+        })
+    }
+}
+
+/// A descriptor with estimates corrected by a calibration.
+#[derive(Debug, Clone)]
+struct Calibrated<D> {
+    inner: D,
+    calibration: Arc<Calibration>,
+}
+
+impl<D: SkillDescriptor> SkillDescriptor for Calibrated<D> {
+    fn task_type(&self) -> &TaskType {
+        self.inner.task_type()
+    }
+
+    fn required_descriptors(&self) -> Vec<&'static str> {
+        self.inner.required_descriptors()
+    }
+
+    fn estimate(
+        &self,
+        task: &TaskSpec,
+        context: &EstimateContext,
+        environment: &Environment,
+    ) -> Result<Estimate, EstimateError> {
+        let uncorrected = self.inner.estimate(task, context, environment)?;
+        let factor = if self.task_type().as_str() == NAVIGATION {
+            self.calibration.leg_factor(&context.place, &uncorrected.ends_at)
+        } else {
+            self.calibration.skill(self.task_type().as_str())
+        };
+        let Some(factor) = factor else { return Ok(uncorrected) };
+        let time = Seconds::new(uncorrected.time.get() * factor.mean).unwrap_or(uncorrected.time);
+        let (energy, energy_sd) = (uncorrected.energy * factor.mean, uncorrected.energy * factor.sd);
+        Ok(Estimate { time, energy, energy_sd, ends_at: uncorrected.ends_at })
+    }
+}
+
+/// Numerator and denominator for shares up to 0.925, highest power first.
+const CENTRE: ([f64; 8], [f64; 8]) = (
+    [
+        2509.0809287301227,
+        33430.57558358813,
+        67265.7709270087,
+        45921.95393154987,
+        13731.69376550946,
+        1971.5909503065513,
+        133.14166789178438,
+        3.3871328727963665,
+    ],
+    [
+        5226.495278852854,
+        28729.085735721943,
+        39307.89580009271,
+        21213.794301586597,
+        5394.196021424751,
+        687.1870074920579,
+        42.31333070160091,
+        1.0,
+    ],
+);
+
+/// Numerator and denominator for larger shares, highest power first.
+const TAIL: ([f64; 8], [f64; 8]) = (
+    [
+        0.0007745450142783414,
+        0.022723844989269184,
+        0.2417807251774506,
+        1.2704582524523684,
+        3.6478483247632045,
+        5.769497221460691,
+        4.630337846156546,
+        1.4234371107496835,
+    ],
+    [
+        1.0507500716444169e-09,
+        0.0005475938084995345,
+        0.015198666563616457,
+        0.14810397642748008,
+        0.6897673349851,
+        1.6763848301838038,
+        2.053191626637759,
+        1.0,
+    ],
+);
+
+/// Returns the quantile of the standard normal distribution for a share of 0.5 to 0.9999, by
+/// algorithm AS 241 (Wichura, *The percentage points of the normal distribution*, Applied
+/// Statistics 37, 1988). Its relative error is about 1e-16.
+fn upper_normal_quantile(share: f64) -> f64 {
+    let polynomial = |coefficients: &[f64], at: f64| coefficients.iter().fold(0.0, |sum, next| sum * at + next);
+    let offset = share - 0.5;
+    if offset <= 0.425 {
+        let at = 0.180625 - offset * offset;
+        return offset * polynomial(&CENTRE.0, at) / polynomial(&CENTRE.1, at);
+    }
+    let at = (-(1.0 - share).ln()).sqrt() - 1.6;
+    polynomial(&TAIL.0, at) / polynomial(&TAIL.1, at)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::environment::{Edge, Routes, TopologicalMap};
+    use consort_protocol::pose::Pose;
+    use consort_protocol::units::{MetresPerSecond, SharePerSecond};
+
+    fn place(name: &str) -> PlaceId {
+        PlaceId::new(name).unwrap()
+    }
+
+    fn factor(mean: f64) -> TimeFactor {
+        TimeFactor { count: 11, mean, sd: 0.11_f64.sqrt(), upper: mean + 0.4 }
+    }
+
+    /// Returns factors of 2 for drives from A to B, 3 for all drives from A, and 1.5 for others.
+    fn learned() -> Arc<Calibration> {
+        Arc::new(Calibration {
+            quantile: 0.9,
+            skills: [(TaskType::new(NAVIGATION).unwrap(), factor(1.5))].into(),
+            to: [(place("B"), factor(1.0))].into(),
+            from: [(place("A"), factor(3.0))].into(),
+            legs: vec![LegFactor { from: place("A"), to: place("B"), factor: factor(2.0) }],
+        })
+    }
+
+    #[test]
+    fn a_leg_without_a_factor_uses_its_slower_end_or_all_drives() {
+        let mean = |from, to| learned().leg_factor(&place(from), &place(to)).unwrap().mean;
+        assert_eq!([mean("A", "B"), mean("A", "C"), mean("C", "B"), mean("X", "Y")], [2.0, 3.0, 1.0, 1.5]);
+        let slower_end = Calibration { legs: vec![], ..(*learned()).clone() };
+        assert_eq!(slower_end.leg_factor(&place("A"), &place("B")), Some(factor(3.0)));
+        let none = Calibration { skills: BTreeMap::new(), ..(*learned()).clone() };
+        assert_eq!(none.leg_factor(&place("X"), &place("Y")), None);
+    }
+
+    #[test]
+    fn estimates_use_the_mean_and_the_reserve_uses_the_quantile() {
+        let map = TopologicalMap {
+            places: ["A", "B"].map(|name| (place(name), Pose::default())).into(),
+            edges: vec![Edge { a: place("A"), b: place("B"), length_m: 10.0, one_way: false }],
+        };
+        let environment = Environment::new().with(Routes::new(&map).unwrap());
+        let estimator = learned().descriptors().resolve(environment).unwrap();
+        let context = EstimateContext {
+            place: place("A"),
+            pose: None,
+            speed: MetresPerSecond::new(0.5).unwrap(),
+            discharge: SharePerSecond::new(0.001).unwrap(),
+            closed: vec![],
+        };
+        let mut task = TaskSpec::of(TaskType::new(NAVIGATION).unwrap(), vec!["r1".parse().unwrap()]);
+        task.parameters.insert("to".to_owned(), "B".to_owned());
+        let estimate = estimator.estimate(&task, &context).unwrap();
+        let close =
+            |found: f64, wanted: f64| assert!((found - wanted).abs() < 1e-6, "{found}, not {wanted}: {estimate:?}");
+        close(estimate.time.get(), 40.0);
+        close(estimate.energy, 0.04);
+        // The standard deviation of 1.5, 1.6, … 2.5, and the 90 % quantile of a normal
+        // distribution.
+        close(estimate.energy_sd, 0.02 * 0.11_f64.sqrt());
+        close(estimator.margin_sds(), 1.281_552);
+    }
+
+    #[test]
+    fn a_value_out_of_range_is_reported_with_its_key() {
+        assert_eq!(learned().validation_errors(), [""; 0]);
+        let mut wrong = (*learned()).clone();
+        (wrong.quantile, wrong.legs[0].factor.sd) = (1.0, f64::NAN);
+        assert_eq!(
+            wrong.validation_errors(),
+            [
+                "legs, A to B: mean 2, sd NaN, upper 2.4; allowed are a mean and an upper quantile above 0, and a \
+                 deviation of 0 or more",
+                "quantile is 1, allowed is 0.5 to below 1",
+            ]
+        );
+    }
+}

@@ -1,0 +1,125 @@
+//! Estimates of tasks, and the interface of the descriptors that make them.
+
+use crate::environment::{Environment, MissingDescriptor, RouteError};
+use consort_protocol::ids::{PlaceId, TaskType};
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{MetresPerSecond, Seconds, SharePerSecond};
+
+/// State of the estimating robot at the start of the task.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EstimateContext {
+    /// Current place, or the last place passed.
+    pub place: PlaceId,
+    /// Exact pose, if the robot may be between two places; `None` at the place.
+    pub pose: Option<Pose>,
+    /// Average speed.
+    pub speed: MetresPerSecond,
+    /// Discharge rate with an active goal.
+    pub discharge: SharePerSecond,
+    /// Known closed lanes, each by its two ends.
+    pub closed: Vec<(PlaceId, PlaceId)>,
+}
+
+/// Estimated cost of a task.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimate {
+    /// Duration.
+    pub time: Seconds,
+    /// Energy, as a share of a full battery. It may exceed 1.
+    pub energy: f64,
+    /// Standard deviation of the energy; 0 if it is not known.
+    pub energy_sd: f64,
+    /// Place at the end of the task.
+    pub ends_at: PlaceId,
+}
+
+impl Estimate {
+    /// Creates an estimate from a duration at the robot's usual discharge rate, ending at `place`.
+    pub fn of_duration(time: Seconds, context: &EstimateContext, place: PlaceId) -> Estimate {
+        Estimate { time, energy: context.discharge.over(time), energy_sd: 0.0, ends_at: place }
+    }
+}
+
+/// A task cannot be estimated, so the robot cannot bid for its role.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum EstimateError {
+    /// The task lacks a parameter that the estimate needs.
+    #[error("the {task_type} task has no parameter `{parameter}`")]
+    MissingParameter {
+        /// The type of the task.
+        task_type: TaskType,
+        /// The missing parameter.
+        parameter: &'static str,
+    },
+    /// A parameter of the task is invalid.
+    #[error("the {task_type} task has `{parameter}` = {value:?}: {problem}")]
+    Parameter {
+        /// The type of the task.
+        task_type: TaskType,
+        /// The parameter.
+        parameter: &'static str,
+        /// Its value.
+        value: String,
+        /// Cause.
+        problem: String,
+    },
+    /// There is no route to the place of the task.
+    #[error(transparent)]
+    Route(#[from] RouteError),
+    /// The environment lacks a descriptor that the estimate needs.
+    #[error(transparent)]
+    Environment(#[from] MissingDescriptor),
+    /// No skill descriptor exists for the task type.
+    #[error("no skill descriptor for {task_type}; descriptors exist for {known}")]
+    NoDescriptor {
+        /// The type of the task.
+        task_type: TaskType,
+        /// The task types with descriptors, as text.
+        known: String,
+    },
+}
+
+/// Estimates the tasks of a type.
+pub trait SkillDescriptor: Send + Sync {
+    /// The estimated task type, which is also the skill's name.
+    fn task_type(&self) -> &TaskType;
+
+    /// The required kinds of environment descriptor: [`EnvironmentDescriptor::KIND`].
+    ///
+    /// [`EnvironmentDescriptor::KIND`]: crate::environment::EnvironmentDescriptor::KIND
+    fn required_descriptors(&self) -> Vec<&'static str>;
+
+    /// Estimates the cost of `task` for the robot of `context`.
+    ///
+    /// # Errors
+    /// [`EstimateError`] if the task is impossible or cannot be estimated; never an estimate of
+    /// zero instead.
+    fn estimate(
+        &self,
+        task: &TaskSpec,
+        context: &EstimateContext,
+        environment: &Environment,
+    ) -> Result<Estimate, EstimateError>;
+}
+
+/// Returns a required parameter.
+fn parameter<'t>(task: &'t TaskSpec, name: &'static str) -> Result<&'t str, EstimateError> {
+    let missing = || EstimateError::MissingParameter { task_type: task.task_type.clone(), parameter: name };
+    task.parameters.get(name).map(String::as_str).ok_or_else(missing)
+}
+
+/// Parses a required parameter.
+pub(super) fn parsed<T, E: ToString>(
+    task: &TaskSpec,
+    name: &'static str,
+    parse: impl FnOnce(&str) -> Result<T, E>,
+) -> Result<T, EstimateError> {
+    let value = parameter(task, name)?;
+    parse(value).map_err(|error| EstimateError::Parameter {
+        task_type: task.task_type.clone(),
+        parameter: name,
+        value: value.to_owned(),
+        problem: error.to_string(),
+    })
+}

@@ -1,0 +1,268 @@
+//! Shortest routes on a topological map (Dijkstra 1959).
+//!
+//! Distances are stored by destination. The first query for a destination runs a search over the
+//! map; every later query, from any start, is a look-up. If a thousand robots price a drive to the
+//! same room, this costs a single search.
+
+use super::descriptor::EnvironmentDescriptor;
+use super::map::{MapError, TopologicalMap};
+use super::passages::Passages;
+use consort_protocol::ids::PlaceId;
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{Metres, MetresPerSecond, Seconds};
+use petgraph::algo::dijkstra;
+use petgraph::graph::{DiGraph, NodeIndex};
+use petgraph::visit::{EdgeRef, Reversed};
+use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::OnceLock;
+
+/// Greatest distance of a robot from the straight line of a leg to count as on the leg: Nav2's
+/// default goal tolerance.
+pub(crate) const TOLERANCE_M: f64 = 0.25;
+
+/// Routes between the places of a map.
+#[derive(Debug, Clone)]
+pub struct Routes {
+    graph: DiGraph<(PlaceId, Pose), f64>,
+    index: BTreeMap<PlaceId, NodeIndex>,
+    /// Distances from every node in metres, by destination; infinite without a route.
+    distances: Vec<OnceLock<Vec<f64>>>,
+    /// True if closed edges of the map are left out.
+    reduced: bool,
+}
+
+/// A shortest route.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Route {
+    /// Places from the first to the last, both included.
+    pub places: Vec<PlaceId>,
+    /// Length.
+    pub length: Metres,
+}
+
+/// There is no route. This must never be treated as a distance of 0 m.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum RouteError {
+    /// A place is not on the map.
+    #[error("no route from {from} to {to}: {place} is not on the map")]
+    UnknownPlace {
+        /// Start.
+        from: PlaceId,
+        /// Destination.
+        to: PlaceId,
+        /// The place that is not on the map.
+        place: PlaceId,
+    },
+    /// Both places are on the map, but every connection between them is known to be closed.
+    #[error("no route from {from} to {to}: the ways between them are closed")]
+    Closed {
+        /// Start.
+        from: PlaceId,
+        /// Destination.
+        to: PlaceId,
+    },
+    /// Both places are on the map, without a connection.
+    #[error("no route from {from} to {to}: the map has no way between them")]
+    Unreachable {
+        /// Start.
+        from: PlaceId,
+        /// Destination.
+        to: PlaceId,
+    },
+}
+
+impl EnvironmentDescriptor for Routes {
+    const KIND: &'static str = "routes";
+}
+
+impl Routes {
+    /// Prepares a map for queries.
+    ///
+    /// # Errors
+    /// [`MapError`] if the map is invalid.
+    pub fn new(map: &TopologicalMap) -> Result<Routes, MapError> {
+        map.check()?;
+        let mut graph = DiGraph::new();
+        let node = |(place, pose): (&PlaceId, &Pose)| (place.clone(), graph.add_node((place.clone(), *pose)));
+        let index: BTreeMap<PlaceId, NodeIndex> = map.places.iter().map(node).collect();
+        for edge in &map.edges {
+            for (from, to) in edge.directions() {
+                graph.add_edge(index[from], index[to], edge.length_m);
+            }
+        }
+        let distances = vec![OnceLock::new(); index.len()];
+        Ok(Routes { graph, index, distances, reduced: false })
+    }
+
+    /// Returns the routes without the edges between these places, in either direction. Pairs that
+    /// are not on the map are ignored.
+    pub fn without_closed(&self, closed: &[(PlaceId, PlaceId)]) -> Cow<'_, Routes> {
+        let ends = closed.iter().filter_map(|(a, b)| Some((*self.index.get(a)?, *self.index.get(b)?)));
+        let edges = ends.flat_map(|(a, b)| [self.graph.find_edge(a, b), self.graph.find_edge(b, a)]);
+        let edges: BTreeSet<_> = edges.flatten().collect();
+        if edges.is_empty() {
+            return Cow::Borrowed(self);
+        }
+        let graph =
+            self.graph.filter_map(|_, place| Some(place.clone()), |edge, m| (!edges.contains(&edge)).then_some(*m));
+        let distances = vec![OnceLock::new(); self.index.len()];
+        Cow::Owned(Routes { graph, index: self.index.clone(), distances, reduced: true })
+    }
+
+    /// Returns the length of the shortest route; 0 m from a place to itself.
+    ///
+    /// # Errors
+    /// [`RouteError`] with both ends.
+    pub fn distance(&self, from: &PlaceId, to: &PlaceId) -> Result<Metres, RouteError> {
+        let (start, end) = (self.node(from, from, to)?, self.node(to, from, to)?);
+        let length = Metres::new(self.to(end)[start.index()]);
+        length.map_err(|_| match self.reduced {
+            true => RouteError::Closed { from: from.clone(), to: to.clone() },
+            false => RouteError::Unreachable { from: from.clone(), to: to.clone() },
+        })
+    }
+
+    /// Returns the shortest route. Of several equally short routes, the first in the order of the
+    /// places' names.
+    ///
+    /// # Errors
+    /// [`RouteError`] with both ends.
+    pub fn route(&self, from: &PlaceId, to: &PlaceId) -> Result<Route, RouteError> {
+        let length = self.distance(from, to)?;
+        let (mut at, end) = (self.index[from], self.index[to]);
+        let distances = self.to(end);
+        let mut places = vec![from.clone()];
+        while at != end {
+            // The search added the same two numbers, so the sum is equal to the last bit for at
+            // least one neighbour. Edges have a positive length, so every step comes nearer.
+            let closer = |next: &NodeIndex| {
+                let edge = self.graph.find_edge(at, *next).expect("a neighbour has an edge");
+                distances[next.index()] + self.graph[edge] == distances[at.index()]
+            };
+            // Nodes were numbered in the order of the places' names.
+            at = self.graph.neighbors(at).filter(closer).min().expect("a finite distance has a next step");
+            places.push(self.graph[at].0.clone());
+        }
+        Ok(Route { places, length })
+    }
+
+    /// Returns the places to drive to, in order, for a robot at `pose` that last passed `passed`.
+    /// On a leg the robot continues or turns back, whichever is shorter and allowed. Anywhere else
+    /// it first returns to `passed`. Empty at `to`.
+    ///
+    /// # Errors
+    /// [`RouteError`] with both ends.
+    pub fn legs(&self, passed: &PlaceId, pose: Pose, to: &PlaceId) -> Result<Vec<PlaceId>, RouteError> {
+        let route = self.route(passed, to);
+        let start = self.node(passed, passed, to)?;
+        let from_passed = self.graph[start].1.distance(pose).get();
+        if from_passed <= TOLERANCE_M {
+            return Ok(route?.places.split_off(1));
+        }
+        let Some((ahead, left)) = self.leg_at(start, pose) else { return Ok(route?.places) };
+        let onward = self.route(&self.graph[ahead].0, to);
+        let back = self.graph.find_edge(ahead, start).and(route.as_ref().ok());
+        match (onward, back) {
+            (Ok(onward), Some(back)) if back.length.get() + from_passed < onward.length.get() + left => {
+                Ok(back.places.clone())
+            }
+            (Ok(onward), _) => Ok(onward.places),
+            (Err(_), Some(back)) => Ok(back.places.clone()),
+            (Err(error), None) => Err(error),
+        }
+    }
+
+    /// Returns the distance along these [`legs`](Routes::legs).
+    ///
+    /// # Errors
+    /// [`RouteError`] with both ends.
+    pub fn distance_left(&self, passed: &PlaceId, pose: Pose, to: &PlaceId) -> Result<Metres, RouteError> {
+        let legs = self.legs(passed, pose, to)?;
+        let Some((first, start)) = legs.first().and_then(|first| Some((first, self.pose(first)?))) else {
+            return Ok(Metres::ZERO);
+        };
+        Ok(pose.distance(start) + self.distance(first, to)?)
+    }
+
+    /// Returns the travel time along these [`legs`](Routes::legs), at this speed or the limits,
+    /// with the delays in `passages`. Delays on the way to the first of the legs count only for a
+    /// robot that stands at `passed`.
+    ///
+    /// # Errors
+    /// [`RouteError`] with both ends.
+    pub fn time_left(
+        &self,
+        passed: &PlaceId,
+        pose: Pose,
+        to: &PlaceId,
+        speed: MetresPerSecond,
+        passages: &Passages,
+    ) -> Result<Seconds, RouteError> {
+        let mut legs = self.legs(passed, pose, to)?;
+        let stands_there = self.pose(passed).is_some_and(|place| place.distance(pose).get() <= TOLERANCE_M);
+        let mut time = Seconds::ZERO;
+        if stands_there {
+            legs.insert(0, passed.clone());
+        } else if let Some(first) = legs.first().and_then(|first| self.pose(first)) {
+            time += pose.distance(first).at(speed);
+        }
+        for leg in legs.windows(2) {
+            time += passages.time(&leg[0], &leg[1], self.distance(&leg[0], &leg[1])?, speed);
+        }
+        Ok(time)
+    }
+
+    /// Returns the pose of a place.
+    pub fn pose(&self, place: &PlaceId) -> Option<Pose> {
+        self.index.get(place).map(|node| self.graph[*node].1)
+    }
+
+    /// All places, in the order of their names.
+    pub fn places(&self) -> impl Iterator<Item = &PlaceId> {
+        self.index.keys()
+    }
+
+    /// Returns the leg from `start` with `pose` on its straight line: its other end, and the
+    /// distance left in metres.
+    fn leg_at(&self, start: NodeIndex, pose: Pose) -> Option<(NodeIndex, f64)> {
+        let begin = self.graph[start].1;
+        let mut best: Option<(f64, NodeIndex, f64)> = None;
+        let mut ends: Vec<NodeIndex> = self.graph.neighbors(start).collect();
+        ends.sort();
+        for end in ends {
+            let off = distance_to_segment(pose, begin, self.graph[end].1);
+            if off <= TOLERANCE_M && best.is_none_or(|(least, ..)| off < least) {
+                best = Some((off, end, pose.distance(self.graph[end].1).get()));
+            }
+        }
+        best.map(|(_, end, left)| (end, left))
+    }
+
+    fn node(&self, place: &PlaceId, from: &PlaceId, to: &PlaceId) -> Result<NodeIndex, RouteError> {
+        let unknown = || RouteError::UnknownPlace { from: from.clone(), to: to.clone(), place: place.clone() };
+        self.index.get(place).copied().ok_or_else(unknown)
+    }
+
+    /// Returns the distances from every node to `end`, in metres.
+    fn to(&self, end: NodeIndex) -> &[f64] {
+        self.distances[end.index()].get_or_init(|| {
+            let mut metres = vec![f64::INFINITY; self.graph.node_count()];
+            for (node, length) in dijkstra(Reversed(&self.graph), end, None, |edge| *edge.weight()) {
+                metres[node.index()] = length;
+            }
+            metres
+        })
+    }
+}
+
+fn distance_to_segment(pose: Pose, begin: Pose, end: Pose) -> f64 {
+    let (dx, dy) = (end.x - begin.x, end.y - begin.y);
+    let square = dx * dx + dy * dy;
+    let along = if square > 0.0 { ((pose.x - begin.x) * dx + (pose.y - begin.y) * dy) / square } else { 0.0 };
+    let along = along.clamp(0.0, 1.0);
+    pose.distance(Pose::new(begin.x + along * dx, begin.y + along * dy, 0.0)).get()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,33 @@
+//! Data of a skill: the task, the holders of the roles, and the environment.
+
+use crate::bt::{Registry, RegistryError};
+use crate::environment::Environment;
+use consort_protocol::ids::{RobotId, RoleId};
+use consort_protocol::mission::TaskSpec;
+use std::collections::BTreeMap;
+
+/// Mission data for a skill.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct SkillContext {
+    /// Holders of the managed roles, this robot included.
+    pub holders: BTreeMap<RoleId, RobotId>,
+}
+
+/// Data available to the leaves of a skill when it starts.
+#[derive(Debug, Clone)]
+pub struct TaskContext {
+    /// The task.
+    pub task: TaskSpec,
+    /// The role holders.
+    pub skill: SkillContext,
+    /// The environment.
+    pub environment: Environment,
+}
+
+/// A standard skill.
+pub(crate) struct StandardSkill {
+    pub(crate) task_type: &'static str,
+    pub(crate) xml: &'static str,
+    /// Registers the leaves of the skill; other skills may use them too.
+    pub(crate) register_leaves: fn(&mut Registry<TaskContext>) -> Result<(), RegistryError>,
+}

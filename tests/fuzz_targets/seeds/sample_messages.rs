@@ -1,0 +1,396 @@
+//! Messages of a fleet that carries out a mission.
+
+use super::fleet;
+use consort_fleet::robot::{AlternativeProgress, Checkpoint};
+use consort_fleet::robot_driver::{
+    DriverCommand, DriverState, GoalRequest, PersonCommand, PersonEvent, PersonRequestState,
+};
+use consort_gossip::{GossipHarness, GossipInput as How};
+use consort_protocol::auction::{AuctionId, AuctionRecord, Bid, BidPart, BidResponse, CallForBids, RoleReply};
+use consort_protocol::codec::{encode, encode_for_version, encode_record};
+use consort_protocol::ids::{ClusterId, NodeId, RoleId};
+use consort_protocol::knowledge::{Availability, DigestScope, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
+use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
+use consort_protocol::ledger::{Branch, Command, Ledger};
+use consort_protocol::message::{
+    ActiveMissions, ActivePlan, AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope,
+    Exchange, FailureKind, MissionsChanged, RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
+};
+use consort_protocol::plan::{LocalPlan, StepAction, StepIndex};
+use consort_protocol::pose::Pose;
+use consort_protocol::trust::{Fingerprint, MessageKind, SIGNATURE_BYTES, SignedEnvelope, encode_envelope};
+use consort_protocol::units::{BatteryShare, Seconds, SharePerSecond};
+use consort_protocol::versions::VersionRange;
+use consort_skills::actions::{Goal, GoalId, GoalStatus};
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Debug;
+use std::str::FromStr;
+use std::time::Duration;
+
+const NEWEST: u8 = VersionRange::OWN.newest;
+const EPOCH: Epoch = Epoch { term: 3, index: 3 };
+
+fn slug<T: FromStr<Err: Debug>>(name: &str) -> T {
+    name.parse().expect("a slug")
+}
+
+/// Encodes a frame of a composite input.
+pub(super) fn frame(kind: u8, bytes: &[u8]) -> Vec<u8> {
+    let length = u16::try_from(bytes.len()).expect("a small piece");
+    [&[kind], &length.to_le_bytes()[..], bytes].concat()
+}
+
+fn encoded<T: Serialize>(message: &T) -> Vec<u8> {
+    encode(message).expect("a small message")
+}
+
+fn encoded_statement(wire: u8, statement: RecordUpdate) -> Vec<u8> {
+    encode_for_version(wire, statement).expect("a small message")
+}
+
+fn proof() -> Option<Proof> {
+    Proof::new(Fingerprint([3; 16]), &[1; SIGNATURE_BYTES])
+}
+
+fn stored<T: Serialize>(record: &T) -> Vec<u8> {
+    encode_record(record).expect("a small record")
+}
+
+fn plans() -> BTreeMap<RoleId, LocalPlan> {
+    fleet::submission().division.plans
+}
+
+fn holders() -> BTreeMap<RoleId, RoleHolder> {
+    let roles = fleet::submission().mission.roles;
+    let managed = roles.into_keys().filter(|role| role.as_str().starts_with('r'));
+    managed.map(|role| (role, RoleHolder { robot: slug("ada"), epoch: EPOCH })).collect()
+}
+
+fn record(owner: &str) -> Record {
+    let worker = RobotKnowledge {
+        skills: BTreeSet::from([slug("navigation")]),
+        place: slug("Dock"),
+        pose: Pose::new(1.0, 2.0, 0.5),
+        battery: BatteryShare::new(0.5).expect("a share"),
+        discharge: SharePerSecond::new(0.001).expect("a rate"),
+        useful_charge: BatteryShare::new(0.1).expect("a share"),
+        speed: None,
+        availability: Availability::Free,
+        estimator: "calibrated".to_owned(),
+    };
+    let knowledge = Knowledge {
+        may_vote: true,
+        stationary: false,
+        mains_powered: false,
+        replica: Some(7),
+        cluster: Some(ClusterId(1)),
+        leaving: false,
+        supported_versions: VersionRange { oldest: 1, newest: 1 },
+        robot: Some(worker),
+    };
+    Record { owner: slug(owner), stamp: RecordStamp { incarnation: 5, version: 9 }, knowledge, proof: proof() }
+}
+
+fn bid() -> Bid {
+    let seconds = |seconds: f64| Seconds::new(seconds).expect("a time");
+    Bid {
+        robot: slug("ada"),
+        role: slug("r1"),
+        time: seconds(120.0),
+        energy: 0.1,
+        remaining: 0.4,
+        useful_charge: BatteryShare::new(0.1).expect("a share"),
+        from: slug("Dock"),
+        age_ms: 30,
+        parts: vec![BidPart {
+            step: 0,
+            label: "drive".to_owned(),
+            skill: slug("navigation"),
+            time: seconds(120.0),
+            energy: 0.1,
+        }],
+    }
+}
+
+fn auction() -> AuctionId {
+    AuctionId { mission: slug("lab-samples-1"), term: 3, round: 1 }
+}
+
+fn award(role: &str, plan: LocalPlan) -> Award {
+    Award {
+        mission: slug("lab-samples-1"),
+        role: slug(role),
+        robot: slug("ada"),
+        epoch: EPOCH,
+        plan,
+        holders: holders(),
+    }
+}
+
+fn report() -> Report {
+    Report {
+        robot: slug("ada"),
+        incarnation: 5,
+        mission: slug("lab-samples-1"),
+        role: slug("r1"),
+        epoch: EPOCH,
+        branch: Branch::default(),
+        ended: BTreeSet::from([0, 1]),
+        current_task: Some(slug("navto_room")),
+        place: Some(slug("Dock")),
+        from_checkpoint: false,
+        failure: Some(TaskFailure { task: None, cause: "it fell".to_owned(), kind: FailureKind::Task }),
+    }
+}
+
+fn state() -> DriverState {
+    let telemetry = serde_json::json!({
+        "time": 3.5, "pose": { "x_m": 1.0, "y_m": 2.5, "yaw_rad": 0.5 }, "place": "Dock", "battery": 0.75, "able": true,
+        "closed": [["Dock", "IC Room 6"]],
+    });
+    let telemetry = serde_json::from_value(telemetry).expect("a report");
+    let goal = Goal::NavigateToPose { pose: Pose::new(1.0, 1.0, 0.0), place: None };
+    DriverState {
+        robot: slug("ada"),
+        sequence: 4,
+        telemetry,
+        goals: vec![(GoalId(1), GoalStatus::Succeeded), (GoalId(2), GoalStatus::Sent)],
+        completed: vec![(GoalId(1), goal)],
+    }
+}
+
+pub(super) fn body_state() -> Vec<u8> {
+    encoded(&state())
+}
+
+/// Returns a message of each kind, encoded with this wire version.
+pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
+    let (ada, beacon) = (slug::<NodeId>("ada"), beacon());
+    let (role, plan) = plans().into_iter().next().expect("a role");
+    let signals = plan.steps.iter().filter_map(|step| match &step.action {
+        StepAction::Send(signal) | StepAction::Wait(signal) => Some(signal.clone()),
+        StepAction::Task { .. } => None,
+    });
+    let signals: BTreeSet<_> = signals.collect();
+    let live = ActivePlan {
+        mission: slug("lab-samples-1"),
+        branch: Branch::default(),
+        plan: plan.clone(),
+        ended: BTreeSet::from([0]),
+        holders: holders(),
+        vacant: BTreeSet::from([role.clone()]),
+        signals: signals.clone(),
+    };
+    let exchange = Exchange {
+        sums: vec![1, 2, 3],
+        scope: DigestScope::ALL,
+        digest: BTreeMap::from([(ada.clone(), RecordStamp { incarnation: 5, version: 9 })]),
+        records: vec![record("bob")],
+    };
+    let mut all = vec![
+        encode_for_version(wire, exchange).expect("a small message"),
+        encoded_statement(wire, RecordUpdate::Record(record("ada"))),
+        encoded_statement(wire, RecordUpdate::Refresh { stamp: RecordStamp::default(), since: 0, proof: proof() }),
+        encoded(&CallForBids { auction: auction(), ensemble: slug("all"), roles: plans() }),
+        encoded(&BidResponse { robot: slug("ada"), auction: auction(), replies: vec![RoleReply::Bid(bid())] }),
+        encoded(&AwardNotice::Awarded(Box::new(award(role.as_str(), plan)))),
+        encoded(&AwardNotice::Revoked { epoch: EPOCH, reason: EndReason::Over }),
+        encoded(&AwardReply::Acknowledged),
+        encoded(&report()),
+        encoded(&ReportReply::Ended { epoch: EPOCH, reason: EndReason::Replaced, current: Some(EPOCH) }),
+        encoded(&SignalHistory { mission: slug("lab-samples-1"), epoch: EPOCH, signals }),
+        encoded(&ClusterEnvelope { cluster: Some(ClusterId(1)), payload: encoded(&beacon) }),
+        encoded(&beacon),
+        encoded(&BootstrapRequest { node: ada.clone(), mobile: false, on_battery: false }),
+        encoded(&BootstrapReply::Refused { reason: "no".to_owned() }),
+        encoded(&MissionsChanged { node: ada, term: 3 }),
+        encoded(&ActiveMissions { cluster: None, count: 1, plans: vec![live] }),
+        encoded(&DriverCommand { request: Some(GoalRequest::Cancel { id: GoalId(3) }) }),
+        body_state(),
+        encoded(&PersonCommand { id: GoalId(3), request: None }),
+        encoded(&PersonRequestState::Ended(Ok(()))),
+        encoded(&PersonEvent::CancelMission {
+            by: "Nia".to_owned(),
+            role: slug("nurse"),
+            robot: slug("ada"),
+            at_ms: 3,
+        }),
+        encoded(&fleet::submission()),
+    ];
+    all.extend(ledger_commands().iter().map(encoded));
+    all
+}
+
+fn beacon() -> Beacon {
+    let voters = BTreeSet::from([slug("ada"), slug("bob")]);
+    Beacon { node: slug("ada"), term: 3, voters, since_ms: 500, cluster: Some(ClusterId(1)), wire: None }
+}
+
+fn ledger_commands() -> Vec<Command> {
+    let mission = || slug("lab-samples-1");
+    let roles: Vec<RoleId> = holders().into_keys().collect();
+    let given = roles.iter().cloned().zip(["ada", "bob", "cyd", "dan"].map(slug)).collect();
+    let record = AuctionRecord {
+        auction: auction(),
+        at_ms: 7,
+        entries: vec![],
+        omitted: 0,
+        chosen: BTreeMap::clone(&given),
+        failure: None,
+    };
+    let (role, epoch) = (roles[0].clone(), Epoch { term: 1, index: 3 });
+    let ended = BTreeSet::from([0]);
+    vec![
+        Command::Bootstrap { cluster: ClusterId(1) },
+        Command::Submit(Box::new(fleet::submission())),
+        Command::Award { mission: mission(), branch: Branch::default(), holders: given, auction: record },
+        Command::Accept { mission: mission(), role: role.clone(), epoch, incarnation: 5, from_checkpoint: false },
+        Command::Progress { mission: mission(), role: role.clone(), epoch, branch: Branch::default(), ended },
+        Command::Release {
+            mission: mission(),
+            role,
+            epoch,
+            cause: "it is lost".to_owned(),
+            robot_failed: true,
+            place: Some(slug("Dock")),
+        },
+        Command::Cancel { mission: mission(), by: "Nia".to_owned(), places: BTreeMap::new() },
+    ]
+}
+
+pub(super) fn commands() -> Vec<u8> {
+    ledger_commands().iter().flat_map(|command| frame(0, &encoded(command))).collect()
+}
+
+pub(super) fn awards() -> Vec<Vec<u8>> {
+    let notices = plans().into_iter().map(|(role, plan)| {
+        let notice = AwardNotice::Awarded(Box::new(award(role.as_str(), plan)));
+        let renewed = ReportReply::Renewed {
+            epoch: EPOCH,
+            ended: BTreeSet::from([0]),
+            holders: holders(),
+            signals: BTreeSet::new(),
+        };
+        [frame(0, &encoded(&notice)), frame(1, &encoded(&renewed)), frame(2, &[])].concat()
+    });
+    notices.collect()
+}
+
+pub(super) fn checkpoints() -> Vec<Vec<u8>> {
+    let page = |(role, plan): (RoleId, LocalPlan)| {
+        let ended: BTreeSet<StepIndex> = BTreeSet::from([0]);
+        Checkpoint {
+            award: award(role.as_str(), plan),
+            ended,
+            alternatives: AlternativeProgress::default(),
+            first_goal: GoalId(3),
+        }
+        .encode()
+    };
+    plans().into_iter().map(page).collect()
+}
+
+pub(super) fn gossip() -> Vec<Vec<u8>> {
+    let exchange = |sums, records| {
+        let digest = BTreeMap::from([
+            (slug("ada"), RecordStamp { incarnation: 9, version: 2 }),
+            (slug("cyd"), RecordStamp::default()),
+        ]);
+        let exchange = Exchange { sums, scope: DigestScope::ALL, digest, records };
+        encode_for_version(NEWEST, exchange).expect("a small message")
+    };
+    // Messages of Bob after a record of Ada, including packets of failure detection.
+    let mut bob = GossipHarness::new(slug("ward"), slug("bob"));
+    let ada = encoded_statement(NEWEST, RecordUpdate::Record(record("ada")));
+    let mut message = bob.receive(How::Published(slug("ada")), &ada).expect("a statement");
+    message.extend(bob.advance(Duration::from_secs(3)).expect("time passes"));
+    let packets: Vec<u8> = message.iter().flat_map(|packet| frame(2, packet)).collect();
+    vec![
+        [packets, frame(255, &[])].concat(),
+        [
+            frame(0, &encoded_statement(NEWEST, RecordUpdate::Record(record("bob")))),
+            frame(
+                0,
+                &encoded_statement(
+                    NEWEST,
+                    RecordUpdate::Refresh {
+                        stamp: RecordStamp { incarnation: 5, version: 10 },
+                        since: 9,
+                        proof: proof(),
+                    },
+                ),
+            ),
+            frame(
+                1,
+                &encoded_statement(
+                    NEWEST,
+                    RecordUpdate::Refresh {
+                        stamp: RecordStamp { incarnation: 5, version: 10 },
+                        since: 9,
+                        proof: proof(),
+                    },
+                ),
+            ),
+            frame(3, &exchange(vec![1, 2, 3], vec![])),
+            frame(3, &exchange(vec![], vec![record("cyd")])),
+            frame(255, &[]),
+            frame(12, &exchange(vec![], vec![record("dan")])),
+        ]
+        .concat(),
+    ]
+}
+
+/// Payload of a log entry, with the layout of Raft's own types.
+#[derive(Serialize)]
+enum Payload {
+    Blank,
+    Normal(Vec<Command>),
+    Membership((Vec<BTreeSet<u64>>, BTreeMap<u64, NodeId>)),
+}
+
+pub(super) fn raft() -> Vec<Vec<u8>> {
+    type Log = (u64, u64);
+    let (cluster, vote, last): (_, _, Option<Log>) = (Some(ClusterId(1)), ((3_u64, Some(7_u64)), true), Some((3, 4)));
+    let voters = || (vec![BTreeSet::from([7_u64])], BTreeMap::from([(7_u64, slug::<NodeId>("ada"))]));
+    let entries = vec![
+        ((3_u64, 5_u64), Payload::Blank),
+        ((3, 6), Payload::Normal(ledger_commands())),
+        ((3, 7), Payload::Membership(voters())),
+    ];
+    let meta = (last, (last, voters()), "3-7-4@0007");
+    let state = stored(&Ledger::default());
+    let mut all = vec![
+        encoded(&(cluster, (vote, last))),
+        encoded(&(cluster, (vote, last, &entries, last))),
+        encoded(&(cluster, (vote, &meta, 0_u64, &state, true))),
+        encoded(&(cluster, (vote, 8_u64))),
+        stored(&(meta, &state)),
+    ];
+    all.extend(entries.iter().map(stored));
+    all
+}
+
+pub(super) fn signed_envelopes() -> Vec<Vec<u8>> {
+    let seal = |kind| {
+        let statement = encoded_statement(NEWEST, RecordUpdate::Record(record("ada")));
+        let by = Fingerprint([3; 16]);
+        encode_envelope(
+            kind,
+            SignedEnvelope { signer: by, number: 9, signature: &[1; SIGNATURE_BYTES], payload: &statement },
+        )
+    };
+    let ada = b"consort://ward/node/ada?roles=robot,voter";
+    let message =
+        |act: u8, key: &str, payload: Vec<u8>| [frame(act, ada), frame(0, key.as_bytes()), frame(0, &payload)].concat();
+    let within = |message: Vec<u8>| encoded(&ClusterEnvelope { cluster: Some(ClusterId(1)), payload: message });
+    vec![
+        seal(MessageKind::Publication),
+        seal(MessageKind::Query),
+        seal(MessageKind::Reply(Fingerprint([3; 16]), 9)),
+        message(0, "wire/knowledge/ada", encoded_statement(NEWEST, RecordUpdate::Record(record("ada")))),
+        message(0, "wire/beacon", within(encoded(&beacon()))),
+        message(1, "wire/report/bob", within(encoded(&report()))),
+        message(1, "wire/raft/0000000000abcdef/vote", vec![]),
+    ]
+}

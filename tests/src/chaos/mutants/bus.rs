@@ -1,0 +1,240 @@
+//! Bus of a node with a bug: the bus changes messages that the node sends or receives.
+
+use super::Mutant;
+use super::injection::KnownLedger;
+use super::reports::{ReportBug, decode_report, with_all_signals};
+use async_trait::async_trait;
+use bytes::Bytes;
+use consort_bus::{
+    Bus, BusError, Delivery, Encoding, Link, Presence, PresenceToken, Query, Reply, Sample, ServiceSelection,
+    SharedBus, Stream,
+};
+use consort_fleet::node::NodeSettings;
+use consort_protocol::codec;
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::{ApiCall, Key, Keys, RaftCall};
+use consort_protocol::message::{AwardNotice, ClusterEnvelope, Exchange, ReportReply};
+use serde::Serialize;
+use serde_json::{Value, json};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::sync::mpsc;
+
+/// Layer over the bus of a node that injects a bug into the node.
+pub(super) struct FaultyBus {
+    mutant: Mutant,
+    node: NodeId,
+    keys: Keys,
+    ledger: KnownLedger,
+    /// Last renewal that this node's robot received.
+    renewal: Arc<Mutex<Option<Bytes>>>,
+    inner: SharedBus,
+}
+
+/// Query as passed to the inner bus.
+struct OutgoingQuery<'a> {
+    key: &'a str,
+    payload: Bytes,
+    attachment: Bytes,
+    timeout: Duration,
+    target: ServiceSelection,
+}
+
+/// Reply of a voter to a heartbeat request, in the layout of `consort_raft`.
+#[derive(Serialize)]
+enum HeartbeatReply {
+    Done { follows: bool, busy: bool },
+}
+
+impl FaultyBus {
+    pub(super) fn new(mutant: Mutant, settings: &NodeSettings, ledger: KnownLedger, inner: SharedBus) -> FaultyBus {
+        let (node, keys) = (settings.node.clone(), Keys::new(&settings.fleet.fleet));
+        FaultyBus { mutant, node, keys, ledger, renewal: Arc::default(), inner }
+    }
+
+    async fn send(&self, query: OutgoingQuery<'_>) -> Result<Stream<Reply>, BusError> {
+        let OutgoingQuery { key, payload, attachment, timeout, target } = query;
+        self.inner.query_with(key, payload, attachment, timeout, target).await
+    }
+
+    /// Acknowledges a heartbeat request for a voter that does not reply.
+    async fn acknowledge_heartbeat(&self, query: OutgoingQuery<'_>) -> Result<Stream<Reply>, BusError> {
+        let (key, limit) = (query.key.to_owned(), query.timeout / 2);
+        let mut replies = self.send(query).await?;
+        let reply = tokio::time::timeout(limit, replies.recv()).await.ok().flatten();
+        let acknowledged = HeartbeatReply::Done { follows: true, busy: false };
+        Ok(single(reply.unwrap_or_else(|| reply_with(&key, encoded(&acknowledged)))))
+    }
+
+    /// Renews the lease of a robot again when the coordinator does not reply.
+    async fn renew_without_reply(&self, query: OutgoingQuery<'_>) -> Result<Stream<Reply>, BusError> {
+        let (key, report) = (query.key.to_owned(), decode_report(&query.payload));
+        let mut replies = self.send(query).await?;
+        let reply = replies.recv().await;
+        let mut renewal = self.renewal.lock().unwrap_or_else(PoisonError::into_inner);
+        match reply.as_ref().and_then(decode_reply) {
+            Some(ReportReply::Renewed { .. }) => {
+                *renewal = reply.as_ref().and_then(|reply| reply.payload.clone().ok());
+            }
+            Some(ReportReply::Ended { .. }) => {}
+            Some(ReportReply::NotCoordinator { .. }) | None => {
+                let last = renewal.clone().filter(|bytes| {
+                    let renewed = codec::decode(bytes).ok();
+                    matches!((renewed, report), (Some(ReportReply::Renewed { epoch, .. }), Some(report)) if epoch == report.epoch)
+                });
+                if let Some(renewal) = last {
+                    return Ok(single(reply_with(&key, renewal)));
+                }
+            }
+        }
+        Ok(reply.map_or_else(empty, single))
+    }
+
+    /// Passes on only records of the node itself, in both directions.
+    async fn exchange_own_records(&self, peer: NodeId, query: OutgoingQuery<'_>) -> Result<Stream<Reply>, BusError> {
+        let payload = retain_records_of(&self.node, query.payload);
+        let replies = self.send(OutgoingQuery { payload, ..query }).await?;
+        Ok(replies.map(move |reply| Reply {
+            payload: reply.payload.map(|payload| retain_records_of(&peer, payload)),
+            ..reply
+        }))
+    }
+
+    /// Adds all signals that the role awaits to the replies to its reports.
+    async fn receive_all_signals(&self, query: OutgoingQuery<'_>) -> Result<Stream<Reply>, BusError> {
+        let (report, ledger) = (decode_report(&query.payload), self.ledger.clone());
+        let replies = self.send(query).await?;
+        Ok(replies.map(move |reply| match (&report, decode_reply(&reply)) {
+            (Some(report), Some(told)) => {
+                let told = ledger.read(|ledger| with_all_signals(ledger, report, told));
+                Reply { payload: Ok(encoded(&told)), ..reply }
+            }
+            _ => reply,
+        }))
+    }
+
+    fn change_incoming(&self, queries: Stream<Query>) -> Stream<Query> {
+        let (mutant, keys, ledger) = (self.mutant, self.keys.clone(), self.ledger.clone());
+        let report_bug = ReportBug::of(mutant);
+        let mut forgotten = 0;
+        queries.map(move |query| match (mutant, keys.read(&query.key)) {
+            (Mutant::GuardSkipped, Some(Key::Award(_))) => without_guards(query),
+            (Mutant::RequestForgotten, Some(Key::Api(ApiCall::Submit))) => {
+                forget_request(query, &ledger, &mut forgotten)
+            }
+            (_, Some(Key::Report(_))) => match report_bug {
+                Some(bug) => bug.apply(query, &ledger),
+                None => query,
+            },
+            _ => query,
+        })
+    }
+}
+
+/// Removes the guards from the plan of an award.
+fn without_guards(query: Query) -> Query {
+    let Ok(ClusterEnvelope { cluster, payload }) = codec::decode(&query.payload) else { return query };
+    let Ok(AwardNotice::Awarded(mut award)) = codec::decode(&payload) else { return query };
+    award.plan.guarded.clear();
+    let payload = encoded(&AwardNotice::Awarded(award)).to_vec();
+    Query { payload: encoded(&ClusterEnvelope { cluster, payload }), ..query }
+}
+
+/// Renames a request that the ledger already contains, so that it counts as a new request.
+fn forget_request(query: Query, ledger: &KnownLedger, forgotten: &mut u64) -> Query {
+    let Ok(mut request) = serde_json::from_slice::<Value>(&query.payload) else { return query };
+    let Some(name) = request["request"].as_str().map(str::to_owned) else { return query };
+    let is_known = |id| ledger.read(|ledger| ledger.mission_of_request(&id).is_some());
+    if !name.parse().is_ok_and(is_known) {
+        return query;
+    }
+    *forgotten += 1;
+    request["request"] = json!(format!("{name}-{forgotten}"));
+    Query { payload: request.to_string().into(), ..query }
+}
+
+/// Removes the records of all other owners from an exchange of gossip.
+fn retain_records_of(owner: &NodeId, payload: Bytes) -> Bytes {
+    let Ok(mut exchange) = codec::decode_any_version::<Exchange>(&payload) else { return payload };
+    exchange.records.retain(|record| record.owner == *owner);
+    let version = payload.first().copied().unwrap_or(codec::FIRST_VERSION);
+    codec::encode_for_version(version, exchange).expect("an exchange with fewer records fits a message").into()
+}
+
+pub(super) fn encoded<T: Serialize>(message: &T) -> Bytes {
+    codec::encode(message).expect("a changed message fits a message").into()
+}
+
+fn decode_reply(reply: &Reply) -> Option<ReportReply> {
+    codec::decode(reply.payload.as_ref().ok()?).ok()
+}
+
+fn reply_with(key: &str, payload: Bytes) -> Reply {
+    Reply { key: key.to_owned(), payload: Ok(payload), attachment: Bytes::new() }
+}
+
+fn empty() -> Stream<Reply> {
+    Stream::new(mpsc::unbounded_channel().1, Box::new(()))
+}
+
+fn single(reply: Reply) -> Stream<Reply> {
+    let (sender, receiver) = mpsc::unbounded_channel();
+    sender.send(reply).expect("the receiver exists");
+    Stream::new(receiver, Box::new(()))
+}
+
+#[async_trait]
+impl Bus for FaultyBus {
+    async fn publish_with_attachment(
+        &self,
+        key: &str,
+        payload: Bytes,
+        attachment: Bytes,
+        encoding: Encoding,
+        delivery: Delivery,
+    ) -> Result<(), BusError> {
+        self.inner.publish_with_attachment(key, payload, attachment, encoding, delivery).await
+    }
+
+    async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
+        self.inner.subscribe(key_expr).await
+    }
+
+    async fn query_with(
+        &self,
+        key_expr: &str,
+        payload: Bytes,
+        attachment: Bytes,
+        timeout: Duration,
+        target: ServiceSelection,
+    ) -> Result<Stream<Reply>, BusError> {
+        let query = OutgoingQuery { key: key_expr, payload, attachment, timeout, target };
+        match (self.mutant, self.keys.read(key_expr)) {
+            (Mutant::NoCheckQuorum, Some(Key::Raft(_, RaftCall::Heartbeat))) => self.acknowledge_heartbeat(query).await,
+            (Mutant::LeaseNotChecked, Some(Key::Report(_))) => self.renew_without_reply(query).await,
+            (Mutant::LostRelay, Some(Key::Gossip(peer))) => self.exchange_own_records(peer, query).await,
+            (Mutant::WaitSkipped, Some(Key::Report(_))) => self.receive_all_signals(query).await,
+            _ => self.send(query).await,
+        }
+    }
+
+    async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
+        Ok(self.change_incoming(self.inner.serve(key_expr).await?))
+    }
+
+    async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
+        Ok(self.change_incoming(self.inner.serve_complete(key_expr).await?))
+    }
+
+    async fn announce(&self, key: &str) -> Result<PresenceToken, BusError> {
+        self.inner.announce(key).await
+    }
+
+    async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
+        self.inner.watch(key_expr).await
+    }
+
+    async fn links(&self) -> Vec<Link> {
+        self.inner.links().await
+    }
+}

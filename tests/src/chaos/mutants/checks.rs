@@ -1,0 +1,94 @@
+//! The checks: one injected bug at a time, which chaos must find under the usual generated faults.
+
+use super::Mutant;
+use crate::chaos::chaos_fleet::ChaosFleet;
+use crate::chaos::generate::generate;
+use crate::chaos::run::RunConfig;
+use crate::chaos::schedule::FaultKind;
+use crate::chaos::seed_sweep::SeedSweep;
+use serde::Serialize;
+
+/// A mutation check.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MutantCheck {
+    /// The injected bug.
+    pub mutant: Mutant,
+    /// Number of seeds, from 1 on, within which chaos must find the bug.
+    pub seeds_max: u64,
+}
+
+/// Simulated minutes of each run of a check.
+pub const MINUTES: f64 = 3.0;
+
+/// Nodes of the fleet in a check.
+pub const NODES: usize = 7;
+
+/// All injected bugs with the number of seeds within which chaos must find each: about three times
+/// the measured number. The bug with 90 seeds needs a lost acknowledgement and a client that
+/// repeats the request under the same name.
+pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
+    MutantCheck { mutant: Mutant::SkipFsync, seeds_max: 20 },
+    MutantCheck { mutant: Mutant::DoubleVote, seeds_max: 20 },
+    MutantCheck { mutant: Mutant::NoCheckQuorum, seeds_max: 3 },
+    MutantCheck { mutant: Mutant::IgnoreEpoch, seeds_max: 30 },
+    MutantCheck { mutant: Mutant::LeaseNotChecked, seeds_max: 30 },
+    MutantCheck { mutant: Mutant::EarlyRelease, seeds_max: 30 },
+    MutantCheck { mutant: Mutant::RefusedApplied, seeds_max: 30 },
+    MutantCheck { mutant: Mutant::UncommittedReport, seeds_max: 3 },
+    MutantCheck { mutant: Mutant::RequestForgotten, seeds_max: 90 },
+    MutantCheck { mutant: Mutant::LostRelay, seeds_max: 3 },
+    MutantCheck { mutant: Mutant::WaitSkipped, seeds_max: 3 },
+    MutantCheck { mutant: Mutant::GuardSkipped, seeds_max: 3 },
+    MutantCheck { mutant: Mutant::TwoRemoved, seeds_max: 6 },
+];
+
+/// Result of a mutation check.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct MutantResult {
+    /// The injected bug.
+    pub mutant: &'static str,
+    /// Number of seeds within which chaos must find the bug.
+    pub seeds_max: u64,
+    /// Number of seeds it took, if the bug was found.
+    pub seeds: Option<u64>,
+    /// The violated invariant.
+    pub invariant: Option<String>,
+    /// Reason of the violation.
+    pub reason: Option<String>,
+}
+
+/// Runs a mutation check on `jobs` threads; calls `each` after each run. A violation counts only if
+/// everything holds for the same seed without the bug. Otherwise the fleet itself has a bug.
+pub fn check_mutant(check: MutantCheck, jobs: usize, mut each: impl FnMut()) -> MutantResult {
+    let composition = ChaosFleet::of(NODES);
+    let config = |seed, mutant| {
+        (
+            RunConfig { seed, nodes: NODES, minutes: MINUTES, closed: false, mutant },
+            generate(seed, &composition, MINUTES, &FaultKind::FAULTS),
+        )
+    };
+    let mut first = 1;
+    let found = loop {
+        let mutated =
+            SeedSweep { seeds: first..=check.seeds_max, jobs, config: &|seed| config(seed, Some(check.mutant)) };
+        let Some(found) = mutated.run(|_| each()) else { break None };
+        let seeds = found.seed..=found.seed;
+        let holds_without_mutant =
+            SeedSweep { seeds, jobs: 1, config: &|seed| config(seed, None) }.run(|_| each()).is_none();
+        if holds_without_mutant {
+            break Some(found);
+        }
+        first = found.seed + 1;
+        if first > check.seeds_max {
+            break None;
+        }
+    };
+    let violation = found.as_ref().and_then(|outcome| outcome.violation.clone());
+    MutantResult {
+        mutant: check.mutant.name(),
+        seeds_max: check.seeds_max,
+        seeds: found.map(|outcome| outcome.seed),
+        invariant: violation.as_ref().map(|violation| violation.invariant.clone()),
+        reason: violation.map(|violation| violation.reason),
+    }
+}

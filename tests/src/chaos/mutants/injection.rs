@@ -1,0 +1,85 @@
+//! Injection of a bug into the nodes of a run.
+
+use super::Mutant;
+use super::bus::FaultyBus;
+use super::log_store::FaultyLogStore;
+use crate::chaos::invariants::ReferenceLedger;
+use consort_bus::SharedBus;
+use consort_fleet::autopilot::{AutopilotAction, AutopilotInput, decide};
+use consort_fleet::node::NodeSettings;
+use consort_fleet::observe::{Observer, SharedObserver};
+use consort_protocol::event::Event;
+use consort_protocol::ids::NodeId;
+use consort_protocol::lease::{Epoch, LeaseTerms};
+use consort_protocol::ledger::{Command, Ledger};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Ledger of the run as known to the injected bugs. Clones share the ledger.
+#[derive(Clone, Default)]
+pub(super) struct KnownLedger(Arc<Mutex<ReferenceLedger>>);
+
+impl KnownLedger {
+    pub(super) fn read<R>(&self, inspect: impl FnOnce(&Ledger) -> R) -> R {
+        inspect(&self.0.lock().unwrap_or_else(PoisonError::into_inner).ledger)
+    }
+}
+
+impl Observer for KnownLedger {
+    fn on_event(&self, _: &Event) {}
+
+    fn on_applied(&self, _: &NodeId, at: Epoch, commands: &[Command]) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).apply(at, commands);
+    }
+}
+
+/// Injection of a bug into all nodes of a run. The fleet must be open: a changed message would not
+/// match its signature.
+#[derive(Clone)]
+pub(in crate::chaos) struct MutantInjection {
+    mutant: Mutant,
+    ledger: KnownLedger,
+}
+
+impl MutantInjection {
+    /// Creates the injection for a new run.
+    pub(in crate::chaos) fn new(mutant: Mutant) -> MutantInjection {
+        MutantInjection { mutant, ledger: KnownLedger::default() }
+    }
+
+    /// Changes the settings of a node before it starts.
+    pub(in crate::chaos) fn equip(&self, settings: &mut NodeSettings) {
+        let known: SharedObserver = Arc::new(self.ledger.clone());
+        let observers: Vec<SharedObserver> = settings.observer.take().into_iter().chain([known]).collect();
+        settings.observer = Some(Arc::new(observers));
+        match self.mutant {
+            Mutant::SkipFsync | Mutant::DoubleVote => {
+                let inner = Arc::clone(&settings.store.log_store);
+                settings.store.log_store = Arc::new(FaultyLogStore { mutant: self.mutant, inner });
+            }
+            // The lease of a robot must not change with the wait of the coordinator.
+            Mutant::EarlyRelease if settings.robot.is_none() => {
+                let LeaseTerms { lease, grace } = settings.fleet.lease_terms;
+                settings.fleet.lease_terms = LeaseTerms { lease: lease / 3, grace: grace / 3 };
+            }
+            Mutant::TwoRemoved => settings.fleet.autopilot_rule = remove_two_voters,
+            _ => {}
+        }
+    }
+
+    /// Wraps the bus of a node.
+    pub(in crate::chaos) fn wrap_bus(&self, settings: &NodeSettings, bus: SharedBus) -> SharedBus {
+        Arc::new(FaultyBus::new(self.mutant, settings, self.ledger.clone(), bus))
+    }
+}
+
+/// Decides as [`decide`] does, but removes a second voter together with each removed voter.
+fn remove_two_voters(input: &AutopilotInput) -> Option<AutopilotAction> {
+    match decide(input)? {
+        AutopilotAction::SetVoters { mut voters, reason } if !input.voters.keys().all(|id| voters.contains(id)) => {
+            let second = voters.iter().copied().find(|id| *id != input.me && input.voters.contains_key(id));
+            second.map(|id| voters.remove(&id));
+            Some(AutopilotAction::SetVoters { voters, reason })
+        }
+        action => Some(action),
+    }
+}

@@ -1,0 +1,120 @@
+//! Mutation checks: chaos must find each deliberate bug. Checks that find none of the bugs are
+//! useless.
+//!
+//! The code of the nodes contains no bug for these checks. The harness injects each bug from
+//! outside, into all nodes of a run:
+//!
+//! - by the log store (`log_store.rs`): `skip-fsync`, `double-vote`;
+//! - by settings (`injection.rs`): `early-release`, `two-removed`;
+//! - by the bus of the node (`bus.rs`, and `reports.rs` for the reports of robots): all others.
+
+mod bus;
+mod checks;
+mod injection;
+mod log_store;
+mod reports;
+
+pub use checks::{MINUTES, MUTANT_CHECKS, MutantCheck, MutantResult, NODES, check_mutant};
+pub(super) use injection::MutantInjection;
+
+use std::fmt::{self, Display};
+use std::str::FromStr;
+
+/// Deliberate bug.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Mutant {
+    /// The voter acknowledges log entries and votes before they are on disk.
+    SkipFsync,
+    /// Votes are not persisted: a voter that restarts may vote twice in the same term.
+    DoubleVote,
+    /// A leader without contact to a majority does not step down.
+    NoCheckQuorum,
+    /// The coordinator renews the award that a robot reports, even if it is outdated.
+    IgnoreEpoch,
+    /// A robot continues after the end of its lease.
+    LeaseNotChecked,
+    /// The coordinator releases the role of a silent robot well before lease and grace have passed.
+    EarlyRelease,
+    /// The coordinator records an outdated report under the award in force. (If the ledger alone
+    /// accepted outdated awards, almost nothing would follow: the coordinator has checked a round
+    /// trip before.)
+    RefusedApplied,
+    /// The coordinator answers a report before its content is committed.
+    UncommittedReport,
+    /// A repeated request is not recognised.
+    RequestForgotten,
+    /// Gossip passes on only the node's own record.
+    LostRelay,
+    /// A role passes its waits without having received the signals.
+    WaitSkipped,
+    /// A robot takes over an item, or lets another robot do so, before the ledger is known to
+    /// contain the preceding steps.
+    GuardSkipped,
+    /// The autopilot removes a second voter together with a voter that is gone.
+    TwoRemoved,
+}
+
+impl Mutant {
+    /// All mutants.
+    pub const ALL: [Mutant; 13] = [
+        Mutant::SkipFsync,
+        Mutant::DoubleVote,
+        Mutant::NoCheckQuorum,
+        Mutant::IgnoreEpoch,
+        Mutant::LeaseNotChecked,
+        Mutant::EarlyRelease,
+        Mutant::RefusedApplied,
+        Mutant::UncommittedReport,
+        Mutant::RequestForgotten,
+        Mutant::LostRelay,
+        Mutant::WaitSkipped,
+        Mutant::GuardSkipped,
+        Mutant::TwoRemoved,
+    ];
+
+    /// Returns the name, as used on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Mutant::SkipFsync => "skip-fsync",
+            Mutant::DoubleVote => "double-vote",
+            Mutant::NoCheckQuorum => "no-check-quorum",
+            Mutant::IgnoreEpoch => "ignore-epoch",
+            Mutant::LeaseNotChecked => "lease-not-checked",
+            Mutant::EarlyRelease => "early-release",
+            Mutant::RefusedApplied => "refused-applied",
+            Mutant::UncommittedReport => "uncommitted-report",
+            Mutant::RequestForgotten => "request-forgotten",
+            Mutant::LostRelay => "lost-relay",
+            Mutant::WaitSkipped => "wait-skipped",
+            Mutant::GuardSkipped => "guard-skipped",
+            Mutant::TwoRemoved => "two-removed",
+        }
+    }
+}
+
+impl Display for Mutant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Error: no mutant has this name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UnknownMutant(String);
+
+impl Display for UnknownMutant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names: Vec<_> = Mutant::ALL.into_iter().map(Mutant::name).collect();
+        write!(f, "no mutant is named {:?}; the mutants are {}", self.0, names.join(", "))
+    }
+}
+
+impl std::error::Error for UnknownMutant {}
+
+impl FromStr for Mutant {
+    type Err = UnknownMutant;
+
+    fn from_str(name: &str) -> Result<Mutant, UnknownMutant> {
+        Mutant::ALL.into_iter().find(|mutant| mutant.name() == name).ok_or_else(|| UnknownMutant(name.to_owned()))
+    }
+}
