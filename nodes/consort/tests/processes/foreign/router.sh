@@ -6,7 +6,7 @@
 # A router loads a plug-in only if the same compiler has built both, with the same features of zenoh. So the published sources
 # become two members of a workspace, which is built at once. Shared crates have the versions of Consort's Cargo.lock.
 set -euo pipefail
-checkout=$(cd "$(dirname "$0")/../../.." && pwd)
+checkout=$(cd "$(dirname "$0")/../../../../.." && pwd)
 folder=${1:-${CARGO_TARGET_DIR:-$checkout/target}/tmp/foreign-router}
 version=$(sed -n '/^name = "zenoh"$/{n;s/version = "\(.*\)"/\1/p;}' "$checkout/Cargo.lock")
 
