@@ -114,7 +114,7 @@ fn sums_show_the_classes_in_which_large_bases_differ() {
     ada.merge(record(77, 1, 2), NodeTime::ZERO);
     let scope = DigestScope::of_difference(&ada.class_sums(), &bob.class_sums_like(&ada.class_sums()));
     assert!(scope.contains(&record(77, 0, 0).owner));
-    // About one class of sixteen.
+    // About a sixteenth of the classes.
     assert!((1..=40).contains(&bob.digest(scope).len()), "{}", bob.digest(scope).len());
     let strange = vec![0; 300];
     assert_eq!(DigestScope::of_difference(&bob.class_sums_like(&strange), &strange), DigestScope::ALL);

@@ -27,7 +27,7 @@ pub enum PortPresence {
 pub enum PortConstraint {
     /// No constraint.
     None,
-    /// One of these texts.
+    /// A text of this list.
     OneOf(Vec<String>),
     /// A number from the first to the second, both included.
     Range(f64, f64),

@@ -27,7 +27,7 @@ use hecs::Entity;
 /// End time of a goal with an unknown end.
 pub(crate) const END_UNKNOWN: f64 = f64::INFINITY;
 
-/// One aspect of the world.
+/// A rule of the simulator that advances a single aspect of the world.
 pub(crate) trait System: Sync {
     /// Name of the system in setups.
     fn name(&self) -> &'static str;

@@ -10,7 +10,7 @@ fn read_error(text: &str) -> String {
     }
 }
 
-/// A file with one tree.
+/// Returns a file with a single tree.
 fn file(nodes: &str) -> String {
     format!("<root BTCPP_format=\"4\">\n<BehaviorTree ID=\"main\">\n{nodes}\n</BehaviorTree></root>")
 }

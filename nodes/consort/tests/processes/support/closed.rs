@@ -1,4 +1,4 @@
-//! A fleet whose nodes have certificates.
+//! A fleet with certificates.
 
 use super::{Fleet, example};
 use std::path::PathBuf;

@@ -123,7 +123,7 @@ fn feedback_is_in_the_terms_of_the_goal() {
     let free = |x: f64| Waypoint { pose: Pose::new(x, 0.0, 0.0), place: None };
     let waypoints = vec![free(1.0), free(2.0), free(3.0)];
     world.start(&robot("r1"), GoalId(1), Goal::FollowWaypoints { waypoints });
-    // One metre takes two seconds.
+    // Each metre takes two seconds.
     let reached = [1.0, 3.0, 5.0].map(|seconds| {
         world.advance(at(seconds));
         progress(&world, 1)
