@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
 # Builds the Debian package of Consort, into target/debian:
 #
-#     nodes/deploy/package.sh              # of a release build, which takes its time
-#     nodes/deploy/package.sh dev          # of what `cargo build` builds: to look at the package, not to use it
+#     nodes/deploy/package.sh              # a release build, which takes long
+#     nodes/deploy/package.sh dev          # a development build, only for inspection
 #
-# It needs cargo-deb (cargo install cargo-deb). What it packs is listed in nodes/consort/Cargo.toml, [package.metadata.deb].
+# It needs cargo-deb (cargo install cargo-deb). [package.metadata.deb] in nodes/consort/Cargo.toml
+# lists the files of the package.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 profile=${1:-release}
@@ -13,11 +14,10 @@ case $profile in
     dev) folder=debug ;;
     *) folder=$profile ;;
 esac
-# The whole workspace: a part of it alone would be built with other features, and all of Zenoh anew.
-cargo build --workspace --profile "$profile" --locked
+cargo build --package consort --profile "$profile" --locked
 
-# The program writes its manual pages and completions itself. Cargo and cargo-deb know where `target` is; the list in Cargo.toml
-# does not, and has them beside it.
+# The program writes its own manual pages and completions. The folder of `target` may vary, so the
+# list in Cargo.toml refers to a fixed folder.
 made=nodes/deploy/made
 rm -rf "$made"
 mkdir -p "$made/man"
@@ -25,7 +25,7 @@ consort=$target/$folder/consort
 "$consort" man "$made/man"
 gzip --best --no-name "$made"/man/*.1
 gzip --best --no-name --stdout CHANGELOG.md >"$made/changelog.gz"
-# What Debian wants to be told of the package itself; what changed in the program is in the other one.
+# Debian's changelog of the package. The changes of the program are in changelog.gz.
 cat >"$made/changelog" <<END
 consort ($("$consort" --version | cut -d ' ' -f 2)-1) unstable; urgency=medium
 

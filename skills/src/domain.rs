@@ -12,12 +12,12 @@ pub fn hospital() -> Domain {
     let task = TaskSchema::default;
     [
         ("navigation", task().required("to", Place)),
-        ("approach_person", task().optional("person_role", Role).optional("patience", Seconds)),
-        ("authenticate_person", task().optional("person_role", Role).optional("patience", Seconds)),
+        ("approach_person", task().optional("person_role", Role).optional("timeout_s", Seconds)),
+        ("authenticate_person", task().optional("person_role", Role).optional("timeout_s", Seconds)),
         ("approach_robot", task().required("robot_role", Role)),
         ("operate_drawer", task().required("action", position())),
         ("operate_door", task().required("action", position()).optional("at", Place)),
-        ("deposit", task().optional("into_role", Role).optional("item", Text).optional("patience", Seconds)),
+        ("deposit", task().optional("into_role", Role).optional("item", Text).optional("timeout_s", Seconds)),
         ("pick_up", task().required("from_role", Role).optional("item", Text)),
         ("carry", task().required("to", Place).optional("item", Text)),
         ("disinfect", task().optional("at", Place)),

@@ -1,7 +1,8 @@
 //! Chaos finds injected bugs and shrinks their schedules.
 
 use crate::{jobs, once};
-use consort_tests::chaos::mutants::{MUTANT_CHECKS, Mutant, check_mutant};
+use consort_tests::chaos::mutants::Mutant;
+use consort_tests::chaos::mutation_checks::{MUTANT_CHECKS, check_mutant};
 use consort_tests::chaos::{ChaosAction, ChaosFleet, FaultKind, RunConfig, generate, shrink};
 
 #[test]

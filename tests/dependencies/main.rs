@@ -1,7 +1,8 @@
-//! Dependencies match `deny.toml`, and the modules of each crate have no cycles. cargo-deny checks
-//! more but must be installed; this test needs cargo alone.
+//! Dependencies match `deny.toml`, and the modules of each crate have no cycles and a single layout.
+//! cargo-deny checks more but must be installed; this test needs cargo alone.
 
 mod module_cycles;
+mod module_layout;
 
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -169,10 +170,6 @@ fn every_exception_is_explained_and_still_needed() {
     }
 }
 
-/// Cycles that remain: the crate's folder, and the module with the cycle among its children.
-const REMAINING_CYCLES: [(&str, &str); 3] =
-    [("tests", "crate::behavior"), ("tests", "crate::chaos"), ("tests", "crate::experiment")];
-
 /// Levels of modules to compare: the modules of a crate, and those below each of them.
 const LEVELS: usize = 2;
 
@@ -180,18 +177,22 @@ const LEVELS: usize = 2;
 fn modules_of_a_crate_have_no_cycles() {
     let workspace = table("Cargo.toml");
     let members = workspace["workspace"]["members"].as_array().expect("a list");
-    let mut unneeded: BTreeSet<(&str, &str)> = REMAINING_CYCLES.into();
     let mut found = Vec::new();
     for package in members.iter().map(|member| member.as_str().expect("a folder")) {
         for cycle in module_cycles::cycles(&root().join(package), LEVELS) {
-            if let Some(known) = REMAINING_CYCLES.iter().find(|known| **known == (package, cycle.parent.as_str())) {
-                unneeded.remove(known);
-                continue;
-            }
             let (children, uses) = (Vec::from_iter(cycle.children), Vec::from_iter(cycle.uses));
             found.push(format!("{package} {}: {}\n    {}", cycle.parent, children.join(", "), uses.join("\n    ")));
         }
     }
     assert!(found.is_empty(), "modules depend on each other:\n{}", found.join("\n"));
-    assert!(unneeded.is_empty(), "these cycles are gone: {unneeded:?}");
+}
+
+#[test]
+fn modules_have_a_single_layout() {
+    let workspace = table("Cargo.toml");
+    let members = workspace["workspace"]["members"].as_array().expect("a list");
+    let folders = members.iter().map(|member| member.as_str().expect("a folder")).chain(["sim_bridge/ros2"]);
+    let found: Vec<String> =
+        folders.flat_map(|package| module_layout::violations(&root().join(package).join("src"))).collect();
+    assert!(found.is_empty(), "{}", found.join("\n"));
 }

@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
 # Fuzzes targets in sequence, each for the given number of seconds:
 #   tests/fuzz/run.sh [SECONDS [TARGET…]]          default: 60 seconds, all targets
-# It needs a nightly toolchain and cargo-fuzz (`cargo install cargo-fuzz --locked`). New inputs are stored in
-# tests/fuzz/target/corpus/, failing inputs in tests/fuzz/artifacts/; the input of a fixed failure belongs in
-# tests/fuzz/corpus/TARGET/. No sanitizer: Consort has no unsafe code, and a sanitizer requires another build of everything.
+# It needs a nightly toolchain and cargo-fuzz (`cargo install cargo-fuzz --locked`). New inputs are
+# stored in tests/fuzz/target/corpus/, failing inputs in tests/fuzz/artifacts/. The input of a fixed
+# failure belongs in tests/fuzz/corpus/TARGET/. No sanitizer: Consort has no unsafe code, and a
+# sanitizer requires another build of all dependencies.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 

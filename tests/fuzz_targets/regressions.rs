@@ -120,7 +120,7 @@ fn a_record_longer_than_its_chunk_is_reported() {
     let opened = soon(|| RecordingReader::open(&file));
     std::fs::remove_file(&file).expect("the same file");
     let problem = match opened {
-        Ok(reel) => reel.damage().unwrap_or_default(),
+        Ok(recording) => recording.damage().unwrap_or_default(),
         Err(problem) => problem.to_string(),
     };
     assert!(problem.contains("it has no end"), "{problem:?}");

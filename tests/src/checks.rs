@@ -32,12 +32,12 @@ impl Fleet {
         let id = format!("sample of {room}").as_str().into();
         let sample = self.world.with(|world| world.sample(&id).expect("a sample of this world"));
         let context = format!("seed {}: sample of {room}: {sample:?}\n{}", self.seed, self.event_log_text());
-        let mut keepers = sample.history.iter().map(|(_, keeper)| keeper).chain([&sample.holder]).collect::<Vec<_>>();
+        let mut holders = sample.history.iter().map(|(_, holder)| holder).chain([&sample.holder]).collect::<Vec<_>>();
         // An arm lays down what it holds when the next sample arrives.
-        keepers.pop_if(|last| matches!(last, SampleHolder::Table(_)));
+        holders.pop_if(|last| matches!(last, SampleHolder::Table(_)));
         assert_eq!(sample.place.as_str(), "Laboratory", "{context}");
         assert!(
-            matches!(keepers[..], [SampleHolder::Person(_), SampleHolder::Drawer(_), SampleHolder::Arm(_)]),
+            matches!(holders[..], [SampleHolder::Person(_), SampleHolder::Drawer(_), SampleHolder::Arm(_)]),
             "{context}"
         );
     }
@@ -48,9 +48,9 @@ impl Fleet {
     /// # Panics
     /// If two intervals overlap.
     pub fn assert_exclusive_roles(&self) {
-        let spells = self.event_log.role_intervals();
-        for (index, one) in spells.iter().enumerate() {
-            for other in &spells[index + 1..] {
+        let intervals = self.event_log.role_intervals();
+        for (index, one) in intervals.iter().enumerate() {
+            for other in &intervals[index + 1..] {
                 let same_role = (&one.mission, &one.role) == (&other.mission, &other.role);
                 let clash = one.overlaps(other) && (one.robot == other.robot || same_role);
                 assert!(!clash, "seed {}: {one:?} and {other:?}\n{}", self.seed, self.event_log_text());
@@ -60,7 +60,7 @@ impl Fleet {
 
     /// Returns the intervals in which robots acted in a role, in order.
     pub fn role_intervals_of(&self, mission: &MissionId, role: &str) -> Vec<RoleInterval> {
-        let spells = self.event_log.role_intervals().into_iter();
-        spells.filter(|spell| spell.mission == *mission && spell.role.as_str() == role).collect()
+        let intervals = self.event_log.role_intervals().into_iter();
+        intervals.filter(|interval| interval.mission == *mission && interval.role.as_str() == role).collect()
     }
 }

@@ -20,14 +20,14 @@ impl Fleet {
     pub async fn request_raw(&self, call: ApiCall, payload: &str) -> Option<Value> {
         let mut put_off = None;
         let mut replies = self.query(call, payload).await;
-        let mut patience = Duration::from_secs(3);
-        while let Ok(Some(reply)) = tokio::time::timeout(patience, replies.recv()).await {
+        let mut timeout = Duration::from_secs(3);
+        while let Ok(Some(reply)) = tokio::time::timeout(timeout, replies.recv()).await {
             let voice: Value = serde_json::from_slice(&reply.payload.expect("a reply")).expect("JSON");
             if voice.get("retry_after_ms").is_none() {
                 return Some(voice);
             }
             put_off = Some(voice);
-            patience = Duration::from_millis(100);
+            timeout = Duration::from_millis(100);
         }
         put_off
     }

@@ -192,7 +192,7 @@ impl EventLog {
     /// Returns the intervals in which robots acted in roles: from a start or resumption until the
     /// robot suspended, halted or was killed.
     pub fn role_intervals(&self) -> Vec<RoleInterval> {
-        let mut spells: Vec<RoleInterval> = vec![];
+        let mut intervals: Vec<RoleInterval> = vec![];
         let entries = self.entries();
         for (at, entry) in &entries {
             let node = entry.node();
@@ -201,29 +201,30 @@ impl EventLog {
                 Observation::Published(event) => match &event.kind {
                     EventKind::Started { mission, role, .. } | EventKind::Resumed { mission, role } => {
                         let (mission, role) = of(mission, role);
-                        spells.push(RoleInterval { robot: node.clone().into(), mission, role, from: *at, to: None });
+                        intervals.push(RoleInterval { robot: node.clone().into(), mission, role, from: *at, to: None });
                     }
                     EventKind::Suspended { mission, role } | EventKind::Halted { mission, role, .. } => {
-                        let ends = |spell: &&mut RoleInterval| {
-                            spell.to.is_none()
-                                && spell.robot.as_str() == node.as_str()
-                                && (&spell.mission, &spell.role) == (mission, role)
+                        let ends = |interval: &&mut RoleInterval| {
+                            interval.to.is_none()
+                                && interval.robot.as_str() == node.as_str()
+                                && (&interval.mission, &interval.role) == (mission, role)
                         };
-                        if let Some(spell) = spells.iter_mut().find(ends) {
-                            spell.to = Some(*at);
+                        if let Some(interval) = intervals.iter_mut().find(ends) {
+                            interval.to = Some(*at);
                         }
                     }
                     _ => {}
                 },
                 Observation::TestAction { action: "killed" | "stopped", .. } => {
-                    for spell in spells.iter_mut().filter(|s| s.to.is_none() && s.robot.as_str() == node.as_str()) {
-                        spell.to = Some(*at);
+                    for interval in intervals.iter_mut().filter(|s| s.to.is_none() && s.robot.as_str() == node.as_str())
+                    {
+                        interval.to = Some(*at);
                     }
                 }
                 _ => {}
             }
         }
-        spells
+        intervals
     }
 }
 
@@ -260,7 +261,7 @@ pub struct RoleInterval {
 impl RoleInterval {
     /// Checks whether both intervals share an instant.
     pub fn overlaps(&self, other: &RoleInterval) -> bool {
-        let ends = |spell: &RoleInterval| spell.to.unwrap_or(Duration::MAX);
+        let ends = |interval: &RoleInterval| interval.to.unwrap_or(Duration::MAX);
         self.from < ends(other) && other.from < ends(self)
     }
 }

@@ -270,9 +270,9 @@ impl Fleet {
         let bus: SharedBus = Arc::new(self.network.bus(settings.node.clone()));
         let mut bus = (self.options.wrap_bus)(&settings, bus);
         let name = settings.node.to_string();
-        if let Some(papers) = &self.credentials {
-            let keyring = papers.keyring_of(&settings.node, Credentials::roles(&settings), settings.incarnation);
-            let sealed = papers.signing_bus(bus, keyring, settings.clock).await;
+        if let Some(credentials) = &self.credentials {
+            let keyring = credentials.keyring_of(&settings.node, Credentials::roles(&settings), settings.incarnation);
+            let sealed = credentials.signing_bus(bus, keyring, settings.clock).await;
             settings.record_signer = Some(sealed.record_signer());
             self.signing_buses.insert(name.clone(), Arc::clone(&sealed));
             bus = sealed;
@@ -284,7 +284,7 @@ impl Fleet {
     /// Records the leadership view of a node from now on, until the node ends.
     pub(crate) fn record_leadership(&mut self, name: &str) {
         let Some(replica) = self.nodes.get(name).and_then(|node| node.replica.as_ref()) else { return };
-        let (mut leadership, chronicle, node) = (replica.leadership(), self.event_log.clone(), slug::<NodeId>(name));
+        let (mut leadership, event_log, node) = (replica.leadership(), self.event_log.clone(), slug::<NodeId>(name));
         let follower = tokio::spawn(async move {
             let mut reported = None;
             loop {
@@ -294,7 +294,7 @@ impl Fleet {
                 };
                 if reported != Some((term, leads)) {
                     reported = Some((term, leads));
-                    chronicle.add(Observation::LeadershipChanged { node: node.clone(), term, leading_as: leads });
+                    event_log.add(Observation::LeadershipChanged { node: node.clone(), term, leading_as: leads });
                 }
                 if leadership.changed().await.is_err() {
                     return;

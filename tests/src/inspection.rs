@@ -107,8 +107,8 @@ impl Fleet {
             self.event_log
                 .role_intervals()
                 .into_iter()
-                .filter(|spell| spell.mission == *mission)
-                .map(|spell| spell.robot.to_string()),
+                .filter(|interval| interval.mission == *mission)
+                .map(|interval| interval.robot.to_string()),
         );
         robots
     }

@@ -34,6 +34,6 @@ pub(crate) fn ward(skills: &[&str], bootstrap_expect: usize) -> FleetSettings {
         voters: VOTERS,
         autopilot_rule: autopilot::decide,
         dead_after: Timing::Lan.parameters().dead_after,
-        map: Some(Arc::new(shipped("hospital").expect("it is shipped").to_json())),
+        map: Some(Arc::new(shipped("hospital").expect("it is shipped").to_view())),
     }
 }

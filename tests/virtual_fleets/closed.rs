@@ -9,7 +9,7 @@ use consort_bus::{Delivery, Encoding, SharedBus};
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
-use consort_protocol::keys::{BodyCall, Key, Keys};
+use consort_protocol::keys::{DriverCall, Key, Keys};
 use consort_protocol::knowledge::{Availability, Digest, DigestScope, KnowledgeBase, Record, RecordStamp};
 use consort_protocol::message::{Beacon, ClusterEnvelope, Exchange, MissionsChanged, RecordUpdate};
 use consort_protocol::trust::NodeRole;
@@ -129,7 +129,7 @@ impl Compromised {
                 let changed = MissionsChanged { node: node(name), term };
                 let event =
                     format!(r#"{{"node": "{name}", "sequence": 1, "at_ms": 1, "event": "elected", "term": {term}}}"#);
-                let body = Key::Body("gorse".parse().expect("a name"), BodyCall::State);
+                let body = Key::Driver("gorse".parse().expect("a name"), DriverCall::State);
                 for (key, payload) in [
                     (Key::Beacon, within(&beacon)),
                     (Key::Changed, within(&changed)),
@@ -180,7 +180,7 @@ fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
             "wire/report/*",
             "wire/active_missions/*",
             "wire/raft/*/*",
-            "wire/body/*/command",
+            "wire/driver/*/command",
         ] {
             tasks.spawn(Arc::clone(&fern).answers(key, false));
             tasks.spawn(Arc::clone(&fern).answers(key, true));
@@ -212,9 +212,9 @@ fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
             "node fern (robot) may not publish on wire/beacon",
             "node fern (robot) may not publish on wire/changed",
             "node fern (robot) may not publish on wire/knowledge/gorse",
-            "node fern (robot) may not publish on wire/body/gorse/state",
+            "node fern (robot) may not publish on wire/driver/gorse/state",
             "node fern (robot) may not reply on wire/report/aster",
-            "node fern (robot) may not reply on wire/body/gorse/command",
+            "node fern (robot) may not reply on wire/driver/gorse/command",
         ] {
             assert!(refusals.contains(reason), "seed {seed}: {reason}: {refusals:#?}");
         }

@@ -41,9 +41,9 @@ async fn signal_sent_too_early(seed: u64, epoch: impl Fn(Epoch) -> Epoch) -> (Fl
     let key = fleet.keys().write(&Key::Signal(mission.clone(), slug("r1")));
     let bytes = codec::encode(&history).expect("a signal fits a message").into();
     // The client belongs to the same cluster, so that only the epoch distinguishes the signals.
-    let allegiance = ClusterMembership::default();
-    allegiance.set_from_ledger(fleet.ledger(|ledger| ledger.cluster()).flatten().expect("a cluster was created"));
-    let client = ClusterBus::new(Arc::new(fleet.client.clone()), fleet.keys().clone(), allegiance);
+    let membership = ClusterMembership::default();
+    membership.set_from_ledger(fleet.ledger(|ledger| ledger.cluster()).flatten().expect("a cluster was created"));
+    let client = ClusterBus::new(Arc::new(fleet.client.clone()), fleet.keys().clone(), membership);
     client.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await.expect("a virtual bus");
     (fleet, mission)
 }

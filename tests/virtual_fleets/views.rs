@@ -7,7 +7,7 @@ use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
 use consort_protocol::view::{
-    AuctionsView, CoordinatorView, EnsemblesView, FleetView, HealthView, MissionView, MissionsView, RobotView,
+    AuctionsView, CoordinatorView, EnsemblesView, FleetView, HealthView, MapView, MissionView, MissionsView, RobotView,
     WithProvenance,
 };
 use consort_raft::store::Backup;
@@ -148,7 +148,7 @@ fn check_view(name: &str, view: &Value) {
         "auctions" => check_type::<WithProvenance<AuctionsView>>(name, view),
         "health" => check_type::<WithProvenance<HealthView>>(name, view),
         "world" => check_type::<WithProvenance<WorldReport>>(name, view),
-        "map" => {}
+        "map" => check_type::<WithProvenance<MapView>>(name, view),
         _ => panic!("{name} has no type"),
     }
 }

@@ -173,8 +173,8 @@ fn the_next_leader_completes_a_membership_change() {
         let election = fleet.wait_for_coordinator().await;
         fleet
             .wait_until("an observer", |fleet| {
-                let observers = &fleet.leadership_view(&election).learners;
-                !observers.is_empty()
+                let learners = &fleet.leadership_view(&election).learners;
+                !learners.is_empty()
             })
             .await;
         if seed % 2 == 0 {

@@ -3,15 +3,15 @@
 //! `tests/fuzz_targets/` feeds arbitrary bytes to these functions; nothing else uses them. Each
 //! function calls the decoder that the actors use, and returns the decoded value encoded again.
 
-use consort_protocol::api::{
-    MissionChangeRequest, MissionQuery, MissionSource, SubmitRequest, UpgradeRequest, parse_request,
-};
+use crate::coordinator::submission::template;
+use consort_protocol::api::{MissionChangeRequest, MissionQuery, SubmitRequest, UpgradeRequest, parse_request};
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
-use consort_protocol::mission::{Format, MissionFileError, MissionTemplate};
+use consort_protocol::mission::MissionTemplate;
 use consort_raft::{StateMachine, fuzz_api};
-use consort_skills::missions::shipped;
 use std::io;
+
+pub use crate::coordinator::submission::SubmitError;
 
 /// Decodes a Raft request and encodes it again.
 ///
@@ -57,30 +57,17 @@ pub enum ApiRequest {
 /// Decodes a client's JSON request.
 ///
 /// # Errors
-/// The text that the client receives as the refusal.
-pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, String> {
+/// The refusal that the client receives.
+pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, SubmitError> {
     match call {
         ApiCall::Submit => {
-            let SubmitRequest { mission, .. } = read(call, payload)?;
-            let template = match &mission {
-                MissionSource::Shipped(name) => {
-                    shipped().get(name).cloned().ok_or_else(|| format!("no mission {name:?}"))?
-                }
-                MissionSource::File(file) => {
-                    let text = serde_json::to_string(file).map_err(|problem| problem.to_string())?;
-                    MissionTemplate::parse(&text, Format::Json)
-                        .map_err(|problem: MissionFileError| problem.to_string())?
-                }
-            };
-            Ok(ApiRequest::Submit(Box::new(template)))
+            let SubmitRequest { mission, .. } = parse_request(call, payload)?;
+            return Ok(ApiRequest::Submit(Box::new(template(&mission)?)));
         }
-        ApiCall::Cancel | ApiCall::Resolve => read::<MissionChangeRequest>(call, payload).map(|_| ApiRequest::Other),
-        ApiCall::Get | ApiCall::Explain => read::<MissionQuery>(call, payload).map(|_| ApiRequest::Other),
-        ApiCall::Upgrade => read::<UpgradeRequest>(call, payload).map(|_| ApiRequest::Other),
-        ApiCall::List | ApiCall::Help | ApiCall::Backup => Ok(ApiRequest::Other),
+        ApiCall::Cancel | ApiCall::Resolve => drop(parse_request::<MissionChangeRequest>(call, payload)?),
+        ApiCall::Get | ApiCall::Explain => drop(parse_request::<MissionQuery>(call, payload)?),
+        ApiCall::Upgrade => drop(parse_request::<UpgradeRequest>(call, payload)?),
+        ApiCall::List | ApiCall::Help | ApiCall::Backup => {}
     }
-}
-
-fn read<T: serde::de::DeserializeOwned>(call: ApiCall, payload: &[u8]) -> Result<T, String> {
-    parse_request(call, payload).map_err(|problem| problem.to_string())
+    Ok(ApiRequest::Other)
 }

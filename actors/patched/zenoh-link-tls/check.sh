@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Checks that this crate is the published crate plus difference.patch plus the files that CHANGES.md names.
+# Checks that this crate equals the published crate with difference.patch and the added file that
+# CHANGES.md names.
 set -euo pipefail
 cd "$(dirname "$0")"
 copy="$(mktemp -d)"

@@ -20,6 +20,7 @@ use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::Domain;
 use consort_protocol::pose::Pose;
 use consort_protocol::versions::VersionRange;
+use consort_protocol::view::MapView;
 use consort_raft::StoreIdentity;
 use consort_raft::store::{DurableStore, NodeStore, StoreOwner};
 use consort_skills::descriptor::{Calibration, DescriptorRegistry, Estimator};
@@ -31,7 +32,6 @@ use consort_world::map::Map;
 use consort_world::world::{World, WorldSetup};
 use rand::TryRng;
 use rand::rngs::SysRng;
-use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::path::Path;
@@ -324,9 +324,9 @@ fn bare_node(
 
 /// Returns the fleet's map, for display. A node that does not need the map itself may lack the
 /// file.
-fn display_map(fleet: &FleetConfig) -> Option<Arc<Value>> {
+fn display_map(fleet: &FleetConfig) -> Option<Arc<MapView>> {
     match map_loader::load(&fleet.map) {
-        Ok(floor) => Some(Arc::new(floor.to_json())),
+        Ok(floor) => Some(Arc::new(floor.to_view())),
         Err(problem) => {
             warn!(map = fleet.map, %problem, "the fleet's map cannot be read: this node cannot publish it");
             None

@@ -33,7 +33,7 @@ const MISSIONS: usize = 16;
 /// Subscribes to the fleet, until the tasks end.
 pub fn subscribe_fleet(tasks: &mut JoinSet<()>, bus: SharedBus, keys: Keys, listener: Arc<dyn FleetListener>) {
     let on = |key: String| (Arc::clone(&bus), key, Arc::clone(&listener));
-    let (events, bodies, beacons) = (keys.any_events(), keys.any_body_state(), keys.write(&Key::Beacon));
+    let (events, bodies, beacons) = (keys.any_events(), keys.any_driver_state(), keys.write(&Key::Beacon));
     tasks.spawn(receive(on(events), |payload| match serde_json::from_slice::<Event>(payload) {
         Ok(event) => Some(FleetInput::Event(Box::new(event))),
         Err(problem) => {

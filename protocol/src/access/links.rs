@@ -118,7 +118,7 @@ fn queries(keys: &Keys, scope: AccessScope) -> Vec<String> {
 /// Returns the keys that any person may subscribe to: events, and the data from which a fleet is
 /// drawn.
 fn subscriptions(keys: &Keys) -> Vec<String> {
-    vec![keys.any_events(), keys.any_body_state(), keys.write(&Key::Beacon)]
+    vec![keys.any_events(), keys.any_driver_state(), keys.write(&Key::Beacon)]
 }
 
 /// Returns the scope that a call requires.

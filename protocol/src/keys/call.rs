@@ -19,7 +19,7 @@ words! {
         Heartbeat = "heartbeat",
     }
     /// Call between a robot's node and its driver server.
-    BodyCall {
+    DriverCall {
         /// Query to the server: start or cancel a goal, or only return the state.
         Command = "command",
         /// Publication by the server: telemetry and the state of goals.
@@ -72,9 +72,9 @@ words! {
         /// Beacons of the coordinator.
         Beacon = "beacon",
         /// Commands to driver servers.
-        BodyCommand = "body/command",
+        DriverCommand = "driver/command",
         /// States published by driver servers.
-        BodyState = "body/state",
+        DriverState = "driver/state",
         /// Auctions, awards and reports.
         Work = "work",
         /// Signals of missions, and queries for them.
@@ -114,8 +114,8 @@ impl KeyKind {
                 ("raft", Some("append")) => KeyKind::RaftAppend,
                 ("raft" | "bootstrap", _) => KeyKind::Raft,
                 ("beacon", _) => KeyKind::Beacon,
-                ("body", Some("state")) => KeyKind::BodyState,
-                ("body", _) => KeyKind::BodyCommand,
+                ("driver", Some("state")) => KeyKind::DriverState,
+                ("driver", _) => KeyKind::DriverCommand,
                 ("bid" | "award" | "report", _) => KeyKind::Work,
                 ("signal" | "signal_history", _) => KeyKind::Signal,
                 ("active_missions" | "changed", _) => KeyKind::ActiveMissions,

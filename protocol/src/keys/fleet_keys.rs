@@ -1,6 +1,6 @@
 //! Keys and key expressions of a fleet, with its prefix.
 
-use super::call::BodyCall;
+use super::call::DriverCall;
 use super::key::{Key, read};
 use crate::ids::{FleetId, NodeId};
 
@@ -69,13 +69,13 @@ impl Keys {
     }
 
     /// Returns the key expression for the commands to all robots, which a driver server serves.
-    pub fn any_body_command(&self) -> String {
-        format!("{}/wire/body/*/{}", self.prefix, BodyCall::Command.as_str())
+    pub fn any_driver_command(&self) -> String {
+        format!("{}/wire/driver/*/{}", self.prefix, DriverCall::Command.as_str())
     }
 
     /// Returns the key expression for the states of all robots, which shows the connected robots.
-    pub fn any_body_state(&self) -> String {
-        format!("{}/wire/body/*/{}", self.prefix, BodyCall::State.as_str())
+    pub fn any_driver_state(&self) -> String {
+        format!("{}/wire/driver/*/{}", self.prefix, DriverCall::State.as_str())
     }
 
     /// Returns the key expression for the consensus calls to a member.

@@ -1,6 +1,6 @@
 //! Keys as values, formatted and parsed without the fleet's prefix.
 
-use super::call::{ApiCall, BodyCall, PeopleCall, RaftCall};
+use super::call::{ApiCall, DriverCall, PeopleCall, RaftCall};
 use crate::ids::{MissionId, NodeId, RobotId, RoleId};
 use crate::trust::Fingerprint;
 use std::fmt;
@@ -41,8 +41,8 @@ pub enum Key {
     /// `wire/signal_history/{mission}/{role}`: a waiting role queries the signals that the role has
     /// sent.
     SignalHistory(MissionId, RoleId),
-    /// `wire/body/{robot}/{call}`: a robot's node and its driver server.
-    Body(RobotId, BodyCall),
+    /// `wire/driver/{robot}/{call}`: a robot's node and its driver server.
+    Driver(RobotId, DriverCall),
     /// `wire/people/{call}`: tasks of people in unmanaged roles.
     People(PeopleCall),
     /// `wire/world`: the simulator replies with the state of its world, in JSON; `view/world`
@@ -104,7 +104,7 @@ impl fmt::Display for Key {
             Key::Changed => f.write_str("wire/changed"),
             Key::Signal(mission, role) => write!(f, "wire/signal/{mission}/{role}"),
             Key::SignalHistory(mission, role) => write!(f, "wire/signal_history/{mission}/{role}"),
-            Key::Body(robot, call) => write!(f, "wire/body/{robot}/{}", call.as_str()),
+            Key::Driver(robot, call) => write!(f, "wire/driver/{robot}/{}", call.as_str()),
             Key::People(call) => write!(f, "wire/people/{}", call.as_str()),
             Key::ViewFleet => f.write_str("view/fleet"),
             Key::ViewRobot(robot) => write!(f, "view/robot/{robot}"),
@@ -152,7 +152,7 @@ pub(super) fn read(text: &str) -> Option<Key> {
         ["wire", "changed"] => Key::Changed,
         ["wire", "signal", mission, role] => Key::Signal(mission.parse().ok()?, role.parse().ok()?),
         ["wire", "signal_history", mission, role] => Key::SignalHistory(mission.parse().ok()?, role.parse().ok()?),
-        ["wire", "body", robot, call] => Key::Body(robot.parse().ok()?, BodyCall::parse(call)?),
+        ["wire", "driver", robot, call] => Key::Driver(robot.parse().ok()?, DriverCall::parse(call)?),
         ["wire", "people", call] => Key::People(PeopleCall::parse(call)?),
         ["wire", "world"] => Key::World,
         ["view", ref view @ ..] => read_view(view)?,

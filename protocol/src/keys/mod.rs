@@ -28,7 +28,7 @@ mod fleet_keys;
 mod key;
 mod table;
 
-pub use call::{ApiCall, BodyCall, KeyKind, PeopleCall, RaftCall};
+pub use call::{ApiCall, DriverCall, KeyKind, PeopleCall, RaftCall};
 pub use fleet_keys::Keys;
 pub use key::Key;
 pub use table::{KeyInfo, KeyUsage, TABLE};

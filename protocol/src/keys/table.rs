@@ -3,7 +3,7 @@
 //! The table and [`Key::info`] are generated from the same lines, and the compiler ensures that no
 //! kind of key is missing.
 
-use super::call::{ApiCall, BodyCall, PeopleCall, RaftCall};
+use super::call::{ApiCall, DriverCall, PeopleCall, RaftCall};
 use super::key::Key;
 use serde::Serialize;
 
@@ -72,7 +72,7 @@ table! {
     Key::ViewFleet => "view/fleet", "any node" Answers JSON, "the nodes, each with the age of its record, and the ensembles";
     Key::ViewRobot(_) => "view/robot/{robot}", "any node" Answers JSON, "a robot: place, battery, skills, and the role that it holds";
     Key::ViewEnsembles => "view/ensembles", "any node" Answers JSON, "the members of each ensemble, and the reason for each node that is not a member";
-    Key::ViewCoordinator => "view/coordinator", "any node" Answers JSON, "the coordinator, its term and start time; voters and observers";
+    Key::ViewCoordinator => "view/coordinator", "any node" Answers JSON, "the coordinator, its term and start time; voters and learners";
     Key::ViewMissions => "view/missions", "any node" Answers JSON, "all missions, in brief";
     Key::ViewMission(_) => "view/mission/{mission}", "any node" Answers JSON, "a mission: its task tree, roles, holders, epochs";
     Key::ViewAuctions => "view/auctions", "any node" Answers JSON, "the latest auction of each mission: bids, refusals, and the reason for the result";
@@ -110,8 +110,8 @@ table! {
     Key::Changed => "wire/changed", "the coordinator" Publishes WIRE, "a notification that active missions have changed";
     Key::Signal(..) => "wire/signal/{mission}/{role}", "robots and human task proxies" Publishes WIRE, "a signal of the mission's plan for this role";
     Key::SignalHistory(..) => "wire/signal_history/{mission}/{role}", "the role's holder" Answers WIRE, "the signals that the role has sent";
-    Key::Body(_, BodyCall::Command) => "wire/body/{robot}/command", "the driver server" Answers WIRE, "goals for a robot";
-    Key::Body(_, BodyCall::State) => "wire/body/{robot}/state", "the driver server" Publishes WIRE, "telemetry, and the state of goals";
+    Key::Driver(_, DriverCall::Command) => "wire/driver/{robot}/command", "the driver server" Answers WIRE, "goals for a robot";
+    Key::Driver(_, DriverCall::State) => "wire/driver/{robot}/state", "the driver server" Publishes WIRE, "telemetry, and the state of goals";
     Key::People(PeopleCall::Ask) => "wire/people/ask", "the host of people" Answers WIRE, "asks a person to do something, or dismisses one";
     Key::People(PeopleCall::Done) => "wire/people/done", "the host of people" Publishes WIRE, "the tasks that people have completed";
     Key::World => "wire/world", "the simulator" Answers JSON, "the state of its world; view/world passes it on";

@@ -41,7 +41,7 @@ pub(super) fn all() -> Vec<Key> {
         Key::Events(node),
     ];
     keys.extend(RaftCall::ALL.iter().map(|call| Key::Raft(0x00ab_cdef, *call)));
-    keys.extend(BodyCall::ALL.iter().map(|call| Key::Body(robot.clone(), *call)));
+    keys.extend(DriverCall::ALL.iter().map(|call| Key::Driver(robot.clone(), *call)));
     keys.extend(PeopleCall::ALL.iter().map(|call| Key::People(*call)));
     keys.extend(ApiCall::ALL.iter().flat_map(|call| [Key::Api(*call), Key::Help(*call)]));
     keys
@@ -69,8 +69,8 @@ fn every_key_except_tokens_has_a_category() {
     }
     assert_eq!(counted.len(), KeyKind::ALL.len());
     assert_eq!(KeyKind::of(&keys.any_bid()), KeyKind::Work);
-    assert_eq!(KeyKind::of(&keys.any_body_command()), KeyKind::BodyCommand);
-    assert_eq!(KeyKind::of(&keys.any_body_state()), KeyKind::BodyState);
+    assert_eq!(KeyKind::of(&keys.any_driver_command()), KeyKind::DriverCommand);
+    assert_eq!(KeyKind::of(&keys.any_driver_state()), KeyKind::DriverState);
     assert_eq!(KeyKind::of("consort"), KeyKind::Other);
 }
 

@@ -21,7 +21,7 @@ pub struct CoordinatorView {
     /// Voters that are gone, or that came back with an empty store.
     pub voters_lost: Vec<NodeId>,
     /// Learners of the ledger; known only to its voters.
-    pub observers: Vec<NodeId>,
+    pub learners: Vec<NodeId>,
     /// Cluster of the node that replies; null if it belongs to none yet.
     pub cluster: Option<ClusterId>,
     /// Other clusters with the name of this fleet, each with a node of it.

@@ -14,15 +14,16 @@
 //! | `view/missions` | [`MissionsView`] |
 //! | `view/mission/{mission}` | [`MissionView`] |
 //! | `view/auctions` | [`AuctionsView`] |
+//! | `view/map` | [`MapView`] |
 //! | `view/health` | [`HealthView`] |
 //!
-//! All of them carry their [`Provenance`]. `view/map` and `view/world` pass on the JSON of the map
-//! file and of the simulator; the simulator defines their types.
+//! All of them carry their [`Provenance`]. The simulator defines the type of `view/world`.
 
 mod auction;
 mod coordinator;
 mod fleet;
 mod health;
+mod map;
 mod mission;
 mod provenance;
 
@@ -33,6 +34,7 @@ pub use fleet::{
     PublishedRecord, RobotView,
 };
 pub use health::{HealthFinding, HealthLevel, HealthView};
+pub use map::{DoorView, LaneView, LevelView, LiftView, MapBounds, MapView, PlaceView, WallView};
 pub use mission::{
     MissionBrief, MissionProgress, MissionStateName, MissionStatus, MissionSummary, MissionView, MissionsView,
     RequestTerms, RoleView, StepView, TaskParticipant, TaskProgress, TaskView,
@@ -68,6 +70,7 @@ pub const PUBLISHED_VIEWS: &[PublishedView] = &[
     PublishedView { name: "missions", schema: schema_of::<WithProvenance<MissionsView>> },
     PublishedView { name: "mission", schema: schema_of::<WithProvenance<MissionView>> },
     PublishedView { name: "auctions", schema: schema_of::<WithProvenance<AuctionsView>> },
+    PublishedView { name: "map", schema: schema_of::<WithProvenance<MapView>> },
     PublishedView { name: "health", schema: schema_of::<WithProvenance<HealthView>> },
 ];
 

@@ -7,13 +7,13 @@ use consort_protocol::units::{Metres, Seconds};
 use serde::{Deserialize, Serialize};
 
 /// Default time for which an absent person is waited for, in seconds of world time. The task
-/// parameter `patience` overrides it. A larger value saves missions of a nurse called away
+/// parameter `timeout_s` overrides it. A larger value saves missions of a nurse called away
 /// for longer, but detects a permanent absence later. A guess: two minutes are enough for a call
 /// bell.
 pub const PERSON_TIMEOUT_S: f64 = 120.0;
 
 /// Task parameter with the time for which an absent person is waited for, in seconds.
-pub const PERSON_TIMEOUT_PARAMETER: &str = "patience";
+pub const PERSON_TIMEOUT_PARAMETER: &str = "timeout_s";
 
 /// Identifies a goal among all goals that a robot ever sends. Later goals have larger numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

@@ -1,5 +1,5 @@
 //! `approach_person`: approaches the person in parameter `person_role`, who must be at the robot's
-//! place. If the person is absent, the skill waits for the seconds in parameter `patience`,
+//! place. If the person is absent, the skill waits for the seconds in parameter `timeout_s`,
 //! or for two minutes.
 
 use super::context::{StandardSkill, TaskContext};

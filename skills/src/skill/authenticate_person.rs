@@ -1,6 +1,6 @@
 //! `authenticate_person`: authenticates the approached person in parameter `person_role`. There is
 //! no second attempt after a rejection. If the person has stepped away, the skill waits for the
-//! seconds in parameter `patience`, or for two minutes.
+//! seconds in parameter `timeout_s`, or for two minutes.
 
 use super::context::{StandardSkill, TaskContext};
 use super::person_goal_leaf::PersonGoalLeaf;

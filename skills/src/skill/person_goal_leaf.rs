@@ -14,7 +14,7 @@ use consort_protocol::units::Seconds;
 const PAUSE_S: f64 = 1.0;
 
 /// Sends a goal about the person in port `role`. While the person is out of reach, the leaf waits
-/// and tries again, for at most the time in port `patience`, or else [`PERSON_TIMEOUT_S`].
+/// and tries again, for at most the time in port `timeout_s`, or else [`PERSON_TIMEOUT_S`].
 /// Then it fails with the goal's error. It fails at once on any other error.
 pub(super) struct PersonGoalLeaf {
     goal: GoalLeaf,
@@ -30,14 +30,14 @@ impl PersonGoalLeaf {
         make: fn(RoleId) -> Goal,
     ) -> Result<(), RegistryError> {
         let ports =
-            [PortSpec::input("role", PortType::Role), PortSpec::input("patience", PortType::Seconds).optional()];
+            [PortSpec::input("role", PortType::Role), PortSpec::input("timeout_s", PortType::Seconds).optional()];
         registry.register(NodeManifest::new(id, NodeKind::Action, ports), move |_: &TaskContext| {
             Box::new(PersonGoalLeaf { goal: person_goal(make), pause: None, waited_s: 0.0 })
         })
     }
 
     fn wait_or_fail(&mut self, context: &mut LeafContext<'_, '_>, cause: Cause) -> Result<NodeStatus, Cause> {
-        let timeout_s = context.read_optional::<Seconds>("patience")?.map_or(PERSON_TIMEOUT_S, Seconds::get);
+        let timeout_s = context.read_optional::<Seconds>("timeout_s")?.map_or(PERSON_TIMEOUT_S, Seconds::get);
         if self.waited_s + PAUSE_S <= timeout_s {
             self.waited_s += PAUSE_S;
             let time = Seconds::new(PAUSE_S).expect("a duration");

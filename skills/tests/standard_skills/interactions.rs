@@ -87,10 +87,10 @@ fn an_absent_person_is_awaited_until_the_timeout() {
         let (ended, sent) = waited(&usual, 121);
         assert_eq!(ended, failed(&format!("{leaf}: out of reach: not here; waited for 120 s")));
         assert_eq!(sent.len(), 241);
-        let hurried = task(task_type, &[nurse, ("patience", "2.5")]);
+        let hurried = task(task_type, &[nurse, ("timeout_s", "2.5")]);
         assert_eq!(waited(&hurried, 2).0, SkillStatus::Succeeded);
         assert_eq!(waited(&hurried, 3).0, failed(&format!("{leaf}: out of reach: not here; waited for 2 s")));
-        let busy = task(task_type, &[nurse, ("patience", "0")]);
+        let busy = task(task_type, &[nurse, ("timeout_s", "0")]);
         assert_eq!(waited(&busy, 1), (failed(&format!("{leaf}: out of reach: not here")), vec![goal.to_owned()]));
     }
 }

@@ -1,5 +1,5 @@
 Feature: Arms, drawers and items
-  An arm takes what lies within its reach and is not too heavy for it. What it holds goes where it goes, and can be put down.
+  An arm takes what lies within its reach and is not too heavy for it. A held item moves with the arm, and can be put down.
 
   Background:
     Given these robots:

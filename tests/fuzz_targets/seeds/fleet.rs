@@ -86,7 +86,8 @@ fn event(sequence: usize, at_ms: u64, what: &Value) -> Value {
 
 fn views() -> [(u8, Key, Value); 4] {
     let map: Value = serde_json::from_slice(&map_in_json()).expect("JSON");
-    let map_json = map_loader::parse(&map.to_string(), "hall.json").expect("a map").to_json();
+    let map_view = map_loader::parse(&map.to_string(), "hall.json").expect("a map").to_view();
+    let map_json = serde_json::to_value(map_view).expect("JSON");
     let robot = json!({
         "skills": ["navigation"], "place": "Dock", "pose": { "x_m": 6.0, "y_m": 2.5, "yaw_rad": 0.5 }, "battery": 0.75,
         "discharge": 0.001, "useful_charge": 0.125, "speed": 0.5, "availability": "free", "estimator": "e",
@@ -124,7 +125,7 @@ pub(super) fn recording() -> Vec<u8> {
     let began_ms = 1_795_000_000_000;
     let file = std::env::temp_dir().join(format!("consort-fuzz-seed-{}.mcap", std::process::id()));
     let fleet = "ward".parse().expect("a slug");
-    let mut tape = RecordingWriter::create(&file, ExistingFile::Replace, &fleet, "s-1", began_ms).expect("a file");
+    let mut writer = RecordingWriter::create(&file, ExistingFile::Replace, &fleet, "s-1", began_ms).expect("a file");
     let mut model = FleetModel::new("ward", "s-1", FloorPlan::default(), began_ms);
     let node: consort_protocol::ids::NodeId = "s-1".parse().expect("a slug");
     let beacon = Beacon { node: node.clone(), term: 2, voters: [node].into(), since_ms: 40, cluster: None, wire: None };
@@ -137,10 +138,10 @@ pub(super) fn recording() -> Vec<u8> {
     all.extend(views().map(|(_, key, view)| FleetInput::View { key, view }));
     for (now_ms, input) in (began_ms..).step_by(300).zip(all) {
         model.apply(&input, now_ms);
-        tape.write_input(&input, &model, now_ms).expect("a file");
-        tape.flush_due(now_ms).expect("a file");
+        writer.write_input(&input, &model, now_ms).expect("a file");
+        writer.flush_due(now_ms).expect("a file");
     }
-    tape.finish().expect("a file");
+    writer.finish().expect("a file");
     let bytes = std::fs::read(&file).expect("the same file");
     std::fs::remove_file(file).expect("the same file");
     bytes

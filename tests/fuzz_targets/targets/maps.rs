@@ -17,7 +17,7 @@ fn check_map(file: &MapFile, name: &str) -> bool {
     let json = serde_json::to_string(file).expect("numbers that a sound map has");
     let again = map::read(&json, "again.json").expect("what was written can be read");
     assert_eq!(again, check_map, "it reads back as something else");
-    Map::from_json(&check_map.to_json(), "view/map").expect("an encoded map can be read");
+    Map::from_view(check_map.to_view(), "view/map").expect("an encoded map can be read");
     check_map.topology();
     if check_map.places().len() <= 100 {
         render::svg(&check_map, &[]);
@@ -49,7 +49,7 @@ pub(super) fn json(bytes: &[u8]) -> bool {
     let Some(text) = text(bytes).filter(|text| map_loader::is_published_format(text)) else { return read };
     match map_loader::parse(text, "published.json") {
         Ok(floor) => {
-            floor.to_json();
+            floor.to_view();
             true
         }
         Err(problems) => {

@@ -96,7 +96,7 @@ pub(super) fn request(bytes: &[u8]) -> bool {
             }
             // These two calls accept any payload.
             Ok(ApiRequest::Other) => taken |= !matches!(call, ApiCall::List | ApiCall::Help),
-            Err(problem) => assert!(!problem.is_empty()),
+            Err(problem) => assert!(!problem.to_string().is_empty()),
         }
     }
     taken

@@ -23,20 +23,20 @@ use tokio::runtime::Runtime;
 /// A recording shows the same state at an instant, however the reader reaches it.
 pub(super) fn recording(bytes: &[u8]) -> bool {
     let file = scratch::file("a.mcap", bytes);
-    let reel = match RecordingReader::open(&file) {
-        Ok(reel) => reel,
+    let recording = match RecordingReader::open(&file) {
+        Ok(recording) => recording,
         Err(problem) => {
             assert!(problem.to_string().contains("a.mcap"), "{problem}");
             return false;
         }
     };
-    let (from, to) = (reel.from_ms(), reel.to_ms());
+    let (from, to) = (recording.from_ms(), recording.to_ms());
     let middle = from + to.saturating_sub(from) / 2;
-    let mut model = reel.model_at(from);
+    let mut model = recording.model_at(from);
     let mut taken = 0;
     for at in [from, middle, to, middle] {
-        taken = reel.seek(&mut model, taken, at);
-        assert_eq!(model.to_json(), reel.model_at(at).to_json(), "at {at} ms, of {from} to {to}");
+        taken = recording.seek(&mut model, taken, at);
+        assert_eq!(model.to_json(), recording.model_at(at).to_json(), "at {at} ms, of {from} to {to}");
     }
     true
 }
@@ -67,7 +67,7 @@ pub(super) fn fleet_model(bytes: &[u8]) -> bool {
         if let Some(FleetInput::View { key: Key::ViewMap, view }) = &input
             && let Ok(floor) = LoadedMap::from_view(view)
         {
-            floor.to_json();
+            floor.to_view();
         }
         let Some(input) = input else { continue };
         model.apply(&input, now_ms);

@@ -2,9 +2,7 @@
 
 use super::event_text;
 use super::scenario_setup::ScenarioSetup;
-use super::step_arguments::StepArguments;
-use super::step_pattern::{ActionStep, StepFailure, StepResult};
-use super::step_registry::{FactCheck, StepMeaning};
+use super::step_result::{StepFailure, StepResult};
 use crate::Fleet;
 use crate::fleet::{FleetSetup, NodeOptions};
 use consort_protocol::ids::{MissionId, RobotId};
@@ -12,13 +10,11 @@ use consort_protocol::units::WorldTime;
 use consort_skills::actions::{GoalId, RobotBackend};
 use consort_world::SharedWorld;
 use consort_world::world::{LoggedEvent, World};
+use futures::future::LocalBoxFuture;
 use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
-
-/// Limit of `When the fleet runs until …`, in seconds of world time.
-const WAIT_LIMIT_S: f64 = 3600.0;
 
 /// Longest time between two checks, in seconds of world time.
 const CHECK_INTERVAL_S: f64 = 0.5;
@@ -27,8 +23,7 @@ const CHECK_INTERVAL_S: f64 = 0.5;
 pub(super) struct Fixture {
     pub(super) setup: ScenarioSetup,
     running: Option<RunningScenario>,
-    /// Actions that will be done once a fact holds.
-    plans: Vec<Plan>,
+    planned: Vec<PlannedAction>,
     /// Missions with the names of their requests, in the order of the requests.
     pub(super) missions: Vec<(String, MissionId)>,
     /// The latest rejected request.
@@ -67,10 +62,14 @@ pub(super) struct RunningScenario {
     nodes_since_s: f64,
 }
 
-struct Plan {
-    action: &'static ActionStep,
-    arguments: StepArguments,
-    once: FactCheck,
+/// Action that is executed once a fact holds.
+pub(super) struct PlannedAction {
+    /// Text of the fact.
+    pub(super) fact: String,
+    /// Checks the fact.
+    pub(super) check: Box<dyn Fn(&Fixture) -> StepResult>,
+    /// Executes the action.
+    pub(super) execute: Box<dyn for<'a> FnOnce(&'a mut Fixture) -> LocalBoxFuture<'a, StepResult>>,
 }
 
 impl Fixture {
@@ -79,7 +78,7 @@ impl Fixture {
         Fixture {
             setup: ScenarioSetup::new(folder, seed),
             running: None,
-            plans: vec![],
+            planned: vec![],
             missions: vec![],
             refused: None,
             goals: BTreeMap::new(),
@@ -88,71 +87,14 @@ impl Fixture {
         }
     }
 
-    /// Executes a step.
-    pub(super) async fn perform(&mut self, meaning: StepMeaning) -> StepResult {
-        match meaning {
-            StepMeaning::Configure(setting, arguments) => {
-                if self.running.is_some() {
-                    return Err(StepFailure::invalid(
-                        "the scenario has begun: settings must come before the first When",
-                    ));
-                }
-                setting(&mut self.setup, &arguments)
-            }
-            StepMeaning::DoWhen(action, arguments, once) => {
-                self.plans.push(Plan { action, arguments, once: *once });
-                Ok(())
-            }
-            StepMeaning::DoNow(action, arguments) => {
-                self.ensure_world()?;
-                (action.function)(self, &arguments).await
-            }
-            StepMeaning::WaitUntil(check) => {
-                self.start_nodes().await?;
-                self.within(WAIT_LIMIT_S, &check).await
-            }
-            StepMeaning::Holds(check) => {
-                self.ensure_world()?;
-                self.check(&check)
-            }
-            StepMeaning::DoesNotHold(check) => {
-                self.ensure_world()?;
-                self.check_not(&check)
-            }
-            StepMeaning::HoldsWithin(seconds, check) => self.within(seconds, &check).await,
-            StepMeaning::HoldsFor(seconds, check) => {
-                self.advance(seconds, |fixture| fixture.check(&check).map(|()| false)).await.map(drop)?;
-                self.check(&check)
-            }
-            StepMeaning::NeverHolds(seconds, check) => {
-                self.advance(seconds, |fixture| fixture.check_not(&check).map(|()| false)).await.map(drop)?;
-                self.check_not(&check)
-            }
-        }
+    /// Plans an action for the moment at which a fact holds.
+    pub(super) fn plan(&mut self, action: PlannedAction) {
+        self.planned.push(action);
     }
 
-    fn check(&self, check: &FactCheck) -> StepResult {
-        (check.fact)(self, &check.arguments)
-    }
-
-    fn check_not(&self, check: &FactCheck) -> StepResult {
-        match self.check(check) {
-            Ok(()) => Err(StepFailure::NotMet("it holds".to_owned())),
-            Err(StepFailure::NotMet(_)) => Ok(()),
-            Err(invalid) => Err(invalid),
-        }
-    }
-
-    async fn within(&mut self, seconds: f64, check: &FactCheck) -> StepResult {
-        let holds = |fixture: &Fixture| match fixture.check(check) {
-            Ok(()) => Ok(true),
-            Err(StepFailure::NotMet(_)) => Ok(false),
-            Err(invalid) => Err(invalid),
-        };
-        if self.advance(seconds, holds).await? {
-            return Ok(());
-        }
-        self.check(check)
+    /// Returns whether the world exists: its settings cannot change any more.
+    pub(super) fn has_begun(&self) -> bool {
+        self.running.is_some()
     }
 
     /// Creates the world from the settings, if it does not exist.
@@ -246,7 +188,7 @@ impl Fixture {
         self.ensure_world()?;
         let end = self.now_s() + seconds;
         loop {
-            self.carry_out_plans().await?;
+            self.execute_due_actions().await?;
             if done(self)? {
                 return Ok(true);
             }
@@ -272,19 +214,19 @@ impl Fixture {
         }
     }
 
-    async fn carry_out_plans(&mut self) -> Result<(), StepFailure> {
-        for index in (0..self.plans.len()).rev() {
-            match self.check(&self.plans[index].once) {
+    async fn execute_due_actions(&mut self) -> Result<(), StepFailure> {
+        for index in (0..self.planned.len()).rev() {
+            match (self.planned[index].check)(self) {
                 Ok(()) => {
-                    let plan = self.plans.remove(index);
-                    (plan.action.function)(self, &plan.arguments).await?;
+                    let due = self.planned.remove(index);
+                    (due.execute)(self).await?;
                 }
                 Err(StepFailure::NotMet(_)) => {}
                 // Before the first mission, a fact about missions or nodes is invalid.
                 Err(StepFailure::Invalid(_)) if self.missions.is_empty() => {}
-                Err(StepFailure::Invalid(what)) => {
-                    let what = format!("an action is planned for when {}: {what}", self.plans[index].once.text);
-                    return Err(StepFailure::Invalid(what));
+                Err(StepFailure::Invalid(reason)) => {
+                    let reason = format!("an action is planned for when {}: {reason}", self.planned[index].fact);
+                    return Err(StepFailure::Invalid(reason));
                 }
             }
         }
@@ -296,8 +238,8 @@ impl Fixture {
         if let Some(unchecked) = self.refused.as_ref().and_then(RefusedRequest::unchecked_text) {
             return Some(unchecked);
         }
-        let plan = self.plans.first()?;
-        Some(format!("an action is planned for when {}, but that has not happened", plan.once.text))
+        let planned = self.planned.first()?;
+        Some(format!("an action is planned for when {}, but that has not happened", planned.fact))
     }
 
     /// Returns the robot of a name.

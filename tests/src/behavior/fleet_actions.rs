@@ -4,7 +4,8 @@
 use super::fixture::Fixture;
 use super::settings::{obstacle_name, person_action};
 use super::step_arguments::name;
-use super::step_pattern::{ActionStep, StepFailure, StepResult, action};
+use super::step_pattern::{ActionStep, action};
+use super::step_result::{StepFailure, StepResult};
 use consort_protocol::units::BatteryShare;
 use consort_world::world::{Obstacle, PersonName};
 

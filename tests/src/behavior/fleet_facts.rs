@@ -2,7 +2,8 @@
 
 use super::fixture::Fixture;
 use super::step_arguments::{StepArguments, name};
-use super::step_pattern::{FactStep, StepFailure, expect_that, fact};
+use super::step_pattern::{FactStep, fact};
+use super::step_result::{StepFailure, expect_that};
 use crate::RoleInterval;
 use consort_protocol::auction::BidVerdict;
 use consort_protocol::event::EventKind;

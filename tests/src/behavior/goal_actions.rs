@@ -4,7 +4,8 @@
 use super::fixture::Fixture;
 use super::scenario_setup::coordinates;
 use super::step_arguments::{StepArguments, name, split_list};
-use super::step_pattern::{ActionStep, StepFailure, StepResult, action};
+use super::step_pattern::{ActionStep, action};
+use super::step_result::{StepFailure, StepResult};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Seconds;

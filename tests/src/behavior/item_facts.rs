@@ -3,7 +3,8 @@
 use super::fixture::Fixture;
 use super::robot_facts::names_text;
 use super::step_arguments::name;
-use super::step_pattern::{FactStep, StepFailure, StepResult, expect_that, fact};
+use super::step_pattern::{FactStep, fact};
+use super::step_result::{StepFailure, StepResult, expect_that};
 use consort_world::world::{SampleHolder, SampleReport};
 
 /// Returns the steps of this file, in the order of their documentation.
@@ -52,13 +53,13 @@ fn sample_was_delivered() -> FactStep {
         |fixture, arguments| {
             let (robot, id) = (fixture.robot(arguments.value(1))?, format!("sample of {}", arguments.value(0)));
             let report = sample(fixture, &id)?;
-            let mut keepers: Vec<&SampleHolder> = report.history.iter().map(|(_, holder)| holder).collect();
-            keepers.push(&report.holder);
+            let mut holders: Vec<&SampleHolder> = report.history.iter().map(|(_, holder)| holder).collect();
+            holders.push(&report.holder);
             // An arm lays down what it holds when the next sample arrives.
-            keepers.pop_if(|last| matches!(last, SampleHolder::Table(_)));
-            let delivered = matches!(keepers[..], [SampleHolder::Person(_), SampleHolder::Drawer(_), SampleHolder::Arm(arm)] if *arm == robot);
+            holders.pop_if(|last| matches!(last, SampleHolder::Table(_)));
+            let delivered = matches!(holders[..], [SampleHolder::Person(_), SampleHolder::Drawer(_), SampleHolder::Arm(arm)] if *arm == robot);
             expect_that(delivered, || {
-                let hands: Vec<String> = keepers.into_iter().map(holder_text).collect();
+                let hands: Vec<String> = holders.into_iter().map(holder_text).collect();
                 format!("it was {}", hands.join(", then "))
             })
         },

@@ -2,7 +2,8 @@
 
 use super::fixture::{Fixture, RefusedRequest};
 use super::step_arguments::StepArguments;
-use super::step_pattern::{ActionStep, StepFailure, StepResult, action};
+use super::step_pattern::{ActionStep, action};
+use super::step_result::{StepFailure, StepResult};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::mission::{Format, MissionTemplate};
 use consort_skills::missions::shipped;

@@ -38,8 +38,10 @@ mod run;
 mod scenario_setup;
 mod settings;
 mod step_arguments;
+mod step_meaning;
 mod step_pattern;
 mod step_registry;
+mod step_result;
 
 pub use features::{FeatureErrors, Features, ScenarioFilter};
 pub use report::FeatureOutcome;

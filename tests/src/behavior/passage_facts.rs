@@ -2,7 +2,8 @@
 
 use super::fixture::Fixture;
 use super::step_arguments::StepArguments;
-use super::step_pattern::{FactStep, StepFailure, expect_that, fact};
+use super::step_pattern::{FactStep, fact};
+use super::step_result::{StepFailure, expect_that};
 use consort_protocol::ids::RobotId;
 use consort_world::world::WorldEvent;
 

@@ -3,7 +3,8 @@
 use super::fixture::Fixture;
 use super::scenario_setup::coordinates;
 use super::step_arguments::{StepArguments, name};
-use super::step_pattern::{FactStep, StepFailure, expect_that, fact};
+use super::step_pattern::{FactStep, fact};
+use super::step_result::{StepFailure, expect_that};
 use consort_protocol::ids::PlaceId;
 use consort_skills::actions::{GoalStatus, RobotBackend, Telemetry};
 use consort_world::world::{DetectedObject, RobotReport, SensorReading, WorldEvent};

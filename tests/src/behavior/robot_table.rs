@@ -2,7 +2,7 @@
 
 use super::scenario_setup::ScenarioRobot;
 use super::step_arguments::{TableRow, split_list};
-use super::step_pattern::StepFailure;
+use super::step_result::StepFailure;
 use crate::RobotSpec;
 use consort_world::kinematics::{
     AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, OmnidirectionalSettings,

@@ -4,8 +4,8 @@
 use super::features::Features;
 use super::fixture::Fixture;
 use super::report::{FeatureOutcome, Report};
-use super::step_pattern::StepFailure;
 use super::step_registry::StepRegistry;
+use super::step_result::StepFailure;
 use cucumber::event::ScenarioFinished;
 use cucumber::gherkin::{Feature, Step};
 use cucumber::step::{Collection, Context};
@@ -117,7 +117,7 @@ fn run_scenario(folder: PathBuf, seed: u64, jobs: &mpsc::Receiver<Job>) {
         };
         let meaning = StepRegistry::get().read(&step);
         let played = meaning.map(|meaning| {
-            catch_unwind(AssertUnwindSafe(|| runtime.block_on(fixture.perform(meaning)))).unwrap_or_else(|panic| {
+            catch_unwind(AssertUnwindSafe(|| runtime.block_on(meaning.perform(&mut fixture)))).unwrap_or_else(|panic| {
                 Err(StepFailure::Invalid(format!("the program itself failed: {}", panic_text(&*panic))))
             })
         });

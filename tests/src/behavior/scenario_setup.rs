@@ -1,6 +1,6 @@
 //! Initial state of a scenario.
 
-use super::step_pattern::StepFailure;
+use super::step_result::StepFailure;
 use crate::RobotSpec;
 use consort_protocol::units::{BatteryShare, SharePerSecond};
 use consort_world::SharedWorld;

@@ -3,7 +3,8 @@
 use super::robot_table;
 use super::scenario_setup::{ScenarioMap, ScenarioRobot, ScenarioSetup};
 use super::step_arguments::{name, split_list};
-use super::step_pattern::{SettingStep, StepFailure, StepResult, setting};
+use super::step_pattern::{SettingStep, setting};
+use super::step_result::{StepFailure, StepResult};
 use crate::RobotSpec;
 use crate::fleet::nurse_in;
 use consort_protocol::ids::PlaceId;

@@ -1,6 +1,6 @@
 //! Arguments of a step: the values of its parameters, its table and its docstring.
 
-use super::step_pattern::StepFailure;
+use super::step_result::StepFailure;
 use std::fmt::Display;
 use std::str::FromStr;
 

@@ -12,6 +12,7 @@
 use super::fixture::Fixture;
 use super::scenario_setup::ScenarioSetup;
 use super::step_arguments::StepArguments;
+use super::step_result::StepResult;
 use cucumber_expressions::Expression;
 use futures::FutureExt;
 use futures::future::LocalBoxFuture;
@@ -32,30 +33,6 @@ const PARAMETERS: [(&str, &str); 10] = [
     ("person_action", r"cancels|declines|walks away"),
     ("moment", r"waiting|approached|authenticated|handing over|handed over"),
 ];
-
-/// Reason why a step fails.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) enum StepFailure {
-    /// The fact does not hold. Contains the actual state.
-    NotMet(String),
-    /// The step is invalid here, whatever happens.
-    Invalid(String),
-}
-
-impl StepFailure {
-    /// Creates an error for an invalid step.
-    pub(super) fn invalid(text: impl fmt::Display) -> StepFailure {
-        StepFailure::Invalid(text.to_string())
-    }
-}
-
-/// Result of a step.
-pub(super) type StepResult = Result<(), StepFailure>;
-
-/// Returns `Ok` if the fact holds, otherwise the actual state.
-pub(super) fn expect_that(is: bool, instead: impl FnOnce() -> String) -> StepResult {
-    if is { Ok(()) } else { Err(StepFailure::NotMet(instead())) }
-}
 
 /// Future of an action.
 pub(super) type ActionFuture<'a> = LocalBoxFuture<'a, StepResult>;

@@ -1,7 +1,8 @@
 //! All step patterns, and the resolution of steps.
 
 use super::step_arguments::StepArguments;
-use super::step_pattern::{ActionStep, FactFn, FactStep, SettingFn, SettingStep, StepPattern};
+use super::step_meaning::{FactCheck, StepMeaning};
+use super::step_pattern::{ActionStep, FactStep, SettingStep, StepPattern};
 use super::{
     fleet_actions, fleet_facts, goal_actions, item_facts, mission_requests, passage_facts, robot_facts, settings,
 };
@@ -13,38 +14,6 @@ pub(super) struct StepRegistry {
     settings: Vec<SettingStep>,
     actions: Vec<ActionStep>,
     facts: Vec<FactStep>,
-}
-
-/// A resolved step.
-#[derive(Debug, Clone)]
-pub(super) enum StepMeaning {
-    /// Sets the initial state.
-    Configure(SettingFn, StepArguments),
-    /// Plans an action for the moment at which a fact holds.
-    DoWhen(&'static ActionStep, StepArguments, Box<FactCheck>),
-    /// Executes an action now.
-    DoNow(&'static ActionStep, StepArguments),
-    /// Lets time pass until a fact holds.
-    WaitUntil(FactCheck),
-    /// Checks that a fact holds now.
-    Holds(FactCheck),
-    /// Checks that a fact does not hold now.
-    DoesNotHold(FactCheck),
-    /// Checks that a fact holds within a time in seconds.
-    HoldsWithin(f64, FactCheck),
-    /// Checks that a fact holds during a whole time in seconds.
-    HoldsFor(f64, FactCheck),
-    /// Checks that a fact never holds during a time in seconds.
-    NeverHolds(f64, FactCheck),
-}
-
-/// Check of a fact.
-#[derive(Debug, Clone)]
-pub(super) struct FactCheck {
-    pub(super) fact: FactFn,
-    pub(super) arguments: StepArguments,
-    /// Text of the fact.
-    pub(super) text: String,
 }
 
 /// Documentation of a step pattern.

@@ -265,7 +265,7 @@ impl ActionExecutor {
 
     fn submit(&self, fleet: &Fleet, request: &str, request_body: Value) {
         let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Submit)));
-        let (chronicle, acknowledged, request) =
+        let (event_log, acknowledged, request) =
             (fleet.event_log.clone(), self.acknowledged.clone(), request.to_owned());
         let named = request_body.get("request").is_some();
         tokio::spawn(async move {
@@ -274,7 +274,7 @@ impl ActionExecutor {
                     if let Some(mission) = answer["mission"].as_str() {
                         let (node, mission_id) = (slug("client"), slug(mission));
                         let name = named.then(|| request.clone());
-                        chronicle.add(Observation::RequestAcknowledged { node, request: name, mission: mission_id });
+                        event_log.add(Observation::RequestAcknowledged { node, request: name, mission: mission_id });
                         acknowledged.send_modify(|known| drop(known.insert(request, mission.to_owned())));
                         return;
                     }

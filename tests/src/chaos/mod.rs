@@ -18,6 +18,7 @@ mod fault_injector;
 pub mod generate;
 pub mod invariants;
 pub mod mutants;
+pub mod mutation_checks;
 pub mod run;
 pub mod run_counters;
 pub mod schedule;

@@ -9,9 +9,9 @@ use super::chaos_fleet::{ChaosFleet, ROOMS};
 use super::executor::ActionExecutor;
 use super::fault_injector::FaultInjector;
 use super::generate::LIFTED;
-use super::invariants::{self, Invariant};
+use super::invariants::{self, Invariant, InvariantViolation};
 use super::mutants::{Mutant, MutantInjection};
-use super::run_counters::RunCounters;
+use super::run_counters::{RunCounters, millis};
 use super::schedule::{DiskAfterCrash, Schedule};
 use crate::fleet::NodeOptions;
 use crate::{Fleet, Observation, slug};
@@ -320,10 +320,6 @@ fn unfinished(fleet: &Fleet, acknowledged: &BTreeMap<String, String>) -> Vec<Str
     acknowledged.values().filter(open).cloned().collect()
 }
 
-pub(super) fn millis(time: Duration) -> u64 {
-    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
-}
-
 /// Checks all invariants.
 struct Checker {
     invariants: Vec<Box<dyn Invariant>>,
@@ -358,7 +354,7 @@ impl Checker {
             self.seen += 1;
             self.counters.observe(at, &entry);
             for invariant in &mut self.invariants {
-                if let Err(reason) = invariant.observe(at, &entry, fleet) {
+                if let Err(InvariantViolation(reason)) = invariant.observe(at, &entry, fleet) {
                     let name = invariant.name();
                     return Err(self.violation(name, reason, fleet));
                 }
@@ -367,7 +363,7 @@ impl Checker {
         let now = fleet.elapsed();
         for entry in fleet.world.with(World::drain_event_log) {
             for invariant in &mut self.invariants {
-                if let Err(reason) = invariant.observe_world(now, &entry, fleet) {
+                if let Err(InvariantViolation(reason)) = invariant.observe_world(now, &entry, fleet) {
                     let name = invariant.name();
                     return Err(self.violation(name, reason, fleet));
                 }
@@ -378,7 +374,7 @@ impl Checker {
 
     fn end(&mut self, fleet: &Fleet) -> Result<(), Violation> {
         for invariant in &mut self.invariants {
-            if let Err(reason) = invariant.check_end(fleet) {
+            if let Err(InvariantViolation(reason)) = invariant.check_end(fleet) {
                 let name = invariant.name();
                 return Err(self.violation(name, reason, fleet));
             }

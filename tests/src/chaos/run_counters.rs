@@ -1,6 +1,5 @@
 //! Counters of a run, for the scoreboard.
 
-use super::run::millis;
 use crate::{Fleet, Observation, slug};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::ledger::MissionState;
@@ -70,4 +69,8 @@ impl RunCounters {
             }
         }
     }
+}
+
+pub(super) fn millis(time: Duration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }

@@ -23,8 +23,10 @@
 mod runner;
 mod setup;
 mod trial;
+mod trial_id;
 mod trial_observer;
 
-pub use runner::{Trial, run, trials};
+pub use runner::run;
 pub use setup::{ExperimentSetup, ExperimentSetupError};
 pub use trial::TrialOutcome;
+pub use trial_id::{Trial, trials};

@@ -2,44 +2,10 @@
 
 use super::setup::ExperimentSetup;
 use super::trial::{TrialOutcome, run_trial};
-use consort_evaluation::policy::Policy;
-use consort_evaluation::results::Treatment;
+use super::trial_id::Trial;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
 use std::thread;
-
-/// Identifies a trial.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Trial {
-    /// Index of the scenario in the setup.
-    pub scenario: usize,
-    /// The allocation policy.
-    pub policy: Policy,
-    /// The injected fault.
-    pub treatment: Treatment,
-    /// Number of the repetition, from 1.
-    pub repetition: u32,
-}
-
-/// Returns all trials of a design, in the order of their rows: by scenario, policy, treatment,
-/// repetition.
-pub fn trials(setup: &ExperimentSetup) -> Vec<Trial> {
-    let design = &setup.design;
-    let mut trials = vec![];
-    for scenario in 0..setup.scenarios.len() {
-        for policy in &design.policies {
-            for treatment in &design.treatments {
-                trials.extend((1..=design.repetitions).map(|repetition| Trial {
-                    scenario,
-                    policy: *policy,
-                    treatment: *treatment,
-                    repetition,
-                }));
-            }
-        }
-    }
-    trials
-}
 
 /// Runs trials on `jobs` threads, and calls `each` for each finished trial. The outcome of a trial
 /// depends on the trial alone; the result is in the order of the trials.

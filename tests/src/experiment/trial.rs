@@ -1,7 +1,7 @@
 //! A trial: a whole fleet on virtual time, from the request until the first event decides.
 
-use super::runner::Trial;
 use super::setup::ExperimentSetup;
+use super::trial_id::Trial;
 use super::trial_observer::{ObserverSettings, TrialObserver, TrialState};
 use crate::inspection::current_coordinator;
 use consort_bus::clock::Clock;

@@ -4,7 +4,7 @@ use crate::fixture::*;
 use bytes::Bytes;
 use consort_bus::{Bus, Encoding, QueryRefused};
 use consort_protocol::codec;
-use consort_protocol::keys::{BodyCall, Key};
+use consort_protocol::keys::{DriverCall, Key};
 use consort_protocol::message::BootstrapRequest;
 use std::time::Duration;
 
@@ -49,12 +49,12 @@ async fn a_changed_moved_or_replayed_message_is_dropped() {
         fixture.node("bob", "consort://ward/node/bob?roles=robot").await,
     );
     let (own_key, other_key) = ("bob".parse().unwrap(), "cyd".parse().unwrap());
-    let (own_key, other_key) = (Key::Body(own_key, BodyCall::State), Key::Body(other_key, BodyCall::State));
-    let mut at_bob = bob.subscribe(&keys().any_body_state()).await.unwrap();
+    let (own_key, other_key) = (Key::Driver(own_key, DriverCall::State), Key::Driver(other_key, DriverCall::State));
+    let mut at_bob = bob.subscribe(&keys().any_driver_state()).await.unwrap();
     introduce(&mut at_bob, &ada, &own_key, b"at the dock").await;
     // A relay receives the passing messages and publishes modified copies.
     let relay = fixture.plain("relay");
-    let mut intercepted = relay.subscribe(&keys().any_body_state()).await.unwrap();
+    let mut intercepted = relay.subscribe(&keys().any_driver_state()).await.unwrap();
     publish(&ada, &own_key, b"at the lift").await;
     assert_eq!(received(&mut at_bob).await, ["at the lift"]);
     let intercepted_sample = received(&mut intercepted).await.pop().unwrap();
@@ -127,11 +127,11 @@ async fn a_message_older_than_the_window_is_rejected() {
     let fixture = Fixture::new();
     let ada = fixture.node("ada", "consort://ward/node/ada?roles=host").await;
     let bob = fixture.node("bob", "consort://ward/node/bob?roles=robot").await;
-    let key = Key::Body("bob".parse().unwrap(), BodyCall::State);
-    let mut at_bob = bob.subscribe(&keys().any_body_state()).await.unwrap();
+    let key = Key::Driver("bob".parse().unwrap(), DriverCall::State);
+    let mut at_bob = bob.subscribe(&keys().any_driver_state()).await.unwrap();
     introduce(&mut at_bob, &ada, &key, b"at the dock").await;
     let relay = fixture.plain("relay");
-    let mut intercepted = relay.subscribe(&keys().any_body_state()).await.unwrap();
+    let mut intercepted = relay.subscribe(&keys().any_driver_state()).await.unwrap();
     publish(&ada, &key, b"at the lift").await;
     let intercepted_sample = intercepted.recv().await.unwrap().payload;
     for _ in 0..1100 {

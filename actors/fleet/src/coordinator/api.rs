@@ -3,24 +3,20 @@
 
 use super::last_known_place::last_known_places;
 use super::no_leader::{RETRY_AFTER_MS, busy_reply};
+use super::submission::{self, SubmitError};
 use consort_bus::MESSAGE_MAX;
 use consort_gossip::SharedKnowledge;
 use consort_protocol::api::{
-    ErrorReply, MissionChangeReply, MissionChangeRequest, MissionSource, NodeVersions, RequestError, SubmitReply,
-    SubmitRequest, UpgradeReply, UpgradeRequest, parse_request,
+    ErrorReply, MissionChangeReply, MissionChangeRequest, NodeVersions, RequestError, SubmitReply, SubmitRequest,
+    UpgradeReply, UpgradeRequest, parse_request,
 };
-use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::ledger::{
-    Command, CommandOutcome, Ledger, Priority, RecoveryBranch, Submission, time_until_deadline,
-};
-use consort_protocol::mission::{Domain, Format, MissionTemplate};
-use consort_protocol::plan::divide_and_check;
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
+use consort_protocol::mission::Domain;
 use consort_protocol::versions::{UpgradeStatus, VersionRange};
 use consort_raft::store::Backup;
 use consort_raft::{ProposeError, Replica};
-use consort_skills::missions::shipped;
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -29,10 +25,6 @@ use std::time::Duration;
 
 /// Timeout for the ledger to commit a request.
 const COMMIT_TIMEOUT: Duration = Duration::from_secs(2);
-
-/// Maximum size of a mission in bytes, divided and encoded: its award and its call for bids must
-/// each fit in a message.
-const MISSION_MAX: usize = codec::MESSAGE_BYTES_MAX / 2;
 
 /// Handler of a single request, with the state it needs.
 #[derive(Clone)]
@@ -70,6 +62,12 @@ impl From<RequestError> for ApiError {
     }
 }
 
+impl From<SubmitError> for ApiError {
+    fn from(error: SubmitError) -> ApiError {
+        error.to_string().into()
+    }
+}
+
 /// Returns the JSON of a reply.
 fn json(reply: impl Serialize) -> Value {
     serde_json::to_value(reply).expect("a reply serializes to JSON")
@@ -96,7 +94,8 @@ impl ApiHandler {
 
     async fn submit(&self, payload: &[u8]) -> Result<SubmitReply, ApiError> {
         let request_fields: SubmitRequest = parse_request(ApiCall::Submit, payload)?;
-        let submission = self.prepare(request_fields)?;
+        let default_id = format!("{}-{}", self.request_prefix, self.request_number);
+        let submission = submission::prepare(request_fields, &self.domain, self.at_ms, default_id)?;
         if let Some(overload) = self.replica.read(|ledger| self.overload(ledger, &submission.request)) {
             return Err(overload);
         }
@@ -115,48 +114,6 @@ impl ApiHandler {
             text: format!("{} missions are active, the maximum of this fleet", self.missions_max),
             may_retry: true,
         })
-    }
-
-    fn prepare(&self, request_fields: SubmitRequest) -> Result<Submission, String> {
-        let template = match &request_fields.mission {
-            MissionSource::Shipped(name) => shipped().get(name).cloned().ok_or_else(|| {
-                let known: Vec<_> = shipped().keys().map(String::as_str).collect();
-                format!("no mission {name:?} is shipped; there are {}", known.join(", "))
-            })?,
-            MissionSource::File(file) => {
-                let text = serde_json::to_string(file).map_err(|e| e.to_string())?;
-                MissionTemplate::parse(&text, Format::Json).map_err(|e| e.to_string())?
-            }
-        };
-        let instance = template.instantiate_with_recovery(&request_fields.parameters, &self.domain);
-        let (mission, recovery) = instance.map_err(|e| e.to_string())?;
-        let division = divide_and_check(&mission).map_err(|e| e.to_string())?;
-        let recovery = recovery.map(|mission| match divide_and_check(&mission) {
-            Ok(division) => Ok(RecoveryBranch { mission, division }),
-            Err(problem) => Err(format!("recovery: {problem}")),
-        });
-        let recovery = recovery.transpose()?;
-        let priority = Priority::new(request_fields.priority).map_err(|e| e.to_string())?;
-        let deadline_ms = match request_fields.deadline_s {
-            None => None,
-            Some(seconds) => {
-                let time = time_until_deadline(seconds).map_err(|e| format!("deadline_s is {seconds}; {e}"))?;
-                Some(self.at_ms.saturating_add(u64::try_from(time.as_millis()).unwrap_or(u64::MAX)))
-            }
-        };
-        let request = match request_fields.request {
-            Some(request) => request,
-            None => {
-                RequestId::new(format!("{}-{}", self.request_prefix, self.request_number)).map_err(|e| e.to_string())?
-            }
-        };
-        let (parameters, at_ms) = (request_fields.parameters, self.at_ms);
-        let submission = Submission { request, mission, division, parameters, recovery, priority, deadline_ms, at_ms };
-        match codec::encode(&submission) {
-            Ok(bytes) if bytes.len() <= MISSION_MAX => Ok(submission),
-            Ok(bytes) => Err(format!("the mission takes {} bytes; the limit is {MISSION_MAX}", bytes.len())),
-            Err(problem) => Err(format!("the mission is too large: {problem}")),
-        }
     }
 
     async fn cancel(&self, payload: &[u8]) -> Result<MissionChangeReply, ApiError> {

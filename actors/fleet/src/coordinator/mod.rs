@@ -34,6 +34,7 @@ mod session_context;
 mod settings;
 mod stall_detector;
 mod status;
+pub(crate) mod submission;
 
 pub(crate) use actor::Coordinator;
 pub(crate) use last_known_place::foreign_clusters;

@@ -69,18 +69,18 @@ mod tests {
     #[test]
     fn the_limiter_accepts_a_steady_rate_and_a_burst() {
         let limits = RequestLimits { requests_per_s: 10, ..RequestLimits::default() };
-        let mut intake = RequestLimiter::new(limits, at(0));
-        let taken = (0..100).filter(|_| intake.try_acquire(at(0)).is_ok()).count();
+        let mut limiter = RequestLimiter::new(limits, at(0));
+        let taken = (0..100).filter(|_| limiter.try_acquire(at(0)).is_ok()).count();
         assert_eq!(taken, 50);
-        assert_eq!(intake.try_acquire(at(0)), Err(Duration::from_millis(100)));
-        let taken = (1..=100).filter(|tenths| intake.try_acquire(at(100 * tenths)).is_ok()).count();
+        assert_eq!(limiter.try_acquire(at(0)), Err(Duration::from_millis(100)));
+        let taken = (1..=100).filter(|tenths| limiter.try_acquire(at(100 * tenths)).is_ok()).count();
         assert_eq!(taken, 100, "ten in a second are taken for good");
-        assert!(intake.try_acquire(at(10_000)).is_err());
+        assert!(limiter.try_acquire(at(10_000)).is_err());
     }
 
     #[test]
     fn without_a_limit_every_request_is_accepted() {
-        let mut intake = RequestLimiter::new(RequestLimits { missions_max: 0, requests_per_s: 0 }, at(0));
-        assert!((0..10_000).all(|_| intake.try_acquire(at(0)).is_ok()));
+        let mut limiter = RequestLimiter::new(RequestLimits { missions_max: 0, requests_per_s: 0 }, at(0));
+        assert!((0..10_000).all(|_| limiter.try_acquire(at(0)).is_ok()));
     }
 }

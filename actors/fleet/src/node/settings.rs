@@ -13,11 +13,11 @@ use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::Domain;
 use consort_protocol::timing::Timing;
 use consort_protocol::versions::VersionRange;
+use consort_protocol::view::MapView;
 use consort_raft::store::NodeStore;
 use consort_skills::actions::RobotBackend;
 use consort_skills::descriptor::Estimator;
 use consort_skills::library::SkillLibrary;
-use serde_json::Value;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -58,7 +58,7 @@ pub struct FleetSettings {
     /// Time without contact after which the autopilot replaces a voter.
     pub dead_after: Duration,
     /// The fleet's map, served as `view/map`. No decision depends on it.
-    pub map: Option<Arc<Value>>,
+    pub map: Option<Arc<MapView>>,
 }
 
 /// Settings of a single node.

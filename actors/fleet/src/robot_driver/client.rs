@@ -8,7 +8,7 @@ use consort_bus::tasks::Tasks;
 use consort_bus::{Reply, Sample, SharedBus, Stream};
 use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
-use consort_protocol::keys::{BodyCall, Key, Keys};
+use consort_protocol::keys::{DriverCall, Key, Keys};
 use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotActions, Telemetry};
 use ractor::{Actor, ActorCell, ActorProcessingErr, ActorRef};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -199,7 +199,7 @@ impl Actor for DriverClient {
             telemetry: None,
         };
         let mut tasks = Tasks::default();
-        let state_key = settings.keys.write(&Key::Body(settings.robot.clone(), BodyCall::State));
+        let state_key = settings.keys.write(&Key::Driver(settings.robot.clone(), DriverCall::State));
         tasks.forward(settings.bus.subscribe(&state_key).await?, &myself, DriverClientMessage::State);
         tasks.send_every(settings.heartbeat_interval, &myself, || DriverClientMessage::Heartbeat);
         myself.cast(DriverClientMessage::Heartbeat)?;
@@ -233,7 +233,7 @@ impl DriverClientState {
         }
         let commands: Vec<Option<GoalRequest>> =
             if requests.is_empty() { vec![None] } else { requests.into_iter().map(Some).collect() };
-        let key = self.settings.keys.write(&Key::Body(self.settings.robot.clone(), BodyCall::Command));
+        let key = self.settings.keys.write(&Key::Driver(self.settings.robot.clone(), DriverCall::Command));
         let (bus, limit, to) = (self.settings.bus.clone(), self.settings.heartbeat_interval, myself.clone());
         self.tasks.spawn(async move {
             for request in commands {

@@ -2,11 +2,11 @@
 //! or an adapter to a real robot) executes them.
 //!
 //! ```text
-//!  robot's node                                         driver server
-//!  skill ─▶ RobotDriver ── wire/body/{robot}/command ──▶ DriverServer ─▶ RobotBackend (world)
-//!                       ◀── wire/body/{robot}/state ────
-//!  human task proxy     ── wire/people/ask ────────────▶
-//!                       ◀── wire/people/done ───────────
+//!  robot's node                                           driver server
+//!  skill ─▶ RobotDriver ── wire/driver/{robot}/command ──▶ DriverServer ─▶ RobotBackend (world)
+//!                       ◀── wire/driver/{robot}/state ────
+//!  human task proxy     ── wire/people/ask ──────────────▶
+//!                       ◀── wire/people/done ─────────────
 //! ```
 //!
 //! Commands are queries that are repeated until a reply arrives. Goals have ids, so a repeated goal

@@ -8,7 +8,7 @@ use consort_bus::tasks::Tasks;
 use consort_bus::{Delivery, Encoding, Query, SharedBus};
 use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
-use consort_protocol::keys::{BodyCall, Key, Keys, PeopleCall};
+use consort_protocol::keys::{DriverCall, Key, Keys, PeopleCall};
 use consort_protocol::units::{NodeTime, WorldTime};
 use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, GoalId, GoalStatus, RobotBackend};
 use ractor::{Actor, ActorProcessingErr, ActorRef};
@@ -119,7 +119,7 @@ impl Actor for DriverServer {
     ) -> Result<Self::State, ActorProcessingErr> {
         let mut tasks = Tasks::default();
         tasks.forward(
-            settings.bus.serve(&settings.keys.any_body_command()).await?,
+            settings.bus.serve(&settings.keys.any_driver_command()).await?,
             &myself,
             DriverServerMessage::Command,
         );
@@ -207,7 +207,7 @@ impl DriverServerState {
     }
 
     async fn handle_command(&mut self, query: Query) {
-        let Some(Key::Body(robot, BodyCall::Command)) = self.settings.keys.read(&query.key) else {
+        let Some(Key::Driver(robot, DriverCall::Command)) = self.settings.keys.read(&query.key) else {
             return reply::refuse(&query, "not a command to a driver").await;
         };
         let Some(command) = reply::decode_or_refuse::<DriverCommand>(&query).await else { return };
@@ -335,7 +335,7 @@ impl DriverServerState {
 
     async fn publish_state(&mut self, robot: &RobotId) {
         if let Some(state) = self.state_of(robot) {
-            let key = self.settings.keys.write(&Key::Body(robot.clone(), BodyCall::State));
+            let key = self.settings.keys.write(&Key::Driver(robot.clone(), DriverCall::State));
             self.publish(&key, &state).await;
         }
     }

@@ -19,7 +19,7 @@ pub(super) struct ClusterStatus {
     /// Voters that are gone, or that came back with an empty store.
     pub(super) voters_lost: Vec<NodeId>,
     /// Learners of the ledger, which have no vote; known only to its voters.
-    pub(super) observers: Vec<NodeId>,
+    pub(super) learners: Vec<NodeId>,
     /// This node has an up-to-date copy of the ledger.
     pub(super) has_ledger: bool,
     /// Time since a majority last acknowledged this node, in milliseconds, if it is the

@@ -96,7 +96,7 @@ impl ViewContext<'_> {
             quorum_age_ms: status.quorum_age_ms,
             voters: status.voters,
             voters_lost: status.voters_lost,
-            observers: status.observers,
+            learners: status.learners,
             cluster: self.views.membership.cluster(),
             foreign: self.foreign(),
             autopilot: status.autopilot,

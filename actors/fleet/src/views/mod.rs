@@ -40,6 +40,7 @@ use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::Ledger;
 use consort_protocol::message::Beacon;
 use consort_protocol::units::NodeTime;
+use consort_protocol::view::MapView;
 use consort_raft::{RaftId, Replica};
 use draw::{ViewContext, json};
 use ractor::ActorRef;
@@ -84,7 +85,7 @@ pub(crate) struct Views {
     pub(crate) membership: ClusterMembership,
     pub(crate) ensemble: Arc<Ensemble>,
     /// The fleet's map, to be served.
-    pub(crate) map: Option<Arc<Value>>,
+    pub(crate) map: Option<Arc<MapView>>,
     /// Interval of a coordinator's beacons.
     pub(crate) beacon_interval: Duration,
 }
@@ -293,7 +294,7 @@ impl ViewService {
         let has_ledger = coordinator_status.is_some() || is_current_member && is_complete;
         let mut status = ClusterStatus {
             has_ledger,
-            observers: leadership.learners.values().cloned().collect(),
+            learners: leadership.learners.values().cloned().collect(),
             quorum_age_ms: replica.as_ref().and_then(Replica::quorum_ack_age).map(millis),
             ..ClusterStatus::default()
         };

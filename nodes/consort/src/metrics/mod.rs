@@ -21,7 +21,7 @@
 //! | `consort_bus_bytes_total{kind,direction}` | their payloads |
 //! | `consort_is_leader` | 1 if it is the coordinator, else 0 |
 //! | `consort_term` | its term |
-//! | `consort_voters`, `consort_observers` | voters and learners of the ledger, as seen by it |
+//! | `consort_voters`, `consort_learners` | voters and learners of the ledger, as seen by it |
 //! | `consort_quorum_age_seconds` | on the coordinator: time since the last reply of a majority |
 //! | `consort_ledger_index` | last entry of the ledger that its copy applied |
 //! | `consort_missions{state}` | missions in its copy of the ledger, ended missions included while they are kept |

@@ -75,10 +75,10 @@ impl MetricSources {
     /// A node without a copy reports zeros, so that sums and alerts work for all nodes.
     fn ledger_metrics(&self) -> Vec<SampledMetric> {
         let leadership = self.replica.as_ref().map(|replica| replica.leadership().borrow().clone());
-        let (mut is_leader, mut term, mut voters, mut observers) = (false, 0, 0, 0);
+        let (mut is_leader, mut term, mut voters, mut learners) = (false, 0, 0, 0);
         if let Some(leadership) = leadership {
             (is_leader, term) = (leadership.is_leader, leadership.term);
-            (voters, observers) = (leadership.voters.len(), leadership.learners.len());
+            (voters, learners) = (leadership.voters.len(), leadership.learners.len());
         }
         let replica = self.replica.as_ref();
         let age = replica.filter(|_| is_leader).and_then(Replica::quorum_ack_age);
@@ -95,7 +95,7 @@ impl MetricSources {
             SampledMetric::gauge("is_leader", "1 if this node is the coordinator", f64::from(u8::from(is_leader))),
             SampledMetric::gauge("term", "This node's term", term as f64),
             SampledMetric::gauge("voters", "Voters, as seen by this node", voters as f64),
-            SampledMetric::gauge("observers", "Learners of the ledger, as seen by this node", observers as f64),
+            SampledMetric::gauge("learners", "Learners of the ledger, as seen by this node", learners as f64),
             SampledMetric::labelled_gauge(
                 "quorum_age_seconds",
                 "On the coordinator: time since the last reply of a majority",

@@ -80,9 +80,9 @@ impl Telemetry {
     }
 
     /// Sets the node's cluster membership.
-    pub fn set_cluster(&self, allegiance: ClusterMembership) {
+    pub fn set_cluster(&self, membership: ClusterMembership) {
         // A process runs a single node: there is no second call.
-        let _ = self.membership.0.set(allegiance);
+        let _ = self.membership.0.set(membership);
     }
 
     /// Sends the remaining spans, within a time limit.

@@ -213,7 +213,8 @@ mod tests {
                 "may_vote": true, "stationary": false, "mains_powered": false, "leaving": false, "robot": worker })
         };
         model.apply_view(&Key::ViewFleet, &json!({ "nodes": [node("ada", true), node("bea", false)] }), NOW_MS);
-        let coordinator = json!({ "seen_by": "desk", "node": "ada", "term": 3, "since_ms": 1000, "voters": ["ada"], "observers": [] });
+        let coordinator =
+            json!({ "seen_by": "desk", "node": "ada", "term": 3, "since_ms": 1000, "voters": ["ada"], "learners": [] });
         model.apply_view(&Key::ViewCoordinator, &coordinator, NOW_MS);
         let mission = json!({ "mission": "lab-samples-1", "state": "running", "detail": "running", "done": 4, "steps": 16,
             "holders": { "r1": "ada" }, "parameters": {}, "priority": 0, "submitted_at_ms": 40_000 });

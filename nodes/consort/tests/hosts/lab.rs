@@ -222,11 +222,11 @@ impl Lab {
         }
     }
 
-    /// Runs a command on a host against the node of that host, with `patience` as its timeout.
-    pub(crate) fn run(&mut self, arguments: &[&str], on: &str, patience: Duration) -> Ended {
+    /// Runs a command on a host against the node of that host, with `timeout` as its timeout.
+    pub(crate) fn run(&mut self, arguments: &[&str], on: &str, timeout: Duration) -> Ended {
         self.commands += 1;
-        let (name, patience) = (format!("command-{}", self.commands), patience.as_secs().to_string());
-        let more = ["--connect", "tcp/127.0.0.1:7447", "--fleet", &self.fleet, "--timeout", &patience];
+        let (name, timeout) = (format!("command-{}", self.commands), timeout.as_secs().to_string());
+        let more = ["--connect", "tcp/127.0.0.1:7447", "--fleet", &self.fleet, "--timeout", &timeout];
         let program = Program::start_by(&within(on), &self.folder, &name, &[arguments, &more].concat());
         program.end(LONG)
     }

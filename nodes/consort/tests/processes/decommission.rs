@@ -14,7 +14,7 @@ fn names(list: &Value) -> BTreeSet<&str> {
 fn kept_by(client: &Client, start_voters: &BTreeSet<&str>) {
     until(&format!("{start_voters:?} are the voters"), LONG, || {
         let (_, view) = client.all("view/coordinator", "").into_iter().next()?;
-        let by_them = names(&view["voters"]) == *start_voters && names(&view["observers"]).is_empty();
+        let by_them = names(&view["voters"]) == *start_voters && names(&view["learners"]).is_empty();
         (by_them && start_voters.contains(view["node"].as_str()?)).then_some(())
     });
 }

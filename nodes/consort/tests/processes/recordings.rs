@@ -81,11 +81,15 @@ fn a_recorder_survives_the_loss_of_its_node_and_can_be_killed() {
     });
     until("it has received the new coordinator", long, || holds(&file, &format!(r#"{{"node":"{next}","term":"#)));
     recorder.kill();
-    let reel = RecordingReader::open(&file).expect("the recording is readable");
-    assert!(reel.damage().is_some_and(|problem| problem.contains("it has no end")), "{:?}", reel.damage());
-    let changes = reel.marks().iter().filter(|mark| mark.kind == TimelineMarkKind::Coordinator);
-    assert!(changes.clone().any(|mark| mark.text.starts_with(&format!("coordinator {next}"))), "{:?}", reel.marks());
+    let recording = RecordingReader::open(&file).expect("the recording is readable");
+    assert!(recording.damage().is_some_and(|problem| problem.contains("it has no end")), "{:?}", recording.damage());
+    let changes = recording.marks().iter().filter(|mark| mark.kind == TimelineMarkKind::Coordinator);
+    assert!(
+        changes.clone().any(|mark| mark.text.starts_with(&format!("coordinator {next}"))),
+        "{:?}",
+        recording.marks()
+    );
     let before = changes.clone().next().expect("there is a change").at_ms - 1;
-    assert_eq!(reel.model_at(before).coordinator().map(|now| now.node.as_str()), Some(coordinator.as_str()));
+    assert_eq!(recording.model_at(before).coordinator().map(|now| now.node.as_str()), Some(coordinator.as_str()));
     fleet.stop();
 }

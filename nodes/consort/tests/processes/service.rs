@@ -106,8 +106,8 @@ fn a_node_that_cannot_start_never_reports_readiness() {
 fn a_node_feeds_its_watchdog_unless_it_is_stopped() {
     let mut manager = Manager::new();
     let mut fleet = Fleet::new(&example("fleet"));
-    let patience = Duration::from_secs(3);
-    fleet.start_by(&by(&manager.variables(patience)), "station", example("station"), &[]);
+    let timeout = Duration::from_secs(3);
+    fleet.start_by(&by(&manager.variables(timeout)), "station", example("station"), &[]);
     manager.awaits("READY=1");
     for _ in 0..3 {
         manager.awaits("WATCHDOG=1");
@@ -115,7 +115,7 @@ fn a_node_feeds_its_watchdog_unless_it_is_stopped() {
     fleet.node("station-1").signal("STOP");
     // Drains notifications that were already on their way.
     while manager.receive(Duration::from_millis(50)).is_some() {}
-    assert_eq!(manager.receive(patience), None, "it stands still");
+    assert_eq!(manager.receive(timeout), None, "it stands still");
     fleet.node("station-1").signal("CONT");
     manager.awaits("WATCHDOG=1");
     fleet.stop();

@@ -19,7 +19,7 @@ pub struct FloorPlan {
 impl FloorPlan {
     /// Creates the plan of a map. A map with invalid lanes is drawn without routes.
     pub fn new(floor: &LoadedMap) -> FloorPlan {
-        let mut shown = floor.to_json();
+        let mut shown = serde_json::to_value(floor.to_view()).expect("a view serializes to JSON");
         delta::strip_nulls(&mut shown);
         FloorPlan { routes: Routes::new(&floor.topology).ok(), places: floor.topology.places.clone(), shown }
     }

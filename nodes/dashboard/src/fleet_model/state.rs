@@ -47,7 +47,7 @@ pub struct CoordinatorModel {
     /// Voters of the ledger.
     pub voters: Vec<String>,
     /// Learners of the ledger.
-    pub observers: Vec<String>,
+    pub learners: Vec<String>,
     /// Permanently lost voters.
     pub voters_lost: Vec<String>,
 }

@@ -139,7 +139,7 @@ impl FleetModel {
         if let Some(shown) = &mut self.coordinator {
             shown.quorum_ms = quorum.or(shown.quorum_ms);
             shown.voters = names(view.voters);
-            shown.observers = names(view.observers);
+            shown.learners = names(view.learners);
             shown.voters_lost = names(view.voters_lost);
         }
     }

@@ -347,7 +347,11 @@ fn consecutive_patches_equal_the_whole_model() {
         &|model| model.apply_view(&Key::ViewFleet, &fleet(json!([node("bob", &holding)])), NOW),
         &|model| model.apply_view(&Key::ViewWorld, &json!({ "doors": [] }), NOW),
         &|model| {
-            model.apply_view(&Key::ViewMap, &LoadedMap::from(map::read(SHED, "shed.yaml").unwrap()).to_json(), NOW);
+            model.apply_view(
+                &Key::ViewMap,
+                &serde_json::to_value(LoadedMap::from(map::read(SHED, "shed.yaml").unwrap()).to_view()).unwrap(),
+                NOW,
+            );
         },
     ];
     for (number, step) in steps.iter().enumerate() {

@@ -100,9 +100,9 @@ fn a_repeated_view_is_written_once() {
         messages.filter(|message| message.channel.topic == topic).count()
     };
     assert_eq!((on("/view/missions"), on("/view/again"), live.recorded.views), (3, 198, 201));
-    let reel = RecordingReader::open(&live.file.0).unwrap();
+    let recording = RecordingReader::open(&live.file.0).unwrap();
     for after_ms in [0, 999, 1000, 57_000, 100_000, 100_500, 101_000, 163_000, 200_000] {
-        assert_eq!(&reel.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "{after_ms} ms");
+        assert_eq!(&recording.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "{after_ms} ms");
     }
     assert_ne!(live.at(1000), live.at(57_000), "its age is another");
 }
@@ -116,14 +116,14 @@ fn a_truncated_file_is_shown_up_to_the_cut() {
     for share in (0..100).map(|part| whole.len() * part / 100).chain([9, whole.len() - 1]) {
         let cut = Scratch::holding(&whole[..share]);
         match RecordingReader::open(&cut.0) {
-            Ok(reel) => {
+            Ok(recording) => {
                 shown += 1;
-                let problem = reel.damage().expect("the damage is reported");
+                let problem = recording.damage().expect("the damage is reported");
                 assert!(problem.contains("it has no end"), "{share}: {problem}");
-                let after_ms = reel.to_ms() - BEGAN;
+                let after_ms = recording.to_ms() - BEGAN;
                 // The inputs of an instant may be separated by the cut.
                 let sure_ms = after_ms.saturating_sub(1);
-                assert_eq!(&reel.model_at(BEGAN + sure_ms).to_json(), live.at(sure_ms), "cut at {share}");
+                assert_eq!(&recording.model_at(BEGAN + sure_ms).to_json(), live.at(sure_ms), "cut at {share}");
             }
             Err(problem) => {
                 refused += 1;
@@ -144,17 +144,17 @@ fn a_damaged_file_is_shown_up_to_the_damage_and_never_wrongly() {
         let mut bytes = whole.clone();
         bytes[whole.len() * part / 200] ^= 0x5a;
         let file = Scratch::holding(&bytes);
-        let Ok(reel) = RecordingReader::open(&file.0) else {
+        let Ok(recording) = RecordingReader::open(&file.0) else {
             noticed += 1;
             continue;
         };
-        let sure_ms = match reel.damage() {
-            Some(_) => (reel.to_ms() - BEGAN).saturating_sub(1),
+        let sure_ms = match recording.damage() {
+            Some(_) => (recording.to_ms() - BEGAN).saturating_sub(1),
             // The damage is in the index, which repeats earlier content.
             None => live.length_ms(),
         };
-        *(if reel.damage().is_some() { &mut noticed } else { &mut harmless }) += 1;
-        assert_eq!(&reel.model_at(BEGAN + sure_ms).to_json(), live.at(sure_ms), "damaged at part {part}");
+        *(if recording.damage().is_some() { &mut noticed } else { &mut harmless }) += 1;
+        assert_eq!(&recording.model_at(BEGAN + sure_ms).to_json(), live.at(sure_ms), "damaged at part {part}");
     }
     assert!(noticed > 100 && harmless > 10, "{noticed} noticed, {harmless} harmless");
 }
@@ -162,19 +162,19 @@ fn a_damaged_file_is_shown_up_to_the_damage_and_never_wrongly() {
 #[test]
 fn flushed_inputs_survive_a_kill_of_the_recorder() {
     let file = Scratch::new();
-    let mut tape = recorder(&file.0, ExistingFile::Keep);
+    let mut writer = recorder(&file.0, ExistingFile::Keep);
     let mut model = consort_dashboard::fleet_model::FleetModel::new("ward", "recorder", Default::default(), BEGAN);
     let chunk_ms = FLUSH_AFTER.as_millis() as u64;
     for (after_ms, input) in driving() {
         let now_ms = BEGAN + after_ms;
         model.apply(&input, now_ms);
-        tape.write_input(&input, &model, now_ms).unwrap();
-        tape.flush_due(now_ms).unwrap();
+        writer.write_input(&input, &model, now_ms).unwrap();
+        writer.flush_due(now_ms).unwrap();
         if after_ms > 2 * chunk_ms {
             // The current content of the disk.
             let left = Scratch::holding(&fs::read(&file.0).unwrap());
-            let reel = RecordingReader::open(&left.0).unwrap();
-            assert!(reel.to_ms() + chunk_ms >= now_ms, "{} of {now_ms}", reel.to_ms());
+            let recording = RecordingReader::open(&left.0).unwrap();
+            assert!(recording.to_ms() + chunk_ms >= now_ms, "{} of {now_ms}", recording.to_ms());
         }
     }
 }

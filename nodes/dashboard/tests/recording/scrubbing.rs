@@ -46,14 +46,14 @@ fn story() -> Vec<(u64, FleetInput)> {
 #[test]
 fn every_instant_of_a_recording_equals_the_live_model() {
     let live = LiveRecording::record(story());
-    let reel = RecordingReader::open(&live.file.0).unwrap();
-    assert_eq!((reel.fleet(), reel.from_ms(), reel.to_ms()), ("ward", BEGAN, BEGAN + 9000));
-    assert_eq!((reel.damage(), reel.inputs()), (None, story().len()));
+    let recording = RecordingReader::open(&live.file.0).unwrap();
+    assert_eq!((recording.fleet(), recording.from_ms(), recording.to_ms()), ("ward", BEGAN, BEGAN + 9000));
+    assert_eq!((recording.damage(), recording.inputs()), (None, story().len()));
     for after_ms in [0, 4, 5, 1000, 1150, 1400, 3999, 4000, 4100, 5000, 5199, 9000, 99_000] {
-        assert_eq!(&reel.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "{after_ms} ms");
+        assert_eq!(&recording.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "{after_ms} ms");
     }
     // The states must differ.
-    let model = |after_ms: u64| reel.model_at(BEGAN + after_ms);
+    let model = |after_ms: u64| recording.model_at(BEGAN + after_ms);
     assert!(model(999).missions().is_empty());
     assert_eq!(model(4099).missions()["m-1"].state, "running");
     assert_eq!(model(9000).missions()["m-1"].state, "completed");
@@ -69,8 +69,9 @@ fn every_instant_of_a_recording_equals_the_live_model() {
 #[test]
 fn coordinator_changes_and_mission_ends_are_marked() {
     let live = LiveRecording::record(story());
-    let reel = RecordingReader::open(&live.file.0).unwrap();
-    let marks: Vec<_> = reel.marks().iter().map(|mark| (mark.at_ms - BEGAN, mark.kind, mark.text.as_str())).collect();
+    let recording = RecordingReader::open(&live.file.0).unwrap();
+    let marks: Vec<_> =
+        recording.marks().iter().map(|mark| (mark.at_ms - BEGAN, mark.kind, mark.text.as_str())).collect();
     assert_eq!(
         marks,
         [
@@ -113,9 +114,9 @@ proptest! {
             (now_ms, input)
         });
         let live = LiveRecording::record(inputs);
-        let reel = RecordingReader::open(&live.file.0).unwrap();
+        let recording = RecordingReader::open(&live.file.0).unwrap();
         // A single model moves back and forth, as that of the publisher does.
-        let (mut model, mut taken) = (reel.initial_model(), 0);
+        let (mut model, mut taken) = (recording.initial_model(), 0);
         // The rendered model, and the model of a client that applies the patches.
         let mut drawn = Value::Null;
         model.render_patch(&mut drawn);
@@ -124,14 +125,14 @@ proptest! {
             let anywhere_ms = (live.length_ms() as f64 * share) as u64;
             // Mostly the exact instants of inputs.
             let after_ms = if share < 0.7 { live.last_input_ms(anywhere_ms) } else { anywhere_ms };
-            taken = reel.seek(&mut model, taken, BEGAN + after_ms);
+            taken = recording.seek(&mut model, taken, BEGAN + after_ms);
             prop_assert_eq!(&model.to_json(), live.at(after_ms), "{} ms, after a jump", after_ms);
             if let Some(patch) = model.render_patch(&mut drawn) {
                 delta::apply(&mut seen, &patch);
             }
             prop_assert_eq!(&seen, live.at(after_ms), "{} ms, by what has changed", after_ms);
             prop_assert_eq!(&drawn, &seen);
-            prop_assert_eq!(&reel.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "{} ms, at once", after_ms);
+            prop_assert_eq!(&recording.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "{} ms, at once", after_ms);
         }
     }
 }
@@ -141,10 +142,10 @@ fn keyframes_keep_seeking_fast_in_a_long_recording() {
     // An hour with four inputs per second: keyframes become rarer, and the shown state stays right.
     let inputs = (0..14_400u64).map(|number| (number * 250, body("ada", number as f64 / 4.0)));
     let live = LiveRecording::record(inputs);
-    let reel = RecordingReader::open(&live.file.0).unwrap();
+    let recording = RecordingReader::open(&live.file.0).unwrap();
     for minute in [0, 59, 1, 30, 29, 31, 58] {
         let after_ms = minute * 60_000 + 100;
-        assert_eq!(&reel.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "minute {minute}");
+        assert_eq!(&recording.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "minute {minute}");
     }
     const { assert!(KEYFRAMES_MAX < 14_400) };
 }

@@ -23,7 +23,7 @@ pub(crate) struct Scratch(pub(crate) PathBuf);
 impl Scratch {
     pub(crate) fn new() -> Scratch {
         static COUNT: AtomicU32 = AtomicU32::new(0);
-        let name = format!("consort-tape-{}-{}.mcap", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        let name = format!("consort-recording-{}-{}.mcap", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
         Scratch(std::env::temp_dir().join(name))
     }
 
@@ -64,16 +64,16 @@ impl LiveRecording {
     /// Records inputs, each with its delay in milliseconds after the start of the recording.
     pub(crate) fn record(inputs: impl IntoIterator<Item = (u64, FleetInput)>) -> LiveRecording {
         let file = Scratch::new();
-        let (mut tape, mut model) = (recorder(&file.0, ExistingFile::Keep), empty());
+        let (mut writer, mut model) = (recorder(&file.0, ExistingFile::Keep), empty());
         let mut pictures = vec![(0, model.to_json())];
         for (after_ms, input) in inputs {
             let now_ms = BEGAN + after_ms;
             model.apply(&input, now_ms);
-            tape.write_input(&input, &model, now_ms).unwrap();
-            tape.flush_due(now_ms).unwrap();
+            writer.write_input(&input, &model, now_ms).unwrap();
+            writer.flush_due(now_ms).unwrap();
             pictures.push((after_ms, model.to_json()));
         }
-        let recorded = tape.finish().unwrap();
+        let recorded = writer.finish().unwrap();
         LiveRecording { file, recorded, pictures }
     }
 
@@ -118,7 +118,7 @@ const HALL: &str = "{name: hall, walls: [[[0, 0], [12, 0]]], places: [{name: Doc
     doors: [{name: Lab door, on: [[Dock, IC Room 6]], opening_s: 1}]}";
 
 pub(crate) fn map() -> FleetInput {
-    view(Key::ViewMap, LoadedMap::from(map::read(HALL, "hall.yaml").unwrap()).to_json())
+    view(Key::ViewMap, serde_json::to_value(LoadedMap::from(map::read(HALL, "hall.yaml").unwrap()).to_view()).unwrap())
 }
 
 pub(crate) fn robots(names: &[&str]) -> FleetInput {

@@ -4,7 +4,8 @@ use clap::{ArgGroup, Args as ClapArgs};
 use consort_nodes::command::flag_values::InvalidValue;
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
-use consort_tests::chaos::mutants::{MUTANT_CHECKS, Mutant, check_mutant};
+use consort_tests::chaos::mutants::Mutant;
+use consort_tests::chaos::mutation_checks::{MUTANT_CHECKS, check_mutant};
 use consort_tests::chaos::scoreboard::{self, markdown};
 use consort_tests::chaos::seed_sweep::percentiles;
 use consort_tests::chaos::{

@@ -15,8 +15,8 @@
 //! | `wire/active_missions/{node}` | – | any node | that node, if a voter |
 //! | `wire/signal/{mission}/{role}` | robots and hosts | – | – |
 //! | `wire/signal_history/{mission}/{role}` | – | any node | robots and hosts |
-//! | `wire/body/{robot}/command` | – | that robot | hosts |
-//! | `wire/body/{robot}/state` | hosts | – | – |
+//! | `wire/driver/{robot}/command` | – | that robot | hosts |
+//! | `wire/driver/{robot}/state` | hosts | – | – |
 //! | `wire/people/ask` | – | hosts | hosts |
 //! | `wire/people/done` | hosts | – | – |
 //! | `wire/world` | – | any node | hosts |
@@ -197,9 +197,9 @@ fn permitted_content(node: &Node<'_>, operation: Operation, key: &str) -> Option
         (&["wire", "signal", _, _], Publish) | (&["wire", "signal_history", _, _], Reply) => {
             unnamed(node.is(Robot) || node.is(Host))
         }
-        (&["wire", "body", name, "command"], Query) => unnamed(node.is(Robot) && node.is_named(name)),
-        (&["wire", "body", _, "command"] | &["wire", "world"], Reply) => unnamed(node.is(Host)),
-        (&["wire", "body", _, "state"] | &["wire", "people", "done"], Publish) => unnamed(node.is(Host)),
+        (&["wire", "driver", name, "command"], Query) => unnamed(node.is(Robot) && node.is_named(name)),
+        (&["wire", "driver", _, "command"] | &["wire", "world"], Reply) => unnamed(node.is(Host)),
+        (&["wire", "driver", _, "state"] | &["wire", "people", "done"], Publish) => unnamed(node.is(Host)),
         (&["wire", "people", "ask"], Query | Reply) => unnamed(node.is(Host)),
         (&["events", name], Publish) => node.is_named(name).then_some(NamedContent::Event),
         (&["view", ..] | &["api", _, "help"], Reply) => unnamed(true),

@@ -25,7 +25,7 @@
 //! - `attempts: 3`: maximum number of attempts of its skill before the task fails permanently; 1 to
 //!   10, default 2.
 //! - for tasks with a person (`approach_person`, `authenticate_person`, `deposit`),
-//!   `parameters: { patience: "300" }`: time in seconds that the robot waits, at each attempt, for
+//!   `parameters: { timeout_s: "300" }`: time in seconds that the robot waits, at each attempt, for
 //!   a person who has left; default 120.
 //!
 //! A role may set `on_loss: restart`: if its holder is lost after other roles have acted on its

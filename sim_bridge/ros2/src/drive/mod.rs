@@ -2,9 +2,9 @@
 //! `NavigateToPose` action server.
 //!
 //! ```text
-//!  fleet's bus                                              this program                          ROS 2 (rmw_zenoh)
-//!  robot's node: skills ── wire/body/ada/command ──▶ DriverServer ─▶ Nav2Driver ─▶ ActionClient ──▶ /navigate_to_pose
-//!                       ◀── wire/body/ada/state ────              ◀─ feedback, result ◀──────────
+//!  fleet's bus                                                this program                          ROS 2 (rmw_zenoh)
+//!  robot's node: skills ── wire/driver/ada/command ──▶ DriverServer ─▶ Nav2Driver ─▶ ActionClient ──▶ /navigate_to_pose
+//!                       ◀── wire/driver/ada/state ────              ◀─ feedback, result ◀──────────
 //! ```
 //!
 //! The robot's node is an ordinary node (`consort robot`); its skills do not depend on the kind of

@@ -2,9 +2,9 @@
 //! server of the fleet reports.
 //!
 //! ```text
-//!  ROS 2 (rmw_zenoh)          this program                             fleet's bus
-//!  /ada/navigate_to_pose ◀──▶ ActionServer ◀─▶ GoalExecutor ── wire/body/ada/command ──▶ driver server (world)
-//!                                                           ◀── wire/body/ada/state ────
+//!  ROS 2 (rmw_zenoh)          this program                               fleet's bus
+//!  /ada/navigate_to_pose ◀──▶ ActionServer ◀─▶ GoalExecutor ── wire/driver/ada/command ──▶ driver server (world)
+//!                                                           ◀── wire/driver/ada/state ────
 //! ```
 //!
 //! A simulated robot has a single client. Here it is the ROS 2 client, and only while a goal is in
@@ -24,7 +24,7 @@ use consort_bus::{BusError, SharedBus};
 use consort_fleet::robot_driver::{DriverCommand, DriverState, GoalRequest};
 use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
-use consort_protocol::keys::{BodyCall, Key, Keys};
+use consort_protocol::keys::{DriverCall, Key, Keys};
 use goal_executor::{Action, GoalExecutor, Report};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -71,7 +71,7 @@ pub enum ServeError {
 /// Offers an action server on `ros` for every robot whose state is received on the bus, for as long
 /// as the future is polled. A robot without further states keeps its server: its goals are aborted.
 pub async fn serve(ros: &Ros, settings: ServeSettings) -> Result<(), ServeError> {
-    let mut states = settings.bus.subscribe(&settings.keys.any_body_state()).await?;
+    let mut states = settings.bus.subscribe(&settings.keys.any_driver_state()).await?;
     let mut robots: BTreeMap<RobotId, UnboundedSender<DriverState>> = BTreeMap::new();
     let mut names: BTreeSet<String> = BTreeSet::new();
     let mut tasks = JoinSet::new();
@@ -94,7 +94,7 @@ pub async fn serve(ros: &Ros, settings: ServeSettings) -> Result<(), ServeError>
             }
             let server = ActionServer::offer(&ros.node, &format!("/{name}/navigate_to_pose"))?;
             let executor = GoalExecutor::new(robot.clone(), Arc::clone(&settings.planner), settings.first_goal);
-            let command = settings.keys.write(&Key::Body(robot.clone(), BodyCall::Command));
+            let command = settings.keys.write(&Key::Driver(robot.clone(), DriverCall::Command));
             let bridge = Bridge { robot, server, executor, bus: settings.bus.clone(), command, since: Instant::now() };
             tasks.spawn(bridge.run(states));
         }

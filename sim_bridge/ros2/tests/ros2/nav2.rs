@@ -6,7 +6,7 @@ use consort_bus::{Bus, Encoding, ZenohBus};
 use consort_fleet::robot_driver::{DriverClientSettings, DriverCommand, DriverState, RobotDriver};
 use consort_protocol::codec;
 use consort_protocol::ids::{RobotId, TaskType};
-use consort_protocol::keys::{BodyCall, Key};
+use consort_protocol::keys::{DriverCall, Key};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, WorldTime};
@@ -157,7 +157,7 @@ async fn an_early_refusal_does_not_replace_the_reply_of_the_server() {
     let bus_of_robot = bus(Some(&bus_of_world)).await;
     host_world(&bus_of_world, vec![carrier("bob", "Crossing", 1.0)]).await;
     // Ada's driver server is slow: the world refuses the command long before.
-    let command = keys().write(&Key::Body(ada(), BodyCall::Command));
+    let command = keys().write(&Key::Driver(ada(), DriverCall::Command));
     let mut commands = bus_of_world.serve(&command).await.unwrap();
     let server_task = tokio::spawn(async move {
         let mut sequence = 0;

@@ -3,7 +3,7 @@
 use crate::support::{LIMIT, Offered, carrier, keys, to_place, until, within};
 use bytes::Bytes;
 use consort_bus::Bus;
-use consort_protocol::keys::{BodyCall, Key};
+use consort_protocol::keys::{DriverCall, Key};
 use consort_ros2::messages::{NavigateResult, NavigateToPose};
 use consort_skills::actions::RobotBackend;
 use hiroz::Builder;
@@ -55,7 +55,7 @@ async fn it_runs_the_driver_server_of_a_robot_under_nav2() {
     let ends = ["--connect", &fleet, "--router", &offered.router.address, "--map", "hospital"];
     let robot = ["--robot", "bob", "--place", "IC Room 6"];
     let _running = Running(program(&["drive"]).args(ends).args(robot).spawn().unwrap());
-    let command = keys().write(&Key::Body("bob".parse().unwrap(), BodyCall::Command));
+    let command = keys().write(&Key::Driver("bob".parse().unwrap(), DriverCall::Command));
     let heartbeat = consort_fleet::robot_driver::DriverCommand { request: None };
     let bytes = Bytes::from(consort_protocol::codec::encode(&heartbeat).unwrap());
     let mut state = None;

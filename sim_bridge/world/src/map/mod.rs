@@ -35,7 +35,7 @@ mod building;
 mod check;
 mod diagnostic;
 mod file;
-mod map_json;
+mod map_view;
 mod model;
 mod read;
 pub mod render;

@@ -1,7 +1,7 @@
 //! An acknowledged mission is in the ledger of every later coordinator, exactly once. A request
 //! without a name counts as a new request each time it is sent.
 
-use super::Invariant;
+use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation, slug};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::ledger::Ledger;
@@ -17,7 +17,7 @@ pub(super) struct Acknowledged {
 }
 
 impl Acknowledged {
-    fn all_in_ledger_of(&self, node: &NodeId, fleet: &Fleet) -> Result<(), String> {
+    fn all_in_ledger_of(&self, node: &NodeId, fleet: &Fleet) -> Result<(), InvariantViolation> {
         let Some(replica) = fleet.nodes.get(node.as_str()).and_then(|node| node.replica.as_ref()) else {
             return Ok(());
         };
@@ -28,22 +28,23 @@ impl Acknowledged {
                     let found = found.map_or("no mission".to_owned(), ToString::to_string);
                     return Err(format!(
                         "{request} was acknowledged as {mission}, but the leader {node} has {found} for it"
-                    ));
+                    )
+                    .into());
                 }
             }
             if let Some(lost) = self.unnamed.iter().find(|mission| ledger.mission(mission).is_none()) {
-                return Err(format!("{lost} was acknowledged, but the leader {node} does not have it"));
+                return Err(format!("{lost} was acknowledged, but the leader {node} does not have it").into());
             }
             once_each(ledger)
         })
     }
 }
 
-fn once_each(ledger: &Ledger) -> Result<(), String> {
+fn once_each(ledger: &Ledger) -> Result<(), InvariantViolation> {
     let mut seen = BTreeMap::new();
     for entry in ledger.missions() {
         if let Some(other) = seen.insert(&entry.submission.request, &entry.id) {
-            return Err(format!("request {} stands for both {other} and {}", entry.submission.request, entry.id));
+            return Err(format!("request {} stands for both {other} and {}", entry.submission.request, entry.id).into());
         }
     }
     Ok(())
@@ -54,19 +55,21 @@ impl Invariant for Acknowledged {
         "acknowledged"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
         match entry {
             Observation::RequestAcknowledged { request: None, mission, .. } => {
                 let asked_for = self.missions.values().any(|known| known == mission);
                 if asked_for || !self.unnamed.insert(mission.clone()) {
-                    return Err(format!("{mission} was acknowledged to an unnamed request and to another request"));
+                    return Err(
+                        format!("{mission} was acknowledged to an unnamed request and to another request").into()
+                    );
                 }
                 Ok(())
             }
             Observation::RequestAcknowledged { request: Some(request), mission, .. } => {
                 match self.missions.get(request) {
                     Some(known) if known != mission => {
-                        Err(format!("{request} was acknowledged as {known} and then as {mission}"))
+                        Err(format!("{request} was acknowledged as {known} and then as {mission}").into())
                     }
                     _ => {
                         self.missions.insert(request.clone(), mission.clone());
@@ -79,7 +82,7 @@ impl Invariant for Acknowledged {
         }
     }
 
-    fn check_end(&mut self, fleet: &Fleet) -> Result<(), String> {
+    fn check_end(&mut self, fleet: &Fleet) -> Result<(), InvariantViolation> {
         fleet.coordinating().map_or(Ok(()), |node| self.all_in_ledger_of(&node, fleet))
     }
 }

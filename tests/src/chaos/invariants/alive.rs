@@ -3,7 +3,7 @@
 //! By design, a failing actor ends its node, and the supervisor of the node restarts it. No fault
 //! of the network, of another node or of a slow disk may cause that.
 
-use super::Invariant;
+use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use std::time::Duration;
 
@@ -14,9 +14,9 @@ impl Invariant for Alive {
         "alive"
     }
 
-    fn observe(&mut self, _: Duration, _: &Observation, fleet: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, _: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
         match fleet.nodes.iter().find(|(_, node)| node.has_ended()) {
-            Some((name, _)) => Err(format!("the node {name} ended by itself")),
+            Some((name, _)) => Err(format!("the node {name} ended by itself").into()),
             None => Ok(()),
         }
     }

@@ -3,7 +3,7 @@
 //! A replica applies only committed entries. So every node that applies an index applies the same
 //! entry of the same term there: before and after takeovers, restarts and lost disks.
 
-use super::Invariant;
+use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::ids::NodeId;
 use std::collections::BTreeMap;
@@ -22,7 +22,7 @@ impl Invariant for Committed {
         "committed"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
         match entry {
             Observation::TestAction { node, action: "starts again" } => {
                 self.last.remove(node);
@@ -36,12 +36,13 @@ impl Invariant for Committed {
                         at.index,
                         at.term,
                         if known.1 == *digest { "agree" } else { "differ" }
-                    ));
+                    )
+                    .into());
                 }
                 if let Some(last) = self.last.insert(node.clone(), at.index)
                     && at.index <= last
                 {
-                    return Err(format!("{node} took in entry {} after entry {last}", at.index));
+                    return Err(format!("{node} took in entry {} after entry {last}", at.index).into());
                 }
             }
             _ => {}

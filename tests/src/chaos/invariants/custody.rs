@@ -1,6 +1,6 @@
 //! A sample moves along its path once: from a person into a drawer, and from there to an arm.
 
-use super::Invariant;
+use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_world::world::{LoggedEvent, SampleHolder, SampleId, WorldEvent as InWorld};
 use std::collections::BTreeMap;
@@ -17,11 +17,11 @@ impl Invariant for Custody {
         "custody"
     }
 
-    fn observe(&mut self, _: Duration, _: &Observation, _: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, _: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
         Ok(())
     }
 
-    fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), String> {
+    fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), InvariantViolation> {
         let InWorld::SampleMoved { sample, from, to } = &entry.event else { return Ok(()) };
         let counts = self.samples.entry(sample.clone()).or_default();
         match (from, to) {
@@ -31,7 +31,9 @@ impl Invariant for Custody {
         }
         if counts.0 > 1 || counts.1 > 1 {
             let (out, delivered) = counts;
-            return Err(format!("{} was handed out {out} times and delivered {delivered} times", sample.as_str()));
+            return Err(
+                format!("{} was handed out {out} times and delivered {delivered} times", sample.as_str()).into()
+            );
         }
         Ok(())
     }

@@ -4,8 +4,8 @@
 //! Otherwise, if the robot were lost at that instant, the ledger could not show whether the robot
 //! has the item.
 
-use super::Invariant;
 use super::reference_ledger::ReferenceLedger;
+use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
@@ -26,7 +26,7 @@ impl Guarded {
         mission: &MissionId,
         role: &RoleId,
         is: impl Fn(&StepAction) -> bool,
-    ) -> Result<(), String> {
+    ) -> Result<(), InvariantViolation> {
         let Some(entry) = self.reference.ledger.mission(mission) else { return Ok(()) };
         let (Some(plan), Some(held)) = (entry.plan(role), entry.roles.get(role)) else { return Ok(()) };
         // Another invariant checks whether a robot that does not hold the role may act at all.
@@ -39,7 +39,7 @@ impl Guarded {
             if !missing.is_empty() {
                 return Err(format!(
                     "{node} performs step {step} as {role} of {mission}, and no ledger has the steps {missing:?} before it"
-                ));
+                ).into());
             }
         }
         Ok(())
@@ -62,7 +62,7 @@ impl Invariant for Guarded {
         "guarded"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
         self.reference.observe(entry);
         let node = entry.node();
         match entry.event_kind() {

@@ -23,6 +23,16 @@ use crate::{Fleet, Observation};
 use consort_world::world::LoggedEvent;
 use std::time::Duration;
 
+/// Description of the violation of an invariant.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct InvariantViolation(pub String);
+
+impl From<String> for InvariantViolation {
+    fn from(description: String) -> InvariantViolation {
+        InvariantViolation(description)
+    }
+}
+
 /// A condition that must hold.
 pub trait Invariant {
     /// Returns its name, which is that of its file.
@@ -31,14 +41,14 @@ pub trait Invariant {
     /// Checks an entry of the event log.
     ///
     /// # Errors
-    /// The description of the violation.
-    fn observe(&mut self, at: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String>;
+    /// The violation.
+    fn observe(&mut self, at: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation>;
 
     /// Checks an event of the world.
     ///
     /// # Errors
     /// Same as [`observe`](Invariant::observe).
-    fn observe_world(&mut self, _at: Duration, _entry: &LoggedEvent, _fleet: &Fleet) -> Result<(), String> {
+    fn observe_world(&mut self, _at: Duration, _entry: &LoggedEvent, _fleet: &Fleet) -> Result<(), InvariantViolation> {
         Ok(())
     }
 
@@ -46,7 +56,7 @@ pub trait Invariant {
     ///
     /// # Errors
     /// Same as [`observe`](Invariant::observe).
-    fn check_end(&mut self, _fleet: &Fleet) -> Result<(), String> {
+    fn check_end(&mut self, _fleet: &Fleet) -> Result<(), InvariantViolation> {
         Ok(())
     }
 }

@@ -4,7 +4,7 @@
 //! A robot is active from the start or resumption of a role until it suspends the role, halts it or
 //! is killed. Each robot records these events locally.
 
-use super::Invariant;
+use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
@@ -21,14 +21,14 @@ pub(super) struct OneHolder {
 }
 
 impl OneHolder {
-    fn begins(&mut self, node: &NodeId, mission: &MissionId, role: &RoleId) -> Result<(), String> {
+    fn begins(&mut self, node: &NodeId, mission: &MissionId, role: &RoleId) -> Result<(), InvariantViolation> {
         let part = (mission.clone(), role.clone());
         if let Some(other) = self.active.get(&part).filter(|other| *other != node) {
-            return Err(format!("{node} acts as {role} of {mission} while {other} still does"));
+            return Err(format!("{node} acts as {role} of {mission} while {other} still does").into());
         }
         let elsewhere = self.active.iter().find(|(other, who)| *who == node && **other != part);
         if let Some(((other, as_role), _)) = elsewhere {
-            return Err(format!("{node} acts as {role} of {mission} while it acts as {as_role} of {other}"));
+            return Err(format!("{node} acts as {role} of {mission} while it acts as {as_role} of {other}").into());
         }
         self.active.insert(part, node.clone());
         Ok(())
@@ -40,7 +40,7 @@ impl Invariant for OneHolder {
         "one_holder"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
         let node = entry.node();
         if let Observation::TestAction { action: "killed", .. } = entry {
             self.active.retain(|_, who| who != node);
@@ -53,7 +53,8 @@ impl Invariant for OneHolder {
                 {
                     return Err(format!(
                         "{node} begins {role} of {mission} under epoch {epoch}, after {latest} was begun"
-                    ));
+                    )
+                    .into());
                 }
                 self.begins(node, mission, role)
             }

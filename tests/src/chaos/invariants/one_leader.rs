@@ -4,7 +4,7 @@
 //! was elected later than all previous leaders. So a node never leads again after another leader
 //! has begun: not even for an instant, and not after a restart that made voters forget their votes.
 
-use super::Invariant;
+use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::ids::NodeId;
 use consort_raft::LeaderId;
@@ -23,7 +23,7 @@ impl Invariant for OneLeader {
         "one_leader"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
         match entry {
             Observation::TestAction { node, action: "killed" } => {
                 self.leading.remove(node);
@@ -34,11 +34,11 @@ impl Invariant for OneLeader {
             Observation::LeadershipChanged { node, leading_as: Some(leader_id), .. } => {
                 self.leading.insert(node.clone(), *leader_id);
                 if let Some((other, since)) = self.leading.iter().find(|(other, _)| *other != node) {
-                    return Err(format!("{node} leads as {leader_id} while {other} leads as {since}"));
+                    return Err(format!("{node} leads as {leader_id} while {other} leads as {since}").into());
                 }
                 match &self.latest {
                     Some((latest, previous)) if latest > leader_id || (latest == leader_id && previous != node) => {
-                        return Err(format!("{node} leads as {leader_id} after {previous} has led as {latest}"));
+                        return Err(format!("{node} leads as {leader_id} after {previous} has led as {latest}").into());
                     }
                     _ => self.latest = Some((*leader_id, node.clone())),
                 }

@@ -4,8 +4,8 @@
 //! be equal, no matter whether a replica applied all entries, was read from a disk after a restart,
 //! or was received as a snapshot.
 
-use super::Invariant;
 use super::reference_ledger::ReferenceLedger;
+use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ pub(super) struct Replayed {
 
 impl Replayed {
     /// Compares all replicas that have applied the known log.
-    fn compare(&self, fleet: &Fleet) -> Result<(), String> {
+    fn compare(&self, fleet: &Fleet) -> Result<(), InvariantViolation> {
         for (name, node) in &fleet.nodes {
             let Some(replica) = &node.replica else { continue };
             if replica.applied().borrow().index != self.reference.index {
@@ -35,9 +35,10 @@ impl Replayed {
                     return Err(format!(
                         "the ledger of {name} has {actual:?} for {}, but the log contains {expected}",
                         entry.id
-                    ));
+                    )
+                    .into());
                 }
-                Some(None) => return Err(format!("the ledger of {name} differs from its log")),
+                Some(None) => return Err(format!("the ledger of {name} differs from its log").into()),
             }
         }
         Ok(())
@@ -49,7 +50,7 @@ impl Invariant for Replayed {
         "replayed"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
         self.reference.observe(entry);
         match entry {
             Observation::LeadershipChanged { leading_as: Some(_), .. } => self.compare(fleet),
@@ -57,7 +58,7 @@ impl Invariant for Replayed {
         }
     }
 
-    fn check_end(&mut self, fleet: &Fleet) -> Result<(), String> {
+    fn check_end(&mut self, fleet: &Fleet) -> Result<(), InvariantViolation> {
         self.compare(fleet)
     }
 }

@@ -3,7 +3,7 @@
 //! A role begins only under a committed award. A robot halts a finished role only after some
 //! replica contains the end of the role, because a report is committed before it is acknowledged.
 
-use super::Invariant;
+use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId};
@@ -25,14 +25,16 @@ impl Invariant for Settled {
         "settled"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
         if let Observation::EntryApplied { at, .. } = entry {
             self.applied.insert((at.index, at.term));
         }
         let node = entry.node();
         match entry.event_kind() {
             Some(EventKind::Started { mission, role, epoch }) if !self.applied.contains(&(epoch.index, epoch.term)) => {
-                return Err(format!("{node} begins {role} of {mission} under {epoch}, which was never committed"));
+                return Err(
+                    format!("{node} begins {role} of {mission} under {epoch}, which was never committed").into()
+                );
             }
             Some(EventKind::Halted { mission, role, reason: EndReason::Over }) => {
                 let part = (mission.clone(), role.clone());
@@ -47,7 +49,8 @@ impl Invariant for Settled {
                 } else if !self.over.contains(&part) {
                     return Err(format!(
                         "{node} halted {role} of {mission} as ended, but it has not ended in any ledger"
-                    ));
+                    )
+                    .into());
                 }
             }
             _ => {}

@@ -5,8 +5,8 @@
 //! every sent signal was received. There are two exceptions: the receiving role was released when
 //! only cleanup remained, or the signal was sent before a recovery branch was taken.
 
-use super::Invariant;
 use super::reference_ledger::ReferenceLedger;
+use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId};
@@ -42,7 +42,7 @@ impl Invariant for Signals {
         "signals"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
         self.reference.observe(entry);
         match entry.event_kind() {
             Some(EventKind::Sent { mission, signal }) => {
@@ -58,7 +58,8 @@ impl Invariant for Signals {
                     return Err(format!(
                         "{} continues in {mission} after {signal:?}, which was never sent",
                         entry.node()
-                    ));
+                    )
+                    .into());
                 }
                 self.received.entry(mission.clone()).or_default().insert(signal.clone());
             }
@@ -67,7 +68,7 @@ impl Invariant for Signals {
         Ok(())
     }
 
-    fn check_end(&mut self, fleet: &Fleet) -> Result<(), String> {
+    fn check_end(&mut self, fleet: &Fleet) -> Result<(), InvariantViolation> {
         for (mission, sent) in &self.sent {
             if fleet.mission_state(mission) != Some(MissionState::Completed) {
                 continue;
@@ -77,7 +78,7 @@ impl Invariant for Signals {
             for signal in not_received {
                 let is_exempt = |entry: &MissionEntry| cut_short(entry, &signal.to) || !concerns(entry, signal);
                 if fleet.ledger(|ledger| ledger.mission(mission).is_some_and(is_exempt)) != Some(true) {
-                    return Err(format!("{mission} has completed, but {signal:?} was never received"));
+                    return Err(format!("{mission} has completed, but {signal:?} was never received").into());
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! A membership change removes at most a single voter.
 
-use super::Invariant;
+use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
@@ -18,7 +18,7 @@ impl Invariant for SingleVoterChange {
         "single_voter_change"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
         match entry.event_kind() {
             // A leader that is elected during a membership change may list the old and the new
             // voters together. It completes the change.
@@ -30,7 +30,7 @@ impl Invariant for SingleVoterChange {
                 let voters: BTreeSet<NodeId> = voters.iter().cloned().collect();
                 let removed: Vec<_> = self.voters.difference(&voters).map(NodeId::as_str).collect();
                 if removed.len() > 1 {
-                    return Err(format!("{} were removed in a single change: {reason}", removed.join(" and ")));
+                    return Err(format!("{} were removed in a single change: {reason}", removed.join(" and ")).into());
                 }
                 self.voters = voters;
                 Ok(())

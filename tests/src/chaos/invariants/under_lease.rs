@@ -4,7 +4,7 @@
 //! active in the role. And when a robot begins a role, the simulated robot of the previous holder
 //! is at rest. This is checked in the world, where messages in flight no longer matter.
 
-use super::Invariant;
+use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
@@ -24,19 +24,28 @@ pub(super) struct UnderLease {
 }
 
 impl UnderLease {
-    fn acts(&self, node: &NodeId, mission: &MissionId, role: &RoleId, what: &str, fleet: &Fleet) -> Result<(), String> {
+    fn acts(
+        &self,
+        node: &NodeId,
+        mission: &MissionId,
+        role: &RoleId,
+        what: &str,
+        fleet: &Fleet,
+    ) -> Result<(), InvariantViolation> {
         let managed = fleet.is_robot(node);
         if managed && !self.active.contains(&(node.clone(), (mission.clone(), role.clone()))) {
-            return Err(format!("{node} {what} as {role} of {mission}, in which it is not active"));
+            return Err(format!("{node} {what} as {role} of {mission}, in which it is not active").into());
         }
         Ok(())
     }
 
-    fn begins(&mut self, node: &NodeId, part: Part) -> Result<(), String> {
+    fn begins(&mut self, node: &NodeId, part: Part) -> Result<(), InvariantViolation> {
         let (mission, role) = &part;
         let other = self.at_work.iter().find(|((robot, _), of)| robot != node.as_str() && of.as_ref() == Some(&part));
         if let Some(((robot, goal), _)) = other {
-            return Err(format!("{node} begins {role} of {mission} while {robot} still pursues goal {goal} for it"));
+            return Err(
+                format!("{node} begins {role} of {mission} while {robot} still pursues goal {goal} for it").into()
+            );
         }
         self.last.insert(node.to_string(), part.clone());
         self.active.insert((node.clone(), part));
@@ -49,7 +58,7 @@ impl Invariant for UnderLease {
         "under_lease"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
         let node = entry.node();
         if let Observation::TestAction { action: "killed", .. } = entry {
             self.active.retain(|(who, _)| who != node);
@@ -79,7 +88,7 @@ impl Invariant for UnderLease {
         }
     }
 
-    fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), String> {
+    fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), InvariantViolation> {
         match &entry.event {
             InWorld::GoalStarted { robot, id, .. } => {
                 self.at_work.insert((robot.to_string(), id.0), self.last.get(robot.as_str()).cloned());

@@ -1,8 +1,9 @@
 //! Bus of a node with a bug: the bus changes messages that the node sends or receives.
 
 use super::Mutant;
-use super::injection::KnownLedger;
-use super::reports::{ReportBug, decode_report, with_all_signals};
+use super::known_ledger::KnownLedger;
+use super::message::{decode_report, encoded};
+use super::reports::{ReportBug, with_all_signals};
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_bus::{
@@ -159,10 +160,6 @@ fn retain_records_of(owner: &NodeId, payload: Bytes) -> Bytes {
     exchange.records.retain(|record| record.owner == *owner);
     let version = payload.first().copied().unwrap_or(codec::FIRST_VERSION);
     codec::encode_for_version(version, exchange).expect("an exchange with fewer records fits a message").into()
-}
-
-pub(super) fn encoded<T: Serialize>(message: &T) -> Bytes {
-    codec::encode(message).expect("a changed message fits a message").into()
 }
 
 fn decode_reply(reply: &Reply) -> Option<ReportReply> {

@@ -2,35 +2,14 @@
 
 use super::Mutant;
 use super::bus::FaultyBus;
+use super::known_ledger::KnownLedger;
 use super::log_store::FaultyLogStore;
-use crate::chaos::invariants::ReferenceLedger;
 use consort_bus::SharedBus;
 use consort_fleet::autopilot::{AutopilotAction, AutopilotInput, decide};
 use consort_fleet::node::NodeSettings;
-use consort_fleet::observe::{Observer, SharedObserver};
-use consort_protocol::event::Event;
-use consort_protocol::ids::NodeId;
-use consort_protocol::lease::{Epoch, LeaseTerms};
-use consort_protocol::ledger::{Command, Ledger};
-use std::sync::{Arc, Mutex, PoisonError};
-
-/// Ledger of the run as known to the injected bugs. Clones share the ledger.
-#[derive(Clone, Default)]
-pub(super) struct KnownLedger(Arc<Mutex<ReferenceLedger>>);
-
-impl KnownLedger {
-    pub(super) fn read<R>(&self, inspect: impl FnOnce(&Ledger) -> R) -> R {
-        inspect(&self.0.lock().unwrap_or_else(PoisonError::into_inner).ledger)
-    }
-}
-
-impl Observer for KnownLedger {
-    fn on_event(&self, _: &Event) {}
-
-    fn on_applied(&self, _: &NodeId, at: Epoch, commands: &[Command]) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).apply(at, commands);
-    }
-}
+use consort_fleet::observe::SharedObserver;
+use consort_protocol::lease::LeaseTerms;
+use std::sync::Arc;
 
 /// Injection of a bug into all nodes of a run. The fleet must be open: a changed message would not
 /// match its signature.

@@ -9,12 +9,12 @@
 //! - by the bus of the node (`bus.rs`, and `reports.rs` for the reports of robots): all others.
 
 mod bus;
-mod checks;
 mod injection;
+mod known_ledger;
 mod log_store;
+mod message;
 mod reports;
 
-pub use checks::{MINUTES, MUTANT_CHECKS, MutantCheck, MutantResult, NODES, check_mutant};
 pub(super) use injection::MutantInjection;
 
 use std::fmt::{self, Display};

@@ -1,8 +1,8 @@
 //! Bugs in the handling of robot reports, injected at the bus of the coordinator.
 
 use super::Mutant;
-use super::bus::encoded;
-use super::injection::KnownLedger;
+use super::known_ledger::KnownLedger;
+use super::message::{decode_report, encoded};
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_bus::{BusError, Encoding, Query, Replier};
@@ -52,12 +52,6 @@ impl ReportBug {
             },
         }
     }
-}
-
-/// Decodes a report in its envelope.
-pub(super) fn decode_report(payload: &[u8]) -> Option<Report> {
-    let envelope: ClusterEnvelope = codec::decode(payload).ok()?;
-    codec::decode(&envelope.payload).ok()
 }
 
 fn with_report(payload: &[u8], report: &Report) -> Option<Bytes> {

@@ -25,7 +25,7 @@ fn numbered(members: Vec<(u64, Member)>) -> BTreeMap<RaftId, Member> {
     members.into_iter().map(|(number, member)| (RaftId(number), member)).collect()
 }
 
-fn fleet(voters: Vec<(u64, Member)>, observers: Vec<(u64, Member)>, candidates: Vec<(u64, Member)>) -> AutopilotInput {
+fn fleet(voters: Vec<(u64, Member)>, learners: Vec<(u64, Member)>, candidates: Vec<(u64, Member)>) -> AutopilotInput {
     AutopilotInput {
         me: RaftId(1),
         target_voters: 5,
@@ -35,7 +35,7 @@ fn fleet(voters: Vec<(u64, Member)>, observers: Vec<(u64, Member)>, candidates: 
         since_transfer: None,
         voters: numbered(voters),
         pending_voters: None,
-        learners: numbered(observers),
+        learners: numbered(learners),
         candidates: numbered(candidates),
     }
 }

@@ -1,4 +1,6 @@
-"""A client of a fleet with eclipse-zenoh and no other library: queries views, requests a mission, and follows it to its end.
+"""A client of a fleet that uses only the library eclipse-zenoh.
+
+It queries views, requests a mission, and follows the mission to its end.
 
     python follow.py tcp/127.0.0.1:7447 FLEET
 
@@ -51,7 +53,7 @@ with zenoh.open(config) as session:
         return get(f"view/{name}").get(f"view/{name}")
 
     def request(call, **payload):
-        """Repeats a request until it is acknowledged: it has a name, so it is executed once."""
+        """Repeats a request until it is acknowledged. Its name prevents a second execution."""
 
         def acknowledged():
             reply = get(f"api/{call}", json.dumps(payload)).get(f"api/{call}")

@@ -1,4 +1,4 @@
-"""Reads a recording with the library of the authors of the format, and prints its contents as JSON."""
+"""Reads a recording with the reference library of MCAP, and prints its contents as JSON."""
 
 import json
 import sys

@@ -1,11 +1,15 @@
-// Connection to the node: a WebSocket that sends the full model first, and then changes (RFC 7396). A broken connection is
-// reported, and retried with increasing delays.
+// Connection to the node: a WebSocket that receives the full model first, and then changes (RFC
+// 7396). A broken connection is reported, and retried with increasing delays.
 
 const RETRY_DELAY = { least: 250, most: 8000 };
-// The node sends a message at least once per second: a longer silence is an undetected broken connection.
+// The node sends a message at least once per second: a longer silence is an undetected broken
+// connection.
 const SILENCE_MAX = 5000;
 
-/** Opens the connection. `ready` is awaited before each attempt: it resolves when an attempt can succeed. */
+/**
+ * Opens the connection. `ready` is awaited before each attempt: it resolves when an attempt can
+ * succeed.
+ */
 export function open({ onChange, onState, ready }) {
   // Counters of received messages, for tests.
   const received = { number: 0, fulls: 0, patches: 0, bytes: 0 };

@@ -2,7 +2,10 @@
 
 export const byId = (id) => document.getElementById(id);
 
-/** Creates an element: `make('p', { className: 'muted' }, 'text', child)`. Text is never parsed as markup. */
+/**
+ * Creates an element: `make('p', { className: 'muted' }, 'text', child)`. Text is never parsed as
+ * markup.
+ */
 export function make(tag, properties = {}, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(properties)) {
@@ -14,7 +17,10 @@ export function make(tag, properties = {}, ...children) {
   return element;
 }
 
-/** Sets a text if it differs: an unchanged node costs no layout, and a screen reader repeats nothing. */
+/**
+ * Sets a text if it differs: an unchanged node causes no layout, and no announcement by a screen
+ * reader.
+ */
 export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
@@ -28,7 +34,7 @@ export function redraw(element, ...children) {
   if (key) [...element.querySelectorAll('[data-key]')].find((child) => child.dataset.key === key)?.focus();
 }
 
-/** Hidden rows are updated in batches of this size, with this delay in milliseconds between batches. */
+/** Size of the batches in which hidden rows are updated, and their interval in milliseconds. */
 const [BATCH, BATCH_DELAY] = [10, 1000];
 /** Rows that are not visible now. */
 const hidden = new WeakSet();
@@ -40,9 +46,9 @@ const watch = new IntersectionObserver((entries) => {
 });
 
 /**
- * Updates the rows of a table to `items`, which have a `key`. `fill(row, item)` creates or updates the row's cells. It is
- * called only for changed items: at once for visible rows, and in batches for the rest, so that hundreds of rows never delay
- * the map.
+ * Updates the rows of a table to `items`, which have a `key`. `fill(row, item)` creates or updates
+ * the row's cells. It is called only for changed items: at once for visible rows, and in batches
+ * for the rest, so that hundreds of rows never delay the map.
  */
 export function rows(body, items, fill) {
   clearTimeout(body.turn);
@@ -79,7 +85,7 @@ export function rows(body, items, fill) {
     watch.unobserve(row);
     row.remove();
   }
-  // Continues after the last updated row, so that each row gets its turn under constant changes.
+  // Continues after the last updated row, so that constant changes delay no row forever.
   const after = waiting.findIndex((row) => row.dataset.row === body.last) + 1;
   const inTurn = waiting.slice(after).concat(waiting.slice(0, after));
   const nextBatch = () => {
@@ -92,7 +98,10 @@ export function rows(body, items, fill) {
   nextBatch();
 }
 
-/** Sets the cells of a row: texts or elements; the first is the row's header. Unchanged cells are kept. */
+/**
+ * Sets the cells of a row: texts or elements. The first cell is the row's header. Unchanged cells
+ * are kept.
+ */
 export function cells(row, head, ...others) {
   const focused = row.contains(document.activeElement);
   const next = [make('th', { scope: 'row' }, head), ...others.map((content) => (content instanceof HTMLTableCellElement ? content : make('td', {}, content)))];

@@ -16,7 +16,9 @@ function row(head, ...others) {
   return element;
 }
 
-/** Shows the members, and the other nodes with their reasons, each with the age of the last contact. */
+/**
+ * Shows the members, and the other nodes with their reasons, with the ages of their last contacts.
+ */
 export function ensembles(model) {
   const place = byId('ensembles');
   const lastContact = (name) => model.nodes?.[name]?.last_contact_ms;
@@ -60,7 +62,7 @@ export function coordination(model) {
     fact('term', String(coordinator.term));
     fact('since', clock(coordinator.since_ms), ' (', since(coordinator.since_ms), ')');
     fact('voters', (coordinator.voters ?? []).join(', ') || '–');
-    if (coordinator.observers?.length) fact('observers', coordinator.observers.join(', '));
+    if (coordinator.learners?.length) fact('learners', coordinator.learners.join(', '));
     if (coordinator.voters_lost?.length) fact('voters lost', coordinator.voters_lost.join(', '));
   }
   const changes = takeovers.toReversed().map((change) => row(clock(change.at_ms), change.node, String(change.term), change.from ?? '–', numberCell(change.from ? span(change.gap_ms) : '–')));

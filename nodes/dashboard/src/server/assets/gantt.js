@@ -13,8 +13,9 @@ export function shape(tag, attributes, text) {
 }
 
 /**
- * Creates an empty chart with `rows` rows from `first` to `last`. Returns `x` of an instant, `y` of a row, and the drawing with
- * its lines and its axis, which counts from `zero`. `right` is the width of the column behind the rows.
+ * Creates an empty chart with `rows` rows from `first` to `last`. Returns `x` of an instant, `y` of
+ * a row, and the drawing with its lines and its axis, which counts from `zero`. `right` is the
+ * width of the column behind the rows.
  */
 export function frame(rows, first, last, { zero = first, right = 12, ...attributes }) {
   const x = (ms) => LEFT + ((Math.min(Math.max(ms, first), last) - first) / (last - first)) * (WIDTH - LEFT - right);

@@ -1,4 +1,5 @@
-// The map: static parts are drawn once, robots in each browser frame, interpolated between two reports.
+// The map: static parts are drawn once. Robots are drawn in each browser frame, interpolated
+// between two reports.
 
 import { byId, make } from './dom.js';
 import { sheet } from './sprites.js';
@@ -31,8 +32,9 @@ let frameRequested = false;
 /** Sprites of robots, for crowds; painted again when sizes or colours change. */
 let sprites;
 /**
- * Statistics for tests: drawn frames; total and maximum drawing time in milliseconds; reports that were drawn; reports that were
- * replaced by the next report before they could be drawn, with and without a browser frame in between.
+ * Statistics for tests: drawn frames; total and maximum drawing time in milliseconds; reports that
+ * were drawn; reports that were replaced by the next report before they were drawn, with and
+ * without a browser frame in between.
  */
 export const drawStats = { frames: 0, took: 0, worst: 0, reports: 0, missed: 0, missed_with_a_frame_between: 0 };
 let fresh = false;
@@ -112,7 +114,8 @@ export function update(model, patch) {
     }
     known.robot = robot;
     if (to.some((value, index) => value !== known.to[index])) {
-      // A little longer than the time since the last report, so that the robot does not stop before the next.
+      // Slightly longer than the time since the last report, so that the robot does not stop before
+      // the next report.
       const time = Math.min(Math.max(((robot.telemetry_ms ?? 0) - (known.reportedAt ?? 0)) * 1.25, 150), INTERPOLATION_MAX);
       Object.assign(known, { from: interpolate(known, now), to, at: now, time, reportedAt: robot.telemetry_ms });
     } else known.reportedAt = robot.telemetry_ms;

@@ -1,5 +1,5 @@
-// The playback bar of a recording: the shown instant, and controls for seeking. All clients see the same instant: the page sends
-// commands to its server, and shows the server's state.
+// The playback bar of a recording: the shown instant, and controls for seeking. All clients show
+// the same instant: the page sends commands to its server, and shows the server's state.
 
 import { byId, clock, make, setText, readable } from './dom.js';
 import { announce } from './status.js';
@@ -107,7 +107,8 @@ function build(fleet) {
     item.style.left = `${((mark.at_ms - from) / Math.max(to - from, 1)) * 100}%`;
     return item;
   });
-  // The marks are for the pointer; for screen readers the two buttons seek between marks and announce them.
+  // The marks are for the pointer. For screen readers, the two buttons seek between marks and
+  // announce them.
   const track = make('div', { className: 'track' }, make('ul', { className: 'marks', 'aria-hidden': 'true' }, shown), slider);
   const speed = make('select', { id: 'replay-speed' }, SPEEDS.map(option));
   speed.onchange = () => send({ speed: Number(speed.value) });
@@ -122,7 +123,7 @@ const toggle = () => send({ playing: !recording.playing });
 
 let aimed = { ms: 0, at: -Infinity };
 
-/** Returns the shown instant, or the target of a pending seek: a second key press adds to the first. */
+/** Returns the shown instant, or the target of a pending seek, so that key presses accumulate. */
 const at = () => (performance.now() - aimed.at < 300 ? aimed.ms : now());
 
 const seekTo = (ms) => {
@@ -165,7 +166,9 @@ function press(event) {
 let sending = false;
 let waiting;
 
-/** Sends commands to the server sequentially; of waiting commands only the last of each kind is sent. */
+/**
+ * Sends commands to the server sequentially, and of waiting commands only the last of each kind.
+ */
 async function send(command) {
   waiting = { ...waiting, ...command };
   if (sending) return;

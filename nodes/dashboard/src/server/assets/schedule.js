@@ -1,5 +1,6 @@
-// Schedule of all missions: a row for each robot, a bar for each of its role assignments, and the same as a table. The chart is a
-// single stop for Tab; arrows move between bars, Enter opens the mission.
+// Schedule of all missions: a row for each robot, a bar for each of its role assignments, and the
+// same as a table. The chart is a single stop for Tab; arrows move between bars, Enter opens the
+// mission.
 
 import { byId, cells, clock, make, numberCell, percent, redraw, rows as tableRows, setText, span, state } from './dom.js';
 import { frame, shape } from './gantt.js';
@@ -8,7 +9,10 @@ import { frame, shape } from './gantt.js';
 const ROWS = 60;
 /** Robots without a role get a row in fleets up to this size. */
 const IDLE = 24;
-/** Width of the column with the robots' utilization; and the future part of the chart, as a share of the past part. */
+/**
+ * Width of the column with the robots' utilization; and the future part of the chart, as a share of
+ * the past part.
+ */
 const [RIGHT, AHEAD] = [46, 0.6];
 const KINDS = { active: ['running', 'work', '▸'], suspended: ['halted', 'warn', '‖'], completed: ['done', 'good', '✓'], released: ['failed', 'bad', '✕'], aborted: ['broken', 'wait', '✕'] };
 const letter = 6.2;

@@ -1,4 +1,5 @@
-// Authentication. A closed fleet asks for a token once; the browser then sends it with each request, and no script can read it.
+// Authentication. A closed fleet requires a token once. The browser then sends the token with each
+// request, and no script can read it.
 
 import { byId, setText } from './dom.js';
 import { announce } from './status.js';
@@ -23,7 +24,7 @@ export async function admitted() {
   await pending;
 }
 
-/** Asks for a token until it is valid; the link to the page may contain a token. */
+/** Requests a token until it is valid. The link to the page may contain a token. */
 async function askForToken(reason) {
   const dialog = byId('admission');
   const linkToken = location.hash.startsWith(HASH) && location.hash.slice(HASH.length);

@@ -1,8 +1,12 @@
-// Sprites of robots, painted once for each appearance and heading: copying hundreds takes as long as painting a few.
+// Sprites of robots, painted once for each appearance and heading: copying hundreds of sprites
+// takes as long as painting a few robots.
 
 const HEADINGS = 32;
 
-/** Creates a sheet of sprites with `reach` pixels from their centre; `paint(pen, look, x, y, yaw)` paints a sprite. */
+/**
+ * Creates a sheet of sprites with `reach` pixels from their centre. `paint(pen, look, x, y, yaw)`
+ * paints a sprite.
+ */
 export function sheet(looks, reach, ratio, paint) {
   const cell = Math.ceil(reach) * 2;
   const canvas = document.createElement('canvas');

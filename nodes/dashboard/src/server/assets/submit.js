@@ -73,7 +73,7 @@ export async function cancel(id, button) {
   }
 }
 
-/** Asks for the person who took care of the items in robots' hands, and resolves the mission. */
+/** Requests the name of the person who took care of robots' items, and resolves the mission. */
 export function resolve(id, mission) {
   const dialog = byId('resolve');
   dialog.dataset.mission = id;

@@ -193,12 +193,12 @@ fn play(errands: &[(usize, f64, bool, Option<f64>)]) -> (World, BTreeSet<GoalId>
     let mut setup = passage();
     setup.robots = names.iter().map(start).collect();
     let mut world = World::new(setup).unwrap();
-    let mut deeds: Vec<(f64, u64, bool)> = Vec::new();
+    let mut actions: Vec<(f64, u64, bool)> = Vec::new();
     for (id, (_, from, _, stopped)) in (1..).zip(errands) {
-        deeds.push((*from, id, true));
-        deeds.extend(stopped.map(|after| (from + after, id, false)));
+        actions.push((*from, id, true));
+        actions.extend(stopped.map(|after| (from + after, id, false)));
     }
-    deeds.sort_by(|a, b| a.0.total_cmp(&b.0));
+    actions.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (mut stopped, mut ends) = (BTreeSet::new(), BTreeMap::new());
     let mut keep = |events: Vec<BackendEvent>| {
         for event in events {
@@ -207,7 +207,7 @@ fn play(errands: &[(usize, f64, bool, Option<f64>)]) -> (World, BTreeSet<GoalId>
             }
         }
     };
-    for (time, id, begins) in deeds {
+    for (time, id, begins) in actions {
         keep(world.advance(at(time)));
         let (who, _, narrow, _) = errands[id as usize - 1];
         let name = robot(names[who]);

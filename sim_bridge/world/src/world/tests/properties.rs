@@ -47,24 +47,28 @@ fn goals() -> impl Strategy<Value = Goal> {
 }
 
 /// Inputs, each after a pause of some seconds.
-fn deeds() -> impl Strategy<Value = Vec<(f64, Deed)>> {
-    let deed = prop_oneof![
+fn actions() -> impl Strategy<Value = Vec<(f64, Deed)>> {
+    let action = prop_oneof![
         6 => (0..ROBOTS.len(), goals()).prop_map(|(who, goal)| Deed::Start(who, goal)),
         1 => (0..ROBOTS.len()).prop_map(Deed::Cancel),
         2 => (0..2usize).prop_map(Deed::Ask),
         1 => Just(Deed::Dismiss),
     ];
     let pause = prop_oneof![Just(0.0), Just(2.0), 0.0..12.0f64];
-    prop::collection::vec((pause, deed), 1..40)
+    prop::collection::vec((pause, action), 1..40)
 }
 
 /// Applies the inputs, with each pause cut into a number of steps. Returns the events, and every
 /// robot's telemetry at each input and at the end.
-fn play(seed: u64, deeds: &[(f64, Deed)], mut steps: impl FnMut() -> u32) -> (Vec<BackendEvent>, Vec<[f64; 4]>, World) {
+fn play(
+    seed: u64,
+    actions: &[(f64, Deed)],
+    mut steps: impl FnMut() -> u32,
+) -> (Vec<BackendEvent>, Vec<[f64; 4]>, World) {
     let mut world = stage(seed);
     let (mut events, mut telemetry) = (Vec::new(), Vec::new());
     let rest = [(120.0, Deed::Dismiss)];
-    for (id, (pause, deed)) in (1..).zip(deeds.iter().chain(&rest)) {
+    for (id, (pause, action)) in (1..).zip(actions.iter().chain(&rest)) {
         let (from, parts) = (world.now().as_secs(), steps());
         for part in 1..=parts {
             let to = if part == parts { from + pause } else { from + pause * f64::from(part) / f64::from(parts) };
@@ -77,7 +81,7 @@ fn play(seed: u64, deeds: &[(f64, Deed)], mut steps: impl FnMut() -> u32) -> (Ve
             let now = world.telemetry(&robot(name)).unwrap();
             telemetry.push([now.pose.x, now.pose.y, now.pose.yaw, now.battery.get()]);
         }
-        match deed {
+        match action {
             Deed::Start(who, goal) => world.start(&robot(ROBOTS[*who]), GoalId(id), goal.clone()),
             Deed::Cancel(who) => (1..id).for_each(|id| world.cancel(&robot(ROBOTS[*who]), GoalId(id))),
             Deed::Ask(who) => world.request_person(GoalId(id), deposit(ROBOTS[*who])),
@@ -92,10 +96,10 @@ proptest! {
 
     /// The division of time into steps makes no difference.
     #[test]
-    fn the_size_of_time_steps_makes_no_difference(seed in any::<u64>(), deeds in deeds(), cuts in prop::collection::vec(1u32..9, 41)) {
-        let (events, telemetry, mut whole) = play(seed, &deeds, || 1);
+    fn the_size_of_time_steps_makes_no_difference(seed in any::<u64>(), actions in actions(), cuts in prop::collection::vec(1u32..9, 41)) {
+        let (events, telemetry, mut whole) = play(seed, &actions, || 1);
         let mut cuts = cuts.into_iter();
-        let (events_cut, telemetry_cut, mut cut) = play(seed, &deeds, || cuts.next().unwrap_or(1));
+        let (events_cut, telemetry_cut, mut cut) = play(seed, &actions, || cuts.next().unwrap_or(1));
         prop_assert_eq!(events, events_cut);
         for (a, b) in telemetry.iter().flatten().zip(telemetry_cut.iter().flatten()) {
             prop_assert!((a - b).abs() <= 1e-9, "{} and {}", a, b);
@@ -106,10 +110,10 @@ proptest! {
 
     /// A seed gives the same run again, even after another world has run.
     #[test]
-    fn worlds_share_nothing(seed in any::<u64>(), deeds in deeds(), others in deeds()) {
-        let (events, telemetry, mut first) = play(seed, &deeds, || 1);
+    fn worlds_share_nothing(seed in any::<u64>(), actions in actions(), others in actions()) {
+        let (events, telemetry, mut first) = play(seed, &actions, || 1);
         let _ = play(seed.wrapping_add(1), &others, || 1);
-        let (events_again, telemetry_again, mut again) = play(seed, &deeds, || 1);
+        let (events_again, telemetry_again, mut again) = play(seed, &actions, || 1);
         prop_assert_eq!(events, events_again);
         prop_assert_eq!(telemetry, telemetry_again);
         prop_assert_eq!(first.drain_event_log(), again.drain_event_log());
@@ -117,8 +121,8 @@ proptest! {
 
     /// Every goal that was accepted or rejected ends exactly once, or is still active.
     #[test]
-    fn each_goal_ends_once(seed in any::<u64>(), deeds in deeds()) {
-        let (events, _, world) = play(seed, &deeds, || 1);
+    fn each_goal_ends_once(seed in any::<u64>(), actions in actions()) {
+        let (events, _, world) = play(seed, &actions, || 1);
         let mut ends = BTreeMap::new();
         for event in &events {
             if let BackendEvent::GoalEnded { robot, goal, status } = event {
@@ -126,8 +130,8 @@ proptest! {
                 prop_assert!(ends.insert((robot.clone(), *goal), status.clone()).is_none(), "{:?}", event);
             }
         }
-        for (id, (_, deed)) in (1..).zip(&deeds) {
-            if let Deed::Start(who, _) = deed {
+        for (id, (_, action)) in (1..).zip(&actions) {
+            if let Deed::Start(who, _) = action {
                 let (robot, goal) = (robot(ROBOTS[*who]), GoalId(id));
                 prop_assert_eq!(world.status(&robot, goal), ends.get(&(robot.clone(), goal)).cloned());
             }
@@ -159,20 +163,20 @@ proptest! {
 
 #[test]
 fn another_seed_gives_other_handover_times() {
-    let pace = |seed| {
+    let walk = |seed| {
         let mut world = stage(seed);
         run_to_success(&mut world, "r2", 1, Goal::ApproachPerson { role: role("nurse") });
         run_to_success(&mut world, "r2", 2, Goal::OperateDrawer { open: true });
         world.request_person(GoalId(1), deposit("r2"));
         world.next_due().unwrap().as_secs()
     };
-    assert_eq!(pace(1), pace(1));
-    assert_ne!(pace(1), pace(2));
+    assert_eq!(walk(1), walk(1));
+    assert_ne!(walk(1), walk(2));
 }
 
 #[test]
 fn each_person_has_their_own_handover_times() {
-    let pace = |people: &[PersonSetup]| {
+    let walk = |people: &[PersonSetup]| {
         let mut setup = hospital(5).robot(carrier("r1", "PC Room 1"));
         setup.people = people.to_vec();
         let mut world = World::new(setup).unwrap();
@@ -182,8 +186,8 @@ fn each_person_has_their_own_handover_times() {
         world.next_due().unwrap().as_secs()
     };
     let (ana, bea) = (nurse("Ana", "PC Room 1", "s1"), nurse("Bea", "PC Room 2", "s2"));
-    assert_eq!(pace(std::slice::from_ref(&ana)), pace(&[ana.clone(), bea.clone()]), "who comes later changes nothing");
-    assert_ne!(pace(std::slice::from_ref(&ana)), pace(&[bea, ana]));
+    assert_eq!(walk(std::slice::from_ref(&ana)), walk(&[ana.clone(), bea.clone()]), "who comes later changes nothing");
+    assert_ne!(walk(std::slice::from_ref(&ana)), walk(&[bea, ana]));
 }
 
 /// The random runs are useful only if samples are transferred and robots strand in them.
@@ -194,8 +198,8 @@ fn random_runs_reach_the_interesting_cases() {
     let mut runner = TestRunner::deterministic();
     let (mut moved, mut stranded, mut refused) = (0, 0, 0);
     for seed in 0..200 {
-        let deeds = deeds().new_tree(&mut runner).unwrap().current();
-        let (_, _, mut world) = play(seed, &deeds, || 1);
+        let actions = actions().new_tree(&mut runner).unwrap().current();
+        let (_, _, mut world) = play(seed, &actions, || 1);
         for entry in world.drain_event_log() {
             match entry.event {
                 WorldEvent::SampleMoved { .. } => moved += 1,

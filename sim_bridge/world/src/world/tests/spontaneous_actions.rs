@@ -131,7 +131,7 @@ fn a_request_for_an_absent_person_times_out() {
     let status = rejected_status(&mut world, "r1", 1, approach());
     assert_eq!(status, aborted(ErrorCode::OutOfReach, "r1: no nurse is at PC Room 2"));
     let mut ask = deposit("r1");
-    ask.task.parameters.insert("patience".to_owned(), "30".to_owned());
+    ask.task.parameters.insert("timeout_s".to_owned(), "30".to_owned());
     let asked_at = world.now().as_secs();
     world.request_person(GoalId(7), ask);
     assert_eq!(until(&mut world, 300.0), [(asked_at + 30.0, gone(30.0))]);

@@ -6,7 +6,7 @@
 //! closes its drawer meanwhile, the person keeps the sample and the request waits on.
 //!
 //! While every person in the role is away, a request waits for a return: for the seconds of the
-//! task's parameter `patience`, or two minutes. A robot that has stayed at the place is next
+//! task's parameter `timeout_s`, or two minutes. A robot that has stayed at the place is next
 //! to the person again after the return.
 
 mod requests;

@@ -1,11 +1,11 @@
 //! The checks: one injected bug at a time, which chaos must find under the usual generated faults.
 
-use super::Mutant;
-use crate::chaos::chaos_fleet::ChaosFleet;
-use crate::chaos::generate::generate;
-use crate::chaos::run::RunConfig;
-use crate::chaos::schedule::FaultKind;
-use crate::chaos::seed_sweep::SeedSweep;
+use super::chaos_fleet::ChaosFleet;
+use super::generate::generate;
+use super::mutants::Mutant;
+use super::run::RunConfig;
+use super::schedule::FaultKind;
+use super::seed_sweep::SeedSweep;
 use serde::Serialize;
 
 /// A mutation check.

@@ -1,0 +1,123 @@
+//! Validation of a request to submit a mission, up to the command for the ledger.
+
+use consort_protocol::api::{MissionSource, RequestError, SubmitRequest};
+use consort_protocol::codec::{self, CodecError};
+use consort_protocol::ids::{NameError, RequestId};
+use consort_protocol::ledger::{
+    DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, time_until_deadline,
+};
+use consort_protocol::mission::{Domain, Format, MissionErrors, MissionFileError, MissionTemplate};
+use consort_protocol::plan::{DivisionError, divide_and_check};
+use consort_skills::missions::shipped;
+
+/// Maximum size of a mission in bytes, divided and encoded: its award and its call for bids must
+/// each fit in a message.
+const MISSION_MAX: usize = codec::MESSAGE_BYTES_MAX / 2;
+
+/// Reason for which a request to submit a mission is rejected.
+#[derive(Debug, thiserror::Error)]
+pub enum SubmitError {
+    /// The payload is not a request.
+    #[error(transparent)]
+    Request(#[from] RequestError),
+    /// No mission of this name is shipped.
+    #[error("no mission {0:?} is shipped; there are {known}", known = shipped_names())]
+    UnknownMission(String),
+    /// The file of the mission is invalid.
+    #[error(transparent)]
+    File(#[from] MissionFileError),
+    /// The JSON of the mission cannot be written as text.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    /// Parameters or tasks do not match the domain.
+    #[error(transparent)]
+    Mission(#[from] MissionErrors),
+    /// The mission cannot be divided among its roles.
+    #[error(transparent)]
+    Division(#[from] DivisionError),
+    /// The recovery of the mission cannot be divided.
+    #[error("recovery: {0}")]
+    Recovery(DivisionError),
+    /// The priority is outside its range.
+    #[error(transparent)]
+    Priority(#[from] PriorityError),
+    /// The deadline is outside its range.
+    #[error("deadline_s is {seconds}; {error}")]
+    Deadline {
+        /// Requested time until the deadline.
+        seconds: f64,
+        /// Allowed range.
+        error: DeadlineError,
+    },
+    /// The generated id of the request is invalid.
+    #[error(transparent)]
+    RequestId(#[from] NameError),
+    /// The divided mission exceeds the size limit.
+    #[error("the mission takes {bytes} bytes; the limit is {MISSION_MAX}")]
+    TooLarge {
+        /// Encoded size.
+        bytes: usize,
+    },
+    /// The divided mission exceeds the size limit of a message.
+    #[error("the mission is too large: {0}")]
+    Encoding(#[from] CodecError),
+}
+
+fn shipped_names() -> String {
+    shipped().keys().map(String::as_str).collect::<Vec<_>>().join(", ")
+}
+
+/// Returns the template of a requested mission.
+///
+/// # Errors
+/// The mission is unknown, or its file is invalid.
+pub(crate) fn template(source: &MissionSource) -> Result<MissionTemplate, SubmitError> {
+    match source {
+        MissionSource::Shipped(name) => {
+            shipped().get(name).cloned().ok_or_else(|| SubmitError::UnknownMission(name.clone()))
+        }
+        MissionSource::File(file) => Ok(MissionTemplate::parse(&serde_json::to_string(file)?, Format::Json)?),
+    }
+}
+
+/// Instantiates and divides the requested mission. A request without an id gets `default_id`;
+/// `at_ms` is the time of the request in milliseconds since 1970.
+///
+/// # Errors
+/// The request is invalid in itself or does not match the domain.
+pub(super) fn prepare(
+    request_fields: SubmitRequest,
+    domain: &Domain,
+    at_ms: u64,
+    default_id: String,
+) -> Result<Submission, SubmitError> {
+    let template = template(&request_fields.mission)?;
+    let (mission, recovery) = template.instantiate_with_recovery(&request_fields.parameters, domain)?;
+    let division = divide_and_check(&mission)?;
+    let recovery = match recovery {
+        None => None,
+        Some(mission) => {
+            let division = divide_and_check(&mission).map_err(SubmitError::Recovery)?;
+            Some(RecoveryBranch { mission, division })
+        }
+    };
+    let priority = Priority::new(request_fields.priority)?;
+    let deadline_ms = match request_fields.deadline_s {
+        None => None,
+        Some(seconds) => {
+            let time = time_until_deadline(seconds).map_err(|error| SubmitError::Deadline { seconds, error })?;
+            Some(at_ms.saturating_add(u64::try_from(time.as_millis()).unwrap_or(u64::MAX)))
+        }
+    };
+    let request = match request_fields.request {
+        Some(request) => request,
+        None => RequestId::new(default_id)?,
+    };
+    let parameters = request_fields.parameters;
+    let submission = Submission { request, mission, division, parameters, recovery, priority, deadline_ms, at_ms };
+    let bytes = codec::encode(&submission)?.len();
+    if bytes > MISSION_MAX {
+        return Err(SubmitError::TooLarge { bytes });
+    }
+    Ok(submission)
+}
