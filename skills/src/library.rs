@@ -204,7 +204,7 @@ impl SkillLibrary {
 /// Status of a skill.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum SkillStatus {
-    /// Tick again when the robot reports an event, and at [`ActiveSkill::wake_at`].
+    /// Tick again when the robot reports an event, and at an interval.
     Running,
     /// The task is complete.
     Succeeded,
@@ -249,12 +249,6 @@ impl ActiveSkill {
     pub fn halt(&mut self, actions: &mut dyn RobotActions) {
         self.update_time(actions);
         self.tree.halt(actions, self.now);
-    }
-
-    /// Returns the time at which the skill requests its next tick, even without events of the
-    /// robot; set by the latest tick.
-    pub fn wake_at(&self) -> Option<WorldTime> {
-        self.tree.wake_at()
     }
 
     /// Checks whether the robot has ended every goal that this skill canceled, so that another

@@ -9,11 +9,11 @@ use roxmltree::{Document, ParsingOptions};
 use std::fmt;
 
 /// Greatest number of attributes of an element. Nodes of trees and shapes of drawings have a dozen.
-pub const MAX_ATTRIBUTES: usize = 256;
+pub(crate) const MAX_ATTRIBUTES: usize = 256;
 
 /// Greatest number of namespace declarations in a text. Trees and drawings have none, and editors
 /// add a few.
-pub const MAX_NAMESPACES: usize = 64;
+pub(crate) const MAX_NAMESPACES: usize = 64;
 
 /// A text is not parsed.
 #[derive(Debug, Clone, PartialEq)]

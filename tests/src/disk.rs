@@ -20,7 +20,7 @@ const QUICK: (Duration, Duration) = (Duration::from_micros(500), Duration::from_
 
 /// Effect of a crash on writes in the queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum UnsyncedWrites {
+pub(crate) enum UnsyncedWrites {
     /// All of them reach the platter.
     AllKept,
     /// A random prefix reaches the platter; the rest is lost.
@@ -29,7 +29,7 @@ pub enum UnsyncedWrites {
 
 /// Disk of a node. Clones share the same disk; it outlives the node.
 #[derive(Clone)]
-pub struct VirtualDisk(Arc<Mutex<State>>);
+pub(crate) struct VirtualDisk(Arc<Mutex<State>>);
 
 struct State {
     identity: StoreIdentity,
@@ -59,7 +59,7 @@ enum Write {
 
 impl VirtualDisk {
     /// Creates an empty disk with its own identity.
-    pub fn new(seed: u64) -> VirtualDisk {
+    pub(crate) fn new(seed: u64) -> VirtualDisk {
         VirtualDisk(Arc::new(Mutex::new(State {
             identity: StoreIdentity::from_seed(seed),
             journal: PersistentState::default(),
@@ -75,7 +75,7 @@ impl VirtualDisk {
 
     /// Returns the store of the next incarnation. Writes of the previous incarnation are void from
     /// now on.
-    pub fn store(&self) -> NodeStore {
+    pub(crate) fn store(&self) -> NodeStore {
         let mut state = self.lock();
         state.life += 1;
         let end = Arc::new(End { disk: self.clone(), life: state.life });
@@ -84,12 +84,12 @@ impl VirtualDisk {
 
     /// Sets the duration range of each write, from the shortest to the longest; `None` restores the
     /// default.
-    pub fn set_slow(&self, slow: Option<(Duration, Duration)>) {
+    pub(crate) fn set_slow(&self, slow: Option<(Duration, Duration)>) {
         self.lock().slow = slow;
     }
 
     /// Applies a crash of the node.
-    pub fn crash(&self, torn: UnsyncedWrites) {
+    pub(crate) fn crash(&self, torn: UnsyncedWrites) {
         let mut state = self.lock();
         let made_it = match torn {
             UnsyncedWrites::AllKept => state.waiting.len(),

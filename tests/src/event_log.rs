@@ -144,13 +144,13 @@ impl EventLog {
     }
 
     /// Formats the log for debugging, with a line per entry.
-    pub fn to_text(&self) -> String {
+    pub(crate) fn to_text(&self) -> String {
         let select = |entry: &Observation| !matches!(entry, Observation::LeadershipChanged { .. });
         self.lines(select).into_iter().map(|(_, line)| line + "\n").collect()
     }
 
     /// Formats the selected entries with their times.
-    pub fn lines(&self, select: impl Fn(&Observation) -> bool) -> Vec<(Duration, String)> {
+    pub(crate) fn lines(&self, select: impl Fn(&Observation) -> bool) -> Vec<(Duration, String)> {
         let line = |(at, entry): &(Duration, Observation)| {
             let mut what = match entry {
                 Observation::Published(event) => format!("{:?}", event.kind),
@@ -191,7 +191,7 @@ impl EventLog {
 
     /// Returns the intervals in which robots acted in roles: from a start or resumption until the
     /// robot suspended, halted or was killed.
-    pub fn role_intervals(&self) -> Vec<RoleInterval> {
+    pub(crate) fn role_intervals(&self) -> Vec<RoleInterval> {
         let mut intervals: Vec<RoleInterval> = vec![];
         let entries = self.entries();
         for (at, entry) in &entries {
@@ -260,7 +260,7 @@ pub struct RoleInterval {
 
 impl RoleInterval {
     /// Checks whether both intervals share an instant.
-    pub fn overlaps(&self, other: &RoleInterval) -> bool {
+    pub(crate) fn overlaps(&self, other: &RoleInterval) -> bool {
         let ends = |interval: &RoleInterval| interval.to.unwrap_or(Duration::MAX);
         self.from < ends(other) && other.from < ends(self)
     }

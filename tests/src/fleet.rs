@@ -60,7 +60,7 @@ pub struct Fleet {
 }
 
 /// Changes the settings of a node before each start.
-pub type AdjustNode = Box<dyn FnMut(&mut NodeSettings)>;
+pub(crate) type AdjustNode = Box<dyn FnMut(&mut NodeSettings)>;
 
 /// Wraps the bus of a node before each start; the settings are those of the node.
 pub(crate) type WrapBus = Box<dyn FnMut(&NodeSettings, SharedBus) -> SharedBus>;
@@ -305,7 +305,7 @@ impl Fleet {
     }
 
     /// Checks whether a node belongs to a robot.
-    pub fn is_robot(&self, node: &NodeId) -> bool {
+    pub(crate) fn is_robot(&self, node: &NodeId) -> bool {
         self.members.contains_key(node.as_str())
     }
 

@@ -5,7 +5,7 @@ pub mod chaos;
 mod checks;
 mod client;
 mod credentials;
-pub mod disk;
+pub(crate) mod disk;
 mod event_log;
 pub mod experiment;
 mod fleet;
@@ -15,8 +15,10 @@ mod station_fleet;
 mod ward;
 
 pub use credentials::Credentials;
-pub use event_log::{EventLog, Observation, RoleInterval};
-pub use fleet::{AdjustNode, Fleet};
+pub(crate) use event_log::RoleInterval;
+pub use event_log::{EventLog, Observation};
+pub(crate) use fleet::AdjustNode;
+pub use fleet::Fleet;
 pub use robot_spec::RobotSpec;
 pub use station_fleet::StationFleet;
 

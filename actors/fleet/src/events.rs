@@ -14,7 +14,7 @@ use tracing::debug;
 /// Publishes the events of this node, in order. Clones share a single sequence of numbers.
 /// Publishing never blocks.
 #[derive(Clone)]
-pub struct EventPublisher(Arc<Shared>);
+pub(crate) struct EventPublisher(Arc<Shared>);
 
 struct Shared {
     node: NodeId,
@@ -31,7 +31,7 @@ struct NumberedStream {
 
 impl EventPublisher {
     /// Opens the stream. An observer receives each event first, at the moment it is published.
-    pub fn open(
+    pub(crate) fn open(
         node: NodeId,
         keys: &Keys,
         bus: SharedBus,
@@ -59,7 +59,7 @@ impl EventPublisher {
     }
 
     /// Publishes an event that has just happened on this node.
-    pub fn publish(&self, kind: EventKind) {
+    pub(crate) fn publish(&self, kind: EventKind) {
         let Shared { node, clock, observer, stream, .. } = &*self.0;
         // Counted and sent under the same lock, so that the numbers follow the order of the stream.
         let mut stream = stream.lock().unwrap_or_else(PoisonError::into_inner);

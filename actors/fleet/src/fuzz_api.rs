@@ -3,15 +3,13 @@
 //! `tests/fuzz_targets/` feeds arbitrary bytes to these functions; nothing else uses them. Each
 //! function calls the decoder that the actors use, and returns the decoded value encoded again.
 
-use crate::coordinator::submission::template;
+use crate::coordinator::submission::{SubmitError, template};
 use consort_protocol::api::{MissionChangeRequest, MissionQuery, SubmitRequest, UpgradeRequest, parse_request};
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
 use consort_protocol::mission::MissionTemplate;
 use consort_raft::{StateMachine, fuzz_api};
 use std::io;
-
-pub use crate::coordinator::submission::SubmitError;
 
 /// Decodes a Raft request and encodes it again.
 ///
@@ -58,11 +56,11 @@ pub enum ApiRequest {
 ///
 /// # Errors
 /// The refusal that the client receives.
-pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, SubmitError> {
+pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, impl std::error::Error + use<>> {
     match call {
         ApiCall::Submit => {
             let SubmitRequest { mission, .. } = parse_request(call, payload)?;
-            return Ok(ApiRequest::Submit(Box::new(template(&mission)?)));
+            return Ok::<_, SubmitError>(ApiRequest::Submit(Box::new(template(&mission)?)));
         }
         ApiCall::Cancel | ApiCall::Resolve => drop(parse_request::<MissionChangeRequest>(call, payload)?),
         ApiCall::Get | ApiCall::Explain => drop(parse_request::<MissionQuery>(call, payload)?),

@@ -17,6 +17,6 @@ pub mod node;
 pub mod observe;
 pub mod robot;
 pub mod robot_driver;
-pub mod views;
+pub(crate) mod views;
 
 pub use api_help::help as api_help;

@@ -57,4 +57,4 @@ pub use offline_recovery::{LogStoreContents, inspect_log_store, recover_as_only_
 pub use replica::Replica;
 pub use settings::{RaftSettings, RaftSettingsError};
 pub use storage::ApplyObserver;
-pub use types::{Epoch, LeaderId, Peer, RaftId, StateMachine};
+pub use types::{Epoch, LeaderId, RaftId, StateMachine};

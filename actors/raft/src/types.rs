@@ -98,7 +98,7 @@ impl Debug for RaftId {
 
 /// Data of a member in the Raft membership, in addition to its id.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Peer {
+pub(crate) struct Peer {
     /// Name of the node, for display.
     pub name: NodeId,
 }

@@ -54,12 +54,12 @@ pub struct ClientFlags {
 
 impl ClientFlags {
     /// Returns the addresses of nodes to connect to.
-    pub fn addresses(&self) -> &[String] {
+    pub(crate) fn addresses(&self) -> &[String] {
         &self.connect
     }
 
     /// Returns the folder with certificates, if any.
-    pub fn certs(&self) -> Option<&PathBuf> {
+    pub(crate) fn certs(&self) -> Option<&PathBuf> {
         self.certs.as_ref()
     }
 
@@ -73,7 +73,7 @@ impl ClientFlags {
 
     /// Returns the same flags with other addresses, certificates and fleet.
     #[must_use]
-    pub fn with_target(&self, connect: Vec<String>, certs: Option<PathBuf>, fleet: &FleetId) -> ClientFlags {
+    pub(crate) fn with_target(&self, connect: Vec<String>, certs: Option<PathBuf>, fleet: &FleetId) -> ClientFlags {
         ClientFlags { fleet: fleet.to_string(), connect, certs, timeout: self.timeout }
     }
 
@@ -81,7 +81,10 @@ impl ClientFlags {
     ///
     /// # Errors
     /// See [`Client::open`], and the errors of `work`.
-    pub fn with_client<T>(&self, work: impl AsyncFnOnce(&mut Client) -> Result<T, Failure>) -> Result<T, Failure> {
+    pub(crate) fn with_client<T>(
+        &self,
+        work: impl AsyncFnOnce(&mut Client) -> Result<T, Failure>,
+    ) -> Result<T, Failure> {
         build_runtime()?.block_on(async {
             let mut client = Client::open(self).await?;
             let done = work(&mut client).await;
@@ -93,7 +96,7 @@ impl ClientFlags {
 
 /// Flags of a query and of its output.
 #[derive(Debug, clap::Args)]
-pub struct QueryFlags {
+pub(crate) struct QueryFlags {
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -107,7 +110,7 @@ impl QueryFlags {
     /// # Errors
     /// See [`Client::open`] and [`read_answer`], and the errors of `query`;
     /// [`Failure::OutputClosed`].
-    pub fn print<T: for<'de> Deserialize<'de>>(
+    pub(crate) fn print<T: for<'de> Deserialize<'de>>(
         &self,
         query: impl AsyncFnOnce(&mut Client) -> Result<Value, Failure>,
         words: impl FnOnce(&T) -> String,
@@ -121,7 +124,7 @@ impl QueryFlags {
 ///
 /// # Errors
 /// [`Failure::Unsuccessful`] if this release cannot read it.
-pub fn read_answer<T: for<'de> Deserialize<'de>>(answer: &Value) -> Result<T, Failure> {
+pub(crate) fn read_answer<T: for<'de> Deserialize<'de>>(answer: &Value) -> Result<T, Failure> {
     T::deserialize(answer)
         .map_err(|problem| Failure::Unsuccessful(format!("the answer cannot be read: {problem}: {answer}")))
 }
@@ -207,7 +210,7 @@ impl Client {
     /// # Errors
     /// [`Failure::Unsuccessful`] if it is rejected; [`Failure::Unreachable`] if there is no
     /// coordinator.
-    pub async fn api(&mut self, call: ApiCall, request: &impl Serialize) -> Result<Value, Failure> {
+    pub(crate) async fn api(&mut self, call: ApiCall, request: &impl Serialize) -> Result<Value, Failure> {
         self.check_scope(call)?;
         let target = if call.is_read_only() { QueryTarget::Nearest } else { QueryTarget::All };
         let payload = serde_json::to_string(request).expect("a request serializes to JSON");
@@ -230,7 +233,7 @@ impl Client {
     ///
     /// # Errors
     /// See [`api`](Self::api).
-    pub async fn query_view(&mut self, key: &Key) -> Result<Value, Failure> {
+    pub(crate) async fn query_view(&mut self, key: &Key) -> Result<Value, Failure> {
         self.query(key, String::new(), QueryTarget::Nearest).await
     }
 
@@ -239,7 +242,7 @@ impl Client {
     /// # Errors
     /// [`Failure::Unsuccessful`] if it is rejected; [`Failure::Unreachable`] if the node does not
     /// reply.
-    pub async fn query_node(&mut self, key: &Key, node: &NodeId, limit: Duration) -> Result<Value, Failure> {
+    pub(crate) async fn query_node(&mut self, key: &Key, node: &NodeId, limit: Duration) -> Result<Value, Failure> {
         match query_once(&*self.bus, &self.keys.write(key), "", limit, QueryTarget::All).await {
             Ok(value) => Ok(value),
             Err(QueryError::Rejected(problem)) => Err(Failure::Unsuccessful(problem)),
@@ -272,7 +275,7 @@ impl Client {
     }
 
     /// Closes the connection, and reports rejected messages on the standard error.
-    pub async fn close(mut self) {
+    pub(crate) async fn close(mut self) {
         let refused = self.refused();
         if !refused.is_empty() {
             self.waiting.clear();

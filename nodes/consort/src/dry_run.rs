@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 /// A worker's bid or refusal for a role.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct WorkerBid {
+pub(crate) struct WorkerBid {
     /// The worker.
     pub worker: RobotId,
     /// Time for the whole plan, in seconds; none for a refusal.
@@ -36,7 +36,7 @@ pub struct WorkerBid {
 
 /// Result of an auction.
 #[derive(Debug, Clone, PartialEq)]
-pub struct DryRunOutcome {
+pub(crate) struct DryRunOutcome {
     /// Bids and refusals by role, in the order of the workers.
     pub bids: BTreeMap<RoleId, Vec<WorkerBid>>,
     /// Assignment of roles: every role, or none.
@@ -46,7 +46,7 @@ pub struct DryRunOutcome {
 }
 
 /// Auctions the plans of `roles` among the workers. Roles without a plan are skipped.
-pub fn simulate_auction(
+pub(crate) fn simulate_auction(
     division: &Division,
     roles: &BTreeSet<RoleId>,
     workers: &[WorkerEntry],

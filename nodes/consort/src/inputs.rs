@@ -43,7 +43,7 @@ pub fn mission(name: &str) -> Result<MissionTemplate, Diagnostics> {
 ///
 /// # Errors
 /// See [`mission`].
-pub fn mission_request(name: &str) -> Result<MissionSource, Diagnostics> {
+pub(crate) fn mission_request(name: &str) -> Result<MissionSource, Diagnostics> {
     if shipped().contains_key(name) {
         return Ok(MissionSource::Shipped(name.to_owned()));
     }
@@ -67,7 +67,7 @@ fn mission_text(name: &str) -> Result<String, Diagnostics> {
 ///
 /// # Errors
 /// [`Diagnostics`] with line and column.
-pub fn parse_any_format<T: DeserializeOwned>(text: &str, file: &str) -> Result<T, Diagnostics> {
+pub(crate) fn parse_any_format<T: DeserializeOwned>(text: &str, file: &str) -> Result<T, Diagnostics> {
     if file.ends_with(".toml") {
         return toml::from_str(text).map_err(|error| Diagnostic::for_file(file, error.to_string().trim_end()).into());
     }
@@ -127,7 +127,7 @@ fn nothing() -> SharePerSecond {
 
 impl WorkerEntry {
     /// Returns the worker's knowledge record, free for work.
-    pub fn worker(&self, places: &BTreeMap<PlaceId, Pose>) -> RobotKnowledge {
+    pub(crate) fn worker(&self, places: &BTreeMap<PlaceId, Pose>) -> RobotKnowledge {
         RobotKnowledge {
             skills: self.skills.clone(),
             place: self.place.clone(),
@@ -152,7 +152,7 @@ struct WorkersFile {
 }
 
 /// Returns the JSON Schema of a workers file.
-pub fn workers_schema() -> Schema {
+pub(crate) fn workers_schema() -> Schema {
     let mut schema = schema_for!(WorkersFile);
     // In JSON and YAML the list alone is accepted; TOML needs a key.
     let whole =

@@ -42,13 +42,13 @@ const SHUTDOWN_LIMIT: Duration = Duration::from_secs(5);
 ///
 /// # Errors
 /// [`Failure::Unsuccessful`] if the system cannot create threads.
-pub fn build_runtime() -> Result<Runtime, Failure> {
+pub(crate) fn build_runtime() -> Result<Runtime, Failure> {
     let runtime = Builder::new_multi_thread().enable_all().build();
     runtime.map_err(|problem| Failure::Unsuccessful(format!("the runtime could not start: {problem}")))
 }
 
 /// Returns the log filter of the variable `RUST_LOG`, which Rust programs share.
-pub fn rust_log() -> Option<String> {
+pub(crate) fn rust_log() -> Option<String> {
     std::env::var("RUST_LOG").ok()
 }
 
@@ -56,7 +56,7 @@ pub fn rust_log() -> Option<String> {
 ///
 /// # Errors
 /// [`Failure::Usage`] if the filter is invalid.
-pub fn start_log(text: &str, format: LogFormat) -> Result<(), Failure> {
+pub(crate) fn start_log(text: &str, format: LogFormat) -> Result<(), Failure> {
     let filter = EnvFilter::try_new(text).map_err(|problem| {
         let allowed = "allowed is error, warn, info, debug or trace, also by module, as info,consort_fleet=debug";
         Failure::Usage(format!("{text:?} is not a filter for the log: {problem}; {allowed}"))
@@ -282,6 +282,6 @@ async fn log_links(bus: ZenohBus, connect: Vec<String>) {
 }
 
 /// Formats the links.
-pub fn describe_links(links: &[Link]) -> String {
+pub(crate) fn describe_links(links: &[Link]) -> String {
     links.iter().map(|link| format!("{} ({})", link.peer, link.kind)).collect::<Vec<_>>().join(", ")
 }

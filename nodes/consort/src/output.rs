@@ -82,7 +82,7 @@ impl Progress {
     }
 
     /// Shows a frequently changing text: on a terminal only, where it is overwritten.
-    pub fn show_on_terminal(&mut self, text: impl Display) {
+    pub(crate) fn show_on_terminal(&mut self, text: impl Display) {
         if stderr().is_terminal() {
             self.show(text);
         }

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 /// Flags for recordings of a world. Without them nothing is recorded, and nothing is spent.
 #[derive(Debug, Clone, Default, clap::Args)]
 #[command(next_help_heading = "Rendering")]
-pub struct RenderFlags {
+pub(crate) struct RenderFlags {
     /// Record the world to this MCAP file, for Foxglove. Positions of robots are written ten times
     /// per second of world time while they move, and not while they stand
     #[arg(long, value_name = "FILE.mcap")]
@@ -21,7 +21,7 @@ pub struct RenderFlags {
 
 impl RenderFlags {
     /// Returns true if anything is to be recorded.
-    pub fn is_enabled(&self) -> bool {
+    pub(crate) fn is_enabled(&self) -> bool {
         self.record.is_some() || self.svg.is_some()
     }
 
@@ -29,7 +29,7 @@ impl RenderFlags {
     ///
     /// # Errors
     /// [`Diagnostics`] of the files.
-    pub fn start_recording(&self, world: &SharedWorld) -> Result<(), Diagnostics> {
+    pub(crate) fn start_recording(&self, world: &SharedWorld) -> Result<(), Diagnostics> {
         let outputs = RecordingOutputs { mcap: self.record.clone(), svg: self.svg.clone() };
         let recorder = Recorder::open(&outputs).map_err(|problem| Diagnostic::for_file("", problem))?;
         if let Some(recorder) = recorder {
@@ -43,7 +43,7 @@ impl RenderFlags {
 ///
 /// # Errors
 /// [`Failure::Unsuccessful`] if a file is incomplete.
-pub fn finish_recording(world: &SharedWorld, mut report: impl FnMut(&str)) -> Result<(), Failure> {
+pub(crate) fn finish_recording(world: &SharedWorld, mut report: impl FnMut(&str)) -> Result<(), Failure> {
     let mut problems = vec![];
     for file in world.end_recording() {
         match file {

@@ -15,14 +15,14 @@ use std::time::Duration;
 use tracing::info;
 
 /// A node's credentials, if it has certificates.
-pub struct NodeCredentials(Option<(Arc<Keyring>, TrustFiles)>);
+pub(crate) struct NodeCredentials(Option<(Arc<Keyring>, TrustFiles)>);
 
 impl NodeCredentials {
     /// Reads the files, and checks that they belong to this node and permit its configured roles.
     ///
     /// # Errors
     /// [`Failure::Usage`] with the file and the problem.
-    pub fn open(bus: &BusConfig, node: &NodeSettings) -> Result<NodeCredentials, Failure> {
+    pub(crate) fn open(bus: &BusConfig, node: &NodeSettings) -> Result<NodeCredentials, Failure> {
         let Some(folder) = &bus.certs else { return Ok(NodeCredentials(None)) };
         let files = trust_files(folder);
         let now = Duration::from_millis(node.clock.wall_ms());
@@ -55,7 +55,7 @@ impl NodeCredentials {
     }
 
     /// Returns the keyring for verifying others, if the node has certificates.
-    pub fn keyring(&self) -> Option<Arc<Keyring>> {
+    pub(crate) fn keyring(&self) -> Option<Arc<Keyring>> {
         self.0.as_ref().map(|(keyring, _)| Arc::clone(keyring))
     }
 
@@ -64,7 +64,7 @@ impl NodeCredentials {
     ///
     /// # Errors
     /// [`Failure::Unsuccessful`] if the node's certificate cannot be published on the bus.
-    pub async fn signing_bus(self, bus: SharedBus, node: &mut NodeSettings) -> Result<SharedBus, Failure> {
+    pub(crate) async fn signing_bus(self, bus: SharedBus, node: &mut NodeSettings) -> Result<SharedBus, Failure> {
         let Some((keyring, files)) = self.0 else { return Ok(bus) };
         let signing = SigningBus::open(bus, Keys::new(&node.fleet.fleet), keyring, files.revoked, node.clock).await;
         let signing = signing.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
@@ -87,7 +87,7 @@ fn needed_roles(node: &NodeSettings) -> Vec<(NodeRole, &'static str)> {
 ///
 /// # Errors
 /// [`Failure::Usage`] with the file and the problem.
-pub fn person_keyring(certs: &Path, fleet: &FleetId, clock: Clock) -> Result<(Keyring, TrustFiles), Failure> {
+pub(crate) fn person_keyring(certs: &Path, fleet: &FleetId, clock: Clock) -> Result<(Keyring, TrustFiles), Failure> {
     let files = trust_files(certs);
     let now_ms = clock.wall_ms();
     let keyring = files.open(fleet, Duration::from_millis(now_ms), now_ms);

@@ -41,7 +41,7 @@ use tracing::warn;
 
 /// Version of this program's estimators, as nodes publish it. It changes with the estimators'
 /// results, and not with each release: bids of two releases in a fleet must be comparable.
-pub const ESTIMATOR_VERSION: &str = "standard-1";
+pub(crate) const ESTIMATOR_VERSION: &str = "standard-1";
 
 /// Values of a single incarnation of a node.
 #[derive(Clone)]
@@ -100,7 +100,7 @@ pub(crate) fn random_u64() -> u64 {
 /// Estimator and skills of robots in an environment; identical for all of them, so they may be
 /// shared.
 #[derive(Clone)]
-pub struct SkillResources {
+pub(crate) struct SkillResources {
     /// The task types, with the places of the map.
     pub domain: Arc<Domain>,
     /// Positions of the places.
@@ -116,7 +116,7 @@ pub struct SkillResources {
 ///
 /// # Errors
 /// [`Diagnostics`] of the ensemble, or of the map.
-pub fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Result<FleetSettings, Diagnostics> {
+pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Result<FleetSettings, Diagnostics> {
     let places = map_loader::load(&config.map)?.topology.places;
     let domain = extensions.domain();
     let ensemble = Ensemble::compile(config.ensemble(&domain)).map_err(|problem| Diagnostic::for_file("", problem))?;
@@ -143,7 +143,7 @@ pub fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Result<Fl
 }
 
 /// Returns the limits of bids.
-pub fn limits(config: &FleetConfig) -> BidLimits {
+pub(crate) fn limits(config: &FleetConfig) -> BidLimits {
     BidLimits { time: config.limits.time_s, charge_min: config.limits.charge_min }
 }
 
@@ -151,7 +151,7 @@ pub fn limits(config: &FleetConfig) -> BidLimits {
 ///
 /// # Errors
 /// [`Diagnostics`] of the map.
-pub fn skill_resources(floor: &LoadedMap, extensions: Extensions) -> Result<SkillResources, Diagnostics> {
+pub(crate) fn skill_resources(floor: &LoadedMap, extensions: Extensions) -> Result<SkillResources, Diagnostics> {
     let LoadedMap { topology, map } = floor;
     let routes = Routes::new(topology).map_err(|problem| Diagnostic::for_file("map", problem))?;
     let passages = map.as_ref().map_or_else(Passages::default, Map::passages);
@@ -167,7 +167,10 @@ pub fn skill_resources(floor: &LoadedMap, extensions: Extensions) -> Result<Skil
 ///
 /// # Errors
 /// [`Diagnostics`] of the map, or of the calibration.
-pub fn fleet_skill_resources(fleet: &FleetConfig, extensions: Extensions) -> Result<SkillResources, Diagnostics> {
+pub(crate) fn fleet_skill_resources(
+    fleet: &FleetConfig,
+    extensions: Extensions,
+) -> Result<SkillResources, Diagnostics> {
     let equipment = skill_resources(&map_loader::load(&fleet.map)?, extensions)?;
     let Some(file) = &fleet.calibration else { return Ok(equipment) };
     let learned: Arc<Calibration> = Arc::new(config::load(file, &extensions.domain())?);
@@ -180,7 +183,7 @@ pub fn fleet_skill_resources(fleet: &FleetConfig, extensions: Extensions) -> Res
 ///
 /// # Errors
 /// [`Diagnostics`] of the fleet, of its map, or of the robot on it.
-pub fn robot_node(
+pub(crate) fn robot_node(
     robot: &RobotConfig,
     fleet: &FleetConfig,
     incarnation: NodeIncarnation,
@@ -193,7 +196,7 @@ pub fn robot_node(
 ///
 /// # Errors
 /// [`Diagnostics`] of the fleet, or of the robot on its map.
-pub fn robot_node_with(
+pub(crate) fn robot_node_with(
     equipment: &SkillResources,
     robot: &RobotConfig,
     fleet: &FleetConfig,
@@ -214,7 +217,7 @@ pub fn robot_node_with(
 ///
 /// # Errors
 /// [`Diagnostics`] if its place is not on the map, or a skill is not in the library.
-pub fn worker(robot: &RobotConfig, places: &BTreeMap<PlaceId, Pose>) -> Result<RobotKnowledge, Diagnostics> {
+pub(crate) fn worker(robot: &RobotConfig, places: &BTreeMap<PlaceId, Pose>) -> Result<RobotKnowledge, Diagnostics> {
     let Some(pose) = places.get(&robot.place) else {
         let allowed = AllowedNames::suggest_for(robot.place.as_str(), places.keys());
         let (name, place) = (&robot.name, robot.place.as_str());
@@ -256,7 +259,7 @@ pub fn station_node(
 ///
 /// # Errors
 /// [`Diagnostics`] of the fleet, of the map, or of objects on it.
-pub fn world_node(
+pub(crate) fn world_node(
     world: &WorldConfig,
     fleet: &FleetConfig,
     incarnation: NodeIncarnation,
@@ -272,7 +275,7 @@ pub fn world_node(
 ///
 /// # Errors
 /// [`Diagnostics`] of the map, or of objects on it.
-pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Diagnostics> {
+pub(crate) fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Diagnostics> {
     let name = world.map.as_ref().unwrap_or(&fleet.map);
     let LoadedMap { map: Some(map), .. } = map_loader::load(name)? else {
         let what = "a map of the published format has no floor plan; a world needs a map in Consort's own format";
@@ -335,12 +338,12 @@ fn display_map(fleet: &FleetConfig) -> Option<Arc<MapView>> {
 }
 
 /// Returns the credentials of links, from a folder of `consort cert`.
-pub fn link_trust(certs: &Path, fleet: &FleetId) -> LinkTrust {
+pub(crate) fn link_trust(certs: &Path, fleet: &FleetId) -> LinkTrust {
     LinkTrust { files: config::trust_files(certs), fleet: fleet.clone() }
 }
 
 /// Returns the Zenoh settings of a node: a router between its neighbours.
-pub fn bus_settings(bus: &BusConfig, fleet: &FleetConfig) -> ZenohSettings {
+pub(crate) fn bus_settings(bus: &BusConfig, fleet: &FleetConfig) -> ZenohSettings {
     ZenohSettings {
         listen: bus.listen_addresses(),
         connect: bus.connect.clone(),

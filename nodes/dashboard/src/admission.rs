@@ -125,7 +125,7 @@ impl Admission {
     ///
     /// # Errors
     /// [`AdmissionError::InvalidToken`]. An open fleet returns no error.
-    pub fn verify_token(&self, token: &str) -> Result<Option<AuthenticatedClient>, AdmissionError> {
+    pub(crate) fn verify_token(&self, token: &str) -> Result<Option<AuthenticatedClient>, AdmissionError> {
         let Some(ClosedFleet { keyring, clock, .. }) = &self.closed else { return Ok(None) };
         let claims = keyring.verify_token(token, Duration::from_millis(clock.wall_ms()))?;
         Ok(Some(AuthenticatedClient { claims, token: token.to_owned() }))
@@ -142,7 +142,7 @@ impl Admission {
 
     /// Checks whether an admitted client would still be admitted: tokens expire, and certificates
     /// are revoked.
-    pub fn is_still_valid(&self, client: Option<&AuthenticatedClient>) -> bool {
+    pub(crate) fn is_still_valid(&self, client: Option<&AuthenticatedClient>) -> bool {
         client.is_none_or(|client| self.verify_token(&client.token).is_ok())
     }
 
@@ -166,7 +166,7 @@ impl Admission {
 
     /// Returns the header that makes a browser send this token with each request. An empty token
     /// removes the cookie.
-    pub fn cookie(&self, token: &str, secure: bool) -> Option<(HeaderName, HeaderValue)> {
+    pub(crate) fn cookie(&self, token: &str, secure: bool) -> Option<(HeaderName, HeaderValue)> {
         let ClosedFleet { fleet, keyring, clock } = self.closed.as_ref()?;
         let now = Duration::from_millis(clock.wall_ms());
         let left = keyring.verify_token(token, now).map_or(Duration::ZERO, |claims| claims.expires.saturating_sub(now));

@@ -138,7 +138,7 @@ impl MissionState {
     }
 
     /// Checks whether the mission waits for a person to close it.
-    pub fn needs_intervention(&self) -> bool {
+    pub(crate) fn needs_intervention(&self) -> bool {
         matches!(self, MissionState::NeedsIntervention { .. })
     }
 

@@ -28,7 +28,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
 mod active_missions;
-pub mod v1;
+pub(crate) mod v1;
 
 pub use active_missions::{ActiveMissions, ActivePlan};
 

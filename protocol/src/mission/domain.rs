@@ -77,7 +77,7 @@ impl fmt::Display for ValueKind {
 impl ValueKind {
     /// Checks whether `text` is a value of this kind. The existence of a role in the mission is
     /// checked elsewhere.
-    pub fn admits(&self, text: &str) -> bool {
+    pub(crate) fn admits(&self, text: &str) -> bool {
         match self {
             ValueKind::Place => PlaceId::new(text).is_ok(),
             ValueKind::Role => crate::ids::RoleId::new(text).is_ok(),

@@ -37,7 +37,6 @@ pub use ihtn::{IhtnOptions, import_ihtn};
 pub use limits::FILE_BYTES_MAX;
 pub(crate) use lost_item::LostItem;
 pub use model::{
-    ATTEMPTS_MAX, AlternativeMethod, Method, Mission, OnLoss, Role, RoleKind, TaskBody, TaskIndex, TaskNode, TaskOrder,
-    TaskSpec,
+    AlternativeMethod, Method, Mission, OnLoss, Role, RoleKind, TaskBody, TaskIndex, TaskNode, TaskOrder, TaskSpec,
 };
 pub use order::GlobalOrder;

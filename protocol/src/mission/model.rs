@@ -141,7 +141,7 @@ pub struct TaskSpec {
 /// Default number of attempts.
 pub(crate) const ATTEMPTS: u8 = 2;
 /// Maximum number of attempts.
-pub const ATTEMPTS_MAX: u8 = 10;
+pub(crate) const ATTEMPTS_MAX: u8 = 10;
 
 fn attempts() -> u8 {
     ATTEMPTS
@@ -169,7 +169,7 @@ impl TaskSpec {
     }
 
     /// Returns the items that the task moves.
-    pub fn items(&self) -> impl Iterator<Item = &ItemId> {
+    pub(crate) fn items(&self) -> impl Iterator<Item = &ItemId> {
         self.acquires.keys().chain(&self.releases)
     }
 

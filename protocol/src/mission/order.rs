@@ -41,7 +41,7 @@ impl<'m> GlobalOrder<'m> {
     }
 
     /// Returns the tasks that move each item, in their order.
-    pub fn moves(&self) -> BTreeMap<&'m ItemId, Vec<usize>> {
+    pub(crate) fn moves(&self) -> BTreeMap<&'m ItemId, Vec<usize>> {
         let mut moves: BTreeMap<&ItemId, Vec<usize>> = BTreeMap::new();
         for (task, (_, spec)) in self.tasks.iter().enumerate() {
             for item in spec.items() {

@@ -6,10 +6,10 @@
 //! not part of a map. Reading a file reports *all* its errors, each with the file and the position.
 
 mod drawing;
-pub mod drawio;
+pub(crate) mod drawio;
 mod read;
 mod read_error;
-pub mod rmf;
+pub(crate) mod rmf;
 mod settings;
 #[cfg(test)]
 mod tests;

@@ -13,7 +13,7 @@ pub(crate) struct EntryId(pub(crate) usize);
 
 /// Values that live as long as their tree.
 #[derive(Debug, Clone, Default)]
-pub struct Blackboard {
+pub(crate) struct Blackboard {
     entries: Vec<Entry>,
 }
 

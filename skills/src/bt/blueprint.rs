@@ -42,12 +42,12 @@ impl<C> Blueprint<C> {
     }
 
     /// The keys to set before the first tick, required or optional, in order.
-    pub fn inputs(&self) -> &[TreeInput] {
+    pub(crate) fn inputs(&self) -> &[TreeInput] {
         &self.inputs
     }
 
     /// Creates a tree. Its leaves are made from `context`.
-    pub fn instantiate(&self, context: &C) -> Tree {
+    pub(crate) fn instantiate(&self, context: &C) -> Tree {
         Tree {
             root: self.root.slot(context),
             blackboard: self.blackboard.clone(),

@@ -10,11 +10,11 @@ use super::value::PortType;
 /// Greatest nesting depth of nodes, sub-trees included, in a file and in a tree. Ticking and
 /// reading recurse once per level, which the stack must hold. A guess, several times the depth of
 /// usual trees.
-pub const MAX_DEPTH: usize = 100;
+pub(crate) const MAX_DEPTH: usize = 100;
 
 /// Greatest number of nodes of a tree with its sub-trees expanded: ten nested sub-trees, each used
 /// twice, make a thousand nodes.
-pub const MAX_NODES: usize = 10_000;
+pub(crate) const MAX_NODES: usize = 10_000;
 
 /// A key of the main tree that is read but that no node writes. The caller sets it after creating
 /// the tree.

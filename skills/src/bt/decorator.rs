@@ -87,7 +87,6 @@ impl Node for LoopNode {
                 status => return self.end(status),
             }
             if limit < 0 {
-                tick.wake_at(tick.now);
                 return NodeStatus::Running;
             }
         }
@@ -151,10 +150,8 @@ impl Node for Timeout {
             return NodeStatus::Failure;
         }
         let status = self.child.tick(tick);
-        match (status, self.deadline) {
-            (NodeStatus::Running, Some(deadline)) => tick.wake_at(deadline),
-            (NodeStatus::Running, None) => {}
-            _ => self.is_started = false,
+        if status != NodeStatus::Running {
+            self.is_started = false;
         }
         status
     }

@@ -89,7 +89,6 @@ impl Leaf for SleepLeaf {
             self.until = None;
             return Ok(NodeStatus::Success);
         }
-        context.wake_at(until);
         Ok(NodeStatus::Running)
     }
 

@@ -77,22 +77,22 @@ impl PortSpec {
     }
 
     /// Makes the port optional.
-    pub fn optional(self) -> PortSpec {
+    pub(crate) fn optional(self) -> PortSpec {
         PortSpec { presence: PortPresence::Optional, ..self }
     }
 
     /// Sets the value for an omitted port.
-    pub fn with_default(self, default: &str) -> PortSpec {
+    pub(crate) fn with_default(self, default: &str) -> PortSpec {
         PortSpec { presence: PortPresence::Default(default.to_owned()), ..self }
     }
 
     /// Restricts the port to these texts.
-    pub fn one_of(self, texts: &[&str]) -> PortSpec {
+    pub(crate) fn one_of(self, texts: &[&str]) -> PortSpec {
         PortSpec { constraint: PortConstraint::OneOf(texts.iter().map(|&t| t.to_owned()).collect()), ..self }
     }
 
     /// Restricts the port to numbers in this range, ends included.
-    pub fn in_range(self, low: f64, high: f64) -> PortSpec {
+    pub(crate) fn in_range(self, low: f64, high: f64) -> PortSpec {
         PortSpec { constraint: PortConstraint::Range(low, high), ..self }
     }
 
@@ -121,7 +121,7 @@ pub enum NodeKind {
 
 impl NodeKind {
     /// The tag in explicit XML.
-    pub const fn tag(self) -> &'static str {
+    pub(crate) const fn tag(self) -> &'static str {
         match self {
             NodeKind::Action => "Action",
             NodeKind::Condition => "Condition",

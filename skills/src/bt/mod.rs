@@ -48,20 +48,19 @@ pub mod xml;
 #[cfg(test)]
 mod tests;
 
-pub use blackboard::{Blackboard, BlackboardError};
-pub use blueprint::Blueprint;
-pub use checked_node::{MAX_DEPTH, MAX_NODES, TreeInput};
-pub use error::{TreeError, TreeErrorKind};
+pub(crate) use blackboard::BlackboardError;
+pub(crate) use blueprint::Blueprint;
+pub(crate) use checked_node::TreeInput;
+pub(crate) use error::TreeError;
+pub use error::TreeErrorKind;
 pub use leaf::{Leaf, SyncLeaf};
 pub(crate) use manifest::join_names;
 pub use manifest::{NodeKind, NodeManifest, PortConstraint, PortDirection, PortPresence, PortSpec};
-pub use ports::{PortError, Ports};
-pub use registry::{Registry, RegistryError};
-pub use spec::{
-    NodeSpec, TreeSpec, fallback, inverter, parallel, reactive_fallback, reactive_sequence, repeat, retry, sequence,
-    timeout,
-};
+pub use ports::PortError;
+pub(crate) use registry::{Registry, RegistryError};
+pub use spec::{NodeSpec, TreeSpec, sequence, timeout};
 pub use status::NodeStatus;
-pub use tick::{Cause, LeafContext, MAX_LOOP_ITERATIONS_PER_TICK, Tick};
-pub use tree::Tree;
-pub use value::{PortType, PortValue, Value, ValueError};
+pub use tick::{Cause, LeafContext};
+pub(crate) use tree::Tree;
+pub use value::{PortType, ValueError};
+pub(crate) use value::{PortValue, Value};

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 /// The ports of a node as bound in its tree.
 #[derive(Debug, Clone, Default)]
-pub struct Ports {
+pub(crate) struct Ports {
     pub(crate) bound: BTreeMap<String, PortBinding>,
 }
 
@@ -54,7 +54,7 @@ impl Ports {
     ///
     /// # Errors
     /// [`PortError`] if the port is not bound, is empty, or contains another type than `T`.
-    pub fn read<T: PortValue>(&self, blackboard: &Blackboard, port: &str) -> Result<T, PortError> {
+    pub(crate) fn read<T: PortValue>(&self, blackboard: &Blackboard, port: &str) -> Result<T, PortError> {
         if let Some(value) = self.read_optional(blackboard, port)? {
             return Ok(value);
         }
@@ -71,7 +71,11 @@ impl Ports {
     ///
     /// # Errors
     /// [`PortError`] if the port contains another type than `T`.
-    pub fn read_optional<T: PortValue>(&self, blackboard: &Blackboard, port: &str) -> Result<Option<T>, PortError> {
+    pub(crate) fn read_optional<T: PortValue>(
+        &self,
+        blackboard: &Blackboard,
+        port: &str,
+    ) -> Result<Option<T>, PortError> {
         match self.bound.get(port) {
             None => Ok(None),
             Some(PortBinding::Literal(value)) => {
@@ -88,7 +92,7 @@ impl Ports {
     ///
     /// # Errors
     /// [`PortError`] if the port is bound to a fixed value, or its key has another type.
-    pub fn write(&self, blackboard: &mut Blackboard, port: &str, value: Value) -> Result<(), PortError> {
+    pub(crate) fn write(&self, blackboard: &mut Blackboard, port: &str, value: Value) -> Result<(), PortError> {
         match self.bound.get(port) {
             None => Ok(()),
             Some(PortBinding::Literal(_)) => Err(PortError::Fixed { port: port.to_owned() }),

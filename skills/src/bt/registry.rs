@@ -86,7 +86,7 @@ impl<C> Registry<C> {
     }
 
     /// Manifests of the registered leaves, without the built-in nodes.
-    pub fn manifests(&self) -> impl Iterator<Item = &NodeManifest> {
+    pub(crate) fn manifests(&self) -> impl Iterator<Item = &NodeManifest> {
         self.leaves.values().map(|leaf| &leaf.manifest)
     }
 

@@ -63,7 +63,8 @@ impl NodeSpec {
 
     /// Creates a sub-tree node: a reference to another tree of the same description, with its own
     /// scope.
-    pub fn subtree(tree: &str) -> NodeSpec {
+    #[cfg(test)]
+    pub(crate) fn subtree(tree: &str) -> NodeSpec {
         NodeSpec { kind: Some(NodeKind::SubTree), ..NodeSpec::new(tree) }
     }
 
@@ -74,13 +75,13 @@ impl NodeSpec {
     }
 
     /// Adds a child.
-    pub fn child(mut self, child: NodeSpec) -> NodeSpec {
+    pub(crate) fn child(mut self, child: NodeSpec) -> NodeSpec {
         self.children.push(child);
         self
     }
 
     /// Adds children.
-    pub fn children(mut self, children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
+    pub(crate) fn children(mut self, children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
         self.children.extend(children);
         self
     }
@@ -92,13 +93,14 @@ impl NodeSpec {
     }
 
     /// Maps the keys of the sub-tree to those of the enclosing tree.
-    pub fn autoremap(mut self) -> NodeSpec {
+    #[cfg(test)]
+    pub(crate) fn autoremap(mut self) -> NodeSpec {
         self.autoremap = true;
         self
     }
 
     /// Returns the display name, or else the node type.
-    pub fn label(&self) -> &str {
+    pub(crate) fn label(&self) -> &str {
         self.name.as_deref().unwrap_or(&self.id)
     }
 }
@@ -106,43 +108,6 @@ impl NodeSpec {
 /// Executes all children in order.
 pub fn sequence(children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
     NodeSpec::new("Sequence").children(children)
-}
-
-/// Executes children in order until a child succeeds.
-pub fn fallback(children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
-    NodeSpec::new("Fallback").children(children)
-}
-
-/// Executes all children, starting with the first at every tick.
-pub fn reactive_sequence(children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
-    NodeSpec::new("ReactiveSequence").children(children)
-}
-
-/// Executes children until a child succeeds, starting with the first at every tick.
-pub fn reactive_fallback(children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
-    NodeSpec::new("ReactiveFallback").children(children)
-}
-
-/// Executes children in parallel: succeeds when `enough` of them succeed, fails once that is out of
-/// reach.
-pub fn parallel(enough: u32, children: impl IntoIterator<Item = NodeSpec>) -> NodeSpec {
-    let node = NodeSpec::new("Parallel").children(children);
-    node.port("success_count", &enough.to_string()).port("failure_count", "-1")
-}
-
-/// Inverts the child's status.
-pub fn inverter(child: NodeSpec) -> NodeSpec {
-    NodeSpec::new("Inverter").child(child)
-}
-
-/// Executes the child up to `attempts` times, until it succeeds.
-pub fn retry(attempts: u32, child: NodeSpec) -> NodeSpec {
-    NodeSpec::new("RetryUntilSuccessful").port("num_attempts", &attempts.to_string()).child(child)
-}
-
-/// Executes the child `cycles` times, while it succeeds.
-pub fn repeat(cycles: u32, child: NodeSpec) -> NodeSpec {
-    NodeSpec::new("Repeat").port("num_cycles", &cycles.to_string()).child(child)
 }
 
 /// Executes the child for at most `msec` milliseconds of world time.

@@ -13,7 +13,7 @@ pub enum NodeStatus {
 
 impl NodeStatus {
     /// Checks whether the node has ended and will start from the beginning at its next tick.
-    pub fn is_final(self) -> bool {
+    pub(crate) fn is_final(self) -> bool {
         self != NodeStatus::Running
     }
 }

@@ -12,10 +12,10 @@ use std::fmt;
 /// Greatest number of loop iterations (repeat, retry, for-each) within a tick. The loop continues
 /// at the next tick. A guess: far above the need of a sound tree, and small enough that a tick
 /// takes at most a few milliseconds.
-pub const MAX_LOOP_ITERATIONS_PER_TICK: u32 = 1000;
+pub(crate) const MAX_LOOP_ITERATIONS_PER_TICK: u32 = 1000;
 
 /// A tick in progress.
-pub struct Tick<'a> {
+pub(crate) struct Tick<'a> {
     pub(crate) actions: &'a mut (dyn RobotActions + 'a),
     pub(crate) now: WorldTime,
     pub(crate) blackboard: &'a mut Blackboard,
@@ -28,8 +28,6 @@ pub struct Tick<'a> {
 pub(crate) struct TreeState {
     /// Cause of the latest failure of a leaf.
     pub(crate) cause: Option<Cause>,
-    /// Time at which the tree requests its next tick, even without other events.
-    pub(crate) wake_at: Option<WorldTime>,
     /// Canceled goals that the robot may not have ended yet.
     pub(crate) canceling: BTreeSet<GoalId>,
 }
@@ -44,22 +42,10 @@ pub struct Cause {
 }
 
 impl Tick<'_> {
-    /// World time of this tick.
-    pub fn now(&self) -> WorldTime {
-        self.now
-    }
-
-    /// Requests a tick at `time` at the latest.
-    pub(crate) fn wake_at(&mut self, time: WorldTime) {
-        let earliest = self.state.wake_at.map_or(time, |set| if time < set { time } else { set });
-        self.state.wake_at = Some(earliest);
-    }
-
     /// Counts a loop iteration. Returns `false` at the limit, so that the loop has to continue at
     /// the next tick.
     pub(crate) fn take_iteration(&mut self) -> bool {
         if self.iterations_left == 0 {
-            self.wake_at(self.now);
             return false;
         }
         self.iterations_left -= 1;
@@ -100,7 +86,7 @@ impl LeafContext<'_, '_> {
     ///
     /// # Errors
     /// [`PortError`] if the port contains another type than `T`.
-    pub fn read_optional<T: PortValue>(&self, port: &str) -> Result<Option<T>, PortError> {
+    pub(crate) fn read_optional<T: PortValue>(&self, port: &str) -> Result<Option<T>, PortError> {
         self.ports.read_optional(self.tick.blackboard, port)
     }
 
@@ -110,11 +96,6 @@ impl LeafContext<'_, '_> {
     /// [`PortError`] if the port is bound to a fixed value, or its key has another type.
     pub fn write(&mut self, port: &str, value: impl Into<Value>) -> Result<(), PortError> {
         self.ports.write(self.tick.blackboard, port, value.into())
-    }
-
-    /// Requests a tick at `time` at the latest, even without other events.
-    pub fn wake_at(&mut self, time: WorldTime) {
-        self.tick.wake_at(time);
     }
 
     /// Cancels a goal, and tracks it until the robot has ended it.

@@ -5,13 +5,15 @@ use super::manifest::join_names;
 use super::node::ChildNode;
 use super::status::NodeStatus;
 use super::tick::{Cause, MAX_LOOP_ITERATIONS_PER_TICK, Tick, TreeState};
-use super::value::{PortValue, Value};
+#[cfg(test)]
+use super::value::PortValue;
+use super::value::Value;
 use crate::actions::RobotActions;
 use consort_protocol::units::WorldTime;
 use std::collections::BTreeMap;
 
 /// A running tree with its blackboard.
-pub struct Tree {
+pub(crate) struct Tree {
     pub(crate) root: ChildNode,
     pub(crate) blackboard: Blackboard,
     /// Keys of the main tree.
@@ -21,45 +23,32 @@ pub struct Tree {
 
 impl Tree {
     /// Ticks the tree once, at world time `now`.
-    pub fn tick(&mut self, actions: &mut dyn RobotActions, now: WorldTime) -> NodeStatus {
+    pub(crate) fn tick(&mut self, actions: &mut dyn RobotActions, now: WorldTime) -> NodeStatus {
         if !self.root.is_running() {
             self.state.cause = None;
         }
-        self.state.wake_at = None;
         let Tree { root, blackboard, state: notes, .. } = self;
         root.tick(&mut Tick { actions, now, blackboard, state: notes, iterations_left: MAX_LOOP_ITERATIONS_PER_TICK })
     }
 
     /// Halts every running node; the next tick starts from the beginning. The blackboard is
     /// unchanged.
-    pub fn halt(&mut self, actions: &mut dyn RobotActions, now: WorldTime) {
-        self.state.wake_at = None;
+    pub(crate) fn halt(&mut self, actions: &mut dyn RobotActions, now: WorldTime) {
         let Tree { root, blackboard, state: notes, .. } = self;
         root.halt(&mut Tick { actions, now, blackboard, state: notes, iterations_left: MAX_LOOP_ITERATIONS_PER_TICK });
     }
 
-    /// Checks whether a tick would continue the execution rather than start it.
-    pub fn is_running(&self) -> bool {
-        self.root.is_running()
-    }
-
     /// Returns the cause of the latest failure of a leaf, in the current run or the last run that
     /// ended.
-    pub fn cause(&self) -> Option<&Cause> {
+    pub(crate) fn cause(&self) -> Option<&Cause> {
         self.state.cause.as_ref()
-    }
-
-    /// Returns the time at which the tree requests its next tick, even without events of the robot;
-    /// set by the latest tick.
-    pub fn wake_at(&self) -> Option<WorldTime> {
-        self.state.wake_at
     }
 
     /// Writes a key of the main tree; text is converted to the key's type.
     ///
     /// # Errors
     /// [`BlackboardError`] if no port uses the key, or its type differs.
-    pub fn set(&mut self, key: &str, value: impl Into<Value>) -> Result<(), BlackboardError> {
+    pub(crate) fn set(&mut self, key: &str, value: impl Into<Value>) -> Result<(), BlackboardError> {
         let id = self.entry(key)?;
         self.blackboard.write(id, value.into())
     }
@@ -68,12 +57,13 @@ impl Tree {
     ///
     /// # Errors
     /// [`BlackboardError`] if no port uses the key, or its type differs.
-    pub fn get<T: PortValue>(&self, key: &str) -> Result<Option<T>, BlackboardError> {
+    #[cfg(test)]
+    pub(crate) fn get<T: PortValue>(&self, key: &str) -> Result<Option<T>, BlackboardError> {
         self.blackboard.read(self.entry(key)?)
     }
 
     /// Checks whether the robot has ended every goal that this tree canceled.
-    pub fn cancels_complete(&self, actions: &dyn RobotActions) -> bool {
+    pub(crate) fn cancels_complete(&self, actions: &dyn RobotActions) -> bool {
         let held = |goal| actions.status(goal).is_some_and(|status| !status.is_final());
         !self.state.canceling.iter().any(|goal| held(*goal))
     }

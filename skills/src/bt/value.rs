@@ -168,7 +168,7 @@ impl fmt::Display for PortType {
 
 impl Value {
     /// Type of the value.
-    pub fn port_type(&self) -> PortType {
+    pub(crate) fn port_type(&self) -> PortType {
         match self {
             Value::Text(_) => PortType::Text,
             Value::Number(_) => PortType::Number,

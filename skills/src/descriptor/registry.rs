@@ -130,7 +130,7 @@ impl DescriptorRegistry {
     /// steps are assumed to be independent, so a long plan needs less reserve than its steps
     /// separately. 1.28 is the 90 % quantile of a plan's energy if it is about normally
     /// distributed. Default: 0, the mean.
-    pub fn with_energy_margin(self, margin_sds: f64) -> DescriptorRegistry {
+    pub(crate) fn with_energy_margin(self, margin_sds: f64) -> DescriptorRegistry {
         DescriptorRegistry { margin_sds, ..self }
     }
 

@@ -60,7 +60,7 @@ impl Environment {
     }
 
     /// The existing kinds, in the order of their names.
-    pub fn kinds(&self) -> impl Iterator<Item = &'static str> {
+    pub(crate) fn kinds(&self) -> impl Iterator<Item = &'static str> {
         self.descriptors.keys().copied()
     }
 

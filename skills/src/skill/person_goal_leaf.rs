@@ -42,11 +42,9 @@ impl PersonGoalLeaf {
             self.waited_s += PAUSE_S;
             let time = Seconds::new(PAUSE_S).expect("a duration");
             let mut pause = GoalLeaf::new(move |_| Ok(Goal::Wait { time }));
+            // If the pause has already ended, the next tick tries again.
             if pause.tick(context)? == NodeStatus::Running {
                 self.pause = Some(pause);
-            } else {
-                let now = context.now();
-                context.wake_at(now); // the pause has already ended: the next tick tries again
             }
             return Ok(NodeStatus::Running);
         }

@@ -3,7 +3,7 @@
 use crate::RobotSpec;
 
 /// Rooms with a nurse and a sample each, in the order of use.
-pub const ROOMS: [&str; 12] = [
+pub(crate) const ROOMS: [&str; 12] = [
     "IC Room 6",
     "PC Room 1",
     "IC Room 2",
@@ -19,7 +19,7 @@ pub const ROOMS: [&str; 12] = [
 ];
 
 /// Missions of the clients: without and with a recovery branch for the loss of the sample.
-pub const MISSIONS: [&str; 2] = ["lab-samples", "lab-samples-watched"];
+pub(crate) const MISSIONS: [&str; 2] = ["lab-samples", "lab-samples-watched"];
 
 const STATIONS: [&str; 6] = ["aster", "basil", "clove", "dill", "elder", "flax"];
 const CARRIERS: [(&str, &str); 6] = [
@@ -32,10 +32,10 @@ const CARRIERS: [(&str, &str); 6] = [
 ];
 
 /// The only robot that takes samples out of drawers.
-pub const ARM: &str = "lab-arm";
+pub(crate) const ARM: &str = "lab-arm";
 
 /// The node that hosts the simulated robots and the people. It is not part of the node count.
-pub const WORLD: &str = "world";
+pub(crate) const WORLD: &str = "world";
 
 /// Smallest fleet that can carry out a mission and survive the loss of one voter.
 pub const NODES_MIN: usize = 4;
@@ -74,7 +74,7 @@ impl ChaosFleet {
     }
 
     /// Returns the first voters: at most five, an odd number, stationary nodes first.
-    pub fn voters(&self) -> Vec<&'static str> {
+    pub(crate) fn voters(&self) -> Vec<&'static str> {
         let mut all: Vec<_> = self.stations.iter().copied().chain([ARM]).collect();
         all.sort_unstable();
         all.extend(&self.carriers);
@@ -84,7 +84,7 @@ impl ChaosFleet {
     }
 
     /// Returns the setups of its carriers.
-    pub fn members(&self) -> Vec<RobotSpec> {
+    pub(crate) fn members(&self) -> Vec<RobotSpec> {
         let place = |name: &str| CARRIERS.iter().find(|(known, _)| *known == name).map_or("Dock", |(_, place)| place);
         self.carriers
             .iter()

@@ -9,7 +9,7 @@ use std::ops::Range;
 use std::time::Duration;
 
 /// Share of a run after which all faults have ended.
-pub const LIFTED: f64 = 0.7;
+pub(crate) const LIFTED: f64 = 0.7;
 
 /// Time of the first possible fault. The cluster usually exists by then.
 const FIRST_MS: u64 = 4_000;

@@ -18,10 +18,10 @@ pub struct MutantCheck {
 }
 
 /// Simulated minutes of each run of a check.
-pub const MINUTES: f64 = 3.0;
+pub(crate) const MINUTES: f64 = 3.0;
 
 /// Nodes of the fleet in a check.
-pub const NODES: usize = 7;
+pub(crate) const NODES: usize = 7;
 
 /// All injected bugs with the number of seeds within which chaos must find each: about three times
 /// the measured number. The bug with 90 seeds needs a lost acknowledgement and a client that

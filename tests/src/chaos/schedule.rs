@@ -156,7 +156,7 @@ pub enum DiskAfterCrash {
 
 impl DiskAfterCrash {
     /// Returns the effect on queued writes.
-    pub fn unsynced_writes(self) -> UnsyncedWrites {
+    pub(crate) fn unsynced_writes(self) -> UnsyncedWrites {
         match self {
             DiskAfterCrash::Kept => UnsyncedWrites::AllKept,
             DiskAfterCrash::Torn | DiskAfterCrash::Empty => UnsyncedWrites::SomeLost,
@@ -259,7 +259,7 @@ impl std::str::FromStr for FaultKind {
 
 impl ChaosAction {
     /// Returns the duration in milliseconds; `None` for an instantaneous action.
-    pub fn for_ms(&self) -> Option<u64> {
+    pub(crate) fn for_ms(&self) -> Option<u64> {
         match self {
             ChaosAction::Crash { for_ms, .. }
             | ChaosAction::Blackout { for_ms, .. }
@@ -277,13 +277,13 @@ impl ChaosAction {
     }
 
     /// Returns the name of the submitted request, if the action is one.
-    pub fn submitted_request(&self) -> Option<String> {
+    pub(crate) fn submitted_request(&self) -> Option<String> {
         if let ChaosAction::Submit { request, .. } = self { Some(request.clone()) } else { None }
     }
 
     /// Returns the action with another duration.
     #[must_use]
-    pub fn with_duration_ms(&self, ms: u64) -> ChaosAction {
+    pub(crate) fn with_duration_ms(&self, ms: u64) -> ChaosAction {
         let mut act = self.clone();
         match &mut act {
             ChaosAction::Crash { for_ms, .. }

@@ -299,7 +299,7 @@ impl Keyring {
 
     /// Verifies all stored certificates again, with the current list of revoked certificates and at
     /// this time. Removes and returns the certificates that are no longer valid, with the reasons.
-    pub fn recheck(&self, revoked: Option<Vec<u8>>, now: Duration) -> Vec<(Identity, CertificateError)> {
+    pub(crate) fn recheck(&self, revoked: Option<Vec<u8>>, now: Duration) -> Vec<(Identity, CertificateError)> {
         let mut received = self.received.write().unwrap_or_else(PoisonError::into_inner);
         if revoked.is_some() {
             received.revoked = revoked;

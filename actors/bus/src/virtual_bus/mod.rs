@@ -35,5 +35,6 @@ mod trace;
 mod virtual_network;
 
 pub use endpoint::VirtualBus;
-pub use link::{LinkModel, NetworkCounters, Traffic, TrafficByKind};
+pub use link::{LinkModel, NetworkCounters};
+pub use link::{Traffic, TrafficByKind};
 pub use virtual_network::VirtualNetwork;

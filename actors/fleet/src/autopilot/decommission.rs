@@ -92,7 +92,7 @@ pub struct Decommission {
 impl Decommission {
     /// Transfers leadership, if this node is the leader, and waits until another node leads. The
     /// node may be stopped then: its vote and the role of its robot are kept for the next start.
-    pub async fn step_down(&self) -> Option<NodeId> {
+    pub(crate) async fn step_down(&self) -> Option<NodeId> {
         let replica = self.replica.as_ref()?;
         let successor = match self.transfer_leadership(replica).await {
             Ok(successor) => successor,

@@ -20,6 +20,8 @@ mod perform;
 
 pub(crate) use bootstrap::Bootstrap;
 pub use bootstrap::{VOTERS, VOTERS_MAX};
-pub use decide::{AutopilotAction, AutopilotInput, AutopilotRule, Member, MemberHealth, decide};
-pub use decommission::{Decommission, DecommissionError, DecommissionReport};
+pub(crate) use decide::AutopilotRule;
+pub use decide::{AutopilotAction, AutopilotInput, Member, MemberHealth, decide};
+pub(crate) use decommission::Decommission;
+pub use decommission::DecommissionReport;
 pub(crate) use perform::{ActionResult, Autopilot, AutopilotSettings, perform};

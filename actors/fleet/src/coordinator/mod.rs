@@ -41,4 +41,4 @@ pub(crate) use last_known_place::foreign_clusters;
 pub(crate) use message::CoordinatorMessage;
 pub use rate_limit::RequestLimits;
 pub(crate) use settings::{AuctionSettings, CoordinatorSettings, NodeParts};
-pub use status::CoordinatorStatus;
+pub(crate) use status::CoordinatorStatus;

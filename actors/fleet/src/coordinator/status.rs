@@ -4,7 +4,7 @@ use consort_protocol::view::AutopilotView;
 
 /// Status of an active coordinator.
 #[derive(Debug, Clone)]
-pub struct CoordinatorStatus {
+pub(crate) struct CoordinatorStatus {
     /// Its term.
     pub term: u64,
     /// Duration of its session in milliseconds.

@@ -16,7 +16,7 @@ const MISSION_MAX: usize = codec::MESSAGE_BYTES_MAX / 2;
 
 /// Reason for which a request to submit a mission is rejected.
 #[derive(Debug, thiserror::Error)]
-pub enum SubmitError {
+pub(crate) enum SubmitError {
     /// The payload is not a request.
     #[error(transparent)]
     Request(#[from] RequestError),

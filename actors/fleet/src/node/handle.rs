@@ -4,7 +4,7 @@ use super::assembly::{StartedParts, start_parts};
 use super::error::{NodeEnded, NodeError};
 use super::root::{NodeMessage, Root};
 use super::settings::NodeSettings;
-use crate::autopilot::{Decommission, DecommissionError, DecommissionReport};
+use crate::autopilot::{Decommission, DecommissionReport};
 use consort_bus::SharedBus;
 use consort_bus::cluster_membership::ClusterMembership;
 use consort_bus::tasks::Tasks;
@@ -82,20 +82,6 @@ impl NodeHandle {
     pub async fn stop(self) {
         self.decommission_handle.step_down().await;
         self.shut_down().await;
-    }
-
-    /// Ends the node for good: its robot releases its role, and its vote is transferred or removed.
-    ///
-    /// # Errors
-    /// The [`DecommissionError`], and the handle of the node, which keeps running.
-    pub async fn decommission(self) -> Result<DecommissionReport, (DecommissionError, Box<NodeHandle>)> {
-        match self.decommission_handle.run().await {
-            Ok(report) => {
-                self.shut_down().await;
-                Ok(report)
-            }
-            Err(problem) => Err((problem, Box::new(self))),
-        }
     }
 
     /// Waits until the node was decommissioned by a request on `api/leave/{node}`; the caller then

@@ -98,13 +98,13 @@ impl RobotDriver {
     }
 
     /// Returns the age of the latest telemetry in milliseconds; 0 before the first.
-    pub fn telemetry_age_ms(&self) -> u64 {
+    pub(crate) fn telemetry_age_ms(&self) -> u64 {
         let reported_at = self.lock().last_report_at();
         reported_at.map_or(0, |at| u64::try_from(at.elapsed().as_millis()).unwrap_or(u64::MAX))
     }
 
     /// Returns the time since the latest state of the driver.
-    pub fn silent_for(&self) -> Duration {
+    pub(crate) fn silent_for(&self) -> Duration {
         self.lock().silent_for()
     }
 
@@ -121,13 +121,13 @@ impl RobotDriver {
     }
 
     /// Returns the id of the next goal.
-    pub fn next_goal(&self) -> GoalId {
+    pub(crate) fn next_goal(&self) -> GoalId {
         self.lock().next_goal()
     }
 
     /// Begins an attempt at a task. `first` is the first goal of the task, perhaps of a previous
     /// incarnation of this node.
-    pub fn begin_attempt(&self, first: GoalId) {
+    pub(crate) fn begin_attempt(&self, first: GoalId) {
         self.lock().begin_attempt(first);
     }
 

@@ -221,23 +221,6 @@ impl<S: StateMachine> Replica<S> {
         self.inner.rejected.load(Ordering::Relaxed)
     }
 
-    /// Campaigns at once. Voters with leader contact within `election_min` still reject; a leader
-    /// does nothing.
-    ///
-    /// # Errors
-    /// [`ProposeError::Closed`].
-    pub async fn campaign(&self) -> Result<(), ProposeError> {
-        self.inner.raft.trigger().elect().await.map_err(|_| ProposeError::Closed)
-    }
-
-    /// Requests a snapshot soon, even if it is not due.
-    ///
-    /// # Errors
-    /// [`ProposeError::Closed`].
-    pub async fn trigger_snapshot(&self) -> Result<(), ProposeError> {
-        self.inner.raft.trigger().snapshot().await.map_err(|_| ProposeError::Closed)
-    }
-
     /// Waits until this replica has failed for good, and returns the reason: its log store could
     /// not be read or written. After an ordinary [`shutdown`](Replica::shutdown), it never returns.
     pub async fn wait_failed(&self) -> String {

@@ -115,7 +115,7 @@ fn address(bytes: &[u8]) -> Option<String> {
 ///
 /// # Errors
 /// [`Diagnostic`] if it is not the certificate of a fleet's authority.
-pub fn read_fleet_of_authority(file: &Path) -> Result<FleetId, Diagnostic> {
+pub(crate) fn read_fleet_of_authority(file: &Path) -> Result<FleetId, Diagnostic> {
     let pem = pem(file)?;
     let certificate = pem.parse_x509().map_err(|problem| file_error(file, problem))?;
     let mut names = certificate.subject().iter_common_name().filter_map(|name| name.as_str().ok());

@@ -9,7 +9,8 @@
 
 mod issued;
 
-pub use issued::{CertificateEntry, CertificateState, read_fleet_of_authority};
+pub use issued::CertificateEntry;
+pub(crate) use issued::{CertificateState, read_fleet_of_authority};
 
 use crate::config::trust_files;
 use crate::diagnostic::Diagnostic;
@@ -121,7 +122,7 @@ impl CertificateStore {
     ///
     /// # Errors
     /// [`Diagnostic`] of a folder, or of a certificate in it.
-    pub fn certificates(&self) -> Result<Vec<CertificateEntry>, Diagnostic> {
+    pub(crate) fn certificates(&self) -> Result<Vec<CertificateEntry>, Diagnostic> {
         let revoked = self.revoked()?;
         let entries = fs::read_dir(&self.folder).map_err(|problem| file_error(&self.folder, problem))?;
         let mut folders: Vec<PathBuf> = entries.filter_map(|entry| entry.ok().map(|entry| entry.path())).collect();
@@ -135,7 +136,7 @@ impl CertificateStore {
     ///
     /// # Errors
     /// [`Diagnostic`] if there is none.
-    pub fn certificate(&self, name: &str) -> Result<CertificateEntry, Diagnostic> {
+    pub(crate) fn certificate(&self, name: &str) -> Result<CertificateEntry, Diagnostic> {
         let file = self.folder.join(name).join("cert.pem");
         if !file.exists() {
             let names: Vec<String> = self.certificates()?.into_iter().map(|entry| entry.name).collect();
@@ -150,7 +151,7 @@ impl CertificateStore {
     ///
     /// # Errors
     /// [`Diagnostic`] if there is no such principal, or a file cannot be written.
-    pub fn revoke(&self, name: &str) -> Result<Vec<PathBuf>, Diagnostic> {
+    pub(crate) fn revoke(&self, name: &str) -> Result<Vec<PathBuf>, Diagnostic> {
         let entry = self.certificate(name)?;
         let mut revoked = self.revoked()?;
         if !revoked.iter().any(|known| known.serial == entry.serial) {

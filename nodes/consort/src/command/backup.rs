@@ -26,7 +26,7 @@ Examples:
   curl -s http://127.0.0.1:8000/consort/ward/api/backup
 
 The file shows fleet, time, node and number of missions as plain text. The ledger itself is compressed by gzip and encoded in base64.")]
-pub struct Args {
+pub(crate) struct Args {
     /// The file; an existing file is not replaced without --force
     #[arg(long, env = "CONSORT_OUT", value_name = "FILE.json")]
     out: PathBuf,
@@ -45,7 +45,7 @@ pub struct Args {
 /// # Errors
 /// [`Failure::Usage`] if the file exists or cannot be written; [`Failure::Unreachable`] if there is
 /// no coordinator; [`Failure::Unsuccessful`] if the copy is damaged.
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let Args { out, force, json, client } = args;
     if !force && out.exists() {
         return Err(already_exists(&out));

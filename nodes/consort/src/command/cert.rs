@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 /// Each person has a folder too, with permission to read, submit or operate.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
-pub struct Args {
+pub(crate) struct Args {
     /// The folder of the fleet's certificates. Its folder `authority` signs for the fleet: keep it
     /// on a single machine, and keep a copy safe
     #[arg(long, env = "CONSORT_CERTS_DIR", value_name = "DIR", default_value = "certs", global = true)]
@@ -113,7 +113,7 @@ struct ValidityFlag {
 ///
 /// # Errors
 /// [`Failure::Usage`] for a problem with the folder or a name; nothing was changed.
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let dir = args.dir;
     match args.what {
         CertCommand::Init { fleet, days } => {

@@ -14,7 +14,7 @@ Examples:
   consort completions bash > ~/.local/share/bash-completion/completions/consort
   consort completions zsh  > ~/.zfunc/_consort
   consort completions fish > ~/.config/fish/completions/consort.fish")]
-pub struct Args {
+pub(crate) struct Args {
     /// The shell
     #[arg(value_enum)]
     shell: Shell,
@@ -25,7 +25,7 @@ pub struct Args {
 #[command(after_long_help = "\
 Examples:
   consort man /usr/local/share/man/man1 && man consort-submit")]
-pub struct ManArgs {
+pub(crate) struct ManArgs {
     /// The folder, created if it does not exist
     #[arg(value_name = "DIR")]
     dir: PathBuf,
@@ -35,7 +35,7 @@ pub struct ManArgs {
 ///
 /// # Errors
 /// [`Failure::OutputClosed`].
-pub fn run(args: &Args, mut program: Command) -> Result<(), Failure> {
+pub(crate) fn run(args: &Args, mut program: Command) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut program, "consort", &mut script);
     output::line(String::from_utf8_lossy(&script).trim_end())
@@ -45,7 +45,7 @@ pub fn run(args: &Args, mut program: Command) -> Result<(), Failure> {
 ///
 /// # Errors
 /// [`Failure::Usage`] if they cannot be written.
-pub fn man(args: &ManArgs, program: Command) -> Result<(), Failure> {
+pub(crate) fn man(args: &ManArgs, program: Command) -> Result<(), Failure> {
     let failed = |problem: std::io::Error| Failure::Usage(format!("{}: {problem}", args.dir.display()));
     std::fs::create_dir_all(&args.dir).map_err(failed)?;
     clap_mangen::generate_to(program, &args.dir).map_err(failed)?;

@@ -20,7 +20,7 @@ Examples:
   consort doctor --config examples/robot.toml
   consort doctor --certs certs/kim --connect tls/192.0.2.7:7447
   consort doctor --json | jq '.[] | select(.state != \"ok\")'")]
-pub struct Args {
+pub(crate) struct Args {
     /// The node's file: of a robot, a station or a world
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -35,7 +35,7 @@ pub struct Args {
 ///
 /// # Errors
 /// [`Failure::Unsuccessful`] if there is any error; [`Failure::Usage`] of files and flags.
-pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
+pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     let target = match &args.config {
         Some(file) => DiagnosisTarget::node(file, &args.client, &extensions.domain())?,
         None => DiagnosisTarget::client(args.client)?,

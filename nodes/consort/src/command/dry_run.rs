@@ -36,7 +36,7 @@ A workers file, in TOML (in JSON and YAML: a list of the same):
   battery = 0.9                    # default 1
   discharge_share_per_s = 0.0004   # default 0
   useful_charge = 0.08             # the default")]
-pub struct Args {
+pub(crate) struct Args {
     /// The mission: the name of a bundled mission (lab-samples, …) or a file
     mission: String,
     /// The map: the name of a bundled map (hospital), or a file in Consort's format or that of the
@@ -104,7 +104,7 @@ struct BidLine<'a> {
 /// # Errors
 /// [`Failure::Usage`] for wrong files; [`Failure::Unsuccessful`] if a role of the mission is not
 /// assigned (an unassigned scenario is a normal result).
-pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
+pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     let limits = BidLimits {
         time: args.time_limit_s.map(Seconds::new).transpose().map_err(|e| Failure::Usage(e.to_string()))?,
         charge_min: BatteryShare::new(args.charge_min).map_err(|e| Failure::Usage(e.to_string()))?,

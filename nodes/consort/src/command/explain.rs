@@ -16,7 +16,7 @@ use consort_protocol::keys::ApiCall;
 Examples:
   consort explain lab-samples-1
   consort explain lab-samples-1 --json --connect tcp/192.0.2.7:7447")]
-pub struct Args {
+pub(crate) struct Args {
     /// The mission
     mission: MissionId,
     #[command(flatten)]
@@ -27,7 +27,7 @@ pub struct Args {
 ///
 /// # Errors
 /// See [`Client::api`]; a mission that does not exist is [`Failure::Unsuccessful`].
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let Args { mission, ask } = args;
     ask.print(
         async |client: &mut Client| client.api(ApiCall::Explain, &MissionQuery { mission }).await,

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 /// Flags for running a node.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Running")]
-pub struct RunFlags {
+pub(crate) struct RunFlags {
     /// Log filter for the standard error, warn, info, debug or trace, also by module
     /// (info,consort_fleet=debug)
     #[arg(long, env = "CONSORT_LOG", value_name = "FILTER")]

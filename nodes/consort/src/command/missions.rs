@@ -23,7 +23,7 @@ Examples:
   consort missions
   consort missions --watch
   consort missions --json | head -c 2000")]
-pub struct Args {
+pub(crate) struct Args {
     /// Keep running, and add a line for every change
     #[arg(long)]
     watch: bool,
@@ -41,7 +41,7 @@ const LOOK: Duration = Duration::from_millis(500);
 ///
 /// # Errors
 /// See [`Client::api`].
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     args.client.with_client(
         async |client| {
             if args.watch { watch(client, args.json).await } else { once(client, args.json).await }

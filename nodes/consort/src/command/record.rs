@@ -36,7 +36,7 @@ Examples:
 With several addresses the recording continues when the linked node fails. Events missed meanwhile are noted in the file, by
 their sequence numbers (topic /gaps). If the recorder is killed, the last second or two and the file's index are lost:
 `consort replay` still shows the file, and `mcap recover` repairs it.")]
-pub struct Args {
+pub(crate) struct Args {
     /// The file; an existing file is not replaced without --force
     #[arg(long, env = "CONSORT_OUT", value_name = "FILE.mcap")]
     out: PathBuf,
@@ -64,7 +64,7 @@ const NAME: &str = "recorder";
 /// # Errors
 /// [`Failure::Usage`] if the file exists or cannot be written; [`Failure::Unsuccessful`] if it does
 /// not hold all received messages; see [`Client::open`].
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     if !args.force && args.out.exists() {
         return Err(already_exists(&args.out));
     }

@@ -29,7 +29,7 @@ Examples:
 
 If several stores are left, take the store with the latest last entry: compare the term first, then the index. The
 former store is kept next to the new store.")]
-pub struct Args {
+pub(crate) struct Args {
     /// The data directory of the surviving node
     #[arg(long, value_name = "DATA_DIR")]
     from: PathBuf,
@@ -43,7 +43,7 @@ pub struct Args {
 /// # Errors
 /// [`Failure::Usage`] if there is no store; [`Failure::Unsuccessful`] if it is in use, damaged or
 /// empty, or cannot be written, and if the recovery is not confirmed.
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let mut waiting = Progress::on_terminal();
     waiting.show(format_args!("reading {}", args.from.display()));
     let store = DurableStore::open_existing(&args.from).map_err(|problem| match problem {

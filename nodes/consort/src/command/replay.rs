@@ -31,7 +31,7 @@ seek to the beginning and the end; , and . seek to the previous and the next mar
 For programs: GET /api/replay returns the playback state, and POST /api/replay takes {\"at_ms\": …, \"playing\": true, \"speed\": 2};
 each field is optional. All other paths are those of a live dashboard, at the instant that is shown; missions cannot be
 submitted, canceled or resolved.")]
-pub struct Args {
+pub(crate) struct Args {
     /// The recording
     #[arg(value_name = "FILE.mcap")]
     file: PathBuf,
@@ -48,7 +48,7 @@ pub struct Args {
 /// # Errors
 /// [`Failure::Usage`] if the file cannot be shown, the address is not available, or the speed is
 /// not allowed.
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     start_log(rust_log().as_deref().unwrap_or("off"), LogFormat::Human)?;
     build_runtime()?.block_on(async {
         let address = BoundAddress::bind("--dashboard", args.dashboard).await?;

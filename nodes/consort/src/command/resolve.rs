@@ -13,7 +13,7 @@ use consort_protocol::keys::ApiCall;
 #[command(after_long_help = "\
 Examples:
   consort resolve lab-samples-1 --by 'ward 3, Nia'")]
-pub struct Args {
+pub(crate) struct Args {
     #[command(flatten)]
     on_word: MissionActionFlags,
 }
@@ -23,6 +23,6 @@ pub struct Args {
 /// # Errors
 /// See [`Client::api`](crate::client::Client::api); a mission that does not need intervention, or
 /// does not exist, is [`Failure::Unsuccessful`].
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     args.on_word.request(ApiCall::Resolve, |_| "closed")
 }

@@ -22,7 +22,7 @@ use std::path::PathBuf;
 Examples:
   consort restore --from ward.json --node station-1 --data-dir /var/lib/consort/station-1
   consort station --config station-1.toml --data-dir /var/lib/consort/station-1")]
-pub struct Args {
+pub(crate) struct Args {
     /// The copy, as written by `consort backup`
     #[arg(long, value_name = "FILE.json")]
     from: PathBuf,
@@ -39,7 +39,7 @@ pub struct Args {
 /// # Errors
 /// [`Failure::Usage`] if the copy is invalid, or the directory has a ledger;
 /// [`Failure::Unsuccessful`] if it cannot be written. Existing files are not changed.
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let Args { from, node, data_dir } = args;
     let wrong = |problem: &dyn std::fmt::Display| Failure::Usage(format!("{}: {problem}", from.display()));
     let text = fs::read_to_string(&from).map_err(|problem| wrong(&problem))?;

@@ -20,7 +20,7 @@ Examples:
   consort station --name ward-2 --connect tcp/192.0.2.7:7447 --bootstrap-expect 3
 
 The keys of the file are those of examples/station.toml, each explained there.")]
-pub struct Args {
+pub(crate) struct Args {
     /// The station file. Without it, the name is given as a flag
     #[arg(long, env = "CONSORT_CONFIG", value_name = "FILE")]
     config: Option<PathBuf>,
@@ -44,7 +44,7 @@ struct StationFlags {
 ///
 /// # Errors
 /// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails.
-pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
+pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     let mut station: StationConfig = match (&args.config, &args.station.name) {
         (Some(path), _) => load(path, &extensions.domain())?,
         (None, Some(name)) => StationConfig::new(name.clone()),

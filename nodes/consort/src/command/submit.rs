@@ -30,7 +30,7 @@ Examples:
   consort submit lab-samples --set room='PC Room 3' --request order-7 --wait
   consort submit lab-samples --priority 10 --deadline 900
   consort submit my-mission.yaml --connect tcp/192.0.2.7:7447")]
-pub struct Args {
+pub(crate) struct Args {
     /// The mission: the name of a bundled mission (lab-samples, …) or a file
     #[arg(value_name = "FILE|NAME")]
     mission: String,
@@ -66,7 +66,7 @@ const LOOK: Duration = Duration::from_millis(500);
 /// See [`Client::api`]; without a reply the error contains the command that repeats the request.
 /// [`Failure::Unsuccessful`] if the command waits for the mission and the mission does not
 /// complete.
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let mission = inputs::mission_request(&args.mission)?;
     let name = args.request.clone().unwrap_or_else(random_name);
     let request = SubmitRequest {

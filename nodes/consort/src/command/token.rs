@@ -19,7 +19,7 @@ use std::time::Duration;
 /// scope.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
-pub struct Args {
+pub(crate) struct Args {
     /// The folder with your certificate and key, as written by `consort cert person`
     #[arg(long, env = "CONSORT_CERTS", value_name = "DIR")]
     certs: PathBuf,
@@ -53,7 +53,7 @@ Examples:
 ///
 /// # Errors
 /// [`Failure::Usage`] with the wrong file, or the reason why there can be no such token.
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let Args { certs, scope, time, link } = args;
     let fleet = read_fleet_of_authority(&certs.join("ca.pem"))?;
     let (keyring, files) = person_keyring(&certs, &fleet, Clock::real())?;

@@ -22,7 +22,7 @@ Examples:
   consort upgrade --finish --certs certs/kim --connect tls/192.0.2.1:7447
 
 Exit codes: 0 success; 1 a node does not read the next version yet, and --finish was given.")]
-pub struct Args {
+pub(crate) struct Args {
     /// Switch the fleet to the next wire version
     #[arg(long)]
     finish: bool,
@@ -38,7 +38,7 @@ pub struct Args {
 /// # Errors
 /// [`Failure::Unsuccessful`] if it cannot be finished yet; [`Failure::Unreachable`] if there is no
 /// coordinator.
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let Args { finish, json, client } = args;
     let request = UpgradeRequest { finish };
     let status = client.with_client(async |client| client.api(ApiCall::Upgrade, &request).await)?;

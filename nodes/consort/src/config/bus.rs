@@ -42,7 +42,7 @@ impl BusConfig {
     }
 
     /// Returns the problems of the addresses.
-    pub fn validate(&self) -> Vec<String> {
+    pub(crate) fn validate(&self) -> Vec<String> {
         let protocol = self.protocol();
         let wrong = |key: &'static str| {
             move |address: &String| {

@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Default name of a fleet.
-pub const DEFAULT_FLEET: &str = "ward";
+pub(crate) const DEFAULT_FLEET: &str = "ward";
 
 /// A fleet file. Every key has a default.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -182,7 +182,7 @@ impl FleetConfig {
     }
 
     /// Returns the ensemble that receives calls for bids.
-    pub fn ensemble(&self, domain: &Domain) -> EnsembleSpec {
+    pub(crate) fn ensemble(&self, domain: &Domain) -> EnsembleSpec {
         self.ensemble.first().cloned().unwrap_or_else(|| {
             let skills = domain.task_types().cloned().collect();
             EnsembleSpec::with_any_skill_of(EnsembleId::new("workers").expect("a slug"), skills)

@@ -72,7 +72,7 @@ fn nothing() -> SharePerSecond {
 }
 
 /// Default charge below which a robot takes no work.
-pub fn useful_charge() -> BatteryShare {
+pub(crate) fn useful_charge() -> BatteryShare {
     BatteryShare::new(0.08).expect("0.08 is a share")
 }
 

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 /// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Severity {
+pub(crate) enum Severity {
     /// No problem.
     Ok,
     /// A future or possible problem.
@@ -41,7 +41,7 @@ impl fmt::Display for Severity {
 
 /// Result of a check.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Finding {
+pub(crate) struct Finding {
     /// Severity.
     pub state: Severity,
     /// Subject of the check: `clock`, `link tls/192.0.2.7:7447`.
@@ -78,7 +78,7 @@ impl fmt::Display for Finding {
 }
 
 /// Target of the checks: a node by its file, or a client by its flags.
-pub struct DiagnosisTarget {
+pub(crate) struct DiagnosisTarget {
     /// The node's name; `None` for a client.
     node: Option<NodeId>,
     fleet: FleetId,
@@ -94,7 +94,7 @@ impl DiagnosisTarget {
     ///
     /// # Errors
     /// [`crate::exit::Failure::Usage`] of the flags.
-    pub fn client(client_flags: ClientFlags) -> Result<DiagnosisTarget, crate::exit::Failure> {
+    pub(crate) fn client(client_flags: ClientFlags) -> Result<DiagnosisTarget, crate::exit::Failure> {
         let bus = BusConfig {
             listen: vec![],
             connect: client_flags.addresses().to_vec(),
@@ -114,7 +114,11 @@ impl DiagnosisTarget {
     ///
     /// # Errors
     /// [`Diagnostics`] of the file, or of files that it references.
-    pub fn node(file: &Path, client_flags: &ClientFlags, domain: &Domain) -> Result<DiagnosisTarget, Diagnostics> {
+    pub(crate) fn node(
+        file: &Path,
+        client_flags: &ClientFlags,
+        domain: &Domain,
+    ) -> Result<DiagnosisTarget, Diagnostics> {
         match check::detect_kind(file)? {
             FileKind::Robot => DiagnosisTarget::of(load::<RobotConfig>(file, domain)?, client_flags, domain),
             FileKind::World => DiagnosisTarget::of(load::<WorldConfig>(file, domain)?, client_flags, domain),
@@ -144,7 +148,7 @@ impl DiagnosisTarget {
 }
 
 /// Runs all checks, and passes each finding to `report` as soon as it is available.
-pub fn run_checks(target: &DiagnosisTarget, mut report: impl FnMut(&Finding)) -> Vec<Finding> {
+pub(crate) fn run_checks(target: &DiagnosisTarget, mut report: impl FnMut(&Finding)) -> Vec<Finding> {
     let mut all = Vec::new();
     let mut add = |findings: Vec<Finding>| {
         findings.iter().for_each(&mut report);

@@ -43,8 +43,8 @@ mod process;
 mod sampled_metric;
 mod serve;
 
-pub use node_collector::MetricSources;
-pub use serve::serve;
+pub(crate) use node_collector::MetricSources;
+pub(crate) use serve::serve;
 
 use consort_bus::{Direction, Meter};
 use consort_fleet::observe::Observer;
@@ -62,7 +62,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 /// The metrics of a node.
-pub struct Metrics {
+pub(crate) struct Metrics {
     registry: Registry,
     process: Registry,
     counts: EventCounters,
@@ -71,7 +71,7 @@ pub struct Metrics {
 
 impl Metrics {
     /// Creates metrics with all counters at zero.
-    pub fn new(fleet: &FleetId, node: &NodeId) -> Arc<Metrics> {
+    pub(crate) fn new(fleet: &FleetId, node: &NodeId) -> Arc<Metrics> {
         let by = |name: &'static str, value: String| (Cow::Borrowed(name), Cow::Owned(value));
         let labels = [by("fleet", fleet.to_string()), by("node", node.to_string())];
         let mut registry = Registry::with_prefix_and_labels("consort", labels.clone().into_iter());
@@ -84,12 +84,12 @@ impl Metrics {
     }
 
     /// Sets the sources of the node's sampled metrics.
-    pub fn set_sources(&self, watched: MetricSources) {
+    pub(crate) fn set_sources(&self, watched: MetricSources) {
         self.levels.set_sources(watched);
     }
 
     /// Returns all metrics as OpenMetrics text.
-    pub fn text(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         let mut text = String::new();
         let encoded = [&self.registry, &self.process].into_iter().try_for_each(|part| encode_registry(&mut text, part));
         encoded.and_then(|()| encode_eof(&mut text)).expect("writing to a string cannot fail");

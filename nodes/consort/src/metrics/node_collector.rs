@@ -13,7 +13,7 @@ use std::fmt;
 use std::sync::{Arc, OnceLock};
 
 /// Sources of a node's metrics.
-pub struct MetricSources {
+pub(crate) struct MetricSources {
     /// Its copy of the ledger, if it keeps a copy.
     pub replica: Option<Replica<Ledger>>,
     /// Its knowledge of other nodes.

@@ -16,7 +16,11 @@ const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset
 ///
 /// # Errors
 /// The system's error if connections can no longer be accepted.
-pub async fn serve(listener: LimitedListener, metrics: Arc<Metrics>, admission: Admission) -> std::io::Result<()> {
+pub(crate) async fn serve(
+    listener: LimitedListener,
+    metrics: Arc<Metrics>,
+    admission: Admission,
+) -> std::io::Result<()> {
     let page = move || {
         let text = metrics.text();
         async move { ([(CONTENT_TYPE, OPEN_METRICS)], text) }

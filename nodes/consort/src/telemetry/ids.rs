@@ -9,24 +9,26 @@ use std::hash::Hasher;
 /// The trace of a mission, as in W3C Trace Context: the cluster in the first half, the mission in
 /// the second.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct TraceId(pub u128);
+pub(crate) struct TraceId(pub u128);
 
 /// A span within a trace.
+#[cfg(any(feature = "otlp", test))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct SpanId(pub u64);
+pub(crate) struct SpanId(pub u64);
 
 impl TraceId {
     /// Derives the trace id of a mission. A node without a cluster publishes no mission events; its
     /// cluster counts as 0.
-    pub fn of(cluster: Option<ClusterId>, mission: &MissionId) -> TraceId {
+    pub(crate) fn of(cluster: Option<ClusterId>, mission: &MissionId) -> TraceId {
         let cluster = cluster.map_or(0, |cluster| cluster.0);
         TraceId(u128::from(cluster) << 64 | u128::from(digest(&["mission", mission.as_str()])))
     }
 }
 
+#[cfg(any(feature = "otlp", test))]
 impl SpanId {
     /// Derives a span id from parts that distinguish the span from all others of its trace.
-    pub fn of(parts: &[&str]) -> SpanId {
+    pub(crate) fn of(parts: &[&str]) -> SpanId {
         SpanId(digest(parts))
     }
 }
@@ -48,6 +50,7 @@ impl fmt::Display for TraceId {
     }
 }
 
+#[cfg(any(feature = "otlp", test))]
 impl fmt::Display for SpanId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:016x}", self.0)

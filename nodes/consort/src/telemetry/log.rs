@@ -16,7 +16,7 @@ use tracing::{Level, debug, info, info_span, warn};
 const TARGET: &str = "consort::events";
 
 /// Writes a node's events to its log.
-pub struct EventLogger(pub(super) ClusterCell);
+pub(crate) struct EventLogger(pub(super) ClusterCell);
 
 impl Observer for EventLogger {
     fn on_event(&self, event: &Event) {

@@ -6,9 +6,10 @@ pub mod ids;
 mod log;
 #[cfg(feature = "otlp")]
 mod otlp;
-pub mod spans;
+#[cfg(any(feature = "otlp", test))]
+mod spans;
 
-pub use log::EventLogger;
+pub(crate) use log::EventLogger;
 
 use consort_bus::cluster_membership::ClusterMembership;
 use consort_fleet::node::NodeSettings;
@@ -80,13 +81,13 @@ impl Telemetry {
     }
 
     /// Sets the node's cluster membership.
-    pub fn set_cluster(&self, membership: ClusterMembership) {
+    pub(crate) fn set_cluster(&self, membership: ClusterMembership) {
         // A process runs a single node: there is no second call.
         let _ = self.membership.0.set(membership);
     }
 
     /// Sends the remaining spans, within a time limit.
-    pub async fn shut_down(self) {
+    pub(crate) async fn shut_down(self) {
         #[cfg(feature = "otlp")]
         if let Some(exporter) = self.exporter {
             let _ = tokio::time::timeout(LAST_SPANS_LIMIT, exporter.end()).await;

@@ -16,7 +16,7 @@ const EVENTS_MAX: usize = 128;
 
 /// A finished span.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Span {
+pub(crate) struct Span {
     /// The trace of the mission.
     pub trace: TraceId,
     /// The id.
@@ -58,7 +58,7 @@ impl Span {
 
 /// Unfinished spans of this node.
 #[derive(Default)]
-pub struct SpanTracker {
+pub(crate) struct SpanTracker {
     auctions: BTreeMap<MissionId, Span>,
     roles: BTreeMap<(MissionId, RoleId), Span>,
     /// Tasks in roles of robots and of people.
@@ -71,7 +71,7 @@ fn root(mission: &MissionId) -> SpanId {
 
 impl SpanTracker {
     /// Applies an event of the node, and returns the finished spans.
-    pub fn on_event(&mut self, cluster: Option<ClusterId>, event: &Event) -> Vec<Span> {
+    pub(crate) fn on_event(&mut self, cluster: Option<ClusterId>, event: &Event) -> Vec<Span> {
         let at = event.at_ms;
         match &event.kind {
             EventKind::SteppedDown { .. } => self.auctions.clear(), // the next coordinator repeats them

@@ -20,7 +20,7 @@ const KEYS: &str = " q quit   Tab next panel   ↑ ↓ PgUp PgDn move   the auct
 
 /// A part of the screen with a selection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Panel {
+pub(crate) enum Panel {
     /// The robots.
     Robots,
     /// The missions.
@@ -37,7 +37,7 @@ impl Panel {
 
 /// Result of a key press.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum KeyOutcome {
+pub(crate) enum KeyOutcome {
     /// Continue.
     Continue,
     /// Quit.
@@ -46,7 +46,7 @@ pub enum KeyOutcome {
 
 /// Use of colours; without them bold and reverse have the same meaning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ColorMode {
+pub(crate) enum ColorMode {
     /// The terminal's colours.
     Color,
     /// No colours.
@@ -80,7 +80,7 @@ impl ColorMode {
 
 /// Focus and selection of the terminal interface.
 #[derive(Debug)]
-pub struct Tui {
+pub(crate) struct Tui {
     paint: ColorMode,
     focus: Panel,
     /// The selected row of each panel, in the order of [`Panel::ALL`]; the log counts from the
@@ -90,12 +90,12 @@ pub struct Tui {
 
 impl Tui {
     /// Creates the interface with the focus on the missions, the newest first.
-    pub fn new(paint: ColorMode) -> Tui {
+    pub(crate) fn new(paint: ColorMode) -> Tui {
         Tui { paint, focus: Panel::Missions, rows: [0; 4] }
     }
 
     /// Handles a key press.
-    pub fn handle_key(&mut self, key: KeyEvent) -> KeyOutcome {
+    pub(crate) fn handle_key(&mut self, key: KeyEvent) -> KeyOutcome {
         if key.kind == KeyEventKind::Release {
             return KeyOutcome::Continue;
         }
@@ -120,7 +120,7 @@ impl Tui {
     }
 
     /// Draws the model at `now_ms`.
-    pub fn draw(&mut self, frame: &mut Frame<'_>, model: &FleetModel, now_ms: u64) {
+    pub(crate) fn draw(&mut self, frame: &mut Frame<'_>, model: &FleetModel, now_ms: u64) {
         let lines = [Constraint::Length(2), Constraint::Min(0), Constraint::Length(1)];
         let [head, body, foot] = Layout::vertical(lines).areas(frame.area());
         let halves = [Constraint::Percentage(50), Constraint::Percentage(50)];

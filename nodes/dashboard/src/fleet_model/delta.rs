@@ -27,7 +27,12 @@ pub fn between(before: &Value, after: &Value) -> Option<Value> {
 
 /// Replaces a member of `drawn`, or removes it if the value is null, and adds the change to
 /// `patch`.
-pub fn replace_member(drawn: &mut Map<String, Value>, patch: &mut Map<String, Value>, name: String, value: Value) {
+pub(crate) fn replace_member(
+    drawn: &mut Map<String, Value>,
+    patch: &mut Map<String, Value>,
+    name: String,
+    value: Value,
+) {
     if value.is_null() {
         if drawn.remove(&name).is_some() {
             patch.insert(name, Value::Null);
@@ -65,7 +70,7 @@ pub fn apply(value: &mut Value, patch: &Value) {
 
 /// Removes null members of objects, at any depth. Nulls in lists stay: lists are replaced as a
 /// whole.
-pub fn strip_nulls(value: &mut Value) {
+pub(crate) fn strip_nulls(value: &mut Value) {
     match value {
         Value::Object(members) => {
             members.retain(|_, member| !member.is_null());

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 impl FleetModel {
     /// Returns the missions to query individually: first running missions, then missions without a
     /// known plan; the latest first.
-    pub fn missions_to_query(&self) -> Vec<String> {
+    pub(crate) fn missions_to_query(&self) -> Vec<String> {
         let incomplete = |mission: &MissionModel| !mission.ended || mission.tasks.is_none();
         let mut wanted: Vec<_> = self.missions.iter().filter(|(_, mission)| incomplete(mission)).collect();
         wanted.sort_by_key(|(_, mission)| (mission.ended, std::cmp::Reverse(mission.number)));

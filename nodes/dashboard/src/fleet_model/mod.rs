@@ -24,10 +24,8 @@ mod update;
 pub use floor_plan::FloorPlan;
 pub use input::{FleetInput, FleetListener};
 pub use kpi::Kpis;
-pub use state::{
-    AuctionModel, CoordinatorModel, EnsembleModel, LogEntry, MissionModel, NodeModel, PersonModel, Reachability,
-    ReachabilityState, RobotModel, RoleAssignment, RoleBid, RoleModel, StepModel, Takeover, TaskBar,
-};
+pub use state::{AuctionModel, MissionModel, ReachabilityState, RobotModel};
+pub(crate) use state::{CoordinatorModel, EnsembleModel, LogEntry, NodeModel, PersonModel, Reachability, Takeover};
 
 use consort_protocol::view::HealthFinding;
 use serde::Serialize;
@@ -43,15 +41,15 @@ pub mod bounds {
     /// Latest ended missions.
     pub const ENDED_MISSIONS: usize = 300;
     /// Latest rounds of auctions.
-    pub const AUCTIONS: usize = 60;
+    pub(crate) const AUCTIONS: usize = 60;
     /// Bars of a mission on the chart.
     pub const BARS: usize = 200;
     /// Changes of the coordinator.
     pub const TAKEOVERS: usize = 50;
     /// Health findings.
-    pub const FINDINGS: usize = 50;
+    pub(crate) const FINDINGS: usize = 50;
     /// Nodes, robots and people, each; a larger fleet is shown in part.
-    pub const NODES: usize = 2000;
+    pub(crate) const NODES: usize = 2000;
 }
 
 /// Time without a beacon after which the coordinator counts as lost, in milliseconds: about a dozen
@@ -204,7 +202,7 @@ impl FleetModel {
     }
 
     /// Returns the states of automatic doors, by name: `closed`, `opening`, `open` or `closing`.
-    pub fn doors(&self) -> &BTreeMap<String, String> {
+    pub(crate) fn doors(&self) -> &BTreeMap<String, String> {
         &self.doors
     }
 

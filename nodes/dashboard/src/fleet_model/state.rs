@@ -70,7 +70,7 @@ pub struct Takeover {
 
 /// A node.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct NodeModel {
+pub(crate) struct NodeModel {
     /// True if it counts as alive.
     pub alive: bool,
     /// Its membership status.

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 /// Missed events of a node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct EventGap {
+pub(crate) struct EventGap {
     /// The node.
     pub node: NodeId,
     /// Number of the last event before the gap; 0 if the node had just started.
@@ -20,7 +20,7 @@ pub struct EventGap {
 
 /// Detects gaps: stores the latest number of each node.
 #[derive(Debug, Clone, Default)]
-pub struct GapDetector {
+pub(crate) struct GapDetector {
     latest: BTreeMap<NodeId, u64>,
 }
 
@@ -30,7 +30,7 @@ impl GapDetector {
     ///
     /// A number that is not greater than the last number belongs to a restarted node: samples of a
     /// node arrive in order, or not at all.
-    pub fn observe(&mut self, event: &Event) -> Option<EventGap> {
+    pub(crate) fn observe(&mut self, event: &Event) -> Option<EventGap> {
         let Event { node, sequence, .. } = event;
         let latest = self.latest.insert(node.clone(), *sequence)?;
         let after = if *sequence <= latest { 0 } else { latest };

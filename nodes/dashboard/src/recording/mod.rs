@@ -43,9 +43,9 @@ mod recorder;
 mod schemas;
 mod writer;
 
-pub use gaps::{EventGap, GapDetector};
 pub use parser::RecordingError;
-pub use player::{Player, PlayerCommand, SPEED_RANGE, SpeedError};
+pub use player::Player;
+pub(crate) use player::{PlayerCommand, SpeedError};
 pub use reader::{KEYFRAMES_MAX, RecordingReader, TimelineMark, TimelineMarkKind};
 pub use recorder::Recorder;
 pub use writer::{FLUSH_AFTER, RecordingStats, RecordingWriter};

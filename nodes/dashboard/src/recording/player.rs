@@ -6,7 +6,7 @@ use std::ops::RangeInclusive;
 use std::time::Duration;
 
 /// Allowed playback speeds, in seconds of the recording per second.
-pub const SPEED_RANGE: RangeInclusive<f64> = 0.1..=100.0;
+pub(crate) const SPEED_RANGE: RangeInclusive<f64> = 0.1..=100.0;
 
 /// The speed is outside of [`SPEED_RANGE`]. Nothing was changed.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -85,23 +85,13 @@ impl Player {
     }
 
     /// Returns the shown instant, in milliseconds since 1970.
-    pub fn at_ms(&self) -> u64 {
+    pub(crate) fn at_ms(&self) -> u64 {
         self.at_ms as u64
-    }
-
-    /// Returns true while playing.
-    pub fn is_playing(&self) -> bool {
-        self.playing
     }
 
     /// Returns the playback speed.
     pub fn speed(&self) -> f64 {
         self.speed
-    }
-
-    /// Returns the number of seeks.
-    pub fn seeks(&self) -> u64 {
-        self.seeks
     }
 }
 
@@ -117,15 +107,15 @@ mod tests {
     fn playback_stops_at_the_end_and_restarts_from_the_beginning() {
         let mut player = Player::new(10_000, 20_000, 2.0).unwrap();
         player.advance(Duration::from_millis(1500));
-        assert_eq!((player.at_ms(), player.is_playing()), (13_000, true));
+        assert_eq!((player.at_ms(), player.playing), (13_000, true));
         player.apply(PlayerCommand { playing: Some(false), ..PlayerCommand::default() }).unwrap();
         player.advance(Duration::from_secs(60));
         assert_eq!(player.at_ms(), 13_000);
         player.apply(PlayerCommand { playing: Some(true), speed: Some(100.0), ..PlayerCommand::default() }).unwrap();
         player.advance(Duration::from_secs(60));
-        assert_eq!((player.at_ms(), player.is_playing(), player.seeks()), (20_000, false, 0));
+        assert_eq!((player.at_ms(), player.playing, player.seeks), (20_000, false, 0));
         player.apply(PlayerCommand { playing: Some(true), ..PlayerCommand::default() }).unwrap();
-        assert_eq!((player.at_ms(), player.is_playing(), player.seeks()), (10_000, true, 1));
+        assert_eq!((player.at_ms(), player.playing, player.seeks), (10_000, true, 1));
     }
 
     #[test]

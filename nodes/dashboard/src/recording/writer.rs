@@ -196,7 +196,7 @@ impl RecordingWriter {
     }
 
     /// Returns the current statistics, with the current size of the file.
-    pub fn stats(&self) -> RecordingStats {
+    pub(crate) fn stats(&self) -> RecordingStats {
         let seconds = self.latest_ms.saturating_sub(self.began_ms) as f64 / 1000.0;
         let bytes = std::fs::metadata(self.file.path()).map_or(0, |file| file.len());
         RecordingStats { seconds, messages: self.file.messages(), bytes, ..self.recorded.clone() }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 #[command(after_long_help = "\
 Examples:
   consort-lab bench swarm --drones 80,200")]
-pub struct Args {
+pub(crate) struct Args {
     /// The benchmark
     #[command(subcommand)]
     what: Benchmark,
@@ -59,7 +59,7 @@ const UPDATE_EVERY: Duration = Duration::from_millis(500);
 ///
 /// # Errors
 /// [`Failure::Usage`] for an invalid swarm.
-pub fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let Benchmark::Swarm(SwarmArgs { drones, seed, json }) = args.what;
     if !json {
         output::line(TABLE_HEADER)?;

@@ -62,7 +62,7 @@ The same seed, nodes, minutes and faults give the same run, to the byte, on any 
 
 Exit codes: 0 all invariants held; 1 an invariant was violated; 2 the flags or the schedule are wrong."
 )]
-pub struct Args {
+pub(crate) struct Args {
     /// The seeds, the last included
     #[arg(long, value_name = "FIRST..LAST", value_parser = seeds, default_value = "1..100")]
     seeds: RangeInclusive<u64>,
@@ -135,7 +135,7 @@ fn nodes(text: &str) -> Result<usize, InvalidValue> {
 ///
 /// # Errors
 /// [`Failure::Usage`] for a wrong schedule; [`Failure::Unsuccessful`] if an invariant was violated.
-pub fn run(args: &Args) -> Result<(), Failure> {
+pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     match args.seed {
         _ if args.mutants => run_hunts(args),
         _ if args.scoreboard => score(args),

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 #[command(after_long_help = "\
 Examples:
   consort-lab check my-design.toml")]
-pub struct Args {
+pub(crate) struct Args {
     /// The files
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
@@ -27,7 +27,7 @@ pub struct Args {
 ///
 /// # Errors
 /// [`Failure::Unsuccessful`] if any file has a problem.
-pub fn run(args: &Args) -> Result<(), Failure> {
+pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     check_each(&args.files, |path| {
         let what = check_design(path).map_err(|problems| problems.with_file(path.display()))?;
         Ok(format!("a design: {what}"))

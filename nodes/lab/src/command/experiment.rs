@@ -36,7 +36,7 @@ use std::time::Instant;
 Examples:
   consort-lab experiment run published --out results
   consort-lab experiment calibrate published --out calibrated")]
-pub struct Args {
+pub(crate) struct Args {
     /// The command
     #[command(subcommand)]
     what: ExperimentCommand,
@@ -155,7 +155,7 @@ fn share(text: &str) -> Result<f64, InvalidValue> {
 /// # Errors
 /// [`Failure::Usage`] for wrong flags or files; [`Failure::Unsuccessful`] if a file cannot be
 /// written.
-pub fn run(args: &Args) -> Result<(), Failure> {
+pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     match &args.what {
         ExperimentCommand::Run(args) => run_design(args),
         ExperimentCommand::Calibrate(args) => calibrate(args),

@@ -1,8 +1,8 @@
 //! The commands, each in its own file with its flags and a function `run`.
 
-pub mod bench;
-pub mod chaos;
-pub mod check;
-pub mod experiment;
+pub(crate) mod bench;
+pub(crate) mod chaos;
+pub(crate) mod check;
+pub(crate) mod experiment;
 pub mod schema;
 pub mod test;

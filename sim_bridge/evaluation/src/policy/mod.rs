@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 /// The robot of each role; a robot has at most a single role.
-pub type Coalition = BTreeMap<RoleId, RobotId>;
+pub(crate) type Coalition = BTreeMap<RoleId, RobotId>;
 
 /// A rule that assigns roles to robots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]

@@ -24,14 +24,14 @@ pub struct CalibrationGain {
 impl CalibrationGain {
     /// Returns the mean absolute error of the estimated drive times in seconds, and the number of
     /// drives.
-    pub fn mean_drive_error_s(observed: &[Observation]) -> (f64, usize) {
+    pub(crate) fn mean_drive_error_s(observed: &[Observation]) -> (f64, usize) {
         let drives = observed.iter().filter(|drive| drive.to.is_some());
         let errors: Vec<f64> = drives.map(|drive| (drive.actual_s - drive.predicted_s).abs()).collect();
         (super::super::stats::mean(&errors), errors.len())
     }
 
     /// Returns the share of drives that used no more energy than budgeted.
-    pub fn share_within_budget(observed: &[Observation]) -> f64 {
+    pub(crate) fn share_within_budget(observed: &[Observation]) -> f64 {
         let drives: Vec<&Observation> = observed.iter().filter(|drive| drive.to.is_some()).collect();
         let within_budget = drives.iter().filter(|drive| drive.actual_share <= drive.budget_share + 1e-9).count();
         if drives.is_empty() { 0.0 } else { within_budget as f64 / drives.len() as f64 }

@@ -37,7 +37,7 @@ impl Summary {
 
     /// Returns the ends of the whiskers: the outermost values within 1.5 interquartile ranges of
     /// the box (Tukey 1977).
-    pub fn whiskers(&self, values: &[f64]) -> (f64, f64) {
+    pub(crate) fn whiskers(&self, values: &[f64]) -> (f64, f64) {
         let reach = 1.5 * (self.q3 - self.q1);
         let within = values.iter().copied().filter(|value| (self.q1 - reach..=self.q3 + reach).contains(value));
         within.fold((self.q1, self.q3), |(low, high), value| (low.min(value), high.max(value)))

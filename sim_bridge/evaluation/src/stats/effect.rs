@@ -7,7 +7,7 @@ use statrs::function::gamma::ln_gamma;
 
 /// A standardised difference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct EffectSize {
+pub(crate) struct EffectSize {
     /// Cohen's d: the difference of the means divided by the pooled standard deviation (for pairs,
     /// by that of the differences).
     pub d: f64,

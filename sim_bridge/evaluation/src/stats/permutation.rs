@@ -12,7 +12,7 @@ const EXACT_PAIRS: usize = 16;
 
 /// Result of a permutation test.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct PermutationTest {
+pub(crate) struct PermutationTest {
     /// The share of rearrangements at least as extreme as the observed data. The observed
     /// arrangement counts as well, so it is never 0 (Phipson and Smyth 2010).
     pub p: f64,

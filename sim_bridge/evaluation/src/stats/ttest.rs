@@ -6,7 +6,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// Result of a t-test.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct TTest {
+pub(crate) struct TTest {
     /// Mean of the first minus mean of the second.
     pub difference: f64,
     /// Confidence interval of that difference.

@@ -45,6 +45,5 @@ mod shape;
 mod tests;
 mod xml;
 
-pub use conventions::{GRID, METRES_PER_UNIT, REACH};
-pub use diagnostic::{CellError, DrawioDiagnostic};
+pub(crate) use diagnostic::DrawioDiagnostic;
 pub(crate) use reader::read;

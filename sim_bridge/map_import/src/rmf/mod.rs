@@ -37,5 +37,5 @@ mod reader;
 #[cfg(test)]
 mod tests;
 
-pub use diagnostic::{EntryError, RmfDiagnostic};
+pub(crate) use diagnostic::RmfDiagnostic;
 pub(crate) use reader::read;

@@ -31,7 +31,6 @@ mod trapezoid_profile;
 
 pub(crate) use avoidance::Neighbour;
 pub(crate) use kinematic_model::KinematicModel;
-pub use settings::{
-    AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, KinematicsError, OmnidirectionalSettings,
-};
+pub(crate) use settings::KinematicsError;
+pub use settings::{AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, OmnidirectionalSettings};
 pub(crate) use trapezoid_profile::{ProfileLimits, TrapezoidProfile};

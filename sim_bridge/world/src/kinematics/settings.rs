@@ -141,7 +141,7 @@ pub struct KinematicsError {
 
 impl Kinematics {
     /// Acceleration over ground, in metres per second squared.
-    pub fn acceleration_mps2(&self) -> f64 {
+    pub(crate) fn acceleration_mps2(&self) -> f64 {
         match self {
             Kinematics::Differential(settings) => settings.acceleration_mps2,
             Kinematics::Omnidirectional(settings) => settings.acceleration_mps2,
@@ -154,7 +154,7 @@ impl Kinematics {
     ///
     /// # Errors
     /// [`KinematicsError`] for the first number out of range.
-    pub fn check(&self) -> Result<(), KinematicsError> {
+    pub(crate) fn check(&self) -> Result<(), KinematicsError> {
         let limit = |field, value| within(field, value, 0.001, 1_000.0, "a number from 0.001 to 1000");
         let gain = |field, value| within(field, value, 0.0, 1_000.0, "a number from 0 to 1000");
         let period = |value| within("control_period_s", value, 0.001, 1.0, "a number of seconds from 0.001 to 1");

@@ -101,7 +101,7 @@ impl Map {
     }
 
     /// Returns the ride by lift from `from` to `to`; `None` if no lift stops at both.
-    pub fn ride(&self, from: &PlaceId, to: &PlaceId) -> Option<LiftRide<'_>> {
+    pub(crate) fn ride(&self, from: &PlaceId, to: &PlaceId) -> Option<LiftRide<'_>> {
         let (a, b) = (self.index(from)?, self.index(to)?);
         let lift = *self.lift_of.get(&a).filter(|lift| a != b && self.lift_of.get(&b) == Some(*lift))?;
         let lift = &self.lifts[lift];

@@ -137,7 +137,7 @@ pub struct Lift {
 
 /// A ride by lift.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LiftRide<'a> {
+pub(crate) struct LiftRide<'a> {
     /// The lift.
     pub lift: &'a Lift,
     /// Time from the closing of the doors at the first stop until they are open at the second.

@@ -36,14 +36,14 @@ pub enum Sensor {
 
 impl Sensor {
     /// Range, in metres.
-    pub fn reach_m(&self) -> f64 {
+    pub(crate) fn reach_m(&self) -> f64 {
         match self {
             Sensor::Range { reach_m, .. } | Sensor::Camera { reach_m, .. } | Sensor::Proximity { reach_m } => *reach_m,
         }
     }
 
     /// Field of view, in radians: 0 for a ray, a full turn for a proximity sensor.
-    pub fn field_of_view_rad(&self) -> f64 {
+    pub(crate) fn field_of_view_rad(&self) -> f64 {
         match self {
             Sensor::Range { .. } => 0.0,
             Sensor::Camera { field_of_view_rad, .. } => *field_of_view_rad,
@@ -52,7 +52,7 @@ impl Sensor {
     }
 
     /// Direction, in radians to the left of ahead. A proximity sensor points ahead.
-    pub fn bearing_rad(&self) -> f64 {
+    pub(crate) fn bearing_rad(&self) -> f64 {
         match self {
             Sensor::Range { bearing_rad, .. } | Sensor::Camera { bearing_rad, .. } => *bearing_rad,
             Sensor::Proximity { .. } => 0.0,

@@ -83,12 +83,14 @@ pub use event::{LoggedEvent, SampleHolder, WorldEvent};
 pub(crate) use motion_state::{MotionState, MotionSummary};
 pub use names::{PersonName, SampleId};
 pub(crate) use preconditions::goal_name;
-pub use report::{DoorReport, PersonReport, RobotReport, WorldReport};
+pub(crate) use report::PersonReport;
+pub use report::{DoorReport, RobotReport, WorldReport};
 pub use samples::SampleReport;
 pub use sensing::{DetectedObject, Detection, SensorReading};
+pub use setup::SetupErrors;
 pub use setup::{
     DoorSetup, Durations, ObjectSetup, Obstacle, PersonAction, PersonSetup, PersonTrigger, RobotSetup, SetupError,
-    SetupErrors, SpontaneousAction, WindSettings, WorldLimits, WorldSetup, default_step_s,
+    SpontaneousAction, WindSettings, WorldLimits, WorldSetup, default_step_s,
 };
 pub use simulation::World;
 pub use systems::power::STOPPING_SHARE;

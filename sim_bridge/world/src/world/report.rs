@@ -68,7 +68,7 @@ pub struct DoorReport {
 
 impl World {
     /// Returns the state of samples, people and doors.
-    pub fn world_report(&self) -> WorldReport {
+    pub(crate) fn world_report(&self) -> WorldReport {
         WorldReport {
             time_s: WorldTime::from_secs(self.state.now),
             samples: self.samples(),
@@ -121,7 +121,7 @@ impl World {
     }
 
     /// All automatic doors, in the order of their names.
-    pub fn doors(&self) -> Vec<DoorReport> {
+    pub(crate) fn doors(&self) -> Vec<DoorReport> {
         let states = self.state.door_states().into_iter();
         states.map(|(name, state)| DoorReport { name, state: state.to_owned() }).collect()
     }

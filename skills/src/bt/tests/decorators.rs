@@ -38,7 +38,6 @@ fn a_repeat_ends_with_the_first_failure() {
 fn an_unlimited_loop_runs_one_iteration_per_tick() {
     let mut stage = TreeFixture::from_root(NodeSpec::new("Repeat").port("num_cycles", "-1").child(play("a", "S")));
     stage.at(5.0).expect(&[('R', "a"), ('R', "a")]);
-    assert_eq!(stage.tree.wake_at(), Some(WorldTime::from_secs(5.0)));
 }
 
 #[test]
@@ -61,7 +60,6 @@ fn a_long_loop_continues_at_the_next_tick() {
 fn a_timeout_halts_its_child_on_world_time() {
     let mut stage = TreeFixture::from_root(timeout(1500, play("a", "R")));
     stage.at(10.0).expect(&[('R', "a")]);
-    assert_eq!(stage.tree.wake_at(), Some(WorldTime::from_secs(11.5)));
     stage.at(11.4).expect(&[('R', "a")]);
     stage.at(11.5).expect(&[('F', "a!")]);
     assert_eq!(stage.tree.cause().unwrap().text, "Timeout: not complete at 11.5 s of world time, its time limit");
@@ -80,7 +78,6 @@ fn a_timeout_of_zero_is_no_limit() {
 fn a_sleep_ends_on_world_time() {
     let mut stage = TreeFixture::from_root(NodeSpec::new("Sleep").port("msec", "2000"));
     stage.at(1.0).expect(&[('R', "")]);
-    assert_eq!(stage.tree.wake_at(), Some(WorldTime::from_secs(3.0)));
     stage.at(3.0).expect(&[('S', ""), ('R', "")]);
 }
 

@@ -1,14 +1,17 @@
 //! Tests of the engine. A fake leaf returns a given list of statuses (as py_trees tests its
 //! composites), and records when it is ticked and halted.
 
+mod builders;
 mod checks;
 mod composites;
 mod decorators;
 mod scopes;
 mod xml;
 
+use super::tick::MAX_LOOP_ITERATIONS_PER_TICK;
 use super::*;
 use crate::actions::{Goal, GoalId, GoalStatus, RobotActions, Telemetry};
+use builders::{fallback, inverter, parallel, reactive_fallback, reactive_sequence, repeat, retry};
 use consort_protocol::units::WorldTime;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};

@@ -1,6 +1,7 @@
 //! Trees as files.
 
-use super::super::xml::{MAX_BYTES, read_xml, write_xml};
+use super::super::xml::read::MAX_BYTES;
+use super::super::xml::{read_xml, write_xml};
 use super::*;
 
 fn read_error(text: &str) -> String {

@@ -1,7 +1,7 @@
 //! Trees as files: the XML of BehaviorTree.CPP 4, which Groot2 displays and edits.
 
-mod read;
+pub(super) mod read;
 mod write;
 
-pub use read::{MAX_BYTES, read_xml};
+pub use read::read_xml;
 pub use write::write_xml;

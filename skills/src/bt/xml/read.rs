@@ -12,7 +12,7 @@ use roxmltree::Node;
 use std::collections::BTreeMap;
 
 /// Greatest size of a file, in bytes.
-pub const MAX_BYTES: usize = 1 << 20;
+pub(crate) const MAX_BYTES: usize = 1 << 20;
 
 /// Attributes that editors use for their own data; they have no effect.
 const EDITORS_OWN: [&str; 4] = ["_uid", "_fullpath", "_collapsed", "_description"];

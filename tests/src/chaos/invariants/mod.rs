@@ -25,7 +25,7 @@ use std::time::Duration;
 
 /// Description of the violation of an invariant.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct InvariantViolation(pub String);
+pub(crate) struct InvariantViolation(pub String);
 
 impl From<String> for InvariantViolation {
     fn from(description: String) -> InvariantViolation {
@@ -34,7 +34,7 @@ impl From<String> for InvariantViolation {
 }
 
 /// A condition that must hold.
-pub trait Invariant {
+pub(crate) trait Invariant {
     /// Returns its name, which is that of its file.
     fn name(&self) -> &'static str;
 
@@ -62,7 +62,7 @@ pub trait Invariant {
 }
 
 /// Returns all invariants.
-pub fn all() -> Vec<Box<dyn Invariant>> {
+pub(crate) fn all() -> Vec<Box<dyn Invariant>> {
     vec![
         Box::new(alive::Alive),
         Box::<one_leader::OneLeader>::default(),

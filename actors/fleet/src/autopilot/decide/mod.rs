@@ -152,7 +152,7 @@ impl AutopilotAction {
 }
 
 /// Decision rule of the autopilot: [`decide`], or a replacement of it.
-pub type AutopilotRule = fn(&AutopilotInput) -> Option<AutopilotAction>;
+pub(crate) type AutopilotRule = fn(&AutopilotInput) -> Option<AutopilotAction>;
 
 /// Returns the next action; `None` when nothing is due, or nothing can be done safely.
 pub fn decide(input: &AutopilotInput) -> Option<AutopilotAction> {

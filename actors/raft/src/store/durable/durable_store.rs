@@ -133,7 +133,7 @@ impl DurableStore {
     ///
     /// # Errors
     /// A file of that name exists already, or cannot be written.
-    pub fn copy_files(&self, suffix: &str) -> io::Result<Vec<PathBuf>> {
+    pub(crate) fn copy_files(&self, suffix: &str) -> io::Result<Vec<PathBuf>> {
         // Prevents writes meanwhile.
         let _files = lock(&self.shared.files);
         let marker = self.shared.path.with_file_name(COMMIT_MARKER_FILE);

@@ -34,7 +34,7 @@ impl Schema {
     }
 
     /// Returns the JSON Schema.
-    pub fn describe(&self) -> Value {
+    pub(crate) fn describe(&self) -> Value {
         match self.shape {
             Shape::Fields(fields) => object(self.name, fields()),
             Shape::JsonSchema(schema_fn) => {

@@ -91,7 +91,7 @@ impl Obstacle {
     ///
     /// # Errors
     /// [`SetupError`] for the first mistake.
-    pub fn check(&self, map: &Map) -> Result<(), SetupError> {
+    pub(crate) fn check(&self, map: &Map) -> Result<(), SetupError> {
         let subject = format!("obstacle {}", self.name);
         let (a, b) = &self.on;
         for place in [a, b] {

@@ -123,7 +123,7 @@ impl RobotSetup {
     }
 
     /// Returns the discharge rate with or without an active goal.
-    pub fn rate(&self, working: bool) -> SharePerSecond {
+    pub(crate) fn rate(&self, working: bool) -> SharePerSecond {
         if working {
             return self.discharge;
         }
