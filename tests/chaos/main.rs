@@ -1,8 +1,8 @@
 //! Fleets under generated faults: invariants hold, a seed determines a run, and injected bugs are
 //! found.
 //!
-//! These tests run hundreds of fleets on all cores, for some minutes on two cores. `consort-lab chaos`
-//! runs as many as time permits.
+//! These tests run hundreds of fleets on all cores, for some minutes on two cores.
+//! `consort-lab chaos` runs as many as time permits.
 
 mod injected_bugs;
 mod seeds;

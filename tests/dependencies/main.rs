@@ -1,5 +1,5 @@
-//! Dependencies match `deny.toml`, and the modules of each crate have no cycles and a single layout.
-//! cargo-deny checks more but must be installed; this test needs cargo alone.
+//! Dependencies match `deny.toml`, and the modules of each crate have no cycles and a single
+//! layout. cargo-deny checks more but must be installed; this test needs cargo alone.
 
 mod module_cycles;
 mod module_layout;

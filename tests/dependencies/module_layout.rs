@@ -1,5 +1,5 @@
-//! Layout of modules: a module with files below it is `name/mod.rs`, and its unit tests stand at the
-//! end of its file, or in `name/tests.rs` if they are long.
+//! Layout of modules: a module with files below it is `name/mod.rs`, and its unit tests stand at
+//! the end of its file, or in `name/tests.rs` if they are long.
 
 use std::fs;
 use std::path::{Path, PathBuf};

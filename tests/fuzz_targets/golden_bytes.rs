@@ -1,8 +1,8 @@
 //! Golden bytes of the previous release: this version reads them, and writes the same bytes as long
 //! as the fleet uses that wire version.
 //!
-//! `golden_bytes/1/` contains the messages and records of release 0.1.0: the seeds of some targets, written
-//! by that release with `CONSORT_FUZZ_SEEDS=DIR`. Only a new wire version adds a folder.
+//! `golden_bytes/1/` contains the messages and records of release 0.1.0: the seeds of some targets,
+//! written by that release with `CONSORT_FUZZ_SEEDS=DIR`. Only a new wire version adds a folder.
 
 use super::{seeds, target};
 use std::fs;

@@ -11,7 +11,8 @@ use std::time::Duration;
 /// a hundred times the sync time of a healthy disk.
 pub(super) const APPEND_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Size of a snapshot chunk, in bytes; with its frame, the message stays within [`MESSAGE_BYTES_MAX`](consort_protocol::codec::MESSAGE_BYTES_MAX).
+/// Size of a snapshot chunk, in bytes; with its frame, the message stays within
+/// [`MESSAGE_BYTES_MAX`](consort_protocol::codec::MESSAGE_BYTES_MAX).
 pub(super) const SNAPSHOT_CHUNK: usize = 48 * 1024;
 
 /// Size limit of an append of several entries, in bytes. A follower writes it with a single sync,

@@ -68,8 +68,8 @@ pub trait RobotBackend: Send + Sync {
     }
 
     /// Starts a goal. A rejection, too, is reported as [`BackendEvent::GoalEnded`] by the next
-    /// `advance`. A goal that arrives while another is active is rejected with [`ErrorCode::Busy`](super::ErrorCode::Busy).
-    /// A repeated id changes nothing.
+    /// `advance`. A goal that arrives while another is active is rejected with
+    /// [`ErrorCode::Busy`](super::ErrorCode::Busy). A repeated id changes nothing.
     fn start(&mut self, robot: &RobotId, id: GoalId, goal: Goal);
 
     /// Cancels a goal. Without effect if it is not active.

@@ -20,7 +20,8 @@ pub enum ErrorCode {
     Unknown,
     /// There is no route.
     NoRoute,
-    /// There is a route, but an obstacle blocks it: [`Telemetry::closed`](super::Telemetry::closed) contains the lane.
+    /// There is a route, but an obstacle blocks it: [`Telemetry::closed`](super::Telemetry::closed)
+    /// contains the lane.
     Blocked,
     /// The other robot, person or object is not close enough.
     OutOfReach,

@@ -1,5 +1,5 @@
-//! Step patterns: the phrase of a step as a cucumber expression, an example, and the function of the
-//! step.
+//! Step patterns: the phrase of a step as a cucumber expression, an example, and the function of
+//! the step.
 //!
 //! Each step is a Rust function that returns its pattern, so that phrase and code stand together:
 //!

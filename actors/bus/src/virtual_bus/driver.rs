@@ -11,8 +11,9 @@ use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
-/// Time for which a silent node counts as present, unless changed by [`VirtualNetwork::set_lease`](super::VirtualNetwork::set_lease).
-/// Equal to the fleet's setting for Zenoh.
+/// Time for which a silent node counts as present, unless changed by
+/// [`VirtualNetwork::set_lease`](super::VirtualNetwork::set_lease). Equal to the fleet's setting
+/// for Zenoh.
 pub(super) const LEASE: Duration = Duration::from_secs(2);
 
 /// The network, and the driver task that processes due events.

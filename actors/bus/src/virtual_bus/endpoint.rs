@@ -16,8 +16,8 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 use tokio::sync::mpsc;
 
-/// Endpoint of a node on a [`VirtualNetwork`](super::VirtualNetwork). Clones share the endpoint. Dropping it ends nothing;
-/// a [crash](super::VirtualNetwork::crash) does.
+/// Endpoint of a node on a [`VirtualNetwork`](super::VirtualNetwork). Clones share the endpoint.
+/// Dropping it ends nothing; a [crash](super::VirtualNetwork::crash) does.
 #[derive(Clone)]
 pub struct VirtualBus {
     pub(super) shared: Arc<Shared>,

@@ -35,9 +35,9 @@ pub struct FleetConfig {
     pub name: FleetId,
     /// The map: the name of a bundled map (`hospital`, the default), or the path of a file.
     pub map: String,
-    /// Corrections to robots' estimates: a file written by `consort-lab experiment calibrate`. Robots
-    /// then bid with the measured cost of drives and tasks, and only if the battery lasts in all
-    /// but the worst cases. Default: no corrections.
+    /// Corrections to robots' estimates: a file written by `consort-lab experiment calibrate`.
+    /// Robots then bid with the measured cost of drives and tasks, and only if the battery lasts in
+    /// all but the worst cases. Default: no corrections.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<PathBuf>,
     /// Number of nodes with `may_vote` that must have met, and agree on a founder, before the

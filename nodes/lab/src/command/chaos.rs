@@ -1,4 +1,5 @@
-//! `consort-lab chaos`: runs whole fleets under generated faults, and checks invariants at every step.
+//! `consort-lab chaos`: runs whole fleets under generated faults, and checks invariants at every
+//! step.
 
 use clap::{ArgGroup, Args as ClapArgs};
 use consort_nodes::command::flag_values::InvalidValue;

@@ -110,7 +110,8 @@ pub enum IhtnError {
         /// Task type.
         task_type: String,
     },
-    /// An agent of [`IhtnOptions::unmanaged`](crate::mission::IhtnOptions::unmanaged) has no action.
+    /// An agent of [`IhtnOptions::unmanaged`](crate::mission::IhtnOptions::unmanaged) has no
+    /// action.
     #[error("is listed as unmanaged, but has no action in the file; {allowed}")]
     NoSuchAgent {
         /// Agents with actions.

@@ -1,5 +1,5 @@
-//! Reads a building: chooses the graph, aligns the levels, names the places, and adds the entries of
-//! each level to the map.
+//! Reads a building: chooses the graph, aligns the levels, names the places, and adds the entries
+//! of each level to the map.
 
 use super::coordinates::{self, CoordinateSystem, LevelTransform, Point};
 use super::diagnostic::{EntryError, RmfDiagnostic};

@@ -20,8 +20,8 @@ pub enum Kinematics {
     Aerial(AerialSettings),
 }
 
-/// Settings of a [differential](Kinematics::Differential) chassis. The defaults are those of a small
-/// hospital robot.
+/// Settings of a [differential](Kinematics::Differential) chassis. The defaults are those of a
+/// small hospital robot.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DifferentialSettings {
