@@ -18,12 +18,12 @@ pub(crate) const MAX_NAMESPACES: usize = 64;
 /// A text is not parsed.
 #[derive(Debug, Clone, PartialEq)]
 pub enum XmlError {
-    /// An element has more than [`MAX_ATTRIBUTES`].
+    /// An element has more than `MAX_ATTRIBUTES`.
     Attributes {
         /// Line where the element begins, from 1.
         line: u32,
     },
-    /// The text has more than [`MAX_NAMESPACES`].
+    /// The text has more than `MAX_NAMESPACES`.
     Namespaces {
         /// Line of the element that exceeds the limit, from 1.
         line: u32,

@@ -15,8 +15,7 @@ mod station_fleet;
 mod ward;
 
 pub use credentials::Credentials;
-pub(crate) use event_log::RoleInterval;
-pub use event_log::{EventLog, Observation};
+pub use event_log::{EventLog, Observation, RoleInterval};
 pub(crate) use fleet::AdjustNode;
 pub use fleet::Fleet;
 pub use robot_spec::RobotSpec;

@@ -17,7 +17,7 @@ mod condition;
 mod facts;
 mod spec;
 
-pub(crate) use condition::ConditionError;
+pub use condition::ConditionError;
 pub use spec::EnsembleSpec;
 
 use self::condition::{Condition, EvaluationError, compile_all};

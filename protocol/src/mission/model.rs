@@ -131,7 +131,7 @@ pub struct TaskSpec {
     /// Items that are outside the mission after the task: placed at their destination.
     #[serde(default)]
     pub releases: BTreeSet<ItemId>,
-    /// Maximum number of attempts before the task has failed permanently: 1 to [`ATTEMPTS_MAX`].
+    /// Maximum number of attempts before the task has failed permanently: 1 to 100.
     /// Raised: transient errors cost time and not the role; permanent errors are detected later.
     /// Default 2 (a guess).
     #[serde(default = "attempts")]

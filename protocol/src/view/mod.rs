@@ -35,10 +35,9 @@ pub use fleet::{
 };
 pub use health::{HealthFinding, HealthLevel, HealthView};
 pub use map::{DoorView, LaneView, LevelView, LiftView, MapBounds, MapView, PlaceView, WallView};
-pub(crate) use mission::MissionStateName;
 pub use mission::{
-    MissionBrief, MissionProgress, MissionStatus, MissionSummary, MissionView, MissionsView, RequestTerms, RoleView,
-    StepView, TaskParticipant, TaskProgress, TaskView,
+    MissionBrief, MissionProgress, MissionStateName, MissionStatus, MissionSummary, MissionView, MissionsView,
+    RequestTerms, RoleView, StepView, TaskParticipant, TaskProgress, TaskView,
 };
 pub use provenance::{Provenance, WithProvenance};
 

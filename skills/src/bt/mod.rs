@@ -8,7 +8,7 @@
 //!
 //! Names and rules are those of BehaviorTree.CPP 4, so that trees can be drawn in Groot2. Scripts
 //! (`_skipIf` and similar attributes) are not supported and are rejected. Differences: loops that
-//! can iterate within a tick stop after [`MAX_LOOP_ITERATIONS_PER_TICK`] and continue at the next
+//! can iterate within a tick stop after `MAX_LOOP_ITERATIONS_PER_TICK` and continue at the next
 //! tick, and times are world time. See Colledanchise & Ögren, *Behavior Trees in Robotics and AI*
 //! (2018), for the theory.
 //!
@@ -48,19 +48,17 @@ pub mod xml;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use blackboard::BlackboardError;
-pub(crate) use blueprint::Blueprint;
-pub(crate) use checked_node::TreeInput;
-pub(crate) use error::TreeError;
-pub use error::TreeErrorKind;
+pub use blackboard::BlackboardError;
+pub use blueprint::Blueprint;
+pub use checked_node::TreeInput;
+pub use error::{TreeError, TreeErrorKind};
 pub use leaf::{Leaf, SyncLeaf};
 pub(crate) use manifest::join_names;
 pub use manifest::{NodeKind, NodeManifest, PortConstraint, PortDirection, PortPresence, PortSpec};
 pub use ports::PortError;
-pub(crate) use registry::{Registry, RegistryError};
+pub use registry::{Registry, RegistryError};
 pub use spec::{NodeSpec, TreeSpec, sequence, timeout};
 pub use status::NodeStatus;
 pub use tick::{Cause, LeafContext};
 pub(crate) use tree::Tree;
-pub use value::{PortType, ValueError};
-pub(crate) use value::{PortValue, Value};
+pub use value::{PortType, PortValue, Value, ValueError};

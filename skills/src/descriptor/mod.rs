@@ -5,9 +5,8 @@
 //! ```
 //!
 //! Tasks are chained: a task begins where the previous task ends. A descriptor may state the
-//! uncertainty of its energy estimate. A robot with an [energy
-//! margin](DescriptorRegistry::with_energy_margin) then bids only if its battery lasts in all but
-//! the worst cases.
+//! uncertainty of its energy estimate. A robot with an energy margin then bids only if its
+//! battery lasts in all but the worst cases.
 //!
 //! ```
 //! use consort_protocol::mission::TaskSpec;

@@ -35,7 +35,7 @@ pub struct PlanBudget {
     /// The price of every step, messages included, in the order of the plan.
     pub parts: Vec<BidPart>,
     /// Required charge as a share of a full battery: the estimated energy of all steps, plus the
-    /// standard deviations of that sum that [`DescriptorRegistry::with_energy_margin`] sets.
+    /// standard deviations of that sum that `DescriptorRegistry::with_energy_margin` sets.
     pub energy: f64,
 }
 

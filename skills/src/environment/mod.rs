@@ -11,8 +11,7 @@ mod passages;
 mod reference;
 mod routes;
 
-pub use descriptor::Environment;
-pub(crate) use descriptor::{EnvironmentDescriptor, MissingDescriptor};
+pub use descriptor::{Environment, EnvironmentDescriptor, MissingDescriptor};
 pub use map::{Edge, MapError, TopologicalMap};
 pub use passages::{Passage, Passages};
 pub use reference::ReferenceMapError;

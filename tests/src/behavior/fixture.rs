@@ -62,6 +62,8 @@ pub(super) struct RunningScenario {
     nodes_since_s: f64,
 }
 
+type PlannedFn = Box<dyn for<'a> FnOnce(&'a mut Fixture) -> LocalBoxFuture<'a, StepResult>>;
+
 /// Action that is executed once a fact holds.
 pub(super) struct PlannedAction {
     /// Text of the fact.
@@ -69,7 +71,7 @@ pub(super) struct PlannedAction {
     /// Checks the fact.
     pub(super) check: Box<dyn Fn(&Fixture) -> StepResult>,
     /// Executes the action.
-    pub(super) execute: Box<dyn for<'a> FnOnce(&'a mut Fixture) -> LocalBoxFuture<'a, StepResult>>,
+    pub(super) execute: PlannedFn,
 }
 
 impl Fixture {

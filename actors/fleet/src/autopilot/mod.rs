@@ -22,6 +22,5 @@ pub(crate) use bootstrap::Bootstrap;
 pub use bootstrap::{VOTERS, VOTERS_MAX};
 pub(crate) use decide::AutopilotRule;
 pub use decide::{AutopilotAction, AutopilotInput, Member, MemberHealth, decide};
-pub(crate) use decommission::Decommission;
-pub use decommission::DecommissionReport;
+pub use decommission::{Decommission, DecommissionError, DecommissionReport};
 pub(crate) use perform::{ActionResult, Autopilot, AutopilotSettings, perform};

@@ -18,7 +18,7 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
 /// Handle of a running node. Dropping it leaves the node running; see [`kill`](NodeHandle::kill),
-/// [`stop`](NodeHandle::stop) and [`decommission`](NodeHandle::decommission).
+/// [`stop`](NodeHandle::stop) and [`Decommission`].
 pub struct NodeHandle {
     /// Id of the node.
     pub node: NodeId,

@@ -9,8 +9,8 @@
 
 mod issued;
 
-pub use issued::CertificateEntry;
-pub(crate) use issued::{CertificateState, read_fleet_of_authority};
+pub(crate) use issued::read_fleet_of_authority;
+pub use issued::{CertificateEntry, CertificateState};
 
 use crate::config::trust_files;
 use crate::diagnostic::Diagnostic;

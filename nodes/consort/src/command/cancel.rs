@@ -21,7 +21,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// See [`Client::api`](crate::client::Client::api); a mission that has ended otherwise, or does not
+/// See `Client::api`; a mission that has ended otherwise, or does not
 /// exist, is [`Failure::Unsuccessful`].
 pub fn run(args: Args) -> Result<(), Failure> {
     args.on_word.request(ApiCall::Cancel, |state| state.map_or("canceled", MissionState::as_str))

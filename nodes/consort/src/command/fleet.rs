@@ -31,7 +31,7 @@ struct FleetStatus {
 /// Runs the command.
 ///
 /// # Errors
-/// See [`Client::query_view`].
+/// See `Client::query_view`.
 pub fn run(args: Args) -> Result<(), Failure> {
     let look = async |client: &mut Client| {
         let fleet = client.query_view(&Key::ViewFleet).await?;

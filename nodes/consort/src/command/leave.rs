@@ -33,7 +33,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// See [`Client::query_node`](crate::client::Client::query_node); a node that must stay is
+/// See `Client::query_node`; a node that must stay is
 /// [`Failure::Unsuccessful`].
 pub fn run(args: Args) -> Result<(), Failure> {
     let leave = Key::Leave(args.node.clone());

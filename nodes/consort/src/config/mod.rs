@@ -29,18 +29,16 @@ mod station;
 mod telemetry;
 mod world;
 
-pub(crate) use bus::BusConfig;
-pub use bus::trust_files;
+pub use bus::{BusConfig, trust_files};
 pub(crate) use fleet::DEFAULT_FLEET;
 pub use fleet::{AuctionConfig, FleetConfig, FleetRef, LeaseConfig, LimitsConfig, RequestsConfig};
-pub(crate) use node::CommonConfig;
-pub use node::NodeFile;
+pub use node::{CommonConfig, NodeFile};
 pub(crate) use read::load_unchecked;
 pub use read::{ConfigFile, from_text, join_normalized, load, resolve_path, to_toml};
 pub use robot::RobotConfig;
 pub(crate) use robot::useful_charge;
 pub use station::StationConfig;
-pub(crate) use telemetry::{LogFormat, TelemetryConfig};
+pub use telemetry::{LogFormat, TelemetryConfig};
 pub use world::WorldConfig;
 
 fn yes() -> bool {

@@ -1,6 +1,6 @@
 //! The difference of two JSON values, as a JSON merge patch (RFC 7396): equal members are left out,
 //! objects are compared by member, everything else is replaced, and null removes a member. So nulls
-//! cannot be sent as values; [`strip_nulls`] removes them beforehand.
+//! cannot be sent as values; `strip_nulls` removes them beforehand.
 
 use serde_json::{Map, Value};
 

@@ -24,8 +24,11 @@ mod update;
 pub use floor_plan::FloorPlan;
 pub use input::{FleetInput, FleetListener};
 pub use kpi::Kpis;
-pub use state::{AuctionModel, MissionModel, ReachabilityState, RobotModel};
-pub(crate) use state::{CoordinatorModel, EnsembleModel, LogEntry, NodeModel, PersonModel, Reachability, Takeover};
+pub(crate) use state::NodeModel;
+pub use state::{
+    AuctionModel, CoordinatorModel, EnsembleModel, LogEntry, MissionModel, PersonModel, Reachability,
+    ReachabilityState, RobotModel, Takeover,
+};
 
 use consort_protocol::view::HealthFinding;
 use serde::Serialize;

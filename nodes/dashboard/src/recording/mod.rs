@@ -44,8 +44,7 @@ mod schemas;
 mod writer;
 
 pub use parser::RecordingError;
-pub use player::Player;
-pub(crate) use player::{PlayerCommand, SpeedError};
+pub use player::{Player, PlayerCommand, SpeedError};
 pub use reader::{KEYFRAMES_MAX, RecordingReader, TimelineMark, TimelineMarkKind};
 pub use recorder::Recorder;
 pub use writer::{FLUSH_AFTER, RecordingStats, RecordingWriter};

@@ -8,7 +8,7 @@ use std::time::Duration;
 /// Allowed playback speeds, in seconds of the recording per second.
 pub(crate) const SPEED_RANGE: RangeInclusive<f64> = 0.1..=100.0;
 
-/// The speed is outside of [`SPEED_RANGE`]. Nothing was changed.
+/// The speed is outside of `SPEED_RANGE`. Nothing was changed.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error("a speed of {0} is not allowed: from {min} to {max}", min = SPEED_RANGE.start(), max = SPEED_RANGE.end())]
 pub struct SpeedError(f64);
@@ -22,7 +22,7 @@ pub struct PlayerCommand {
     pub at_ms: Option<u64>,
     /// Play or pause. At the end, playing restarts from the beginning.
     pub playing: Option<bool>,
-    /// Playback speed: see [`SPEED_RANGE`].
+    /// Playback speed: see `SPEED_RANGE`.
     pub speed: Option<f64>,
 }
 
@@ -47,7 +47,7 @@ impl Player {
     /// Creates a player at the beginning of a recording, playing.
     ///
     /// # Errors
-    /// [`SpeedError`] if the speed is outside of [`SPEED_RANGE`].
+    /// [`SpeedError`] if the speed is outside of `SPEED_RANGE`.
     pub fn new(from_ms: u64, to_ms: u64, speed: f64) -> Result<Player, SpeedError> {
         let speed = checked(speed)?;
         Ok(Player { from_ms, to_ms, at_ms: from_ms as f64, playing: true, speed, seeks: 0 })
@@ -56,7 +56,7 @@ impl Player {
     /// Applies a command completely, or not at all.
     ///
     /// # Errors
-    /// [`SpeedError`] if the speed is outside of [`SPEED_RANGE`].
+    /// [`SpeedError`] if the speed is outside of `SPEED_RANGE`.
     pub fn apply(&mut self, command: PlayerCommand) -> Result<(), SpeedError> {
         self.speed = command.speed.map(checked).transpose()?.unwrap_or(self.speed);
         if let Some(at_ms) = command.at_ms {

@@ -31,6 +31,7 @@ mod trapezoid_profile;
 
 pub(crate) use avoidance::Neighbour;
 pub(crate) use kinematic_model::KinematicModel;
-pub(crate) use settings::KinematicsError;
-pub use settings::{AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, OmnidirectionalSettings};
+pub use settings::{
+    AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, KinematicsError, OmnidirectionalSettings,
+};
 pub(crate) use trapezoid_profile::{ProfileLimits, TrapezoidProfile};

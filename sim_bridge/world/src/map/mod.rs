@@ -46,6 +46,6 @@ mod topology;
 pub use building::intersection;
 pub use diagnostic::{BuildingDiagnostic, Disconnection, LaneName, MapDiagnostic};
 pub use file::{DoorEntry, LaneEntry, LevelEntry, LiftEntry, MapFile, PlaceEntry, limits};
-pub use model::{DEFAULT_LEVEL, Facing, Lane, Lift, Map, MapLevel, MapPlace, PlaceKind};
-pub(crate) use model::{Door, LevelIndex, PlaceIndex};
+pub(crate) use model::PlaceIndex;
+pub use model::{DEFAULT_LEVEL, Door, Facing, Lane, LevelIndex, Lift, Map, MapLevel, MapPlace, PlaceKind};
 pub use read::{MapError, SHIPPED, read, shipped, shipped_file};

@@ -83,14 +83,12 @@ pub use event::{LoggedEvent, SampleHolder, WorldEvent};
 pub(crate) use motion_state::{MotionState, MotionSummary};
 pub use names::{PersonName, SampleId};
 pub(crate) use preconditions::goal_name;
-pub(crate) use report::PersonReport;
-pub use report::{DoorReport, RobotReport, WorldReport};
+pub use report::{DoorReport, PersonReport, RobotReport, WorldReport};
 pub use samples::SampleReport;
 pub use sensing::{DetectedObject, Detection, SensorReading};
-pub use setup::SetupErrors;
 pub use setup::{
     DoorSetup, Durations, ObjectSetup, Obstacle, PersonAction, PersonSetup, PersonTrigger, RobotSetup, SetupError,
-    SpontaneousAction, WindSettings, WorldLimits, WorldSetup, default_step_s,
+    SetupErrors, SpontaneousAction, WindSettings, WorldLimits, WorldSetup, default_step_s,
 };
 pub use simulation::World;
 pub use systems::power::STOPPING_SHARE;

@@ -22,7 +22,7 @@ const EDITORS_OWN: [&str; 4] = ["_uid", "_fullpath", "_collapsed", "_description
 /// The reader accepts `<root BTCPP_format="4">` with `<BehaviorTree ID="…">` elements, and nodes in
 /// compact (`<Wait …/>`) or explicit form (`<Action ID="Wait" …/>`). `main_tree_to_execute` may be
 /// omitted if there is only a single tree. `<TreeNodesModel>` is for editors and is skipped.
-/// Includes, scripts, DTDs and files above [`MAX_BYTES`] are rejected.
+/// Includes, scripts, DTDs and files above `MAX_BYTES` are rejected.
 ///
 /// # Errors
 /// [`TreeError`] with the line.
