@@ -13,14 +13,14 @@ pub(super) const STEP_DURATION_S: f64 = 2.0;
 
 /// A task with a fixed duration, at the robot's position.
 #[derive(Debug, Clone)]
-pub(crate) struct FixedDuration {
+pub struct FixedDuration {
     task_type: TaskType,
     time: Seconds,
 }
 
 impl FixedDuration {
     /// Creates the descriptor of a task type.
-    pub(crate) fn new(task_type: TaskType, time: Seconds) -> FixedDuration {
+    pub fn new(task_type: TaskType, time: Seconds) -> FixedDuration {
         FixedDuration { task_type, time }
     }
 }

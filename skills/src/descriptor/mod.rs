@@ -38,6 +38,7 @@ mod registry;
 
 pub use calibration::{Calibration, LegFactor, TimeFactor};
 pub use estimate::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
+pub use fixed::FixedDuration;
 pub use registry::{DescriptorRegistry, Estimator, MissingRequirement, PlanBudget, PriceError, ResolveError};
 
 #[cfg(test)]

@@ -32,7 +32,7 @@ pub use state::{
 
 use consort_protocol::view::HealthFinding;
 use serde::Serialize;
-use serde_json::{Map, Value, json};
+use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use tracked::TrackedMap;
@@ -120,30 +120,33 @@ impl FleetModel {
     /// rendered.
     pub fn render_patch(&mut self, drawn: &mut Value) -> Option<Value> {
         if !drawn.is_object() {
-            *drawn = json!({});
+            *drawn = Value::Object(Map::new());
             self.mark_all_changed();
         }
         let Value::Object(drawn) = drawn else { return None };
         let mut patch = Map::new();
-        let mut renew = |members: Value| {
-            let Value::Object(members) = members else { return };
-            for (name, mut value) in members {
+        let mut renew = |rendered: Value| {
+            let Value::Object(rendered) = rendered else { return };
+            for (name, mut value) in rendered {
                 delta::strip_nulls(&mut value);
                 delta::replace_member(drawn, &mut patch, name, value);
             }
         };
         if std::mem::take(&mut self.static_fields_changed) {
-            renew(
-                json!({ "fleet": self.fleet, "node": self.node, "since_ms": self.since_ms, "map": self.plan.map_json() }),
-            );
+            renew(members(&IdentityMembers {
+                fleet: &self.fleet,
+                node: &self.node,
+                since_ms: self.since_ms,
+                map: self.plan.map_json(),
+            }));
         }
-        renew(json!({
-            "reachability": self.reachability,
-            "coordinator": self.coordinator,
-            "takeovers": self.takeovers,
-            "health": self.health,
-            "views": self.views,
-            "kpis": self.kpis(),
+        renew(members(&StateMembers {
+            reachability: &self.reachability,
+            coordinator: self.coordinator.as_ref(),
+            takeovers: &self.takeovers,
+            health: &self.health,
+            views: &self.views,
+            kpis: self.kpis(),
         }));
         section("nodes", &mut self.nodes, drawn, &mut patch);
         section("robots", &mut self.robots, drawn, &mut patch);
@@ -225,6 +228,30 @@ impl FleetModel {
     }
 }
 
+/// Members of a rendering that change only when the model is replaced.
+#[derive(Serialize)]
+struct IdentityMembers<'a> {
+    fleet: &'a str,
+    node: &'a str,
+    since_ms: u64,
+    map: &'a Value,
+}
+
+/// Members of a rendering that are written as a whole.
+#[derive(Serialize)]
+struct StateMembers<'a> {
+    reachability: &'a Reachability,
+    coordinator: Option<&'a CoordinatorModel>,
+    takeovers: &'a [Takeover],
+    health: &'a [HealthFinding],
+    views: &'a BTreeMap<String, u64>,
+    kpis: Kpis,
+}
+
+fn members(of: &impl Serialize) -> Value {
+    serde_json::to_value(of).expect("members serialize to JSON")
+}
+
 /// Renders a section again, if any member has changed.
 fn section<K: Ord + Clone + Display, V: Serialize>(
     name: &str,
@@ -232,7 +259,7 @@ fn section<K: Ord + Clone + Display, V: Serialize>(
     drawn: &mut Map<String, Value>,
     patch: &mut Map<String, Value>,
 ) {
-    let section = drawn.entry(name).or_insert_with(|| json!({}));
+    let section = drawn.entry(name).or_insert_with(|| Value::Object(Map::new()));
     if let Value::Object(section) = section
         && let Some(change) = members.render_patch(section)
     {
