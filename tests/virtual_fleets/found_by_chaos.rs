@@ -125,3 +125,19 @@ fn a_signal_in_the_ledger_counts_as_sent_without_running_voters() {
         ]}"#,
     );
 }
+
+/// The coordinator, a mobile robot, transferred its leadership to a station. The transfer was a task
+/// of the leader session, which ended with the resignation, so the task was aborted while it waited
+/// for a voter with the whole log. The node had resigned and went on as leader of openraft, and the
+/// fleet had no coordinator any more.
+#[test]
+fn a_transfer_of_leadership_outlives_the_leader_session() {
+    holds(
+        71110,
+        5.0,
+        r#"{"steps": [
+            {"at_ms": 61896, "action": "crash", "node": "aster", "disk": "torn", "for_ms": 404},
+            {"at_ms": 92215, "action": "submit", "request": "r0", "room": "IC Room 6"}
+        ]}"#,
+    );
+}

@@ -32,6 +32,8 @@ pub(crate) struct CoordinatorState {
     last_beacon: Option<(NodeId, NodeTime)>,
     /// Last time this node transferred leadership to a better placed node.
     yielded_at: Option<Instant>,
+    /// Voter change that was in progress at the end of the last session.
+    voter_change: Tasks,
     tasks: Tasks,
 }
 
@@ -56,7 +58,14 @@ impl Actor for Coordinator {
         let beacons = bus.subscribe(&keys.write(&Key::Beacon)).await?;
         tasks.forward(beacons, &myself, CoordinatorMessage::Beacon);
         tasks.send_every(settings.tick_interval, &myself, || CoordinatorMessage::Tick);
-        Ok(CoordinatorState { settings, session: None, last_beacon: None, yielded_at: None, tasks })
+        Ok(CoordinatorState {
+            settings,
+            session: None,
+            last_beacon: None,
+            yielded_at: None,
+            voter_change: Tasks::default(),
+            tasks,
+        })
     }
 
     async fn handle(
@@ -75,7 +84,10 @@ impl Actor for Coordinator {
             (_, None) => {} // message of an ended session
             (CoordinatorMessage::Ledger, Some(session)) => session.reconcile(),
             (CoordinatorMessage::Tick, Some(session)) => session.tick().await,
-            (CoordinatorMessage::VotersChanged(done), Some(session)) => session.handle_voters_changed(done).await,
+            (CoordinatorMessage::VotersChanged { term, result }, Some(session)) if term == session.term() => {
+                session.handle_voters_changed(result).await;
+            }
+            (CoordinatorMessage::VotersChanged { .. }, Some(_)) => {}
             (CoordinatorMessage::BidsCollected(bids), Some(session)) => session.close_bidding(*bids),
             (CoordinatorMessage::AuctionRecorded { auction, outcome }, Some(session)) => {
                 session.handle_auction_recorded(&auction, outcome);
@@ -143,6 +155,7 @@ impl CoordinatorState {
         if let Some(session) = self.session.take() {
             let term = session.term();
             self.yielded_at = session.yielded_at();
+            self.voter_change = session.end();
             info!(%node, term, "no longer coordinates");
             events.publish(EventKind::SteppedDown { term });
         }

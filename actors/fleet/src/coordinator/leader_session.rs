@@ -37,8 +37,8 @@ const BOOTSTRAP_TIMEOUT: Duration = Duration::from_secs(2);
 /// Delay before the failure of a mission is proposed again.
 const FAIL_RETRY_DELAY: Duration = Duration::from_secs(2);
 
-/// State of a single term as coordinator. Dropping it withdraws all declarations and aborts all
-/// tasks.
+/// State of a single term as coordinator. Its end withdraws all declarations and aborts all tasks,
+/// except a voter change.
 pub(super) struct LeaderSession {
     context: SessionContext,
     auctions: Auctions,
@@ -47,6 +47,8 @@ pub(super) struct LeaderSession {
     members: EnsembleMembers,
     requests: Requests,
     autopilot: Autopilot,
+    /// The voter change in progress.
+    voter_change: Tasks,
     /// Missions with a proposed failure, with the time of the proposal.
     failing: BTreeMap<MissionId, NodeTime>,
     _token: PresenceToken,
@@ -80,6 +82,7 @@ impl LeaderSession {
             members: EnsembleMembers::default(),
             requests: Requests::new(&context),
             autopilot: Autopilot::new(settings.autopilot, yielded),
+            voter_change: Tasks::default(),
             failing: BTreeMap::new(),
             context,
             _token: token,
@@ -94,6 +97,12 @@ impl LeaderSession {
     /// Returns the time at which this node last transferred leadership to a better placed node.
     pub(super) fn yielded_at(&self) -> Option<Instant> {
         self.autopilot.last_transfer_at()
+    }
+
+    /// Ends the session. Returns the voter change in progress: a transfer of leadership ends the
+    /// session before it is complete.
+    pub(super) fn end(self) -> Tasks {
+        self.voter_change
     }
 
     /// Publishes the first beacon and performs all pending actions.
@@ -149,8 +158,12 @@ impl LeaderSession {
         let NodeParts { replica, knowledge, .. } = &self.context.settings.parts;
         let Some(change) = self.autopilot.next_action(replica, knowledge) else { return };
         info!(reason = change.reason(), "changing the voters");
-        let replica = replica.clone();
-        self.context.send_result(async move { CoordinatorMessage::VotersChanged(perform(replica, change).await) });
+        let (replica, mailbox, term) = (replica.clone(), self.context.mailbox.clone(), self.context.term);
+        self.voter_change.spawn(async move {
+            let result = perform(replica, change).await;
+            // The actor ends with the node.
+            let _ = mailbox.cast(CoordinatorMessage::VotersChanged { term, result });
+        });
     }
 
     pub(super) async fn handle_voters_changed(&mut self, done: ActionResult) {

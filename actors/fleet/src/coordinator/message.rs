@@ -31,7 +31,11 @@ pub(crate) enum CoordinatorMessage {
     /// A robot has replied to an award notice.
     NoticeReplied(AwardedRole, AwardReply),
     /// A voter change has ended, with or without success.
-    VotersChanged(ActionResult),
+    VotersChanged {
+        /// Term of the leader session that started the change.
+        term: u64,
+        result: ActionResult,
+    },
     /// Report of a robot.
     Report(Query),
     /// Query for the active missions.

@@ -28,7 +28,7 @@ const NOTICE_TIMEOUT: Duration = Duration::from_millis(500);
 pub(super) struct SessionContext {
     pub(super) settings: CoordinatorSettings,
     /// Mailbox of the coordinator actor.
-    mailbox: ActorRef<CoordinatorMessage>,
+    pub(super) mailbox: ActorRef<CoordinatorMessage>,
     pub(super) term: u64,
     /// Start of the session.
     pub(super) since: NodeTime,

@@ -3,6 +3,7 @@
 use super::Replica;
 use crate::errors::TransferError;
 use crate::leadership_transfer::{release_vote, send_transfer};
+use crate::leadership_view::ResignedTerm;
 use crate::messages::TransferRequest;
 use crate::types::{Metrics, RaftId, StateMachine};
 use consort_protocol::ids::NodeId;
@@ -12,6 +13,30 @@ use std::time::Duration;
 use tokio::time::{Instant, timeout};
 use tracing::info;
 
+/// Resignation of a leader, which is withdrawn unless a target is found: else openraft would go on
+/// as leader of a node that does not lead, and no other node would be elected.
+struct Resignation<'a>(Option<&'a ResignedTerm>);
+
+impl<'a> Resignation<'a> {
+    fn begin(resigned_term: &'a ResignedTerm, term: u64) -> Resignation<'a> {
+        resigned_term.resign(term);
+        Resignation(Some(resigned_term))
+    }
+
+    /// Keeps the resignation for the rest of the term.
+    fn keep(mut self) {
+        self.0 = None;
+    }
+}
+
+impl Drop for Resignation<'_> {
+    fn drop(&mut self) {
+        if let Some(resigned_term) = self.0 {
+            resigned_term.withdraw();
+        }
+    }
+}
+
 impl<S: StateMachine> Replica<S> {
     /// Transfers leadership to another voter that has the whole log of this node and is elected
     /// within a few round trips. A voter in `avoid` is chosen only if there is no other. From the
@@ -19,7 +44,8 @@ impl<S: StateMachine> Replica<S> {
     /// following. Waits at most `limit` for a voter with the whole log.
     ///
     /// # Errors
-    /// [`TransferError`] states whether this node is still the leader.
+    /// [`TransferError`] states whether this node is still the leader. It is, too, if the future is
+    /// dropped before a voter with the whole log was found.
     pub async fn transfer_leadership(
         &self,
         avoid: &BTreeSet<NodeId>,
@@ -68,7 +94,7 @@ impl<S: StateMachine> Replica<S> {
         if others == 0 {
             return Err(TransferError::OnlyVoter);
         }
-        inner.leadership.resigned_term.resign(term);
+        let resignation = Resignation::begin(&inner.leadership.resigned_term, term);
         inner.leadership.view.send_modify(|now| {
             if now.term == term {
                 *now = now.clone().without_leader();
@@ -87,17 +113,12 @@ impl<S: StateMachine> Replica<S> {
             }
         };
         let no_target = Err(TransferError::NoTargetReady { others, limit });
-        let (target, latest) = match timeout(limit, chosen).await.unwrap_or(no_target) {
-            Ok(chosen) => chosen,
-            Err(error) => {
-                inner.leadership.resigned_term.withdraw();
-                return Err(error);
-            }
-        };
+        let (target, latest) = timeout(limit, chosen).await.unwrap_or(no_target)?;
         let membership = latest.membership_config.membership();
         let name = membership.get_node(&target).map(|peer| peer.name.clone());
         let name = name.ok_or(TransferError::Closed)?;
         let request = TransferRequest { leader_vote: vote, target };
+        resignation.keep();
         inner.leadership.leader_contact.record_own_resignation();
         if !release_vote(&inner.raft, &request).await {
             return Err(TransferError::Closed);
