@@ -1,6 +1,6 @@
 //! The command line.
 
-use crate::command::{bench, chaos, check, experiment, schema, test};
+use crate::command::{bench, chaos, check, experiment, png, schema, test};
 use clap::{Parser, Subcommand};
 use consort_nodes::output::exit_code;
 use std::process::ExitCode;
@@ -40,6 +40,7 @@ enum Command {
     Bench(bench::Args),
     Check(check::Args),
     Schema(schema::Args),
+    Png(png::Args),
 }
 
 /// Runs the program.
@@ -53,6 +54,7 @@ pub fn run() -> ExitCode {
             Command::Bench(args) => bench::run(args),
             Command::Check(args) => check::run(&args),
             Command::Schema(args) => schema::run(&args),
+            Command::Png(args) => png::run(&args),
         },
     )
 }

@@ -5,3 +5,4 @@ pub mod cli;
 pub mod command;
 pub mod design_file;
 mod evaluation;
+mod png;

@@ -5,11 +5,14 @@ use super::flag_values::InvalidValue;
 use crate::config::to_toml;
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::exit::Failure;
-use crate::{map_loader, output};
+use crate::{lab_program, map_loader, output};
 use consort_map_import::{Drawing, ImportOptions};
 use consort_text::count;
 use consort_world::map::{self, Map, render};
+use std::ffi::OsStr;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
 /// Draw, check and convert maps
 ///
@@ -20,7 +23,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
-  consort map show hospital --out hospital.png
+  consort map show hospital --out hospital.svg
   consort map show ward.drawio                      # draws ward.svg
   consort map show ward.drawio --out - | display    # to the standard output
   consort map check ward.drawio office.building.yaml
@@ -49,7 +52,8 @@ enum What {
     Show {
         #[command(flatten)]
         source: Source,
-        /// The image: PNG if the name ends in `.png`, else SVG; `-` is the standard output.
+        /// The image: PNG if the name ends in `.png`, else SVG; `-` is the standard output. A PNG
+        /// needs `consort-lab`.
         /// Default: the map's file name with `.svg`, in the current directory
         #[arg(long, value_name = "PICTURE")]
         out: Option<PathBuf>,
@@ -162,12 +166,24 @@ fn draw(source: &Source, out: Option<PathBuf>) -> Result<(), Failure> {
         return output::line(svg);
     }
     if ends_in(&out, "png") {
-        let png = render::png(&svg).map_err(|error| Failure::Unsuccessful(error.to_string()))?;
-        write(&out, &png)?;
+        write_png(&out, &svg)?;
     } else {
         write(&out, svg.as_bytes())?;
     }
     output::line(format_args!("{}: {}", out.display(), contents(&drawing, &map)))
+}
+
+/// Converts a drawing with `consort-lab`, which contains a rasterizer.
+fn write_png(out: &Path, svg: &str) -> Result<(), Failure> {
+    let mut lab = lab_program::command([OsStr::new("png"), out.as_os_str()]);
+    let mut lab = lab.stdin(Stdio::piped()).spawn().map_err(|problem| lab_program::not_started(&problem))?;
+    // If the program fails early, its exit status and its message tell more than the broken pipe.
+    let _ = lab.stdin.take().expect("it is piped").write_all(svg.as_bytes());
+    let status = lab.wait().map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
+    match status.success() {
+        true => Ok(()),
+        false => Err(Failure::Unsuccessful(format!("{} was not written", out.display()))),
+    }
 }
 
 /// Returns the default image file: `ward.svg` for `maps/ward.drawio`, `office.svg` for

@@ -4,5 +4,6 @@ pub(crate) mod bench;
 pub(crate) mod chaos;
 pub(crate) mod check;
 pub(crate) mod experiment;
+pub(crate) mod png;
 pub mod schema;
 pub mod test;

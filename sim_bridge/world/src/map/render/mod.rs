@@ -1,4 +1,4 @@
-//! Drawings of maps: SVG, and PNG made of it.
+//! Drawings of maps: SVG.
 //!
 //! Each level has a panel. All panels have the same scale and the same origin. North is up.
 
@@ -9,7 +9,6 @@ mod elements;
 mod labels;
 mod level;
 mod page;
-mod png;
 #[cfg(test)]
 mod tests;
 mod trails;
@@ -18,4 +17,3 @@ pub use content::DrawnItem;
 pub(crate) use content::Trail;
 pub use document::svg;
 pub(crate) use document::svg_with_trails;
-pub use png::{PngError, png};
