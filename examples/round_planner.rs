@@ -11,10 +11,9 @@ fn place(map: &Value, name: &str) -> Option<(f64, f64)> {
 }
 
 /// Sorts the rooms from west to east and divides them into equal stretches, a role for each robot.
-fn plan(map: &Value, robots: usize, rooms: &[String]) -> Result<Value, String> {
+fn plan(map: &Value, robots: usize, rooms: &[String]) -> Result<Value, Box<dyn Error>> {
     let east = |room: &str| place(map, room).map(|(x, _)| x).ok_or(format!("{room} is not on the map"));
-    let rooms = rooms.iter().map(|room| Ok((east(room)?, room)));
-    let mut rooms: Vec<(f64, &String)> = rooms.collect::<Result<_, String>>()?;
+    let mut rooms = rooms.iter().map(|room| Ok((east(room)?, room))).collect::<Result<Vec<_>, Box<dyn Error>>>()?;
     rooms.sort_by(|a, b| a.0.total_cmp(&b.0));
     let stretches: Vec<_> = rooms.chunks(rooms.len().div_ceil(robots.max(1)).max(1)).collect();
     let (roles, rounds): (serde_json::Map<String, Value>, Vec<Value>) = (1..).zip(&stretches).map(round).unzip();

@@ -1,7 +1,7 @@
 //! Robustness against input of people and clients: any input is parsed or rejected quickly, on a
 //! stack no larger than that of a worker thread.
 
-use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
+use consort_protocol::ensemble::{ConditionError, Ensemble, EnsembleSpec};
 use consort_protocol::ids::{EnsembleId, TaskType};
 use consort_protocol::mission::{Domain, Format, MissionTemplate};
 use consort_protocol::plan::divide_and_check;
@@ -32,11 +32,11 @@ fn in_time<T: Send>(what: &str, work: impl FnOnce() -> T + Send) -> T {
 }
 
 /// Compiles a condition of an ensemble and evaluates it on an example.
-fn condition(text: &str) -> Result<(), String> {
+fn condition(text: &str) -> Result<(), ConditionError> {
     let skills = BTreeSet::from([TaskType::new("navigation").expect("a slug")]);
     let spec = EnsembleSpec::with_any_skill_of(EnsembleId::new("e").expect("a slug"), skills);
     let spec = EnsembleSpec { membership: vec![text.to_owned()], ..spec };
-    Ensemble::compile(spec).map(drop).map_err(|problem| problem.to_string())
+    Ensemble::compile(spec).map(drop)
 }
 
 #[test]
@@ -45,11 +45,11 @@ fn deeply_nested_loops_are_rejected_before_they_run() {
     // 60⁶ iterations.
     let each = |inner: String, name: &str| format!("{digits}.all({name}, {inner})");
     let deep = ["a", "b", "c", "d", "e", "f"].into_iter().fold("true".to_owned(), each);
-    let error = in_time(&deep, || condition(&deep)).unwrap_err();
+    let error = in_time(&deep, || condition(&deep)).unwrap_err().to_string();
     assert!(error.contains("loops are nested 6 deep; at most 2 levels are allowed"), "{error}");
     // Each loop iterates over a list that the preceding loop has doubled.
     let doubled = (0..20).fold("[1]".to_owned(), |list, _| format!("[{list}].map(l, l+l)[0]")) + ".size() > 0";
-    let error = in_time(&doubled, || condition(&doubled)).unwrap_err();
+    let error = in_time(&doubled, || condition(&doubled)).unwrap_err().to_string();
     assert!(error.contains("20 deep"), "{error}");
     // Two levels are allowed, and any number of loops in sequence.
     let two = format!("{digits}.all(a, {digits}.exists(b, a == b))");

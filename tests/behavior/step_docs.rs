@@ -1,6 +1,6 @@
 //! Step documentation: every example resolves to a single step.
 
-use consort_tests::behavior::{Features, ScenarioFilter, step_docs};
+use consort_tests::behavior::{FeatureErrors, Features, ScenarioFilter, step_docs};
 use std::path::PathBuf;
 
 fn test_file(name: &str, text: &str) -> PathBuf {
@@ -11,9 +11,9 @@ fn test_file(name: &str, text: &str) -> PathBuf {
     file
 }
 
-fn read_feature(name: &str, text: &str) -> Result<usize, String> {
+fn read_feature(name: &str, text: &str) -> Result<usize, FeatureErrors> {
     let features = Features::read(&[test_file(name, text)], &ScenarioFilter::default());
-    features.map(|features| features.scenarios()).map_err(|bad| bad.to_string())
+    features.map(|features| features.scenarios())
 }
 
 #[test]
@@ -43,8 +43,9 @@ fn every_example_resolves_uniquely_in_every_form() {
 #[test]
 fn settings_actions_and_facts_are_not_interchangeable() {
     for step in [r#"When a nurse in "IC Room 6""#, "Then the coordinator is killed", r#"Given amber is at "Dock""#] {
-        let error =
-            read_feature("wrong_kind.feature", &format!("Feature: F\n  Scenario: S\n    {step}\n")).expect_err(step);
+        let error = read_feature("wrong_kind.feature", &format!("Feature: F\n  Scenario: S\n    {step}\n"))
+            .expect_err(step)
+            .to_string();
         assert!(error.contains(&format!(":3: {step}: unknown step")), "{error}");
     }
 }
@@ -53,7 +54,7 @@ fn settings_actions_and_facts_are_not_interchangeable() {
 fn an_unknown_step_is_reported_once_per_outline_and_background() {
     let text = "Feature: F\n  Background:\n    Given a ghost\n\n  Scenario Outline: S\n    When <who> flies\n\n    Examples:\n      \
                 | who   |\n      | amber |\n      | birch |\n";
-    let error = read_feature("outline.feature", text).expect_err("two unknown steps");
+    let error = read_feature("outline.feature", text).expect_err("two unknown steps").to_string();
     assert_eq!(error.matches("unknown step").count(), 2, "{error}");
     assert!(
         error.contains("outline.feature:3: Given a ghost") && error.contains("outline.feature:6: When amber flies"),
@@ -64,6 +65,7 @@ fn an_unknown_step_is_reported_once_per_outline_and_background() {
 #[test]
 fn similar_steps_are_suggested() {
     let error = read_feature("near.feature", "Feature: F\n  Scenario: S\n    When the co-ordinator is killed\n")
-        .expect_err("a misspelling");
+        .expect_err("a misspelling")
+        .to_string();
     assert!(error.contains("similar steps are\n    When the coordinator is killed\n"), "{error}");
 }

@@ -170,16 +170,13 @@ fn every_exception_is_explained_and_still_needed() {
     }
 }
 
-/// Levels of modules to compare: the modules of a crate, and those below each of them.
-const LEVELS: usize = 2;
-
 #[test]
 fn modules_of_a_crate_have_no_cycles() {
     let workspace = table("Cargo.toml");
     let members = workspace["workspace"]["members"].as_array().expect("a list");
     let mut found = Vec::new();
     for package in members.iter().map(|member| member.as_str().expect("a folder")) {
-        for cycle in module_cycles::cycles(&root().join(package), LEVELS) {
+        for cycle in module_cycles::cycles(&root().join(package)) {
             let (children, uses) = (Vec::from_iter(cycle.children), Vec::from_iter(cycle.uses));
             found.push(format!("{package} {}: {}\n    {}", cycle.parent, children.join(", "), uses.join("\n    ")));
         }

@@ -23,8 +23,8 @@ pub(crate) struct Cycle {
     pub(crate) uses: BTreeSet<String>,
 }
 
-/// Finds the cycles of the crate in a folder; `levels` is the depth of modules to compare.
-pub(crate) fn cycles(package: &Path, levels: usize) -> Vec<Cycle> {
+/// Finds the cycles of the crate in a folder, at every depth.
+pub(crate) fn cycles(package: &Path) -> Vec<Cycle> {
     let mut sources = Sources::default();
     for root in ["lib.rs", "main.rs"].map(|name| package.join("src").join(name)) {
         if root.exists() {
@@ -35,8 +35,7 @@ pub(crate) fn cycles(package: &Path, levels: usize) -> Vec<Cycle> {
     let uses = sources.dependencies();
     let parents: BTreeSet<&[String]> =
         sources.modules.keys().filter_map(|module| Some(module.split_last()?.1)).collect();
-    let found = parents.into_iter().filter(|parent| parent.len() < levels);
-    found.flat_map(|parent| cycles_below(parent, &uses)).collect()
+    parents.into_iter().flat_map(|parent| cycles_below(parent, &uses)).collect()
 }
 
 /// Dependency between two modules, with the path that is written.

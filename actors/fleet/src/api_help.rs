@@ -21,7 +21,7 @@ pub(crate) fn call_help(call: ApiCall) -> CallHelp {
         call: call.as_str().to_owned(),
         key: info.pattern.to_owned(),
         what: info.what.to_owned(),
-        answered_by: info.who.to_owned(),
+        answered_by: info.owner.to_owned(),
         example: example(call),
         payload_schema: payload_schema(call),
         answer_schema: reply_schema(call),

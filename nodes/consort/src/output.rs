@@ -2,6 +2,8 @@
 
 use crate::exit::Failure;
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use serde_json::Value;
 use std::fmt::Display;
 use std::io::{ErrorKind, IsTerminal, Write, stderr, stdout};
 use std::process::ExitCode;
@@ -17,6 +19,25 @@ pub fn line(text: impl Display) -> Result<(), Failure> {
         ErrorKind::BrokenPipe => Failure::OutputClosed,
         _ => Failure::Unsuccessful(format!("the standard output cannot be written to: {problem}")),
     })
+}
+
+/// Writes a value as a line of JSON to the standard output.
+///
+/// # Errors
+/// See [`line`].
+///
+/// # Panics
+/// The value has no JSON form: its maps have keys that are no strings.
+pub fn json(value: &impl Serialize) -> Result<(), Failure> {
+    line(serde_json::to_string(value).expect("results of commands have a JSON form"))
+}
+
+/// Returns the JSON form of a value.
+///
+/// # Panics
+/// See [`json`].
+pub fn to_value(value: &impl Serialize) -> Value {
+    serde_json::to_value(value).expect("results of commands have a JSON form")
 }
 
 /// Writes a line to the standard error. A closed standard error is ignored.

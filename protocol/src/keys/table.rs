@@ -13,7 +13,7 @@ pub struct KeyInfo {
     /// Key after `consort/{fleet}/`, with placeholders: `wire/award/{robot}`.
     pub pattern: &'static str,
     /// Node that publishes, answers or announces it.
-    pub who: &'static str,
+    pub owner: &'static str,
     /// Usage of the key by its owner.
     pub usage: KeyUsage,
     /// Encoding of the content: a MIME type, or empty if there is no content.
@@ -51,17 +51,17 @@ const WIRE: &str = "application/octet-stream";
 const JSON: &str = "application/json";
 
 macro_rules! table {
-    ($($key:pat => $pattern:literal, $who:literal $usage:ident $encoding:expr, $what:literal;)*) => {
+    ($($key:pat => $pattern:literal, $owner:literal $usage:ident $encoding:expr, $what:literal;)*) => {
         /// All kinds of keys.
         pub const TABLE: &[KeyInfo] = &[$(
-            KeyInfo { pattern: $pattern, who: $who, usage: $usage, encoding: $encoding, what: $what },
+            KeyInfo { pattern: $pattern, owner: $owner, usage: $usage, encoding: $encoding, what: $what },
         )*];
 
         impl Key {
             /// Returns the description of this kind of key.
             pub fn info(&self) -> KeyInfo {
                 match self {
-                    $($key => KeyInfo { pattern: $pattern, who: $who, usage: $usage, encoding: $encoding, what: $what },)*
+                    $($key => KeyInfo { pattern: $pattern, owner: $owner, usage: $usage, encoding: $encoding, what: $what },)*
                 }
             }
         }

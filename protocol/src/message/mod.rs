@@ -105,7 +105,7 @@ pub enum BootstrapReply {
 }
 
 /// Periodic announcement of the coordinator.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Beacon {
     /// Node of the coordinator.
     pub node: NodeId,

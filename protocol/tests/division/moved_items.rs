@@ -108,7 +108,7 @@ proptest! {
                 break;
             }
             let event = events[rng.below(events.len())];
-            team.apply(event).map_err(TestCaseError::fail)?;
+            team.apply(event).map_err(|violation| TestCaseError::fail(violation.0))?;
             if let Event::Report(robot) = event {
                 let role = division.plans.keys().nth(robot).unwrap().clone();
                 let epoch = if mission.roles[&role].kind == RoleKind::Managed { AWARD } else { Epoch::default() };

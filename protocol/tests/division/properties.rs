@@ -1,7 +1,7 @@
 //! Random missions: the divided mission is executed correctly in any order of events.
 
 use crate::removed_signals::{signals, without_signal, without_step};
-use crate::team::{Explored, Team, explore_all_states};
+use crate::team::{Explored, OrderViolation, Team, explore_all_states};
 use crate::trees::{Sequence, Task, Tree, Unordered, leaves, mission, reference_order};
 use consort_protocol::mission::GlobalOrder;
 use consort_protocol::plan::{
@@ -40,24 +40,24 @@ impl SeededRng {
 }
 
 /// Executes a run to its end; `advised` robots follow `next`.
-fn run(division: &Division, before: &[Vec<bool>], seed: u64, advised: bool) -> Result<(), String> {
+fn run(division: &Division, before: &[Vec<bool>], seed: u64, advised: bool) -> Result<(), OrderViolation> {
     run_from(Team::of(division, before), seed, advised)
 }
 
 /// Does the same from a given state.
-pub(crate) fn run_from(mut team: Team<'_>, seed: u64, advised: bool) -> Result<(), String> {
+pub(crate) fn run_from(mut team: Team<'_>, seed: u64, advised: bool) -> Result<(), OrderViolation> {
     let mut rng = SeededRng(seed);
     loop {
         let events = if advised { team.advised() } else { team.events() };
         if events.is_empty() {
-            return if team.is_complete() { Ok(()) } else { Err(format!("stuck: {:?}", team.key())) };
+            return if team.is_complete() { Ok(()) } else { Err(OrderViolation(format!("stuck: {:?}", team.key()))) };
         }
         team.apply(events[rng.below(events.len())])?;
         if rng.below(16) == 0 {
             // The robots restart from their stored progress.
             for robot in team.robots_mut() {
                 let text = serde_json::to_string(robot).unwrap();
-                *robot = serde_json::from_str::<PlanProgress>(&text).map_err(|error| error.to_string())?;
+                *robot = serde_json::from_str::<PlanProgress>(&text).map_err(OrderViolation::of)?;
             }
         }
     }

@@ -88,7 +88,7 @@ impl<'d> Team<'d> {
     }
 
     /// Applies an event; the error names the violated order.
-    pub(crate) fn apply(&mut self, event: Event<'d>) -> Result<(), String> {
+    pub(crate) fn apply(&mut self, event: Event<'d>) -> Result<(), OrderViolation> {
         match event {
             Event::Receive(to, signal) => {
                 assert!(self.robots[to].receive(signal), "{signal} was awaited and not received before");
@@ -101,7 +101,7 @@ impl<'d> Team<'d> {
                 let progress = &self.robots[robot];
                 for step in &progress.plan().alternatives[other].replaces {
                     let StepAction::Task { id, spec } = &progress.step(*step).unwrap().action else {
-                        return Err(format!("step {step} is replaced and is not a task"));
+                        return Err(OrderViolation(format!("step {step} is replaced and is not a task")));
                     };
                     let of_it = |earlier: &TaskId| {
                         let replaced = progress.plan().alternatives[other].replaces.iter();
@@ -112,11 +112,11 @@ impl<'d> Team<'d> {
                     };
                     self.check_begin(id, spec, of_it)?;
                 }
-                self.robots[robot].apply_alternative(other).map_err(|error| error.to_string())?;
+                self.robots[robot].apply_alternative(other).map_err(OrderViolation::of)?;
             }
             Event::Finish(robot) => {
                 let step = self.current[robot].take().expect("the robot executes a task");
-                self.robots[robot].end(step).map_err(|error| error.to_string())?;
+                self.robots[robot].end(step).map_err(OrderViolation::of)?;
             }
             Event::Perform(robot, step) => {
                 let division: &'d Division = self.division;
@@ -133,7 +133,7 @@ impl<'d> Team<'d> {
                     }
                     StepAction::Wait(_) => {}
                 }
-                self.robots[robot].end(step).map_err(|error| error.to_string())?;
+                self.robots[robot].end(step).map_err(OrderViolation::of)?;
             }
         }
         Ok(())
@@ -141,14 +141,21 @@ impl<'d> Team<'d> {
 
     /// Checks the conditions of the mission for the begin of a task; tasks in `ignored` need not
     /// have ended.
-    fn check_begin(&self, id: &TaskId, spec: &TaskSpec, ignored: impl Fn(&TaskId) -> bool) -> Result<(), String> {
+    fn check_begin(
+        &self,
+        id: &TaskId,
+        spec: &TaskSpec,
+        ignored: impl Fn(&TaskId) -> bool,
+    ) -> Result<(), OrderViolation> {
         for (role, guard) in self.moves.iter().filter(|moved| moved.task == *id).flat_map(|moved| &moved.guards) {
             let robot = self.index(role);
             let plan = self.robots[robot].plan();
             let mut open: Vec<StepIndex> = plan.steps[*guard as usize].after.clone();
             while let Some(step) = open.pop() {
                 if !self.known[robot].contains(&step) {
-                    return Err(format!("{id} begins before the ledger contains step {step} of {role}"));
+                    return Err(OrderViolation(format!(
+                        "{id} begins before the ledger contains step {step} of {role}"
+                    )));
                 }
                 open.extend(&plan.steps[step as usize].after);
             }
@@ -158,7 +165,10 @@ impl<'d> Team<'d> {
                 let StepAction::Task { id: earlier, .. } = &step.action else { continue };
                 let due = self.before[number(earlier)][number(id)] && !ignored(earlier);
                 if due && !progress.ended().contains(&(index as StepIndex)) {
-                    return Err(format!("{id} begins before {} has ended {earlier}", progress.plan().role));
+                    return Err(OrderViolation(format!(
+                        "{id} begins before {} has ended {earlier}",
+                        progress.plan().role
+                    )));
                 }
             }
         }
@@ -172,7 +182,7 @@ impl<'d> Team<'d> {
             let ended = progress.ended().iter().any(|step| of_it(*step));
             let ready = progress.committed() == Some(id) && self.current[robot].is_none_or(of_it);
             if !(ended || ready) {
-                return Err(format!("{id} begins while {partner} is not ready"));
+                return Err(OrderViolation(format!("{id} begins while {partner} is not ready")));
             }
         }
         Ok(())
@@ -180,6 +190,16 @@ impl<'d> Team<'d> {
 
     fn index(&self, role: &RoleId) -> usize {
         self.division.plans.keys().position(|other| other == role).unwrap()
+    }
+}
+
+/// An event that the order of the mission forbids, or a run that cannot continue.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct OrderViolation(pub(crate) String);
+
+impl OrderViolation {
+    pub(crate) fn of(problem: impl ToString) -> OrderViolation {
+        OrderViolation(problem.to_string())
     }
 }
 
@@ -211,7 +231,7 @@ pub(crate) fn explore_from(start: Team<'_>, most: usize) -> Explored {
         for event in events {
             let mut then = team.clone();
             if let Err(wrong) = then.apply(event) {
-                return Explored::Wrong(wrong);
+                return Explored::Wrong(wrong.0);
             }
             if seen.insert(then.key()) {
                 if seen.len() > most {

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 /// greatest values.
 const MIN_OBSERVATIONS: usize = 5;
 
-/// Share of cases in which the battery is to last. Default of `consort-lab experiment calibrate`.
+/// Share of cases in which the battery is to last. Default of `consort lab experiment calibrate`.
 pub const DEFAULT_QUANTILE: f64 = 0.9;
 
 /// A task with its estimated and its actual time and energy.

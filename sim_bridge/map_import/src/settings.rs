@@ -39,8 +39,7 @@ impl MapFormat {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ImportOptions {
     /// Metres per unit of a drawing, or per pixel of an Open-RMF building; above 0. Default: the
-    /// scale in the file, and for a drawing without scale
-    /// `METRES_PER_UNIT`.
+    /// scale in the file, and for a drawing without scale `METRES_PER_UNIT`.
     pub scale_m: Option<f64>,
     /// Navigation graph to read from an Open-RMF building. Default: the graph with the lowest
     /// number.

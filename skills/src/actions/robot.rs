@@ -4,10 +4,11 @@ use super::goal::{Goal, GoalId, GoalStatus};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, WorldTime};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// State report of a robot.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Telemetry {
     /// Time, on the world's clock.
     pub time: WorldTime,

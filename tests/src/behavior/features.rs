@@ -26,9 +26,9 @@ impl ScenarioFilter {
     /// Parses a tag expression.
     ///
     /// # Errors
-    /// Description of the problem.
-    pub fn tags(text: &str) -> Result<TagOperation, String> {
-        text.parse().map_err(|_| format!("{text:?} is no expression over tags, as \"@nurse and not @slow\""))
+    /// The text is no tag expression.
+    pub fn tags(text: &str) -> Result<TagOperation, TagExpressionError> {
+        text.parse().map_err(|_| TagExpressionError(text.to_owned()))
     }
 
     fn admits(&self, feature: &Feature, tags: &[String], scenario: &Scenario) -> bool {
@@ -37,6 +37,11 @@ impl ScenarioFilter {
         named && self.tags.as_ref().is_none_or(|wanted| wanted.eval(all()))
     }
 }
+
+/// Rejected tag expression.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no expression over tags, as \"@nurse and not @slow\"")]
+pub struct TagExpressionError(pub String);
 
 /// Problems in feature files, each with file and line.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -67,7 +72,7 @@ impl Features {
                     bad.extend(check(file, &feature));
                     features.push(feature);
                 }
-                Err(problem) => bad.push(problem),
+                Err(errors) => bad.extend(errors.0),
             }
         }
         if bad.is_empty() && features.is_empty() {
@@ -116,16 +121,17 @@ fn find(path: &Path, named: bool, files: &mut Vec<PathBuf>) -> std::io::Result<(
     Ok(())
 }
 
-fn read(file: &Path) -> Result<Feature, String> {
+fn read(file: &Path) -> Result<Feature, FeatureErrors> {
+    let single = |problem: String| FeatureErrors(vec![problem]);
     let shown = file.display();
     let feature = Feature::parse_path(file, GherkinEnv::default()).map_err(|problem| match problem {
-        ParseFileError::Reading { source, .. } => format!("{shown}: {source}"),
+        ParseFileError::Reading { source, .. } => single(format!("{shown}: {source}")),
         ParseFileError::Parsing { error, source, .. } => {
             let error = error.map(|error| format!(" ({error})")).unwrap_or_default();
-            format!("{shown}: no feature in Gherkin{error}: {source}")
+            single(format!("{shown}: no feature in Gherkin{error}: {source}"))
         }
     })?;
-    feature.expand_examples().map_err(|problem| format!("{shown}: {problem}"))
+    feature.expand_examples().map_err(|problem| single(format!("{shown}: {problem}")))
 }
 
 /// Returns the unknown steps. The rows of an outline share a line, so each line is reported once.

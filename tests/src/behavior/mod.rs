@@ -43,7 +43,7 @@ mod step_pattern;
 mod step_registry;
 mod step_result;
 
-pub use features::{FeatureErrors, Features, ScenarioFilter};
+pub use features::{FeatureErrors, Features, ScenarioFilter, TagExpressionError};
 pub use report::FeatureOutcome;
 pub use run::{RunOptions, run};
 pub use step_registry::{StepDoc, step_docs};

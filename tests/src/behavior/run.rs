@@ -82,7 +82,14 @@ impl parser::Parser<Features> for Read {
 struct ScenarioThread(Option<mpsc::Sender<Job>>);
 
 /// A step to execute, or `None` after the last step; and the channel for its result.
-struct Job(Option<Step>, oneshot::Sender<Result<(), String>>);
+struct Job(Option<Step>, oneshot::Sender<StepOutcome>);
+
+/// Result of a step, or of the end of a scenario.
+enum StepOutcome {
+    Passed,
+    /// Text for the person who reads the report.
+    Failed(String),
+}
 
 impl World for ScenarioThread {
     type Error = std::convert::Infallible;
@@ -112,7 +119,7 @@ fn run_scenario(folder: PathBuf, seed: u64, jobs: &mpsc::Receiver<Job>) {
     for Job(step, answer) in jobs {
         let Some(step) = step else {
             // The receiver may be gone; the result is not needed then.
-            let _ = answer.send(fixture.unfinished().map_or(Ok(()), Err));
+            let _ = answer.send(fixture.unfinished().map_or(StepOutcome::Passed, StepOutcome::Failed));
             return;
         };
         let meaning = StepRegistry::get().read(&step);
@@ -122,9 +129,9 @@ fn run_scenario(folder: PathBuf, seed: u64, jobs: &mpsc::Receiver<Job>) {
             })
         });
         let outcome = match played {
-            Err(problem) => Err(problem),
-            Ok(Ok(())) => Ok(()),
-            Ok(Err(failure)) => Err(failure_text(&step, &failure, &fixture)),
+            Err(problem) => StepOutcome::Failed(problem.to_string()),
+            Ok(Ok(())) => StepOutcome::Passed,
+            Ok(Err(failure)) => StepOutcome::Failed(failure_text(&step, &failure, &fixture)),
         };
         if answer.send(outcome).is_err() {
             return;
@@ -163,8 +170,8 @@ impl ScenarioThread {
         let sent = jobs.send(Job(step, answer)).is_ok();
         let outcome = if sent { result.await.ok() } else { None };
         match outcome {
-            Some(Ok(())) => {}
-            Some(Err(why)) => resume_unwind(Box::new(why)),
+            Some(StepOutcome::Passed) => {}
+            Some(StepOutcome::Failed(why)) => resume_unwind(Box::new(why)),
             None => resume_unwind(Box::new("the scenario's thread has ended".to_owned())),
         }
     }

@@ -63,7 +63,7 @@ impl StepRegistry {
     ///
     /// # Errors
     /// The step is unknown or ambiguous.
-    pub(super) fn read(&'static self, step: &Step) -> Result<StepMeaning, String> {
+    pub(super) fn read(&'static self, step: &Step) -> Result<StepMeaning, UnresolvedStep> {
         let text = step.value.trim();
         let more = |values| StepArguments {
             values,
@@ -120,8 +120,8 @@ impl StepRegistry {
         }
         match candidates.len() {
             1 => Ok(candidates.remove(0)),
-            0 => Err(format!("unknown step; similar steps are\n{}", self.nearest(step))),
-            many => Err(format!("this step is ambiguous: {many} patterns match")),
+            0 => Err(UnresolvedStep::Unknown { similar: self.nearest(step) }),
+            patterns => Err(UnresolvedStep::Ambiguous { patterns }),
         }
     }
 
@@ -140,6 +140,15 @@ impl StepRegistry {
         let lines: Vec<String> = near.into_iter().take(3).map(|(_, example)| format!("    {example}")).collect();
         lines.join("\n")
     }
+}
+
+/// Reason why a step has no meaning.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum UnresolvedStep {
+    #[error("unknown step; similar steps are\n{similar}")]
+    Unknown { similar: String },
+    #[error("this step is ambiguous: {patterns} patterns match")]
+    Ambiguous { patterns: usize },
 }
 
 /// Parses a time after a word. Returns the time in seconds and the rest of the text.

@@ -8,9 +8,8 @@
 //! after shrinking.
 //!
 //! Limits: a pause leaves the timers of a node running, unlike a stopped process. Disks lose whole
-//! writes and never return
-//! other bytes than were written. The bus is not Zenoh. Other tests use real processes, real files
-//! and real hosts.
+//! writes and never return other bytes than were written. The bus is not Zenoh. Other tests use
+//! real processes, real files and real hosts.
 
 pub mod chaos_fleet;
 mod executor;
@@ -22,6 +21,7 @@ pub mod mutation_checks;
 pub mod run;
 pub(crate) mod run_counters;
 pub(crate) mod schedule;
+mod schedule_check;
 pub mod scoreboard;
 pub mod seed_sweep;
 pub mod shrink;
@@ -29,6 +29,7 @@ pub mod shrink;
 pub use chaos_fleet::ChaosFleet;
 pub use generate::generate;
 pub use run::{RunConfig, RunOutcome, Violation, run};
-pub use schedule::{ChaosAction, FaultKind, Schedule, ScheduledAction};
+pub use schedule::{ChaosAction, FaultKind, Schedule, ScheduledAction, UnknownFaultKind};
+pub use schedule_check::{ScheduleError, ScheduleProblem};
 pub use seed_sweep::SeedSweep;
 pub use shrink::shrink;

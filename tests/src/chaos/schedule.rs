@@ -1,6 +1,6 @@
 //! Schedules of actions as plain data that can be stored, shrunk and replayed.
 
-use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS};
+use super::chaos_fleet::MISSIONS;
 use crate::disk::UnsyncedWrites;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Display};
@@ -246,16 +246,26 @@ impl FaultKind {
 }
 
 impl std::str::FromStr for FaultKind {
-    type Err = String;
+    type Err = UnknownFaultKind;
 
-    fn from_str(name: &str) -> Result<FaultKind, String> {
-        let known = || [FaultKind::None].into_iter().chain(FaultKind::FAULTS);
-        known().find(|kind| kind.name() == name).ok_or_else(|| {
-            let names: Vec<_> = known().map(FaultKind::name).collect();
-            format!("no kind of fault is called {name:?}; there are {}", names.join(", "))
-        })
+    fn from_str(name: &str) -> Result<FaultKind, UnknownFaultKind> {
+        let mut known = [FaultKind::None].into_iter().chain(FaultKind::FAULTS);
+        known.find(|kind| kind.name() == name).ok_or_else(|| UnknownFaultKind(name.to_owned()))
     }
 }
+
+/// Name that is no kind of fault.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UnknownFaultKind(pub String);
+
+impl Display for UnknownFaultKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names: Vec<_> = [FaultKind::None].into_iter().chain(FaultKind::FAULTS).map(FaultKind::name).collect();
+        write!(f, "no kind of fault is called {:?}; there are {}", self.0, names.join(", "))
+    }
+}
+
+impl std::error::Error for UnknownFaultKind {}
 
 impl ChaosAction {
     /// Returns the duration in milliseconds; `None` for an instantaneous action.
@@ -304,57 +314,6 @@ impl ChaosAction {
 }
 
 impl Schedule {
-    /// Checks that the fleet contains everything that the schedule names.
-    ///
-    /// # Errors
-    /// Description of the unknown name, with the known names.
-    pub fn check(&self, composition: &ChaosFleet) -> Result<(), String> {
-        let nodes = composition.nodes();
-        let robots: Vec<&str> = composition.carriers.iter().copied().chain([ARM]).collect();
-        let check_known = |step: &ScheduledAction, name: &str, known: &[&str], extra: &[&str]| {
-            let known: Vec<&str> = known.iter().chain(extra).copied().collect();
-            if known.contains(&name) {
-                return Ok(());
-            }
-            Err(format!("at {} ms: {name:?} is not known; there are {}", step.at_ms, known.join(", ")))
-        };
-        for step in &self.steps {
-            match &step.action {
-                ChaosAction::Submit { room, mission, .. } => {
-                    check_known(step, room, &ROOMS, &[])?;
-                    check_known(step, mission, &MISSIONS, &[])?;
-                }
-                ChaosAction::Cancel { .. } | ChaosAction::Blackout { .. } => {}
-                ChaosAction::Crash { node, .. } => check_known(step, node, &nodes, &["coordinator"])?,
-                ChaosAction::Pause { node, .. } | ChaosAction::SlowDisk { node, .. } => {
-                    check_known(step, node, &nodes, &[])?;
-                }
-                ChaosAction::Partition { groups, .. } => {
-                    groups.iter().flatten().try_for_each(|node| check_known(step, node, &nodes, &["client"]))?;
-                }
-                ChaosAction::Cut { from, to, .. } => {
-                    check_known(step, from, &nodes, &["client", "*"])?;
-                    check_known(step, to, &nodes, &["client", "*"])?;
-                }
-                ChaosAction::Weather { loss, duplication, reordering, .. } => {
-                    if ![loss, duplication, reordering].into_iter().all(|share| (0.0..=1.0).contains(share)) {
-                        return Err(format!("at {} ms: a share lies between 0 and 1", step.at_ms));
-                    }
-                }
-                ChaosAction::Drift { node, rate } => {
-                    check_known(step, node, &nodes, &[])?;
-                    if !(0.5..=2.0).contains(rate) {
-                        return Err(format!("at {} ms: a clock rate must be from 0.5 to 2", step.at_ms));
-                    }
-                }
-                ChaosAction::Battery { robot } | ChaosAction::Skill { robot, .. } => {
-                    check_known(step, robot, &robots, &[])?;
-                }
-            }
-        }
-        Ok(())
-    }
-
     /// Sorts the actions by time; actions of the same instant keep their order.
     #[must_use]
     pub fn in_order(mut self) -> Schedule {

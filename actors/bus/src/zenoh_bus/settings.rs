@@ -11,6 +11,7 @@ use std::time::Duration;
 /// follows. With the parameter `back=ID` the reply states whether the node with that id replied to
 /// a query in turn.
 pub(super) const LINK_CHECK: &str = "consort-link-check";
+
 /// Role of a node towards its neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Mode {

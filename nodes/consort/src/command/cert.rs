@@ -6,7 +6,6 @@ use crate::output;
 use consort_protocol::ids::{FleetId, NodeId, PersonId};
 use consort_protocol::trust::{AccessScope, Identity, NodeRole, Principal};
 use consort_text::count;
-use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// Make, renew and revoke the certificates of a fleet
@@ -166,8 +165,7 @@ fn print_issued(folder: &Path, identity: &Identity, days: u32) -> Result<(), Fai
 
 fn show(entries: &[CertificateEntry], json: bool) -> Result<(), Failure> {
     if json {
-        let entries: Vec<_> = entries.iter().map(to_json).collect();
-        return output::line(json!(entries));
+        return output::json(&entries.iter().map(CertificateLine::of).collect::<Vec<_>>());
     }
     let mut rows = vec![["NAME", "PRINCIPAL", "VALID FOR", "SERIAL"].map(str::to_owned).to_vec()];
     rows.extend(entries.iter().map(|entry| {
@@ -181,16 +179,37 @@ fn show(entries: &[CertificateEntry], json: bool) -> Result<(), Failure> {
     output::line(output::table(&rows))
 }
 
-fn to_json(entry: &CertificateEntry) -> serde_json::Value {
-    let (state, days) = match entry.state {
-        CertificateState::Valid { days } => ("valid", Some(days)),
-        CertificateState::Expired => ("expired", None),
-        CertificateState::Revoked => ("revoked", None),
-    };
-    json!({
-        "name": entry.name, "identity": entry.identity.to_string(), "addresses": entry.addresses,
-        "state": state, "days_left": days, "valid_until_s": entry.expires.as_secs(), "serial": hex(&entry.serial),
-    })
+/// A certificate, as `--json` prints it.
+#[derive(serde::Serialize)]
+struct CertificateLine<'a> {
+    name: &'a str,
+    identity: String,
+    addresses: &'a [String],
+    /// `valid`, `expired` or `revoked`.
+    state: &'static str,
+    days_left: Option<u64>,
+    valid_until_s: u64,
+    /// Hexadecimal.
+    serial: String,
+}
+
+impl CertificateLine<'_> {
+    fn of(entry: &CertificateEntry) -> CertificateLine<'_> {
+        let (state, days_left) = match entry.state {
+            CertificateState::Valid { days } => ("valid", Some(days)),
+            CertificateState::Expired => ("expired", None),
+            CertificateState::Revoked => ("revoked", None),
+        };
+        CertificateLine {
+            name: &entry.name,
+            identity: entry.identity.to_string(),
+            addresses: &entry.addresses,
+            state,
+            days_left,
+            valid_until_s: entry.expires.as_secs(),
+            serial: hex(&entry.serial),
+        }
+    }
 }
 
 fn hex(bytes: &[u8]) -> String {

@@ -6,7 +6,6 @@ use crate::exit::Failure;
 use crate::extensions::Extensions;
 use crate::output;
 use consort_text::count;
-use serde_json::json;
 use std::path::PathBuf;
 
 /// Find the reason why a node does not reach its fleet, and suggest a remedy
@@ -48,7 +47,7 @@ pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     });
     printed?;
     if args.json {
-        output::line(json!(findings))?;
+        output::json(&findings)?;
     }
     let number = |state| findings.iter().filter(|finding| finding.state == state).count();
     match number(Severity::Error) {

@@ -137,7 +137,7 @@ fn mission(
             bids: bids.iter().map(|bid| BidLine { bid, parts: &bid.parts }).collect(),
             selected: result.holders.get(role),
         });
-        json(&MissionLine {
+        output::json(&MissionLine {
             mission: template.name().as_str(),
             parameters: given,
             roles: roles.collect(),
@@ -172,7 +172,7 @@ fn scenarios(
         let result = simulate_auction(&division, &roles, &scenario.workers, equipment, limits);
         if args.json {
             for (role, bids) in &result.bids {
-                json(&ScenarioLine { code: &scenario.code, bids, selected: result.holders.get(role) })?;
+                output::json(&ScenarioLine { code: &scenario.code, bids, selected: result.holders.get(role) })?;
             }
         } else {
             output::line(format_args!("{}: {}, room = {}", scenario.code, template.name(), scenario.room))?;
@@ -207,10 +207,6 @@ fn wanted(
             Err(Failure::Usage(format!("mission {} has no managed role {role}; there are {known}", mission.name)))
         }
     }
-}
-
-fn json(value: &impl Serialize) -> Result<(), Failure> {
-    output::line(serde_json::to_string(value).expect("it consists of texts and numbers"))
 }
 
 /// Formats every bid for every role, the fastest first, and the assignment.

@@ -5,8 +5,8 @@ use crate::exit::Failure;
 use crate::output;
 use consort_protocol::keys::Key;
 use consort_protocol::view::{CoordinatorView, FleetView, NodeStatus, NodeView, WithProvenance};
-use serde::Deserialize;
-use serde_json::json;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 /// Show the nodes of a fleet and its coordinator
 ///
@@ -21,11 +21,12 @@ pub struct Args {
     ask: QueryFlags,
 }
 
-/// The views that the command shows.
-#[derive(Deserialize)]
-struct FleetStatus {
-    fleet: FleetView,
-    coordinator: WithProvenance<CoordinatorView>,
+/// The views that the command shows. With `--json`, fields that a newer node has added are printed
+/// as well, so the views are passed on as they are.
+#[derive(Serialize, Deserialize)]
+struct FleetStatus<Fleet = FleetView, Coordinator = WithProvenance<CoordinatorView>> {
+    fleet: Fleet,
+    coordinator: Coordinator,
 }
 
 /// Runs the command.
@@ -36,7 +37,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let look = async |client: &mut Client| {
         let fleet = client.query_view(&Key::ViewFleet).await?;
         let coordinator = client.query_view(&Key::ViewCoordinator).await?;
-        Ok(json!({ "fleet": fleet, "coordinator": coordinator }))
+        Ok(output::to_value(&FleetStatus::<Value, Value> { fleet, coordinator }))
     };
     args.ask.print(look, format_fleet)
 }

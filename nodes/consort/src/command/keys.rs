@@ -3,8 +3,8 @@
 use crate::config::DEFAULT_FLEET;
 use crate::exit::Failure;
 use crate::output;
-use consort_protocol::keys::{KeyInfo, TABLE};
-use serde_json::json;
+use consort_protocol::keys::{KeyInfo, KeyUsage, TABLE};
+use serde::Serialize;
 
 /// List every key that a fleet uses on Zenoh
 ///
@@ -25,6 +25,22 @@ pub struct Args {
     json: bool,
 }
 
+/// The table of keys, as `--json` prints it.
+#[derive(Serialize)]
+struct KeyTable {
+    keys: Vec<KeyLine>,
+}
+
+#[derive(Serialize)]
+struct KeyLine {
+    key: String,
+    owner: &'static str,
+    usage: KeyUsage,
+    /// `null` if the key has no content.
+    encoding: Option<&'static str>,
+    what: &'static str,
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -32,23 +48,21 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let key = |about: &KeyInfo| format!("consort/{}/{}", args.fleet, about.pattern);
     if args.json {
-        let keys = TABLE.iter().map(|about| {
-            json!({
-                "key": key(about),
-                "who": about.who,
-                "usage": about.usage,
-                "encoding": Some(about.encoding).filter(|encoding| !encoding.is_empty()),
-                "what": about.what,
-            })
+        let keys = TABLE.iter().map(|about| KeyLine {
+            key: key(about),
+            owner: about.owner,
+            usage: about.usage,
+            encoding: Some(about.encoding).filter(|encoding| !encoding.is_empty()),
+            what: about.what,
         });
-        return output::line(json!({ "keys": keys.collect::<Vec<_>>() }));
+        return output::json(&KeyTable { keys: keys.collect() });
     }
     let heads = ["KEY", "OWNER", "", "ENCODING", "DESCRIPTION"].map(str::to_owned).to_vec();
     let rows = TABLE.iter().map(|about| {
         let encoding = if about.encoding.is_empty() { "-" } else { about.encoding };
         vec![
             key(about),
-            about.who.to_owned(),
+            about.owner.to_owned(),
             about.usage.as_str().to_owned(),
             encoding.to_owned(),
             about.what.to_owned(),

@@ -75,7 +75,7 @@ async fn watch(client: &mut Client, in_json: bool) -> Result<(), Failure> {
             if shown.get(&mission.brief.mission) != Some(&mission) {
                 client.progress().clear();
                 if in_json {
-                    output::line(serde_json::to_value(&mission).expect("a summary serializes to JSON"))?;
+                    output::json(&mission)?;
                 } else {
                     output::line(row(&mission).join("  ").trim_end())?;
                 }

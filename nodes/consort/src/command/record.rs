@@ -13,7 +13,7 @@ use consort_dashboard::subscriber::subscribe_fleet;
 use consort_text::count;
 use consort_world::record::foxglove::ExistingFile;
 use indicatif::HumanBytes;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::JoinSet;
@@ -59,6 +59,13 @@ const LOOK: Duration = Duration::from_millis(250);
 /// Name of the observing node in the fleet model.
 const NAME: &str = "recorder";
 
+/// A finished recording, as `--json` prints it.
+#[derive(serde::Serialize)]
+struct RecordResult<'a> {
+    file: &'a Path,
+    recorded: &'a RecordingStats,
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -84,7 +91,7 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
         ended.map(|()| recorded)
     })?;
     match json {
-        true => output::line(serde_json::json!({ "file": out, "recorded": recorded })),
+        true => output::json(&RecordResult { file: &out, recorded: &recorded }),
         false => output::line(format_args!("{}: {}", out.display(), format_stats(&recorded))),
     }
 }

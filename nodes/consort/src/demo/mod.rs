@@ -10,6 +10,7 @@
 //!
 //! The runner and the reporter do not depend on the kind of fleet.
 
+mod events;
 mod fleet;
 mod process_fleet;
 mod reporter;

@@ -1,5 +1,6 @@
 //! Reports the demo: a timeline with progress bars for people, or a line of JSON for each event.
 
+use super::events::{DemoEvent, TimedEvent};
 use super::scenario::DemoScenario;
 use crate::exit::Failure;
 use crate::output;
@@ -9,7 +10,7 @@ use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::{MissionId, RoleId, TaskId};
 use consort_text::count;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
-use serde_json::{Value, json};
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::time::Duration;
@@ -42,7 +43,7 @@ impl DemoReporter {
     /// Reports the start of the demo.
     pub(super) fn begin(&self, introduction: &str) -> Result<(), Failure> {
         if self.json {
-            return self.print(json!({ "event": "demo_started", "fleet": introduction }).to_string());
+            return self.print_json(&DemoEvent::Started { fleet: introduction.to_owned() });
         }
         self.print(format!("Consort demo: {introduction}\n{}", self.scenario))
     }
@@ -50,9 +51,7 @@ impl DemoReporter {
     /// Reports an event of the fleet.
     pub(super) fn event(&mut self, at: Duration, event: &Event) -> Result<(), Failure> {
         if self.json {
-            let mut value = serde_json::to_value(event).unwrap_or(Value::Null);
-            value["t_s"] = json!(seconds(at));
-            return self.print(value.to_string());
+            return self.print_json(&TimedEvent { event, t_s: seconds(at) });
         }
         let node = &event.node;
         let task = |role: &RoleId, text: String| self.print_timed(at, "task", format!("{node:10} {role:8} {text}"));
@@ -80,22 +79,20 @@ impl DemoReporter {
     }
 
     /// Reports an action of the demo itself.
-    pub(super) fn demo_event(&self, at: Duration, label: &str, text: &str, value: Value) -> Result<(), Failure> {
+    pub(super) fn demo_event(&self, at: Duration, label: &str, text: &str, event: DemoEvent) -> Result<(), Failure> {
         if self.json {
-            let mut value = value;
-            value["t_s"] = json!(seconds(at));
-            return self.print(value.to_string());
+            return self.print_json(&TimedEvent { event, t_s: seconds(at) });
         }
         self.print_timed(at, label, text.to_owned())
     }
 
     /// Reports the result.
-    pub(super) fn summary(&self, rows: &[Vec<String>], words: &[String], value: &Value) -> Result<(), Failure> {
+    pub(super) fn summary(&self, rows: &[Vec<String>], words: &[String], summary: DemoEvent) -> Result<(), Failure> {
         for bar in self.missions.values() {
             bar.finish_and_clear();
         }
         if self.json {
-            return self.print(value.to_string());
+            return self.print_json(&summary);
         }
         self.print(format!("\n{}\n", output::table(rows)))?;
         words.iter().try_for_each(|line| self.print(line.clone()))
@@ -145,6 +142,10 @@ impl DemoReporter {
 
     fn print_timed(&self, at: Duration, label: &str, text: String) -> Result<(), Failure> {
         self.print(format!("{:8.3}   {label:11} {text}", seconds(at)))
+    }
+
+    fn print_json(&self, line: &impl Serialize) -> Result<(), Failure> {
+        self.print(serde_json::to_string(line).expect("events are plain data"))
     }
 
     fn print(&self, text: String) -> Result<(), Failure> {

@@ -1,6 +1,7 @@
 //! The demo's sequence: wait for a coordinator, submit, kill the coordinator during the mission,
 //! wait for the end, check the samples' places.
 
+use super::events::{DemoEvent, DemoSummary, MissionResult, Takeover};
 use super::fleet::DemoFleet;
 use super::reporter::DemoReporter;
 use super::scenario::DemoScenario;
@@ -19,7 +20,7 @@ use consort_protocol::view::{CoordinatorView, MissionsView};
 use consort_text::count;
 use consort_world::world::WorldReport;
 use serde::Deserialize;
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -53,7 +54,8 @@ pub(super) struct DemoRunner<S> {
     coordinator: Option<NodeId>,
     /// Time of the kill, and the killed node.
     killed: Option<(Duration, NodeId)>,
-    takeover: Option<(Duration, NodeId, Duration)>,
+    /// Time of the takeover, and the takeover.
+    takeover: Option<(Duration, Takeover)>,
     restarted: bool,
     missions: BTreeMap<MissionId, MissionProgress>,
     /// The dashboard, served as long as the demo runs.
@@ -119,7 +121,7 @@ impl<S: DemoFleet> DemoRunner<S> {
         if outcome.is_ok() && self.options.keep_running {
             let at = self.fleet.elapsed();
             let words = "the fleet runs until Ctrl-C";
-            outcome = self.reporter.demo_event(at, "running", words, json!({ "event": "demo_keeps_running" }));
+            outcome = self.reporter.demo_event(at, "running", words, DemoEvent::KeepsRunning);
             self.fleet.interrupted().await;
         }
         self.fleet.shut_down().await;
@@ -135,7 +137,7 @@ impl<S: DemoFleet> DemoRunner<S> {
         self.reporter.begin(&self.fleet.description())?;
         if let Some(dashboard) = &self.dashboard {
             let (at, url) = (self.fleet.elapsed(), dashboard.url());
-            self.reporter.demo_event(at, "dashboard", &url, json!({ "event": "demo_dashboard", "url": url }))?;
+            self.reporter.demo_event(at, "dashboard", &url, DemoEvent::Dashboard { url: url.clone() })?;
         }
         self.await_coordinator(&mut events).await?;
         self.submit_all(&mut events).await?;
@@ -269,7 +271,7 @@ impl<S: DemoFleet> DemoRunner<S> {
         let at = self.fleet.elapsed();
         self.killed = Some((at, victim.clone()));
         let words = format!("SIGKILL to {victim}, the coordinator");
-        self.reporter.demo_event(at, "KILL", &words, json!({ "event": "demo_killed", "node": victim }))?;
+        self.reporter.demo_event(at, "KILL", &words, DemoEvent::Killed { node: victim.clone() })?;
         self.fleet.kill(&victim).await
     }
 
@@ -278,16 +280,15 @@ impl<S: DemoFleet> DemoRunner<S> {
         if self.takeover.is_some() || node == victim {
             return Ok(());
         }
-        let took = at.saturating_sub(*killed_at);
-        let ms = took.as_secs_f64() * 1000.0;
-        let words = format!("{node} is the coordinator {ms:.0} ms after the kill");
-        let value = json!({ "event": "demo_takeover", "node": node, "after_ms": ms });
-        self.takeover = Some((at, node.clone(), took));
-        self.reporter.demo_event(at, "TAKEOVER", &words, value)
+        let after_ms = at.saturating_sub(*killed_at).as_secs_f64() * 1000.0;
+        let words = format!("{node} is the coordinator {after_ms:.0} ms after the kill");
+        let takeover = Takeover { node: node.clone(), after_ms };
+        self.takeover = Some((at, takeover.clone()));
+        self.reporter.demo_event(at, "TAKEOVER", &words, DemoEvent::Takeover(takeover))
     }
 
     async fn restart_killed_node(&mut self) -> Result<(), Failure> {
-        let (Some((_, victim)), Some((at, _, _))) = (&self.killed, &self.takeover) else { return Ok(()) };
+        let (Some((_, victim)), Some((at, _))) = (&self.killed, &self.takeover) else { return Ok(()) };
         let now = self.fleet.elapsed();
         if self.restarted || now < *at + RESTART_AFTER {
             return Ok(());
@@ -295,7 +296,7 @@ impl<S: DemoFleet> DemoRunner<S> {
         self.restarted = true;
         let victim = victim.clone();
         let words = format!("{victim} is started again");
-        self.reporter.demo_event(now, "restart", &words, json!({ "event": "demo_restarted", "node": victim }))?;
+        self.reporter.demo_event(now, "restart", &words, DemoEvent::Restarted { node: victim.clone() })?;
         self.fleet.restart(&victim).await
     }
 
@@ -330,15 +331,15 @@ impl<S: DemoFleet> DemoRunner<S> {
             "{completed} of {all} missions completed; {delivered} of {} samples in the laboratory",
             samples.len()
         ));
-        let takeover = self
-            .takeover
-            .as_ref()
-            .map(|(_, node, took)| json!({ "node": node, "after_ms": took.as_secs_f64() * 1000.0 }));
-        let value = json!({
-            "event": "demo_summary", "missions": missions, "completed": completed, "samples": samples.len(),
-            "delivered": delivered, "killed": self.killed.as_ref().map(|(_, node)| node), "takeover": takeover,
-        });
-        self.reporter.summary(&rows, &words, &value)?;
+        let summary = DemoSummary {
+            missions,
+            completed,
+            samples: samples.len(),
+            delivered,
+            killed: self.killed.as_ref().map(|(_, node)| node.clone()),
+            takeover: self.takeover.as_ref().map(|(_, takeover)| takeover.clone()),
+        };
+        self.reporter.summary(&rows, &words, DemoEvent::Summary(summary))?;
         let no_takeover = self.killed.is_some() && self.takeover.is_none();
         if completed == all && delivered == samples.len() && !no_takeover {
             return Ok(());
@@ -347,7 +348,7 @@ impl<S: DemoFleet> DemoRunner<S> {
     }
 
     /// Returns the result of each mission: a table for people, and the same for programs.
-    fn table(&self) -> (Vec<Vec<String>>, Vec<Value>) {
+    fn table(&self) -> (Vec<Vec<String>>, Vec<MissionResult>) {
         let heads = ["mission", "room", "outcome", "award", "took", "auctions", "roles"];
         let mut rows = vec![heads.map(str::to_owned).to_vec()];
         let mut missions = vec![];
@@ -357,21 +358,26 @@ impl<S: DemoFleet> DemoRunner<S> {
                 None => ("unknown", Duration::ZERO),
             };
             let award = progress.award_ms.map_or_else(|| "-".to_owned(), |ms| format!("{ms:.1} ms"));
-            let took = took.as_secs_f64();
+            let took_s = took.as_secs_f64();
             let row = [
                 mission.as_str(),
                 &progress.room,
                 outcome,
                 &award,
-                &format!("{took:.1} s"),
+                &format!("{took_s:.1} s"),
                 &progress.auctions.to_string(),
                 &progress.holders,
             ];
             rows.push(row.map(str::to_owned).to_vec());
-            missions.push(json!({
-                "mission": mission, "room": progress.room, "outcome": outcome, "award_ms": progress.award_ms,
-                "took_s": took, "auctions": progress.auctions, "holders": progress.holders,
-            }));
+            missions.push(MissionResult {
+                mission: mission.clone(),
+                room: progress.room.clone(),
+                outcome,
+                award_ms: progress.award_ms,
+                took_s,
+                auctions: progress.auctions,
+                holders: progress.holders.clone(),
+            });
         }
         (rows, missions)
     }
@@ -380,9 +386,8 @@ impl<S: DemoFleet> DemoRunner<S> {
     fn takeover_in_words(&self) -> Option<String> {
         let (_, victim) = self.killed.as_ref()?;
         Some(match &self.takeover {
-            Some((_, node, took)) => {
-                let ms = took.as_secs_f64() * 1000.0;
-                format!("coordinator {victim} killed; {node} took over within {ms:.0} ms")
+            Some((_, Takeover { node, after_ms })) => {
+                format!("coordinator {victim} killed; {node} took over within {after_ms:.0} ms")
             }
             None => format!("coordinator {victim} killed; no takeover was received"),
         })

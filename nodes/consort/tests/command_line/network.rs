@@ -26,7 +26,7 @@ fn the_key_list_matches_the_key_module() {
     for (line, about) in lines.iter().zip(TABLE) {
         let key = format!("consort/north/{}", about.pattern);
         assert_eq!(line.split_whitespace().next(), Some(key.as_str()), "{line}");
-        assert!(line.contains(about.who) && line.contains(about.what), "{line}");
+        assert!(line.contains(about.owner) && line.contains(about.what), "{line}");
     }
     let ran = run(&["keys", "--json"]);
     let keys: serde_json::Value = serde_json::from_str(&ran.out).expect("JSON");

@@ -80,11 +80,11 @@ fn task_types() -> String {
 }
 
 fn keys() -> String {
-    let mut text = "| key | who | how | encoding | what |\n|---|---|---|---|---|\n".to_owned();
+    let mut text = "| key | owner | usage | encoding | what |\n|---|---|---|---|---|\n".to_owned();
     for about in TABLE {
         let encoding = if about.encoding.is_empty() { "–".to_owned() } else { format!("`{}`", about.encoding) };
-        let (pattern, who, how, what) = (about.pattern, about.who, about.usage.as_str(), about.what);
-        writeln!(text, "| `{pattern}` | {who} | {how} | {encoding} | {what} |").expect("text grows");
+        let (pattern, owner, usage, what) = (about.pattern, about.owner, about.usage.as_str(), about.what);
+        writeln!(text, "| `{pattern}` | {owner} | {usage} | {encoding} | {what} |").expect("text grows");
     }
     text
 }

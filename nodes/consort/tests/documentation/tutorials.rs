@@ -79,7 +79,7 @@ fn the_skill_tutorial_works() {
 #[test]
 fn the_map_tutorial_works() {
     let folder = run_page(&tutorial("map"), &[]);
-    assert!(std::fs::metadata(folder.join("ward.png")).expect("the picture of the page").len() > 1000);
+    assert!(std::fs::metadata(folder.join("ward.svg")).expect("the picture of the page").len() > 1000);
 }
 
 #[test]

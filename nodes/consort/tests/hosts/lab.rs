@@ -9,8 +9,8 @@
 //! ```
 //!
 //! The namespaces belong to a user namespace of the test, so no privileges are needed where
-//! unprivileged user namespaces
-//! are allowed. All of it ends with the first process in the namespace.
+//! unprivileged user namespaces are allowed. All of it ends with the first process in the
+//! namespace.
 
 use crate::slots::Slot;
 use crate::support::{Client, Ended, Folder, LONG, Program, skip, until};

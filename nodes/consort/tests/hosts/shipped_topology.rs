@@ -1,6 +1,5 @@
 //! Machines of a shipped topology: each with the addresses of the documentation, and with a node
-//! started from the shipped
-//! file and unit.
+//! started from the shipped file and unit.
 //!
 //! ```text
 //!   north-1 ── 10.1.0.1 ── north ── 10.1.0.4 ── ada        a network is a bridge, without forwarding between networks
@@ -8,8 +7,7 @@
 //! ```
 //!
 //! `/etc/consort` of a machine is a folder of the test with copies of the files, `/var/lib/consort`
-//! is another folder; host
-//! names are in `/etc/hosts`.
+//! is another folder; host names are in `/etc/hosts`.
 
 use crate::lab::{ip, run, within};
 use crate::support::{Ended, Folder, LONG, Program, until};

@@ -24,9 +24,9 @@ fn ward() -> FleetId {
 }
 
 /// Opens a plain Zenoh client with or without a certificate.
-fn session(address: &str, certs: Option<&Path>) -> Result<zenoh::Session, String> {
+fn session(address: &str, certs: Option<&Path>) -> zenoh::Result<zenoh::Session> {
     use zenoh::Wait;
-    zenoh::open(config(address, certs)).wait().map_err(|problem| problem.to_string())
+    zenoh::open(config(address, certs)).wait()
 }
 
 fn threads() -> tokio::runtime::Runtime {

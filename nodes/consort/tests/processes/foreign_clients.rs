@@ -8,7 +8,7 @@ use crate::support::{Client, LONG, hospital, skip, until};
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::fs;
-use std::io::{BufRead as _, BufReader};
+use std::io::{self, BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
@@ -17,8 +17,8 @@ use std::sync::OnceLock;
 const PACKAGES: [&str; 3] = ["eclipse-zenoh==1.10.2", "zenoh-cli==0.7.0", "mcap==1.6.0"];
 
 /// Returns the folder with the programs of the clients, or the reason why there is none.
-fn clients() -> &'static Result<PathBuf, String> {
-    static CLIENTS: OnceLock<Result<PathBuf, String>> = OnceLock::new();
+fn clients() -> &'static io::Result<PathBuf> {
+    static CLIENTS: OnceLock<io::Result<PathBuf>> = OnceLock::new();
     CLIENTS.get_or_init(|| {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("foreign-clients");
         let done = folder.join(PACKAGES.join("+"));
@@ -28,18 +28,21 @@ fn clients() -> &'static Result<PathBuf, String> {
             run(pip
                 .args(["install", "--quiet", "--disable-pip-version-check", "--timeout", "20", "--retries", "1"])
                 .args(PACKAGES))?;
-            fs::write(&done, "").map_err(|problem| problem.to_string())?;
+            fs::write(&done, "")?;
         }
         Ok(folder.join("bin"))
     })
 }
 
-fn run(command: &mut Command) -> Result<String, String> {
+fn run(command: &mut Command) -> io::Result<String> {
     let what = format!("{command:?}");
-    let ended = command.stdin(Stdio::null()).output().map_err(|problem| format!("{what}: {problem}"))?;
+    let ended = command
+        .stdin(Stdio::null())
+        .output()
+        .map_err(|problem| io::Error::new(problem.kind(), format!("{what}: {problem}")))?;
     match ended.status.success() {
         true => Ok(String::from_utf8_lossy(&ended.stdout).into_owned()),
-        false => Err(format!("{what}: {}", String::from_utf8_lossy(&ended.stderr).trim())),
+        false => Err(io::Error::other(format!("{what}: {}", String::from_utf8_lossy(&ended.stderr).trim()))),
     }
 }
 
@@ -90,7 +93,7 @@ fn a_python_client_follows_a_mission_through_a_takeover() {
     let status = until("the script ends", LONG, || client.0.try_wait().expect("a child of ours"));
     let mut errors = String::new();
     if let Some(stderr) = client.0.stderr.take() {
-        std::io::Read::read_to_string(&mut BufReader::new(stderr), &mut errors).expect("text");
+        io::Read::read_to_string(&mut BufReader::new(stderr), &mut errors).expect("text");
     }
     assert!(status.success(), "{status}\n{output}\n{errors}\n{}", fleet.logs());
     assert!(elected.starts_with("station-") && elected != coordinator, "{output}");

@@ -1,8 +1,7 @@
 //! A fleet over plain HTTP: Zenoh's own router with its REST plug-in, both unmodified.
 //!
 //! `nodes/consort/tests/processes/foreign/router.sh` builds both in some minutes. This test runs
-//! the script if
-//! `CONSORT_FOREIGN_ROUTER` is set; otherwise, without the programs, it is skipped.
+//! the script if `CONSORT_FOREIGN_ROUTER` is set; otherwise, without the programs, it is skipped.
 
 use crate::support::{Folder, LONG, free_port, hospital_by, skip, until};
 use serde_json::{Value, json};

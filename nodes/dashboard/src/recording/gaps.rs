@@ -2,11 +2,12 @@
 
 use consort_protocol::event::Event;
 use consort_protocol::ids::NodeId;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Missed events of a node.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub(crate) struct EventGap {
     /// The node.
     pub node: NodeId,

@@ -1,12 +1,16 @@
 //! Topics and schemas of recordings.
 
+use super::gaps::EventGap;
 use crate::fleet_model::FleetInput;
+use consort_protocol::event::Event;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::message::Beacon;
 use consort_skills::actions::Telemetry;
 use consort_world::record::foxglove::Schema;
+use schemars::JsonSchema;
+use schemars::generate::SchemaSettings;
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
+use serde_json::{Map, Value};
 
 /// Name of the metadata record at the beginning of a file.
 pub(super) const FLEET_METADATA: &str = "consort.fleet";
@@ -14,118 +18,43 @@ pub(super) const FLEET_METADATA: &str = "consort.fleet";
 /// Version of the file format. A file with another version may contain unknown messages.
 pub(super) const FORMAT_VERSION: &str = "1";
 
-pub(super) static EVENT: Schema = Schema::new("consort.Event", || {
-    json!({
-        "type": "object",
-        "description": "An event, as the node published it on consort/FLEET/events/NODE; the fields depend on the event.",
-        "required": ["node", "sequence", "at_ms", "event"],
-        "properties": {
-            "node": { "type": "string", "description": "The publishing node." },
-            "sequence": { "type": "integer", "description": "Sequence number of the node's events since its start, from 1." },
-            "at_ms": { "type": "integer", "description": "Time, in milliseconds of the node's wall clock." },
-            "event": { "type": "string", "description": "Kind of the event." },
-            "mission": { "type": "string" }, "role": { "type": "string" }, "task": { "type": "string" },
-        },
-    })
-});
+pub(super) static EVENT: Schema = Schema::new("consort.Event", inline_schema_of::<Event>);
+pub(super) static GAP: Schema = Schema::new("consort.Gap", inline_schema_of::<EventGap>);
+pub(super) static BEACON: Schema = Schema::new("consort.Beacon", inline_schema_of::<Beacon>);
+pub(super) static TELEMETRY: Schema = Schema::new("consort.Body", inline_schema_of::<Telemetry>);
+pub(super) static LINKS: Schema = Schema::new("consort.Links", inline_schema_of::<LinksMessage>);
+pub(super) static VIEW: Schema = Schema::new("consort.View", inline_schema_of::<ViewMessage<Map<String, Value>>>);
+pub(super) static REPEATED_VIEW: Schema = Schema::new("consort.Again", inline_schema_of::<RepeatedViewMessage>);
 
-pub(super) static GAP: Schema = Schema::new("consort.Gap", || {
-    json!({
-        "type": "object",
-        "description": "Missed events of a node, by their sequence numbers.",
-        "required": ["node", "after", "before", "lost"],
-        "properties": {
-            "node": { "type": "string" },
-            "after": { "type": "integer", "description": "Number of the last event before the gap; 0 if the node had just started." },
-            "before": { "type": "integer", "description": "Number of the first event after the gap." },
-            "lost": { "type": "integer", "description": "Number of missed events." },
-        },
-    })
-});
+/// Returns the schema of a message type without references: viewers do not resolve them.
+fn inline_schema_of<T: JsonSchema>() -> Value {
+    let settings = SchemaSettings::draft2020_12().for_serialize().with(|settings| settings.inline_subschemas = true);
+    settings.into_generator().into_root_schema_for::<T>().to_value()
+}
 
-pub(super) static BEACON: Schema = Schema::new("consort.Beacon", || {
-    json!({
-        "type": "object",
-        "description": "The coordinator's beacon.",
-        "required": ["node", "term", "since_ms", "voters"],
-        "properties": {
-            "node": { "type": "string" },
-            "term": { "type": "integer" },
-            "since_ms": { "type": "integer", "description": "Time since its election, in milliseconds." },
-            "voters": { "type": "array", "items": { "type": "string" }, "description": "Voters of the ledger." },
-        },
-    })
-});
-
-pub(super) static TELEMETRY: Schema = Schema::new("consort.Body", || {
-    let pose = json!({
-        "type": "object",
-        "required": ["x_m", "y_m", "yaw_rad"],
-        "properties": {
-            "x_m": { "type": "number" }, "y_m": { "type": "number" }, "yaw_rad": { "type": "number" },
-        },
-    });
-    json!({
-        "type": "object",
-        "description": "Telemetry of a robot.",
-        "required": ["time", "pose", "place", "battery", "able"],
-        "properties": {
-            "time": { "type": "number", "description": "Seconds on the world's clock." },
-            "pose": pose,
-            "place": { "type": "string", "description": "Current place, or the last passed place." },
-            "battery": { "type": "number", "description": "Charge left, as a share." },
-            "able": { "type": "boolean", "description": "True if it can still move." },
-        },
-    })
-});
-
-pub(super) static LINKS: Schema = Schema::new("consort.Links", || {
-    json!({
-        "type": "object",
-        "description": "Number of nodes linked to the recorder.",
-        "required": ["links"],
-        "properties": { "links": { "type": "integer" } },
-    })
-});
-
-pub(super) static VIEW: Schema = Schema::new("consort.View", || {
-    json!({
-        "type": "object",
-        "description": "A view returned by a node.",
-        "required": ["key", "view"],
-        "properties": {
-            "key": { "type": "string", "description": "The queried key." },
-            "view": { "type": "object", "description": "The reply." },
-        },
-    })
-});
-
-pub(super) static REPEATED_VIEW: Schema = Schema::new("consort.Again", || {
-    json!({
-        "type": "object",
-        "description": "A view with the same content as the last view of this key, except for its age.",
-        "required": ["key"],
-        "properties": {
-            "key": { "type": "string", "description": "The queried key." },
-            "age_ms": { "type": ["integer", "null"], "description": "Age in the reply." },
-        },
-    })
-});
-
-#[derive(Serialize, Deserialize)]
+/// A view with the same content as the last view of this key, except for its age.
+#[derive(Serialize, Deserialize, JsonSchema)]
 pub(super) struct RepeatedViewMessage {
+    /// The queried key.
     pub(super) key: String,
+    /// Age in the reply, in milliseconds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) age_ms: Option<u64>,
 }
 
-#[derive(Serialize, Deserialize)]
+/// Number of nodes linked to the recorder.
+#[derive(Serialize, Deserialize, JsonSchema)]
 pub(super) struct LinksMessage {
+    /// The number.
     pub(super) links: usize,
 }
 
-#[derive(Serialize, Deserialize)]
+/// A view returned by a node.
+#[derive(Serialize, Deserialize, JsonSchema)]
 pub(super) struct ViewMessage<V> {
+    /// The queried key.
     pub(super) key: String,
+    /// The reply.
     pub(super) view: V,
 }
 

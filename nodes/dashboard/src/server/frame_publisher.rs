@@ -3,6 +3,7 @@
 use crate::fleet_model::{FleetInput, FleetListener, FleetModel, delta};
 use axum::extract::ws::Utf8Bytes;
 use consort_bus::clock::Clock;
+use serde::Serialize;
 use serde_json::{Value, json};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -17,6 +18,32 @@ const FRAME_MS: u64 = 200;
 /// Number of unchanged frames after which an empty frame is sent, so that the page can detect a
 /// broken connection.
 const KEEP_ALIVE_FRAMES: u64 = 5;
+
+/// A message to the page.
+#[derive(Serialize)]
+struct FrameMessage<'a> {
+    number: u64,
+    /// Time in the model, in milliseconds since 1970.
+    now_ms: u64,
+    /// What the frame contains; nothing in a keep-alive frame.
+    #[serde(flatten)]
+    content: Option<FrameContent<'a>>,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "snake_case")]
+enum FrameContent<'a> {
+    /// The complete model.
+    Full(&'a Value),
+    /// Change since the frame before, as in RFC 7396 (JSON Merge Patch).
+    Patch(&'a Value),
+}
+
+impl FrameMessage<'_> {
+    fn to_text(&self) -> Utf8Bytes {
+        serde_json::to_string(self).expect("JSON values have a JSON form").into()
+    }
+}
 
 /// Change between two instants, as sent to the page: serialised once for all clients.
 pub(super) struct Frame {
@@ -99,8 +126,8 @@ impl FramePublisher {
             self.redraw(&mut rendered);
         }
         let Rendered { full, number, now_ms, text, .. } = &mut *rendered;
-        let write = || json!({ "number": number, "now_ms": now_ms, "full": full }).to_string().into();
-        let text = text.get_or_insert_with(write);
+        let content = Some(FrameContent::Full(full));
+        let text = text.get_or_insert_with(|| FrameMessage { number: *number, now_ms: *now_ms, content }.to_text());
         (*number, text.clone())
     }
 
@@ -130,12 +157,9 @@ impl FramePublisher {
         (rendered.number, rendered.now_ms, rendered.text) = (rendered.number + 1, rendered.time(self.clock), None);
         rendered.drawn_ms = Some(self.clock.wall_ms());
         let (number, now_ms) = (rendered.number, rendered.now_ms);
-        let message = match patch {
-            Some(patch) => Some(json!({ "number": number, "now_ms": now_ms, "patch": patch })),
-            None if number.is_multiple_of(KEEP_ALIVE_FRAMES) => Some(json!({ "number": number, "now_ms": now_ms })),
-            None => None,
-        };
-        let text = message.map(|message| message.to_string().into());
+        let is_due = patch.is_some() || number.is_multiple_of(KEEP_ALIVE_FRAMES);
+        let content = patch.as_ref().map(FrameContent::Patch);
+        let text = is_due.then(|| FrameMessage { number, now_ms, content }.to_text());
         self.frames.send_replace(Arc::new(Frame { number, text }));
     }
 

@@ -1,8 +1,8 @@
 //! Publishes a recording.
 
 use super::frame_publisher::{FRAME, FramePublisher};
-use crate::recording::{Player, PlayerCommand, RecordingReader, SpeedError};
-use serde_json::{Value, json};
+use crate::recording::{Player, PlayerCommand, RecordingReader, SpeedError, TimelineMark};
+use serde::Serialize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::time::{Instant, MissedTickBehavior};
 
@@ -11,6 +11,17 @@ pub(super) struct ReplayServer {
     reader: RecordingReader,
     publisher: Arc<FramePublisher>,
     at: Mutex<Position>,
+}
+
+/// Playback of a recording, as programs and the page see it.
+#[derive(Serialize)]
+pub(super) struct PlaybackState<'a> {
+    #[serde(flatten)]
+    player: Player,
+    marks: &'a [TimelineMark],
+    /// What of the recording could not be read.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    damage: Option<String>,
 }
 
 struct Position {
@@ -46,18 +57,18 @@ impl ReplayServer {
     ///
     /// # Errors
     /// [`SpeedError`] if the command is invalid.
-    pub(super) fn apply_command(&self, command: PlayerCommand) -> Result<Value, SpeedError> {
+    pub(super) fn apply_command(&self, command: PlayerCommand) -> Result<PlaybackState<'_>, SpeedError> {
         let mut at = self.lock();
         self.advance(&mut at);
         at.player.apply(command)?;
         self.advance(&mut at);
         self.publisher.publish_if_watched();
-        Ok(self.value(&at.player))
+        Ok(self.state_of(&at.player))
     }
 
     /// Returns the playback state, for programs.
-    pub(super) fn state(&self) -> Value {
-        self.value(&self.lock().player)
+    pub(super) fn state(&self) -> PlaybackState<'_> {
+        self.state_of(&self.lock().player)
     }
 
     /// Describes the recording.
@@ -70,7 +81,7 @@ impl ReplayServer {
         at.player.advance(now - at.advanced_at);
         at.advanced_at = now;
         let at_ms = at.player.at_ms();
-        let mut state = self.value(&at.player);
+        let mut state = serde_json::to_value(self.state_of(&at.player)).expect("playback states have a JSON form");
         // The page gets the time separately: it would be a change in each frame.
         if let Some(fields) = state.as_object_mut() {
             fields.remove("at_ms");
@@ -79,13 +90,8 @@ impl ReplayServer {
         self.publisher.show_instant(at_ms, state, |model| *applied = self.reader.seek(model, *applied, at_ms));
     }
 
-    fn value(&self, player: &Player) -> Value {
-        let mut value = json!(player);
-        value["marks"] = json!(self.reader.marks());
-        if let Some(damage) = self.reader.damage() {
-            value["damage"] = damage.into();
-        }
-        value
+    fn state_of(&self, player: &Player) -> PlaybackState<'_> {
+        PlaybackState { player: player.clone(), marks: self.reader.marks(), damage: self.reader.damage() }
     }
 
     fn lock(&self) -> MutexGuard<'_, Position> {

@@ -50,7 +50,9 @@ fn a_file_has_topics_with_schemas_and_events_with_times() {
         assert_eq!(described["title"], schema.name.as_str());
         let data: Value = serde_json::from_slice(&message.data).unwrap();
         let required = described["required"].as_array().unwrap();
-        assert!(required.iter().all(|field| !data[field.as_str().unwrap()].is_null()), "{}: {data}", schema.name);
+        let missing: Vec<&Value> =
+            required.iter().filter(|field| data.get(field.as_str().unwrap()).is_none()).collect();
+        assert!(missing.is_empty(), "{}: {missing:?} in {data}", schema.name);
         (message.channel.topic.clone(), schema.name.clone())
     };
     let topics: BTreeSet<(String, String)> = messages.iter().map(of).collect();

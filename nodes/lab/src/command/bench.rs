@@ -81,7 +81,7 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
         let row = run_swarm(Swarm { drones, seed }, clock).map_err(|why| Failure::Usage(why.to_string()))?;
         drop(progress);
         if json {
-            output::line(serde_json::to_string(&row).expect("numbers are JSON"))?;
+            output::json(&row)?;
         } else {
             output::line(row)?;
         }

@@ -204,7 +204,7 @@ fn run_hunts(args: &Args) -> Result<(), Failure> {
             bar.tick();
         });
         if args.json {
-            json(&found)?;
+            output::json(&found)?;
         }
         if found.seeds.is_none() {
             missed.push(found.mutant);
@@ -237,7 +237,7 @@ fn score(args: &Args) -> Result<(), Failure> {
             .map_err(|problem| Failure::Unsuccessful(format!("{} was not written: {problem}", file.display())))?;
     }
     if args.json {
-        json(&rows)?;
+        output::json(&rows)?;
     } else {
         output::line(markdown(&rows).trim_end())?;
     }
@@ -263,7 +263,7 @@ fn one(args: &Args, seed: u64) -> Result<(), Failure> {
     let outcome = run_quietly(&order, &schedule);
     waiting.clear();
     if args.json {
-        json(&outcome)?;
+        output::json(&outcome)?;
     }
     match &outcome.violation {
         Some(violation) => broken(args, &order, &schedule, violation, args.schedule.is_none()),
@@ -291,7 +291,7 @@ fn many(args: &Args) -> Result<(), Failure> {
         let missions = count(totals.acknowledged, "mission", "missions");
         bar.set_message(format!("{missions}, {}", count(totals.takeovers.len(), "takeover", "takeovers")));
         if args.json && printed.is_ok() {
-            printed = json(outcome);
+            printed = output::json(outcome);
         }
     });
     bar.finish_and_clear();
@@ -426,10 +426,6 @@ fn read(file: &Path, cast: &ChaosFleet) -> Result<Schedule, Failure> {
     let text = std::fs::read_to_string(file).map_err(|problem| wrong(problem.to_string()))?;
     let schedule: Schedule =
         serde_json::from_str(&text).map_err(|problem| wrong(format!("not a schedule: {problem}")))?;
-    schedule.check(cast).map_err(wrong)?;
+    schedule.check(cast).map_err(|problem| wrong(problem.to_string()))?;
     Ok(schedule.in_order())
-}
-
-fn json(value: &impl serde::Serialize) -> Result<(), Failure> {
-    output::line(serde_json::to_string(value).expect("an outcome is plain data"))
 }

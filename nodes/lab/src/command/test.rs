@@ -72,7 +72,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.steps {
         return steps();
     }
-    let tags = args.tags.as_deref().map(ScenarioFilter::tags).transpose().map_err(Failure::Usage)?;
+    let tags = args
+        .tags
+        .as_deref()
+        .map(ScenarioFilter::tags)
+        .transpose()
+        .map_err(|problem| Failure::Usage(problem.to_string()))?;
     let filter = ScenarioFilter { tags, name: args.name };
     let features = Features::read(&args.features, &filter).map_err(|bad| Failure::Usage(bad.to_string()))?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);

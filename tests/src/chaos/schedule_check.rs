@@ -1,0 +1,92 @@
+//! Check of a schedule against its fleet.
+
+use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS};
+use super::schedule::{ChaosAction, Schedule, ScheduledAction};
+
+impl Schedule {
+    /// Checks that the fleet contains everything that the schedule names.
+    ///
+    /// # Errors
+    /// A name is unknown, or a number is outside its range.
+    pub fn check(&self, composition: &ChaosFleet) -> Result<(), ScheduleError> {
+        let nodes = composition.nodes();
+        let robots: Vec<&str> = composition.carriers.iter().copied().chain([ARM]).collect();
+        let check_known = |step: &ScheduledAction, name: &str, known: &[&str], extra: &[&str]| {
+            let known: Vec<&str> = known.iter().chain(extra).copied().collect();
+            if known.contains(&name) {
+                return Ok(());
+            }
+            Err(step.invalid(ScheduleProblem::UnknownName { name: name.to_owned(), known: known.join(", ") }))
+        };
+        for step in &self.steps {
+            match &step.action {
+                ChaosAction::Submit { room, mission, .. } => {
+                    check_known(step, room, &ROOMS, &[])?;
+                    check_known(step, mission, &MISSIONS, &[])?;
+                }
+                ChaosAction::Cancel { .. } | ChaosAction::Blackout { .. } => {}
+                ChaosAction::Crash { node, .. } => check_known(step, node, &nodes, &["coordinator"])?,
+                ChaosAction::Pause { node, .. } | ChaosAction::SlowDisk { node, .. } => {
+                    check_known(step, node, &nodes, &[])?;
+                }
+                ChaosAction::Partition { groups, .. } => {
+                    groups.iter().flatten().try_for_each(|node| check_known(step, node, &nodes, &["client"]))?;
+                }
+                ChaosAction::Cut { from, to, .. } => {
+                    check_known(step, from, &nodes, &["client", "*"])?;
+                    check_known(step, to, &nodes, &["client", "*"])?;
+                }
+                ChaosAction::Weather { loss, duplication, reordering, .. } => {
+                    if ![loss, duplication, reordering].into_iter().all(|share| (0.0..=1.0).contains(share)) {
+                        return Err(step.invalid(ScheduleProblem::Share));
+                    }
+                }
+                ChaosAction::Drift { node, rate } => {
+                    check_known(step, node, &nodes, &[])?;
+                    if !(0.5..=2.0).contains(rate) {
+                        return Err(step.invalid(ScheduleProblem::ClockRate));
+                    }
+                }
+                ChaosAction::Battery { robot } | ChaosAction::Skill { robot, .. } => {
+                    check_known(step, robot, &robots, &[])?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl ScheduledAction {
+    fn invalid(&self, problem: ScheduleProblem) -> ScheduleError {
+        ScheduleError { at_ms: self.at_ms, problem }
+    }
+}
+
+/// Schedule that its fleet cannot perform.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("at {at_ms} ms: {problem}")]
+pub struct ScheduleError {
+    /// Time of the action in milliseconds.
+    pub at_ms: u64,
+    /// The problem of the action.
+    pub problem: ScheduleProblem,
+}
+
+/// Problem of a scheduled action.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ScheduleProblem {
+    /// The fleet has nothing of that name.
+    #[error("{name:?} is not known; there are {known}")]
+    UnknownName {
+        /// The name in the schedule.
+        name: String,
+        /// The known names, separated by commas.
+        known: String,
+    },
+    /// A share of messages is outside 0 to 1.
+    #[error("a share lies between 0 and 1")]
+    Share,
+    /// A clock rate is outside 0.5 to 2.
+    #[error("a clock rate must be from 0.5 to 2")]
+    ClockRate,
+}
