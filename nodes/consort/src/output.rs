@@ -24,7 +24,7 @@ pub fn line(text: impl Display) -> Result<(), Failure> {
 /// Writes a value as a line of JSON to the standard output.
 ///
 /// # Errors
-/// See [`line`].
+/// See [`line()`].
 ///
 /// # Panics
 /// The value has no JSON form: its maps have keys that are no strings.
