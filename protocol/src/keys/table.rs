@@ -10,7 +10,7 @@ use serde::Serialize;
 /// Description of a kind of key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct KeyInfo {
-    /// Key after `consort/{fleet}/`, with placeholders: `wire/award/{robot}`.
+    /// Key after `consort/{fleet}/`, with variables in braces: `wire/award/{robot}`.
     pub pattern: &'static str,
     /// Node that publishes, answers or announces it.
     pub owner: &'static str,

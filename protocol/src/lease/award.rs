@@ -66,7 +66,7 @@ pub enum EndReason {
     Failed,
     /// The mission has ended.
     Over,
-    /// Another award has replaced this one.
+    /// A later award of the role has replaced the reported award.
     Replaced,
     /// The role was released; another robot will take it over.
     Released,

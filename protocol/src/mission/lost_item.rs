@@ -1,9 +1,9 @@
 //! Values of a loss, substituted into the recovery branch.
 //!
 //! The branch is prepared together with the mission, before any loss. Its parameters contain
-//! placeholders, which are replaced by the values of the loss when the branch is taken. A
-//! placeholder contains a control character. Values of parameters in requests and files may not
-//! contain control characters, so no other text is mistaken for a placeholder.
+//! variables, which are replaced by the values of the loss when the branch is taken. The text of a
+//! variable contains a control character. Values of parameters in requests and files may not
+//! contain control characters, so no other text is mistaken for a variable.
 
 use super::domain::Domain;
 use super::model::{Mission, TaskBody, TaskSpec};
@@ -25,7 +25,7 @@ pub(super) const ITEM: &str = "\u{1a}item\u{1a}";
 pub(super) const ROBOT: &str = "\u{1a}robot\u{1a}";
 pub(super) const PLACE: &str = "\u{1a}place\u{1a}";
 
-/// Names by which a recovery branch refers to the loss, and their placeholders.
+/// Names by which a recovery branch refers to the loss, and the text of each variable.
 pub(super) const VARIABLES: [(&str, &str); 3] = [("lost.item", ITEM), ("lost.robot", ROBOT), ("lost.place", PLACE)];
 
 impl LostItem {

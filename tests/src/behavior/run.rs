@@ -87,7 +87,7 @@ struct Job(Option<Step>, oneshot::Sender<StepOutcome>);
 /// Result of a step, or of the end of a scenario.
 enum StepOutcome {
     Passed,
-    /// Text for the person who reads the report.
+    /// Reason for the failure, as printed in the report.
     Failed(String),
 }
 

@@ -10,7 +10,7 @@ pub(super) struct Faults {
     /// Group of each node while the network is partitioned. Nodes without a group form a further
     /// group.
     groups: BTreeMap<NodeId, usize>,
-    /// Links cut in one direction: from, to.
+    /// Links cut in a single direction: the sender and the receiver of the lost messages.
     cuts: BTreeSet<(NodeId, NodeId)>,
     /// Nodes with blocked outgoing messages.
     outgoing_blocked: BTreeSet<NodeId>,

@@ -64,7 +64,7 @@ pub(super) struct DemoSummary {
     pub(super) delivered: usize,
     /// The killed node; `null` without a kill.
     pub(super) killed: Option<NodeId>,
-    /// The takeover; `null` without one.
+    /// Takeover by the next coordinator; `null` if no coordinator was killed.
     pub(super) takeover: Option<Takeover>,
 }
 

@@ -16,7 +16,7 @@ const ROBOTS: [&str; 2] = ["ada", "lab-arm"];
 /// does: the variable of the hidden flag `--newest-wire-version` of a node.
 const PREVIOUS: [&str; 2] = ["env", "CONSORT_NEWEST_WIRE_VERSION=1"];
 
-/// A hospital whose nodes run either program.
+/// Hospital in which some nodes run the previous release and some the current release.
 struct Hospital {
     fleet: Fleet,
     speed: f64,

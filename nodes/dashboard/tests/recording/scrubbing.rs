@@ -6,7 +6,7 @@ use consort_dashboard::recording::{KEYFRAMES_MAX, RecordingReader, TimelineMarkK
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-/// A mission whose coordinator is lost meanwhile.
+/// Returns the inputs of a mission during which the coordinator fails, with their times.
 fn story() -> Vec<(u64, FleetInput)> {
     let of = |what: &str| json!({ "event": what, "mission": "m-1", "role": "r1", "task": "go" });
     let state = |state: &str| json!({ "event": "mission", "mission": "m-1", "state": state, "submitted_at_ms": BEGAN });

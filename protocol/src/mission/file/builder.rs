@@ -132,9 +132,11 @@ impl<'a> MissionBuilder<'a> {
             if let Some(TaskBody::Abstract(method)) = parent.map(|parent| &mut tasks[parent].body) {
                 method.children.push(index as TaskIndex);
             }
-            let placeholder =
+            // An invalid name is an error of the file, which is reported. The task keeps a generated name
+            // so that the rest of the file is checked, too.
+            let generated =
                 || TaskId::new(format!("unnamed-{index}")).expect("consists of characters allowed in a slug");
-            let id = self.name(&path, TaskId::new(&*node.task)).unwrap_or_else(placeholder);
+            let id = self.name(&path, TaskId::new(&*node.task)).unwrap_or_else(generated);
             let body = self.body(node, &path);
             tasks.push(TaskNode { id, body });
             // In a file that is nested too deeply, the total size of the paths must not grow with
