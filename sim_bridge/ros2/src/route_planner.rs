@@ -8,10 +8,10 @@
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Metres;
-use consort_world::map::Map;
-use consort_world::space::WallGrid;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, Telemetry, Waypoint};
 use consort_skills::environment::{MapError, RouteError, Routes};
+use consort_world::map::Map;
+use consort_world::space::WallGrid;
 use nalgebra::Vector2;
 
 /// Greatest distance of a pose from a place at which it counts as that place: Nav2's default goal

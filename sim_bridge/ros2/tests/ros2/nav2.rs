@@ -156,12 +156,20 @@ async fn an_early_refusal_does_not_replace_the_reply_of_the_server() {
     let (bus_of_world, place) = (bus(None).await, Pose::default());
     let bus_of_robot = bus(Some(&bus_of_world)).await;
     host_world(&bus_of_world, vec![carrier("bob", "Crossing", 1.0)]).await;
-    // Ada's driver server is slow: the world refuses the command long before.
+    // Ada's driver server replies only after the world has refused the command.
     let command = keys().write(&Key::Driver(ada(), DriverCall::Command));
     let mut commands = bus_of_world.serve(&command).await.unwrap();
+    let (second_bus, second_query) = (bus_of_robot.clone(), format!("{command}?second"));
     let server_task = tokio::spawn(async move {
         let mut sequence = 0;
         while let Some(query) = commands.recv().await {
+            if query.parameters == "second" {
+                continue;
+            }
+            // The world refuses in order, and over the same link: the refusal of a second query arrives
+            // after the refusal of the command.
+            let mut replies = second_bus.query(&second_query, query.payload.clone(), LIMIT).await.unwrap();
+            while within("the refusal", replies.recv()).await.expect("a reply of the world").payload.is_ok() {}
             let DriverCommand { request } = codec::decode(&query.payload).unwrap();
             let goals = request.iter().map(|request| (request.goal(), GoalStatus::Succeeded)).collect();
             let telemetry = Telemetry {
@@ -174,7 +182,6 @@ async fn an_early_refusal_does_not_replace_the_reply_of_the_server() {
             };
             sequence += 1;
             let state = DriverState { robot: ada(), sequence, telemetry, goals, completed: vec![] };
-            tokio::time::sleep(Duration::from_millis(100)).await;
             let bytes = Bytes::from(codec::encode(&state).unwrap());
             query.replier.reply(&query.key, bytes, Encoding::Wire).await.unwrap();
         }

@@ -1,8 +1,8 @@
 //! A router like `rmw_zenohd`, a ROS 2 graph around it, and a world of the fleet; all on loopback,
 //! at free ports.
 
-use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_bus::clock::Clock;
+use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_fleet::robot_driver::{CLIENT_TIMEOUT, DriverServer, DriverServerMessage, DriverServerSettings};
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::Keys;
@@ -13,8 +13,8 @@ use consort_ros2::messages::{Goal, Time};
 use consort_ros2::ros::{Ros, RosSettings};
 use consort_ros2::route_planner::RoutePlanner;
 use consort_ros2::serve::{ServeSettings, serve};
-use consort_world::map::{Map, shipped};
 use consort_world::SharedWorld;
+use consort_world::map::{Map, shipped};
 use consort_world::world::{RobotSetup, World, WorldSetup};
 use hiroz::config::RouterConfigBuilder;
 use ractor::{Actor, ActorRef};

@@ -71,8 +71,7 @@ fn a_drive_ends_with_the_result_of_nav2() {
     assert_eq!(test.driver.next_due(), None, "no goal is in progress");
     test.go(7, "B");
     assert_eq!(test.sent_commands(), [Nav2Command::Drive(1, Pose::new(10.0, 0.0, 0.0))]);
-    let progress =
-        Nav2Event::Progress { drive: 1, pose: Pose::new(4.0, 0.1, 0.2), distance_m: 6.0, remaining_s: 12.0 };
+    let progress = Nav2Event::Progress { drive: 1, pose: Pose::new(4.0, 0.1, 0.2), distance_m: 6.0, remaining_s: 12.0 };
     assert_eq!(test.after_event(Some(progress)), []);
     let feedback = Feedback::remaining(Metres::new(6.0).unwrap(), Seconds::new(12.0).unwrap());
     assert_eq!(test.driver.status(&ada(), GoalId(7)), Some(GoalStatus::Executing(feedback)));

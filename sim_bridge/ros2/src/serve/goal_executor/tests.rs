@@ -124,10 +124,7 @@ fn a_later_goal_starts_when_the_earlier_has_ended() {
     assert_eq!(summary(&executor.handle_goal(BERT, at_b(), s(2))), ["end 1 Aborted 9000", "cancel 100"]);
     assert_eq!(summary(&executor.handle_goal(ALICE, at_b(), s(2))), ["end 2 Aborted 9000", "cancel 100"]);
     assert_eq!(summary(&executor.handle_state(state(&[(100, GoalStatus::Canceled)]), s(3))), ["start 101"]);
-    assert_eq!(
-        summary(&executor.handle_state(state(&[(101, GoalStatus::Succeeded)]), s(4))),
-        ["end 1 Succeeded 0"]
-    );
+    assert_eq!(summary(&executor.handle_state(state(&[(101, GoalStatus::Succeeded)]), s(4))), ["end 1 Succeeded 0"]);
 }
 
 #[test]
@@ -144,10 +141,7 @@ fn a_waiting_goal_can_be_canceled() {
 fn a_blocked_robot_drives_around_a_new_closure() {
     let mut executor = executor();
     executor.handle_goal(ALICE, at_b(), s(1));
-    assert_eq!(
-        summary(&executor.handle_state(state(&[(100, aborted(ErrorCode::Blocked))]), s(2))),
-        [] as [&str; 0]
-    );
+    assert_eq!(summary(&executor.handle_state(state(&[(100, aborted(ErrorCode::Blocked))]), s(2))), [] as [&str; 0]);
     let with_closure = state_with_closure(("A", "B"), &[(100, aborted(ErrorCode::Blocked))]);
     assert_eq!(summary(&executor.handle_state(with_closure, s(2))), ["start 101"]);
     let actions = executor.handle_state(state_with_closure(("A", "B"), &[(101, executing(10.0, 20.0))]), s(3));
