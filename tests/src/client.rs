@@ -47,8 +47,8 @@ impl Fleet {
         let limit = Duration::from_secs(3);
         let payload = payload.to_owned().into();
         let replies = match call.is_read_only() {
-            true => self.client.query_nearest(&key, payload, limit).await,
-            false => self.client.query(&key, payload, limit).await,
+            true => self.requests.query_nearest(&key, payload, limit).await,
+            false => self.requests.query(&key, payload, limit).await,
         };
         replies.expect("a virtual bus")
     }
@@ -82,7 +82,7 @@ impl Fleet {
     /// stays.
     pub async fn request_leave(&self, name: &str) -> Value {
         let (key, limit) = (self.keys.write(&Key::Leave(slug(name))), Duration::from_secs(60));
-        let mut replies = self.client.query(&key, vec![].into(), limit).await.expect("a virtual bus");
+        let mut replies = self.requests.query(&key, vec![].into(), limit).await.expect("a virtual bus");
         let reply = replies.recv().await.unwrap_or_else(|| panic!("seed {}: {name} does not reply", self.seed));
         serde_json::from_slice(&reply.payload.expect("a reply")).expect("JSON")
     }

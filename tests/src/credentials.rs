@@ -8,9 +8,9 @@ use consort_bus::trust::issue::{
 };
 use consort_bus::trust::{Keyring, SigningBus};
 use consort_fleet::node::NodeSettings;
-use consort_protocol::ids::{FleetId, NodeId};
+use consort_protocol::ids::{FleetId, NodeId, PersonId};
 use consort_protocol::keys::Keys;
-use consort_protocol::trust::{Identity, NodeRole, Principal};
+use consort_protocol::trust::{AccessScope, Identity, NodeRole, Principal};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
@@ -40,9 +40,18 @@ impl Credentials {
 
     /// Returns the keyring of a node with these roles, for an incarnation of the node.
     pub fn keyring_of(&self, node: &NodeId, roles: BTreeSet<NodeRole>, life: u64) -> Keyring {
-        let bearer = Principal::Node { name: node.clone(), roles };
-        let identity = Identity { fleet: self.fleet.clone(), principal: bearer };
-        let drawn = draw(self.seed, node.as_str());
+        self.keyring(Principal::Node { name: node.clone(), roles }, node.as_str(), life)
+    }
+
+    /// Returns the keyring of a person with this scope.
+    pub fn keyring_of_person(&self, name: &str, scope: AccessScope) -> Keyring {
+        let principal = Principal::Person { name: PersonId::new(name).expect("a name"), scope };
+        self.keyring(principal, &format!("person {name}"), 0)
+    }
+
+    fn keyring(&self, principal: Principal, material: &str, life: u64) -> Keyring {
+        let identity = Identity { fleet: self.fleet.clone(), principal };
+        let drawn = draw(self.seed, material);
         let issued = self.issuer.issue_from(&identity, LONG, drawn).expect("a certificate can be made");
         let keyring =
             Keyring::from_issued(self.fleet.clone(), &self.authority.certificate, &issued, Duration::ZERO, life);

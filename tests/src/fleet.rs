@@ -12,6 +12,7 @@ use consort_fleet::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSetti
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
+use consort_protocol::trust::AccessScope;
 use consort_protocol::versions::VersionRange;
 use consort_raft::store::NodeStore;
 use consort_skills::descriptor::DescriptorRegistry;
@@ -45,6 +46,8 @@ pub struct Fleet {
     pub(crate) nodes: BTreeMap<String, NodeHandle>,
     /// Network endpoint of a client.
     pub client: VirtualBus,
+    /// Bus of the same client that signs its requests as a person, in a closed fleet.
+    pub requests: SharedBus,
     /// World events drained so far.
     pub(crate) journal: Vec<LoggedEvent>,
     lives: u64,
@@ -71,11 +74,13 @@ pub(crate) struct NodeOptions {
     pub(crate) wrap_bus: WrapBus,
     /// Nodes have certificates and sign their messages.
     pub(crate) closed: bool,
+    /// Date at which the client's clock starts, in milliseconds since 1970.
+    pub(crate) date_ms: u64,
 }
 
 impl Default for NodeOptions {
     fn default() -> NodeOptions {
-        NodeOptions { adjust: Box::new(|_| ()), wrap_bus: Box::new(|_, bus| bus), closed: false }
+        NodeOptions { adjust: Box::new(|_| ()), wrap_bus: Box::new(|_, bus| bus), closed: false, date_ms: 0 }
     }
 }
 
@@ -169,7 +174,14 @@ impl Fleet {
         let places = world.with(|world| world.map().topology().places);
         settings.domain = Arc::new(hospital().with_places(places.into_keys()));
         let client = network.bus(slug("client"));
-        let closed = options.closed;
+        let credentials = options.closed.then(|| Credentials::new(settings.fleet.clone(), seed));
+        let requests: SharedBus = match &credentials {
+            None => Arc::new(client.clone()),
+            Some(credentials) => {
+                let keyring = credentials.keyring_of_person("client", AccessScope::Operate);
+                credentials.signing_bus(Arc::new(client.clone()), keyring, Clock::virtual_at(options.date_ms)).await
+            }
+        };
         let mut fleet = Fleet {
             seed,
             network,
@@ -181,15 +193,15 @@ impl Fleet {
             members: members.into_iter().map(|member| (member.name.clone(), member)).collect(),
             nodes: BTreeMap::new(),
             client,
+            requests,
             journal: vec![],
             lives: 0,
             stores: BTreeMap::new(),
             options,
             followers: BTreeMap::new(),
-            credentials: None,
+            credentials,
             signing_buses: BTreeMap::new(),
         };
-        fleet.credentials = closed.then(|| Credentials::new(fleet.settings.fleet.clone(), seed));
         fleet.start_world().await;
         for station in &stations {
             fleet.start_station(station).await;

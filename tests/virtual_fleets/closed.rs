@@ -5,16 +5,17 @@ use crate::support::released;
 use bytes::Bytes;
 use consort_bus::Bus as _;
 use consort_bus::clock::Clock;
-use consort_bus::{Delivery, Encoding, SharedBus};
+use consort_bus::{Delivery, Encoding, ServiceSelection, SharedBus};
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
-use consort_protocol::keys::{DriverCall, Key, Keys};
+use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys};
 use consort_protocol::knowledge::{Availability, Digest, DigestScope, KnowledgeBase, Record, RecordStamp};
 use consort_protocol::message::{Beacon, ClusterEnvelope, Exchange, MissionsChanged, RecordUpdate};
 use consort_protocol::trust::NodeRole;
 use consort_tests::{Fleet, RobotSpec, for_each_seed};
 use serde::Serialize;
+use serde_json::json;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -73,8 +74,8 @@ struct Compromised {
     sealed: SharedBus,
     plain: SharedBus,
     keys: Keys,
-    /// Number of replayed, redirected, forged and answered messages.
-    did: [AtomicU64; 4],
+    /// Number of replayed, redirected, forged, answered and refused messages.
+    did: [AtomicU64; 5],
 }
 
 impl Compromised {
@@ -145,6 +146,16 @@ impl Compromised {
         }
     }
 
+    /// Refuses the queries of other nodes at once, signed and unsigned.
+    async fn refuses(self: Arc<Self>, key: &'static str, bare: bool) {
+        let bus = if bare { &self.plain } else { &self.sealed };
+        let mut queries = bus.serve(&format!("consort/ward/{key}")).await.expect("a network");
+        while let Some(query) = queries.recv().await {
+            let _ = query.replier.refuse("no").await;
+            self.did[4].fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
     /// Answers queries for other nodes by returning the query, signed and unsigned, and repeats the
     /// query to its target.
     async fn answers(self: Arc<Self>, key: &'static str, bare: bool) {
@@ -184,6 +195,8 @@ fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
         ] {
             tasks.spawn(Arc::clone(&fern).answers(key, false));
             tasks.spawn(Arc::clone(&fern).answers(key, true));
+            tasks.spawn(Arc::clone(&fern).refuses(key, false));
+            tasks.spawn(Arc::clone(&fern).refuses(key, true));
         }
         let elected = |what: &EventKind| matches!(what, EventKind::Elected { .. });
         let before = fleet.event_log.count(elected);
@@ -206,7 +219,10 @@ fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
         assert_eq!(fleet.event_log.count(released), 0, "seed {seed}: no role is released\n{}", fleet.event_log_text());
         assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}");
         let did = fern.did.each_ref().map(|count| count.load(Ordering::Relaxed));
-        assert!(did.iter().all(|count| *count > 10), "seed {seed}: repeated, moved, claimed, answered: {did:?}");
+        assert!(
+            did.iter().all(|count| *count > 10),
+            "seed {seed}: repeated, moved, claimed, answered, refused: {did:?}"
+        );
         let refusals = refused(&fleet);
         for reason in [
             "node fern (robot) may not publish on wire/beacon",
@@ -224,10 +240,76 @@ fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
     });
 }
 
-/// Returns the signed record of a robot in the knowledge base of a node.
-fn record(fleet: &Fleet, at: &str, of: &str) -> Record {
+/// Returns the replies to a request, as text.
+async fn replies(bus: &SharedBus, key: &str, payload: Bytes, attachment: Bytes) -> Vec<String> {
+    let asked = bus.query_with(key, payload, attachment, Duration::from_secs(3), ServiceSelection::All).await;
+    let (mut replies, mut all) = (asked.expect("a network"), vec![]);
+    while let Some(reply) = replies.recv().await {
+        all.push(
+            reply.payload.map_or_else(|refusal| refusal.to_string(), |text| String::from_utf8_lossy(&text).into()),
+        );
+    }
+    all
+}
+
+#[test]
+fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        let papers = fleet.credentials.as_ref().expect("a closed fleet");
+        let plain: SharedBus = Arc::new(fleet.network.bus("fern".parse().expect("a name")));
+        let keyring = papers.keyring_of(&"fern".parse().expect("a name"), [NodeRole::Robot].into(), 1_000);
+        let sealed: SharedBus = papers.signing_bus(Arc::clone(&plain), keyring, Clock::virtual_at(0)).await;
+        // The robot relays a person's requests, and keeps them.
+        let mut relayed = plain.serve("consort/ward/api/*").await.expect("a network");
+        let mission = fleet.submit("a", ROOM).await;
+        let signed = relayed.recv().await.expect("a request");
+        assert!(!signed.attachment.is_empty(), "seed {seed}");
+
+        let keys = fleet.keys().clone();
+        let order = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "stolen" });
+        let cancel = json!({ "mission": mission, "by": "fern" });
+        let attacks = [
+            (keys.write(&Key::Api(ApiCall::Submit)), order),
+            (keys.write(&Key::Api(ApiCall::Cancel)), cancel.clone()),
+            (keys.write(&Key::Api(ApiCall::Resolve)), cancel),
+            (keys.write(&Key::Api(ApiCall::Backup)), json!({})),
+            (keys.write(&Key::Api(ApiCall::Upgrade)), json!({ "finish": true })),
+            (keys.write(&Key::Leave("clove".parse().expect("a name"))), json!({})),
+            ("consort/ward/api/leave/*".to_owned(), json!({})),
+            ("consort/ward/api/**".to_owned(), json!({})),
+            (signed.key.clone(), json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "b" })),
+        ];
+        for (key, payload) in &attacks {
+            let payload = Bytes::from(payload.to_string());
+            for (bus, attachment) in
+                [(&sealed, Bytes::new()), (&plain, Bytes::new()), (&plain, signed.attachment.clone())]
+            {
+                for reply in replies(bus, key, payload.clone(), attachment).await {
+                    let only_refused = reply.contains("\"error\"") || key.ends_with("**");
+                    assert!(only_refused, "seed {seed}: {key} was answered with {reply}");
+                }
+            }
+        }
+        let again = replies(&plain, &signed.key, signed.payload.clone(), signed.attachment.clone()).await;
+        assert_eq!(again, [] as [String; 0], "seed {seed}: a repeated request is not answered");
+        fleet.assert_completes(&mission).await;
+        fleet.assert_each_task_once(&mission);
+        let submitted = fleet.event_log.count(|what| matches!(what, EventKind::Submitted { .. }));
+        assert_eq!(submitted, 1, "seed {seed}\n{}", fleet.event_log_text());
+        let left = fleet.event_log.count(|what| matches!(what, EventKind::Left { .. }));
+        assert_eq!(left, 0, "seed {seed}: a node left\n{}", fleet.event_log_text());
+    });
+}
+
+/// Returns the record of a robot in the knowledge base of a node.
+fn known_record(fleet: &Fleet, at: &str, of: &str) -> Option<Record> {
     let entry = |base: &KnowledgeBase| base.get(&of.parse().expect("a name")).map(|entry| entry.record.clone());
-    fleet.knowledge(at).read(entry).expect("it is known")
+    fleet.knowledge(at).read(entry)
+}
+
+fn record(fleet: &Fleet, at: &str, of: &str) -> Record {
+    known_record(fleet, at, of).expect("it is known")
 }
 
 #[test]
@@ -239,7 +321,12 @@ fn a_relaying_node_can_neither_change_nor_forge_records() {
         let plain: SharedBus = Arc::new(fleet.network.bus(name.clone()));
         let keyring = papers.keyring_of(&name, [NodeRole::Robot].into(), 1_000);
         let sealed = papers.signing_bus(plain, keyring, Clock::virtual_at(0)).await;
-        fleet.wait_until("records are signed", SOON, |fleet| record(fleet, "gorse", "lab-arm").proof.is_some()).await;
+        let signed = |record: Option<Record>| record.is_some_and(|record| record.proof.is_some());
+        fleet
+            .wait_until("records are signed", SOON, |fleet| {
+                ["lab-arm", "gorse"].iter().all(|of| signed(known_record(fleet, "gorse", of)))
+            })
+            .await;
 
         let original = record(&fleet, "gorse", "lab-arm");
         let later = RecordStamp { incarnation: u64::MAX, version: 7 };

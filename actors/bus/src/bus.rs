@@ -36,6 +36,9 @@
 
 use async_trait::async_trait;
 use bytes::Bytes;
+use consort_protocol::api::ErrorReply;
+use consort_protocol::ids::{NodeId, PersonId};
+use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -197,8 +200,58 @@ pub struct Query {
     pub payload: Bytes,
     /// Attachment, empty if absent.
     pub attachment: Bytes,
+    /// Authority of a request that changes the fleet.
+    pub authority: RequestAuthority,
     /// Sends the replies.
     pub replier: Box<dyn Replier>,
+}
+
+/// Authority of a request. The service that executes a request decides by it; a service of plain
+/// data ignores it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum RequestAuthority {
+    /// The request was not checked: the fleet is open, or the query changes nothing.
+    Unchecked,
+    /// The request is signed by this requester, with the necessary scope.
+    Verified(Requester),
+    /// Nobody with the necessary scope has signed the request. It must not be executed; this is the
+    /// reply.
+    Rejected(ErrorReply),
+}
+
+/// Verified author of a request that changes a closed fleet.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Requester {
+    /// The author.
+    pub author: RequestAuthor,
+    /// Id of this request: a repetition of the same signed message has the same.
+    pub request: String,
+    /// Time of signing, in milliseconds since 1970.
+    pub signed_at_ms: u64,
+}
+
+/// Author of a request.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum RequestAuthor {
+    /// A person.
+    Person {
+        /// Person that signed the request, or whose token was forwarded.
+        name: PersonId,
+        /// Node of the dashboard that forwarded the token.
+        through: Option<NodeId>,
+    },
+    /// A driver server with the role `host`, which cancels a mission for a person that it serves.
+    Host(NodeId),
+}
+
+impl fmt::Display for RequestAuthor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            RequestAuthor::Person { name, through: None } => write!(f, "{name}"),
+            RequestAuthor::Person { name, through: Some(node) } => write!(f, "{name} through {node}"),
+            RequestAuthor::Host(node) => write!(f, "a person at {node}"),
+        }
+    }
 }
 
 /// Sends a service's replies to a query.

@@ -254,6 +254,11 @@ impl Client {
         }
     }
 
+    /// Checks whether the client has no certificate.
+    pub(crate) fn is_anonymous(&self) -> bool {
+        self.person.is_none()
+    }
+
     /// Returns the fleet.
     pub fn fleet(&self) -> &FleetId {
         &self.fleet

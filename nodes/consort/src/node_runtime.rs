@@ -10,6 +10,7 @@ use crate::trust::NodeCredentials;
 use crate::wiring::bus_settings;
 use crate::{map_loader, output, service_manager};
 use consort_bus::clock::Clock;
+use consort_bus::trust::SigningBus;
 use consort_bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
 use consort_dashboard::address::BoundAddress;
 use consort_dashboard::admission::Admission;
@@ -125,7 +126,12 @@ async fn run_until_end(
     info!(node = %name, fleet = %fleet.name, id = zenoh.id(), listening = zenoh.listen_addresses().await.join(", "), "open");
     let mut watch = tokio::task::JoinSet::new();
     watch.spawn(log_links(zenoh.clone(), bus.connect.clone()));
-    let bus = trust.signing_bus(metrics.metered(Arc::new(zenoh.clone())), &mut settings).await?;
+    if page.is_some() {
+        trust.warn_of_read_only_dashboard();
+    }
+    let bus = metrics.metered(Arc::new(zenoh.clone()));
+    let signing = trust.signing_bus(Arc::clone(&bus), &mut settings).await?;
+    let bus = signing.clone().map_or(bus, |signing| -> SharedBus { signing });
     let on_page = Arc::clone(&bus);
     let started = NodeHandle::start(settings, bus).await;
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
@@ -138,7 +144,7 @@ async fn run_until_end(
         }
         None => None,
     };
-    metrics.serve(&node, clock, admission, &mut watch);
+    metrics.serve(&node, signing, clock, admission, &mut watch);
     telemetry.set_cluster(node.membership.clone());
     service_manager::ready();
     watch.spawn(service_manager::run_watchdog(zenoh.clone(), Keys::new(&fleet.name), name.clone()));
@@ -225,10 +231,17 @@ impl NodeMetrics {
         }
     }
 
-    fn serve(self, node: &NodeHandle, clock: Clock, admission: Admission, tasks: &mut tokio::task::JoinSet<()>) {
+    fn serve(
+        self,
+        node: &NodeHandle,
+        signing: Option<Arc<SigningBus>>,
+        clock: Clock,
+        admission: Admission,
+        tasks: &mut tokio::task::JoinSet<()>,
+    ) {
         let Some((address, metrics)) = self.0 else { return };
         let (replica, knowledge) = (node.replica.clone(), node.knowledge.clone());
-        metrics.set_sources(MetricSources { replica, knowledge, clock, since_ms: clock.wall_ms() });
+        metrics.set_sources(MetricSources { replica, knowledge, signing, clock, since_ms: clock.wall_ms() });
         info!("metrics at http://{}/metrics", address.local_addr());
         tasks.spawn(async move {
             if let Err(problem) = serve(address.with_connection_limit(), metrics, admission).await {

@@ -12,7 +12,7 @@ use consort_protocol::trust::{NodeRole, Principal};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
-use tracing::info;
+use tracing::{info, warn};
 
 /// A node's credentials, if it has certificates.
 pub(crate) struct NodeCredentials(Option<(Arc<Keyring>, TrustFiles)>);
@@ -59,17 +59,36 @@ impl NodeCredentials {
         self.0.as_ref().map(|(keyring, _)| Arc::clone(keyring))
     }
 
+    /// Warns if the node serves a dashboard whose visitors cannot change anything.
+    pub(crate) fn warn_of_read_only_dashboard(&self) {
+        let Some((keyring, files)) = &self.0 else { return };
+        if let Principal::Node { name, roles } = &keyring.identity().principal
+            && !roles.contains(&NodeRole::Dashboard)
+        {
+            let roles = roles.iter().map(|role| role.as_str()).chain(["dashboard"]).collect::<Vec<_>>().join(",");
+            warn!(
+                certificate = %files.certificate.display(),
+                "visitors of the dashboard can only read: this node may not forward their requests; \
+                 `consort cert node {name} --roles {roles}` permits it"
+            );
+        }
+    }
+
     /// Returns the bus that signs messages, if there are certificates; the node's settings then get
     /// the signer and verifier of records, too.
     ///
     /// # Errors
     /// [`Failure::Unsuccessful`] if the node's certificate cannot be published on the bus.
-    pub(crate) async fn signing_bus(self, bus: SharedBus, node: &mut NodeSettings) -> Result<SharedBus, Failure> {
-        let Some((keyring, files)) = self.0 else { return Ok(bus) };
+    pub(crate) async fn signing_bus(
+        self,
+        bus: SharedBus,
+        node: &mut NodeSettings,
+    ) -> Result<Option<Arc<SigningBus>>, Failure> {
+        let Some((keyring, files)) = self.0 else { return Ok(None) };
         let signing = SigningBus::open(bus, Keys::new(&node.fleet.fleet), keyring, files.revoked, node.clock).await;
         let signing = signing.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
         node.record_signer = Some(signing.record_signer());
-        Ok(Arc::new(signing))
+        Ok(Some(Arc::new(signing)))
     }
 }
 

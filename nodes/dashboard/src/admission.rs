@@ -10,7 +10,7 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use consort_bus::clock::Clock;
-use consort_bus::trust::{Keyring, TokenClaims, TokenError};
+use consort_bus::trust::{Keyring, TokenClaims, TokenError, forwarded_part};
 use consort_protocol::api::ErrorReply;
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::AccessScope;
@@ -52,6 +52,13 @@ pub struct AuthenticatedClient {
     /// Verified claims of the token.
     pub claims: TokenClaims,
     token: String,
+}
+
+impl AuthenticatedClient {
+    /// Returns the part of the token that is forwarded with a request.
+    pub(crate) fn forwarded_token(&self) -> &str {
+        forwarded_part(&self.token)
+    }
 }
 
 /// Reason why a request is not admitted.

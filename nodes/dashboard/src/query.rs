@@ -1,7 +1,7 @@
 //! A single query to a fleet: returns the first reply that settles it.
 
 use bytes::Bytes;
-use consort_bus::Bus;
+use consort_bus::{Bus, BusError, Reply, ServiceSelection, Stream};
 use consort_protocol::api::ErrorReply;
 use serde::Deserialize;
 use serde_json::Value;
@@ -52,11 +52,28 @@ pub async fn query_once(
     limit: Duration,
     whom: QueryTarget,
 ) -> Result<Value, QueryError> {
-    let payload = Bytes::from(payload.to_owned());
-    let asked = match whom {
-        QueryTarget::Nearest => bus.query_nearest(key, payload, limit).await,
-        QueryTarget::All => bus.query(key, payload, limit).await,
+    let selection = match whom {
+        QueryTarget::Nearest => ServiceSelection::Nearest,
+        QueryTarget::All => ServiceSelection::All,
     };
+    let payload = Bytes::from(payload.to_owned());
+    settle(bus.query_with(key, payload, Bytes::new(), limit, selection).await, limit).await
+}
+
+/// Does the same for a request to the coordinator that the person of a token authorizes. Without a
+/// token, in an open fleet, it is empty.
+pub(crate) async fn query_with_token(
+    bus: &dyn Bus,
+    key: &str,
+    payload: &str,
+    token: &str,
+    limit: Duration,
+) -> Result<Value, QueryError> {
+    let [payload, token] = [payload, token].map(|text| Bytes::from(text.to_owned()));
+    settle(bus.query_with(key, payload, token, limit, ServiceSelection::All).await, limit).await
+}
+
+async fn settle(asked: Result<Stream<Reply>, BusError>, limit: Duration) -> Result<Value, QueryError> {
     let mut replies = asked.map_err(|problem| QueryError::Retryable(problem.to_string(), RETRY_DELAY))?;
     let mut hindrance = QueryError::NoReply;
     // A node that has just lost the leadership may reply too. The reply of the new leader settles

@@ -130,9 +130,28 @@ pub fn required_scope(call: ApiCall) -> AccessScope {
     }
 }
 
+/// Returns the scope of the person that must sign a query on a key (below the fleet's prefix), or
+/// `None` if the query changes nothing.
+pub fn scope_to_sign(key: &str) -> Option<AccessScope> {
+    let segments: Vec<&str> = key.split('/').collect();
+    match segments.as_slice() {
+        ["api", "leave", _] => Some(AccessScope::Operate),
+        ["api", call] => ApiCall::parse(call).filter(|call| !call.is_read_only()).map(required_scope),
+        _ => None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn requests_that_change_the_fleet_are_signed() {
+        let scopes = ["api/submit", "api/resolve", "api/leave/ada", "api/get", "api/submit/help", "view/fleet"];
+        let needed = [AccessScope::Submit, AccessScope::Operate, AccessScope::Operate].map(Some);
+        assert_eq!(scopes.map(scope_to_sign)[..3], needed);
+        assert_eq!(scopes.map(scope_to_sign)[3..], [None; 3]);
+    }
 
     fn ward() -> FleetId {
         FleetId::new("ward").unwrap()

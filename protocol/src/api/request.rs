@@ -61,13 +61,9 @@ pub struct MissionChangeRequest {
     /// The mission.
     #[schemars(with = "String")]
     pub mission: MissionId,
-    /// Name of the person, for display.
-    #[serde(default = "default_name")]
-    pub by: String,
-}
-
-fn default_name() -> String {
-    "a client".to_owned()
+    /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
 }
 
 /// Queries the progress of the upgrade to the next wire version.

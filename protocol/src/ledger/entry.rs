@@ -155,6 +155,13 @@ impl MissionState {
     }
 }
 
+impl MissionEntry {
+    /// Checks whether people have roles in the mission.
+    pub fn has_unmanaged_roles(&self) -> bool {
+        self.roles.values().any(|role| role.kind == RoleKind::Unmanaged)
+    }
+}
+
 /// State of a role.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RoleEntry {

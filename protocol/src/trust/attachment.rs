@@ -2,14 +2,15 @@
 //!
 //! ```text
 //!  attachment to a publication or a reply:  an envelope as in `envelope`, with the author's certificate as its payload
-//!  attachment to a query:                   only the header, unsigned: the requester and the number of the query
+//!  attachment to a query:                   only the header, unsigned: the requester and the number of the query;
+//!                                           with a signature if the query changes the fleet (`request_proof`)
 //! ```
 //!
 //! A requester that attaches its identity, as the fleet's own nodes do, gets a reply that is signed
 //! for this query. Any other requester gets the plain reply. The attachment contains the
 //! certificate, since a short-lived command ends before it could query for the certificate.
 
-use super::envelope::{Fingerprint, HEADER_BYTES, MessageKind, VERSION, decode_header, signed_part};
+use super::envelope::{Fingerprint, HEADER_BYTES, MessageKind, SIGNATURE_BYTES, VERSION, decode_header, signed_part};
 
 /// Encodes the attachment of a query: the certificate of the requester and the number of the query.
 pub fn encode_requester(by: Fingerprint, number: u64) -> Vec<u8> {
@@ -24,7 +25,9 @@ pub fn encode_requester(by: Fingerprint, number: u64) -> Vec<u8> {
 /// requester.
 pub fn decode_requester(attachment: &[u8]) -> Option<MessageKind> {
     match decode_header(attachment) {
-        Some(([VERSION, kind], by, number, [])) if kind == MessageKind::Query.byte() => {
+        Some(([VERSION, kind], by, number, rest))
+            if kind == MessageKind::Query.byte() && (rest.is_empty() || rest.len() >= SIGNATURE_BYTES) =>
+        {
             Some(MessageKind::Reply(by, number))
         }
         _ => None,

@@ -20,6 +20,9 @@ pub(super) const VERSION: u8 = 1;
 /// Size of an Ed25519 signature, in bytes.
 pub const SIGNATURE_BYTES: usize = 64;
 
+/// Kind of a refusal, in the header.
+const REFUSAL: u8 = 3;
+
 const FINGERPRINT: usize = 16;
 pub(super) const HEADER_BYTES: usize = 2 + FINGERPRINT + 8;
 
@@ -71,14 +74,26 @@ pub enum MessageKind {
     Query,
     /// Reply to the query with this number, sent by the principal with this certificate.
     Reply(Fingerprint, u64),
+    /// Refusal of that query.
+    Refusal(Fingerprint, u64),
 }
 
 impl MessageKind {
+    /// Returns the kind of a refusal of the same query as this reply.
+    #[must_use]
+    pub fn as_refusal(self) -> MessageKind {
+        match self {
+            MessageKind::Reply(requester, query) => MessageKind::Refusal(requester, query),
+            other => other,
+        }
+    }
+
     pub(super) fn byte(self) -> u8 {
         match self {
             MessageKind::Publication => 0,
             MessageKind::Query => 1,
             MessageKind::Reply(..) => 2,
+            MessageKind::Refusal(..) => REFUSAL,
         }
     }
 }
@@ -113,6 +128,11 @@ pub enum EnvelopeError {
     Kind,
 }
 
+/// Checks whether a reply claims to be a refusal. The signature is not verified.
+pub fn is_refusal(bytes: &[u8]) -> bool {
+    decode_header(bytes).is_some_and(|([_, kind], ..)| kind == REFUSAL)
+}
+
 /// Returns the bytes to sign for a message.
 pub fn signed_part(kind: MessageKind, by: Fingerprint, number: u64, key: &str, payload: &[u8]) -> Vec<u8> {
     let mut signed = Vec::with_capacity(64 + HEADER_BYTES + key.len() + payload.len());
@@ -120,7 +140,7 @@ pub fn signed_part(kind: MessageKind, by: Fingerprint, number: u64, key: &str, p
     signed.extend_from_slice(&[VERSION, kind.byte()]);
     signed.extend_from_slice(&by.0);
     signed.extend_from_slice(&number.to_be_bytes());
-    if let MessageKind::Reply(requester, query) = kind {
+    if let MessageKind::Reply(requester, query) | MessageKind::Refusal(requester, query) = kind {
         signed.extend_from_slice(&requester.0);
         signed.extend_from_slice(&query.to_be_bytes());
     }
@@ -199,6 +219,7 @@ mod tests {
             signed_part(MessageKind::Query, BY, 1, "a/b", b"c"),
             signed_part(MessageKind::Reply(BY, 1), BY, 1, "a/b", b"c"),
             signed_part(MessageKind::Reply(BY, 2), BY, 1, "a/b", b"c"),
+            signed_part(MessageKind::Refusal(BY, 1), BY, 1, "a/b", b"c"),
             signed_part(MessageKind::Publication, BY, 2, "a/b", b"c"),
             signed_part(MessageKind::Publication, Fingerprint([8; FINGERPRINT]), 1, "a/b", b"c"),
             signed_part(MessageKind::Publication, BY, 1, "a/bc", b""),

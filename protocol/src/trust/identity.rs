@@ -45,6 +45,8 @@ words! {
         /// The node runs driver servers and human task proxies: a simulated world, or an adapter
         /// for robots of another make.
         Host = "host",
+        /// The node serves a dashboard, and forwards requests with the tokens of its visitors.
+        Dashboard = "dashboard",
     }
     /// Permissions of a person. Each scope includes the preceding scopes.
     AccessScope {
@@ -93,6 +95,16 @@ impl From<NameError> for IdentityError {
     }
 }
 
+impl Principal {
+    /// Returns the name of the node or person.
+    pub fn name(&self) -> &str {
+        match self {
+            Principal::Node { name, .. } => name.as_str(),
+            Principal::Person { name, .. } => name.as_str(),
+        }
+    }
+}
+
 impl fmt::Display for Principal {
     /// Writes the principal for people: `node ada (robot, voter)`, `person kim (submit)`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -128,7 +140,8 @@ impl FromStr for Identity {
 
     fn from_str(text: &str) -> Result<Identity, IdentityError> {
         let form = || {
-            let forms = "consort://FLEET/node/NAME?roles=robot,voter,host or consort://FLEET/person/NAME?scope=read";
+            let forms =
+                "consort://FLEET/node/NAME?roles=robot,voter,host,dashboard or consort://FLEET/person/NAME?scope=read";
             IdentityError(format!("{text:?} is not an identity; the form is {forms}"))
         };
         let (path, query) = text.strip_prefix("consort://").and_then(|rest| rest.split_once('?')).ok_or_else(form)?;
@@ -172,7 +185,7 @@ mod tests {
         assert!(error("consort://ward/node/a*a?roles=robot").contains("contains '*'"));
         assert_eq!(
             error("consort://ward/node/ada?roles=robot,boss"),
-            "\"boss\" is not a role of a node; allowed: robot, voter, host"
+            "\"boss\" is not a role of a node; allowed: robot, voter, host, dashboard"
         );
         assert_eq!(
             error("consort://ward/person/kim?scope=all"),

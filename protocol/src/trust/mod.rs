@@ -11,17 +11,20 @@
 //! not in this module (`actors/bus/src/trust`).
 //!
 //! Any client can read and query below `view/`, `seen/`, `api/` and `events/`. There the signature
-//! is an [attachment](encode_requester) to a message in plain JSON, for clients that verify it.
+//! is an [attachment](encode_requester) to a message in plain JSON, for clients that verify it. A
+//! request that changes the fleet is [signed](RequestProof) for a person.
 
 mod attachment;
 mod envelope;
 mod identity;
 mod replay_window;
+mod request_proof;
 
 pub use attachment::{decode_requester, encode_requester, signed_attachment};
 pub use envelope::{
     ENVELOPE_BYTES, EnvelopeError, Fingerprint, FingerprintError, MessageKind, SIGNATURE_BYTES, SignedEnvelope,
-    decode_envelope, encode_envelope, signed_part,
+    decode_envelope, encode_envelope, is_refusal, signed_part,
 };
 pub use identity::{AccessScope, Identity, IdentityError, NodeRole, Principal};
 pub use replay_window::{Freshness, ReplayWindow};
+pub use request_proof::{REQUEST_SKEW_MAX_MS, RequestProof, signed_request};

@@ -10,6 +10,7 @@ use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::units::BatteryShare;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -242,13 +243,13 @@ impl ActionExecutor {
     /// Resolves missions that need intervention, as a person would. Robots that hold an item
     /// receive no other work until then.
     pub(super) fn spawn_resolver(&self, fleet: &Fleet) {
-        let client = fleet.client.clone();
+        let client = Arc::clone(&fleet.requests);
         let key = |call| fleet.keys.write(&Key::Api(call));
         let (list, resolve) = (key(ApiCall::List), key(ApiCall::Resolve));
         tokio::spawn(async move {
             loop {
                 // The list includes unnamed requests that were never acknowledged.
-                let answers = query_nearest(&client, &list).await;
+                let answers = query_nearest(&*client, &list).await;
                 let mut held: Vec<Value> = vec![];
                 for mission in answers.iter().filter_map(|answer| answer["missions"].as_array()).flatten() {
                     if mission["state"] == "needs_intervention" {
@@ -256,7 +257,7 @@ impl ActionExecutor {
                     }
                 }
                 for mission in held {
-                    query_all(&client, &resolve, &json!({ "mission": mission, "by": "chaos" })).await;
+                    query_all(&*client, &resolve, &json!({ "mission": mission, "by": "chaos" })).await;
                 }
                 tokio::time::sleep(RESOLVE_INTERVAL).await;
             }
@@ -264,13 +265,13 @@ impl ActionExecutor {
     }
 
     fn submit(&self, fleet: &Fleet, request: &str, request_body: Value) {
-        let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Submit)));
+        let (client, key) = (Arc::clone(&fleet.requests), fleet.keys.write(&Key::Api(ApiCall::Submit)));
         let (event_log, acknowledged, request) =
             (fleet.event_log.clone(), self.acknowledged.clone(), request.to_owned());
         let named = request_body.get("request").is_some();
         tokio::spawn(async move {
             loop {
-                for answer in query_all(&client, &key, &request_body).await {
+                for answer in query_all(&*client, &key, &request_body).await {
                     if let Some(mission) = answer["mission"].as_str() {
                         let (node, mission_id) = (slug("client"), slug(mission));
                         let name = named.then(|| request.clone());
@@ -285,7 +286,7 @@ impl ActionExecutor {
     }
 
     fn cancel(&self, fleet: &Fleet, request: &str) {
-        let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Cancel)));
+        let (client, key) = (Arc::clone(&fleet.requests), fleet.keys.write(&Key::Api(ApiCall::Cancel)));
         let (mut acknowledged, request) = (self.acknowledged.subscribe(), request.to_owned());
         tokio::spawn(async move {
             let Ok(mission) =
@@ -295,7 +296,7 @@ impl ActionExecutor {
             };
             let request_body = json!({ "mission": mission, "by": "chaos" });
             // Any reply suffices: the mission may have ended by itself.
-            while query_all(&client, &key, &request_body).await.is_empty() {
+            while query_all(&*client, &key, &request_body).await.is_empty() {
                 tokio::time::sleep(RETRY_INTERVAL).await;
             }
         });
@@ -304,12 +305,12 @@ impl ActionExecutor {
 
 /// Returns the replies of all nodes that count themselves coordinator. There may be several or
 /// none.
-async fn query_all(client: &impl Bus, key: &str, request_body: &Value) -> Vec<Value> {
+async fn query_all(client: &dyn Bus, key: &str, request_body: &Value) -> Vec<Value> {
     collect_replies(client.query(key, request_body.to_string().into(), Duration::from_secs(3)).await).await
 }
 
 /// Returns the reply of the nearest node.
-async fn query_nearest(client: &impl Bus, key: &str) -> Vec<Value> {
+async fn query_nearest(client: &dyn Bus, key: &str) -> Vec<Value> {
     collect_replies(client.query_nearest(key, vec![].into(), Duration::from_secs(3)).await).await
 }
 

@@ -22,7 +22,7 @@ use tokio::time::Instant;
 const HANGS_S: f64 = 300.0;
 
 /// Date at the start of every run, in milliseconds since 1970.
-const DATE_MS: u64 = 1_790_000_000_000;
+pub(super) const DATE_MS: u64 = 1_790_000_000_000;
 
 /// Queued faults of the skills of a robot.
 type FaultQueue = Arc<Mutex<VecDeque<SkillFault>>>;

@@ -7,7 +7,7 @@
 
 use super::chaos_fleet::{ChaosFleet, ROOMS};
 use super::executor::ActionExecutor;
-use super::fault_injector::FaultInjector;
+use super::fault_injector::{DATE_MS, FaultInjector};
 use super::generate::LIFTED;
 use super::invariants::{self, Invariant, InvariantViolation};
 use super::mutants::{Mutant, MutantInjection};
@@ -125,7 +125,7 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
 /// Returns the options that inject the faults, and the bug if there is one.
 fn node_options(config: &RunConfig, injector: &FaultInjector) -> NodeOptions {
     let mut adjust = injector.adjust();
-    let options = NodeOptions { closed: config.closed, ..NodeOptions::default() };
+    let options = NodeOptions { closed: config.closed, date_ms: DATE_MS, ..NodeOptions::default() };
     let Some(mutant) = config.mutant else { return NodeOptions { adjust, ..options } };
     let injection = MutantInjection::new(mutant);
     let at_bus = injection.clone();

@@ -1,19 +1,25 @@
 //! A bus on which every message of a node carries its author's signature.
 
 use super::certificates::{CertificateExchange, ExchangeContext};
+use super::executed_requests::ExecutedRequests;
 use super::keyring::Keyring;
 use super::record_signer::KeyringSigner;
 use super::rejections::RejectionLog;
 use super::verifier::{DetachedSignature, ReceivedMessage, Verifier, Windows};
-use crate::bus::{BusError, Encoding, Query, Replier, Reply, Sample, SharedBus, Stream};
+use crate::bus::{
+    BusError, Encoding, Query, QueryRefused, Replier, Reply, RequestAuthority, Sample, SharedBus, Stream,
+};
 use crate::clock::Clock;
 use crate::layer::{Layer, MessageContent, refuse_in_background};
 use crate::record_signer::SharedRecordSigner;
 use async_trait::async_trait;
 use bytes::Bytes;
-use consort_protocol::access::Operation;
+use consort_protocol::access::{Operation, scope_to_sign};
+use consort_protocol::codec;
 use consort_protocol::keys::Keys;
-use consort_protocol::trust::{MessageKind, decode_requester, encode_requester};
+use consort_protocol::trust::{
+    MessageKind, RequestProof, SignedEnvelope, decode_envelope, decode_requester, encode_requester, is_refusal,
+};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -61,7 +67,9 @@ impl SigningBus {
             rejections: Arc::clone(&rejections),
         };
         let certificates = Arc::new(CertificateExchange::open(context, revoked).await?);
-        Ok(SigningBus { bus, verifier: Arc::new(Verifier { keys, keyring, certificates, rejections, clock }) })
+        let executed_requests = ExecutedRequests::default();
+        let verifier = Verifier { keys, keyring, certificates, rejections, clock, executed_requests };
+        Ok(SigningBus { bus, verifier: Arc::new(verifier) })
     }
 
     /// Returns the signer of this node's records, which also verifies records of other nodes.
@@ -73,6 +81,11 @@ impl SigningBus {
     /// Returns the reasons of recent rejections, as text.
     pub fn rejections(&self) -> Vec<String> {
         self.verifier.rejections.recent()
+    }
+
+    /// Returns the number of messages rejected so far.
+    pub fn rejection_count(&self) -> u64 {
+        self.verifier.rejections.count()
     }
 
     /// Returns the location of the signature for a key or key expression.
@@ -117,12 +130,16 @@ impl SigningBus {
                 Ok(verified) => {
                     let payload = verified.payload(&query.payload);
                     let kind = MessageKind::Reply(verified.signer, verified.number);
-                    let keyring = Arc::clone(&verifier.keyring);
-                    let replier =
-                        Box::new(SigningReplier { replier: query.replier, keyring, kind, query_payload: None });
-                    Some(Query { payload, replier, ..query })
+                    Some(SigningReplier::wrap(Query { payload, ..query }, &verifier.keyring, kind, None))
                 }
                 Err(rejected) => {
+                    // Also nodes whose certificate is not yet known here get a signed refusal.
+                    let query = match decode_envelope(MessageKind::Query, &query.payload) {
+                        Ok(SignedEnvelope { signer, number, .. }) => {
+                            SigningReplier::wrap(query, &verifier.keyring, MessageKind::Reply(signer, number), None)
+                        }
+                        Err(_) => query,
+                    };
                     refuse_in_background(query, rejected.to_string());
                     None
                 }
@@ -130,39 +147,64 @@ impl SigningBus {
         })
     }
 
-    /// Passes client queries: the links have authorized them. Replies are signed if the requester
-    /// will verify them.
+    /// Passes client queries. Those that change the fleet are verified; the links have authorized
+    /// the others. Replies are signed if the requester will verify them.
     fn sign_replies_to_clients(&self, queries: Stream<Query>) -> Stream<Query> {
-        let keyring = Arc::clone(&self.verifier.keyring);
-        queries.map(move |query| match decode_requester(&query.attachment) {
-            Some(kind) => {
-                let (keyring, query_payload) = (Arc::clone(&keyring), Some(query.payload.clone()));
-                let replier = Box::new(SigningReplier { replier: query.replier, keyring, kind, query_payload });
-                Query { replier, attachment: Bytes::new(), ..query }
-            }
-            None => query,
+        let verifier = Arc::clone(&self.verifier);
+        queries.filter_map(move |query| {
+            let authority = match scope_to_sign(verifier.suffix(&query.key)) {
+                Some(scope) => verifier.verify_request(&query, scope)?,
+                None => RequestAuthority::Unchecked,
+            };
+            let query = Query { authority, ..query };
+            Some(match decode_requester(&query.attachment) {
+                Some(kind) => {
+                    let query_payload = Some(query.payload.clone());
+                    let query = Query { attachment: Bytes::new(), ..query };
+                    SigningReplier::wrap(query, &verifier.keyring, kind, query_payload)
+                }
+                None => query,
+            })
         })
+    }
+
+    /// Signs a request that changes the fleet. A forwarded token is the attachment of its caller.
+    fn sign_request(&self, number: u64, key: &str, content: &MessageContent) -> Result<Vec<u8>, BusError> {
+        let Verifier { keyring, clock, .. } = &*self.verifier;
+        let failed = |problem: String| BusError::Failed { operation: format!("sign {key}"), problem };
+        let token = std::str::from_utf8(&content.attachment).map_err(|problem| failed(problem.to_string()))?;
+        let proof = RequestProof {
+            signed_at_ms: clock.wall_ms(),
+            certificate: keyring.own_certificate(),
+            token: (!token.is_empty()).then(|| token.to_owned()),
+        };
+        let proof = codec::encode(&proof).map_err(|problem| failed(problem.to_string()))?;
+        Ok(keyring.sign_request(number, key, &proof, &content.payload))
     }
 
     /// Returns the replies that pass verification. For detached signatures, `query` is the payload
     /// of the query.
     fn replies(&self, replies: Stream<Reply>, number: u64, query: Option<Bytes>) -> Stream<Reply> {
         let verifier = Arc::clone(&self.verifier);
-        let kind = MessageKind::Reply(self.verifier.keyring.fingerprint(), number);
+        let own = self.verifier.keyring.fingerprint();
         replies.filter_map(move |reply| {
             let detached = query.as_ref().map(|query| DetachedSignature { signature: &reply.attachment, query });
-            let bytes = match &reply.payload {
-                Ok(bytes) => bytes,
-                // Nodes of this fleet refuse with signed JSON.
-                Err(_) if detached.is_some() => {
-                    verifier.reject_unsigned(&reply.key);
-                    return None;
-                }
-                Err(_) => return Some(reply),
+            // Nodes of this fleet sign their refusals: as JSON, or in an envelope.
+            let Ok(bytes) = &reply.payload else {
+                verifier.reject_unsigned(&reply.key);
+                return None;
             };
-            let message = ReceivedMessage { kind, operation: Operation::Reply, key: &reply.key, bytes, detached };
-            let verified = verifier.verify(&message, None).ok()?;
-            let payload = Ok(verified.payload(bytes));
+            let is_refusal = detached.is_none() && is_refusal(bytes);
+            let (kind, operation) = match is_refusal {
+                true => (MessageKind::Refusal(own, number), Operation::Refuse),
+                false => (MessageKind::Reply(own, number), Operation::Reply),
+            };
+            let message = ReceivedMessage { kind, operation, key: &reply.key, bytes, detached };
+            let content = verifier.verify(&message, None).ok()?.payload(bytes);
+            let payload = match is_refusal {
+                true => Err(QueryRefused(String::from_utf8_lossy(&content).into_owned())),
+                false => Ok(content),
+            };
             Some(Reply { payload, attachment: Bytes::new(), ..reply })
         })
     }
@@ -217,9 +259,12 @@ impl Layer for SigningBus {
             }
             SignaturePlace::Attachment => {
                 let number = keyring.next_number();
-                let (attachment, query) =
-                    (encode_requester(keyring.fingerprint(), number).into(), content.payload.clone());
-                (MessageContent { attachment, ..content }, Some((number, Some(query))))
+                let attachment = match scope_to_sign(self.verifier.suffix(key)) {
+                    Some(_) => self.sign_request(number, key, &content)?,
+                    None => encode_requester(keyring.fingerprint(), number),
+                };
+                let query = content.payload.clone();
+                (MessageContent { attachment: attachment.into(), ..content }, Some((number, Some(query))))
             }
         })
     }
@@ -243,10 +288,19 @@ impl Layer for SigningBus {
 /// Sends the signed replies to a query.
 struct SigningReplier {
     replier: Box<dyn Replier>,
+    query_key: String,
     keyring: Arc<Keyring>,
     kind: MessageKind,
     /// Payload of the query, if the reply carries a detached signature.
     query_payload: Option<Bytes>,
+}
+
+impl SigningReplier {
+    /// Returns the query with a replier that signs.
+    fn wrap(query: Query, keyring: &Arc<Keyring>, kind: MessageKind, query_payload: Option<Bytes>) -> Query {
+        let (replier, query_key, keyring) = (query.replier, query.key.clone(), Arc::clone(keyring));
+        Query { replier: Box::new(SigningReplier { replier, query_key, keyring, kind, query_payload }), ..query }
+    }
 }
 
 #[async_trait]
@@ -271,6 +325,14 @@ impl Replier for SigningReplier {
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {
-        self.replier.refuse(reason).await
+        if self.query_payload.is_some() {
+            // Stock clients read plain text. Nodes and commands ignore it.
+            return self.replier.refuse(reason).await;
+        }
+        let (kind, number) = (self.kind.as_refusal(), self.keyring.next_number());
+        // A reply has a key of its own, also to a query of all nodes (`wire/bid/*`).
+        let key = self.query_key.replace('*', self.keyring.identity().principal.name());
+        let payload = self.keyring.sign_envelope(kind, number, &key, reason.as_bytes());
+        self.replier.reply_with_attachment(&key, payload.into(), Bytes::new(), Encoding::Wire).await
     }
 }

@@ -3,7 +3,7 @@
 
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::{
-    Fingerprint, Identity, MessageKind, SignedEnvelope, encode_envelope, signed_attachment, signed_part,
+    Fingerprint, Identity, MessageKind, SignedEnvelope, encode_envelope, signed_attachment, signed_part, signed_request,
 };
 use pki_types::{CertificateDer, TrustAnchor, UnixTime};
 use ring::digest::{SHA256, digest};
@@ -242,6 +242,15 @@ impl Keyring {
             kind,
             SignedEnvelope { signer, number, signature: signature.as_ref(), payload: &self.own.certificate },
         )
+    }
+
+    /// Signs a request that changes the fleet, and returns the attachment of its query. `proof` is
+    /// the encoded `RequestProof`.
+    pub(super) fn sign_request(&self, number: u64, key: &str, proof: &[u8], payload: &[u8]) -> Vec<u8> {
+        let signer = self.fingerprint();
+        let signature = self.key.sign(&signed_request(signer, number, key, proof, payload));
+        let signature = signature.as_ref();
+        encode_envelope(MessageKind::Query, SignedEnvelope { signer, number, signature, payload: proof })
     }
 
     /// Returns the principal's signature of a message.

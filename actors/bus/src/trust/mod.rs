@@ -10,7 +10,8 @@
 //! An envelope identifies its signer's certificate by fingerprint. A node without that certificate
 //! queries `wire/certificate/{fingerprint}`, and drops the signer's messages until the certificate
 //! arrives. Every protocol on the bus tolerates such a loss. On keys that clients read, the
-//! signature is an attachment of the plain message and includes the certificate.
+//! signature is an attachment of the plain message and includes the certificate. Requests that
+//! change the fleet are signed for a person, and verified before they reach an actor (`requests`).
 //!
 //! Limits of the signatures:
 //! - They do not hide content; links do, by TLS.
@@ -21,6 +22,7 @@
 
 mod bus;
 mod certificates;
+mod executed_requests;
 mod files;
 pub mod issue;
 mod keyring;
@@ -28,6 +30,7 @@ mod link_revocation;
 mod probe;
 mod record_signer;
 mod rejections;
+mod requests;
 mod token;
 mod verifier;
 
@@ -35,4 +38,4 @@ pub use bus::SigningBus;
 pub use files::{KeyError, KeyringError, TrustError, TrustFiles};
 pub use keyring::{CertificateError, Keyring, VerifiedCertificate};
 pub use probe::ProbeError;
-pub use token::{TOKEN_MAX, TokenClaims, TokenError};
+pub use token::{TOKEN_MAX, TokenClaims, TokenError, forwarded_part};

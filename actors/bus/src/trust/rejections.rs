@@ -2,6 +2,7 @@
 //! sender of rejected messages cannot fill the disk.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use tokio::time::Instant;
@@ -13,9 +14,12 @@ const LOG_INTERVAL: Duration = Duration::from_secs(10);
 /// Maximum number of distinct reasons.
 const REASONS_MAX: usize = 64;
 
-/// Rejected messages by reason.
+/// Rejected messages by reason, and their number.
 #[derive(Default)]
-pub(super) struct RejectionLog(Mutex<BTreeMap<String, LogEntry>>);
+pub(super) struct RejectionLog {
+    entries: Mutex<BTreeMap<String, LogEntry>>,
+    count: AtomicU64,
+}
 
 struct LogEntry {
     at: Instant,
@@ -25,12 +29,18 @@ struct LogEntry {
 impl RejectionLog {
     /// Returns the recent reasons, as text.
     pub(super) fn recent(&self) -> Vec<String> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).keys().cloned().collect()
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner).keys().cloned().collect()
+    }
+
+    /// Returns the number of rejections so far.
+    pub(super) fn count(&self) -> u64 {
+        self.count.load(Ordering::Relaxed)
     }
 
     /// Records a rejection.
     pub(super) fn record(&self, reason: String) {
-        let mut entries = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        self.count.fetch_add(1, Ordering::Relaxed);
+        let mut entries = self.entries.lock().unwrap_or_else(PoisonError::into_inner);
         let now = Instant::now();
         if entries.len() >= REASONS_MAX && !entries.contains_key(&reason) {
             entries.retain(|_, entry| now < entry.at + LOG_INTERVAL);

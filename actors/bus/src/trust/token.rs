@@ -6,12 +6,22 @@
 //! trusts the fleet's authority can verify a token, and no list of tokens is needed. A token ends
 //! at its own expiry, at the expiry of the certificate, or when the certificate is revoked. There
 //! is a single algorithm and no choice: a token with another algorithm is rejected.
+//!
+//! ```text
+//!  header.claims.signature~secret        claims: fleet, expiry, scope, SHA-256 of the secret
+//!  └── forwarded part ────┘
+//! ```
+//!
+//! A dashboard forwards requests without the secret, so a node that relays them cannot use the
+//! token: pages ask for the secret, and only a node with the role `dashboard` may forward.
 
 use super::keyring::{CertificateError, Keyring, VerifiedCertificate, format_span};
 use base64::Engine as _;
 use base64::engine::general_purpose::{STANDARD, URL_SAFE_NO_PAD};
 use consort_protocol::ids::{FleetId, PersonId};
 use consort_protocol::trust::{AccessScope, Principal};
+use ring::digest::{SHA256, digest};
+use ring::rand::{SystemRandom, generate};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -41,6 +51,12 @@ pub enum TokenError {
     /// The token was changed, or forged without the private key.
     #[error("the token was not signed with the key of its certificate")]
     Signature,
+    /// The token was changed, or is the forwarded part of a token.
+    #[error("the secret of the token, behind '~', is missing or wrong")]
+    Secret,
+    /// The system has no random numbers.
+    #[error("the operating system gives no random numbers")]
+    NoRandomness,
     /// The token has expired.
     #[error("the token expired {0} ago; `consort token` makes a new one")]
     Expired(String),
@@ -77,6 +93,16 @@ struct Claims {
     aud: FleetId,
     exp: u64,
     scope: String,
+    secret_sha256: String,
+}
+
+/// Returns the part of a token that is forwarded with a request: the token without its secret.
+pub fn forwarded_part(token: &str) -> &str {
+    token.split_once('~').map_or(token, |(forwarded, _)| forwarded)
+}
+
+fn secret_hash(secret: &str) -> String {
+    URL_SAFE_NO_PAD.encode(digest(&SHA256, secret.as_bytes()))
 }
 
 impl Keyring {
@@ -89,10 +115,13 @@ impl Keyring {
         let fleet = self.identity().fleet.clone();
         authorized_person(&self.identity().principal, scope)?;
         let header = Header { alg: ALGORITHM.to_owned(), x5c: [STANDARD.encode(self.own_certificate())] };
-        let claims = Claims { aud: fleet, exp: until.as_secs(), scope: scope.to_string() };
+        let secret: [u8; 16] = generate(&SystemRandom::new()).map_err(|_| TokenError::NoRandomness)?.expose();
+        let secret = URL_SAFE_NO_PAD.encode(secret);
+        let secret_sha256 = secret_hash(&secret);
+        let claims = Claims { aud: fleet, exp: until.as_secs(), scope: scope.to_string(), secret_sha256 };
         let signed = format!("{}.{}", encode_part(&header), encode_part(&claims));
         let signature = URL_SAFE_NO_PAD.encode(self.sign(signed.as_bytes()));
-        Ok(format!("{signed}.{signature}"))
+        Ok(format!("{signed}.{signature}~{secret}"))
     }
 
     /// Verifies a token at the given time since 1970.
@@ -100,6 +129,24 @@ impl Keyring {
     /// # Errors
     /// [`TokenError`]. No text causes a panic.
     pub fn verify_token(&self, token: &str, now: Duration) -> Result<TokenClaims, TokenError> {
+        let (forwarded, secret) = token.split_once('~').unwrap_or((token, ""));
+        let (claims, secret_sha256) = self.verify_signed_part(forwarded, now)?;
+        match secret_hash(secret) == secret_sha256 {
+            true => Ok(claims),
+            false => Err(TokenError::Secret),
+        }
+    }
+
+    /// Verifies the forwarded part of a token at the given time since 1970.
+    ///
+    /// # Errors
+    /// [`TokenError`].
+    pub(super) fn verify_forwarded_token(&self, token: &str, now: Duration) -> Result<TokenClaims, TokenError> {
+        Ok(self.verify_signed_part(token, now)?.0)
+    }
+
+    /// Verifies the signed part of a token; returns its claims and the hash of its secret.
+    fn verify_signed_part(&self, token: &str, now: Duration) -> Result<(TokenClaims, String), TokenError> {
         if token.len() > TOKEN_MAX {
             return Err(TokenError::Malformed("it is too long"));
         }
@@ -128,7 +175,7 @@ impl Keyring {
         }
         let scope = AccessScope::parse(&claims.scope).ok_or(TokenError::Malformed("its scope is unknown"))?;
         let name = authorized_person(&verified.identity.principal, scope)?.clone();
-        Ok(TokenClaims { name, scope, expires: Duration::from_secs(claims.exp) })
+        Ok((TokenClaims { name, scope, expires: Duration::from_secs(claims.exp) }, claims.secret_sha256))
     }
 }
 

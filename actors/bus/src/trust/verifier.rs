@@ -1,6 +1,7 @@
 //! Verification of received messages: signature, authorization, freshness.
 
 use super::certificates::CertificateExchange;
+use super::executed_requests::ExecutedRequests;
 use super::keyring::{CertificateError, Keyring, VerifiedCertificate};
 use super::rejections::RejectionLog;
 use crate::clock::Clock;
@@ -93,6 +94,7 @@ pub(super) struct Verifier {
     pub(super) certificates: Arc<CertificateExchange>,
     pub(super) rejections: Arc<RejectionLog>,
     pub(super) clock: Clock,
+    pub(super) executed_requests: ExecutedRequests,
 }
 
 impl Verifier {
@@ -119,7 +121,7 @@ impl Verifier {
     }
 
     /// Returns the part of a key after the fleet's prefix.
-    fn suffix<'a>(&self, key: &'a str) -> &'a str {
+    pub(super) fn suffix<'a>(&self, key: &'a str) -> &'a str {
         self.keys.strip_fleet(key).unwrap_or(key)
     }
 

@@ -1,7 +1,7 @@
 //! Conversion between the messages of the bus and those of Zenoh.
 
 use super::error::failed;
-use crate::bus::{BusError, Encoding, Query, QueryRefused, Replier, Reply};
+use crate::bus::{BusError, Encoding, Query, QueryRefused, Replier, Reply, RequestAuthority};
 use crate::keys;
 use async_trait::async_trait;
 use bytes::Bytes;
@@ -85,6 +85,7 @@ pub(super) fn query_callback(
             parameters: query.parameters().to_string(),
             payload: query.payload().map(to_bytes).unwrap_or_default(),
             attachment: attachment_bytes(query.attachment()),
+            authority: RequestAuthority::Unchecked,
             replier: Box::new(ZenohReplier {
                 query_key: OwnedKeyExpr::from(query.key_expr().clone()),
                 query,

@@ -5,4 +5,5 @@ mod certificates;
 mod client_messages;
 mod fixture;
 mod messages;
+mod requests;
 mod tokens;

@@ -2,10 +2,11 @@
 
 use crate::fixture::*;
 use bytes::Bytes;
-use consort_bus::{Bus, Encoding, QueryRefused};
+use consort_bus::{Bus, Encoding, QueryRefused, SharedBus};
 use consort_protocol::codec;
 use consort_protocol::keys::{DriverCall, Key};
 use consort_protocol::message::BootstrapRequest;
+use std::sync::Arc;
 use std::time::Duration;
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
@@ -120,6 +121,36 @@ async fn queries_and_replies_are_authorized() {
             .any(|problem| problem.0.contains("node eve (robot) may not query")),
         "{payloads:?}"
     );
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn only_the_queried_node_can_refuse() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let bob: SharedBus = Arc::new(fixture.node("bob", "consort://ward/node/bob?roles=voter").await);
+    let eve: SharedBus = Arc::new(fixture.node("eve", "consort://ward/node/eve?roles=robot").await);
+    let key = keys().write(&Key::Bootstrap(node("bob")));
+    // Eve refuses at once, with her own key and without one; bob after all others.
+    for (bus, reason, after) in [(&eve, "no", 0), (&fixture.plain("eve"), "no", 0), (&bob, "not yet", 100)] {
+        let mut queries = bus.serve(&key).await.unwrap();
+        tokio::spawn(async move {
+            while let Some(query) = queries.recv().await {
+                tokio::time::sleep(Duration::from_millis(after)).await;
+                query.replier.refuse(reason).await.unwrap();
+            }
+        });
+    }
+    let request = codec::encode(&BootstrapRequest { mobile: false, on_battery: false, node: node("ada") }).unwrap();
+    for key in [&key, &key.replace("bob", "*")] {
+        let refusal = Err(QueryRefused("not yet".to_owned()));
+        assert_eq!(query_until_known(&ada, key, &request).await, [refusal], "{key}");
+    }
+    let rejections = ada.rejections();
+    for reason in
+        ["node eve (robot) may not refuse wire/bootstrap/bob", "wire/bootstrap/bob rejected: it is not signed"]
+    {
+        assert!(rejections.iter().any(|rejection| rejection.contains(reason)), "{reason}: {rejections:?}");
+    }
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]

@@ -1,7 +1,7 @@
 //! Tokens of persons.
 
 use crate::fixture::*;
-use consort_bus::trust::{Keyring, TOKEN_MAX, TokenError};
+use consort_bus::trust::{Keyring, TOKEN_MAX, TokenError, forwarded_part};
 use consort_protocol::trust::AccessScope;
 use pki_types::PrivatePkcs8KeyDer;
 use pki_types::pem::PemObject as _;
@@ -38,7 +38,7 @@ fn a_changed_token_is_rejected() {
     let (kim, ada) = (person(&fixture, "read"), verifier(&fixture));
     let token = kim.issue_token(AccessScope::Read, NOW + HOUR).unwrap();
     for (at, was) in token.bytes().enumerate() {
-        for other in [b'A', b'x', b'.', b'='] {
+        for other in [b'A', b'x', b'.', b'=', b'~'] {
             let mut changed = token.clone().into_bytes();
             changed[at] = other;
             let changed = String::from_utf8(changed).unwrap();
@@ -46,7 +46,7 @@ fn a_changed_token_is_rejected() {
         }
         assert!(ada.verify_token(&token[..at], NOW).is_err(), "cut at {at}");
     }
-    let longer = format!("{token}{}", "A".repeat(TOKEN_MAX));
+    let longer = format!("{}{token}", "A".repeat(TOKEN_MAX));
     assert_eq!(ada.verify_token(&longer, NOW), Err(TokenError::Malformed("it is too long")));
 }
 
@@ -54,6 +54,7 @@ fn a_changed_token_is_rejected() {
 fn a_token_with_excessive_claims_is_rejected() {
     use base64::Engine as _;
     use base64::engine::general_purpose::URL_SAFE_NO_PAD;
+    use ring::digest::{SHA256, digest};
     let fixture = Fixture::new();
     let identity = "consort://ward/person/kim?scope=read".parse().unwrap();
     let issued = fixture.authority().issue(&identity, &[], LONG).unwrap();
@@ -64,8 +65,10 @@ fn a_token_with_excessive_claims_is_rejected() {
     let token = kim.issue_token(AccessScope::Read, NOW + HOUR).unwrap();
     let head = token.split('.').next().unwrap().to_owned();
     let forged_with = |head: &str, claims: &serde_json::Value| {
+        let mut claims = claims.clone();
+        claims["secret_sha256"] = URL_SAFE_NO_PAD.encode(digest(&SHA256, b"s")).into();
         let signed = format!("{head}.{}", URL_SAFE_NO_PAD.encode(claims.to_string()));
-        format!("{signed}.{}", URL_SAFE_NO_PAD.encode(key.sign(signed.as_bytes())))
+        format!("{signed}.{}~s", URL_SAFE_NO_PAD.encode(key.sign(signed.as_bytes())))
     };
     let forged = |claims: serde_json::Value| forged_with(&head, &claims);
     let until = (NOW + HOUR).as_secs();
@@ -80,4 +83,17 @@ fn a_token_with_excessive_claims_is_rejected() {
     assert_eq!(refused.to_string(), "the token claims scope operate, but kim has scope read");
     let other_fleet = serde_json::json!({ "aud": "clinic", "exp": until, "scope": "read" });
     assert_eq!(ada.verify_token(&forged(other_fleet), NOW).unwrap_err().to_string(), "the token is for fleet clinic");
+}
+
+#[test]
+fn the_forwarded_part_of_a_token_opens_no_page() {
+    let fixture = Fixture::new();
+    let (kim, ada) = (person(&fixture, "read"), verifier(&fixture));
+    let token = kim.issue_token(AccessScope::Read, NOW + HOUR).unwrap();
+    let forwarded = forwarded_part(&token);
+    assert_eq!(ada.verify_token(forwarded, NOW), Err(TokenError::Secret));
+    assert_eq!(ada.verify_token(&format!("{forwarded}~guessed"), NOW), Err(TokenError::Secret));
+    let other = kim.issue_token(AccessScope::Read, NOW + HOUR).unwrap();
+    let (_, secret) = other.split_once('~').unwrap();
+    assert_eq!(ada.verify_token(&format!("{forwarded}~{secret}"), NOW), Err(TokenError::Secret));
 }

@@ -4,7 +4,7 @@
 use super::last_known_place::last_known_places;
 use super::no_leader::{RETRY_AFTER_MS, busy_reply};
 use super::submission::{self, SubmitError};
-use consort_bus::MESSAGE_MAX;
+use consort_bus::{MESSAGE_MAX, RequestAuthor, Requester};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::api::{
     ErrorReply, MissionChangeReply, MissionChangeRequest, NodeVersions, RequestError, SubmitReply, SubmitRequest,
@@ -39,6 +39,8 @@ pub(super) struct ApiHandler {
     pub(super) request_prefix: String,
     pub(super) at_ms: u64,
     pub(super) request_number: u64,
+    /// Verified author of the request, in a closed fleet.
+    pub(super) requester: Option<Requester>,
     /// Maximum number of active missions; 0 for no limit.
     pub(super) missions_max: usize,
 }
@@ -94,7 +96,11 @@ impl ApiHandler {
 
     async fn submit(&self, payload: &[u8]) -> Result<SubmitReply, ApiError> {
         let request_fields: SubmitRequest = parse_request(ApiCall::Submit, payload)?;
-        let default_id = format!("{}-{}", self.request_prefix, self.request_number);
+        // A repetition of a signed request, by a link or an attacker, has the same id.
+        let default_id = match &self.requester {
+            Some(requester) => requester.request.clone(),
+            None => format!("{}-{}", self.request_prefix, self.request_number),
+        };
         let submission = submission::prepare(request_fields, &self.domain, self.at_ms, default_id)?;
         if let Some(overload) = self.replica.read(|ledger| self.overload(ledger, &submission.request)) {
             return Err(overload);
@@ -118,13 +124,37 @@ impl ApiHandler {
 
     async fn cancel(&self, payload: &[u8]) -> Result<MissionChangeReply, ApiError> {
         let MissionChangeRequest { mission, by } = parse_request(ApiCall::Cancel, payload)?;
+        let by = self.responsible(by);
+        self.check_host(&mission)?;
         let places = self.replica.read(|ledger| last_known_places(&self.knowledge, ledger.mission(&mission)));
         self.change(mission.clone(), Command::Cancel { mission, by, places }).await
     }
 
     async fn resolve(&self, payload: &[u8]) -> Result<MissionChangeReply, ApiError> {
         let MissionChangeRequest { mission, by } = parse_request(ApiCall::Resolve, payload)?;
+        let by = self.responsible(by);
         self.change(mission.clone(), Command::Resolve { mission, by }).await
+    }
+
+    /// Checks that a driver server cancels only missions with people in them.
+    fn check_host(&self, mission: &MissionId) -> Result<(), ApiError> {
+        let Some(Requester { author: RequestAuthor::Host(node), .. }) = &self.requester else { return Ok(()) };
+        let has_people = |ledger: &Ledger| ledger.mission(mission).is_some_and(|entry| entry.has_unmanaged_roles());
+        match self.replica.read(has_people) {
+            true => Ok(()),
+            false => Err(format!("{node} may cancel only missions with people in them").into()),
+        }
+    }
+
+    /// Returns the person that is responsible for a change, for display: the signer, in a closed
+    /// fleet.
+    fn responsible(&self, by: Option<String>) -> String {
+        let by = by.filter(|by| !by.trim().is_empty());
+        let author = self.requester.as_ref().map(|requester| requester.author.to_string());
+        match (author, by) {
+            (Some(author), Some(by)) if by != author => format!("{by}, according to {author}"),
+            (author, by) => author.or(by).unwrap_or_else(|| "a client".to_owned()),
+        }
     }
 
     /// Returns a copy of the ledger. A majority first confirms that this node still leads, so the

@@ -5,10 +5,11 @@ use super::no_leader::busy_reply;
 use super::rate_limit::RequestLimiter;
 use super::session_context::SessionContext;
 use super::settings::NodeParts;
-use consort_bus::{Query, reply};
+use consort_bus::{Query, RequestAuthority, Requester, reply};
 use consort_protocol::api::ErrorReply;
 use consort_protocol::keys::{ApiCall, Key};
 use std::sync::Arc;
+use tracing::info;
 
 /// Requests of clients, counted and limited.
 pub(super) struct Requests {
@@ -38,20 +39,32 @@ impl Requests {
             context.tasks.spawn(async move { reply::json(&query, &query.key, &reply).await });
             return;
         };
+        let requester = match &query.authority {
+            RequestAuthority::Unchecked => None,
+            RequestAuthority::Verified(requester) => Some(requester.clone()),
+            RequestAuthority::Rejected(reply) => {
+                let reply = reply.clone();
+                context.tasks.spawn(async move { reply::json(&query, &query.key, &reply).await });
+                return;
+            }
+        };
         if let Err(after) = self.limiter.try_acquire(context.now()) {
             let reply = busy_reply("too many requests per second", after);
             context.tasks.spawn(async move { reply::json(&query, &query.key, &reply).await });
             return;
         }
         self.count += 1;
-        let handler = self.handler(context);
+        if let Some(Requester { author, request, .. }) = &requester {
+            info!(call = call.as_str(), %author, request, "executing a request");
+        }
+        let handler = self.handler(requester, context);
         context.tasks.spawn(async move {
             let reply = handler.handle(call, &query.payload).await;
             reply::json(&query, &query.key, &reply).await;
         });
     }
 
-    fn handler(&self, context: &SessionContext) -> ApiHandler {
+    fn handler(&self, requester: Option<Requester>, context: &SessionContext) -> ApiHandler {
         let NodeParts { node, keys, replica, knowledge, clock, wire_version, .. } = &context.settings.parts;
         ApiHandler {
             fleet: keys.fleet().clone(),
@@ -68,6 +81,7 @@ impl Requests {
             ),
             at_ms: clock.wall_ms(),
             request_number: self.count,
+            requester,
             missions_max: context.settings.request_limits.missions_max,
         }
     }

@@ -138,7 +138,7 @@ impl HumanTaskProxyState {
     /// Sends a cancel request to the coordinator, as any client does. The timer repeats it while
     /// the mission is active.
     pub(super) fn send_cancel(&mut self, mission: MissionId, by: String) {
-        let request = MissionChangeRequest { mission: mission.clone(), by };
+        let request = MissionChangeRequest { mission: mission.clone(), by: Some(by) };
         let request = serde_json::to_vec(&request).expect("a request serializes to JSON");
         let (bus, key) = (self.settings.bus.clone(), self.settings.keys.write(&Key::Api(ApiCall::Cancel)));
         self.tasks.spawn(async move {

@@ -18,7 +18,7 @@ use consort_bus::cluster_membership::{ClusterBus, ClusterMembership};
 use consort_bus::reply;
 use consort_bus::tasks::Tasks;
 use consort_bus::wire_version::WireVersion;
-use consort_bus::{Query, SharedBus, Stream};
+use consort_bus::{Query, RequestAuthority, SharedBus, Stream};
 use consort_gossip::{GossipHandle, GossipStart, SharedKnowledge};
 use consort_protocol::api::ErrorReply;
 use consort_protocol::ids::{ClusterId, NodeId, RobotId};
@@ -35,7 +35,7 @@ use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
-use tracing::warn;
+use tracing::{info, warn};
 
 /// Parts that a node handle needs.
 pub(super) struct StartedParts {
@@ -383,7 +383,9 @@ impl Assembly {
             timing: self.times,
         };
         let (decommissioned_sender, decommissioned) = watch::channel(None);
-        let requests = self.bus.serve(&self.keys.write(&Key::Leave(self.node))).await?;
+        let key = self.keys.write(&Key::Leave(self.node));
+        let requests = self.bus.serve(&key).await?;
+        let requests = DecommissionRequests { key, requests, started_ms: self.clock.wall_ms() };
         self.tasks.spawn(serve_decommission(decommission.clone(), requests, decommissioned_sender));
         Ok(StartedParts {
             decommission_handle: decommission,
@@ -394,13 +396,48 @@ impl Assembly {
     }
 }
 
+/// Suggested delay before a rejected request to leave is signed again, in milliseconds.
+const RETRY_AFTER_MS: u64 = 1000;
+
+/// Requests to this node to leave the fleet.
+struct DecommissionRequests {
+    key: String,
+    requests: Stream<Query>,
+    /// Start of the node, in milliseconds since 1970.
+    started_ms: u64,
+}
+
+impl DecommissionRequests {
+    /// Returns the next request that is to be executed. Rejects the others.
+    async fn next(&mut self) -> Option<Query> {
+        loop {
+            let query = self.requests.recv().await?;
+            let rejection = match &query.authority {
+                // A key expression that matches several nodes was not checked.
+                _ if query.key != self.key => ErrorReply::rejected(format!("a request names one node: {}", self.key)),
+                RequestAuthority::Rejected(reply) => reply.clone(),
+                RequestAuthority::Unchecked => return Some(query),
+                // An earlier start of the node may have executed it.
+                RequestAuthority::Verified(requester) if requester.signed_at_ms < self.started_ms => {
+                    ErrorReply::retry_after("the request was signed before the node started", RETRY_AFTER_MS)
+                }
+                RequestAuthority::Verified(requester) => {
+                    info!(author = %requester.author, "asked to leave the fleet");
+                    return Some(query);
+                }
+            };
+            reply::json(&query, &self.key, &rejection).await;
+        }
+    }
+}
+
 /// Decommissions the node on request, and replies with the result or the error.
 async fn serve_decommission(
     decommission: Decommission,
-    mut requests: Stream<Query>,
+    mut requests: DecommissionRequests,
     decommissioned: watch::Sender<Option<DecommissionReport>>,
 ) {
-    while let Some(query) = requests.recv().await {
+    while let Some(query) = requests.next().await {
         match decommission.run().await {
             Ok(report) => {
                 reply::json(&query, &query.key, &report).await;

@@ -58,7 +58,7 @@ enum CertCommand {
         /// The node's name: a robot's node has the name of the robot
         name: NodeId,
         /// Permitted roles: robot, voter (keeps the ledger, may coordinate), host (of a world, of
-        /// robot drivers, of people)
+        /// robot drivers, of people), dashboard (forwards the requests of its visitors)
         #[arg(long, value_name = "ROLES", value_delimiter = ',', required = true)]
         roles: Vec<NodeRole>,
         /// Name or address of the node, for clients that verify it; may be repeated
@@ -87,8 +87,8 @@ enum CertCommand {
     },
     /// Revoke a certificate
     ///
-    /// A node rejects everything signed with the certificate within 10 s after the new list is in
-    /// its folder. Links are not cut: they end when the certificate expires.
+    /// Within seconds after the new list is in its folder, a node rejects everything signed with the
+    /// certificate, closes its links with the principal, and accepts no new ones.
     Revoke {
         /// The name
         name: String,

@@ -12,9 +12,10 @@ use consort_protocol::ledger::MissionState;
 pub(super) struct MissionActionFlags {
     /// The mission, as named by `consort missions`
     mission: MissionId,
-    /// Name of the responsible person, for the record
-    #[arg(long, env = "CONSORT_BY", default_value = "an operator")]
-    by: String,
+    /// Name of the responsible person, for the record. Default: in a closed fleet the name in your
+    /// certificate, else "an operator"
+    #[arg(long, env = "CONSORT_BY", value_name = "NAME")]
+    by: Option<String>,
     #[command(flatten)]
     ask: QueryFlags,
 }
@@ -29,9 +30,11 @@ impl MissionActionFlags {
         call: ApiCall,
         word: impl FnOnce(Option<&MissionState>) -> &'static str,
     ) -> Result<(), Failure> {
-        let request = MissionChangeRequest { mission: self.mission.clone(), by: self.by.clone() };
         self.ask.print(
-            async |client| client.api(call, &request).await,
+            async |client| {
+                let by = self.by.clone().or_else(|| client.is_anonymous().then(|| "an operator".to_owned()));
+                client.api(call, &MissionChangeRequest { mission: self.mission.clone(), by }).await
+            },
             |MissionChangeReply { mission, state }: &MissionChangeReply| {
                 let detail = state.as_ref().map(super::missions::detail).unwrap_or_default();
                 format!("{mission} {}{detail}", word(state.as_ref()))

@@ -30,6 +30,7 @@
 //! | `consort_robot_age_seconds{robot}` | age of its knowledge of the robot |
 //! | `consort_robot_state{robot,state}` | 1 for the robot's state: `free`, `holding`, `suspended`, `out_of_service` |
 //! | `consort_gossip_malformed_total` | gossip messages that could not be parsed |
+//! | `consort_messages_rejected_total` | messages without a valid signature, or without permission: 0 without certificates |
 //! | `consort_gossip_refutations_total` | refutations of suspicions against the node |
 //! | `consort_started_at_seconds` | start of the node, in seconds since 1970 |
 //! | `process_cpu_seconds_total` | processor time of the process; this and the following on Linux only |

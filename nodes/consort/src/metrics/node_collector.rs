@@ -2,6 +2,7 @@
 
 use super::sampled_metric::SampledMetric;
 use consort_bus::clock::Clock;
+use consort_bus::trust::SigningBus;
 use consort_gossip::SharedKnowledge;
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::ledger::Ledger;
@@ -18,6 +19,8 @@ pub(crate) struct MetricSources {
     pub replica: Option<Replica<Ledger>>,
     /// Its knowledge of other nodes.
     pub knowledge: SharedKnowledge,
+    /// Its bus, if it has certificates.
+    pub signing: Option<Arc<SigningBus>>,
     /// Its clock.
     pub clock: Clock,
     /// Start of the node: milliseconds since 1970.
@@ -29,7 +32,7 @@ impl MetricSources {
     #[cfg(test)]
     pub(super) fn empty() -> MetricSources {
         let clock = Clock::virtual_at(0);
-        MetricSources { replica: None, knowledge: SharedKnowledge::default(), clock, since_ms: 0 }
+        MetricSources { replica: None, knowledge: SharedKnowledge::default(), signing: None, clock, since_ms: 0 }
     }
 }
 
@@ -64,6 +67,11 @@ impl MetricSources {
     fn levels(&self) -> Vec<SampledMetric> {
         let mut levels = self.ledger_metrics();
         levels.extend(self.knowledge_metrics());
+        levels.push(SampledMetric::counter(
+            "messages_rejected",
+            "Messages without a valid signature, or without permission",
+            self.signing.as_ref().map_or(0, |signing| signing.rejection_count()) as f64,
+        ));
         levels.push(SampledMetric::gauge(
             "started_at_seconds",
             "Start of the node, since 1970",

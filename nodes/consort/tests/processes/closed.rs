@@ -136,7 +136,7 @@ fn the_doctor_reports_why_a_link_fails_and_what_to_do() {
     let (state, found) = of(&findings, &link);
     assert_eq!(
         (state.as_str(), found.as_str()),
-        ("ok", "node station-1 (voter) answers, and both ends accept each other's certificate")
+        ("ok", "node station-1 (voter, dashboard) answers, and both ends accept each other's certificate")
     );
     assert!(
         findings.iter().any(|(_, about, text)| about == "node station-1" && text.contains("as here")),
@@ -181,10 +181,16 @@ fn the_link_of_a_person_permits_only_the_scope() {
     let commands = closed.of("read").display().to_string();
     let refused = closed.fleet.run(&["submit", "lab-samples", "--certs", &commands], "station-1").expect(2);
     assert!(refused.stderr.contains("read has scope read, and submit needs scope submit"), "{}", refused.stderr);
-    let answer = until("the coordinator takes it", LONG, || {
-        query(&submits, "consort/ward/api/submit", &request).into_iter().find(|answer| answer.get("mission").is_some())
+    // A stock client signs nothing; a command does.
+    let unsigned = until("the coordinator rejects it", LONG, || {
+        query(&submits, "consort/ward/api/submit", &request).into_iter().find(|answer| !answer["error"].is_null())
     });
-    assert_eq!(answer["mission"], "lab-samples-1");
+    let problem = unsigned["error"].as_str().expect("a text");
+    assert!(problem.starts_with("it is not signed: this fleet is closed") && problem.contains("--certs"), "{problem}");
+    let certs = closed.of("submit").display().to_string();
+    let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--certs", &certs];
+    let answer = closed.fleet.run(&submit, "station-1").expect(0);
+    assert!(answer.stdout.contains("lab-samples-1"), "{}", answer.stdout);
     assert_eq!(
         query(&submits, "consort/ward/api/leave/ada", "{}"),
         [] as [Value; 0],
@@ -195,11 +201,13 @@ fn the_link_of_a_person_permits_only_the_scope() {
         let text = event.payload().try_to_string().ok()?.into_owned();
         text.contains("lab-samples-1").then_some(())
     });
+    let log = closed.refused("station-1");
+    assert!(log.lines().all(|line| line.contains("request api/submit rejected: it is not signed")), "{log}");
     // Zenoh drops a message of a person below wire/ before it reaches a node, so no node logs a
     // rejection.
     submits.put("consort/ward/wire/beacon", vec![1, 2, 3]).wait().expect("Zenoh stays silent");
     assert_eq!(query(&submits, "consort/ward/wire/active_missions/ada", ""), [] as [Value; 0]);
-    assert_eq!(closed.refused("station-1"), "");
+    assert_eq!(closed.refused("station-1"), log);
     drop((events, reads, submits));
     closed.fleet.stop();
 }
@@ -272,6 +280,41 @@ async fn answer_on(bus: &dyn Bus, key: &str, text: &'static str) {
             query.replier.reply(&query.key, answer, Encoding::Json).await.expect("the reply can be sent");
         }
     });
+}
+
+#[test]
+fn the_key_of_a_robot_submits_nothing_and_makes_no_node_leave() {
+    let mut closed = Closed::new();
+    closed.cert(&["node", "eve", "--roles", "robot"]);
+    closed.start_all();
+    let (runtime, address) = (threads(), closed.fleet.address("station-1"));
+    let reads = closed.of("read").display().to_string();
+    until("there is a coordinator", LONG, || {
+        let seen = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0).json();
+        (seen["coordinator"]["node"].is_string() && seen["fleet"]["nodes"].as_array()?.len() == 4).then_some(())
+    });
+    let request = json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" } }).to_string();
+    let stock = session(&address, Some(&closed.of("eve"))).expect("a link");
+    let eve = runtime.block_on(member(&address, &closed.of("eve")));
+    for (key, payload) in [("api/submit", request.as_str()), ("api/leave/station-1", "{}")] {
+        let key = format!("consort/ward/{key}");
+        let unsigned = until("a stock client is refused", LONG, || query(&stock, &key, payload).pop());
+        assert!(unsigned["error"].as_str().is_some_and(|text| text.contains("it is not signed")), "{unsigned}");
+        let signed = until("a node is refused", LONG, || {
+            let asked = eve.1.query(&key, Bytes::from(payload.to_owned()), Duration::from_secs(5));
+            let reply = runtime.block_on(async { asked.await.expect("a link").recv().await })?;
+            serde_json::from_slice::<Value>(&reply.payload.ok()?).ok()
+        });
+        let problem = signed["error"].as_str().unwrap_or_default();
+        assert_eq!(problem, "node eve (robot) may not make requests; a person signs them", "{signed}");
+    }
+    let missions = closed.fleet.run(&["missions", "--json", "--certs", &reads], "station-1").expect(0).json();
+    assert_eq!(missions["missions"], json!([]), "{missions}");
+    let nodes = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0).json();
+    assert_eq!(nodes["fleet"]["nodes"].as_array().map(Vec::len), Some(4), "{nodes}");
+    runtime.block_on(eve.0.close()).expect("the bus can be closed");
+    drop(stock);
+    closed.fleet.stop();
 }
 
 #[test]
@@ -537,7 +580,7 @@ fn an_http_token_determines_identity_and_permissions() {
 fn a_token_is_limited_to_people_and_their_scope() {
     let mut closed = Closed::new();
     for (name, more, expected) in [
-        ("station-1", &[][..], "it belongs to node station-1 (voter), and only people have tokens"),
+        ("station-1", &[][..], "it belongs to node station-1 (voter, dashboard), and only people have tokens"),
         ("submit", &["--scope", "operate"], "the token claims scope operate, but submit has scope submit"),
         ("unknown", &[], "ca.pem: "),
     ] {

@@ -1,6 +1,7 @@
 //! Forwards requests of the page to the coordinator.
 
-use crate::query::{QueryError, QueryTarget, RETRY_DELAY, query_once};
+use crate::admission::AuthenticatedClient;
+use crate::query::{QueryError, RETRY_DELAY, query_with_token};
 use consort_bus::SharedBus;
 use consort_protocol::api::MissionChangeRequest;
 use consort_protocol::ids::MissionId;
@@ -43,14 +44,19 @@ impl RequestForwarder {
     /// Submits a mission, in the format of the API. The same `request` returns the same mission. A
     /// request without a name gets a generated name, so that it can be repeated until it is
     /// answered.
-    pub(super) async fn submit(&self, mut request: Value, now_ms: u64) -> Result<Value, ForwardError> {
+    pub(super) async fn submit(
+        &self,
+        mut request: Value,
+        client: Option<&AuthenticatedClient>,
+        now_ms: u64,
+    ) -> Result<Value, ForwardError> {
         let Some(fields) = request.as_object_mut() else {
             let what = r#"a request is an object, as {"mission": "lab-samples", "parameters": {"room": "IC Room 6"}}"#;
             return Err(ForwardError::Rejected(what.to_owned()));
         };
         let number = self.unnamed_requests.fetch_add(1, Ordering::Relaxed);
         fields.entry("request").or_insert_with(|| format!("page-{now_ms}-{number}").into());
-        self.query(ApiCall::Submit, &request).await
+        self.query(ApiCall::Submit, &request, client).await
     }
 
     /// Cancels or resolves a mission on behalf of a person.
@@ -59,17 +65,25 @@ impl RequestForwarder {
         call: ApiCall,
         mission: &MissionId,
         by: Option<String>,
+        client: Option<&AuthenticatedClient>,
     ) -> Result<Value, ForwardError> {
-        let by = by.unwrap_or_else(|| format!("the dashboard of {}", self.node));
-        self.query(call, &MissionChangeRequest { mission: mission.clone(), by }).await
+        let by = by.or_else(|| client.is_none().then(|| format!("the dashboard of {}", self.node)));
+        self.query(call, &MissionChangeRequest { mission: mission.clone(), by }, client).await
     }
 
-    async fn query(&self, call: ApiCall, request: &impl Serialize) -> Result<Value, ForwardError> {
+    /// Sends a request with the token of the visitor, who authorizes it.
+    async fn query(
+        &self,
+        call: ApiCall,
+        request: &impl Serialize,
+        client: Option<&AuthenticatedClient>,
+    ) -> Result<Value, ForwardError> {
+        let token = client.map(AuthenticatedClient::forwarded_token).unwrap_or_default();
         let payload = serde_json::to_string(request).expect("a request serializes to JSON");
         let key = self.keys.write(&Key::Api(call));
         let until = Instant::now() + LIMIT;
         loop {
-            let (problem, after) = match query_once(&*self.bus, &key, &payload, ONE_QUERY, QueryTarget::All).await {
+            let (problem, after) = match query_with_token(&*self.bus, &key, &payload, token, ONE_QUERY).await {
                 Ok(answer) => return Ok(answer),
                 Err(QueryError::Rejected(problem)) => return Err(ForwardError::Rejected(problem)),
                 Err(QueryError::Retryable(problem, after)) => (problem, after.max(RETRY_DELAY)),

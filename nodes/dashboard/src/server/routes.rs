@@ -145,14 +145,19 @@ async fn history(State(shared): State<DashboardState>) -> Response {
     (head, table).into_response()
 }
 
-async fn submit(State(shared): State<DashboardState>, headers: HeaderMap, body: Bytes) -> Response {
+async fn submit(
+    State(shared): State<DashboardState>,
+    Extension(client): Extension<Option<AuthenticatedClient>>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Response {
     let DashboardSource::Fleet(forwarder) = &shared.served else { return requests_impossible(&shared.served) };
     let request: Value = match parse_body(&headers, &body) {
         Ok(request) => request,
         Err(refusal) => return refusal.into_response(),
     };
     let now_ms = shared.publisher.with_model(|_, now_ms| now_ms);
-    reply_of(forwarder.submit(request, now_ms).await)
+    reply_of(forwarder.submit(request, client.as_ref(), now_ms).await)
 }
 
 async fn cancel(
@@ -175,7 +180,7 @@ async fn resolve(
     forward_action(&shared, client.as_ref(), ApiCall::Resolve, id, &headers, &body).await
 }
 
-/// Name of the responsible person; by default the dashboard. The token's name is added.
+/// Name of the responsible person; by default the dashboard. The coordinator adds the token's name.
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ResponsiblePerson {
@@ -200,11 +205,7 @@ async fn forward_action(
     match word {
         Ok(ResponsiblePerson { by }) => {
             let by = by.filter(|by| !by.trim().is_empty());
-            let by = match (by, client.map(|client| &client.claims.name)) {
-                (Some(by), Some(name)) if by != name.as_str() => Some(format!("{by}, according to {name}")),
-                (by, name) => by.or_else(|| name.map(ToString::to_string)),
-            };
-            reply_of(forwarder.act_on_mission(call, &mission, by).await)
+            reply_of(forwarder.act_on_mission(call, &mission, by, client).await)
         }
         Err(refusal) => refusal.into_response(),
     }

@@ -25,10 +25,10 @@
 //! | `seen/{node}/**`, `api/leave/{node}` | – | (by the links) | that node |
 //! | `api/{call}` of the coordinator's | – | (by the links) | voters |
 //!
-//! Persons publish nothing and reply to nothing. Three properties are not checked here: that a
-//! robot holds the role for which it signals (receivers compare the epoch); that a voter leads
-//! (terms and majorities ensure it); and the content of a third node's record that a node passes
-//! on.
+//! The nodes that may reply to a query may also refuse it. Persons publish nothing and reply to
+//! nothing. Three properties are not checked here: that a robot holds the role for which it signals
+//! (receivers compare the epoch); that a voter leads (terms and majorities ensure it); and the
+//! content of a third node's record that a node passes on.
 
 use crate::auction::BidResponse;
 use crate::codec;
@@ -52,6 +52,8 @@ pub enum Operation {
     Query,
     /// Reply.
     Reply,
+    /// Refusal of a query, on the query's key: permitted to the nodes that may reply to the query.
+    Refuse,
 }
 
 impl Operation {
@@ -60,6 +62,7 @@ impl Operation {
             Operation::Publish => "publish on",
             Operation::Query => "query",
             Operation::Reply => "reply on",
+            Operation::Refuse => "refuse",
         }
     }
 }
@@ -108,6 +111,12 @@ pub fn authorize(identity: &Identity, operation: Operation, key: &str, payload: 
     let request = Request { identity, key, payload };
     let Principal::Node { name, roles } = &identity.principal else { return Err(request.denied(operation)) };
     let node = Node { name, roles };
+    if operation == Operation::Refuse {
+        let own_key = key.replace('*', name.as_str());
+        return permitted_content(&node, Operation::Reply, &own_key)
+            .map(|_| ())
+            .ok_or_else(|| request.denied(operation));
+    }
     match permitted_content(&node, operation, key) {
         None => Err(request.denied(operation)),
         Some(NamedContent::None) => Ok(()),

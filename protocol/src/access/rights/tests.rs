@@ -136,6 +136,22 @@ fn each_principal_may_send_exactly_what_the_table_permits() {
 }
 
 #[test]
+fn a_principal_may_refuse_the_queries_that_it_may_reply_to() {
+    for (key, [.., allowed]) in TABLE {
+        for (letter, of) in PRINCIPALS {
+            let checked = authorize(&identity(of), Operation::Refuse, key, b"too busy");
+            // A query to all nodes reaches each of them, and each refuses as under its own key.
+            let own = TABLE.iter().find(|(own, _)| *own == key.replace('*', "ada"));
+            let may = match own.filter(|_| key.contains('*')) {
+                Some((_, [.., allowed])) => allowed.contains(letter.to_ascii_lowercase()),
+                None => allowed.contains(letter),
+            };
+            assert_eq!(checked.is_ok(), may, "{of} {key}: {checked:?}");
+        }
+    }
+}
+
+#[test]
 fn a_message_must_name_its_principal_as_author() {
     let mut tried = 0;
     for (key, allowed) in TABLE {

@@ -110,10 +110,9 @@ fn reply_to_news(ledger: &Ledger, report: &Report) -> Option<ReportReply> {
 
 /// Sends `reply`, and passes the query on without a way to reply.
 fn reply_at_once(query: Query, reply: &ReportReply) -> Query {
-    let Query { key, parameters, payload, attachment, replier } = query;
-    let (at, reply) = (key.clone(), encoded(reply));
+    let (at, reply, replier) = (query.key.clone(), encoded(reply), query.replier);
     tokio::spawn(async move { replier.reply(&at, reply, Encoding::Wire).await });
-    Query { key, parameters, payload, attachment, replier: Box::new(Silent) }
+    Query { replier: Box::new(Silent), ..query }
 }
 
 /// Replier that drops all replies.
@@ -131,9 +130,8 @@ impl Replier for Silent {
 }
 
 fn renew_outdated(query: Query, report: Report, ledger: &KnownLedger) -> Query {
-    let Query { key, parameters, payload, attachment, replier } = query;
-    let replier = Box::new(RenewsOutdated { report, ledger: ledger.clone(), inner: replier });
-    Query { key, parameters, payload, attachment, replier }
+    let replier = Box::new(RenewsOutdated { report, ledger: ledger.clone(), inner: query.replier });
+    Query { replier, ..query }
 }
 
 /// Replier that renews the reported award although another award has replaced it.

@@ -4,7 +4,7 @@ use super::event_queue::Event;
 use super::pending_query::{PendingQuery, QueryPartState};
 use super::routing_table::Declaration;
 use super::state::Network;
-use crate::bus::{Query, Reply, ServiceSelection};
+use crate::bus::{Query, Reply, RequestAuthority, ServiceSelection};
 use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex, QueryPart};
 use crate::virtual_bus::responder::{QueryRequest, VirtualReplier};
 use bytes::Bytes;
@@ -146,6 +146,7 @@ impl Network {
             parameters: request.parameters.clone(),
             payload: request.payload.clone(),
             attachment: request.attachment.clone(),
+            authority: RequestAuthority::Unchecked,
             replier: Box::new(VirtualReplier {
                 sink: self.sink.clone(),
                 part,

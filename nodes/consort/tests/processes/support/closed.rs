@@ -17,7 +17,7 @@ impl Closed {
         let mut closed = Closed { fleet, certs };
         closed.cert(&["init", "--fleet", "ward"]);
         for (name, roles) in
-            [("station-1", "voter"), ("world", "host"), ("ada", "robot,voter"), ("lab-arm", "robot,voter")]
+            [("station-1", "voter,dashboard"), ("world", "host"), ("ada", "robot,voter"), ("lab-arm", "robot,voter")]
         {
             closed.cert(&["node", name, "--roles", roles]);
         }
