@@ -10,7 +10,7 @@ use consort_bus::trust::{Keyring, SigningBus};
 use consort_fleet::node::NodeSettings;
 use consort_protocol::ids::{FleetId, NodeId, PersonId};
 use consort_protocol::keys::Keys;
-use consort_protocol::trust::{AccessScope, Identity, NodeRole, Principal};
+use consort_protocol::trust::{AccessScope, Identity, NodeRole, Principal, ServedName};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
@@ -40,7 +40,8 @@ impl Credentials {
 
     /// Returns the keyring of a node with these roles, for an incarnation of the node.
     pub fn keyring_of(&self, node: &NodeId, roles: BTreeSet<NodeRole>, life: u64) -> Keyring {
-        self.keyring(Principal::Node { name: node.clone(), roles }, node.as_str(), life)
+        let serves = roles.contains(&NodeRole::Host).then(ServedName::all).into_iter().collect();
+        self.keyring(Principal::Node { name: node.clone(), roles, serves }, node.as_str(), life)
     }
 
     /// Returns the keyring of a person with this scope.

@@ -5,13 +5,19 @@ use crate::support::released;
 use bytes::Bytes;
 use consort_bus::Bus as _;
 use consort_bus::clock::Clock;
+use consort_bus::cluster_membership::{ClusterBus, ClusterMembership};
 use consort_bus::{Delivery, Encoding, ServiceSelection, SharedBus};
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys};
 use consort_protocol::knowledge::{Availability, Digest, DigestScope, KnowledgeBase, Record, RecordStamp};
-use consort_protocol::message::{Beacon, ClusterEnvelope, Exchange, MissionsChanged, RecordUpdate};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::Ledger;
+use consort_protocol::message::{
+    Beacon, ClusterEnvelope, Exchange, MissionsChanged, RecordUpdate, Report, SignalHistory,
+};
+use consort_protocol::plan::StepAction;
 use consort_protocol::trust::NodeRole;
 use consort_tests::{Fleet, RobotSpec, for_each_seed};
 use serde::Serialize;
@@ -362,5 +368,71 @@ fn a_relaying_node_can_neither_change_nor_forge_records() {
         assert_eq!(record(&fleet, "gorse", "lab-arm").knowledge, original.knowledge, "seed {seed}");
         let mission = fleet.submit("a", ROOM).await;
         fleet.assert_completes(&mission).await;
+    });
+}
+
+/// Attacks the roles of other robots and people in a mission: ends their steps and sends their
+/// signals, under their award and under later ones.
+async fn take_part_in(fleet: &Fleet, bus: &SharedBus, mission: &MissionId) {
+    let keys = fleet.keys();
+    let Some(entry) = fleet.ledger(|ledger| ledger.mission(mission).cloned()).flatten() else { return };
+    for (role, held) in &entry.roles {
+        let Some(plan) = entry.plan(role) else { continue };
+        let award = held.holder.as_ref().map(|holder| holder.epoch).unwrap_or_default();
+        let report = Report {
+            robot: "fern".parse().expect("a name"),
+            incarnation: 1,
+            mission: mission.clone(),
+            role: role.clone(),
+            epoch: award,
+            branch: entry.branch,
+            ended: (0..plan.steps.len() as u32).collect(),
+            current_task: None,
+            place: None,
+            from_checkpoint: false,
+            failure: None,
+        };
+        for to in ["aster", "basil", "clove"] {
+            let key = keys.write(&Key::Report(to.parse().expect("a name")));
+            drop(bus.query(&key, wire(&report), Duration::from_millis(100)).await.expect("a network"));
+        }
+        let sent = plan.steps.iter().filter_map(|step| match &step.action {
+            StepAction::Send(signal) => Some(signal.clone()),
+            StepAction::Task { .. } | StepAction::Wait(_) => None,
+        });
+        for signal in sent {
+            for epoch in [award, Epoch { index: award.index + 1, ..award }, Epoch { term: u64::MAX, index: u64::MAX }] {
+                let to = keys.write(&Key::Signal(mission.clone(), signal.to.clone()));
+                let history = SignalHistory { mission: mission.clone(), epoch, signals: [signal.clone()].into() };
+                bus.publish(&to, wire(&history), Encoding::Wire, Delivery::Block).await.expect("a network");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_key_of_a_robot_takes_no_part_in_missions_of_others() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        let papers = fleet.credentials.as_ref().expect("a closed fleet");
+        let name: NodeId = "fern".parse().expect("a name");
+        let keyring = papers.keyring_of(&name, [NodeRole::Robot].into(), 1_000);
+        let plain: SharedBus = Arc::new(fleet.network.bus(name));
+        let sealed = papers.signing_bus(plain, keyring, Clock::virtual_at(0)).await;
+        let mission = fleet.submit("a", ROOM).await;
+        let membership = ClusterMembership::default();
+        membership.set_from_ledger(fleet.ledger(|ledger| ledger.cluster()).flatten().expect("a cluster was created"));
+        let bus: SharedBus = Arc::new(ClusterBus::new(sealed, fleet.keys().clone(), membership));
+        let is_final = |ledger: &Ledger| ledger.mission(&mission).is_some_and(|entry| entry.state.is_final());
+        while !fleet.ledger(is_final).unwrap_or(false) {
+            take_part_in(&fleet, &bus, &mission).await;
+            tokio::time::sleep(Duration::from_millis(500)).await; // virtual time
+        }
+        fleet.assert_completes(&mission).await;
+        fleet.assert_each_task_once(&mission);
+        fleet.assert_sample_delivered(ROOM);
+        let stale = |what: &EventKind| matches!(what, EventKind::StaleSignal { .. });
+        assert_eq!(fleet.event_log.count(stale), 0, "seed {seed}\n{}", fleet.event_log_text());
+        assert_eq!(fleet.event_log.count(released), 0, "seed {seed}: no role is released\n{}", fleet.event_log_text());
     });
 }

@@ -34,10 +34,12 @@
 //! # }
 //! ```
 
+use crate::author::Author;
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::api::ErrorReply;
 use consort_protocol::ids::{NodeId, PersonId};
+use consort_protocol::trust::Identity;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -76,6 +78,8 @@ pub struct Sample {
     pub encoding: Encoding,
     /// Attachment, empty if absent. A receiver unaware of it ignores it (Zenoh's attachments).
     pub attachment: Bytes,
+    /// Author of the publication.
+    pub author: Author,
 }
 
 /// A reply to a query.
@@ -87,6 +91,8 @@ pub struct Reply {
     pub payload: Result<Bytes, QueryRefused>,
     /// Attachment, empty if absent.
     pub attachment: Bytes,
+    /// Author of the reply.
+    pub author: Author,
 }
 
 /// A service has refused a query, with its reason.
@@ -200,6 +206,8 @@ pub struct Query {
     pub payload: Bytes,
     /// Attachment, empty if absent.
     pub attachment: Bytes,
+    /// Author of a query between nodes.
+    pub author: Author,
     /// Authority of a request that changes the fleet.
     pub authority: RequestAuthority,
     /// Sends the replies.
@@ -240,8 +248,8 @@ pub enum RequestAuthor {
         /// Node of the dashboard that forwarded the token.
         through: Option<NodeId>,
     },
-    /// A driver server with the role `host`, which cancels a mission for a person that it serves.
-    Host(NodeId),
+    /// A driver server, which cancels a mission for a person that it serves.
+    Host(Arc<Identity>),
 }
 
 impl fmt::Display for RequestAuthor {
@@ -249,7 +257,7 @@ impl fmt::Display for RequestAuthor {
         match self {
             RequestAuthor::Person { name, through: None } => write!(f, "{name}"),
             RequestAuthor::Person { name, through: Some(node) } => write!(f, "{name} through {node}"),
-            RequestAuthor::Host(node) => write!(f, "a person at {node}"),
+            RequestAuthor::Host(host) => write!(f, "a person at {}", host.principal.name()),
         }
     }
 }

@@ -6,6 +6,7 @@
 //!   clusters, [`MeteredBus`] counts: each is a layer over another bus.
 //! - [`clock`], [`tasks`], [`reply`] and [`wire_version`] are shared by all actors of a node.
 
+mod author;
 mod bus;
 pub mod clock;
 pub mod cluster_membership;
@@ -20,6 +21,7 @@ pub mod virtual_bus;
 pub mod wire_version;
 pub mod zenoh_bus;
 
+pub use author::Author;
 pub use bus::*;
 pub use metered::{Direction, Meter, MeteredBus};
 pub use virtual_bus::{LinkModel, Traffic, TrafficByKind, VirtualBus, VirtualNetwork};

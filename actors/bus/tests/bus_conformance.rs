@@ -5,8 +5,8 @@
 use bytes::Bytes;
 use consort_bus::zenoh_bus::Mode;
 use consort_bus::{
-    Bus, BusError, Delivery, Encoding, LinkModel, MESSAGE_MAX, Presence, Query, Reply, Sample, ServiceSelection,
-    Stream, VirtualNetwork, ZenohBus, ZenohSettings,
+    Author, Bus, BusError, Delivery, Encoding, LinkModel, MESSAGE_MAX, Presence, Query, Reply, Sample,
+    ServiceSelection, Stream, VirtualNetwork, ZenohBus, ZenohSettings,
 };
 use consort_protocol::ids::NodeId;
 use std::time::Duration;
@@ -165,7 +165,13 @@ async fn encodings_are_preserved([a, _, c]: Nodes<'_>) {
         let sample = next(&mut stream, "sample").await;
         assert_eq!(
             sample,
-            Sample { key: "encoded".to_owned(), payload: bytes("{}"), encoding, attachment: Bytes::new() }
+            Sample {
+                key: "encoded".to_owned(),
+                payload: bytes("{}"),
+                encoding,
+                attachment: Bytes::new(),
+                author: Author::UNKNOWN
+            }
         );
     }
 }

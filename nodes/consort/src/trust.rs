@@ -8,7 +8,8 @@ use consort_bus::trust::{Keyring, SigningBus, TrustFiles};
 use consort_fleet::node::NodeSettings;
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::Keys;
-use consort_protocol::trust::{NodeRole, Principal};
+use consort_protocol::trust::{Identity, NodeRole, Principal};
+use consort_text::count;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -28,24 +29,7 @@ impl NodeCredentials {
         let now = Duration::from_millis(node.clock.wall_ms());
         let keyring = files.open(&node.fleet.fleet, now, node.incarnation);
         let keyring = keyring.map_err(|problem| Failure::Usage(problem.to_string()))?;
-        let wanted = needed_roles(node);
-        let problem = match &keyring.identity().principal {
-            Principal::Node { name, .. } if *name != node.node => {
-                Some(format!("it belongs to node {name}, and this is {}", node.node))
-            }
-            Principal::Node { roles, .. } => {
-                wanted.iter().find(|(role, _)| !roles.contains(role)).map(|(role, why)| {
-                    format!(
-                        "it does not permit {} to be a {role}, and {why}; `consort cert node {0} --roles …` makes another",
-                        node.node
-                    )
-                })
-            }
-            person @ Principal::Person { .. } => {
-                Some(format!("it belongs to {person}, and nodes have certificates of their own"))
-            }
-        };
-        match problem {
+        match unsuitable(keyring.identity(), node) {
             Some(problem) => Err(Failure::Usage(format!("{}: {problem}", files.certificate.display()))),
             None => {
                 info!(bearer = %keyring.identity().principal, "links are encrypted, and messages signed");
@@ -62,7 +46,7 @@ impl NodeCredentials {
     /// Warns if the node serves a dashboard whose visitors cannot change anything.
     pub(crate) fn warn_of_read_only_dashboard(&self) {
         let Some((keyring, files)) = &self.0 else { return };
-        if let Principal::Node { name, roles } = &keyring.identity().principal
+        if let Principal::Node { name, roles, .. } = &keyring.identity().principal
             && !roles.contains(&NodeRole::Dashboard)
         {
             let roles = roles.iter().map(|role| role.as_str()).chain(["dashboard"]).collect::<Vec<_>>().join(",");
@@ -90,6 +74,34 @@ impl NodeCredentials {
         node.record_signer = Some(signing.record_signer());
         Ok(Some(Arc::new(signing)))
     }
+}
+
+/// Returns the reason for which a node with these settings cannot use a certificate, if any.
+fn unsuitable(identity: &Identity, node: &NodeSettings) -> Option<String> {
+    let roles = match &identity.principal {
+        Principal::Node { name, .. } if *name != node.node => {
+            return Some(format!("it belongs to node {name}, and this is {}", node.node));
+        }
+        Principal::Node { roles, .. } => roles,
+        person @ Principal::Person { .. } => {
+            return Some(format!("it belongs to {person}, and nodes have certificates of their own"));
+        }
+    };
+    if let Some((role, why)) = needed_roles(node).into_iter().find(|(role, _)| !roles.contains(role)) {
+        return Some(format!(
+            "it does not permit {} to be a {role}, and {why}; `consort cert node {0} --roles …` makes another",
+            node.node
+        ));
+    }
+    let robots = node.driver_server.iter().flat_map(|server| server.world.robots());
+    let unnamed: Vec<String> =
+        robots.filter(|robot| !identity.serves(robot.as_str())).map(|robot| robot.to_string()).collect();
+    let (first, more) = (unnamed.first()?, unnamed.len() - 1);
+    let more = if more == 0 { String::new() } else { format!(" and {}", count(more, "other", "others")) };
+    Some(format!(
+        "it does not permit {} to serve {first}{more}; `consort cert node {0} --roles … --serves NAMES` makes another",
+        node.node
+    ))
 }
 
 /// Returns the configured roles of a node, with their reasons.

@@ -53,6 +53,11 @@ impl Keys {
         format!("{}/wire/certificate/*", self.prefix)
     }
 
+    /// Returns the key expression on which a node serves all certificates that it knows.
+    pub fn any_known_certificate(&self) -> String {
+        format!("{}/wire/certificate/*/known", self.prefix)
+    }
+
     /// Returns the key expression for the records of all nodes.
     pub fn any_knowledge(&self) -> String {
         format!("{}/wire/knowledge/*", self.prefix)

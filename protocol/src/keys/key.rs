@@ -11,6 +11,9 @@ pub enum Key {
     /// `wire/certificate/{fingerprint}`: the principal replies with the certificate that verifies
     /// its messages.
     Certificate(Fingerprint),
+    /// `wire/certificate/{fingerprint}/known`: nodes reply with the certificate if they know it, for
+    /// nodes without a path to its principal.
+    KnownCertificate(Fingerprint),
     /// `wire/knowledge/{node}`: a node publishes its record.
     Knowledge(NodeId),
     /// `wire/gossip/{node}`: a node replies to a digest with the records that the requester lacks.
@@ -91,6 +94,7 @@ impl fmt::Display for Key {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Key::Certificate(fingerprint) => write!(f, "wire/certificate/{fingerprint}"),
+            Key::KnownCertificate(fingerprint) => write!(f, "wire/certificate/{fingerprint}/known"),
             Key::Knowledge(node) => write!(f, "wire/knowledge/{node}"),
             Key::Gossip(node) => write!(f, "wire/gossip/{node}"),
             Key::Swim(node) => write!(f, "wire/swim/{node}"),
@@ -137,6 +141,7 @@ pub(super) fn read(text: &str) -> Option<Key> {
     let segments: Vec<&str> = text.split('/').collect();
     Some(match segments[..] {
         ["wire", "certificate", fingerprint] => Key::Certificate(fingerprint.parse().ok()?),
+        ["wire", "certificate", fingerprint, "known"] => Key::KnownCertificate(fingerprint.parse().ok()?),
         ["wire", "knowledge", node] => Key::Knowledge(node.parse().ok()?),
         ["wire", "gossip", node] => Key::Gossip(node.parse().ok()?),
         ["wire", "swim", node] => Key::Swim(node.parse().ok()?),

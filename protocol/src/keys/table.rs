@@ -95,6 +95,7 @@ table! {
     Key::AliveRobot(_) => "alive/robot/{robot}", "the robot's node" Announces "", "the robot is present";
     Key::AliveNode(_) => "alive/node/{node}", "the node" Announces "", "the node is present";
     Key::AliveCoordinator(..) => "alive/coordinator/{term}/{node}", "the coordinator" Announces "", "this node is coordinator in this term";
+    Key::KnownCertificate(_) => "wire/certificate/{fingerprint}/known", "any node" Answers WIRE, "the certificate, if the node knows it: for nodes without a path to its principal";
     Key::Certificate(_) => "wire/certificate/{fingerprint}", "its principal" Answers WIRE, "the certificate that verifies the messages of a node";
     Key::Knowledge(_) => "wire/knowledge/{node}", "the node" Publishes WIRE, "the record of the node";
     Key::Gossip(_) => "wire/gossip/{node}", "the node" Answers WIRE, "compares the records of two nodes, and returns those that the requester lacks";

@@ -9,6 +9,7 @@ pub(super) fn all() -> Vec<Key> {
     let role = RoleId::new("r1").unwrap();
     let mut keys = vec![
         Key::Certificate(Fingerprint([0xc0; 16])),
+        Key::KnownCertificate(Fingerprint([0xc0; 16])),
         Key::Knowledge(node.clone()),
         Key::Gossip(node.clone()),
         Key::Swim(node.clone()),

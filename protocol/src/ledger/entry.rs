@@ -156,9 +156,9 @@ impl MissionState {
 }
 
 impl MissionEntry {
-    /// Checks whether people have roles in the mission.
-    pub fn has_unmanaged_roles(&self) -> bool {
-        self.roles.values().any(|role| role.kind == RoleKind::Unmanaged)
+    /// Returns the roles that people have in the mission.
+    pub fn unmanaged_roles(&self) -> impl Iterator<Item = &RoleId> {
+        self.roles.iter().filter(|(_, role)| role.kind == RoleKind::Unmanaged).map(|(id, _)| id)
     }
 }
 

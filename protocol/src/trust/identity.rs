@@ -1,5 +1,6 @@
 //! Identity of a principal, as contained in its certificate.
 
+use super::served_name::ServedName;
 use crate::ids::{FleetId, NameError, NodeId, PersonId};
 use crate::word_enum::words;
 use std::collections::BTreeSet;
@@ -7,7 +8,8 @@ use std::fmt;
 use std::str::FromStr;
 
 /// Identity in a certificate. Stored as a URI in the certificate's subject alternative names:
-/// `consort://ward/node/ada?roles=robot,voter`, `consort://ward/person/kim?scope=submit`.
+/// `consort://ward/node/ada?roles=robot,voter`, `consort://ward/node/world?roles=host&serves=ada,bo`,
+/// `consort://ward/person/kim?scope=submit`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Identity {
     /// Fleet of the principal.
@@ -25,6 +27,8 @@ pub enum Principal {
         name: NodeId,
         /// Roles that it may have in the fleet.
         roles: BTreeSet<NodeRole>,
+        /// Robots, and roles of people, that it serves as a `host`.
+        serves: BTreeSet<ServedName>,
     },
     /// A person, or a program that a person is responsible for.
     Person {
@@ -95,6 +99,23 @@ impl From<NameError> for IdentityError {
     }
 }
 
+impl Identity {
+    /// Checks whether it is the node with this name.
+    pub fn is_node(&self, node: &str) -> bool {
+        matches!(&self.principal, Principal::Node { name, .. } if name.as_str() == node)
+    }
+
+    /// Checks whether it is a driver server of this robot, or of the people with this role.
+    pub fn serves(&self, served: &str) -> bool {
+        match &self.principal {
+            Principal::Node { roles, serves, .. } => {
+                roles.contains(&NodeRole::Host) && serves.iter().any(|name| name.includes(served))
+            }
+            Principal::Person { .. } => false,
+        }
+    }
+}
+
 impl Principal {
     /// Returns the name of the node or person.
     pub fn name(&self) -> &str {
@@ -109,16 +130,23 @@ impl fmt::Display for Principal {
     /// Writes the principal for people: `node ada (robot, voter)`, `person kim (submit)`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Principal::Node { name, roles } => write!(f, "node {name} ({})", listed(roles, ", ")),
+            Principal::Node { name, roles, serves } => {
+                write!(f, "node {name} ({})", listed(roles.iter().map(|role| role.as_str())))?;
+                match serves.is_empty() {
+                    true => Ok(()),
+                    false => write!(f, " of {}", listed(serves)),
+                }
+            }
             Principal::Person { name, scope } => write!(f, "person {name} ({scope})"),
         }
     }
 }
 
-fn listed(roles: &BTreeSet<NodeRole>, between: &str) -> String {
-    match roles.is_empty() {
+fn listed(words: impl IntoIterator<Item = impl ToString>) -> String {
+    let words: Vec<String> = words.into_iter().map(|word| word.to_string()).collect();
+    match words.is_empty() {
         true => "no role".to_owned(),
-        false => roles.iter().map(|role| role.as_str()).collect::<Vec<_>>().join(between),
+        false => words.join(", "),
     }
 }
 
@@ -126,13 +154,26 @@ impl fmt::Display for Identity {
     /// Writes the identity as in a certificate.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.principal {
-            Principal::Node { name, roles } => {
+            Principal::Node { name, roles, serves } => {
                 let roles = roles.iter().map(|role| role.as_str()).collect::<Vec<_>>().join(",");
-                write!(f, "consort://{}/node/{name}?roles={roles}", self.fleet)
+                write!(f, "consort://{}/node/{name}?roles={roles}", self.fleet)?;
+                match serves.is_empty() {
+                    true => Ok(()),
+                    false => {
+                        let serves = serves.iter().map(ToString::to_string).collect::<Vec<_>>().join(",");
+                        write!(f, "&serves={serves}")
+                    }
+                }
             }
             Principal::Person { name, scope } => write!(f, "consort://{}/person/{name}?scope={scope}", self.fleet),
         }
     }
+}
+
+/// Parses the elements of a list with commas; an empty text is an empty list.
+fn elements<T: FromStr<Err: Into<IdentityError>> + Ord>(list: &str) -> Result<BTreeSet<T>, IdentityError> {
+    let elements = list.split(',').filter(|element| !element.is_empty());
+    elements.map(|element| element.parse().map_err(Into::into)).collect()
 }
 
 impl FromStr for Identity {
@@ -140,17 +181,16 @@ impl FromStr for Identity {
 
     fn from_str(text: &str) -> Result<Identity, IdentityError> {
         let form = || {
-            let forms =
-                "consort://FLEET/node/NAME?roles=robot,voter,host,dashboard or consort://FLEET/person/NAME?scope=read";
+            let forms = "consort://FLEET/node/NAME?roles=robot,voter,host,dashboard&serves=NAMES or consort://FLEET/person/NAME?scope=read";
             IdentityError(format!("{text:?} is not an identity; the form is {forms}"))
         };
         let (path, query) = text.strip_prefix("consort://").and_then(|rest| rest.split_once('?')).ok_or_else(form)?;
         let segments: Vec<&str> = path.split('/').collect();
         let (fleet, principal) = match (segments.as_slice(), query.split_once('=')) {
             (&[fleet, "node", name], Some(("roles", roles))) => {
-                let roles = roles.split(',').filter(|role| !role.is_empty());
-                let roles = roles.map(str::parse).collect::<Result<_, _>>()?;
-                (fleet, Principal::Node { name: name.parse()?, roles })
+                let (roles, serves) = roles.split_once("&serves=").unwrap_or((roles, ""));
+                let (roles, serves) = (elements(roles)?, elements(serves)?);
+                (fleet, Principal::Node { name: name.parse()?, roles, serves })
             }
             (&[fleet, "person", name], Some(("scope", scope))) => {
                 (fleet, Principal::Person { name: name.parse()?, scope: scope.parse()? })
@@ -170,6 +210,8 @@ mod tests {
         for text in [
             "consort://ward/node/ada?roles=robot,voter",
             "consort://ward/node/lab-1?roles=",
+            "consort://ward/node/world?roles=host,dashboard&serves=ada,drone-*",
+            "consort://ward/node/world?roles=host&serves=*",
             "consort://ward/person/kim.lee?scope=operate",
         ] {
             assert_eq!(text.parse::<Identity>().unwrap().to_string(), text);
@@ -183,6 +225,7 @@ mod tests {
         assert!(error("consort://ward/node/ada?scope=read").contains("the form is"));
         assert!(error("consort://ward/person/ada?roles=voter").contains("the form is"));
         assert!(error("consort://ward/node/a*a?roles=robot").contains("contains '*'"));
+        assert!(error("consort://ward/node/world?roles=host&serves=a*a").contains("contains '*'"));
         assert_eq!(
             error("consort://ward/node/ada?roles=robot,boss"),
             "\"boss\" is not a role of a node; allowed: robot, voter, host, dashboard"
@@ -191,6 +234,19 @@ mod tests {
             error("consort://ward/person/kim?scope=all"),
             "\"all\" is not a scope; allowed: read, submit, operate"
         );
+    }
+
+    #[test]
+    fn a_driver_server_serves_the_names_in_its_certificate() {
+        let serves = |query: &str, name: &str| {
+            format!("consort://ward/node/world?{query}").parse::<Identity>().unwrap().serves(name)
+        };
+        assert!(serves("roles=host&serves=ada,drone-*", "ada") && serves("roles=host&serves=*", "ada"));
+        assert!(serves("roles=host&serves=ada,drone-*", "drone-7"));
+        for query in ["roles=host", "roles=robot&serves=ada", "roles=host&serves=ada2,ad,bo*"] {
+            assert!(!serves(query, "ada"), "{query}");
+        }
+        assert!(!"consort://ward/person/ada?scope=operate".parse::<Identity>().unwrap().serves("ada"));
     }
 
     #[test]

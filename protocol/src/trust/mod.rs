@@ -19,6 +19,7 @@ mod envelope;
 mod identity;
 mod replay_window;
 mod request_proof;
+mod served_name;
 
 pub use attachment::{decode_requester, encode_requester, signed_attachment};
 pub use envelope::{
@@ -28,3 +29,4 @@ pub use envelope::{
 pub use identity::{AccessScope, Identity, IdentityError, NodeRole, Principal};
 pub use replay_window::{Freshness, ReplayWindow};
 pub use request_proof::{REQUEST_SKEW_MAX_MS, RequestProof, signed_request};
+pub use served_name::ServedName;

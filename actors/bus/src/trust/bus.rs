@@ -111,7 +111,7 @@ impl SigningBus {
             };
             let verified = verifier.verify(&message, Some(&mut windows)).ok()?;
             let payload = verified.payload(&sample.payload);
-            Some(Sample { payload, attachment: Bytes::new(), ..sample })
+            Some(Sample { payload, attachment: Bytes::new(), author: verified.author, ..sample })
         })
     }
 
@@ -130,7 +130,8 @@ impl SigningBus {
                 Ok(verified) => {
                     let payload = verified.payload(&query.payload);
                     let kind = MessageKind::Reply(verified.signer, verified.number);
-                    Some(SigningReplier::wrap(Query { payload, ..query }, &verifier.keyring, kind, None))
+                    let query = Query { payload, author: verified.author, ..query };
+                    Some(SigningReplier::wrap(query, &verifier.keyring, kind, None))
                 }
                 Err(rejected) => {
                     // Also nodes whose certificate is not yet known here get a signed refusal.
@@ -200,12 +201,13 @@ impl SigningBus {
                 false => (MessageKind::Reply(own, number), Operation::Reply),
             };
             let message = ReceivedMessage { kind, operation, key: &reply.key, bytes, detached };
-            let content = verifier.verify(&message, None).ok()?.payload(bytes);
+            let verified = verifier.verify(&message, None).ok()?;
+            let content = verified.payload(bytes);
             let payload = match is_refusal {
                 true => Err(QueryRefused(String::from_utf8_lossy(&content).into_owned())),
                 false => Ok(content),
             };
-            Some(Reply { payload, attachment: Bytes::new(), ..reply })
+            Some(Reply { payload, attachment: Bytes::new(), author: verified.author, ..reply })
         })
     }
 }

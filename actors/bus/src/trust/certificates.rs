@@ -1,5 +1,6 @@
 //! Exchange of certificates: a node that receives an unknown fingerprint queries the certificate's
-//! owner.
+//! owner, and without a reply the nodes that know it. A record of a third node, which arrives
+//! through another, can thus be verified without a path to its owner.
 
 use super::files::read_revoked;
 use super::keyring::Keyring;
@@ -67,7 +68,9 @@ impl CertificateExchange {
         if let Principal::Node { .. } = context.keyring.identity().principal {
             let own = context.keys.write(&Key::Certificate(context.keyring.fingerprint()));
             let queried = context.bus.serve(&own).await?;
-            tasks.spawn(serve_own(queried, own, Bytes::from(context.keyring.own_certificate())));
+            tasks.spawn(serve(queried, context.clone()));
+            let queried = context.bus.serve(&context.keys.any_known_certificate()).await?;
+            tasks.spawn(serve(queried, context.clone()));
         }
         tasks.spawn(recheck_all(revoked, context.clone()));
         tasks.spawn(query_requested(context, requests));
@@ -80,11 +83,16 @@ impl CertificateExchange {
     }
 }
 
-/// Serves the node's own certificate.
-async fn serve_own(mut queried: Stream<Query>, key: String, certificate: Bytes) {
+/// Serves certificates: a certificate proves itself.
+async fn serve(mut queried: Stream<Query>, context: ExchangeContext) {
     while let Some(query) = queried.recv().await {
-        if let Err(problem) = query.replier.reply(&key, certificate.clone(), Encoding::Wire).await {
-            debug!(%problem, "failed to send the own certificate");
+        let Some(Key::Certificate(fingerprint) | Key::KnownCertificate(fingerprint)) = context.keys.read(&query.key)
+        else {
+            continue;
+        };
+        let Some(certificate) = context.keyring.certificate(fingerprint) else { continue };
+        if let Err(problem) = query.replier.reply(&query.key, certificate.bytes(), Encoding::Wire).await {
+            debug!(%problem, "failed to send a certificate");
         }
     }
 }
@@ -109,16 +117,24 @@ async fn query_requested(context: ExchangeContext, mut requests: UnboundedReceiv
 }
 
 async fn query_certificate(context: ExchangeContext, requested: Fingerprint) {
-    let key = context.keys.write(&Key::Certificate(requested));
-    let mut replies = match context.bus.query(&key, Bytes::new(), QUERY_TIMEOUT).await {
-        Ok(replies) => replies,
-        Err(problem) => return debug!(%problem, "failed to query a certificate"),
-    };
+    for key in [Key::Certificate(requested), Key::KnownCertificate(requested)] {
+        match query_on(&context, &key, requested).await {
+            Ok(true) => return,
+            Ok(false) => {}
+            Err(problem) => return debug!(%problem, "failed to query a certificate"),
+        }
+    }
+}
+
+/// Queries a certificate on a key, and stores the first valid reply. Returns false without one.
+async fn query_on(context: &ExchangeContext, key: &Key, requested: Fingerprint) -> Result<bool, BusError> {
+    let mut replies = context.bus.query(&context.keys.write(key), Bytes::new(), QUERY_TIMEOUT).await?;
     while let Ok(Some(reply)) = timeout(QUERY_TIMEOUT, replies.recv()).await {
         let Ok(certificate) = reply.payload else { continue };
         match context.keyring.add_certificate(&certificate, context.clock.unix_time()) {
             Ok(verified) if verified.fingerprint() == requested => {
-                return debug!(identity = %verified.identity, "received a certificate");
+                debug!(identity = %verified.identity, "received a certificate");
+                return Ok(true);
             }
             Ok(_) => {}
             Err(problem) => {
@@ -128,6 +144,7 @@ async fn query_certificate(context: ExchangeContext, requested: Fingerprint) {
             }
         }
     }
+    Ok(false)
 }
 
 /// Verifies all certificates again, periodically.

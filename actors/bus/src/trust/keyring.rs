@@ -1,6 +1,7 @@
 //! Keys and certificates: the fleet's authority, a node's own certificate and key, and received
 //! certificates.
 
+use bytes::Bytes;
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::{
     Fingerprint, Identity, MessageKind, SignedEnvelope, encode_envelope, signed_attachment, signed_part, signed_request,
@@ -26,7 +27,7 @@ const CERTIFICATES_MAX: usize = 4096;
 #[derive(Debug)]
 pub struct VerifiedCertificate {
     /// Identity in the certificate.
-    pub identity: Identity,
+    pub identity: Arc<Identity>,
     fingerprint: Fingerprint,
     certificate: CertificateDer<'static>,
 }
@@ -57,6 +58,11 @@ impl VerifiedCertificate {
     /// Returns the fingerprint of the certificate.
     pub fn fingerprint(&self) -> Fingerprint {
         self.fingerprint
+    }
+
+    /// Returns the certificate, in DER.
+    pub(super) fn bytes(&self) -> Bytes {
+        Bytes::copy_from_slice(&self.certificate)
     }
 
     /// Checks a signature with the key of the certificate.
@@ -151,7 +157,7 @@ impl Authority {
         if identity.fleet != self.fleet {
             return Err(CertificateError::OtherFleet { other: identity.fleet, own: self.fleet.clone() });
         }
-        Ok(VerifiedCertificate { identity, fingerprint: fingerprint(&certificate), certificate })
+        Ok(VerifiedCertificate { identity: Arc::new(identity), fingerprint: fingerprint(&certificate), certificate })
     }
 }
 
@@ -319,7 +325,7 @@ impl Keyring {
             match self.authority.verify(certificate.certificate.clone(), revoked.as_deref(), now) {
                 Ok(_) => true,
                 Err(problem) => {
-                    removed.push((certificate.identity.clone(), problem));
+                    removed.push((Identity::clone(&certificate.identity), problem));
                     false
                 }
             }

@@ -53,8 +53,10 @@ impl ServerCertVerifier for RecordingVerifier {
         now: UnixTime,
     ) -> Result<ServerCertVerified, rustls::Error> {
         let now = Duration::from_secs(now.as_secs());
-        let result =
-            self.authority.verify_server(end_entity.clone().into_owned(), now).map(|certificate| certificate.identity);
+        let result = self
+            .authority
+            .verify_server(end_entity.clone().into_owned(), now)
+            .map(|certificate| Identity::clone(&certificate.identity));
         let accepted = result.is_ok();
         *self.result.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
         match accepted {

@@ -10,9 +10,10 @@ use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::PersonId;
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::trust::{
-    AccessScope, EnvelopeError, MessageKind, NodeRole, Principal, REQUEST_SKEW_MAX_MS, RequestProof, decode_envelope,
-    signed_request,
+    AccessScope, EnvelopeError, Identity, MessageKind, NodeRole, Principal, REQUEST_SKEW_MAX_MS, RequestProof,
+    decode_envelope, signed_request,
 };
+use std::sync::Arc;
 
 /// Suggested delay before a retry, in milliseconds.
 const RETRY_AFTER_MS: u64 = 1000;
@@ -103,7 +104,7 @@ impl Verifier {
             return Err(RequestRejected::Signature(principal.clone()));
         }
         check_time(proof.signed_at_ms, now_ms)?;
-        let author = self.author(principal, proof.token.as_deref(), query, needed)?;
+        let author = self.author(&certificate.identity, proof.token.as_deref(), query, needed)?;
         let id = (envelope.signer, envelope.number);
         let signed_at_ms = proof.signed_at_ms;
         self.executed_requests.accept(id, signed_at_ms.saturating_add(REQUEST_SKEW_MAX_MS), now_ms)?;
@@ -113,23 +114,24 @@ impl Verifier {
     /// Returns the author of a request with this signer.
     fn author(
         &self,
-        signer: &Principal,
+        signer: &Arc<Identity>,
         token: Option<&str>,
         query: &Query,
         needed: AccessScope,
     ) -> Result<RequestAuthor, RequestRejected> {
-        let (name, has, through) = match (signer, token) {
+        let principal = &signer.principal;
+        let (name, has, through) = match (principal, token) {
             (Principal::Person { name, scope }, _) => (name.clone(), *scope, None),
-            (Principal::Node { name, roles }, Some(token)) if roles.contains(&NodeRole::Dashboard) => {
+            (Principal::Node { name, roles, .. }, Some(token)) if roles.contains(&NodeRole::Dashboard) => {
                 let claims = self.keyring.verify_forwarded_token(token, self.clock.unix_time())?;
                 (claims.name, claims.scope, Some(name.clone()))
             }
-            (Principal::Node { .. }, Some(_)) => return Err(RequestRejected::Forwarder(signer.clone())),
-            (Principal::Node { name, roles }, None) => {
+            (Principal::Node { .. }, Some(_)) => return Err(RequestRejected::Forwarder(principal.clone())),
+            (Principal::Node { roles, .. }, None) => {
                 let cancels = self.keys.read(&query.key) == Some(Key::Api(ApiCall::Cancel));
                 return match cancels && roles.contains(&NodeRole::Host) {
-                    true => Ok(RequestAuthor::Host(name.clone())),
-                    false => Err(RequestRejected::Node(signer.clone())),
+                    true => Ok(RequestAuthor::Host(Arc::clone(signer))),
+                    false => Err(RequestRejected::Node(principal.clone())),
                 };
             }
         };

@@ -4,6 +4,7 @@ use super::certificates::CertificateExchange;
 use super::executed_requests::ExecutedRequests;
 use super::keyring::{CertificateError, Keyring, VerifiedCertificate};
 use super::rejections::RejectionLog;
+use crate::author::Author;
 use crate::clock::Clock;
 use bytes::Bytes;
 use consort_protocol::access::{AccessDenied, Operation, authorize};
@@ -34,6 +35,7 @@ pub(super) struct DetachedSignature<'a> {
 
 /// A verified message.
 pub(super) struct VerifiedMessage {
+    pub(super) author: Author,
     pub(super) signer: Fingerprint,
     pub(super) number: u64,
     length: usize,
@@ -158,7 +160,8 @@ impl Verifier {
                 }
             }
         }
-        Ok(VerifiedMessage { signer: envelope.signer, number: envelope.number, length: payload.len() })
+        let author = Author::verified(Arc::clone(&certificate.identity));
+        Ok(VerifiedMessage { author, signer: envelope.signer, number: envelope.number, length: payload.len() })
     }
 
     /// Returns the certificate of a message's signer: known, or attached to the message. An unknown

@@ -4,6 +4,7 @@ use super::driver::Shared;
 use super::ids::{EntityId, Incarnation};
 use super::network::Network;
 use super::responder::QueryRequest;
+use crate::author::Author;
 use crate::bus::{
     Bus, BusError, Delivery, Encoding, Link, MESSAGE_MAX, Presence, PresenceToken, Query, Reply, Sample,
     ServiceSelection, Stream,
@@ -78,7 +79,7 @@ impl Bus for VirtualBus {
             network.publish(
                 self.incarnation,
                 &valid_key,
-                Sample { key: key.to_owned(), payload, encoding, attachment },
+                Sample { key: key.to_owned(), payload, encoding, attachment, author: Author::UNKNOWN },
             );
             Ok(())
         })?

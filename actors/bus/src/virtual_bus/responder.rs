@@ -1,6 +1,7 @@
 //! Replies of a service on the virtual bus.
 
 use super::ids::{Incarnation, QueryPart};
+use crate::author::Author;
 use crate::bus::{BusError, Encoding, MESSAGE_MAX, QueryRefused, Replier, Reply};
 use crate::keys;
 use async_trait::async_trait;
@@ -63,7 +64,7 @@ impl Replier for VirtualReplier {
     ) -> Result<(), BusError> {
         keys::reply_key(key, &self.request.key_expr)?;
         keys::check_payload_size("reply to a query", &payload, MESSAGE_MAX)?;
-        self.send(Reply { key: key.to_owned(), payload: Ok(payload), attachment })
+        self.send(Reply { key: key.to_owned(), payload: Ok(payload), attachment, author: Author::UNKNOWN })
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {
@@ -71,6 +72,7 @@ impl Replier for VirtualReplier {
             key: self.request.key_expr.to_string(),
             payload: Err(QueryRefused(reason.to_owned())),
             attachment: Bytes::new(),
+            author: Author::UNKNOWN,
         })
     }
 }

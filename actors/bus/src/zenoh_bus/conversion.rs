@@ -1,6 +1,7 @@
 //! Conversion between the messages of the bus and those of Zenoh.
 
 use super::error::failed;
+use crate::author::Author;
 use crate::bus::{BusError, Encoding, Query, QueryRefused, Replier, Reply, RequestAuthority};
 use crate::keys;
 use async_trait::async_trait;
@@ -61,11 +62,17 @@ pub(super) fn reply(from: zenoh::query::Reply, query_key: &OwnedKeyExpr) -> Opti
             key: sample.key_expr().to_string(),
             payload: Ok(to_bytes(sample.payload())),
             attachment: attachment_bytes(sample.attachment()),
+            author: Author::UNKNOWN,
         }),
         Err(error) if is_timeout(&error) => None,
         Err(error) => {
             let reason = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
-            Some(Reply { key: query_key.to_string(), payload: Err(QueryRefused(reason)), attachment: Bytes::new() })
+            Some(Reply {
+                key: query_key.to_string(),
+                payload: Err(QueryRefused(reason)),
+                attachment: Bytes::new(),
+                author: Author::UNKNOWN,
+            })
         }
     }
 }
@@ -85,6 +92,7 @@ pub(super) fn query_callback(
             parameters: query.parameters().to_string(),
             payload: query.payload().map(to_bytes).unwrap_or_default(),
             attachment: attachment_bytes(query.attachment()),
+            author: Author::UNKNOWN,
             authority: RequestAuthority::Unchecked,
             replier: Box::new(ZenohReplier {
                 query_key: OwnedKeyExpr::from(query.key_expr().clone()),

@@ -5,6 +5,7 @@ use super::current_session::CurrentSession;
 use super::error::{failed, open_error};
 use super::link_check;
 use super::settings::{Mode, ZenohSettings};
+use crate::author::Author;
 use crate::bus::{BusError, Presence, Query, Sample};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -117,6 +118,7 @@ impl Declaration {
                             payload: to_bytes(sample.payload()),
                             encoding: from_zenoh(sample.encoding()),
                             attachment: attachment_bytes(sample.attachment()),
+                            author: Author::UNKNOWN,
                         });
                     }
                 };

@@ -285,6 +285,32 @@ async fn a_restarted_node_is_accepted_at_once() {
     }
 }
 
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_certificate_reaches_nodes_without_a_path_to_its_principal() {
+    let fixture = Fixture::new();
+    let ada = fixture.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=voter").await;
+    let cyd = fixture.node("cyd", "consort://ward/node/cyd?roles=voter").await;
+    for (from, to) in [("ada", "cyd"), ("cyd", "ada")] {
+        fixture.network.cut(node(from), node(to));
+    }
+    let relay = fixture.plain("bob");
+    let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
+    introduce(&mut at_bob, &ada, &Key::Beacon, &beacon("ada")).await;
+    let mut unopened = relay.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
+    let mut at_cyd = cyd.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
+    // Bob passes on what ada signs.
+    for _ in 0..10 {
+        publish(&ada, &Key::Beacon, &beacon("ada")).await;
+        let signed = unopened.recv().await.unwrap().payload;
+        publish(&*relay, &Key::Beacon, &signed).await;
+        if received(&mut at_cyd).await == [beacon("ada")] {
+            return;
+        }
+    }
+    panic!("cyd never got the certificate of ada");
+}
+
 #[test]
 fn inconsistent_files_are_reported_by_name() {
     let fixture = Fixture::new();

@@ -136,13 +136,15 @@ impl ApiHandler {
         self.change(mission.clone(), Command::Resolve { mission, by }).await
     }
 
-    /// Checks that a driver server cancels only missions with people in them.
+    /// Checks that a driver server cancels only missions with a person that it serves.
     fn check_host(&self, mission: &MissionId) -> Result<(), ApiError> {
-        let Some(Requester { author: RequestAuthor::Host(node), .. }) = &self.requester else { return Ok(()) };
-        let has_people = |ledger: &Ledger| ledger.mission(mission).is_some_and(|entry| entry.has_unmanaged_roles());
-        match self.replica.read(has_people) {
+        let Some(Requester { author: RequestAuthor::Host(host), .. }) = &self.requester else { return Ok(()) };
+        let serves = |ledger: &Ledger| {
+            ledger.mission(mission).is_some_and(|entry| entry.unmanaged_roles().any(|role| host.serves(role.as_str())))
+        };
+        match self.replica.read(serves) {
             true => Ok(()),
-            false => Err(format!("{node} may cancel only missions with people in them").into()),
+            false => Err(format!("{} may cancel only missions with people that it serves", host.principal).into()),
         }
     }
 

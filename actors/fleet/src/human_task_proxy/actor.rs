@@ -4,13 +4,14 @@ use super::message::HumanTaskProxyMessage;
 use super::proxy_role::RoleKey;
 use super::requests::{CancelOrder, CanceledMissions, PendingCancellations};
 use super::state::{HumanTaskProxySettings, HumanTaskProxyState, MissionQueries};
-use crate::robot::SignalExchange;
+use crate::robot::{ReceivedSignals, SignalExchange};
 use crate::robot_driver::{PersonEvent, PersonRequestState};
+use consort_bus::Author;
 use consort_bus::Sample;
 use consort_bus::tasks::Tasks;
 use consort_protocol::codec;
 use consort_protocol::keys::{Key, PeopleCall};
-use consort_protocol::message::{ActiveMissions, Beacon, SignalHistory};
+use consort_protocol::message::{ActiveMissions, Beacon};
 use consort_skills::actions::GoalId;
 use ractor::{Actor, ActorProcessingErr, ActorRef};
 use std::collections::BTreeMap;
@@ -65,10 +66,16 @@ impl Actor for HumanTaskProxy {
             HumanTaskProxyMessage::ActiveMissions(query_number, active) => {
                 state.receive_missions(query_number, active).await?;
             }
-            HumanTaskProxyMessage::Signal(sample) => state.receive_signal_sample(&sample).await,
-            HumanTaskProxyMessage::SignalHistory(history) => state.receive_signals(&history).await,
+            HumanTaskProxyMessage::Signal(sample) => {
+                if let Some(received) = ReceivedSignals::of(sample) {
+                    state.receive_signals(&received).await;
+                }
+            }
+            HumanTaskProxyMessage::SignalHistory(received) => state.receive_signals(&received).await,
             HumanTaskProxyMessage::PersonEvent(sample) => state.receive_person_event(&sample).await,
-            HumanTaskProxyMessage::RequestReplied(id, request) => state.handle_request_reply(id, request).await,
+            HumanTaskProxyMessage::RequestReplied(id, request, author) => {
+                state.handle_request_reply(id, request, &author).await;
+            }
             HumanTaskProxyMessage::ReportReplied(mission, role, branch, reply) => {
                 state.handle_report_reply(&(mission, role), branch, reply).await;
             }
@@ -116,16 +123,12 @@ impl HumanTaskProxyState {
         Ok(())
     }
 
-    async fn receive_signal_sample(&mut self, sample: &Sample) {
-        match codec::decode::<SignalHistory>(&sample.payload) {
-            Ok(history) => self.receive_signals(&history).await,
-            Err(problem) => warn!(key = sample.key, %problem, "signal cannot be decoded"),
-        }
-    }
-
     async fn receive_person_event(&mut self, sample: &Sample) {
         match codec::decode::<PersonEvent>(&sample.payload) {
-            Ok(PersonEvent::RequestEnded { id, result }) => self.handle_request_ended(id, result).await,
+            Ok(PersonEvent::RequestEnded { id, result }) => self.handle_request_ended(id, result, &sample.author).await,
+            Ok(PersonEvent::CancelMission { role, .. }) if !sample.author.may_serve(role.as_str()) => {
+                warn!(author = %sample.author, %role, "the author does not serve this person: event ignored");
+            }
             Ok(PersonEvent::CancelMission { by, role, robot, at_ms }) => {
                 self.cancel_mission(CancelOrder { by: &by, role: &role, robot: &robot, at_ms });
             }
@@ -133,12 +136,12 @@ impl HumanTaskProxyState {
         }
     }
 
-    async fn handle_request_reply(&mut self, id: GoalId, request: PersonRequestState) {
+    async fn handle_request_reply(&mut self, id: GoalId, request: PersonRequestState, author: &Author) {
         match request {
             PersonRequestState::Requested => {}
             PersonRequestState::Ended(result) => {
                 self.cancellations.confirm(id);
-                self.handle_request_ended(id, result).await;
+                self.handle_request_ended(id, result, author).await;
             }
             PersonRequestState::Canceled => {
                 self.cancellations.confirm(id);

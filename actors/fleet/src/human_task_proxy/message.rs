@@ -1,10 +1,12 @@
 //! Messages for the human task proxy.
 
+use crate::robot::ReceivedSignals;
 use crate::robot_driver::PersonRequestState;
+use consort_bus::Author;
 use consort_bus::Sample;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::ledger::Branch;
-use consort_protocol::message::{ActiveMissions, ReportReply, SignalHistory};
+use consort_protocol::message::{ActiveMissions, ReportReply};
 use consort_skills::actions::GoalId;
 
 /// Message for the human task proxy.
@@ -20,11 +22,11 @@ pub(crate) enum HumanTaskProxyMessage {
     /// Signal of a role.
     Signal(Sample),
     /// Signal history of a role, in reply to a query.
-    SignalHistory(SignalHistory),
+    SignalHistory(ReceivedSignals),
     /// Event of a person.
     PersonEvent(Sample),
-    /// State of a person request, in reply to a command.
-    RequestReplied(GoalId, PersonRequestState),
+    /// State of a person request, in reply to a command, and the author of the reply.
+    RequestReplied(GoalId, PersonRequestState, Author),
     /// Reply to a report for this branch.
     ReportReplied(MissionId, RoleId, Branch, ReportReply),
 }

@@ -3,13 +3,13 @@
 
 use super::proxy_role::{HolderChange, PlanChange, ProxyRole, RoleKey};
 use super::state::HumanTaskProxyState;
-use crate::robot::{SequencerAction, StaleSignal};
-use consort_bus::BusError;
+use crate::robot::{ReceivedSignals, SequencerAction, SignalEffect, StaleSignal};
+use consort_bus::{Author, BusError};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{ClusterId, TaskId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Branch;
-use consort_protocol::message::{ActiveMissions, ActivePlan, ReportReply, SignalHistory};
+use consort_protocol::message::{ActiveMissions, ActivePlan, ReportReply};
 use consort_skills::actions::{ActionError, GoalId};
 use tracing::warn;
 
@@ -84,13 +84,15 @@ impl HumanTaskProxyState {
     }
 
     /// Receives the signals of another role.
-    pub(super) async fn receive_signals(&mut self, history: &SignalHistory) {
+    pub(super) async fn receive_signals(&mut self, ReceivedSignals { history, author }: &ReceivedSignals) {
         for signal in &history.signals {
             let key = (history.mission.clone(), signal.to.clone());
             let Some(proxied) = self.roles.get_mut(&key) else { continue };
-            match proxied.sequencer.receive_signal(signal, history.epoch) {
-                Ok(true) => self.advance(&key).await,
-                Ok(false) => {}
+            match proxied.sequencer.receive_signal(signal, history.epoch, author) {
+                Ok(SignalEffect::Received) => self.advance(&key).await,
+                Ok(SignalEffect::None) => {}
+                // The reply contains the present holders.
+                Ok(SignalEffect::AwaitsConfirmation) => self.query_missions(),
                 Err(StaleSignal { current: known }) => {
                     let event = self.signals.record_stale(&mut proxied.stale_signals, history, signal, known);
                     event.into_iter().for_each(|event| self.settings.events.publish(event));
@@ -100,9 +102,12 @@ impl HumanTaskProxyState {
     }
 
     /// Handles the end of a request: the person has completed the task, or cannot.
-    pub(super) async fn handle_request_ended(&mut self, id: GoalId, result: Result<(), ActionError>) {
+    pub(super) async fn handle_request_ended(&mut self, id: GoalId, result: Result<(), ActionError>, author: &Author) {
         let Some((key, proxied)) = self.roles.iter_mut().find(|(_, proxied)| proxied.has_request(id)) else { return };
         let key = key.clone();
+        if !author.may_serve(key.1.as_str()) {
+            return warn!(%author, role = %key.1, "the author does not serve this person: result ignored");
+        }
         let Some(event) = proxied.end_request(&key, result) else { return };
         self.settings.events.publish(event);
         self.report(&key);

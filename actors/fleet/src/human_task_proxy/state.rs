@@ -8,6 +8,7 @@ use crate::events::EventPublisher;
 use crate::robot::{SignalExchange, send_report};
 use crate::robot_driver::{PersonCommand, PersonRequestState};
 use bytes::Bytes;
+use consort_bus::Reply;
 use consort_bus::SharedBus;
 use consort_bus::tasks::Tasks;
 use consort_protocol::api::MissionChangeRequest;
@@ -119,9 +120,10 @@ impl HumanTaskProxyState {
         self.tasks.spawn(async move {
             let Ok(mut replies) = bus.query(&key, bytes, Duration::from_millis(500)).await else { return };
             while let Some(reply) = replies.recv().await {
-                match reply.payload.map(|bytes| codec::decode::<PersonRequestState>(&bytes)) {
+                let Reply { payload, author, .. } = reply;
+                match payload.map(|bytes| codec::decode::<PersonRequestState>(&bytes)) {
                     // A stopped proxy needs no reply.
-                    Ok(Ok(state)) => drop(to.cast(HumanTaskProxyMessage::RequestReplied(id, state))),
+                    Ok(Ok(state)) => drop(to.cast(HumanTaskProxyMessage::RequestReplied(id, state, author))),
                     other => debug!(?other, "person request got no reply"),
                 }
             }

@@ -7,7 +7,7 @@
 use bytes::Bytes;
 use consort_bus::reply;
 use consort_bus::tasks::Tasks;
-use consort_bus::{BusError, Delivery, Encoding, SharedBus};
+use consort_bus::{Author, BusError, Delivery, Encoding, Reply, Sample, SharedBus};
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId};
@@ -31,6 +31,25 @@ pub(crate) struct SignalExchange {
     senders: VecDeque<RoleSender>,
     /// Number of stale signals received since the start.
     stale_count: u64,
+}
+
+/// Signals of a role, as received from a node.
+pub(crate) struct ReceivedSignals {
+    pub(crate) history: SignalHistory,
+    pub(crate) author: Author,
+}
+
+impl ReceivedSignals {
+    /// Decodes a published signal. A malformed one is logged.
+    pub(crate) fn of(sample: Sample) -> Option<ReceivedSignals> {
+        match codec::decode(&sample.payload) {
+            Ok(history) => Some(ReceivedSignals { history, author: sample.author }),
+            Err(problem) => {
+                warn!(key = sample.key, %problem, "signal cannot be decoded");
+                None
+            }
+        }
+    }
 }
 
 /// Signals received under awards that are no longer in force.
@@ -122,7 +141,7 @@ impl SignalExchange {
         mission: &MissionId,
         awaited: &BTreeSet<Signal>,
         tasks: &mut Tasks,
-        deliver: impl Fn(SignalHistory) + Send + Clone + 'static,
+        deliver: impl Fn(ReceivedSignals) + Send + Clone + 'static,
     ) {
         let senders: BTreeSet<&RoleId> = awaited.iter().map(|signal| &signal.from).collect();
         for role in senders {
@@ -131,8 +150,9 @@ impl SignalExchange {
             tasks.spawn(async move {
                 let Ok(mut replies) = bus.query(&key, Bytes::new(), Duration::from_millis(500)).await else { return };
                 while let Some(reply) = replies.recv().await {
-                    match reply.payload.map(|bytes| codec::decode::<SignalHistory>(&bytes)) {
-                        Ok(Ok(history)) => deliver(history),
+                    let Reply { payload, author, .. } = reply;
+                    match payload.map(|bytes| codec::decode(&bytes)) {
+                        Ok(Ok(history)) => deliver(ReceivedSignals { history, author }),
                         Ok(Err(problem)) => warn!(key, %problem, "reply cannot be decoded"),
                         Err(refused) => debug!(key, problem = refused.0, "no reply"),
                     }

@@ -4,7 +4,7 @@ use crate::certs::{CertificateEntry, CertificateState, CertificateStore};
 use crate::exit::Failure;
 use crate::output;
 use consort_protocol::ids::{FleetId, NodeId, PersonId};
-use consort_protocol::trust::{AccessScope, Identity, NodeRole, Principal};
+use consort_protocol::trust::{AccessScope, Identity, NodeRole, Principal, ServedName};
 use consort_text::count;
 use std::path::{Path, PathBuf};
 
@@ -30,7 +30,7 @@ Examples:
   consort cert init --fleet ward
   consort cert node ada --roles robot,voter
   consort cert node ward-1 --roles voter --address 192.0.2.7
-  consort cert node world --roles host,voter
+  consort cert node world --roles host,voter --serves ada,lab-arm,nurse
   consort cert person kim --scope submit
   consort cert show
 
@@ -61,6 +61,10 @@ enum CertCommand {
         /// robot drivers, of people), dashboard (forwards the requests of its visitors)
         #[arg(long, value_name = "ROLES", value_delimiter = ',', required = true)]
         roles: Vec<NodeRole>,
+        /// Robots, and roles of people, that a host serves: names, `drone-*` for all that begin so, or
+        /// `*` for all. Nodes reject states of other robots by it
+        #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+        serves: Vec<ServedName>,
         /// Name or address of the node, for clients that verify it; may be repeated
         #[arg(long, value_name = "HOST")]
         address: Vec<String>,
@@ -123,8 +127,10 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
                 dir.join("authority/ca.key").display()
             ))
         }
-        CertCommand::Node { name, roles, address, validity } => {
-            let principal = Principal::Node { name, roles: roles.into_iter().collect() };
+        CertCommand::Node { name, roles, serves, address, validity } => {
+            check_served(&roles, &serves)?;
+            let (roles, serves) = (roles.into_iter().collect(), serves.into_iter().collect());
+            let principal = Principal::Node { name, roles, serves };
             issue(&dir, principal, &address, validity.days)
         }
         CertCommand::Person { name, scope, validity } => {
@@ -137,6 +143,17 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
             output::line(format_args!("the certificate of {name} is revoked. Copy the list to every machine:\n{files}"))
         }
         CertCommand::Show { json } => show(&CertificateStore::open(&dir)?.certificates()?, json),
+    }
+}
+
+/// Checks that hosts, and only hosts, serve robots or people.
+fn check_served(roles: &[NodeRole], serves: &[ServedName]) -> Result<(), Failure> {
+    match (roles.contains(&NodeRole::Host), serves.is_empty()) {
+        (true, true) => Err(Failure::Usage(
+            "the role host needs --serves: names of robots and of roles of people, or '*' for all".to_owned(),
+        )),
+        (false, false) => Err(Failure::Usage("--serves is for nodes with the role host".to_owned())),
+        (true, false) | (false, true) => Ok(()),
     }
 }
 

@@ -31,6 +31,12 @@ fn certificates_are_created_shown_renewed_and_revoked() {
     assert!(code == 2 && output.contains("it exists already; `consort cert renew`"), "{output}");
     let (code, output) = cert(&dir, &["node", "bob", "--roles", "boss"]);
     assert!(code == 2 && output.contains("allowed: robot, voter, host"), "{output}");
+    let (code, output) = cert(&dir, &["node", "world", "--roles", "host"]);
+    assert!(code == 2 && output.contains("the role host needs --serves"), "{output}");
+    let (code, output) = cert(&dir, &["node", "bob", "--roles", "robot", "--serves", "ada"]);
+    assert!(code == 2 && output.contains("--serves is for nodes with the role host"), "{output}");
+    let (code, output) = cert(&dir, &["node", "world", "--roles", "host", "--serves", "a da"]);
+    assert!(code == 2 && output.contains("contains ' '"), "{output}");
     let (code, output) = cert(&dir, &["person", "authority"]);
     assert!(code == 2 && output.contains("this name is reserved for the authority"), "{output}");
 

@@ -136,7 +136,8 @@ impl Lab {
         let cert = |words: &[&str]| run(env!("CARGO_BIN_EXE_consort"), &[&["cert", "--dir", &dir], words].concat());
         cert(&["init", "--fleet", &self.fleet]);
         for (node, roles) in nodes {
-            cert(&["node", node, "--roles", roles]);
+            let serves: &[&str] = if roles.contains("host") { &["--serves", "*"] } else { &[] };
+            cert(&[&["node", node, "--roles", roles], serves].concat());
         }
         cert(&["person", "looker", "--scope", "read"]);
         self.closed = true;

@@ -6,17 +6,18 @@
 //! | `wire/swim/{node}` | any node | – | – |
 //! | `wire/gossip/{node}` | – | any node | that node |
 //! | `wire/certificate/{fingerprint}` | – | (unsigned) | (unsigned: the certificate proves itself) |
+//! | `wire/certificate/{fingerprint}/known` | – | (unsigned) | (unsigned) |
 //! | `wire/raft/{member}/{call}` | – | voters | voters |
 //! | `wire/bootstrap/{node}` | – | voters, in their own name | that node, if a voter |
 //! | `wire/beacon`, `wire/changed` | voters, in their own name | – | – |
 //! | `wire/bid/{robot}` | – | voters | that robot, in its own name |
 //! | `wire/award/{robot}` | – | voters | that robot |
-//! | `wire/report/{node}` | – | robots, of themselves; hosts, for people | that node, if a voter |
+//! | `wire/report/{node}` | – | robots and hosts, in their own name | that node, if a voter |
 //! | `wire/active_missions/{node}` | – | any node | that node, if a voter |
 //! | `wire/signal/{mission}/{role}` | robots and hosts | – | – |
 //! | `wire/signal_history/{mission}/{role}` | – | any node | robots and hosts |
-//! | `wire/driver/{robot}/command` | – | that robot | hosts |
-//! | `wire/driver/{robot}/state` | hosts | – | – |
+//! | `wire/driver/{robot}/command` | – | that robot | hosts that serve it |
+//! | `wire/driver/{robot}/state` | hosts that serve it | – | – |
 //! | `wire/people/ask` | – | hosts | hosts |
 //! | `wire/people/done` | hosts | – | – |
 //! | `wire/world` | – | any node | hosts |
@@ -26,8 +27,9 @@
 //! | `api/{call}` of the coordinator's | – | (by the links) | voters |
 //!
 //! The nodes that may reply to a query may also refuse it. Persons publish nothing and reply to
-//! nothing. Three properties are not checked here: that a robot holds the role for which it signals
-//! (receivers compare the epoch); that a voter leads (terms and majorities ensure it); and the
+//! nothing. Not checked here, but by the receivers, which learn the verified author of each message:
+//! that a robot holds the role for which it reports or signals; that a host serves the person for
+//! whom it reports, signals or replies; that a voter leads (terms and majorities ensure it); and the
 //! content of a third node's record that a node passes on.
 
 use crate::auction::BidResponse;
@@ -109,8 +111,8 @@ pub enum AccessDenied {
 /// [`AccessDenied`] with the reason.
 pub fn authorize(identity: &Identity, operation: Operation, key: &str, payload: &[u8]) -> Result<(), AccessDenied> {
     let request = Request { identity, key, payload };
-    let Principal::Node { name, roles } = &identity.principal else { return Err(request.denied(operation)) };
-    let node = Node { name, roles };
+    let Principal::Node { name, roles, .. } = &identity.principal else { return Err(request.denied(operation)) };
+    let node = Node { identity, name, roles };
     if operation == Operation::Refuse {
         let own_key = key.replace('*', name.as_str());
         return permitted_content(&node, Operation::Reply, &own_key)
@@ -163,6 +165,7 @@ enum NamedContent {
 }
 
 struct Node<'a> {
+    identity: &'a Identity,
     name: &'a NodeId,
     roles: &'a BTreeSet<NodeRole>,
 }
@@ -197,8 +200,7 @@ fn permitted_content(node: &Node<'_>, operation: Operation, key: &str) -> Option
         (&["wire", "bid" | "award", _], Query) => unnamed(node.is(Voter)),
         (&["wire", "bid", name], Reply) => (node.is(Robot) && node.is_named(name)).then_some(NamedContent::BidResponse),
         (&["wire", "award", name], Reply) => unnamed(node.is(Robot) && node.is_named(name)),
-        (&["wire", "report", _], Query) if node.is(Host) => unnamed(true),
-        (&["wire", "report", _], Query) => node.is(Robot).then_some(NamedContent::Report),
+        (&["wire", "report", _], Query) => (node.is(Robot) || node.is(Host)).then_some(NamedContent::Report),
         (&["wire", "report" | "active_missions", name], Reply) => unnamed(node.is(Voter) && node.is_named(name)),
         (&["wire", "active_missions", _] | &["wire", "signal_history", _, _] | &["wire", "world"], Query) => {
             unnamed(true)
@@ -207,8 +209,10 @@ fn permitted_content(node: &Node<'_>, operation: Operation, key: &str) -> Option
             unnamed(node.is(Robot) || node.is(Host))
         }
         (&["wire", "driver", name, "command"], Query) => unnamed(node.is(Robot) && node.is_named(name)),
-        (&["wire", "driver", _, "command"] | &["wire", "world"], Reply) => unnamed(node.is(Host)),
-        (&["wire", "driver", _, "state"] | &["wire", "people", "done"], Publish) => unnamed(node.is(Host)),
+        (&["wire", "driver", name, "command"], Reply) | (&["wire", "driver", name, "state"], Publish) => {
+            unnamed(node.identity.serves(name))
+        }
+        (&["wire", "world"], Reply) | (&["wire", "people", "done"], Publish) => unnamed(node.is(Host)),
         (&["wire", "people", "ask"], Query | Reply) => unnamed(node.is(Host)),
         (&["events", name], Publish) => node.is_named(name).then_some(NamedContent::Event),
         (&["view", ..] | &["api", _, "help"], Reply) => unnamed(true),

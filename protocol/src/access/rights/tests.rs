@@ -10,11 +10,11 @@ use serde::Serialize;
 const PRINCIPALS: [(char, &str); 9] = [
     ('r', "node/ada?roles=robot"),
     ('v', "node/ada?roles=voter"),
-    ('h', "node/ada?roles=host"),
+    ('h', "node/ada?roles=host&serves=ada"),
     ('n', "node/ada?roles="),
     ('R', "node/bob?roles=robot"),
     ('V', "node/bob?roles=voter"),
-    ('H', "node/bob?roles=host"),
+    ('H', "node/bob?roles=host&serves=bob,a"),
     ('N', "node/bob?roles="),
     ('p', "person/ada?scope=operate"),
 ];
@@ -23,11 +23,12 @@ const ANY: &str = "rvhnRVHN";
 const ADA: &str = "rvhn";
 
 /// Keys concerning ada, and the principals that may publish, query and reply on them.
-const TABLE: [(&str, [&str; 3]); 34] = [
+const TABLE: [(&str, [&str; 3]); 35] = [
     ("wire/knowledge/ada", [ADA, "", ""]),
     ("wire/swim/ada", [ANY, "", ""]),
     ("wire/gossip/ada", ["", ANY, ADA]),
     ("wire/certificate/07070707070707070707070707070707", ["", "", ""]),
+    ("wire/certificate/07070707070707070707070707070707/known", ["", "", ""]),
     ("wire/raft/0000000000000007/vote", ["", "vV", "vV"]),
     ("wire/bootstrap/ada", ["", "vV", "v"]),
     ("wire/bootstrap/*", ["", "vV", ""]),
@@ -40,8 +41,8 @@ const TABLE: [(&str, [&str; 3]); 34] = [
     ("wire/active_missions/ada", ["", ANY, "v"]),
     ("wire/signal/lab-1/r1", ["rhRH", "", ""]),
     ("wire/signal_history/lab-1/r1", ["", ANY, "rhRH"]),
-    ("wire/driver/ada/command", ["", "r", "hH"]),
-    ("wire/driver/ada/state", ["hH", "", ""]),
+    ("wire/driver/ada/command", ["", "r", "h"]),
+    ("wire/driver/ada/state", ["h", "", ""]),
     ("wire/people/ask", ["", "hH", "hH"]),
     ("wire/people/done", ["hH", "", ""]),
     ("wire/world", ["", ANY, "hH"]),

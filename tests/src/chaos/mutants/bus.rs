@@ -7,7 +7,7 @@ use super::reports::{ReportBug, with_all_signals};
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_bus::{
-    Bus, BusError, Delivery, Encoding, Link, Presence, PresenceToken, Query, Reply, Sample, ServiceSelection,
+    Author, Bus, BusError, Delivery, Encoding, Link, Presence, PresenceToken, Query, Reply, Sample, ServiceSelection,
     SharedBus, Stream,
 };
 use consort_fleet::node::NodeSettings;
@@ -167,7 +167,7 @@ fn decode_reply(reply: &Reply) -> Option<ReportReply> {
 }
 
 fn reply_with(key: &str, payload: Bytes) -> Reply {
-    Reply { key: key.to_owned(), payload: Ok(payload), attachment: Bytes::new() }
+    Reply { key: key.to_owned(), payload: Ok(payload), attachment: Bytes::new(), author: Author::UNKNOWN }
 }
 
 fn empty() -> Stream<Reply> {

@@ -4,6 +4,7 @@ use super::event_queue::Event;
 use super::pending_query::{PendingQuery, QueryPartState};
 use super::routing_table::Declaration;
 use super::state::Network;
+use crate::author::Author;
 use crate::bus::{Query, Reply, RequestAuthority, ServiceSelection};
 use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex, QueryPart};
 use crate::virtual_bus::responder::{QueryRequest, VirtualReplier};
@@ -146,6 +147,7 @@ impl Network {
             parameters: request.parameters.clone(),
             payload: request.payload.clone(),
             attachment: request.attachment.clone(),
+            author: Author::UNKNOWN,
             authority: RequestAuthority::Unchecked,
             replier: Box::new(VirtualReplier {
                 sink: self.sink.clone(),

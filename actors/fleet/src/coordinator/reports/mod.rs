@@ -4,6 +4,7 @@ use super::last_known_place::last_known_places;
 use super::lease_monitor::SharedLeaseMonitor;
 use super::session_context::SessionContext;
 use super::settings::NodeParts;
+use consort_bus::Author;
 use consort_bus::clock::Clock;
 use consort_gossip::SharedKnowledge;
 use consort_protocol::ids::{NodeId, PlaceId, RobotId};
@@ -53,6 +54,16 @@ impl ReportHandler {
             leadership_age_max: context.settings.lease_terms.leadership_age_max(),
             clock: *clock,
             lease_monitor: context.lease_monitor.clone(),
+        }
+    }
+
+    /// Checks whether the author of a report may report for the role: the robot itself, or for an
+    /// unmanaged role a driver server of the person.
+    pub(super) fn may_report(&self, report: &Report, author: &Author) -> bool {
+        let role = |ledger: &Ledger| Some(ledger.mission(&report.mission)?.roles.get(&report.role)?.kind);
+        match self.replica.read(role) {
+            Some(RoleKind::Unmanaged) => author.may_serve(report.role.as_str()),
+            Some(RoleKind::Managed) | None => author.may_be(report.robot.as_str()),
         }
     }
 

@@ -1,8 +1,9 @@
 //! Messages for the robot actor.
 
+use crate::robot::ReceivedSignals;
 use crate::robot::skill_runner::SkillOutcome;
 use consort_bus::{Query, Sample};
-use consort_protocol::message::{ReportReply, SignalHistory};
+use consort_protocol::message::ReportReply;
 use consort_protocol::units::NodeTime;
 use ractor::RpcReplyPort;
 use std::io;
@@ -35,7 +36,7 @@ pub(crate) enum RobotMessage {
     /// Signal of another role of the mission.
     Signal(Sample),
     /// Signal history of another role, in reply to a query.
-    SignalHistory(SignalHistory),
+    SignalHistory(ReceivedSignals),
     /// Result of writing the checkpoint.
     CheckpointWritten(io::Result<()>),
     /// Decommission: the robot takes no new role and releases the role it holds. The reply is true

@@ -20,6 +20,7 @@ use super::recovery_policy::AttemptFailure;
 use super::settings::{RobotLinks, RobotSettings, RobotStart};
 use super::signals::SignalExchange;
 use super::worker_record::WorkerRecord;
+use crate::robot::ReceivedSignals;
 use consort_bus::reply;
 use consort_bus::tasks::Tasks;
 use consort_bus::{Query, Sample};
@@ -28,7 +29,7 @@ use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
 use consort_protocol::lease::Event;
-use consort_protocol::message::{Beacon, FailureKind, SignalHistory};
+use consort_protocol::message::{Beacon, FailureKind};
 use ractor::{Actor, ActorProcessingErr, ActorRef, RpcReplyPort, SupervisionEvent};
 use state::{DECOMMISSION_CAUSE, DecommissionRequests, RobotState};
 use std::sync::Arc;
@@ -105,8 +106,11 @@ impl Actor for Robot {
             RobotMessage::AwardNotice(query) => state.handle_award_notice(&query).await,
             RobotMessage::ReportReplied { sent, reply } => state.handle_report_reply(sent, reply).await,
             RobotMessage::SkillEnded { run, outcome } => state.skill_ended(run, outcome).await,
-            RobotMessage::Signal(sample) => state.receive_signal_sample(&sample).await,
-            RobotMessage::SignalHistory(history) => state.receive_signals(&history).await,
+            RobotMessage::Signal(sample) => match ReceivedSignals::of(sample) {
+                Some(received) => state.receive_signals(&received).await,
+                None => Ok(()),
+            },
+            RobotMessage::SignalHistory(received) => state.receive_signals(&received).await,
             RobotMessage::CheckpointWritten(result) => state.handle_checkpoint_written(result).await,
             RobotMessage::Decommission { timeout, done } => state.decommission(timeout, done).await,
             RobotMessage::DecommissionTimeout => {
@@ -199,16 +203,6 @@ impl RobotState {
         let context = BidContext { worker: self.driver.worker(), closed_lanes, age_ms, membership };
         let response = Bidder::new(robot.clone(), Arc::clone(&pricing.estimator)).respond(&call, &context);
         reply::wire(query, &links.keys.write(&Key::Bid(robot.clone())), &response).await;
-    }
-
-    async fn receive_signal_sample(&mut self, sample: &Sample) -> Result<(), ActorProcessingErr> {
-        match codec::decode::<SignalHistory>(&sample.payload) {
-            Ok(history) => self.receive_signals(&history).await,
-            Err(problem) => {
-                warn!(key = sample.key, %problem, "signal cannot be decoded");
-                Ok(())
-            }
-        }
     }
 
     /// Refuses new roles and releases the held role.

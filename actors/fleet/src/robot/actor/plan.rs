@@ -9,9 +9,10 @@ use crate::robot::sequencer::{StaleSignal, StepRef};
 use crate::robot::settings::PricingSettings;
 use crate::robot::skill_runner::{RunningSkill, SkillOutcome, SkillRun};
 use crate::robot::task_timeout::TaskTimer;
+use crate::robot::{ReceivedSignals, SignalEffect};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::TaskId;
-use consort_protocol::message::{FailureKind, SignalHistory};
+use consort_protocol::message::FailureKind;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::Signal;
 use consort_protocol::units::NodeTime;
@@ -185,18 +186,26 @@ impl RobotState {
     }
 
     /// Receives the signals of another role.
-    pub(super) async fn receive_signals(&mut self, history: &SignalHistory) -> Result<(), ActorProcessingErr> {
+    pub(super) async fn receive_signals(&mut self, received: &ReceivedSignals) -> Result<(), ActorProcessingErr> {
+        let ReceivedSignals { history, author } = received;
         let active = self.execution.plan.as_mut().filter(|active| active.award.mission == history.mission);
         let Some(active) = active else { return Ok(()) };
-        let mut has_new = false;
+        let (mut has_new, mut unconfirmed) = (false, false);
         for signal in history.signals.iter().filter(|signal| signal.to == active.award.role) {
-            match active.sequencer.receive_signal(signal, history.epoch) {
-                Ok(new) => has_new |= new,
+            match active.sequencer.receive_signal(signal, history.epoch, author) {
+                Ok(effect) => {
+                    has_new |= effect == SignalEffect::Received;
+                    unconfirmed |= effect == SignalEffect::AwaitsConfirmation;
+                }
                 Err(StaleSignal { current: known }) => {
                     let event = self.signals.record_stale(&mut active.stale_signals, history, signal, known);
                     event.into_iter().for_each(|event| self.settings.links.events.publish(event));
                 }
             }
+        }
+        if unconfirmed {
+            // The reply contains the present holders.
+            self.report();
         }
         if has_new { self.advance().await } else { Ok(()) }
     }

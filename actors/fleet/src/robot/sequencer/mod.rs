@@ -1,6 +1,7 @@
 //! Selection of the next step of a local plan (Algorithm 2 of the thesis), as a value.
 
 mod alternatives;
+mod parked_signals;
 mod role_awards;
 #[cfg(test)]
 mod tests;
@@ -9,11 +10,13 @@ pub use alternatives::AlternativeProgress;
 pub(crate) use role_awards::StaleSignal;
 
 use alternatives::{alternative, alternative_task};
+use consort_bus::Author;
 use consort_protocol::ids::{RobotId, RoleId, TaskId};
 use consort_protocol::lease::{Epoch, RoleHolder};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::{LocalPlan, PlanProgress, ProgressError, Signal, SignalKind, Step, StepAction, StepIndex};
-use role_awards::RoleAwards;
+use parked_signals::{ParkedSignal, ParkedSignals};
+use role_awards::{RoleAwards, SignalCheck};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A plan in execution: ended steps, current task, next step.
@@ -29,6 +32,21 @@ pub struct Sequencer {
     roles: RoleAwards,
     /// Signals that this role has sent.
     sent: BTreeSet<Signal>,
+    /// Received signals that await a confirmation by the coordinator.
+    parked: ParkedSignals,
+}
+
+/// Effect of a received signal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum SignalEffect {
+    /// The signal was awaited and is new.
+    Received,
+    /// The signal is known already, not awaited, or not by the holder of the sending role; or other
+    /// signals await a confirmation, too.
+    None,
+    /// The signal waits until the coordinator has confirmed the award of its sender, and is the
+    /// only one that does: the coordinator should be queried.
+    AwaitsConfirmation,
 }
 
 /// Reference to a task within a plan.
@@ -98,7 +116,8 @@ impl Sequencer {
         let alternatives = alternatives.restore(&progress);
         let roles = RoleAwards::new(holders);
         let recorded = recorded.clone();
-        Ok(Sequencer { progress, running: None, alternatives, recorded, roles, sent })
+        let parked = ParkedSignals::default();
+        Ok(Sequencer { progress, running: None, alternatives, recorded, roles, sent, parked })
     }
 
     /// Returns the next action, which the caller performs at once. Returns `None` while a task is
@@ -183,17 +202,26 @@ impl Sequencer {
         self.alternatives.start_for(&replaced_steps, &self.progress)
     }
 
-    /// Receives a signal that another role sent under the award of `epoch`. Returns true if it was
-    /// awaited and is new.
+    /// Receives a signal that another role sent under the award of `epoch`. Only signals of the
+    /// confirmed holder count. Those under a later award wait for [`Sequencer::set_holders`].
     ///
     /// # Errors
     /// [`StaleSignal`] if a later award of the sending role is known: the role has another holder.
     /// The state is unchanged.
-    pub(crate) fn receive_signal(&mut self, signal: &Signal, epoch: Epoch) -> Result<bool, StaleSignal> {
-        if self.roles.check_signal(&signal.from, epoch)? {
-            self.progress.discard_signals_from(&signal.from);
-        }
-        Ok(self.progress.receive(signal))
+    pub(crate) fn receive_signal(
+        &mut self,
+        signal: &Signal,
+        epoch: Epoch,
+        author: &Author,
+    ) -> Result<SignalEffect, StaleSignal> {
+        Ok(match self.roles.check_signal(&signal.from, epoch, author)? {
+            SignalCheck::Valid if self.progress.receive(signal) => SignalEffect::Received,
+            SignalCheck::Valid | SignalCheck::Foreign => SignalEffect::None,
+            SignalCheck::Unconfirmed => {
+                let parked = ParkedSignal { signal: signal.clone(), epoch, author: author.clone() };
+                if self.parked.park(parked) { SignalEffect::AwaitsConfirmation } else { SignalEffect::None }
+            }
+        })
     }
 
     /// Receives signals that the ledger contains as sent to this role. Their sender may be gone.
@@ -289,12 +317,19 @@ impl Sequencer {
         self.roles.holders()
     }
 
-    /// Updates the holders of the managed roles. Signals of a former holder that were not yet acted
-    /// on are discarded, because its successor sends the valid ones again. Returns true if a signal
-    /// was discarded: the successor should then be queried.
+    /// Updates the holders of the managed roles, as confirmed by the coordinator. Signals of a
+    /// former holder that were not yet acted on are discarded, because its successor sends the
+    /// valid ones again; parked signals of the successor are received. Returns true if a signal was
+    /// discarded: the successor should then be queried.
     pub(crate) fn set_holders(&mut self, holders: BTreeMap<RoleId, RoleHolder>) -> bool {
         let changed = self.roles.set_holders(holders);
-        changed.iter().fold(false, |discarded, role| self.progress.discard_signals_from(role) | discarded)
+        let discarded =
+            changed.iter().fold(false, |discarded, role| self.progress.discard_signals_from(role) | discarded);
+        for ParkedSignal { signal, epoch, author } in self.parked.take() {
+            // A signal that is stale by now is of no use.
+            let _ = self.receive_signal(&signal, epoch, &author);
+        }
+        discarded
     }
 
     /// Updates the managed roles without a holder; some may never have been held. Call

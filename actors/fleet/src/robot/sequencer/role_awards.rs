@@ -1,5 +1,6 @@
 //! Holders and awards of a mission's roles, as known to the holder of another role.
 
+use consort_bus::Author;
 use consort_protocol::ids::RoleId;
 use consort_protocol::lease::{Epoch, RoleHolder};
 use consort_protocol::mission::TaskSpec;
@@ -13,18 +14,30 @@ pub(crate) struct StaleSignal {
     pub(crate) current: Epoch,
 }
 
-/// Holders of the managed roles of a mission, and their latest awards.
+/// Result of checking the sender of a signal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum SignalCheck {
+    /// Sent by the holder of the role.
+    Valid,
+    /// Sent under an award that the coordinator has not confirmed to this robot.
+    Unconfirmed,
+    /// Not sent by the holder of the role.
+    Foreign,
+}
+
+/// Holders of the managed roles of a mission, and their latest awards. All of it comes from the
+/// coordinator.
 #[derive(Debug, Clone)]
 pub(super) struct RoleAwards {
     holders: BTreeMap<RoleId, RoleHolder>,
-    /// Latest known award of each role that has been held or is to be held. The default epoch means
-    /// not yet awarded. A role in this map without a holder is about to be awarded.
-    latest: BTreeMap<RoleId, Epoch>,
+    /// Latest award of each role that has been held or is to be held; `None` before the first. A
+    /// role in this map without a holder is about to be awarded.
+    latest: BTreeMap<RoleId, Option<RoleHolder>>,
 }
 
 impl RoleAwards {
     pub(super) fn new(holders: BTreeMap<RoleId, RoleHolder>) -> RoleAwards {
-        let latest = holders.iter().map(|(role, holding)| (role.clone(), holding.epoch)).collect();
+        let latest = holders.iter().map(|(role, holding)| (role.clone(), Some(holding.clone()))).collect();
         RoleAwards { holders, latest }
     }
 
@@ -42,9 +55,9 @@ impl RoleAwards {
     pub(super) fn set_holders(&mut self, holders: BTreeMap<RoleId, RoleHolder>) -> Vec<RoleId> {
         let mut changed = vec![];
         for (role, holding) in &holders {
-            let latest = self.latest.entry(role.clone()).or_insert(holding.epoch);
-            if *latest < holding.epoch {
-                *latest = holding.epoch;
+            let latest = self.latest.entry(role.clone()).or_insert_with(|| Some(holding.clone()));
+            if latest.as_ref().is_none_or(|latest| latest.epoch < holding.epoch) {
+                *latest = Some(holding.clone());
                 changed.push(role.clone());
             }
         }
@@ -59,21 +72,28 @@ impl RoleAwards {
         }
     }
 
-    /// Checks the epoch of a signal. Returns true if it is newer than the latest known award: the
-    /// signal of the new holder has arrived before the notice of its award.
+    /// Checks the epoch and the author of a signal.
     ///
     /// # Errors
     /// [`StaleSignal`] if a later award of the sending role is known.
-    pub(super) fn check_signal(&mut self, from: &RoleId, epoch: Epoch) -> Result<bool, StaleSignal> {
-        // Unmanaged roles have no award.
-        let Some(latest) = self.latest.get_mut(from) else { return Ok(false) };
+    pub(super) fn check_signal(
+        &self,
+        from: &RoleId,
+        epoch: Epoch,
+        author: &Author,
+    ) -> Result<SignalCheck, StaleSignal> {
+        let unmanaged = !self.latest.contains_key(from) && epoch == Epoch::default();
+        if unmanaged {
+            return Ok(if author.may_serve(from.as_str()) { SignalCheck::Valid } else { SignalCheck::Foreign });
+        }
+        let Some(Some(RoleHolder { robot, epoch: latest })) = self.latest.get(from) else {
+            return Ok(SignalCheck::Unconfirmed);
+        };
         match epoch.cmp(latest) {
             Ordering::Less => Err(StaleSignal { current: *latest }),
-            Ordering::Equal => Ok(false),
-            Ordering::Greater => {
-                *latest = epoch;
-                Ok(true)
-            }
+            Ordering::Equal if author.may_be(robot.as_str()) => Ok(SignalCheck::Valid),
+            Ordering::Equal => Ok(SignalCheck::Foreign),
+            Ordering::Greater => Ok(SignalCheck::Unconfirmed),
         }
     }
 }

@@ -1,5 +1,6 @@
 use super::*;
 use serde_json::json;
+use std::sync::Arc;
 
 fn plan(value: serde_json::Value) -> LocalPlan {
     serde_json::from_value(value).unwrap()
@@ -170,13 +171,14 @@ fn a_stale_signal_is_rejected_and_an_unused_signal_is_discarded() {
         serde_json::from_value(json!({ "kind": "done", "task": "lift", "from": "arm", "to": "r1" })).unwrap();
     let steps = [task("drive", &[]), wait("lift", &[0])];
     let mut sequencer = sequencer(plan(json!({ "role": "r1", "steps": steps })));
-    assert_eq!(sequencer.receive_signal(&signal, at(4)), Err(StaleSignal { current: at(5) }));
-    assert_eq!(sequencer.receive_signal(&signal, at(5)), Ok(true));
+    let unknown = &Author::UNKNOWN;
+    assert_eq!(sequencer.receive_signal(&signal, at(4), unknown), Err(StaleSignal { current: at(5) }));
+    assert_eq!(sequencer.receive_signal(&signal, at(5), unknown), Ok(SignalEffect::Received));
     assert!(!sequencer.set_holders(held(&[("r1", 5)])), "the role has no new holder yet");
     assert!(sequencer.set_holders(held(&[("r1", 5), ("arm", 9)])));
     assert_eq!(run(&mut sequencer, &[]), ["drive"]);
-    assert_eq!(sequencer.receive_signal(&signal, at(5)), Err(StaleSignal { current: at(9) }));
-    assert_eq!(sequencer.receive_signal(&signal, at(9)), Ok(true));
+    assert_eq!(sequencer.receive_signal(&signal, at(5), unknown), Err(StaleSignal { current: at(9) }));
+    assert_eq!(sequencer.receive_signal(&signal, at(9), unknown), Ok(SignalEffect::Received));
     assert_eq!(run(&mut sequencer, &[]), ["received lift"]);
 }
 
@@ -186,5 +188,43 @@ fn an_unmanaged_role_has_no_award() {
         serde_json::from_value(json!({ "kind": "done", "task": "lift", "from": "arm", "to": "r1" })).unwrap();
     let plan = plan(json!({ "role": "r1", "steps": [wait("lift", &[])] }));
     let mut sequencer = Sequencer::new(plan, &BTreeSet::new(), held(&[("r1", 5)])).unwrap();
-    assert_eq!(sequencer.receive_signal(&signal, Epoch::default()), Ok(true));
+    assert_eq!(sequencer.receive_signal(&signal, Epoch::default(), &author("ada", "robot")), Ok(SignalEffect::None));
+    let host = author("world", "host&serves=arm");
+    assert_eq!(sequencer.receive_signal(&signal, Epoch::default(), &host), Ok(SignalEffect::Received));
+}
+
+fn author(node: &str, roles: &str) -> Author {
+    Author::verified(Arc::new(format!("consort://ward/node/{node}?roles={roles}").parse().unwrap()))
+}
+
+#[test]
+fn only_the_holder_that_the_coordinator_has_confirmed_sends_signals_of_its_role() {
+    let signal: Signal =
+        serde_json::from_value(json!({ "kind": "done", "task": "lift", "from": "arm", "to": "r1" })).unwrap();
+    let mut sequencer = sequencer(plan(json!({ "role": "r1", "steps": [wait("lift", &[])] })));
+    let (ada, eve) = (author("ada", "robot"), author("eve", "robot,host"));
+    assert_eq!(sequencer.receive_signal(&signal, at(5), &eve), Ok(SignalEffect::None), "ada holds the role");
+    assert_eq!(sequencer.receive_signal(&signal, at(u64::MAX), &eve), Ok(SignalEffect::AwaitsConfirmation));
+    // The claim of a later award makes the holder's signals neither outdated nor lost.
+    assert_eq!(sequencer.receive_signal(&signal, at(9), &ada), Ok(SignalEffect::None), "others are parked already");
+    assert_eq!(run(&mut sequencer, &[]), [] as [&str; 0]);
+    assert!(!sequencer.set_holders(held(&[("r1", 5), ("arm", 9)])));
+    assert_eq!(run(&mut sequencer, &[]), ["received lift"], "the parked signal of the new award counts");
+}
+
+#[test]
+fn parked_signals_are_bounded_and_kept_until_their_award_is_confirmed() {
+    let signal = |task: usize| -> Signal {
+        serde_json::from_value(json!({ "kind": "done", "task": format!("t{task}"), "from": "arm", "to": "r1" }))
+            .unwrap()
+    };
+    let steps = [wait("t0", &[]), wait("t99", &[])];
+    let mut sequencer = sequencer(plan(json!({ "role": "r1", "steps": steps })));
+    for task in 0..100 {
+        sequencer.receive_signal(&signal(task), at(9), &Author::UNKNOWN).unwrap();
+    }
+    sequencer.set_holders(held(&[("r1", 5), ("arm", 8)]));
+    assert_eq!(run(&mut sequencer, &[]), [] as [&str; 0], "another award was confirmed");
+    sequencer.set_holders(held(&[("r1", 5), ("arm", 9)]));
+    assert_eq!(run(&mut sequencer, &[]), ["received t99"], "the oldest were dropped");
 }

@@ -16,9 +16,8 @@ impl Closed {
         let certs = fleet.path("certs");
         let mut closed = Closed { fleet, certs };
         closed.cert(&["init", "--fleet", "ward"]);
-        for (name, roles) in
-            [("station-1", "voter,dashboard"), ("world", "host"), ("ada", "robot,voter"), ("lab-arm", "robot,voter")]
-        {
+        closed.cert(&["node", "world", "--roles", "host", "--serves", "ada,lab-arm,nurse"]);
+        for (name, roles) in [("station-1", "voter,dashboard"), ("ada", "robot,voter"), ("lab-arm", "robot,voter")] {
             closed.cert(&["node", name, "--roles", roles]);
         }
         for scope in ["read", "submit", "operate"] {
