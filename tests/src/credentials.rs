@@ -38,9 +38,15 @@ impl Credentials {
         Credentials { seed, fleet, authority, issuer }
     }
 
-    /// Returns the keyring of a node with these roles, for an incarnation of the node.
+    /// Returns the keyring of a node with these roles, for an incarnation of the node. A host serves
+    /// everything.
     pub fn keyring_of(&self, node: &NodeId, roles: BTreeSet<NodeRole>, life: u64) -> Keyring {
-        let serves = roles.contains(&NodeRole::Host).then(ServedName::all).into_iter().collect();
+        self.keyring_serving(node, roles, ServedName::all(), life)
+    }
+
+    /// Returns the keyring of a node with these roles that serves these names as a host.
+    pub fn keyring_serving(&self, node: &NodeId, roles: BTreeSet<NodeRole>, names: ServedName, life: u64) -> Keyring {
+        let serves = roles.contains(&NodeRole::Host).then_some(names).into_iter().collect();
         self.keyring(Principal::Node { name: node.clone(), roles, serves }, node.as_str(), life)
     }
 

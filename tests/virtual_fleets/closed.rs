@@ -15,7 +15,7 @@ use consort_protocol::knowledge::{Availability, Digest, DigestScope, KnowledgeBa
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Ledger;
 use consort_protocol::message::{
-    Beacon, ClusterEnvelope, Exchange, MissionsChanged, RecordUpdate, Report, SignalHistory,
+    Beacon, ClusterEnvelope, Exchange, MissionsChanged, RecordUpdate, Report, ReportReply, SignalHistory,
 };
 use consort_protocol::plan::StepAction;
 use consort_protocol::trust::NodeRole;
@@ -327,7 +327,9 @@ fn a_relaying_node_can_neither_change_nor_forge_records() {
         let plain: SharedBus = Arc::new(fleet.network.bus(name.clone()));
         let keyring = papers.keyring_of(&name, [NodeRole::Robot].into(), 1_000);
         let sealed = papers.signing_bus(plain, keyring, Clock::virtual_at(0)).await;
-        let signed = |record: Option<Record>| record.is_some_and(|record| record.proof.is_some());
+        let signed = |record: Option<Record>| {
+            record.is_some_and(|record| record.proof.is_some() && record.knowledge.cluster.is_some())
+        };
         fleet
             .wait_until("records are signed", SOON, |fleet| {
                 ["lab-arm", "gorse"].iter().all(|of| signed(known_record(fleet, "gorse", of)))
@@ -372,10 +374,10 @@ fn a_relaying_node_can_neither_change_nor_forge_records() {
 }
 
 /// Attacks the roles of other robots and people in a mission: ends their steps and sends their
-/// signals, under their award and under later ones.
-async fn take_part_in(fleet: &Fleet, bus: &SharedBus, mission: &MissionId) {
-    let keys = fleet.keys();
-    let Some(entry) = fleet.ledger(|ledger| ledger.mission(mission).cloned()).flatten() else { return };
+/// signals, under their award and under later ones. Returns the number of accepted reports.
+async fn take_part_in(fleet: &Fleet, bus: &SharedBus, mission: &MissionId) -> usize {
+    let (keys, mut accepted) = (fleet.keys(), 0);
+    let Some(entry) = fleet.ledger(|ledger| ledger.mission(mission).cloned()).flatten() else { return accepted };
     for (role, held) in &entry.roles {
         let Some(plan) = entry.plan(role) else { continue };
         let award = held.holder.as_ref().map(|holder| holder.epoch).unwrap_or_default();
@@ -394,7 +396,11 @@ async fn take_part_in(fleet: &Fleet, bus: &SharedBus, mission: &MissionId) {
         };
         for to in ["aster", "basil", "clove"] {
             let key = keys.write(&Key::Report(to.parse().expect("a name")));
-            drop(bus.query(&key, wire(&report), Duration::from_millis(100)).await.expect("a network"));
+            let mut replies = bus.query(&key, wire(&report), Duration::from_millis(100)).await.expect("a network");
+            while let Some(reply) = replies.recv().await {
+                let reply = reply.payload.ok().and_then(|bytes| codec::decode::<ReportReply>(&bytes).ok());
+                accepted += usize::from(matches!(reply, Some(ReportReply::Renewed { .. })));
+            }
         }
         let sent = plan.steps.iter().filter_map(|step| match &step.action {
             StepAction::Send(signal) => Some(signal.clone()),
@@ -408,6 +414,7 @@ async fn take_part_in(fleet: &Fleet, bus: &SharedBus, mission: &MissionId) {
             }
         }
     }
+    accepted
 }
 
 #[test]
@@ -425,14 +432,52 @@ fn the_key_of_a_robot_takes_no_part_in_missions_of_others() {
         let bus: SharedBus = Arc::new(ClusterBus::new(sealed, fleet.keys().clone(), membership));
         let is_final = |ledger: &Ledger| ledger.mission(&mission).is_some_and(|entry| entry.state.is_final());
         while !fleet.ledger(is_final).unwrap_or(false) {
-            take_part_in(&fleet, &bus, &mission).await;
+            let accepted = take_part_in(&fleet, &bus, &mission).await;
+            assert_eq!(accepted, 0, "seed {seed}: a report for a role of others was accepted");
             tokio::time::sleep(Duration::from_millis(500)).await; // virtual time
         }
         fleet.assert_completes(&mission).await;
         fleet.assert_each_task_once(&mission);
         fleet.assert_sample_delivered(ROOM);
-        let stale = |what: &EventKind| matches!(what, EventKind::StaleSignal { .. });
+        // Signals under older awards are reported; those of the holder are not among them.
+        let stale = |what: &EventKind| matches!(what, EventKind::StaleSignal { epoch, .. } if epoch.term > 0);
         assert_eq!(fleet.event_log.count(stale), 0, "seed {seed}\n{}", fleet.event_log_text());
         assert_eq!(fleet.event_log.count(released), 0, "seed {seed}: no role is released\n{}", fleet.event_log_text());
+    });
+}
+
+#[test]
+fn the_key_of_a_voter_pins_no_node_to_a_term_or_a_version() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        let papers = fleet.credentials.as_ref().expect("a closed fleet");
+        let name: NodeId = "dill".parse().expect("a name");
+        let keyring = papers.keyring_of(&name, [NodeRole::Voter].into(), 1_000);
+        let plain: SharedBus = Arc::new(fleet.network.bus(name.clone()));
+        let sealed = papers.signing_bus(plain, keyring, Clock::virtual_at(0)).await;
+        let cluster = fleet.ledger(|ledger| ledger.cluster()).flatten();
+        let mission = fleet.submit("a", ROOM).await;
+        let key = fleet.keys().write(&Key::Beacon);
+        let mut attack = tokio::task::JoinSet::new();
+        attack.spawn(async move {
+            for term in (0..u64::MAX).rev() {
+                let beacon = Beacon {
+                    node: name.clone(),
+                    term,
+                    voters: [name.clone()].into(),
+                    since_ms: 0,
+                    cluster,
+                    wire: Some(200),
+                };
+                let payload = wire(&ClusterEnvelope { cluster, payload: wire(&beacon).to_vec() });
+                sealed.publish(&key, payload, Encoding::Wire, Delivery::Block).await.expect("a network");
+                tokio::time::sleep(Duration::from_millis(300)).await; // virtual time
+            }
+        });
+        fleet.assert_completes(&mission).await;
+        fleet.assert_each_task_once(&mission);
+        fleet.assert_sample_delivered(ROOM);
+        assert_eq!(fleet.event_log.count(released), 0, "seed {seed}: no role is released\n{}", fleet.event_log_text());
+        attack.shutdown().await;
     });
 }

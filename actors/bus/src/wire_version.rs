@@ -10,7 +10,7 @@ use consort_protocol::message::Beacon;
 use consort_protocol::versions::VersionRange;
 use std::sync::Arc;
 use tokio::sync::watch;
-use tracing::{debug, info};
+use tracing::{debug, info, warn};
 
 /// Wire version that a node writes: the oldest version that it reads, until it receives the version
 /// of its fleet. Clones share the value.
@@ -37,7 +37,14 @@ impl Default for WireVersion {
 impl WireVersion {
     /// Creates the version of a node that reads `supported`.
     pub fn new(supported: VersionRange) -> WireVersion {
-        let first = WrittenVersion { cluster: None, version: supported.oldest };
+        WireVersion::starting_at(supported.oldest, supported)
+    }
+
+    /// Creates the version of a node that reads `supported` and first writes `version`, as far as
+    /// it reads it.
+    pub fn starting_at(version: u8, supported: VersionRange) -> WireVersion {
+        let version = version.clamp(supported.oldest, supported.newest);
+        let first = WrittenVersion { cluster: None, version };
         WireVersion { written: Arc::new(watch::Sender::new(first)), supported }
     }
 
@@ -72,12 +79,25 @@ impl WireVersion {
         }
     }
 
-    /// Adopts the versions that the beacons of this node's cluster contain.
-    pub async fn follow_beacons(self, bus: &SharedBus, keys: &Keys, tasks: &mut Tasks) -> Result<(), BusError> {
+    /// Adopts the versions that the beacons of this node's cluster contain, except those that
+    /// `refuted` rejects: a single voter cannot end the other nodes by an invented version.
+    ///
+    /// # Errors
+    /// [`BusError`] if the bus is closed.
+    pub async fn follow_beacons(
+        self,
+        bus: &SharedBus,
+        keys: &Keys,
+        tasks: &mut Tasks,
+        refuted: impl Fn(u8) -> bool + Send + 'static,
+    ) -> Result<(), BusError> {
         let mut beacons = bus.subscribe(&keys.write(&Key::Beacon)).await?;
         tasks.spawn(async move {
             while let Some(sample) = beacons.recv().await {
                 match codec::decode::<Beacon>(&sample.payload) {
+                    Ok(beacon) if beacon.wire.is_some_and(&refuted) => {
+                        warn!(node = %beacon.node, version = beacon.wire, "wire version ignored: most voters cannot read it");
+                    }
                     Ok(beacon) => self.adopt(beacon.cluster, beacon.wire),
                     Err(problem) => debug!(%problem, "dropped a malformed beacon"),
                 }

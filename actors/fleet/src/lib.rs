@@ -10,6 +10,7 @@ mod api_help;
 pub mod autopilot;
 pub mod coordinator;
 pub mod events;
+mod followed_coordinator;
 #[cfg(feature = "test-util")]
 pub mod fuzz_api;
 mod human_task_proxy;

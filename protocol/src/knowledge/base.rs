@@ -138,6 +138,16 @@ impl KnowledgeBase {
         self.records.iter()
     }
 
+    /// Checks whether the fleet certainly does not write this wire version: most of the known nodes
+    /// that may vote cannot read it.
+    pub fn refutes_wire_version(&self, version: u8) -> bool {
+        let voters = self.records.values().map(|known| &known.record.knowledge).filter(|known| known.may_vote);
+        let (read, all) = voters.fold((0, 0), |(read, all), known| {
+            (read + usize::from(known.supported_versions.contains(version)), all + 1)
+        });
+        2 * read < all
+    }
+
     /// Returns the wire versions that each node reads, according to its record.
     pub fn supported_versions(&self) -> impl Iterator<Item = (NodeId, VersionRange)> {
         self.records.iter().map(|(node, known)| (node.clone(), known.record.knowledge.supported_versions))

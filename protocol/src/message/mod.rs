@@ -124,12 +124,6 @@ pub struct Beacon {
 }
 
 impl Beacon {
-    /// Checks whether this beacon replaces `known`: its term is not older, or it belongs to another
-    /// cluster. The receiver has moved to that cluster, where terms are counted anew.
-    pub fn supersedes(&self, known: Option<&Beacon>) -> bool {
-        known.is_none_or(|known| self.term >= known.term || self.is_other_cluster(known))
-    }
-
     /// Checks whether this beacon belongs to another leader session than `known`: another node, or
     /// another term of the same node.
     pub fn is_other_leader_session(&self, known: Option<&Beacon>) -> bool {
@@ -288,31 +282,4 @@ pub struct SignalHistory {
     pub epoch: Epoch,
     /// Signals sent.
     pub signals: BTreeSet<Signal>,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_beacon_is_superseded_by_a_later_term_or_another_cluster() {
-        let beacon = |term, cluster: u64| Beacon {
-            node: NodeId::new("ada").unwrap(),
-            term,
-            voters: BTreeSet::new(),
-            since_ms: 0,
-            cluster: (cluster > 0).then_some(ClusterId(cluster)),
-            wire: None,
-        };
-        for (known, received, expected) in [
-            (None, beacon(1, 1), true),
-            (Some(beacon(5, 1)), beacon(5, 1), true),
-            (Some(beacon(5, 1)), beacon(4, 1), false),
-            (Some(beacon(5, 1)), beacon(1, 2), true),
-            (Some(beacon(5, 1)), beacon(4, 0), false),
-            (Some(beacon(5, 0)), beacon(4, 1), false),
-        ] {
-            assert_eq!(received.supersedes(known.as_ref()), expected, "{known:?} {received:?}");
-        }
-    }
 }

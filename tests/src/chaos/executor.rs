@@ -1,7 +1,9 @@
 //! Executes the actions of a schedule on a fleet.
 
 use super::chaos_fleet::{ChaosFleet, WORLD};
-use super::fault_injector::FaultInjector;
+use super::fault_injector::{DATE_MS, FaultInjector};
+use super::hostile::HostileNode;
+use super::run_counters::millis;
 use super::schedule::{ChaosAction, DiskAfterCrash};
 use crate::{Fleet, Observation, slug};
 use consort_bus::{Bus, BusError, LinkModel, Reply, Stream};
@@ -35,6 +37,7 @@ pub(super) struct ActionExecutor {
     weather: BTreeMap<usize, LinkModel>,
     slow: BTreeMap<usize, (String, u64)>,
     paused: BTreeMap<usize, String>,
+    hostile: BTreeMap<usize, HostileNode>,
     /// Robots with a drained battery.
     flat: BTreeSet<String>,
 }
@@ -51,6 +54,7 @@ impl ActionExecutor {
             weather: BTreeMap::new(),
             slow: BTreeMap::new(),
             paused: BTreeMap::new(),
+            hostile: BTreeMap::new(),
             flat: BTreeSet::new(),
         }
     }
@@ -131,6 +135,11 @@ impl ActionExecutor {
                 fleet.world.with(|world| world.set_charge(&slug(robot), charge));
                 self.flat.insert(robot.clone());
             }
+            ChaosAction::Hostile { role, .. } => {
+                let (seed, date_ms) = (fleet.seed ^ number as u64, DATE_MS + millis(fleet.elapsed()));
+                let attack = HostileNode::start(fleet, *role, seed, date_ms).await;
+                attack.map(|attack| self.hostile.insert(number, attack));
+            }
             ChaosAction::Skill { robot, how, times } => self.injector.inject_skill_fault(robot, *how, *times),
         }
     }
@@ -156,6 +165,7 @@ impl ActionExecutor {
                 fleet.network.restore(slug(from), slug(to));
             }
         }
+        self.hostile.remove(&number);
         if self.weather.remove(&number).is_some() {
             self.change_weather(fleet);
         }
@@ -170,6 +180,7 @@ impl ActionExecutor {
         let numbers: BTreeSet<usize> = (self.down.keys().chain(self.paused.keys()))
             .chain(self.partitions.keys().chain(self.cuts.keys()))
             .chain(self.weather.keys().chain(self.slow.keys()))
+            .chain(self.hostile.keys())
             .copied()
             .collect();
         for number in numbers {

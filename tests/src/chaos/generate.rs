@@ -2,6 +2,7 @@
 
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, WORLD};
 use super::schedule::{ChaosAction, DiskAfterCrash, FaultKind, Schedule, ScheduledAction, SkillFault};
+use consort_protocol::trust::NodeRole;
 use rand::seq::{IndexedMutRandom, IndexedRandom, SliceRandom};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -18,6 +19,10 @@ const FIRST_MS: u64 = 4_000;
 /// grace.
 const AWAY_MS: Range<u64> = 15_000..30_000;
 
+/// Roles in the certificates of hostile nodes. Consensus trusts voters, so there is none.
+const HOSTILE_ROLES: [Option<NodeRole>; 4] =
+    [Some(NodeRole::Robot), Some(NodeRole::Host), Some(NodeRole::Dashboard), None];
+
 /// Generates a schedule with faults of these kinds for a fleet that runs for `minutes`.
 pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[FaultKind]) -> Schedule {
     let chance = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed_0fc4_a05f);
@@ -31,18 +36,23 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
         drained: vec![],
     };
     draw.requests(minutes);
-    if !kinds.is_empty() {
+    // Hostile nodes are drawn separately, below.
+    let kinds_of_faults: Vec<_> = kinds.iter().filter(|kind| **kind != FaultKind::Hostile).collect();
+    if !kinds_of_faults.is_empty() {
         // On average about one fault in twenty seconds; some runs have far fewer, some far more.
         let most = (draw.end_ms / 12_000).max(2);
         let count = draw.chance.random_range(1..=most);
         for _ in 0..count {
-            let kind = *kinds.choose(&mut draw.chance).expect("there are some");
+            let kind = **kinds_of_faults.choose(&mut draw.chance).expect("there are some");
             draw.fault(kind);
         }
     }
     // A separate generator, so that further draws do not change the times and faults above.
     draw.chance = ChaCha8Rng::seed_from_u64(seed ^ 0xa5_4ed0_0d1f);
     draw.vary();
+    if kinds.contains(&FaultKind::Hostile) {
+        draw.hostile(seed);
+    }
     if kinds.contains(&FaultKind::Partition) {
         draw.isolate_carrier();
     }
@@ -112,6 +122,15 @@ impl Draw<'_> {
         }
     }
 
+    /// Adds a hostile node, each role in turn, from a generator of its own.
+    fn hostile(&mut self, seed: u64) {
+        let mut chance = ChaCha8Rng::seed_from_u64(seed ^ 0x0b5c_07e5);
+        let role = HOSTILE_ROLES[usize::try_from(seed % HOSTILE_ROLES.len() as u64).expect("a small number")];
+        let at_ms = chance.random_range(FIRST_MS..self.end_ms - 1_000);
+        let for_ms = chance.random_range(1_000..60_000).min(self.end_ms - at_ms);
+        self.steps.push(ScheduledAction { at_ms, action: ChaosAction::Hostile { role, for_ms } });
+    }
+
     fn fault(&mut self, kind: FaultKind) {
         let at_ms = self.chance.random_range(FIRST_MS..self.end_ms - 1_000);
         let Some(act) = self.act(kind, at_ms) else { return };
@@ -143,7 +162,7 @@ impl Draw<'_> {
     fn act(&mut self, kind: FaultKind, at_ms: u64) -> Option<ChaosAction> {
         let for_ms = self.lasting(at_ms, 40_000);
         Some(match kind {
-            FaultKind::None => return None,
+            FaultKind::None | FaultKind::Hostile => return None,
             FaultKind::Crash => ChaosAction::Crash { node: self.node(), disk: DiskAfterCrash::Kept, for_ms },
             FaultKind::CrashTorn => {
                 let node = self.node();

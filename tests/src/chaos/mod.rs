@@ -15,6 +15,7 @@ pub mod chaos_fleet;
 mod executor;
 mod fault_injector;
 pub mod generate;
+mod hostile;
 pub(crate) mod invariants;
 pub mod mutants;
 pub mod mutation_checks;

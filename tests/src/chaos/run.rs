@@ -280,8 +280,9 @@ impl Run {
             }
             if self.fleet.elapsed() >= end {
                 let limit = RELAY_LIMIT.as_secs();
+                let rejections = self.fleet.signing_buses.get(other).map(|bus| bus.rejections()).unwrap_or_default();
                 let reason = format!(
-                    "{other} has not learned within {limit} s that {restarted} restarted (incarnation {own:?}, known {seen_by_other:?})"
+                    "{other} has not learned within {limit} s that {restarted} restarted (incarnation {own:?}, known {seen_by_other:?}; rejected {rejections:?})"
                 );
                 return Err(self.checker.violation("relay", reason, &self.fleet));
             }

@@ -2,6 +2,7 @@
 
 use super::chaos_fleet::MISSIONS;
 use crate::disk::UnsyncedWrites;
+use consort_protocol::trust::NodeRole;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Display};
 use std::time::Duration;
@@ -127,6 +128,15 @@ pub enum ChaosAction {
         /// The robot.
         robot: String,
     },
+    /// A node with a valid certificate of this role attacks the others; without effect in an open
+    /// fleet.
+    Hostile {
+        /// Role in its certificate; none if absent.
+        #[serde(default, skip_serializing_if = "Option::is_none", with = "role_name")]
+        role: Option<NodeRole>,
+        /// Duration in milliseconds.
+        for_ms: u64,
+    },
     /// The next skills of a robot fail.
     Skill {
         /// The robot.
@@ -136,6 +146,21 @@ pub enum ChaosAction {
         /// Number of consecutive failures.
         times: u32,
     },
+}
+
+/// A role of a node as its name.
+mod role_name {
+    use super::NodeRole;
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    pub(super) fn serialize<S: Serializer>(role: &Option<NodeRole>, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_some(role.map_or("", NodeRole::as_str))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<NodeRole>, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        if name.is_empty() { Ok(None) } else { name.parse().map(Some).map_err(D::Error::custom) }
+    }
 }
 
 fn default_mission() -> String {
@@ -198,11 +223,12 @@ pub enum FaultKind {
     Drift,
     Battery,
     Skill,
+    Hostile,
 }
 
 impl FaultKind {
     /// All kinds except `None`.
-    pub const FAULTS: [FaultKind; 16] = [
+    pub const FAULTS: [FaultKind; 17] = [
         FaultKind::Crash,
         FaultKind::CrashTorn,
         FaultKind::CrashEmpty,
@@ -219,6 +245,7 @@ impl FaultKind {
         FaultKind::Drift,
         FaultKind::Battery,
         FaultKind::Skill,
+        FaultKind::Hostile,
     ];
 
     /// Returns its name on the command line.
@@ -241,6 +268,7 @@ impl FaultKind {
             FaultKind::Drift => "drift",
             FaultKind::Battery => "battery",
             FaultKind::Skill => "skill",
+            FaultKind::Hostile => "hostile",
         }
     }
 }
@@ -277,7 +305,8 @@ impl ChaosAction {
             | ChaosAction::Partition { for_ms, .. }
             | ChaosAction::Cut { for_ms, .. }
             | ChaosAction::Weather { for_ms, .. }
-            | ChaosAction::SlowDisk { for_ms, .. } => Some(*for_ms),
+            | ChaosAction::SlowDisk { for_ms, .. }
+            | ChaosAction::Hostile { for_ms, .. } => Some(*for_ms),
             ChaosAction::Submit { .. }
             | ChaosAction::Cancel { .. }
             | ChaosAction::Drift { .. }
@@ -302,7 +331,8 @@ impl ChaosAction {
             | ChaosAction::Partition { for_ms, .. }
             | ChaosAction::Cut { for_ms, .. }
             | ChaosAction::Weather { for_ms, .. }
-            | ChaosAction::SlowDisk { for_ms, .. } => *for_ms = ms,
+            | ChaosAction::SlowDisk { for_ms, .. }
+            | ChaosAction::Hostile { for_ms, .. } => *for_ms = ms,
             ChaosAction::Submit { .. }
             | ChaosAction::Cancel { .. }
             | ChaosAction::Drift { .. }
@@ -382,6 +412,10 @@ impl Display for ChaosAction {
             }
             ChaosAction::Drift { node, rate } => write!(f, "the clock of {node} counts {rate:.4} s a second"),
             ChaosAction::Battery { robot } => write!(f, "the battery of {robot} runs down"),
+            ChaosAction::Hostile { role, for_ms } => {
+                let role = role.map_or("no role", NodeRole::as_str);
+                write!(f, "a hostile node with a certificate of {role} {}", For(*for_ms))
+            }
             ChaosAction::Skill { robot, how, times } => {
                 let how = match how {
                     SkillFault::Fails => "fails",

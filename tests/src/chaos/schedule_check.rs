@@ -24,7 +24,7 @@ impl Schedule {
                     check_known(step, room, &ROOMS, &[])?;
                     check_known(step, mission, &MISSIONS, &[])?;
                 }
-                ChaosAction::Cancel { .. } | ChaosAction::Blackout { .. } => {}
+                ChaosAction::Cancel { .. } | ChaosAction::Blackout { .. } | ChaosAction::Hostile { .. } => {}
                 ChaosAction::Crash { node, .. } => check_known(step, node, &nodes, &["coordinator"])?,
                 ChaosAction::Pause { node, .. } | ChaosAction::SlowDisk { node, .. } => {
                     check_known(step, node, &nodes, &[])?;

@@ -68,9 +68,9 @@ impl CertificateExchange {
         if let Principal::Node { .. } = context.keyring.identity().principal {
             let own = context.keys.write(&Key::Certificate(context.keyring.fingerprint()));
             let queried = context.bus.serve(&own).await?;
-            tasks.spawn(serve(queried, context.clone()));
+            tasks.spawn(serve_own(queried, own, Bytes::from(context.keyring.own_certificate())));
             let queried = context.bus.serve(&context.keys.any_known_certificate()).await?;
-            tasks.spawn(serve(queried, context.clone()));
+            tasks.spawn(serve_known(queried, context.clone()));
         }
         tasks.spawn(recheck_all(revoked, context.clone()));
         tasks.spawn(query_requested(context, requests));
@@ -83,13 +83,19 @@ impl CertificateExchange {
     }
 }
 
-/// Serves certificates: a certificate proves itself.
-async fn serve(mut queried: Stream<Query>, context: ExchangeContext) {
+/// Serves the node's own certificate.
+async fn serve_own(mut queried: Stream<Query>, key: String, certificate: Bytes) {
     while let Some(query) = queried.recv().await {
-        let Some(Key::Certificate(fingerprint) | Key::KnownCertificate(fingerprint)) = context.keys.read(&query.key)
-        else {
-            continue;
-        };
+        if let Err(problem) = query.replier.reply(&key, certificate.clone(), Encoding::Wire).await {
+            debug!(%problem, "failed to send the own certificate");
+        }
+    }
+}
+
+/// Serves the certificates of other nodes: a certificate proves itself.
+async fn serve_known(mut queried: Stream<Query>, context: ExchangeContext) {
+    while let Some(query) = queried.recv().await {
+        let Some(Key::KnownCertificate(fingerprint)) = context.keys.read(&query.key) else { continue };
         let Some(certificate) = context.keyring.certificate(fingerprint) else { continue };
         if let Err(problem) = query.replier.reply(&query.key, certificate.bytes(), Encoding::Wire).await {
             debug!(%problem, "failed to send a certificate");

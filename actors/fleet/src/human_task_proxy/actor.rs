@@ -4,12 +4,14 @@ use super::message::HumanTaskProxyMessage;
 use super::proxy_role::RoleKey;
 use super::requests::{CancelOrder, CanceledMissions, PendingCancellations};
 use super::state::{HumanTaskProxySettings, HumanTaskProxyState, MissionQueries};
+use crate::followed_coordinator::FollowedCoordinator;
 use crate::robot::{ReceivedSignals, SignalExchange};
 use crate::robot_driver::{PersonEvent, PersonRequestState};
 use consort_bus::Author;
 use consort_bus::Sample;
 use consort_bus::tasks::Tasks;
 use consort_protocol::codec;
+use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, PeopleCall};
 use consort_protocol::message::{ActiveMissions, Beacon};
 use consort_skills::actions::GoalId;
@@ -44,7 +46,7 @@ impl Actor for HumanTaskProxy {
             signals: SignalExchange::new(bus.clone(), keys.clone()),
             settings,
             myself,
-            coordinator: None,
+            coordinator: FollowedCoordinator::default(),
             roles: BTreeMap::new(),
             queries: MissionQueries::default(),
             cancellations: PendingCancellations::default(),
@@ -63,8 +65,8 @@ impl Actor for HumanTaskProxy {
             HumanTaskProxyMessage::Tick => state.tick(),
             HumanTaskProxyMessage::Beacon(sample) => state.follow_coordinator(&sample),
             HumanTaskProxyMessage::MissionsChanged => state.query_missions(),
-            HumanTaskProxyMessage::ActiveMissions(query_number, active) => {
-                state.receive_missions(query_number, active).await?;
+            HumanTaskProxyMessage::ActiveMissions { node, query_number, active } => {
+                state.receive_missions(&node, query_number, active).await?;
             }
             HumanTaskProxyMessage::Signal(sample) => {
                 if let Some(received) = ReceivedSignals::of(sample) {
@@ -106,17 +108,23 @@ impl HumanTaskProxyState {
 
     fn follow_coordinator(&mut self, sample: &Sample) {
         let Ok(beacon) = codec::decode::<Beacon>(&sample.payload) else { return };
-        if !beacon.supersedes(self.coordinator.as_ref()) {
-            return;
-        }
-        let new = beacon.is_other_leader_session(self.coordinator.as_ref());
-        self.coordinator = Some(beacon);
-        if new {
+        let change = self.coordinator.receive(beacon, self.settings.clock.now());
+        if change.is_some_and(|change| change.new_session) {
             self.query_missions();
         }
     }
 
-    async fn receive_missions(&mut self, query_number: u64, active: ActiveMissions) -> Result<(), ActorProcessingErr> {
+    async fn receive_missions(
+        &mut self,
+        node: &NodeId,
+        query_number: u64,
+        active: Option<ActiveMissions>,
+    ) -> Result<(), ActorProcessingErr> {
+        let Some(active) = active else {
+            self.coordinator.not_answered(node, self.settings.clock.now());
+            return Ok(());
+        };
+        self.coordinator.answered(node);
         if self.queries.accept(query_number) {
             self.update_missions(active).await?;
         }

@@ -4,6 +4,7 @@ use crate::robot::ReceivedSignals;
 use crate::robot_driver::PersonRequestState;
 use consort_bus::Author;
 use consort_bus::Sample;
+use consort_protocol::ids::NodeId;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::ledger::Branch;
 use consort_protocol::message::{ActiveMissions, ReportReply};
@@ -17,8 +18,15 @@ pub(crate) enum HumanTaskProxyMessage {
     Beacon(Sample),
     /// The active missions have changed.
     MissionsChanged,
-    /// Active missions, as a coordinator reports them, with the number of the query.
-    ActiveMissions(u64, ActiveMissions),
+    /// The query for the active missions has ended.
+    ActiveMissions {
+        /// Node that was queried.
+        node: NodeId,
+        /// Number of the query.
+        query_number: u64,
+        /// Active missions; `None` without a complete reply.
+        active: Option<ActiveMissions>,
+    },
     /// Signal of a role.
     Signal(Sample),
     /// Signal history of a role, in reply to a query.

@@ -5,18 +5,20 @@ use super::message::HumanTaskProxyMessage;
 use super::proxy_role::{ProxyRole, RoleKey};
 use super::requests::{CanceledMissions, PendingCancellations};
 use crate::events::EventPublisher;
+use crate::followed_coordinator::FollowedCoordinator;
 use crate::robot::{SignalExchange, send_report};
 use crate::robot_driver::{PersonCommand, PersonRequestState};
 use bytes::Bytes;
 use consort_bus::Reply;
 use consort_bus::SharedBus;
+use consort_bus::clock::Clock;
 use consort_bus::tasks::Tasks;
 use consort_protocol::api::MissionChangeRequest;
 use consort_protocol::codec;
 use consort_protocol::ids::{MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, Key, Keys, PeopleCall};
 use consort_protocol::lease::Epoch;
-use consort_protocol::message::{ActiveMissions, Beacon, Report};
+use consort_protocol::message::{ActiveMissions, Report};
 use consort_skills::actions::{GoalId, PersonRequest};
 use ractor::ActorRef;
 use std::collections::BTreeMap;
@@ -34,6 +36,8 @@ pub(crate) struct HumanTaskProxySettings {
     pub(crate) keys: Keys,
     /// The bus.
     pub(crate) bus: SharedBus,
+    /// The node's clock.
+    pub(crate) clock: Clock,
     /// Event publisher.
     pub(crate) events: EventPublisher,
     /// Interval of the periodic work. Messages are handled at once. Default 1 s.
@@ -45,7 +49,7 @@ pub(crate) struct HumanTaskProxyState {
     pub(super) settings: HumanTaskProxySettings,
     /// The actor itself: recipient of replies.
     pub(super) myself: ActorRef<HumanTaskProxyMessage>,
-    pub(super) coordinator: Option<Beacon>,
+    pub(super) coordinator: FollowedCoordinator,
     pub(super) roles: BTreeMap<RoleKey, ProxyRole>,
     pub(super) queries: MissionQueries,
     pub(super) cancellations: PendingCancellations,
@@ -79,16 +83,17 @@ impl MissionQueries {
 impl HumanTaskProxyState {
     /// Queries the coordinator for the active missions.
     pub(super) fn query_missions(&mut self) {
-        let Some(beacon) = &self.coordinator else { return };
-        let key = self.settings.keys.write(&Key::ActiveMissions(beacon.node.clone()));
+        let Some(node) = self.coordinator.beacon().map(|beacon| beacon.node.clone()) else { return };
+        let key = self.settings.keys.write(&Key::ActiveMissions(node.clone()));
         let (bus, to) = (self.settings.bus.clone(), self.myself.clone());
         let query_number = self.queries.next();
         self.tasks.spawn(async move {
-            match query_active_missions(bus, &key).await {
-                // A stopped proxy needs no reply.
-                Some(active) => drop(to.cast(HumanTaskProxyMessage::ActiveMissions(query_number, active))),
-                None => debug!(key, "active missions not received completely; the next timer repeats the query"),
+            let active = query_active_missions(bus, &key).await;
+            if active.is_none() {
+                debug!(key, "active missions not received completely; the next timer repeats the query");
             }
+            // A stopped proxy needs no reply.
+            let _ = to.cast(HumanTaskProxyMessage::ActiveMissions { node, query_number, active });
         });
     }
 
@@ -153,7 +158,7 @@ impl HumanTaskProxyState {
 
     /// Reports the progress of a role to the ledger.
     pub(super) fn report(&mut self, key: &RoleKey) {
-        let (Some(proxied), Some(beacon)) = (self.roles.get(key), &self.coordinator) else { return };
+        let (Some(proxied), Some(beacon)) = (self.roles.get(key), self.coordinator.beacon()) else { return };
         if !proxied.has_news() {
             return;
         }

@@ -21,11 +21,13 @@ use consort_bus::wire_version::WireVersion;
 use consort_bus::{Query, RequestAuthority, SharedBus, Stream};
 use consort_gossip::{GossipHandle, GossipStart, SharedKnowledge};
 use consort_protocol::api::ErrorReply;
+use consort_protocol::codec::VersionedMessage;
 use consort_protocol::ids::{ClusterId, NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::Knowledge;
 use consort_protocol::ledger::{Command, Ledger};
 use consort_protocol::message::BootstrapRequest;
+use consort_protocol::message::Exchange;
 use consort_protocol::timing::TimingParameters;
 use consort_raft::store::CheckpointStore;
 use consort_raft::{ApplyObserver, LogStore, RaftSettings, Replica};
@@ -70,7 +72,12 @@ pub(super) async fn start_parts(
         supported_versions: settings.supported_versions,
         robot: settings.robot.as_ref().map(|robot| robot.worker.clone()),
     };
-    let wire_version = WireVersion::new(settings.supported_versions);
+    // Signed records exist since version 2. A node that starts without a path to the coordinator
+    // would otherwise publish records that others cannot forward.
+    let wire_version = match &record_signer {
+        Some(_) => WireVersion::starting_at(Exchange::SINCE, settings.supported_versions),
+        None => WireVersion::new(settings.supported_versions),
+    };
     let start = GossipStart {
         settings: consort_gossip::Settings::new(fleet.fleet.clone(), node.clone(), incarnation)
             .with_timing(fleet.timing),
@@ -107,6 +114,7 @@ pub(super) async fn start_parts(
     let coordinator = match assembly.replica.clone() {
         Some(replica) => {
             assembly.follow_ledger_cluster(&replica);
+            assembly.follow_ledger_version(&replica);
             let coordinator = assembly.start_coordinator(&replica, rng.next_u64()).await?;
             assembly.end_with_ledger(&replica);
             let (mobile, on_battery) = (!settings.stationary, !settings.mains_powered);
@@ -178,7 +186,9 @@ impl Assembly {
 
     /// Follows the wire version of the fleet. The node ends if it cannot read that version.
     async fn follow_wire_version(&mut self) -> Result<(), NodeError> {
-        self.wire_version.clone().follow_beacons(&self.bus, &self.keys, &mut self.tasks).await?;
+        let knowledge = self.knowledge();
+        let refuted = move |version: u8| knowledge.read(|base| base.refutes_wire_version(version));
+        self.wire_version.clone().follow_beacons(&self.bus, &self.keys, &mut self.tasks, refuted).await?;
         let (wire_version, root) = (self.wire_version.clone(), self.root.clone());
         self.tasks.spawn(async move {
             let advice = wire_version.wait_unsupported().await;
@@ -198,6 +208,22 @@ impl Assembly {
                     membership.set_from_ledger(cluster);
                 }
                 if own.changed().await.is_err() {
+                    return;
+                }
+            }
+        });
+    }
+
+    /// Adopts the wire version of the node's own ledger.
+    fn follow_ledger_version(&mut self, replica: &Replica<Ledger>) {
+        let (replica, wire_version) = (replica.clone(), self.wire_version.clone());
+        self.tasks.spawn(async move {
+            let mut applied = replica.applied();
+            loop {
+                applied.borrow_and_update();
+                let (cluster, version) = replica.read(|ledger| (ledger.cluster(), ledger.wire()));
+                wire_version.adopt(cluster, version);
+                if applied.changed().await.is_err() {
                     return;
                 }
             }
@@ -303,6 +329,7 @@ impl Assembly {
             node: self.node.clone(),
             keys: self.keys.clone(),
             bus: self.bus.clone(),
+            clock: self.clock,
             events: self.events.clone(),
             tick_interval: Duration::from_secs(1),
         };

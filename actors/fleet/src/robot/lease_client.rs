@@ -1,6 +1,7 @@
 //! The robot's side of its lease: the award, the coordinator, and the reports that renew it.
 
 use super::checkpoint::Checkpoint;
+use crate::followed_coordinator::{BeaconChange, FollowedCoordinator};
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::knowledge::Availability;
 use consort_protocol::lease::{Action, Award, DeclineReason, Epoch, Event, LeaseTerms, RoleHolder, RoleLease};
@@ -17,7 +18,7 @@ pub(super) struct LeaseClient {
     resumed_epoch: Option<Epoch>,
     /// Holders of the mission's roles, from the latest report reply for this award.
     latest_holders: Option<(Epoch, BTreeMap<RoleId, RoleHolder>)>,
-    coordinator: Option<Beacon>,
+    coordinator: FollowedCoordinator,
     reports: ReportSchedule,
 }
 
@@ -51,15 +52,6 @@ pub(super) struct Renewal {
     pub(super) holders: BTreeMap<RoleId, RoleHolder>,
 }
 
-/// Effect of a beacon.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct BeaconChange {
-    /// It belongs to another leader session than the previous beacon.
-    pub(super) new_session: bool,
-    /// It belongs to another cluster than the previous beacon.
-    pub(super) other_cluster: bool,
-}
-
 impl LeaseClient {
     /// Creates the lease of a robot, with the award of its checkpoint if there is one.
     pub(super) fn new(robot: RobotId, terms: LeaseTerms, restored: Option<&Checkpoint>, now: NodeTime) -> LeaseClient {
@@ -71,7 +63,7 @@ impl LeaseClient {
             lease,
             resumed_epoch: restored.map(|checkpoint| checkpoint.award.epoch),
             latest_holders: None,
-            coordinator: None,
+            coordinator: FollowedCoordinator::default(),
             reports: ReportSchedule { interval: terms.lease / 4, in_flight: false, queued: false, sent_at: now },
         }
     }
@@ -97,24 +89,16 @@ impl LeaseClient {
 
     /// Returns the coordinator, if its beacon was received.
     pub(super) fn coordinator(&self) -> Option<&NodeId> {
-        self.coordinator.as_ref().map(|beacon| &beacon.node)
+        self.coordinator.beacon().map(|beacon| &beacon.node)
     }
 
-    /// Follows the coordinator of a beacon. Returns `None` for a stale beacon, of a node that no
-    /// longer coordinates.
-    pub(super) fn follow(&mut self, beacon: Beacon) -> Option<BeaconChange> {
-        if !beacon.supersedes(self.coordinator.as_ref()) {
-            return None;
-        }
-        let change = BeaconChange {
-            new_session: beacon.is_other_leader_session(self.coordinator.as_ref()),
-            other_cluster: self.coordinator.as_ref().is_some_and(|known| beacon.is_other_cluster(known)),
-        };
-        if change.other_cluster {
+    /// Follows the coordinator of a beacon. Returns `None` if another coordinator takes precedence.
+    pub(super) fn follow(&mut self, beacon: Beacon, now: NodeTime) -> Option<BeaconChange> {
+        let change = self.coordinator.receive(beacon, now);
+        if change.is_some_and(|change| change.other_cluster) {
             self.lease.clear_latest_epochs();
         }
-        self.coordinator = Some(beacon);
-        Some(change)
+        change
     }
 
     /// Returns the reply to an award notice, and the event to be handled after the reply was sent.
@@ -157,7 +141,7 @@ impl LeaseClient {
     /// Begins a report. Returns `None` without an award or a coordinator, and while a report is in
     /// flight: another then follows the reply.
     pub(super) fn begin_report(&mut self, now: NodeTime) -> Option<ReportHeader> {
-        let (award, beacon) = (self.lease.award()?, self.coordinator.as_ref()?);
+        let (award, beacon) = (self.lease.award()?, self.coordinator.beacon()?);
         if self.reports.in_flight {
             self.reports.queued = true;
             return None;
@@ -173,9 +157,13 @@ impl LeaseClient {
         })
     }
 
-    /// Ends the report in flight, with or without a reply.
-    pub(super) fn end_report(&mut self) {
+    /// Ends the report in flight. `answered` is true if the recipient replied as a coordinator.
+    pub(super) fn end_report(&mut self, recipient: &NodeId, answered: bool, now: NodeTime) {
         self.reports.in_flight = false;
+        match answered {
+            true => self.coordinator.answered(recipient),
+            false => self.coordinator.not_answered(recipient, now),
+        }
     }
 
     /// Takes the request for another report.
@@ -205,23 +193,12 @@ mod tests {
     fn one_report_is_in_flight_and_another_follows_the_reply() {
         let mut client = client();
         assert!(client.begin_report(at(1)).is_none() && !client.take_queued_report(), "no coordinator is known");
-        client.follow(beacon("one", 1));
+        client.follow(beacon("one", 1), at(1));
         assert_eq!(client.begin_report(at(2)).unwrap().coordinator.as_str(), "one");
         assert!(client.begin_report(at(3)).is_none());
-        client.end_report();
+        client.end_report(&"one".parse().unwrap(), true, at(3));
         assert!(client.take_queued_report() && !client.take_queued_report());
         assert!(client.begin_report(at(4)).is_some());
-    }
-
-    #[test]
-    fn a_stale_beacon_is_ignored_and_another_node_or_term_is_a_new_session() {
-        let mut client = client();
-        let session = |new_session| Some(BeaconChange { new_session, other_cluster: false });
-        assert_eq!(client.follow(beacon("one", 2)), session(true));
-        assert_eq!(client.follow(beacon("one", 2)), session(false));
-        assert_eq!(client.follow(beacon("two", 1)), None);
-        assert_eq!(client.coordinator().unwrap().as_str(), "one");
-        assert_eq!(client.follow(beacon("two", 3)), session(true));
     }
 
     #[test]

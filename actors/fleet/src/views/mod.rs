@@ -24,6 +24,7 @@ mod mission;
 
 use crate::api_help::call_help;
 use crate::coordinator::{CoordinatorMessage, CoordinatorStatus};
+use crate::followed_coordinator::FollowedCoordinator;
 use bytes::Bytes;
 use cluster_status::ClusterStatus;
 use consort_bus::clock::Clock;
@@ -90,8 +91,8 @@ pub(crate) struct Views {
     pub(crate) beacon_interval: Duration,
 }
 
-/// Latest beacon and its arrival time.
-type LastBeacon = Arc<Mutex<Option<(Beacon, NodeTime)>>>;
+/// The coordinator, by its beacons.
+type LastBeacon = Arc<Mutex<FollowedCoordinator>>;
 
 impl Views {
     /// Serves views and read-only requests for as long as `tasks` lives.
@@ -133,10 +134,7 @@ enum Service {
 async fn follow_beacons(mut beacons: Stream<Sample>, latest_beacon: LastBeacon, clock: Clock) {
     while let Some(sample) = beacons.recv().await {
         let Ok(beacon) = codec::decode::<Beacon>(&sample.payload) else { continue };
-        let mut latest_beacon = latest_beacon.lock().unwrap_or_else(PoisonError::into_inner);
-        if beacon.supersedes(latest_beacon.as_ref().map(|(known, _)| known)) {
-            *latest_beacon = Some((beacon, clock.now()));
-        }
+        latest_beacon.lock().unwrap_or_else(PoisonError::into_inner).receive(beacon, clock.now());
     }
 }
 
@@ -274,7 +272,7 @@ impl ViewService {
 
     fn status(&self, coordinator_status: Option<CoordinatorStatus>, now: NodeTime) -> ClusterStatus {
         let Views { node, knowledge, replica, beacon_interval, .. } = &*self.views;
-        let latest_beacon = self.latest_beacon.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let latest_beacon = self.latest_beacon.lock().unwrap_or_else(PoisonError::into_inner).latest().cloned();
         let leadership = replica.as_ref().map(|replica| replica.leadership().borrow().clone()).unwrap_or_default();
         let last_beacon = latest_beacon.as_ref().map(|(beacon, at)| (beacon, now.since(*at)));
         let millis = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX);

@@ -38,7 +38,8 @@ const SHRINK_TRIES: usize = 300;
 /// drawn from the seed. Nodes crash and restart (with their complete disk, without the unsynced
 /// writes, or with an empty disk), pause, and are partitioned. Links lose, duplicate, reorder and
 /// delay messages. Disks are slow, clocks drift, batteries run down, skills fail, panic and hang.
-/// The coordinator is killed at any moment. After 70 % of the time all faults end. The fleet must
+/// The coordinator is killed at any moment. A hostile node with
+/// a valid certificate attacks the others. After 70 % of the time all faults end. The fleet must
 /// then converge: a single coordinator, every mission ended, and complete membership at every node.
 ///
 /// It stops at the first seed that violates an invariant. It then prints the violation, the events
@@ -88,7 +89,10 @@ pub(crate) struct Args {
     /// The kinds of faults [default: all]
     #[arg(long, value_name = "KIND,…", value_delimiter = ',', conflicts_with_all = ["schedule", "mutants", "scoreboard"])]
     faults: Vec<FaultKind>,
-    /// Run with an injected bug
+    /// Run fleets without certificates, in which the hostile node has no effect
+    #[arg(long, conflicts_with_all = ["mutants", "scoreboard"])]
+    open: bool,
+    /// Run with an injected bug, in fleets without certificates
     #[arg(long, value_name = "NAME", conflicts_with_all = ["mutants", "scoreboard"])]
     mutant: Option<Mutant>,
     /// Hunt every injected bug, and print the number of seeds and the invariant that found it
@@ -147,7 +151,13 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
 
 impl Args {
     fn order(&self, seed: u64) -> RunConfig {
-        RunConfig { seed, nodes: self.nodes, minutes: self.minutes, closed: false, mutant: self.mutant }
+        RunConfig {
+            seed,
+            nodes: self.nodes,
+            minutes: self.minutes,
+            closed: self.mutant.is_none() && !self.open,
+            mutant: self.mutant,
+        }
     }
 
     fn generated(&self, seed: u64) -> Schedule {

@@ -5,6 +5,7 @@
 
 mod acknowledged;
 mod alive;
+mod authority;
 mod committed;
 mod custody;
 mod guarded;
@@ -65,6 +66,7 @@ pub(crate) trait Invariant {
 pub(crate) fn all() -> Vec<Box<dyn Invariant>> {
     vec![
         Box::new(alive::Alive),
+        Box::<authority::Authority>::default(),
         Box::<one_leader::OneLeader>::default(),
         Box::<committed::Committed>::default(),
         Box::<acknowledged::Acknowledged>::default(),

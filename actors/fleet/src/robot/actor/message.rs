@@ -3,6 +3,7 @@
 use crate::robot::ReceivedSignals;
 use crate::robot::skill_runner::SkillOutcome;
 use consort_bus::{Query, Sample};
+use consort_protocol::ids::NodeId;
 use consort_protocol::message::ReportReply;
 use consort_protocol::units::NodeTime;
 use ractor::RpcReplyPort;
@@ -21,6 +22,8 @@ pub(crate) enum RobotMessage {
     AwardNotice(Query),
     /// The query of a report has ended, with or without a reply.
     ReportReplied {
+        /// Node that the report was sent to.
+        recipient: NodeId,
         /// Time at which the report was sent.
         sent: NodeTime,
         /// Reply of the coordinator; `None` without a reply.

@@ -104,7 +104,9 @@ impl Actor for Robot {
                 Ok(())
             }
             RobotMessage::AwardNotice(query) => state.handle_award_notice(&query).await,
-            RobotMessage::ReportReplied { sent, reply } => state.handle_report_reply(sent, reply).await,
+            RobotMessage::ReportReplied { recipient, sent, reply } => {
+                state.handle_report_reply(&recipient, sent, reply).await
+            }
             RobotMessage::SkillEnded { run, outcome } => state.skill_ended(run, outcome).await,
             RobotMessage::Signal(sample) => match ReceivedSignals::of(sample) {
                 Some(received) => state.receive_signals(&received).await,
@@ -182,7 +184,7 @@ impl RobotState {
             Err(problem) => return warn!(%problem, "beacon cannot be decoded"),
         };
         let node = beacon.node.clone();
-        let Some(change) = self.lease.follow(beacon) else { return };
+        let Some(change) = self.lease.follow(beacon, self.now()) else { return };
         if change.other_cluster {
             info!(robot = %self.settings.robot, %node, "follows the coordinator of another cluster");
         }

@@ -8,6 +8,7 @@ use crate::robot::lease_client::Renewal;
 use consort_bus::reply;
 use consort_bus::{BusError, Query};
 use consort_protocol::event::EventKind;
+use consort_protocol::ids::NodeId;
 use consort_protocol::ids::RoleId;
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{Action, Award, EndReason, Epoch, Event, RoleHolder};
@@ -39,11 +40,13 @@ impl RobotState {
 
     pub(super) async fn handle_report_reply(
         &mut self,
+        recipient: &NodeId,
         sent: NodeTime,
         reply: Option<ReportReply>,
     ) -> Result<(), ActorProcessingErr> {
-        self.lease.end_report();
         let now = self.now();
+        let answered = !matches!(reply, None | Some(ReportReply::NotCoordinator { .. }));
+        self.lease.end_report(recipient, answered, now);
         let actions = match reply {
             Some(ReportReply::Renewed { epoch, ended, holders, signals }) => {
                 self.update_plan(epoch, &ended, &holders, &signals);

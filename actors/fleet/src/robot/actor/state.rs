@@ -98,13 +98,14 @@ impl RobotState {
     pub(super) fn report(&mut self) {
         let (sent, limit) = (self.now(), self.settings.lease_terms.lease / 4);
         let Some(header) = self.lease.begin_report(sent) else { return };
-        let key = self.settings.links.keys.write(&Key::Report(header.coordinator.clone()));
+        let recipient = header.coordinator.clone();
+        let key = self.settings.links.keys.write(&Key::Report(recipient.clone()));
         let report = self.report_content(header, sent);
         let (bus, to) = (self.settings.links.bus.clone(), self.myself.clone());
         self.tasks.spawn(async move {
             let reply = send_report(bus, &key, &report, limit).await;
             // A stopped robot needs no reply.
-            let _ = to.cast(RobotMessage::ReportReplied { sent, reply });
+            let _ = to.cast(RobotMessage::ReportReplied { recipient, sent, reply });
         });
     }
 

@@ -1,0 +1,343 @@
+//! A hostile node: it has one valid certificate of the fleet, and attacks the other nodes.
+//!
+//! It replays and moves messages that it has received, publishes and queries in the name of others,
+//! lies about epochs, terms and versions, refuses and answers queries of others, makes requests
+//! with its own and with captured signatures, sends texts of great length, and floods. Signed
+//! messages are attempted with its own key, and without one.
+
+use crate::{Fleet, slug};
+use bytes::Bytes;
+use consort_bus::clock::Clock;
+use consort_bus::cluster_membership::{ClusterBus, ClusterMembership};
+use consort_bus::{Delivery, Encoding, Query, Sample, ServiceSelection, SharedBus, Stream};
+use consort_protocol::codec;
+use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId};
+use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Ledger, MissionEntry};
+use consort_protocol::message::{Beacon, MissionsChanged, Report, SignalHistory};
+use consort_protocol::plan::StepAction;
+use consort_protocol::trust::NodeRole;
+use consort_raft::Replica;
+use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+use serde_json::json;
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::task::JoinSet;
+
+/// Name of the hostile node. Its requests to the ledger begin with the same word.
+pub(super) const HOSTILE: &str = "mallory";
+
+/// Number of captured messages that it keeps.
+const CAPTURED_MAX: usize = 256;
+
+/// Number of publications in a flood.
+const FLOOD: usize = 300;
+
+/// Length of an oversized text, in bytes. Messages between nodes have at most 64 KiB.
+const LONG_TEXT: usize = 100_000;
+
+/// Keys of queries that it answers and refuses.
+const ATTACKED_QUERIES: [&str; 9] = [
+    "wire/bid/*",
+    "wire/award/*",
+    "wire/report/*",
+    "wire/active_missions/*",
+    "wire/signal_history/*/*",
+    "wire/raft/*/*",
+    "wire/bootstrap/*",
+    "wire/driver/*/command",
+    "wire/certificate/**",
+];
+
+/// A hostile node in action, until it is dropped.
+pub(super) struct HostileNode {
+    _attacks: JoinSet<()>,
+}
+
+/// What the attacks share.
+struct Attacker {
+    /// Bus with its own signatures, bus of its cluster above it, and bus without signatures.
+    signing: SharedBus,
+    in_cluster: SharedBus,
+    plain: SharedBus,
+    keys: Keys,
+    victims: Vec<NodeId>,
+    cluster: Option<ClusterId>,
+    captured: Mutex<VecDeque<Sample>>,
+    /// Requests of people that it has relayed.
+    requests: Mutex<VecDeque<(String, Bytes, Bytes)>>,
+    chance: Mutex<ChaCha8Rng>,
+}
+
+impl HostileNode {
+    /// Starts the attacks of a node with the certificate of this role, or of none.
+    pub(super) async fn start(fleet: &Fleet, role: Option<NodeRole>, seed: u64, date_ms: u64) -> Option<HostileNode> {
+        let credentials = fleet.credentials.as_ref()?;
+        let name: NodeId = slug(HOSTILE);
+        let plain: SharedBus = Arc::new(fleet.network.bus(name.clone()));
+        let serves = HOSTILE.parse().expect("a name");
+        let keyring = credentials.keyring_serving(&name, role.into_iter().collect(), serves, date_ms);
+        let signing = credentials.signing_bus(Arc::clone(&plain), keyring, Clock::virtual_at(date_ms)).await;
+        let cluster = fleet.ledger(|ledger| ledger.cluster()).flatten();
+        let membership = ClusterMembership::default();
+        cluster.into_iter().for_each(|cluster| membership.set_from_ledger(cluster));
+        let in_cluster = Arc::new(ClusterBus::new(Arc::clone(&signing) as SharedBus, fleet.keys().clone(), membership));
+        let attacker = Arc::new(Attacker {
+            signing,
+            in_cluster,
+            plain,
+            keys: fleet.keys().clone(),
+            victims: fleet.nodes.keys().map(|node| slug(node)).collect(),
+            cluster,
+            captured: Mutex::default(),
+            requests: Mutex::default(),
+            chance: Mutex::new(ChaCha8Rng::seed_from_u64(seed)),
+        });
+        let mut attacks = JoinSet::new();
+        attacks.spawn(Arc::clone(&attacker).capture());
+        attacks.spawn(Arc::clone(&attacker).capture_requests());
+        for key in ATTACKED_QUERIES {
+            for bus in [&attacker.signing, &attacker.plain] {
+                let queries = bus.serve(&below(&attacker.keys, key)).await.expect("a virtual bus");
+                attacks.spawn(Arc::clone(&attacker).answer(queries));
+            }
+        }
+        let replicas = fleet.nodes.values().filter_map(|node| node.replica.clone()).collect();
+        attacks.spawn(attacker.attack(replicas));
+        Some(HostileNode { _attacks: attacks })
+    }
+}
+
+impl Attacker {
+    fn draw<T>(&self, draw: impl FnOnce(&mut ChaCha8Rng) -> T) -> T {
+        draw(&mut self.chance.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    fn victim(&self) -> NodeId {
+        self.draw(|chance| self.victims.choose(chance).expect("a fleet has nodes").clone())
+    }
+
+    /// Keeps the latest publications of others.
+    async fn capture(self: Arc<Self>) {
+        let Ok(mut samples) = self.plain.subscribe(&self.below("**")).await else { return };
+        while let Some(sample) = samples.recv().await {
+            push_bounded(&self.captured, sample);
+        }
+    }
+
+    /// Keeps the latest requests of people. They expect other nodes to answer, too.
+    async fn capture_requests(self: Arc<Self>) {
+        let Ok(mut queries) = self.plain.serve(&self.below("api/*")).await else { return };
+        while let Some(Query { key, payload, attachment, .. }) = queries.recv().await {
+            push_bounded(&self.requests, (key, payload, attachment));
+        }
+    }
+
+    /// Answers the queries of other nodes for others: refuses them, returns the query itself,
+    /// returns a long text, or nothing.
+    async fn answer(self: Arc<Self>, mut queries: Stream<Query>) {
+        while let Some(query) = queries.recv().await {
+            let key = query.key.replace('*', self.victim().as_str());
+            // A failed attempt is no failure of the run.
+            let _ = match self.draw(|chance| chance.random_range(0..5)) {
+                0 => query.replier.refuse("no").await,
+                1 => query.replier.refuse(&"no ".repeat(LONG_TEXT / 3)).await,
+                2 => query.replier.reply(&key, query.payload.clone(), Encoding::Wire).await,
+                3 => query.replier.reply(&key, vec![0x7f; LONG_TEXT].into(), Encoding::Wire).await,
+                _ => Ok(()),
+            };
+        }
+    }
+
+    async fn attack(self: Arc<Self>, replicas: Vec<Replica<Ledger>>) {
+        loop {
+            match self.draw(|chance| chance.random_range(0..8)) {
+                0 | 1 => self.replay().await,
+                2 => self.pose_as_coordinator().await,
+                3 => self.send_garbage().await,
+                4 | 5 => self.take_part_in_a_mission(&replicas).await,
+                6 => self.request(&replicas).await,
+                _ => self.flood().await,
+            }
+            let pause = self.draw(|chance| Duration::from_millis(chance.random_range(20..600)));
+            tokio::time::sleep(pause).await; // virtual time
+        }
+    }
+
+    async fn publish(&self, bus: &SharedBus, key: &str, payload: Bytes, attachment: Bytes) {
+        // Too large a payload is refused by the own bus.
+        let _ = bus.publish_with_attachment(key, payload, attachment, Encoding::Wire, Delivery::Drop).await;
+    }
+
+    async fn query(&self, bus: &SharedBus, key: &str, payload: Bytes, attachment: Bytes) {
+        let timeout = Duration::from_millis(300);
+        let replies = bus.query_with(key, payload, attachment, timeout, ServiceSelection::All).await;
+        let Ok(mut replies) = replies else { return };
+        while replies.recv().await.is_some() {}
+    }
+
+    /// Repeats a message of another node: on its key or on another, as publication or as query,
+    /// unchanged or with a signature of its own.
+    async fn replay(&self) {
+        let sample = {
+            let captured = self.captured.lock().unwrap_or_else(PoisonError::into_inner);
+            self.draw(|chance| captured.iter().collect::<Vec<_>>().choose(chance).map(|sample| Sample::clone(sample)))
+        };
+        let Some(Sample { key, payload, attachment, .. }) = sample else { return };
+        let moved = self.victims.iter().find(|node| key.contains(node.as_str())).map(|node| {
+            let other = self.victim();
+            key.replace(node.as_str(), other.as_str())
+        });
+        let key = if self.draw(|chance| chance.random_bool(0.5)) { moved.unwrap_or(key) } else { key };
+        match self.draw(|chance| chance.random_range(0..3)) {
+            0 => self.publish(&self.plain, &key, payload, attachment).await,
+            1 => self.publish(&self.signing, &key, payload, Bytes::new()).await,
+            _ => self.query(&self.plain, &key, payload, attachment).await,
+        }
+    }
+
+    /// Announces coordinators of later terms and other versions, in its own name and in others'.
+    async fn pose_as_coordinator(&self) {
+        let node = if self.draw(|chance| chance.random_bool(0.5)) { slug(HOSTILE) } else { self.victim() };
+        let term = self.draw(|chance| *[1, 1_000, u64::MAX].choose(chance).expect("three"));
+        let beacon = Beacon {
+            node: node.clone(),
+            term,
+            voters: [node.clone()].into(),
+            since_ms: 0,
+            cluster: self.cluster,
+            wire: Some(200),
+        };
+        self.publish(&self.in_cluster, &self.keys.write(&Key::Beacon), wire(&beacon), Bytes::new()).await;
+        let changed = MissionsChanged { node, term };
+        self.publish(&self.in_cluster, &self.keys.write(&Key::Changed), wire(&changed), Bytes::new()).await;
+    }
+
+    /// Sends bytes without meaning on keys of another node.
+    async fn send_garbage(&self) {
+        let victim = self.victim();
+        let robot = RobotId::from(victim.clone());
+        let keys = [
+            Key::Knowledge(victim.clone()),
+            Key::Swim(victim.clone()),
+            Key::Events(victim.clone()),
+            Key::Driver(robot.clone(), DriverCall::State),
+            Key::Driver(robot.clone(), DriverCall::Command),
+            Key::Bid(robot.clone()),
+            Key::Award(robot),
+            Key::Gossip(victim),
+        ];
+        let key = self.draw(|chance| self.keys.write(keys.choose(chance).expect("some keys")));
+        let length = self.draw(|chance| *[0, 1, 300, 60_000].choose(chance).expect("four"));
+        let bytes = self.draw(|chance| (0..length).map(|_| chance.random()).collect::<Vec<u8>>());
+        for bus in [&self.signing, &self.in_cluster, &self.plain] {
+            self.publish(bus, &key, bytes.clone().into(), Bytes::new()).await;
+            self.query(bus, &key, bytes.clone().into(), Bytes::new()).await;
+        }
+    }
+
+    /// Reports the end of steps, and sends the signals, of a role of others.
+    async fn take_part_in_a_mission(&self, replicas: &[Replica<Ledger>]) {
+        let missions: Vec<MissionEntry> = latest(replicas, |ledger| ledger.missions().cloned().collect());
+        let Some(entry) = self.draw(|chance| missions.choose(chance).cloned()) else { return };
+        for (role, held) in &entry.roles {
+            let Some(plan) = entry.plan(role) else { continue };
+            let award = held.holder.as_ref().map(|holder| holder.epoch).unwrap_or_default();
+            let report = Report {
+                robot: slug(HOSTILE),
+                incarnation: 1,
+                mission: entry.id.clone(),
+                role: role.clone(),
+                epoch: award,
+                branch: entry.branch,
+                ended: (0..plan.steps.len() as u32).collect(),
+                current_task: None,
+                place: None,
+                from_checkpoint: false,
+                failure: None,
+            };
+            let key = self.keys.write(&Key::Report(self.victim()));
+            self.query(&self.in_cluster, &key, wire(&report), Bytes::new()).await;
+            let later = Epoch { index: award.index + 1, ..award };
+            let epoch = self.draw(|chance| *[award, later, MAX_EPOCH].choose(chance).expect("three"));
+            for step in &plan.steps {
+                let StepAction::Send(signal) = &step.action else { continue };
+                let key = self.keys.write(&Key::Signal(entry.id.clone(), signal.to.clone()));
+                let history = SignalHistory { mission: entry.id.clone(), epoch, signals: [signal.clone()].into() };
+                self.publish(&self.in_cluster, &key, wire(&history), Bytes::new()).await;
+            }
+        }
+    }
+
+    /// Makes requests that only people may make, with its own signature and with captured ones.
+    async fn request(&self, replicas: &[Replica<Ledger>]) {
+        let missions: Vec<MissionId> =
+            latest(replicas, |ledger| ledger.missions().map(|entry| entry.id.clone()).collect());
+        let mission = self.draw(|chance| missions.choose(chance).cloned());
+        let number: u32 = self.draw(|chance| chance.random());
+        let submit = json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" },
+            "request": format!("{HOSTILE}-{number}") });
+        let change = json!({ "mission": mission, "by": HOSTILE });
+        let attacks = [
+            (Key::Api(ApiCall::Submit), submit),
+            (Key::Api(ApiCall::Cancel), change.clone()),
+            (Key::Api(ApiCall::Resolve), change),
+            (Key::Leave(self.victim()), json!({})),
+        ];
+        let (key, payload) = self.draw(|chance| attacks.choose(chance).expect("four").clone());
+        let (key, payload) = (self.keys.write(&key), Bytes::from(payload.to_string()));
+        let captured = {
+            let requests = self.requests.lock().unwrap_or_else(PoisonError::into_inner);
+            self.draw(|chance| requests.iter().collect::<Vec<_>>().choose(chance).map(|request| (*request).clone()))
+        };
+        self.query(&self.signing, &key, payload.clone(), Bytes::new()).await;
+        if let Some((captured_key, captured_payload, attachment)) = captured {
+            self.query(&self.plain, &key, payload, attachment.clone()).await;
+            self.query(&self.plain, &captured_key, captured_payload, attachment).await;
+        }
+    }
+
+    /// Publishes much at once on a key that its certificate permits.
+    async fn flood(&self) {
+        let key = self.keys.write(&Key::Swim(slug(HOSTILE)));
+        for number in 0..FLOOD {
+            self.publish(&self.signing, &key, number.to_be_bytes().to_vec().into(), Bytes::new()).await;
+        }
+    }
+
+    fn below(&self, key: &str) -> String {
+        below(&self.keys, key)
+    }
+}
+
+/// Largest epoch.
+const MAX_EPOCH: Epoch = Epoch { term: u64::MAX, index: u64::MAX };
+
+/// Returns a key expression below the fleet's prefix.
+fn below(keys: &Keys, key: &str) -> String {
+    let prefix = keys.write(&Key::Beacon).replace("/wire/beacon", "");
+    format!("{prefix}/{key}")
+}
+
+fn wire<T: Serialize>(message: &T) -> Bytes {
+    codec::encode(message).expect("a small message").into()
+}
+
+fn push_bounded<T>(queue: &Mutex<VecDeque<T>>, item: T) {
+    let mut queue = queue.lock().unwrap_or_else(PoisonError::into_inner);
+    queue.push_back(item);
+    if queue.len() > CAPTURED_MAX {
+        queue.pop_front();
+    }
+}
+
+/// Reads the replica that has applied most of the ledger: the attacker knows everything.
+fn latest<T: Default>(replicas: &[Replica<Ledger>], read: impl FnOnce(&Ledger) -> T) -> T {
+    let replica = replicas.iter().max_by_key(|replica| replica.applied().borrow().index);
+    replica.map(|replica| replica.read(read)).unwrap_or_default()
+}

@@ -1,0 +1,42 @@
+//! Only people change missions: every mission of the ledger was requested by a client, and a
+//! canceled mission was canceled by one.
+
+use super::{Invariant, InvariantViolation};
+use crate::chaos::hostile::HOSTILE;
+use crate::{Fleet, Observation};
+use consort_protocol::ledger::{Ledger, MissionState};
+use std::time::Duration;
+
+#[derive(Default)]
+pub(super) struct Authority;
+
+fn only_clients(ledger: &Ledger) -> Result<(), InvariantViolation> {
+    for entry in ledger.missions() {
+        if entry.submission.request.as_str().starts_with(HOSTILE) {
+            return Err(format!("the hostile node has submitted {}", entry.id).into());
+        }
+        if let MissionState::Canceled { by } = &entry.state
+            && by.contains(HOSTILE)
+        {
+            return Err(format!("the hostile node has canceled {}", entry.id).into());
+        }
+    }
+    Ok(())
+}
+
+impl Invariant for Authority {
+    fn name(&self) -> &'static str {
+        "authority"
+    }
+
+    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
+        match entry {
+            Observation::LeadershipChanged { leading_as: Some(_), .. } => self.check_end(fleet),
+            _ => Ok(()),
+        }
+    }
+
+    fn check_end(&mut self, fleet: &Fleet) -> Result<(), InvariantViolation> {
+        fleet.ledger(only_clients).unwrap_or(Ok(()))
+    }
+}
