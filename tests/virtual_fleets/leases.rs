@@ -219,3 +219,18 @@ fn two_robots_drive_if_a_clock_exceeds_the_drift_bound() {
         fleet.wait_until("two to drive", SOON, |fleet| two_drivers(fleet).is_some()).await;
     });
 }
+
+#[test]
+fn a_blocked_bus_does_not_keep_a_robot_from_suspending() {
+    for_each_seed(SEEDS, async |seed| {
+        let (mut fleet, mission) = under_way(seed).await;
+        let (holder, _) = holder(&fleet, &mission);
+        fleet.network.block(&slug(&holder));
+        // The robot is called for bids, which it cannot return.
+        fleet.submit("b", "PC Room 1").await;
+        fleet.wait_until("the end of the lease", SOON, |fleet| fleet.has_event(suspended)).await;
+        fleet.network.unblock(&slug(&holder));
+        fleet.assert_completes(&mission).await;
+        assert_eq!(two_drivers(&fleet), None, "seed {seed}");
+    });
+}

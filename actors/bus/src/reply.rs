@@ -1,6 +1,7 @@
 //! Replies to queries on the bus.
 
 use crate::bus::{Encoding, Query};
+use crate::tasks::Tasks;
 use bytes::Bytes;
 use consort_protocol::codec;
 use serde::Serialize;
@@ -37,6 +38,22 @@ pub async fn decode_or_refuse<T: DeserializeOwned>(query: &Query) -> Option<T> {
         Ok(message) => Some(message),
         Err(problem) => {
             refuse(query, &problem.to_string()).await;
+            None
+        }
+    }
+}
+
+/// Replies like [`wire`], in the background: an actor that must not wait for the bus uses this.
+pub fn wire_in<T: Serialize + Send + Sync + 'static>(tasks: &mut Tasks, query: Query, key: String, message: T) {
+    tasks.spawn(async move { wire(&query, &key, &message).await });
+}
+
+/// Decodes a query's payload. Refuses a malformed query in the background and returns `None`.
+pub fn decode_or_refuse_in<T: DeserializeOwned>(tasks: &mut Tasks, query: Query) -> Option<(Query, T)> {
+    match codec::decode(&query.payload) {
+        Ok(message) => Some((query, message)),
+        Err(problem) => {
+            tasks.spawn(async move { refuse(&query, &problem.to_string()).await });
             None
         }
     }

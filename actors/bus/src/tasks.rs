@@ -1,11 +1,12 @@
 //! Background tasks that end with the actor that owns them.
 
-use crate::bus::Stream;
+use crate::bus::{Sample, SharedBus, Stream};
 use ractor::{ActorRef, Message};
 use std::future::Future;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
+use tracing::warn;
 
 /// A set of tasks, aborted when the set is dropped. An actor keeps it in its state.
 #[derive(Debug, Default)]
@@ -29,6 +30,29 @@ impl Tasks {
         self.spawn(async move {
             while let Some(item) = stream.recv().await {
                 if to.cast(wrap(item)).is_err() {
+                    return;
+                }
+            }
+        });
+    }
+
+    /// Subscribes to a key and forwards the samples to an actor's mailbox. Returns at once, even
+    /// while the bus is blocked. A failed subscription is logged.
+    pub fn subscribe<M: Message>(
+        &mut self,
+        bus: SharedBus,
+        key: String,
+        to: &ActorRef<M>,
+        wrap: impl Fn(Sample) -> M + Send + 'static,
+    ) {
+        let to = to.clone();
+        self.spawn(async move {
+            let mut samples = match bus.subscribe(&key).await {
+                Ok(samples) => samples,
+                Err(problem) => return warn!(key, %problem, "no subscription"),
+            };
+            while let Some(sample) = samples.recv().await {
+                if to.cast(wrap(sample)).is_err() {
                     return;
                 }
             }

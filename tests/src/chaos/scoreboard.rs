@@ -64,10 +64,7 @@ pub fn run_row(
     // A hostile node has no effect in an open fleet, whose runs are ten times as fast.
     let closed = kinds.contains(&FaultKind::Hostile);
     let config = |seed| {
-        (
-            RunConfig { seed, nodes: NODES, minutes, closed, mutant: None },
-            generate(seed, &composition, minutes, kinds),
-        )
+        (RunConfig { seed, nodes: NODES, minutes, closed, mutant: None }, generate(seed, &composition, minutes, kinds))
     };
     let mut outcomes: Vec<RunOutcome> = vec![];
     let mut next = 1;

@@ -1,13 +1,16 @@
 //! The driver of a virtual network: applies operations, and processes events when they are due.
 
-use super::ids::{Incarnation, QueryPart};
+use super::ids::{Incarnation, NodeIndex, QueryPart};
 use super::link::LinkModel;
 use super::network::Network;
 use super::responder::{ReplySink, reply_failed};
 use crate::bus::{BusError, Reply};
+use async_trait::async_trait;
+use consort_protocol::ids::NodeId;
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
-use tokio::sync::Notify;
+use tokio::sync::{Notify, watch};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
@@ -25,6 +28,8 @@ pub(super) struct Shared {
     /// Query parts that services have just ended.
     finished: Mutex<Vec<QueryPart>>,
     wake: Arc<Notify>,
+    /// Nodes whose operations do not return.
+    blocked: watch::Sender<BTreeSet<NodeIndex>>,
 }
 
 /// The task that waits for the next event.
@@ -49,6 +54,7 @@ impl Shared {
             driver: Mutex::new(Driver::default()),
             finished: Mutex::new(Vec::new()),
             wake: Arc::new(Notify::new()),
+            blocked: watch::Sender::default(),
         })
     }
 
@@ -62,6 +68,24 @@ impl Shared {
             self.drive(due);
         }
         result
+    }
+
+    /// Blocks or unblocks the operations of a node.
+    pub(super) fn set_blocked(self: &Arc<Self>, node: &NodeId, blocked: bool) {
+        let Some(index) = self.with(|network| network.index(node)) else { return };
+        self.blocked.send_modify(|nodes| {
+            match blocked {
+                true => nodes.insert(index),
+                false => nodes.remove(&index),
+            };
+        });
+    }
+
+    /// Waits until the operations of a node are not blocked.
+    pub(super) async fn until_unblocked(&self, node: NodeIndex) {
+        let mut blocked = self.blocked.subscribe();
+        // The sender lives as long as the network.
+        let _ = blocked.wait_for(|nodes| !nodes.contains(&node)).await;
     }
 
     /// Ensures that the driver task wakes at `due`.
@@ -99,6 +123,7 @@ impl Shared {
     }
 }
 
+#[async_trait]
 impl ReplySink for Shared {
     fn reply(self: Arc<Self>, incarnation: Incarnation, part: QueryPart, reply: Reply) -> Result<(), BusError> {
         self.with(|network| {
@@ -108,6 +133,10 @@ impl ReplySink for Shared {
             network.reply(part, reply);
             Ok(())
         })
+    }
+
+    async fn until_unblocked(&self, node: NodeIndex) {
+        Shared::until_unblocked(self, node).await;
     }
 
     fn finish(&self, part: QueryPart) {

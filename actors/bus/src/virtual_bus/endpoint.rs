@@ -70,6 +70,7 @@ impl Bus for VirtualBus {
         encoding: Encoding,
         _delivery: Delivery,
     ) -> Result<(), BusError> {
+        self.shared.until_unblocked(self.incarnation.index).await;
         keys::check_payload_size("publish", &payload, MESSAGE_MAX)?;
         self.act("publish", |network| {
             let valid_key = match network.cached_key(key) {
@@ -86,6 +87,7 @@ impl Bus for VirtualBus {
     }
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
+        self.shared.until_unblocked(self.incarnation.index).await;
         let key_expr = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
         let id = self.act("subscribe", |network| network.subscribe(self.incarnation, key_expr, mailbox))?;
@@ -100,6 +102,7 @@ impl Bus for VirtualBus {
         timeout: Duration,
         target: ServiceSelection,
     ) -> Result<Stream<Reply>, BusError> {
+        self.shared.until_unblocked(self.incarnation.index).await;
         let (key_expr, parameters) = keys::selector(key_expr)?;
         keys::check_payload_size("query", &payload, MESSAGE_MAX)?;
         let request = QueryRequest { key_expr, parameters: parameters.to_owned(), payload, attachment };
@@ -109,10 +112,12 @@ impl Bus for VirtualBus {
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
+        self.shared.until_unblocked(self.incarnation.index).await;
         self.serve_with(key_expr, false)
     }
 
     async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
+        self.shared.until_unblocked(self.incarnation.index).await;
         self.serve_with(key_expr, true)
     }
 

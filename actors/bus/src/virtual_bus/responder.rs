@@ -1,6 +1,6 @@
 //! Replies of a service on the virtual bus.
 
-use super::ids::{Incarnation, QueryPart};
+use super::ids::{Incarnation, NodeIndex, QueryPart};
 use crate::author::Author;
 use crate::bus::{BusError, Encoding, MESSAGE_MAX, QueryRefused, Replier, Reply};
 use crate::keys;
@@ -25,9 +25,13 @@ impl QueryRequest {
 }
 
 /// Receiver of the replies of services: the network.
+#[async_trait]
 pub(super) trait ReplySink: Send + Sync {
     /// Sends a reply of a part. `incarnation` is the node of the service.
     fn reply(self: Arc<Self>, incarnation: Incarnation, part: QueryPart, reply: Reply) -> Result<(), BusError>;
+
+    /// Waits until the operations of a node are not blocked.
+    async fn until_unblocked(&self, node: NodeIndex);
 
     /// Notes that a service has ended a part. Called while the network may be in use.
     fn finish(&self, part: QueryPart);
@@ -47,8 +51,9 @@ pub(super) struct VirtualReplier {
 }
 
 impl VirtualReplier {
-    fn send(&self, reply: Reply) -> Result<(), BusError> {
+    async fn send(&self, reply: Reply) -> Result<(), BusError> {
         let sink = self.sink.upgrade().ok_or_else(|| reply_failed("the network is gone"))?;
+        sink.until_unblocked(self.incarnation.index).await;
         sink.reply(self.incarnation, self.part, reply)
     }
 }
@@ -64,7 +69,7 @@ impl Replier for VirtualReplier {
     ) -> Result<(), BusError> {
         keys::reply_key(key, &self.request.key_expr)?;
         keys::check_payload_size("reply to a query", &payload, MESSAGE_MAX)?;
-        self.send(Reply { key: key.to_owned(), payload: Ok(payload), attachment, author: Author::UNKNOWN })
+        self.send(Reply { key: key.to_owned(), payload: Ok(payload), attachment, author: Author::UNKNOWN }).await
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {
@@ -74,6 +79,7 @@ impl Replier for VirtualReplier {
             attachment: Bytes::new(),
             author: Author::UNKNOWN,
         })
+        .await
     }
 }
 

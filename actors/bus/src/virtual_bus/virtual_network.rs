@@ -105,6 +105,17 @@ impl VirtualNetwork {
         self.shared.with(|network| network.resume(node));
     }
 
+    /// Blocks a node: its operations do not return until [`unblock`](Self::unblock), as calls of a
+    /// real bus may when buffers are full. Messages to the node still arrive.
+    pub fn block(&self, node: &NodeId) {
+        self.shared.set_blocked(node, true);
+    }
+
+    /// Lets the operations of a [blocked](Self::block) node continue.
+    pub fn unblock(&self, node: &NodeId) {
+        self.shared.set_blocked(node, false);
+    }
+
     /// Crashes a node: its streams end, its declarations vanish, and its bus rejects every
     /// operation. Messages sent earlier still arrive. Its peers notice after one latency, or after
     /// the lease if they are cut off from it.

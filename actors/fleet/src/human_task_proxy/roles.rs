@@ -77,7 +77,7 @@ impl HumanTaskProxyState {
             }
         };
         let sent = proxied.sequencer.sent_signals().clone();
-        self.signals.start_role(mission, role, Epoch::default(), sent).await?;
+        self.signals.start_role(mission, role, Epoch::default(), sent);
         self.roles.insert(key.clone(), proxied);
         self.query_signals(key);
         Ok(())
@@ -152,7 +152,7 @@ impl HumanTaskProxyState {
                     self.send_open_request(key);
                 }
                 SequencerAction::SendSignal(signal) => {
-                    self.signals.send(mission, &signal).await;
+                    self.signals.send(mission, &signal);
                     self.settings.events.publish(EventKind::Sent { mission: mission.clone(), signal });
                 }
                 SequencerAction::SignalReceived(signal) => {

@@ -7,7 +7,7 @@
 use bytes::Bytes;
 use consort_bus::reply;
 use consort_bus::tasks::Tasks;
-use consort_bus::{Author, BusError, Delivery, Encoding, Reply, Sample, SharedBus};
+use consort_bus::{Author, Delivery, Encoding, Reply, Sample, SharedBus};
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId};
@@ -17,13 +17,18 @@ use consort_protocol::message::SignalHistory;
 use consort_protocol::plan::Signal;
 use std::collections::{BTreeSet, VecDeque};
 use std::time::Duration;
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
 use tracing::{debug, warn};
 
 /// Number of ended roles for which a node still replies with the signal history.
 const ENDED_ROLES_KEPT: usize = 16;
 
-/// Signal exchange of a single node for all its missions.
+/// Maximum number of signals that wait to be published. Further signals are not published; their
+/// receivers query the history.
+const OUTBOX: usize = 64;
+
+/// Signal exchange of a single node for all its missions. Its calls return at once, even while the
+/// bus is blocked: the actor that calls it must be able to suspend its robot.
 pub(crate) struct SignalExchange {
     bus: SharedBus,
     keys: Keys,
@@ -31,6 +36,9 @@ pub(crate) struct SignalExchange {
     senders: VecDeque<RoleSender>,
     /// Number of stale signals received since the start.
     stale_count: u64,
+    /// Signals to be published, with their keys.
+    outbox: mpsc::Sender<(String, Bytes)>,
+    _publishing: Tasks,
 }
 
 /// Signals of a role, as received from a node.
@@ -66,22 +74,23 @@ struct RoleSender {
 
 impl SignalExchange {
     pub(crate) fn new(bus: SharedBus, keys: Keys) -> SignalExchange {
-        SignalExchange { bus, keys, senders: VecDeque::new(), stale_count: 0 }
+        let (outbox, outgoing) = mpsc::channel(OUTBOX);
+        let mut publishing = Tasks::default();
+        publishing.spawn(publish_all(bus.clone(), outgoing));
+        SignalExchange { bus, keys, senders: VecDeque::new(), stale_count: 0, outbox, _publishing: publishing }
     }
 
     /// Starts to serve the signal history of a role, beginning with the signals already sent.
-    pub(crate) async fn start_role(
-        &mut self,
-        mission: &MissionId,
-        role: &RoleId,
-        epoch: Epoch,
-        history: BTreeSet<Signal>,
-    ) -> Result<(), BusError> {
+    pub(crate) fn start_role(&mut self, mission: &MissionId, role: &RoleId, epoch: Epoch, history: BTreeSet<Signal>) {
         self.senders.retain(|sender| sender.mission != *mission || sender.role != *role);
-        let mut queries = self.bus.serve(&self.keys.write(&Key::SignalHistory(mission.clone(), role.clone()))).await?;
+        let key = self.keys.write(&Key::SignalHistory(mission.clone(), role.clone()));
         let (history, latest) = watch::channel(SignalHistory { mission: mission.clone(), epoch, signals: history });
-        let mut serving = Tasks::default();
+        let (bus, mut serving) = (self.bus.clone(), Tasks::default());
         serving.spawn(async move {
+            let mut queries = match bus.serve(&key).await {
+                Ok(queries) => queries,
+                Err(problem) => return warn!(key, %problem, "signal history is not served"),
+            };
             while let Some(query) = queries.recv().await {
                 let history = latest.borrow().clone();
                 reply::wire(&query, &query.key, &history).await;
@@ -89,7 +98,6 @@ impl SignalExchange {
         });
         let (mission, role) = (mission.clone(), role.clone());
         self.senders.push_back(RoleSender { mission, role, history, ended: false, _serving: serving });
-        Ok(())
     }
 
     /// Ends a role. Its signal history is still served until later roles replace it.
@@ -106,7 +114,7 @@ impl SignalExchange {
     }
 
     /// Sends a signal of a started role.
-    pub(crate) async fn send(&self, mission: &MissionId, signal: &Signal) {
+    pub(crate) fn send(&self, mission: &MissionId, signal: &Signal) {
         let Some(sender) = self.senders.iter().find(|t| t.mission == *mission && t.role == signal.from) else { return };
         sender.history.send_modify(|history| {
             history.signals.insert(signal.clone());
@@ -114,8 +122,8 @@ impl SignalExchange {
         let history = SignalHistory { signals: BTreeSet::from([signal.clone()]), ..sender.history.borrow().clone() };
         let bytes = Bytes::from(codec::encode(&history).expect("a signal fits a message"));
         let key = self.keys.write(&Key::Signal(mission.clone(), signal.to.clone()));
-        if let Err(problem) = self.bus.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await {
-            debug!(%problem, "signal was not published; its receiver will query it");
+        if self.outbox.try_send((key, bytes)).is_err() {
+            debug!("signal was not published; its receiver will query it");
         }
     }
 
@@ -162,6 +170,15 @@ impl SignalExchange {
     }
 }
 
+/// Publishes signals in their order.
+async fn publish_all(bus: SharedBus, mut outgoing: mpsc::Receiver<(String, Bytes)>) {
+    while let Some((key, bytes)) = outgoing.recv().await {
+        if let Err(problem) = bus.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await {
+            debug!(%problem, "signal was not published; its receiver will query it");
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -190,11 +207,13 @@ mod tests {
             .map(|number| MissionId::new(format!("mission-{number:02}")).unwrap())
             .collect();
         for mission in &missions {
-            exchange.start_role(mission, &nurse, Epoch::default(), BTreeSet::new()).await.unwrap();
+            exchange.start_role(mission, &nurse, Epoch::default(), BTreeSet::new());
+            // The service is declared in the background.
+            while history_size(&other, &keys, mission).await.is_none() {}
         }
         for mission in &missions {
             let (task, to) = (TaskId::new("deposit").unwrap(), RoleId::new("r1").unwrap());
-            exchange.send(mission, &Signal { kind: SignalKind::Done, task, from: nurse.clone(), to }).await;
+            exchange.send(mission, &Signal { kind: SignalKind::Done, task, from: nurse.clone(), to });
             assert_eq!(history_size(&other, &keys, mission).await, Some(1), "{mission} is active");
         }
         let (ended_missions, active) = missions.split_at(ENDED_ROLES_KEPT + 2);

@@ -95,6 +95,11 @@ impl Network {
         }
     }
 
+    /// Returns the index of a node that has been started.
+    pub(crate) fn index(&self, id: &NodeId) -> Option<NodeIndex> {
+        self.indexes.get(id).copied()
+    }
+
     pub(crate) fn pause(&mut self, id: &NodeId) {
         if let Some(&index) = self.indexes.get(id) {
             self.nodes[index].paused = self.nodes[index].alive;

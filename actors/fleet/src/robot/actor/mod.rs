@@ -100,10 +100,10 @@ impl Actor for Robot {
                 Ok(())
             }
             RobotMessage::CallForBids(query) => {
-                state.bid(&query).await;
+                state.bid(query);
                 Ok(())
             }
-            RobotMessage::AwardNotice(query) => state.handle_award_notice(&query).await,
+            RobotMessage::AwardNotice(query) => state.handle_award_notice(query).await,
             RobotMessage::ReportReplied { recipient, sent, reply } => {
                 state.handle_report_reply(&recipient, sent, reply).await
             }
@@ -193,8 +193,8 @@ impl RobotState {
         }
     }
 
-    async fn bid(&mut self, query: &Query) {
-        let Some(call) = reply::decode_or_refuse::<CallForBids>(query).await else { return };
+    fn bid(&mut self, query: Query) {
+        let Some((query, call)) = reply::decode_or_refuse_in::<CallForBids>(&mut self.tasks, query) else { return };
         let now = self.now();
         self.sense(now);
         let RobotSettings { robot, links, pricing, .. } = &self.settings;
@@ -204,7 +204,8 @@ impl RobotState {
         let (age_ms, closed_lanes) = (self.driver.telemetry_age_ms(), self.driver.closed_lanes());
         let context = BidContext { worker: self.driver.worker(), closed_lanes, age_ms, membership };
         let response = Bidder::new(robot.clone(), Arc::clone(&pricing.estimator)).respond(&call, &context);
-        reply::wire(query, &links.keys.write(&Key::Bid(robot.clone())), &response).await;
+        let key = links.keys.write(&Key::Bid(robot.clone()));
+        reply::wire_in(&mut self.tasks, query, key, response);
     }
 
     /// Refuses new roles and releases the held role.

@@ -28,7 +28,7 @@ impl RobotState {
         while let Some(next) = self.next_action() {
             moved = true;
             match next {
-                PlanAction::Emit(outputs) => self.emit_outputs(outputs).await,
+                PlanAction::Emit(outputs) => self.emit_outputs(outputs),
                 PlanAction::StartTask { step, task, spec } => self.start_task(step, &task, &spec).await?,
                 PlanAction::ReportReceived(signal) => self.emit_received(signal),
             }

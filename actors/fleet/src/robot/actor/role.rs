@@ -12,7 +12,7 @@ use consort_protocol::ids::NodeId;
 use consort_protocol::ids::RoleId;
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{Action, Award, EndReason, Epoch, Event, RoleHolder};
-use consort_protocol::message::{AwardNotice, ReportReply};
+use consort_protocol::message::ReportReply;
 use consort_protocol::plan::{Signal, StepIndex};
 use consort_protocol::units::NodeTime;
 use ractor::ActorProcessingErr;
@@ -20,12 +20,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use tracing::{debug, info, warn};
 
 impl RobotState {
-    pub(super) async fn handle_award_notice(&mut self, query: &Query) -> Result<(), ActorProcessingErr> {
-        let Some(notice) = reply::decode_or_refuse::<AwardNotice>(query).await else { return Ok(()) };
+    pub(super) async fn handle_award_notice(&mut self, query: Query) -> Result<(), ActorProcessingErr> {
+        let Some((query, notice)) = reply::decode_or_refuse_in(&mut self.tasks, query) else { return Ok(()) };
         let now = self.now();
         let (reply, event) = self.lease.answer(notice, self.decommission.is_leaving());
         let key = self.settings.links.keys.write(&Key::Award(self.settings.robot.clone()));
-        reply::wire(query, &key, &reply).await;
+        reply::wire_in(&mut self.tasks, query, key, reply);
         match event {
             Some(event) => self.handle_lease_event(event, now).await,
             None => Ok(()),
@@ -88,7 +88,7 @@ impl RobotState {
     /// as sent, so pending outputs are sent now, with or without a checkpoint.
     async fn settle(&mut self, epoch: Epoch, now: NodeTime) -> Vec<Action> {
         let unsent = self.execution.plan_of(epoch).map(ActivePlan::take_pending);
-        self.emit_outputs(unsent.unwrap_or_default()).await;
+        self.emit_outputs(unsent.unwrap_or_default());
         self.end_plan(epoch, EndReason::Over);
         self.lease.handle(Event::Settled { epoch }, now)
     }
@@ -124,9 +124,9 @@ impl RobotState {
         let start = PlanStart { award, recorded, holders, restored, next_goal };
         let Some((mut active, failure)) = ActivePlan::start(start) else { return Ok(()) };
         let links = &self.settings.links;
-        let signals = links.bus.subscribe(&links.keys.write(&Key::Signal(mission.clone(), role.clone()))).await?;
-        active.subscriptions.forward(signals, &self.myself, RobotMessage::Signal);
-        self.signals.start_role(&mission, &role, epoch, active.sequencer.sent_signals().clone()).await?;
+        let key = links.keys.write(&Key::Signal(mission.clone(), role.clone()));
+        active.subscriptions.subscribe(links.bus.clone(), key, &self.myself, RobotMessage::Signal);
+        self.signals.start_role(&mission, &role, epoch, active.sequencer.sent_signals().clone());
         self.emit_event(event);
         let release = failure.map(|failure| active.release(failure, self.now()));
         self.execution.plan = Some(active);

@@ -70,13 +70,13 @@ impl RobotState {
     }
 
     /// Sends outputs after their steps were stored in the checkpoint.
-    pub(super) async fn emit_outputs(&mut self, outputs: Vec<PendingOutput>) {
+    pub(super) fn emit_outputs(&mut self, outputs: Vec<PendingOutput>) {
         let Some(mission) = self.execution.plan.as_ref().map(|active| active.award.mission.clone()) else { return };
         for output in outputs {
             match output {
                 PendingOutput::Event(event) => self.emit_event(event),
                 PendingOutput::Signal(signal) => {
-                    self.signals.send(&mission, &signal).await;
+                    self.signals.send(&mission, &signal);
                     self.emit_event(EventKind::Sent { mission: mission.clone(), signal });
                 }
             }
