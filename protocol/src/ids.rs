@@ -159,6 +159,32 @@ names! {
     PlaceId, "place", LABEL;
 }
 
+impl RequestId {
+    /// Creates the id of a request that is named by no one: a UUID of version 7 (RFC 9562), from
+    /// the time in milliseconds since 1970 and random bits.
+    pub fn generate(created_ms: u64, random: u128) -> RequestId {
+        let time = u128::from(created_ms & 0xffff_ffff_ffff) << 80;
+        let bits = time | (7 << 76) | (random & (0xfff << 64)) | (2 << 62) | (random & ((1 << 62) - 1));
+        let hex = format!("{bits:032x}");
+        let text = [&hex[..8], &hex[8..12], &hex[12..16], &hex[16..20], &hex[20..]].join("-");
+        RequestId(text.into())
+    }
+
+    /// Returns the time at which the id was created, in milliseconds since 1970, if it is a UUID of
+    /// version 7.
+    pub fn created_ms(&self) -> Option<u64> {
+        let text = self.as_str();
+        let fits = |(at, byte): (usize, u8)| match at {
+            8 | 13 | 18 | 23 => byte == b'-',
+            14 => byte == b'7',
+            19 => b"89abAB".contains(&byte),
+            _ => byte.is_ascii_hexdigit(),
+        };
+        let is_uuid = text.len() == 36 && text.bytes().enumerate().all(fits);
+        is_uuid.then(|| u64::from_str_radix(&[&text[..8], &text[9..13]].concat(), 16).ok()).flatten()
+    }
+}
+
 /// Identifier of a fleet's ledger, drawn at its creation. Two ledgers that were created separately
 /// under the same fleet name have different ids, and must not merge.
 ///
@@ -238,6 +264,17 @@ mod tests {
             error,
             "\"a/b\" cannot name a robot: it contains '/'; allowed are 1 to 64 characters of A-Z, a-z, 0-9, `_`, `.` and `-`"
         );
+    }
+
+    #[test]
+    fn a_generated_request_id_contains_its_time() {
+        // The example of RFC 9562, A.6.
+        let example = RequestId::generate(0x017f_22e2_79b0, 0xcc3 << 64 | 0x18c4_dc0c_0c07_398f);
+        assert_eq!(example.as_str(), "017f22e2-79b0-7cc3-98c4-dc0c0c07398f");
+        assert_eq!(example.created_ms(), Some(1_645_557_742_000));
+        for other in ["order-7", "017f22e2-79b0-4cc3-98c4-dc0c0c07398f", "017f22e2-79b0-7cc3-98c4-dc0c0c07398g"] {
+            assert_eq!(RequestId::new(other).unwrap().created_ms(), None, "{other}");
+        }
     }
 
     #[test]

@@ -28,7 +28,7 @@ pub struct VersionRange {
 
 impl VersionRange {
     /// Versions of this program.
-    pub const OWN: VersionRange = VersionRange { oldest: 1, newest: 2 };
+    pub const OWN: VersionRange = VersionRange { oldest: 1, newest: 3 };
 
     /// Returns the range without the versions above `newest`, as an earlier release reads it.
     #[must_use]

@@ -3,6 +3,7 @@
 use crate::support::{fleet, task_began};
 use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
+use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::lease::EndReason;
 use consort_tests::{Fleet, RobotSpec, for_each_seed};
@@ -40,8 +41,37 @@ fn a_repeated_request_gets_the_same_reply_after_a_takeover() {
         assert_eq!(fleet.submit_with_reply("my-7", ROOM).await, again, "seed {seed}: after a takeover");
         assert_eq!(missions(&fleet), Some(1), "seed {seed}");
         fleet.assert_completes(&"lab-samples-1".parse().expect("an id")).await;
+        let again = json!({ "mission": "lab-samples-1", "again": true, "outcome": "completed" });
         assert_eq!(fleet.submit_with_reply("my-7", ROOM).await, again, "seed {seed}: after the end");
         assert_eq!(missions(&fleet), Some(1), "seed {seed}");
+    });
+}
+
+#[test]
+fn an_outcome_is_known_after_many_other_missions() {
+    for_each_seed([91], async |seed| {
+        let fleet = tired_fleet(seed).await;
+        let cancel = async |mission: &MissionId| {
+            fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": "Nia" })).await;
+        };
+        let slow = fleet.submit("slow", ROOM).await;
+        let early = fleet.submit("early", ROOM).await;
+        cancel(&early).await;
+        for number in 0..520 {
+            cancel(&fleet.submit(&format!("other-{number}"), ROOM).await).await;
+        }
+        cancel(&slow).await;
+        for (request, mission) in [("slow", &slow), ("early", &early)] {
+            let outcome = json!({ "canceled": { "by": "Nia" } });
+            let got = fleet.request_answered(ApiCall::Get, &json!({ "mission": mission })).await;
+            assert_eq!((&got["detail"], &got["request"]), (&outcome, &json!(request)), "seed {seed}");
+            let again = json!({ "mission": mission, "again": true, "outcome": outcome });
+            assert_eq!(fleet.submit_with_reply(request, ROOM).await, again, "seed {seed}");
+        }
+        assert_eq!(missions(&fleet), Some(500), "seed {seed}");
+        let explained = fleet.request_answered(ApiCall::Explain, &json!({ "mission": early })).await;
+        let error = format!("mission {early} is canceled; it ended long ago, and its auctions are no longer stored");
+        assert_eq!(explained["error"], error, "seed {seed}");
     });
 }
 

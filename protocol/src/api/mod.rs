@@ -16,8 +16,14 @@
 //! A request that cannot be executed gets `{"error": "…"}`, and nothing has changed. With an
 //! additional `"retry_after_ms"` the same request, with the same `request` id, may be repeated
 //! after that time: there is no coordinator yet, or the ledger did not commit in time. The reply to
-//! a submission is sent once the mission is committed. Repeating the same `request` id gets the
-//! same reply. Any node replies to the other calls (see [`crate::view`]).
+//! a submission is sent once the mission is committed. Any node replies to the other calls (see
+//! [`crate::view`]).
+//!
+//! A repeated `request` id gets the same reply and is not executed again, until a day after the end
+//! of the mission; after the end the reply contains its `outcome`. The fleet forgets an outcome
+//! sooner only if the outcomes of a day take more than 4 MiB. An id that is a UUID of version 7
+//! contains the time at which it was created. It is rejected if it is older than the requests that
+//! the fleet remembers, so it is never executed twice. Clients should create such ids.
 //!
 //! A mission that is not completed by its deadline fails. The coordinators' wall clocks decide
 //! about deadlines.

@@ -15,6 +15,9 @@ pub struct SubmitReply {
     /// The mission had been submitted before, with the same request id.
     #[serde(default)]
     pub again: bool,
+    /// Outcome of the mission, if the request is repeated after its end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outcome: Option<MissionState>,
 }
 
 /// State of a mission after a change.

@@ -3,7 +3,7 @@
 use super::entry::{Branch, MissionState};
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
-use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RobotId, RoleId};
+use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::plan::StepIndex;
 use serde::{Deserialize, Serialize};
@@ -229,6 +229,19 @@ pub enum CommandError {
         mission: MissionId,
         /// The role.
         role: RoleId,
+    },
+    /// The request may be a repetition of a request whose outcome is no longer known.
+    #[error(
+        "request {request} was created at {created_ms} ms since 1970; the fleet remembers only requests after {since_ms}. \
+         If it was never sent before, check the clock that it was named by, and send it under a new name"
+    )]
+    RequestForgotten {
+        /// Id of the request.
+        request: RequestId,
+        /// Time in its id, in milliseconds since 1970.
+        created_ms: u64,
+        /// Time after which requests are remembered, in milliseconds since 1970.
+        since_ms: u64,
     },
     /// The robot's node has restarted since it confirmed the role, and has lost the plan.
     #[error("{robot} has restarted since it confirmed {role} of {mission}")]

@@ -137,6 +137,11 @@ impl MissionState {
         }
     }
 
+    /// Checks whether the mission has ended and does not wait for a person.
+    pub(super) fn has_ended(&self) -> bool {
+        self.is_final() && !self.needs_intervention()
+    }
+
     /// Checks whether the mission waits for a person to close it.
     pub(crate) fn needs_intervention(&self) -> bool {
         matches!(self, MissionState::NeedsIntervention { .. })

@@ -15,6 +15,9 @@
 //!             └──┘◀────── release ─────────┘ └── fail (cause) ─▶ failed      cancel: from pending and running
 //! ```
 //!
+//! Ended missions are kept in the order of their ends: the latest whole, and for a day what a client
+//! may still ask for (the module `history`).
+//!
 //! A mission that would fail or be canceled while a robot has an item changes to *needs
 //! intervention* instead, and stays there until a person closes it. If it has a recovery branch, it
 //! continues with that branch. The module `custody` computes which robot has which item.
@@ -23,10 +26,13 @@ mod apply;
 mod command;
 mod custody;
 mod entry;
+mod history;
+mod layout;
 mod loss;
 mod submission;
 
 pub use apply::Ledger;
 pub use command::{Command, CommandError, CommandOutcome};
 pub use entry::{Branch, HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, RoleRelease};
+pub use history::Tombstone;
 pub use submission::{DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, time_until_deadline};

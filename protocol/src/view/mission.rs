@@ -130,7 +130,8 @@ pub struct MissionProgress {
     pub steps: usize,
 }
 
-/// A mission with the plans and the progress of its roles.
+/// A mission with the plans and the progress of its roles. A mission that ended long ago has only
+/// its state and its request: the other members are empty.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MissionView {
     /// Common part of all views of a mission.

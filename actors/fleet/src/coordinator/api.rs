@@ -106,7 +106,12 @@ impl ApiHandler {
             return Err(overload);
         }
         match self.replica.propose(Command::Submit(Box::new(submission)), COMMIT_TIMEOUT).await {
-            Ok(CommandOutcome::Submitted { mission, again }) => Ok(SubmitReply { mission, again }),
+            Ok(CommandOutcome::Submitted { mission, again }) => {
+                let state = self.replica.read(|ledger| ledger.mission_state(&mission).cloned());
+                let outcome = state.filter(|state| again && state.is_final());
+                Ok(SubmitReply { mission, again, outcome })
+            }
+            Ok(CommandOutcome::Refused(refused)) => Err(refused.to_string().into()),
             Ok(other) => Err(format!("unexpected outcome of the ledger: {other:?}").into()),
             Err(problem) => Err(not_committed(&problem)),
         }
@@ -116,7 +121,7 @@ impl ApiHandler {
     /// mission still gets its reply.
     fn overload(&self, ledger: &Ledger, request: &RequestId) -> Option<ApiError> {
         let is_full = self.missions_max > 0 && ledger.has_active(self.missions_max);
-        (is_full && ledger.mission_of_request(request).is_none()).then(|| ApiError {
+        (is_full && !ledger.remembers(request)).then(|| ApiError {
             text: format!("{} missions are active, the maximum of this fleet", self.missions_max),
             may_retry: true,
         })
@@ -247,7 +252,7 @@ impl ApiHandler {
         match self.replica.propose(command, COMMIT_TIMEOUT).await {
             Ok(CommandOutcome::Refused(refused)) => Err(refused.to_string().into()),
             Ok(_) => {
-                let state = self.replica.read(|ledger| ledger.mission(&mission).map(|entry| entry.state.clone()));
+                let state = self.replica.read(|ledger| ledger.mission_state(&mission).cloned());
                 Ok(MissionChangeReply { mission, state })
             }
             Err(problem) => Err(not_committed(&problem)),

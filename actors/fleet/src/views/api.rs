@@ -78,6 +78,12 @@ impl ViewService {
         let read = WithProvenance::<MissionView>::deserialize(&view);
         let WithProvenance { provenance, content: view } =
             read.map_err(|problem| error_reply(format!("mission {mission} cannot be read: {problem}")))?;
+        if view.tasks.is_empty() {
+            let state = view.brief.status.detail.as_str();
+            let problem =
+                format!("mission {mission} is {state}; it ended long ago, and its auctions are no longer stored");
+            return Err(error_reply(problem));
+        }
         let explanation = view.auction.as_ref().map(explain);
         let entries = view.auction.iter().flat_map(|record| &record.entries);
         let asked: BTreeSet<NodeId> = entries.map(|entry| NodeId::from(entry.robot.clone())).collect();

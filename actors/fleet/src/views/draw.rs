@@ -3,11 +3,11 @@
 use super::Views;
 use super::cluster_status::ClusterStatus;
 use super::health::{HealthInputs, health};
-use super::mission::{auctions, mission, missions};
+use super::mission::{auctions, ended_mission, mission, missions};
 use consort_gossip::MemberStatus;
 use consort_protocol::api::ErrorReply;
 use consort_protocol::ensemble::Membership;
-use consort_protocol::ids::{ClusterId, NodeId, RobotId};
+use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, KnownRecord};
 use consort_protocol::ledger::{Ledger, MissionState};
@@ -28,8 +28,9 @@ pub(super) struct ViewContext<'a> {
 }
 
 impl ViewContext<'_> {
-    /// Returns all `wanted` views that this node can compute by itself.
-    pub(super) fn draw(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
+    /// Returns all `wanted` views that this node can compute by itself. A mission that ended long ago
+    /// has a view only if it is `named`.
+    pub(super) fn draw(&self, wanted: &impl Fn(&Key) -> bool, named: Option<&MissionId>) -> Vec<(Key, Value)> {
         let mut views = vec![];
         for key in [Key::ViewFleet, Key::ViewEnsembles, Key::ViewCoordinator, Key::ViewMap, Key::ViewHealth] {
             if wanted(&key) {
@@ -50,12 +51,12 @@ impl ViewContext<'_> {
             let wanted = keys.filter(|(key, ..)| wanted(key));
             wanted.map(|(key, node, stored)| (key, self.robot(node, stored, &statuses))).collect::<Vec<_>>()
         }));
-        views.extend(self.ledger_views(wanted));
+        views.extend(self.ledger_views(wanted, named));
         views
     }
 
     /// Returns the views of the ledger, if this node has a copy.
-    fn ledger_views(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
+    fn ledger_views(&self, wanted: &impl Fn(&Key) -> bool, named: Option<&MissionId>) -> Vec<(Key, Value)> {
         let drawn = self.ledger(|ledger| {
             let mut views = vec![];
             if wanted(&Key::ViewMissions) {
@@ -67,6 +68,11 @@ impl ViewContext<'_> {
             let entries = ledger.missions().map(|entry| (Key::ViewMission(entry.id.clone()), entry));
             let wanted = entries.filter(|(key, _)| wanted(key));
             views.extend(wanted.map(|(key, entry)| (key, self.with_provenance(mission(entry)))));
+            let ended = named.filter(|id| ledger.mission(id).is_none());
+            if let Some((id, tombstone)) = ended.and_then(|id| Some((id, ledger.tombstone(id)?))) {
+                let view = self.with_provenance(ended_mission(id.clone(), tombstone));
+                views.push((Key::ViewMission(id.clone()), view));
+            }
             views
         });
         drawn.unwrap_or_default()

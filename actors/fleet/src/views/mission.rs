@@ -1,8 +1,8 @@
 //! Views of missions and their auctions, from the ledger.
 
 use consort_protocol::auction::{AuctionRecord, Explanation, explain};
-use consort_protocol::ids::{RoleId, TaskId};
-use consort_protocol::ledger::{HeldItem, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase};
+use consort_protocol::ids::{MissionId, RoleId, TaskId};
+use consort_protocol::ledger::{Branch, HeldItem, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase, Tombstone};
 use consort_protocol::mission::{Mission, RoleKind, TaskBody, TaskIndex, TaskSpec};
 use consort_protocol::plan::{LocalPlan, Step, StepAction, StepIndex};
 use consort_protocol::view::{
@@ -37,6 +37,28 @@ pub(super) fn mission(entry: &MissionEntry) -> MissionView {
         roles: entry.roles.iter().map(|(id, role)| role_view(entry, id, role)).collect(),
         auction: entry.auction.clone(),
         explanation: entry.auction.as_ref().map(explanation_of),
+    }
+}
+
+/// Returns the remainder of a mission that ended long ago: its state and its request.
+pub(super) fn ended_mission(mission: MissionId, ended: &Tombstone) -> MissionView {
+    let brief = MissionBrief {
+        mission,
+        number: ended.number,
+        status: MissionStatus::from((&ended.state, Branch::Main)),
+        terms: RequestTerms { submitted_at_ms: ended.submitted_ms, ..RequestTerms::default() },
+        progress: MissionProgress::default(),
+    };
+    MissionView {
+        brief,
+        request: Some(ended.request.clone()),
+        released: 0,
+        releases: vec![],
+        tasks: vec![],
+        tree: None,
+        roles: vec![],
+        auction: None,
+        explanation: None,
     }
 }
 

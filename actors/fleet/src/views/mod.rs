@@ -36,7 +36,7 @@ use consort_gossip::SharedKnowledge;
 use consort_protocol::api::ErrorReply;
 use consort_protocol::codec;
 use consort_protocol::ensemble::Ensemble;
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::Ledger;
 use consort_protocol::message::Beacon;
@@ -160,7 +160,8 @@ impl ViewService {
             Service::Views => self.requested_views(requested).await,
             Service::Seen => {
                 let seen = |key: &Key| Key::Seen(self.views.node.clone(), Box::new(key.clone()));
-                let own_views = self.own_views(&|key: &Key| self.is_requested(requested, &seen(key))).await;
+                let wanted = |key: &Key| self.is_requested(requested, &seen(key));
+                let own_views = self.context().await.draw(&wanted, self.named_mission(requested).as_ref());
                 own_views.into_iter().map(|(key, value)| (seen(&key), value)).collect()
             }
             Service::Request(call) => vec![(Key::Api(call), self.answer_request(call, &query.payload).await)],
@@ -179,16 +180,20 @@ impl ViewService {
         keyexpr::new(self.views.keys.write(key).as_str()).is_ok_and(|key| requested.intersects(key))
     }
 
-    /// Returns the views that this node computes by itself.
-    async fn own_views(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
-        self.context().await.draw(wanted)
+    /// Returns the mission of a request for the view of a single mission.
+    fn named_mission(&self, requested: &keyexpr) -> Option<MissionId> {
+        let key = match self.views.keys.read(requested.as_str())? {
+            Key::Seen(_, view) => *view,
+            key => key,
+        };
+        if let Key::ViewMission(mission) = key { Some(mission) } else { None }
     }
 
     /// Returns the requested views. A voter and the driver server contribute what this node lacks.
     async fn requested_views(&self, requested: &keyexpr) -> Vec<(Key, Value)> {
         let wanted = |key: &Key| self.is_requested(requested, key);
         let context = self.context().await;
-        let mut views = context.draw(&wanted);
+        let mut views = context.draw(&wanted, self.named_mission(requested).as_ref());
         let missions = self.views.keys.write(&Key::ViewMissions).replace("/missions", "/mission/*");
         let needs_ledger = wanted(&Key::ViewMissions)
             || wanted(&Key::ViewAuctions)

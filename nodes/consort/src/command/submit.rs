@@ -4,6 +4,7 @@ use super::flag_values::{InvalidValue, key_value};
 use crate::client::{Client, ClientFlags, read_answer};
 use crate::exit::Failure;
 use crate::{inputs, node_runtime, output};
+use consort_bus::clock::Clock;
 use consort_protocol::api::{MissionQuery, SubmitReply, SubmitRequest};
 use consort_protocol::ids::{MissionId, RequestId};
 use consort_protocol::keys::ApiCall;
@@ -18,8 +19,8 @@ use std::time::Duration;
 /// Submit a mission
 ///
 /// The request is acknowledged after the mission is committed to the ledger; from then on it
-/// survives the failure of any node. The same --request returns the same mission, so a request may
-/// be repeated safely. If there is no reply, the command prints how to repeat it.
+/// survives the failure of any node. The same --request returns the same mission until a day after
+/// its end, so a request may be repeated safely. If there is no reply, the command prints how to repeat it.
 ///
 /// With --json there is a line for the reply, with the mission and the request; with --wait a
 /// second line with the final state after the mission has ended.
@@ -37,7 +38,7 @@ pub(crate) struct Args {
     /// A parameter of the mission; may be repeated
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = key_value)]
     parameters: Vec<(String, String)>,
-    /// A name for the request, for safe repetition. Default: a random name
+    /// A name for the request, for safe repetition. Default: a UUID of version 7
     #[arg(long, value_name = "ID")]
     request: Option<RequestId>,
     /// Priority among waiting missions: -100 to 100, higher first
@@ -95,7 +96,7 @@ async fn submit(client: &mut Client, args: &Args, name: &RequestId, request: &Su
         )),
         other => other,
     })?;
-    let Ok(SubmitReply { mission: id, again }) = read_answer(&answer) else {
+    let Ok(SubmitReply { mission: id, again, .. }) = read_answer(&answer) else {
         return Err(Failure::Unsuccessful(format!("the coordinator answered {answer}")));
     };
     if args.json {
@@ -142,9 +143,10 @@ fn deadline(text: &str) -> Result<f64, InvalidValue> {
     time_until_deadline(number).map(|_| number).map_err(InvalidValue::new)
 }
 
+/// Returns a name that contains the time: a fleet rejects it when it no longer knows its outcome.
 fn random_name() -> RequestId {
-    let number = SysRng.try_next_u64().expect("the system has random numbers");
-    RequestId::new(format!("cli-{number:016x}")).expect("a prefix and a number are a slug")
+    let half = || u128::from(SysRng.try_next_u64().expect("the system has random numbers"));
+    RequestId::generate(Clock::real().wall_ms(), half() << 64 | half())
 }
 
 async fn wait(client: &mut Client, id: &MissionId, in_json: bool) -> Result<(), Failure> {

@@ -93,7 +93,8 @@ fn commands_submit_watch_and_cancel_missions_of_the_example_fleet() {
 
     // The same request returns the same mission.
     let again = fleet.run(&[&submit[..], &["--json"]].concat(), "ada").expect(0).json();
-    assert_eq!(again, json!({ "mission": "lab-samples-1", "again": true, "request": "order-1" }));
+    let expected = json!({ "mission": "lab-samples-1", "again": true, "outcome": "completed", "request": "order-1" });
+    assert_eq!(again, expected);
 
     // A mission without suitable robots waits and reports the reason; it can be canceled once.
     let pending = fleet.run(&["submit", "bed-transfer", "--json"], "ada").expect(0).json();

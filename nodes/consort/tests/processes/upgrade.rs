@@ -14,7 +14,7 @@ const ROBOTS: [&str; 2] = ["ada", "lab-arm"];
 
 /// Arguments in front of the program that make it read wire version 1 only, as the previous release
 /// does: the variable of the hidden flag `--newest-wire-version` of a node.
-const PREVIOUS: [&str; 2] = ["env", "CONSORT_NEWEST_WIRE_VERSION=1"];
+const PREVIOUS: [&str; 2] = ["env", "CONSORT_NEWEST_WIRE_VERSION=2"];
 
 /// Hospital in which some nodes run the previous release and some the current release.
 struct Hospital {
@@ -130,11 +130,12 @@ fn a_fleet_is_upgraded_node_by_node_during_missions() {
     });
     let refused = hospital.upgrade(&["--finish"], "world").expect(1).stderr;
     assert!(
-        refused.contains("wire version 2 is not read by ada (reads 1), lab-arm (reads 1), world (reads 1)"),
+        refused
+            .contains("wire version 3 is not read by ada (reads 1 to 2), lab-arm (reads 1 to 2), world (reads 1 to 2)"),
         "{refused}"
     );
     let shown = hospital.upgrade(&[], "world").expect(0).stdout;
-    assert!(shown.starts_with("the fleet writes wire version 1; 3 of 6 nodes do not read 2 yet\n"), "{shown}");
+    assert!(shown.starts_with("the fleet writes wire version 2; 3 of 6 nodes do not read 3 yet\n"), "{shown}");
 
     // Restarts a robot in the middle of a mission.
     client.wait_for_event("ada carries something out", LONG, |event| {
@@ -165,13 +166,13 @@ fn a_fleet_is_upgraded_node_by_node_during_missions() {
         hospital.move_over(node, false, &seen_by);
     }
     let client = Client::open(&hospital.fleet.address("world"), "upgrade");
-    until("all nodes read version 2", LONG, || {
+    until("all nodes read version 3", LONG, || {
         let state = client.request("api/upgrade", "{}");
         state["nodes"].as_array()?.iter().all(|node| node["ready"] == true).then_some(())
     });
     let output = hospital.upgrade(&["--finish"], "world").expect(0).stdout;
     assert!(
-        output.starts_with("the fleet writes wire version 2; the coordinator's release reads no later version"),
+        output.starts_with("the fleet writes wire version 3; the coordinator's release reads no later version"),
         "{output}"
     );
     let mission = submit(&client, "afterwards");
@@ -186,7 +187,7 @@ fn a_fleet_is_upgraded_node_by_node_during_missions() {
     let left = hospital.fleet.take("lab-arm").end(LONG).expect(1);
     let release = env!("CARGO_PKG_VERSION");
     let reason = format!(
-        "the fleet writes wire version 2, but this program, {release}, reads 1: install the release that the other nodes run"
+        "the fleet writes wire version 3, but this program, {release}, reads 1 to 2: install the release that the other nodes run"
     );
     assert!(left.stderr.contains(&reason), "{}", left.stderr);
     hospital.start("lab-arm", false);
@@ -218,9 +219,9 @@ fn two_releases_accept_each_other_in_a_closed_fleet() {
         let others: Vec<String> = closed.fleet.names().into_iter().map(str::to_owned).collect();
         closed.start(kind, file, &others.iter().map(String::as_str).collect::<Vec<_>>());
     }
-    until("all nodes read version 2", LONG, || {
+    until("all nodes read version 3", LONG, || {
         let ran = closed.fleet.run(&["upgrade", "--finish", "--certs", &operator], "world");
-        (ran.code() == 0 && ran.stdout.starts_with("the fleet writes wire version 2;")).then_some(())
+        (ran.code() == 0 && ran.stdout.starts_with("the fleet writes wire version 3;")).then_some(())
     });
     let again = ["submit", "lab-samples", "--set", "room=IC Room 6", "--wait", "--certs", &operator];
     let ended = closed.fleet.run(&again, "world").expect(0);

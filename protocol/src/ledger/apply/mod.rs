@@ -2,6 +2,8 @@
 
 use super::command::{Command, CommandError, CommandOutcome, ReleaseCause};
 use super::entry::{Branch, HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase};
+use super::history::{HISTORY_MAX, HISTORY_SINCE, History, Tombstone};
+use super::layout::VersionedPart;
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
 use crate::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
@@ -11,18 +13,15 @@ use crate::plan::StepIndex;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Maximum number of ended missions kept, for display and to answer repeated requests; the oldest
-/// are dropped.
-pub(super) const HISTORY_MAX: usize = 500;
-
 /// The replicated state: missions, awards and their results.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ledger {
     cluster: Option<ClusterId>,
     pub(super) missions: BTreeMap<MissionId, MissionEntry>,
+    /// Missions of all requests that are remembered.
     requests: BTreeMap<RequestId, MissionId>,
     submitted: u64,
-    wire: Option<u8>,
+    versioned: VersionedPart,
 }
 
 impl Ledger {
@@ -30,7 +29,7 @@ impl Ledger {
     pub fn apply(&mut self, at: Epoch, command: Command) -> CommandOutcome {
         let done = match command {
             Command::Bootstrap { cluster } => Ok(self.bootstrap(cluster)),
-            Command::Submit(submission) => return self.submit(*submission),
+            Command::Submit(submission) => self.submit(*submission),
             Command::Award { mission, branch, holders, auction } => self.award(&mission, branch, holders, auction, at),
             Command::Defer { mission, branch, auction } => self.defer(&mission, branch, auction),
             Command::Accept { mission, role, epoch, incarnation, from_checkpoint } => {
@@ -58,7 +57,7 @@ impl Ledger {
     /// Returns the wire version that the fleet writes; `None` until it is set, right after the
     /// ledger's creation.
     pub fn wire(&self) -> Option<u8> {
-        self.wire
+        self.versioned.wire
     }
 
     /// Makes this the ledger of another cluster, with all its contents. Never part of the log: only
@@ -81,6 +80,26 @@ impl Ledger {
     /// Returns the mission of a request.
     pub fn mission_of_request(&self, request: &RequestId) -> Option<&MissionEntry> {
         self.missions.get(self.requests.get(request)?)
+    }
+
+    /// Checks whether a request is remembered: a repetition is not executed.
+    pub fn remembers(&self, request: &RequestId) -> bool {
+        self.requests.contains_key(request)
+    }
+
+    /// Returns the remainder of an ended mission, which is kept longer than the mission.
+    pub fn tombstone(&self, mission: &MissionId) -> Option<&Tombstone> {
+        self.versioned.history.as_ref()?.tombstone(mission)
+    }
+
+    pub(super) fn keeps_history(&self) -> bool {
+        self.versioned.history.is_some()
+    }
+
+    /// Returns the state of a mission, also if only its tombstone is left.
+    pub fn mission_state(&self, mission: &MissionId) -> Option<&MissionState> {
+        let whole = self.missions.get(mission).map(|entry| &entry.state);
+        whole.or_else(|| self.tombstone(mission).map(|tombstone| &tombstone.state))
     }
 
     /// Returns the missions that have not ended, in the order in which they are served: by
@@ -129,13 +148,23 @@ impl Ledger {
     }
 
     fn raise(&mut self, wire: u8) -> CommandOutcome {
-        self.wire = self.wire.max(Some(wire));
+        let VersionedPart { wire: written, history } = &mut self.versioned;
+        *written = (*written).max(Some(wire));
+        if *written >= Some(HISTORY_SINCE) {
+            history.get_or_insert_with(|| History::of(self.missions.values()));
+        }
         CommandOutcome::Done
     }
 
-    fn submit(&mut self, submission: Submission) -> CommandOutcome {
+    fn submit(&mut self, submission: Submission) -> Result<CommandOutcome, CommandError> {
         if let Some(mission) = self.requests.get(&submission.request) {
-            return CommandOutcome::Submitted { mission: mission.clone(), again: true };
+            return Ok(CommandOutcome::Submitted { mission: mission.clone(), again: true });
+        }
+        if let Some(history) = &mut self.versioned.history {
+            history.check_remembered(&submission.request, submission.at_ms)?;
+            for request in history.advance(submission.at_ms) {
+                self.requests.remove(&request);
+            }
         }
         self.submitted += 1;
         let number = self.submitted;
@@ -158,7 +187,7 @@ impl Ledger {
             release_count: 0,
         };
         self.missions.insert(id.clone(), entry);
-        CommandOutcome::Submitted { mission: id, again: false }
+        Ok(CommandOutcome::Submitted { mission: id, again: false })
     }
 
     fn award(
@@ -280,12 +309,23 @@ impl Ledger {
     }
 
     pub(super) fn active_mission(&mut self, mission: &MissionId) -> Result<&mut MissionEntry, CommandError> {
+        if !self.missions.contains_key(mission) {
+            return Err(self.no_mission(mission));
+        }
         match self.missions.get_mut(mission) {
             None => Err(CommandError::NoMission { mission: mission.clone() }),
             Some(entry) if entry.state.is_final() => {
                 Err(CommandError::MissionEnded { mission: mission.clone(), state: entry.state.clone() })
             }
             Some(entry) => Ok(entry),
+        }
+    }
+
+    /// Returns the error for a mission that the ledger does not contain, or no longer as a whole.
+    pub(super) fn no_mission(&self, mission: &MissionId) -> CommandError {
+        match self.tombstone(mission) {
+            Some(ended) => CommandError::MissionEnded { mission: mission.clone(), state: ended.state.clone() },
+            None => CommandError::NoMission { mission: mission.clone() },
         }
     }
 
@@ -317,9 +357,23 @@ impl Ledger {
         Ok(role)
     }
 
-    pub(super) fn prune_history(&mut self) {
-        // Missions that wait for a person are not dropped.
-        let ended = self.missions.values().filter(|entry| entry.state.is_final() && !entry.state.needs_intervention());
+    /// Adds a mission that has ended to the history, and drops what exceeds its limits.
+    pub(super) fn record_end(&mut self, mission: &MissionId) {
+        let Some(history) = &mut self.versioned.history else { return self.drop_by_number() };
+        let Some(entry) = self.missions.get(mission).filter(|entry| entry.state.has_ended()) else { return };
+        history.push(entry);
+        while let Some(dropped) = history.pop_whole() {
+            self.missions.remove(&dropped);
+        }
+        for request in history.forget_over_size() {
+            self.requests.remove(&request);
+        }
+    }
+
+    /// Drops the ended missions with the lowest numbers, with their requests: the rule of wire
+    /// versions without a history.
+    fn drop_by_number(&mut self) {
+        let ended = self.missions.values().filter(|entry| entry.state.has_ended());
         let mut ended: Vec<(u64, MissionId, RequestId)> =
             ended.map(|entry| (entry.number, entry.id.clone(), entry.submission.request.clone())).collect();
         if ended.len() <= HISTORY_MAX {

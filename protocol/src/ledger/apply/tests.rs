@@ -1,5 +1,6 @@
 use super::*;
 use crate::auction::AuctionId;
+use crate::codec;
 use crate::ids::{TaskId, TaskType};
 use crate::mission::{Method, Mission, Role, TaskBody, TaskNode, TaskOrder, TaskSpec};
 use crate::plan::{Division, LocalPlan, Signal, SignalKind, Step, StepAction};
@@ -57,11 +58,39 @@ impl Log {
         self.0.apply(at, command)
     }
 
+    /// A ledger of the wire version that has a history.
+    fn with_history() -> Log {
+        let mut log = Log::new();
+        log.apply(Command::RaiseWireVersion { wire: 3 });
+        log
+    }
+
+    /// Submits missions, each of which fails at once.
+    fn fail_others(&mut self, count: usize) {
+        for number in 0..count {
+            let mission = self.submit(&format!("other{number}"));
+            let (cause, places) = ("test".to_owned(), BTreeMap::new());
+            self.apply(Command::Fail { mission, cause, branch: None, places });
+        }
+    }
+
+    fn cancel(&mut self, mission: &MissionId) -> CommandOutcome {
+        self.apply(Command::Cancel { mission: mission.clone(), by: "Nia".to_owned(), places: BTreeMap::new() })
+    }
+
     fn submit(&mut self, request: &str) -> MissionId {
-        match self.apply(Command::Submit(submission(request))) {
+        self.submit_at(request, 0)
+    }
+
+    fn submit_at(&mut self, request: &str, at_ms: u64) -> MissionId {
+        match self.apply_submission(request, at_ms) {
             CommandOutcome::Submitted { mission, .. } => mission,
             other => panic!("{other:?}"),
         }
+    }
+
+    fn apply_submission(&mut self, request: &str, at_ms: u64) -> CommandOutcome {
+        self.apply(Command::Submit(Box::new(Submission { at_ms, ..*submission(request) })))
     }
 
     fn award(&mut self, mission: &MissionId, arm: &str, r1: &str) -> CommandOutcome {
@@ -232,6 +261,93 @@ fn the_number_of_ended_missions_kept_is_bounded() {
     assert_eq!(log.0.missions().count(), HISTORY_MAX);
     assert!(log.0.mission_of_request(&RequestId::new("request0").unwrap()).is_none());
     assert!(log.0.mission_of_request(&RequestId::new("request3").unwrap()).is_some());
+}
+
+#[test]
+fn a_slow_mission_is_kept_when_it_ends_after_many_others() {
+    let mut log = Log::with_history();
+    let slow = log.submit("first");
+    log.fail_others(520);
+    assert_eq!(log.cancel(&slow), CommandOutcome::Done);
+    assert_eq!(log.0.mission(&slow).map(|entry| entry.state.as_str()), Some("canceled"));
+    let again = CommandOutcome::Submitted { mission: slow, again: true };
+    assert_eq!(log.apply(Command::Submit(submission("first"))), again);
+}
+
+#[test]
+fn a_repeated_request_is_not_executed_again_after_many_others() {
+    let mut log = Log::with_history();
+    let early = log.submit("first");
+    log.cancel(&early);
+    log.fail_others(520);
+    let again = CommandOutcome::Submitted { mission: early, again: true };
+    assert_eq!(log.apply(Command::Submit(submission("first"))), again);
+}
+
+#[test]
+fn an_outcome_is_known_for_a_day_after_the_end() {
+    const HOUR_MS: u64 = 60 * 60 * 1000;
+    let mut log = Log::with_history();
+    let slow = log.submit_at("first", 0);
+    // It ends after the last of many other missions, which are submitted at the same time.
+    log.fail_others(1);
+    log.cancel(&slow);
+    log.submit_at("next", 30 * HOUR_MS);
+    log.fail_others(HISTORY_MAX + 1);
+    assert_eq!(log.0.mission(&slow), None);
+    assert_eq!(log.0.mission_state(&slow), Some(&MissionState::Canceled { by: "Nia".to_owned() }));
+    let ended =
+        CommandError::MissionEnded { mission: slow.clone(), state: log.0.mission_state(&slow).unwrap().clone() };
+    assert_eq!(log.ended(&slow, "r1", epoch(2), &[0]), CommandOutcome::Refused(ended));
+    assert_eq!(log.cancel(&slow), CommandOutcome::Done, "a repeated request");
+    log.submit_at("later", 54 * HOUR_MS - 1);
+    assert!(log.0.remembers(&RequestId::new("first").unwrap()));
+    log.submit_at("much-later", 54 * HOUR_MS);
+    assert!(!log.0.remembers(&RequestId::new("first").unwrap()));
+    assert!(log.0.missions().count() > HISTORY_MAX, "missions kept whole are remembered");
+}
+
+#[test]
+fn a_request_that_may_be_a_repetition_of_a_forgotten_request_is_rejected() {
+    let mut log = Log::with_history();
+    let name = |at_ms, random| RequestId::generate(at_ms, random);
+    let first = log.submit_at(name(1000, 1).as_str(), 1001);
+    log.cancel(&first);
+    let mut number = 1;
+    while log.0.remembers(&name(1000, 1)) {
+        number += 1;
+        let mission = log.submit_at(name(1000 + number, 1).as_str(), 1001 + number);
+        log.cancel(&mission);
+        assert!(number < 100_000, "the tombstones are bounded");
+    }
+    let before = log.0.clone();
+    for random in [1, 2] {
+        let request = name(1000, random);
+        let refused = CommandError::RequestForgotten { request: request.clone(), created_ms: 1000, since_ms: 1001 };
+        let outcome = log.apply_submission(request.as_str(), 1001 + number);
+        assert_eq!(outcome, CommandOutcome::Refused(refused));
+    }
+    assert!(log.0 == before);
+    log.submit_at(name(1002, 9).as_str(), 1001 + number);
+    log.submit_at("without-a-time", 1001 + number);
+}
+
+#[test]
+fn a_ledger_keeps_its_layout_until_the_wire_version_is_raised() {
+    let mut log = Log::new();
+    log.apply(Command::RaiseWireVersion { wire: 2 });
+    let early = log.submit("first");
+    log.cancel(&early);
+    let former = (log.0.cluster, log.0.missions.clone(), log.0.requests.clone(), log.0.submitted, Some(2_u8));
+    let bytes = codec::encode_record(&former).unwrap();
+    assert_eq!(codec::encode_record(&log.0).unwrap(), bytes);
+    log.0 = codec::decode_record(&bytes).unwrap();
+    log.apply(Command::RaiseWireVersion { wire: 3 });
+    assert_eq!(log.0.mission_state(&early).map(MissionState::as_str), Some("canceled"));
+    log.fail_others(520);
+    assert!(log.0.remembers(&RequestId::new("first").unwrap()));
+    let again: Ledger = codec::decode_record(&codec::encode_record(&log.0).unwrap()).unwrap();
+    assert!(again == log.0);
 }
 
 #[test]

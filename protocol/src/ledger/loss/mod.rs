@@ -115,7 +115,7 @@ impl Ledger {
             true => state,
             false => MissionState::NeedsIntervention { cause: format!("{cause}; {}", custody_text(&items)), items },
         };
-        self.prune_history();
+        self.record_end(mission);
         Ok(CommandOutcome::Done)
     }
 
@@ -128,7 +128,7 @@ impl Ledger {
         by: String,
         places: &BTreeMap<RobotId, PlaceId>,
     ) -> Result<CommandOutcome, CommandError> {
-        match self.missions.get(mission).map(|entry| &entry.state) {
+        match self.mission_state(mission) {
             Some(MissionState::NeedsIntervention { .. }) => Ok(CommandOutcome::Done),
             Some(MissionState::Canceled { by: known }) if *known == by => Ok(CommandOutcome::Done),
             _ => self.end(mission, MissionState::Canceled { by }, places),
@@ -137,7 +137,7 @@ impl Ledger {
 
     pub(super) fn resolve(&mut self, mission: &MissionId, by: &str) -> Result<CommandOutcome, CommandError> {
         let Some(entry) = self.missions.get_mut(mission) else {
-            return Err(CommandError::NoMission { mission: mission.clone() });
+            return Err(self.no_mission(mission));
         };
         let closing = format!("; resolved by {by}");
         let cause = match &entry.state {
@@ -150,8 +150,9 @@ impl Ledger {
             }
         };
         entry.state = MissionState::Failed { cause: format!("{cause}{closing}") };
-        // The history is pruned when the next mission ends: this mission may be among the oldest,
-        // and must remain visible.
+        if self.keeps_history() {
+            self.record_end(mission);
+        } // Else nothing is dropped before the next end: this mission may have the lowest number.
         Ok(CommandOutcome::Done)
     }
 
@@ -170,7 +171,7 @@ impl Ledger {
                 entry.state = MissionState::NeedsIntervention { cause, items };
             }
         }
-        self.prune_history();
+        self.record_end(mission);
         Ok(CommandOutcome::Done)
     }
 }

@@ -106,7 +106,7 @@ with zenoh.open(config) as session:
             if event["event"] == "mission" and event["mission"] == mission:
                 state = event["state"]
         time.sleep(0.05)
-    assert request("submit", **order) == {"mission": mission, "again": True}
+    assert request("submit", **order) == {"mission": mission, "again": True, "outcome": "completed"}
     assert request("get", mission=mission)["tree"]["state"] == "done"
     for line in request("explain", mission=mission)["text"]:
         report("explain", line)

@@ -7,7 +7,7 @@ use crate::auction::{AuctionId, AuctionRecord};
 use crate::ids::RequestId;
 use crate::lease::RoleHolder;
 use crate::ledger::Command;
-use crate::ledger::apply::HISTORY_MAX;
+use crate::ledger::history::HISTORY_MAX;
 use crate::mission::test_data::{FETCH_SAMPLE, domain};
 use crate::mission::{Format, MissionTemplate};
 use crate::plan::{StepIndex, divide_and_check};
