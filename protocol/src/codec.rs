@@ -88,6 +88,12 @@ pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
     encode_within(FIRST_VERSION, message, MESSAGE_BYTES_MAX)
 }
 
+/// Returns the size of an encoded value in bytes; the largest number if it cannot be encoded as a
+/// message.
+pub(crate) fn encoded_size<T: Serialize>(value: &T) -> usize {
+    encode(value).map_or(usize::MAX, |bytes| bytes.len())
+}
+
 /// Encodes a message in the layout of a fleet that writes this wire version.
 ///
 /// # Errors

@@ -43,6 +43,7 @@
 pub mod access;
 pub mod api;
 pub mod auction;
+mod bounds;
 pub mod codec;
 pub mod ensemble;
 pub mod event;

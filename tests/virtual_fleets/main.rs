@@ -14,6 +14,7 @@ mod found_by_chaos;
 mod interventions;
 mod leaderless;
 mod leases;
+mod long_texts;
 mod path_following;
 mod people;
 mod queueing;

@@ -1,6 +1,8 @@
 //! Calls, bids and refusals as values, and the viability check of bids.
 
+use crate::bounds::{self, ELEMENTS_MAX};
 use crate::ids::{EnsembleId, ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId, TaskType};
+use crate::mission::ROLES_MAX;
 use crate::plan::LocalPlan;
 use crate::units::{BatteryShare, Seconds};
 use schemars::JsonSchema;
@@ -26,6 +28,7 @@ pub struct CallForBids {
     /// Ensemble of the invited members.
     pub ensemble: EnsembleId,
     /// Local plan of each open role.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ROLES_MAX>")]
     pub roles: BTreeMap<RoleId, LocalPlan>,
 }
 
@@ -37,6 +40,7 @@ pub struct BidResponse {
     /// Round that the robot replies to.
     pub auction: AuctionId,
     /// Replies in the order of the roles' names.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ROLES_MAX>")]
     pub replies: Vec<RoleReply>,
 }
 
@@ -72,6 +76,7 @@ pub struct Bid {
     /// Age of the place and battery values, in milliseconds.
     pub age_ms: u64,
     /// Cost of each step.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
     pub parts: Vec<BidPart>,
 }
 
@@ -81,6 +86,7 @@ pub struct BidPart {
     /// Index of the step.
     pub step: u32,
     /// Name of the task or of the signal.
+    #[serde(deserialize_with = "bounds::text")]
     pub label: String,
     /// Skill that executes the step.
     pub skill: TaskType,
@@ -109,6 +115,7 @@ pub enum RefusalReason {
     #[error("lacks {}", list(.skills))]
     MissingSkills {
         /// Missing skills, in the order of their names.
+        #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
         skills: Vec<TaskType>,
     },
     /// The robot holds another role.
@@ -125,12 +132,14 @@ pub enum RefusalReason {
         /// The task.
         task: TaskId,
         /// Error of the estimator.
+        #[serde(deserialize_with = "bounds::text")]
         problem: String,
     },
     /// The robot cannot move: its battery is empty, or its driver does not respond.
     #[error("out of service: {problem}")]
     OutOfService {
         /// Description of the problem.
+        #[serde(deserialize_with = "bounds::text")]
         problem: String,
     },
     /// The robot is not a member of the ensemble that was called, according to its own record.
@@ -139,6 +148,7 @@ pub enum RefusalReason {
         /// The ensemble.
         ensemble: EnsembleId,
         /// Condition that is false.
+        #[serde(deserialize_with = "bounds::text")]
         why: String,
     },
     /// The robot has an item of a mission that waits for a person. Set by the coordinator.
@@ -154,6 +164,7 @@ pub enum RefusalReason {
     #[error("failed at it before: {cause}")]
     Excluded {
         /// Cause of the release.
+        #[serde(deserialize_with = "bounds::text")]
         cause: String,
     },
     /// The robot was invited and did not reply in time. Set by the coordinator on its behalf.
@@ -165,6 +176,20 @@ pub enum RefusalReason {
 }
 
 impl RefusalReason {
+    /// Shortens the text of the reason, as if it were received from another node.
+    pub(super) fn limit_text(&mut self) {
+        match self {
+            RefusalReason::NotFeasible { problem: text, .. }
+            | RefusalReason::OutOfService { problem: text }
+            | RefusalReason::NotMember { why: text, .. }
+            | RefusalReason::Excluded { cause: text } => bounds::limit_text(text, bounds::TEXT_BYTES_MAX),
+            RefusalReason::MissingSkills { .. }
+            | RefusalReason::Busy { .. }
+            | RefusalReason::CarriesItem { .. }
+            | RefusalReason::Silent { .. } => {}
+        }
+    }
+
     /// Checks whether the refusal is permanent for this mission: nothing that the robot does
     /// meanwhile changes it.
     pub(super) fn is_permanent(&self) -> bool {

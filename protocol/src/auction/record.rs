@@ -1,6 +1,8 @@
 //! Record of an auction, for display.
 
 use super::bid::{AuctionId, BidPart, RefusalReason, ViabilityError};
+use crate::bounds::{TEXT_BYTES_MAX, limit_text};
+use crate::codec::{self, encoded_size};
 use crate::ids::{RobotId, RoleId};
 use crate::units::Seconds;
 use schemars::JsonSchema;
@@ -26,11 +28,45 @@ pub struct AuctionRecord {
 
 impl AuctionRecord {
     /// Maximum number of replies in a record.
-    pub(super) const ENTRIES_MAX: usize = 256;
+    const ENTRIES_MAX: usize = 256;
 
     /// Approximate maximum size of the parts of all bids in a record, in bytes: the ledger stores a
     /// record for each mission. Enough for about ten bids of a dozen steps.
     pub(super) const PARTS_BYTES_MAX: usize = 8 * 1024;
+
+    /// Maximum size of a record in bytes, encoded: the award contains the record and its holders,
+    /// and must fit a message.
+    pub(crate) const BYTES_MAX: usize = codec::MESSAGE_BYTES_MAX / 2;
+
+    /// Shortens the texts of the record, and omits replies that do not fit [`Self::BYTES_MAX`]:
+    /// refusals before bids, since people look for robots that could do the work.
+    pub(crate) fn limit(&mut self) {
+        if let Some(failure) = &mut self.failure {
+            limit_text(failure, TEXT_BYTES_MAX);
+        }
+        for entry in &mut self.entries {
+            if let BidVerdict::Refused { reason } = &mut entry.verdict {
+                reason.limit_text();
+            }
+        }
+        if self.entries.len() <= Self::ENTRIES_MAX && encoded_size(self) <= Self::BYTES_MAX {
+            return;
+        }
+        let mut entries = std::mem::take(&mut self.entries);
+        // The numbers before the entries may grow to their full width.
+        let mut room = Self::BYTES_MAX.saturating_sub(encoded_size(self).saturating_add(8));
+        let count = entries.len();
+        entries.sort_by_key(|entry| matches!(entry.verdict, BidVerdict::Refused { .. }));
+        entries.truncate(Self::ENTRIES_MAX);
+        entries.retain(|entry| {
+            let left = room.checked_sub(encoded_size(entry));
+            room = left.unwrap_or(room);
+            left.is_some()
+        });
+        let omitted = u32::try_from(count - entries.len()).unwrap_or(u32::MAX);
+        self.omitted = self.omitted.saturating_add(omitted);
+        self.entries = entries;
+    }
 }
 
 /// Reply of a robot for a role, with its verdict.

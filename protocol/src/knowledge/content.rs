@@ -1,5 +1,6 @@
 //! Content of a record: the abilities and the state of a node and of its robot.
 
+use crate::bounds::{self, ELEMENTS_MAX};
 use crate::ids::{ClusterId, MissionId, PlaceId, RoleId, TaskType};
 use crate::pose::Pose;
 use crate::units::{BatteryShare, MetresPerSecond, SharePerSecond};
@@ -30,6 +31,14 @@ pub struct Knowledge {
     pub robot: Option<RobotKnowledge>,
 }
 
+impl Availability {
+    /// Returns the availability of a robot with this problem. A long description is shortened.
+    pub fn out_of_service(mut problem: String) -> Availability {
+        bounds::limit_text(&mut problem, bounds::TEXT_BYTES_MAX);
+        Availability::OutOfService { problem }
+    }
+}
+
 impl Knowledge {
     /// Checks whether the node is a robot that can take a role now.
     pub fn is_free(&self) -> bool {
@@ -41,6 +50,7 @@ impl Knowledge {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RobotKnowledge {
     /// Skills of the robot.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
     pub skills: BTreeSet<TaskType>,
     /// Current or last place on the map.
     pub place: PlaceId,
@@ -57,6 +67,7 @@ pub struct RobotKnowledge {
     /// Availability for a role.
     pub availability: Availability,
     /// Version of its estimator: bids of different versions are not comparable.
+    #[serde(deserialize_with = "bounds::signed_text")]
     pub estimator: String,
 }
 
@@ -78,6 +89,7 @@ pub enum Availability {
     /// The robot cannot execute a role.
     OutOfService {
         /// Description of the problem.
+        #[serde(deserialize_with = "bounds::signed_text")]
         problem: String,
     },
 }

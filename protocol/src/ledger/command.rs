@@ -230,6 +230,20 @@ pub enum CommandError {
         /// The role.
         role: RoleId,
     },
+    /// The ledger contains the maximum number of missions that have not ended.
+    #[error("{missions} missions are active or need intervention, the maximum of a ledger")]
+    Full {
+        /// Number of these missions.
+        missions: u64,
+    },
+    /// The divided mission exceeds its size limit.
+    #[error("the mission takes {bytes} bytes; at most {max} are allowed")]
+    TooLarge {
+        /// Encoded size.
+        bytes: u64,
+        /// Maximum size.
+        max: u64,
+    },
     /// The request may be a repetition of a request whose outcome is no longer known.
     #[error(
         "request {request} was created at {created_ms} ms since 1970; the fleet remembers only requests after {since_ms}. \

@@ -111,12 +111,14 @@ impl History {
         self.whole += 1;
     }
 
+    /// Returns the number of ended missions that are kept whole.
+    pub(super) fn whole(&self) -> usize {
+        usize::try_from(self.whole).unwrap_or(usize::MAX)
+    }
+
     /// Returns the earliest ended mission that is no longer kept whole, if there are too many.
     pub(super) fn pop_whole(&mut self) -> Option<MissionId> {
-        let first = self.order.len().checked_sub(usize::try_from(self.whole).ok()?)?;
-        if self.whole <= HISTORY_MAX as u64 {
-            return None;
-        }
+        let first = self.order.len().checked_sub(self.whole()).filter(|_| self.whole() > HISTORY_MAX)?;
         self.whole -= 1;
         self.order.get(first).cloned()
     }
@@ -143,7 +145,7 @@ impl History {
     /// kept whole.
     fn forget_while(&mut self, condition: impl Fn(&History, &Tombstone) -> bool) -> Vec<RequestId> {
         let mut requests = vec![];
-        while self.order.len() as u64 > self.whole
+        while self.order.len() > self.whole()
             && let Some(mission) = self.order.front()
             && self.tombstones.get(mission).is_none_or(|tombstone| condition(self, tombstone))
         {

@@ -28,6 +28,7 @@ mod custody;
 mod entry;
 mod history;
 mod layout;
+mod limits;
 mod loss;
 mod submission;
 

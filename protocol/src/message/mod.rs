@@ -17,11 +17,13 @@
 //! From `wire/beacon` on, the payload of publications and queries is wrapped in a
 //! [`ClusterEnvelope`].
 
+use crate::bounds::{self, ELEMENTS_MAX};
 use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
 use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
 use crate::ledger::Branch;
+use crate::mission::ROLES_MAX;
 use crate::plan::{Signal, StepIndex};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -100,6 +102,7 @@ pub enum BootstrapReply {
     /// A ledger exists, or the node has granted another request.
     Refused {
         /// The ledger or the other candidate, as text.
+        #[serde(deserialize_with = "bounds::text")]
         reason: String,
     },
 }
@@ -186,6 +189,7 @@ pub struct Report {
     /// identifies the branch.
     pub branch: Branch,
     /// All steps that have ended so far.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
     pub ended: BTreeSet<StepIndex>,
     /// Task in progress, for display.
     pub current_task: Option<TaskId>,
@@ -205,6 +209,7 @@ pub struct TaskFailure {
     /// Task that failed permanently, if a single task is the cause.
     pub task: Option<TaskId>,
     /// Cause, as text.
+    #[serde(deserialize_with = "bounds::text")]
     pub cause: String,
     /// Kind of failure.
     pub kind: FailureKind,
@@ -240,11 +245,14 @@ pub enum ReportReply {
         /// Epoch of the award.
         epoch: Epoch,
         /// Steps that have ended according to the ledger.
+        #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
         ended: BTreeSet<StepIndex>,
         /// Current holders of the mission's managed roles.
+        #[serde(deserialize_with = "bounds::collection::<_, _, ROLES_MAX>")]
         holders: BTreeMap<RoleId, RoleHolder>,
         /// Signals from other roles to this role, according to the ledger: their sender may be gone
         /// before the signal is received.
+        #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
         signals: BTreeSet<Signal>,
     },
     /// The reporter no longer holds the role, or the role is completed.
@@ -281,5 +289,6 @@ pub struct SignalHistory {
     /// Epoch of the sender's award; the default for an unmanaged role.
     pub epoch: Epoch,
     /// Signals sent.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
     pub signals: BTreeSet<Signal>,
 }

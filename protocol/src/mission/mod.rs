@@ -35,6 +35,7 @@ pub use domain::{Domain, ParameterSchema, TaskSchema, ValueKind};
 pub use file::{Format, MissionFileError, MissionTemplate, TemplateKind, TemplateParameter};
 pub use ihtn::{IhtnOptions, import_ihtn};
 pub use limits::FILE_BYTES_MAX;
+pub(crate) use limits::ROLES_MAX;
 pub(crate) use lost_item::LostItem;
 pub use model::{
     AlternativeMethod, Method, Mission, OnLoss, Role, RoleKind, TaskBody, TaskIndex, TaskNode, TaskOrder, TaskSpec,

@@ -12,7 +12,7 @@ use consort_protocol::api::{
 };
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
+use consort_protocol::ledger::{Command, CommandError, CommandOutcome, Ledger};
 use consort_protocol::mission::Domain;
 use consort_protocol::versions::{UpgradeStatus, VersionRange};
 use consort_raft::store::Backup;
@@ -111,7 +111,9 @@ impl ApiHandler {
                 let outcome = state.filter(|state| again && state.is_final());
                 Ok(SubmitReply { mission, again, outcome })
             }
-            Ok(CommandOutcome::Refused(refused)) => Err(refused.to_string().into()),
+            Ok(CommandOutcome::Refused(refused)) => {
+                Err(ApiError { text: refused.to_string(), may_retry: matches!(refused, CommandError::Full { .. }) })
+            }
             Ok(other) => Err(format!("unexpected outcome of the ledger: {other:?}").into()),
             Err(problem) => Err(not_committed(&problem)),
         }

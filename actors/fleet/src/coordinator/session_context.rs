@@ -74,6 +74,7 @@ impl SessionContext {
 
     /// Proposes a command in the background. The ledger shows its outcome.
     pub(super) fn propose(&mut self, command: Command) {
+        let command = command.limited();
         let replica = self.settings.parts.replica.clone();
         self.tasks.spawn(async move {
             let outcome = replica.propose(command.clone(), RELEASE_TIMEOUT).await;

@@ -10,10 +10,6 @@ use consort_protocol::mission::{Domain, Format, MissionErrors, MissionFileError,
 use consort_protocol::plan::{DivisionError, divide_and_check};
 use consort_skills::missions::shipped;
 
-/// Maximum size of a mission in bytes, divided and encoded: its award and its call for bids must
-/// each fit in a message.
-const MISSION_MAX: usize = codec::MESSAGE_BYTES_MAX / 2;
-
 /// Reason for which a request to submit a mission is rejected.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum SubmitError {
@@ -53,7 +49,7 @@ pub(crate) enum SubmitError {
     #[error(transparent)]
     RequestId(#[from] NameError),
     /// The divided mission exceeds the size limit.
-    #[error("the mission takes {bytes} bytes; the limit is {MISSION_MAX}")]
+    #[error("the mission takes {bytes} bytes; the limit is {max}", max = Submission::BYTES_MAX)]
     TooLarge {
         /// Encoded size.
         bytes: usize,
@@ -116,7 +112,7 @@ pub(super) fn prepare(
     let parameters = request_fields.parameters;
     let submission = Submission { request, mission, division, parameters, recovery, priority, deadline_ms, at_ms };
     let bytes = codec::encode(&submission)?.len();
-    if bytes > MISSION_MAX {
+    if bytes > Submission::BYTES_MAX {
         return Err(SubmitError::TooLarge { bytes });
     }
     Ok(submission)

@@ -48,7 +48,7 @@ impl DriverLink {
         self.driver.refresh();
         let availability = match (holding, problem.or_else(|| self.driver_problem())) {
             (Some(holding), _) => holding,
-            (None, Some(problem)) => Availability::OutOfService { problem },
+            (None, Some(problem)) => Availability::out_of_service(problem),
             (None, None) => Availability::Free,
         };
         self.record.update(self.driver.telemetry(), availability, now)

@@ -59,22 +59,11 @@ pub fn clear_auction_with(
         Ok(holders) => (Some(holders), None),
         Err(problem) => (None, Some(problem.to_string())),
     };
-    let omitted = entries.len().saturating_sub(AuctionRecord::ENTRIES_MAX);
-    if omitted > 0 {
-        // Bids are kept first: people look for robots that could do the work.
-        entries.sort_by_key(|entry| matches!(entry.verdict, BidVerdict::Refused { .. }));
-        entries.truncate(AuctionRecord::ENTRIES_MAX);
-    }
     let chosen = holders.clone().unwrap_or_default();
     keep_parts(&mut entries, &chosen, |role, robot| bid_of(&replies, role, robot).map_or(&[], |bid| &bid.parts));
-    let record = AuctionRecord {
-        auction: call.auction.clone(),
-        at_ms: context.at_ms,
-        entries,
-        omitted: u32::try_from(omitted).unwrap_or(u32::MAX),
-        chosen,
-        failure,
-    };
+    let mut record =
+        AuctionRecord { auction: call.auction.clone(), at_ms: context.at_ms, entries, omitted: 0, chosen, failure };
+    record.limit();
     AuctionOutcome { holders, record, unfillable }
 }
 

@@ -1,6 +1,8 @@
 use super::*;
 use crate::auction::{AuctionId, BidRefusal};
+use crate::codec;
 use crate::ids::{EnsembleId, MissionId, PlaceId};
+use crate::ledger::{Branch, Command};
 use crate::plan::LocalPlan;
 use crate::units::BatteryShare;
 
@@ -82,6 +84,30 @@ fn the_record_contains_every_robot_with_its_reason() {
             "fay: no reply within 200 ms",
         ]
     );
+}
+
+#[test]
+fn a_record_with_long_refusals_fits_an_award() {
+    let names: Vec<String> = (0..200).map(|number| format!("robot-{number}")).collect();
+    let refusal = |(number, name): (usize, &String)| {
+        let problem = "no route; ".repeat(if number == 0 { 6000 } else { 30 });
+        let reason = RefusalReason::OutOfService { problem };
+        let refusal = RoleReply::Refusal(BidRefusal { robot: robot(name), role: role(), reason });
+        BidResponse { robot: robot(name), auction: call().auction, replies: vec![refusal] }
+    };
+    let mut responses: Vec<BidResponse> = names.iter().enumerate().map(refusal).collect();
+    responses.push(bids("zoe", 9.0, 0.5));
+    let invited = BTreeSet::new();
+    let outcome = clear_auction(&call(), &responses, &context(&invited, &BTreeMap::new(), &NO_EXCLUDED));
+    let AuctionOutcome { holders: Some(holders), record: auction, .. } = outcome else { panic!("no holder") };
+    assert_eq!((auction.entries.len() + auction.omitted as usize, auction.entries[0].robot.as_str()), (201, "zoe"));
+    assert!(auction.entries.len() > 80, "{} replies are recorded", auction.entries.len());
+    let mission = call().auction.mission;
+    let award = Command::Award { mission, branch: Branch::Main, holders, auction: auction.clone() };
+    assert!(codec::encode(&award).unwrap().len() < codec::MESSAGE_BYTES_MAX * 3 / 4);
+    let mut again = auction.clone();
+    again.limit();
+    assert_eq!(again, auction, "replicas shorten it no further");
 }
 
 /// Assigns each role to the last candidate.

@@ -27,6 +27,7 @@ pub struct Ledger {
 impl Ledger {
     /// Applies the command at position `at` in the log.
     pub fn apply(&mut self, at: Epoch, command: Command) -> CommandOutcome {
+        let command = if self.keeps_history() { command.limited() } else { command };
         let done = match command {
             Command::Bootstrap { cluster } => Ok(self.bootstrap(cluster)),
             Command::Submit(submission) => self.submit(*submission),
@@ -92,8 +93,15 @@ impl Ledger {
         self.versioned.history.as_ref()?.tombstone(mission)
     }
 
+    /// Checks whether the ledger has a history and limits, since wire version 3.
     pub(super) fn keeps_history(&self) -> bool {
         self.versioned.history.is_some()
+    }
+
+    /// Returns the number of missions that are active or wait for a person.
+    pub(super) fn unended(&self) -> usize {
+        let ended = self.versioned.history.as_ref().map_or(0, History::whole);
+        self.missions.len().saturating_sub(ended)
     }
 
     /// Returns the state of a mission, also if only its tombstone is left.
@@ -159,6 +167,9 @@ impl Ledger {
     fn submit(&mut self, submission: Submission) -> Result<CommandOutcome, CommandError> {
         if let Some(mission) = self.requests.get(&submission.request) {
             return Ok(CommandOutcome::Submitted { mission: mission.clone(), again: true });
+        }
+        if self.keeps_history() {
+            self.check_room(&submission)?;
         }
         if let Some(history) = &mut self.versioned.history {
             history.check_remembered(&submission.request, submission.at_ms)?;

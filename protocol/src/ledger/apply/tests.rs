@@ -1,5 +1,6 @@
+use super::super::limits::UNENDED_MAX;
 use super::*;
-use crate::auction::AuctionId;
+use crate::auction::{AuctionEntry, AuctionId, BidVerdict, RefusalReason};
 use crate::codec;
 use crate::ids::{TaskId, TaskType};
 use crate::mission::{Method, Mission, Role, TaskBody, TaskNode, TaskOrder, TaskSpec};
@@ -348,6 +349,49 @@ fn a_ledger_keeps_its_layout_until_the_wire_version_is_raised() {
     assert!(log.0.remembers(&RequestId::new("first").unwrap()));
     let again: Ledger = codec::decode_record(&codec::encode_record(&log.0).unwrap()).unwrap();
     assert!(again == log.0);
+}
+
+#[test]
+fn long_texts_do_not_exceed_the_limit_of_a_mission() {
+    let mut log = Log::with_history();
+    let mission = log.submit("a");
+    let long = "no route; ".repeat(6000);
+    let reason = RefusalReason::OutOfService { problem: long.clone() };
+    let verdict = BidVerdict::Refused { reason };
+    let entry = AuctionEntry { role: role("r1"), robot: robot("bob"), verdict, parts: vec![] };
+    let auction = AuctionRecord { entries: vec![entry; 300], failure: Some(long.clone()), ..record() };
+    for _ in 0..20 {
+        let holders = BTreeMap::from([(role("lab_arm"), robot("arm")), (role("r1"), robot("ada"))]);
+        let (branch, auction) = (Branch::Main, auction.clone());
+        let holders = if log.1 == 3 { holders } else { BTreeMap::from([(role("r1"), robot("ada"))]) };
+        let award = Command::Award { mission: mission.clone(), branch, holders, auction };
+        let CommandOutcome::Awarded { epoch } = log.apply(award) else { panic!("not awarded") };
+        let (mission, role, cause) = (mission.clone(), role("r1"), long.clone());
+        log.apply(Command::Release { mission, role, epoch, cause, robot_failed: true, place: None });
+    }
+    let (places, cause) = (BTreeMap::new(), long.clone());
+    log.apply(Command::Fail { mission: mission.clone(), cause, branch: None, places });
+    let entry = log.0.mission(&mission).unwrap();
+    assert!(
+        matches!(&entry.state, MissionState::Failed { cause } if cause.starts_with("no route; no") && cause.len() <= 1024)
+    );
+    assert!(codec::encoded_size(entry) < 64 * 1024);
+}
+
+#[test]
+fn a_full_ledger_accepts_missions_after_others_have_ended() {
+    let mut log = Log::with_history();
+    let first = log.submit("first");
+    for number in 1..UNENDED_MAX {
+        log.submit(&format!("other{number}"));
+    }
+    let full = CommandOutcome::Refused(CommandError::Full { missions: UNENDED_MAX as u64 });
+    assert_eq!(log.apply_submission("one-more", 0), full);
+    let again = CommandOutcome::Submitted { mission: first.clone(), again: true };
+    assert_eq!(log.apply_submission("first", 0), again);
+    log.cancel(&first);
+    log.submit("one-more");
+    assert_eq!(log.apply_submission("two-more", 0), full);
 }
 
 #[test]

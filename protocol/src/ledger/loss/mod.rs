@@ -15,6 +15,8 @@
 use super::apply::Ledger;
 use super::command::{CommandError, CommandOutcome, ReleaseCause};
 use super::entry::{HeldItem, MissionEntry, MissionState, RELEASES_KEPT, RolePhase, RoleRelease};
+use super::limits::CAUSE_BYTES_MAX;
+use crate::bounds::limit_text;
 use crate::ids::{MissionId, PlaceId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::{OnLoss, RoleKind};
@@ -42,6 +44,7 @@ impl Ledger {
         };
         let confirmed = role.phase == RolePhase::Active;
         let ReleaseCause { cause, robot_failed, place } = loss;
+        let has_limits = self.keeps_history();
         let entry = self.active_mission(mission)?;
         let (role, holder) = (role_id.clone(), robot.clone());
         entry.releases.push(RoleRelease {
@@ -68,6 +71,9 @@ impl Ledger {
             let has = if lost.certain { "has" } else { "may have" };
             let cause = format!("{robot} was lost as {role_id} and {has} the {}: {cause}", lost.item);
             entry.state = MissionState::NeedsIntervention { cause, items: held };
+            if has_limits {
+                entry.state.limit_cause();
+            }
             return Ok(CommandOutcome::Done);
         }
         if entry.only_cleanup_remains(role_id) {
@@ -103,6 +109,7 @@ impl Ledger {
         state: MissionState,
         places: &BTreeMap<RobotId, PlaceId>,
     ) -> Result<CommandOutcome, CommandError> {
+        let has_limits = self.keeps_history();
         let entry = self.active_mission(mission)?;
         let items = in_places(entry.custody(), places);
         let cause = match &state {
@@ -115,6 +122,9 @@ impl Ledger {
             true => state,
             false => MissionState::NeedsIntervention { cause: format!("{cause}; {}", custody_text(&items)), items },
         };
+        if has_limits {
+            entry.state.limit_cause();
+        }
         self.record_end(mission);
         Ok(CommandOutcome::Done)
     }
@@ -136,6 +146,7 @@ impl Ledger {
     }
 
     pub(super) fn resolve(&mut self, mission: &MissionId, by: &str) -> Result<CommandOutcome, CommandError> {
+        let has_limits = self.keeps_history();
         let Some(entry) = self.missions.get_mut(mission) else {
             return Err(self.no_mission(mission));
         };
@@ -149,8 +160,12 @@ impl Ledger {
                 return Err(CommandError::NoInterventionNeeded { mission: mission.clone(), state });
             }
         };
+        let mut cause = cause.clone();
+        if has_limits {
+            limit_text(&mut cause, CAUSE_BYTES_MAX.saturating_sub(closing.len()));
+        }
         entry.state = MissionState::Failed { cause: format!("{cause}{closing}") };
-        if self.keeps_history() {
+        if has_limits {
             self.record_end(mission);
         } // Else nothing is dropped before the next end: this mission may have the lowest number.
         Ok(CommandOutcome::Done)

@@ -1,0 +1,82 @@
+//! Size limits of the ledger, since wire version 3. A snapshot must stay below
+//! [`RECORD_BYTES_MAX`](codec::RECORD_BYTES_MAX), or no replica can write or install it.
+//!
+//! | part | limit |
+//! |---|---|
+//! | a command | a message, checked when it is proposed; its texts and auction record are shortened |
+//! | the request of a mission | [`Submission::BYTES_MAX`] |
+//! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause |
+//! | the ledger | [`UNENDED_MAX`] missions that have not ended, [`HISTORY_MAX`] others, and the tombstones |
+
+use super::apply::Ledger;
+use super::command::{Command, CommandError};
+use super::entry::MissionState;
+use super::history::{HISTORY_MAX, TOMBSTONE_BYTES_MAX};
+use super::submission::Submission;
+use crate::bounds::limit_text;
+use crate::codec;
+
+/// Maximum size of a cause in the ledger, in bytes.
+pub(super) const CAUSE_BYTES_MAX: usize = 1024;
+
+/// Maximum size of the name of a person in the ledger, in bytes.
+const PERSON_BYTES_MAX: usize = 256;
+
+/// Maximum number of missions that are active or wait for a person. Raised: a snapshot may be too
+/// large for every replica.
+pub(super) const UNENDED_MAX: usize = 1400;
+
+/// Approximate maximum size of a mission, in bytes.
+const MISSION_BYTES_MAX: usize = 128 * 1024;
+
+const _: () = assert!(
+    (UNENDED_MAX + HISTORY_MAX) * MISSION_BYTES_MAX + (TOMBSTONE_BYTES_MAX as usize) < codec::RECORD_BYTES_MAX,
+    "a snapshot of a full ledger can be stored"
+);
+
+impl Submission {
+    /// Maximum encoded size in bytes: the award of the mission and its call for bids must each fit
+    /// in a message.
+    pub const BYTES_MAX: usize = codec::MESSAGE_BYTES_MAX / 2;
+}
+
+impl Command {
+    /// Returns the command with its texts and its auction record shortened to their limits.
+    #[must_use]
+    pub fn limited(mut self) -> Command {
+        match &mut self {
+            Command::Release { cause, .. } | Command::Fail { cause, .. } => limit_text(cause, CAUSE_BYTES_MAX),
+            Command::Cancel { by, .. } | Command::Resolve { by, .. } => limit_text(by, PERSON_BYTES_MAX),
+            Command::Award { auction, .. } | Command::Defer { auction, .. } => auction.limit(),
+            Command::Bootstrap { .. }
+            | Command::Submit(_)
+            | Command::Accept { .. }
+            | Command::Progress { .. }
+            | Command::RaiseWireVersion { .. } => {}
+        }
+        self
+    }
+}
+
+impl MissionState {
+    /// Shortens the cause.
+    pub(super) fn limit_cause(&mut self) {
+        if let MissionState::Failed { cause } | MissionState::NeedsIntervention { cause, .. } = self {
+            limit_text(cause, CAUSE_BYTES_MAX);
+        }
+    }
+}
+
+impl Ledger {
+    /// Checks that there is room for another mission.
+    pub(super) fn check_room(&self, submission: &Submission) -> Result<(), CommandError> {
+        let bytes = codec::encoded_size(submission);
+        if bytes > Submission::BYTES_MAX {
+            return Err(CommandError::TooLarge { bytes: bytes as u64, max: Submission::BYTES_MAX as u64 });
+        }
+        match self.unended() {
+            missions if missions >= UNENDED_MAX => Err(CommandError::Full { missions: missions as u64 }),
+            _ => Ok(()),
+        }
+    }
+}
