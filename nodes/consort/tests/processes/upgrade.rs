@@ -120,13 +120,11 @@ fn a_fleet_is_upgraded_node_by_node_during_missions() {
     // them read.
     until("the versions of all nodes are known", LONG, || {
         let state = client.request("api/upgrade", "{}");
-        let ready: Vec<&str> = state["nodes"]
-            .as_array()?
-            .iter()
-            .filter(|node| node["ready"] == true)
-            .filter_map(|node| node["node"].as_str())
-            .collect();
-        (ready == STATIONS).then_some(())
+        let nodes = state["nodes"].as_array()?;
+        let known = nodes.iter().filter(|node| node["newest"].is_number()).count();
+        let ready = nodes.iter().filter(|node| node["ready"] == true);
+        let ready: Vec<&str> = ready.filter_map(|node| node["node"].as_str()).collect();
+        (ready == STATIONS && known == STATIONS.len() + ROBOTS.len() + 1).then_some(())
     });
     let refused = hospital.upgrade(&["--finish"], "world").expect(1).stderr;
     assert!(
