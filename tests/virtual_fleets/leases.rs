@@ -3,7 +3,7 @@
 use crate::support::{released, task_began};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId};
-use consort_protocol::lease::{EndReason, LeaseTerms};
+use consort_protocol::lease::{EndReason, LEASE_REACTION, LeaseTerms};
 use consort_skills::actions::Goal;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
@@ -168,7 +168,7 @@ fn a_coordinator_cut_off_with_a_holder_stops_renewing_its_lease() {
 
 /// Longest time from the end of a lease until the simulated robot is at rest: the check interval of
 /// the robot and the latency to its driver server.
-const REACTION: Duration = Duration::from_millis(500);
+const REACTION: Duration = LEASE_REACTION;
 
 #[test]
 fn an_isolated_robot_rests_within_the_drift_bound() {

@@ -18,7 +18,7 @@ mod terms;
 
 pub use award::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
 pub use monitor::LeaseMonitor;
-pub use terms::LeaseTerms;
+pub use terms::{LEASE_REACTION, LeaseTerms};
 
 use crate::ids::{MissionId, RobotId, RoleId};
 use crate::plan::StepIndex;

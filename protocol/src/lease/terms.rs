@@ -50,7 +50,24 @@ impl Default for LeaseTerms {
     }
 }
 
+/// Longest time from the end of a lease until a robot whose node runs is at rest: the interval of
+/// its lease checks, 250 ms, and as much for the stop to reach the driver and to take effect.
+pub const LEASE_REACTION: Duration = Duration::from_millis(500);
+
+/// Relative clock drift at which configured leases must be safe. Real clocks differ by less than a
+/// tenth of it.
+const DRIFT_REQUIRED: f64 = 0.01;
+
 impl LeaseTerms {
+    /// Returns the smallest grace with which a lease is safe at a drift of 1 % and the
+    /// [reaction](LEASE_REACTION) of robots: the derivation above, solved for `G` and rounded up to
+    /// milliseconds.
+    pub fn grace_min(lease: Duration) -> Duration {
+        let (lease, reaction) = (lease.as_secs_f64(), LEASE_REACTION.as_secs_f64());
+        let half = (reaction + DRIFT_REQUIRED * (lease + reaction)) / (1.0 - DRIFT_REQUIRED);
+        Duration::from_millis((2.0 * half * 1e3).ceil() as u64)
+    }
+
     /// Returns the largest relative clock drift between the slowest and the fastest clock at which
     /// leases are safe; see the derivation above. `reaction` is the time from the end of a lease
     /// until the robot is at rest. Returns 0 if the grace does not even cover the reaction.

@@ -159,6 +159,17 @@ fn two_robots_act_at_once_only_if_clocks_drift_beyond_the_bound() {
 }
 
 #[test]
+fn the_smallest_grace_allows_a_drift_of_one_percent() {
+    for lease_ms in [500, 1500, 4000, 60_000] {
+        let lease = Duration::from_millis(lease_ms);
+        let grace = LeaseTerms::grace_min(lease);
+        let drift_max = |grace| LeaseTerms { lease, grace }.drift_max(LEASE_REACTION);
+        assert!(drift_max(grace) >= 0.01 && drift_max(grace - Duration::from_millis(2)) < 0.01, "{lease:?} {grace:?}");
+    }
+    assert!(LeaseTerms::default().grace > LeaseTerms::grace_min(LeaseTerms::default().lease));
+}
+
+#[test]
 fn a_newer_award_of_the_same_role_replaces_the_old_one() {
     let mut ada = new_lease();
     ada.handle(Event::AwardReceived(Box::new(award(5))), at(0));

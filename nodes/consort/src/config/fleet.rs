@@ -216,9 +216,17 @@ impl ConfigFile for FleetConfig {
         within("stall_after_s", self.stall_after_s, 0, 604_800);
         within("requests.missions", self.requests.missions as u64, 0, 1_000_000);
         within("requests.per_s", self.requests.per_s.into(), 0, 1_000_000);
-        within("lease.lease_ms", self.lease.lease_ms, 500, 3_600_000);
-        within("lease.grace_ms", self.lease.grace_ms, 200, 3_600_000);
+        within("lease.lease_ms", self.lease.lease_ms, 500, LEASE_MS_MAX);
+        within("lease.grace_ms", self.lease.grace_ms, 1, LEASE_MS_MAX);
         within("auction.window_ms", ms(times.auction_window), 1, 60_000);
+        let LeaseConfig { lease_ms, grace_ms } = self.lease;
+        let grace_min_ms = ms(LeaseTerms::grace_min(Duration::from_millis(lease_ms.min(LEASE_MS_MAX))));
+        if grace_ms < grace_min_ms {
+            validate.push(format!(
+                "lease.grace_ms is {grace_ms}, allowed with lease.lease_ms {lease_ms} is {grace_min_ms} or more: \
+                 with less, two robots could act in a role if their clocks differ by 1 %"
+            ));
+        }
         if self.voters.is_multiple_of(2) {
             validate.push(format!("voters is {}, allowed is an odd number: 1, 3, 5, 7 or 9", self.voters));
         }
@@ -235,6 +243,9 @@ impl ConfigFile for FleetConfig {
         validate
     }
 }
+
+/// Longest lease and grace, in milliseconds.
+const LEASE_MS_MAX: u64 = 3_600_000;
 
 /// Describes an unknown skill, with the allowed task types.
 pub(super) fn unknown_skill(skill: &TaskType, domain: &Domain) -> String {
