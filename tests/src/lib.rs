@@ -12,6 +12,7 @@ mod fleet;
 mod inspection;
 mod robot_spec;
 mod station_fleet;
+mod stolen_key;
 mod ward;
 
 pub use credentials::Credentials;
@@ -20,6 +21,7 @@ pub(crate) use fleet::AdjustNode;
 pub use fleet::Fleet;
 pub use robot_spec::RobotSpec;
 pub use station_fleet::StationFleet;
+pub use stolen_key::{StolenKey, report_of_all_steps, signals_sent};
 
 use std::fmt;
 

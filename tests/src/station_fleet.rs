@@ -65,7 +65,7 @@ impl StationFleet {
         self.settings.voters = voters;
     }
 
-    /// Starts a station with its store, if it has one.
+    /// Starts a station: with the store of its last run, or with an empty one.
     pub async fn start(&mut self, name: &str) {
         self.start_as(name, true).await;
     }

@@ -4,8 +4,6 @@
 use crate::support::released;
 use bytes::Bytes;
 use consort_bus::Bus as _;
-use consort_bus::clock::Clock;
-use consort_bus::cluster_membership::{ClusterBus, ClusterMembership};
 use consort_bus::{Delivery, Encoding, ServiceSelection, SharedBus};
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
@@ -15,11 +13,10 @@ use consort_protocol::knowledge::{Availability, Digest, DigestScope, KnowledgeBa
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Ledger;
 use consort_protocol::message::{
-    Beacon, ClusterEnvelope, Exchange, MissionsChanged, RecordUpdate, Report, ReportReply, SignalHistory,
+    Beacon, ClusterEnvelope, Exchange, MissionsChanged, RecordUpdate, ReportReply, SignalHistory,
 };
-use consort_protocol::plan::StepAction;
 use consort_protocol::trust::NodeRole;
-use consort_tests::{Fleet, RobotSpec, for_each_seed};
+use consort_tests::{Fleet, RobotSpec, StolenKey, for_each_seed, report_of_all_steps, signals_sent};
 use serde::Serialize;
 use serde_json::json;
 use std::collections::BTreeSet;
@@ -38,6 +35,11 @@ async fn closed(seed: u64, fern: RobotSpec) -> Fleet {
     let mut fleet = Fleet::closed_hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
     assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the first coordinator");
     fleet
+}
+
+/// Returns the buses of an attacker with the key of a node that the test does not start.
+async fn stolen(fleet: &Fleet, name: &str, role: NodeRole) -> StolenKey {
+    StolenKey::of(fleet, name, Some(role), 0).await.expect("a closed fleet")
 }
 
 /// Returns the messages that nodes rejected.
@@ -183,10 +185,7 @@ impl Compromised {
 fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
-        let papers = fleet.credentials.as_ref().expect("a closed fleet");
-        let plain: SharedBus = Arc::new(fleet.network.bus("fern".parse().expect("a name")));
-        let keyring = papers.keyring_of(&"fern".parse().expect("a name"), [NodeRole::Robot].into(), 1_000);
-        let sealed = papers.signing_bus(Arc::clone(&plain), keyring, Clock::virtual_at(0)).await;
+        let StolenKey { signing: sealed, plain } = stolen(&fleet, "fern", NodeRole::Robot).await;
         let fern = Arc::new(Compromised { sealed, plain, keys: fleet.keys().clone(), did: Default::default() });
         let mut tasks = tokio::task::JoinSet::new();
         tasks.spawn(Arc::clone(&fern).repeats());
@@ -262,10 +261,8 @@ async fn replies(bus: &SharedBus, key: &str, payload: Bytes, attachment: Bytes) 
 fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
-        let papers = fleet.credentials.as_ref().expect("a closed fleet");
-        let plain: SharedBus = Arc::new(fleet.network.bus("fern".parse().expect("a name")));
-        let keyring = papers.keyring_of(&"fern".parse().expect("a name"), [NodeRole::Robot].into(), 1_000);
-        let sealed: SharedBus = papers.signing_bus(Arc::clone(&plain), keyring, Clock::virtual_at(0)).await;
+        let StolenKey { signing, plain } = stolen(&fleet, "fern", NodeRole::Robot).await;
+        let sealed: SharedBus = signing;
         // The robot relays a person's requests, and keeps them.
         let mut relayed = plain.serve("consort/ward/api/*").await.expect("a network");
         let mission = fleet.submit("a", ROOM).await;
@@ -322,11 +319,7 @@ fn record(fleet: &Fleet, at: &str, of: &str) -> Record {
 fn a_relaying_node_can_neither_change_nor_forge_records() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
-        let papers = fleet.credentials.as_ref().expect("a closed fleet");
-        let name: NodeId = "fern".parse().expect("a name");
-        let plain: SharedBus = Arc::new(fleet.network.bus(name.clone()));
-        let keyring = papers.keyring_of(&name, [NodeRole::Robot].into(), 1_000);
-        let sealed = papers.signing_bus(plain, keyring, Clock::virtual_at(0)).await;
+        let sealed = stolen(&fleet, "fern", NodeRole::Robot).await.signing;
         let signed = |record: Option<Record>| {
             record.is_some_and(|record| record.proof.is_some() && record.knowledge.cluster.is_some())
         };
@@ -378,22 +371,9 @@ fn a_relaying_node_can_neither_change_nor_forge_records() {
 async fn take_part_in(fleet: &Fleet, bus: &SharedBus, mission: &MissionId) -> usize {
     let (keys, mut accepted) = (fleet.keys(), 0);
     let Some(entry) = fleet.ledger(|ledger| ledger.mission(mission).cloned()).flatten() else { return accepted };
-    for (role, held) in &entry.roles {
+    for role in entry.roles.keys() {
         let Some(plan) = entry.plan(role) else { continue };
-        let award = held.holder.as_ref().map(|holder| holder.epoch).unwrap_or_default();
-        let report = Report {
-            robot: "fern".parse().expect("a name"),
-            incarnation: 1,
-            mission: mission.clone(),
-            role: role.clone(),
-            epoch: award,
-            branch: entry.branch,
-            ended: (0..plan.steps.len() as u32).collect(),
-            current_task: None,
-            place: None,
-            from_checkpoint: false,
-            failure: None,
-        };
+        let report = report_of_all_steps("fern".parse().expect("a name"), &entry, role).expect("it has a plan");
         for to in ["aster", "basil", "clove"] {
             let key = keys.write(&Key::Report(to.parse().expect("a name")));
             let mut replies = bus.query(&key, wire(&report), Duration::from_millis(100)).await.expect("a network");
@@ -402,11 +382,8 @@ async fn take_part_in(fleet: &Fleet, bus: &SharedBus, mission: &MissionId) -> us
                 accepted += usize::from(matches!(reply, Some(ReportReply::Renewed { .. })));
             }
         }
-        let sent = plan.steps.iter().filter_map(|step| match &step.action {
-            StepAction::Send(signal) => Some(signal.clone()),
-            StepAction::Task { .. } | StepAction::Wait(_) => None,
-        });
-        for signal in sent {
+        let award = report.epoch;
+        for signal in signals_sent(plan) {
             for epoch in [award, Epoch { index: award.index + 1, ..award }, Epoch { term: u64::MAX, index: u64::MAX }] {
                 let to = keys.write(&Key::Signal(mission.clone(), signal.to.clone()));
                 let history = SignalHistory { mission: mission.clone(), epoch, signals: [signal.clone()].into() };
@@ -421,15 +398,8 @@ async fn take_part_in(fleet: &Fleet, bus: &SharedBus, mission: &MissionId) -> us
 fn the_key_of_a_robot_takes_no_part_in_missions_of_others() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
-        let papers = fleet.credentials.as_ref().expect("a closed fleet");
-        let name: NodeId = "fern".parse().expect("a name");
-        let keyring = papers.keyring_of(&name, [NodeRole::Robot].into(), 1_000);
-        let plain: SharedBus = Arc::new(fleet.network.bus(name));
-        let sealed = papers.signing_bus(plain, keyring, Clock::virtual_at(0)).await;
         let mission = fleet.submit("a", ROOM).await;
-        let membership = ClusterMembership::default();
-        membership.set_from_ledger(fleet.ledger(|ledger| ledger.cluster()).flatten().expect("a cluster was created"));
-        let bus: SharedBus = Arc::new(ClusterBus::new(sealed, fleet.keys().clone(), membership));
+        let bus = stolen(&fleet, "fern", NodeRole::Robot).await.in_cluster(&fleet);
         let is_final = |ledger: &Ledger| ledger.mission(&mission).is_some_and(|entry| entry.state.is_final());
         while !fleet.ledger(is_final).unwrap_or(false) {
             let accepted = take_part_in(&fleet, &bus, &mission).await;
@@ -450,11 +420,8 @@ fn the_key_of_a_robot_takes_no_part_in_missions_of_others() {
 fn the_key_of_a_voter_pins_no_node_to_a_term_or_a_version() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
-        let papers = fleet.credentials.as_ref().expect("a closed fleet");
         let name: NodeId = "dill".parse().expect("a name");
-        let keyring = papers.keyring_of(&name, [NodeRole::Voter].into(), 1_000);
-        let plain: SharedBus = Arc::new(fleet.network.bus(name.clone()));
-        let sealed = papers.signing_bus(plain, keyring, Clock::virtual_at(0)).await;
+        let sealed = stolen(&fleet, "dill", NodeRole::Voter).await.signing;
         let cluster = fleet.ledger(|ledger| ledger.cluster()).flatten();
         let mission = fleet.submit("a", ROOM).await;
         let key = fleet.keys().write(&Key::Beacon);

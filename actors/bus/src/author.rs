@@ -5,14 +5,14 @@ use std::sync::Arc;
 
 /// Author of a received message. In a closed fleet the bus delivers only messages with a verified
 /// author. In an open fleet authors are unknown, and every program on the bus is trusted.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Author(Option<Arc<Identity>>);
 
 impl Author {
     /// Unknown author: a message in an open fleet.
     pub const UNKNOWN: Author = Author(None);
 
-    /// Author whose signature was verified.
+    /// Creates the author of a message with a valid signature.
     pub fn verified(identity: Arc<Identity>) -> Author {
         Author(Some(identity))
     }

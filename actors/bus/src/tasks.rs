@@ -8,6 +8,15 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tracing::warn;
 
+/// Forwards each item of a stream to an actor's mailbox, until either ends.
+async fn forward_all<T: 'static, M: Message>(mut stream: Stream<T>, to: ActorRef<M>, wrap: impl Fn(T) -> M) {
+    while let Some(item) = stream.recv().await {
+        if to.cast(wrap(item)).is_err() {
+            return;
+        }
+    }
+}
+
 /// A set of tasks, aborted when the set is dropped. An actor keeps it in its state.
 #[derive(Debug, Default)]
 pub struct Tasks(JoinSet<()>);
@@ -21,19 +30,12 @@ impl Tasks {
 
     /// Forwards each item of a stream to an actor's mailbox. The declaration behind the stream
     /// lives as long as the task.
-    pub fn forward<T, M>(&mut self, mut stream: Stream<T>, to: &ActorRef<M>, wrap: impl Fn(T) -> M + Send + 'static)
+    pub fn forward<T, M>(&mut self, stream: Stream<T>, to: &ActorRef<M>, wrap: impl Fn(T) -> M + Send + 'static)
     where
         T: Send + 'static,
         M: Message,
     {
-        let to = to.clone();
-        self.spawn(async move {
-            while let Some(item) = stream.recv().await {
-                if to.cast(wrap(item)).is_err() {
-                    return;
-                }
-            }
-        });
+        self.spawn(forward_all(stream, to.clone(), wrap));
     }
 
     /// Subscribes to a key and forwards the samples to an actor's mailbox. Returns at once, even
@@ -47,14 +49,9 @@ impl Tasks {
     ) {
         let to = to.clone();
         self.spawn(async move {
-            let mut samples = match bus.subscribe(&key).await {
-                Ok(samples) => samples,
-                Err(problem) => return warn!(key, %problem, "no subscription"),
-            };
-            while let Some(sample) = samples.recv().await {
-                if to.cast(wrap(sample)).is_err() {
-                    return;
-                }
+            match bus.subscribe(&key).await {
+                Ok(samples) => forward_all(samples, to, wrap).await,
+                Err(problem) => warn!(key, %problem, "no subscription"),
             }
         });
     }

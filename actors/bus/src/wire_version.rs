@@ -93,10 +93,14 @@ impl WireVersion {
     ) -> Result<(), BusError> {
         let mut beacons = bus.subscribe(&keys.write(&Key::Beacon)).await?;
         tasks.spawn(async move {
+            let mut ignored = None;
             while let Some(sample) = beacons.recv().await {
                 match codec::decode::<Beacon>(&sample.payload) {
                     Ok(beacon) if beacon.wire.is_some_and(&refuted) => {
-                        warn!(node = %beacon.node, version = beacon.wire, "wire version ignored: most voters cannot read it");
+                        // Beacons are frequent.
+                        if ignored.replace(beacon.wire) != Some(beacon.wire) {
+                            warn!(node = %beacon.node, version = beacon.wire, "wire version ignored: most voters cannot read it");
+                        }
                     }
                     Ok(beacon) => self.adopt(beacon.cluster, beacon.wire),
                     Err(problem) => debug!(%problem, "dropped a malformed beacon"),

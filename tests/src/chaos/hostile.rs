@@ -5,18 +5,15 @@
 //! with its own and with captured signatures, sends texts of great length, and floods. Signed
 //! messages are attempted with its own key, and without one.
 
-use crate::{Fleet, slug};
+use crate::{Fleet, StolenKey, report_of_all_steps, signals_sent, slug};
 use bytes::Bytes;
-use consort_bus::clock::Clock;
-use consort_bus::cluster_membership::{ClusterBus, ClusterMembership};
 use consort_bus::{Delivery, Encoding, Query, Sample, ServiceSelection, SharedBus, Stream};
 use consort_protocol::codec;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Ledger, MissionEntry};
-use consort_protocol::message::{Beacon, MissionsChanged, Report, SignalHistory};
-use consort_protocol::plan::StepAction;
+use consort_protocol::message::{Beacon, MissionsChanged, SignalHistory};
 use consort_protocol::trust::NodeRole;
 use consort_raft::Replica;
 use rand::seq::IndexedRandom;
@@ -29,7 +26,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::task::JoinSet;
 
-/// Name of the hostile node. Its requests to the ledger begin with the same word.
+/// Name of the hostile node. The ids of its requests begin with it.
 pub(super) const HOSTILE: &str = "mallory";
 
 /// Number of captured messages that it keeps.
@@ -59,11 +56,13 @@ pub(super) struct HostileNode {
     _attacks: JoinSet<()>,
 }
 
-/// What the attacks share.
+/// State shared by the attacks.
 struct Attacker {
-    /// Bus with its own signatures, bus of its cluster above it, and bus without signatures.
+    /// Bus that signs with its key.
     signing: SharedBus,
+    /// Signing bus with the envelopes of the fleet's cluster.
     in_cluster: SharedBus,
+    /// Bus without signatures.
     plain: SharedBus,
     keys: Keys,
     victims: Vec<NodeId>,
@@ -77,23 +76,14 @@ struct Attacker {
 impl HostileNode {
     /// Starts the attacks of a node with the certificate of this role, or of none.
     pub(super) async fn start(fleet: &Fleet, role: Option<NodeRole>, seed: u64, date_ms: u64) -> Option<HostileNode> {
-        let credentials = fleet.credentials.as_ref()?;
-        let name: NodeId = slug(HOSTILE);
-        let plain: SharedBus = Arc::new(fleet.network.bus(name.clone()));
-        let serves = HOSTILE.parse().expect("a name");
-        let keyring = credentials.keyring_serving(&name, role.into_iter().collect(), serves, date_ms);
-        let signing = credentials.signing_bus(Arc::clone(&plain), keyring, Clock::virtual_at(date_ms)).await;
-        let cluster = fleet.ledger(|ledger| ledger.cluster()).flatten();
-        let membership = ClusterMembership::default();
-        cluster.into_iter().for_each(|cluster| membership.set_from_ledger(cluster));
-        let in_cluster = Arc::new(ClusterBus::new(Arc::clone(&signing) as SharedBus, fleet.keys().clone(), membership));
+        let key = StolenKey::of(fleet, HOSTILE, role, date_ms).await?;
         let attacker = Arc::new(Attacker {
-            signing,
-            in_cluster,
-            plain,
+            in_cluster: key.in_cluster(fleet),
+            signing: key.signing,
+            plain: key.plain,
             keys: fleet.keys().clone(),
             victims: fleet.nodes.keys().map(|node| slug(node)).collect(),
-            cluster,
+            cluster: fleet.ledger(|ledger| ledger.cluster()).flatten(),
             captured: Mutex::default(),
             requests: Mutex::default(),
             chance: Mutex::new(ChaCha8Rng::seed_from_u64(seed)),
@@ -245,28 +235,14 @@ impl Attacker {
     async fn take_part_in_a_mission(&self, replicas: &[Replica<Ledger>]) {
         let missions: Vec<MissionEntry> = latest(replicas, |ledger| ledger.missions().cloned().collect());
         let Some(entry) = self.draw(|chance| missions.choose(chance).cloned()) else { return };
-        for (role, held) in &entry.roles {
+        for role in entry.roles.keys() {
             let Some(plan) = entry.plan(role) else { continue };
-            let award = held.holder.as_ref().map(|holder| holder.epoch).unwrap_or_default();
-            let report = Report {
-                robot: slug(HOSTILE),
-                incarnation: 1,
-                mission: entry.id.clone(),
-                role: role.clone(),
-                epoch: award,
-                branch: entry.branch,
-                ended: (0..plan.steps.len() as u32).collect(),
-                current_task: None,
-                place: None,
-                from_checkpoint: false,
-                failure: None,
-            };
+            let Some(report) = report_of_all_steps(slug(HOSTILE), &entry, role) else { continue };
             let key = self.keys.write(&Key::Report(self.victim()));
             self.query(&self.in_cluster, &key, wire(&report), Bytes::new()).await;
-            let later = Epoch { index: award.index + 1, ..award };
-            let epoch = self.draw(|chance| *[award, later, MAX_EPOCH].choose(chance).expect("three"));
-            for step in &plan.steps {
-                let StepAction::Send(signal) = &step.action else { continue };
+            let later = Epoch { index: report.epoch.index + 1, ..report.epoch };
+            let epoch = self.draw(|chance| *[report.epoch, later, MAX_EPOCH].choose(chance).expect("three"));
+            for signal in signals_sent(plan) {
                 let key = self.keys.write(&Key::Signal(entry.id.clone(), signal.to.clone()));
                 let history = SignalHistory { mission: entry.id.clone(), epoch, signals: [signal.clone()].into() };
                 self.publish(&self.in_cluster, &key, wire(&history), Bytes::new()).await;

@@ -28,7 +28,7 @@ pub(super) struct Shared {
     /// Query parts that services have just ended.
     finished: Mutex<Vec<QueryPart>>,
     wake: Arc<Notify>,
-    /// Nodes whose operations do not return.
+    /// Blocked nodes.
     blocked: watch::Sender<BTreeSet<NodeIndex>>,
 }
 

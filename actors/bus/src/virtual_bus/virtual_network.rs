@@ -59,7 +59,7 @@ impl VirtualNetwork {
         self.shared.with(|network| network.change_faults(|faults| faults.partition(groups)));
     }
 
-    /// Cuts one direction: `to` receives no more messages from `from`.
+    /// Drops all messages from `from` to `to`.
     pub fn cut(&self, from: NodeId, to: NodeId) {
         self.shared.with(|network| network.change_faults(|faults| faults.cut(from, to)));
     }
@@ -106,7 +106,8 @@ impl VirtualNetwork {
     }
 
     /// Blocks a node: its operations do not return until [`unblock`](Self::unblock), as calls of a
-    /// real bus may when buffers are full. Messages to the node still arrive.
+    /// real bus may when buffers are full. Messages to the node still arrive. Without effect on a node
+    /// that has never been started.
     pub fn block(&self, node: &NodeId) {
         self.shared.set_blocked(node, true);
     }

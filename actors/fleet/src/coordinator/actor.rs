@@ -95,7 +95,7 @@ impl Actor for Coordinator {
             (CoordinatorMessage::NoticeReplied(awarded, reply), Some(session)) => {
                 session.handle_notice_reply(awarded, reply);
             }
-            (CoordinatorMessage::Report(query), Some(session)) => session.handle_report(query).await,
+            (CoordinatorMessage::Report(query), Some(session)) => session.handle_report(query),
             (CoordinatorMessage::ActiveMissions(query), Some(session)) => session.handle_active_missions(query).await,
             (CoordinatorMessage::Api(query), Some(session)) => session.handle_api(query),
             (CoordinatorMessage::ApiRecheck(query), Some(_)) => {

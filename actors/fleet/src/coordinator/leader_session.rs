@@ -253,14 +253,16 @@ impl LeaderSession {
         }
     }
 
-    pub(super) async fn handle_report(&mut self, query: Query) {
-        let Some(report) = reply::decode_or_refuse::<Report>(&query).await else { return };
+    pub(super) fn handle_report(&mut self, query: Query) {
+        let Some((query, report)) = reply::decode_or_refuse_in::<Report>(&mut self.context.tasks, query) else {
+            return;
+        };
         let handler = ReportHandler::new(&self.context);
-        if !handler.may_report(&report, &query.author) {
-            let problem = format!("{} may not report for role {}", query.author, report.role);
-            return reply::refuse(&query, &problem).await;
-        }
         self.context.tasks.spawn(async move {
+            if !handler.may_report(&report, &query.author) {
+                let problem = format!("{} may not report for role {}", query.author, report.role);
+                return reply::refuse(&query, &problem).await;
+            }
             let reply = handler.handle(report).await;
             reply::wire(&query, &query.key, &reply).await;
         });

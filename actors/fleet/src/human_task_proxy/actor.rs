@@ -7,9 +7,8 @@ use super::state::{HumanTaskProxySettings, HumanTaskProxyState, MissionQueries};
 use crate::followed_coordinator::FollowedCoordinator;
 use crate::robot::{ReceivedSignals, SignalExchange};
 use crate::robot_driver::{PersonEvent, PersonRequestState};
-use consort_bus::Author;
-use consort_bus::Sample;
 use consort_bus::tasks::Tasks;
+use consort_bus::{Author, Sample};
 use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, PeopleCall};
@@ -66,7 +65,7 @@ impl Actor for HumanTaskProxy {
             HumanTaskProxyMessage::Beacon(sample) => state.follow_coordinator(&sample),
             HumanTaskProxyMessage::MissionsChanged => state.query_missions(),
             HumanTaskProxyMessage::ActiveMissions { node, query_number, active } => {
-                state.receive_missions(&node, query_number, active).await?;
+                state.receive_missions(&node, query_number, active).await;
             }
             HumanTaskProxyMessage::Signal(sample) => {
                 if let Some(received) = ReceivedSignals::of(sample) {
@@ -114,21 +113,14 @@ impl HumanTaskProxyState {
         }
     }
 
-    async fn receive_missions(
-        &mut self,
-        node: &NodeId,
-        query_number: u64,
-        active: Option<ActiveMissions>,
-    ) -> Result<(), ActorProcessingErr> {
+    async fn receive_missions(&mut self, node: &NodeId, query_number: u64, active: Option<ActiveMissions>) {
         let Some(active) = active else {
-            self.coordinator.not_answered(node, self.settings.clock.now());
-            return Ok(());
+            return self.coordinator.not_answered(node, self.settings.clock.now());
         };
         self.coordinator.answered(node);
         if self.queries.accept(query_number) {
-            self.update_missions(active).await?;
+            self.update_missions(active).await;
         }
-        Ok(())
     }
 
     async fn receive_person_event(&mut self, sample: &Sample) {

@@ -2,10 +2,8 @@
 
 use crate::robot::ReceivedSignals;
 use crate::robot_driver::PersonRequestState;
-use consort_bus::Author;
-use consort_bus::Sample;
-use consort_protocol::ids::NodeId;
-use consort_protocol::ids::{MissionId, RoleId};
+use consort_bus::{Author, Sample};
+use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::ledger::Branch;
 use consort_protocol::message::{ActiveMissions, ReportReply};
 use consort_skills::actions::GoalId;

@@ -4,7 +4,7 @@
 use super::proxy_role::{HolderChange, PlanChange, ProxyRole, RoleKey};
 use super::state::HumanTaskProxyState;
 use crate::robot::{ReceivedSignals, SequencerAction, SignalEffect, StaleSignal};
-use consort_bus::{Author, BusError};
+use consort_bus::Author;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{ClusterId, TaskId};
 use consort_protocol::lease::Epoch;
@@ -16,37 +16,32 @@ use tracing::warn;
 impl HumanTaskProxyState {
     /// Ends roles that are no longer active, starts new roles, and updates the others from the
     /// coordinator's reply.
-    pub(super) async fn update_missions(
-        &mut self,
-        ActiveMissions { cluster, plans, .. }: ActiveMissions,
-    ) -> Result<(), BusError> {
+    pub(super) async fn update_missions(&mut self, ActiveMissions { cluster, plans, .. }: ActiveMissions) {
         let active: Vec<_> = plans.iter().map(role_key).collect();
         for key in self.roles.keys().filter(|key| !active.contains(key)).cloned().collect::<Vec<_>>() {
             self.end_role_and_cancel(&key);
         }
         for active in plans {
-            self.follow_role(cluster, active).await?;
+            self.follow_role(cluster, active).await;
         }
-        Ok(())
     }
 
-    async fn follow_role(&mut self, cluster: Option<ClusterId>, active: ActivePlan) -> Result<(), BusError> {
+    async fn follow_role(&mut self, cluster: Option<ClusterId>, active: ActivePlan) {
         let key = role_key(&active);
         match self.roles.get(&key).map(|proxied| proxied.compare(cluster, &active)) {
-            Some(PlanChange::Outdated) => return Ok(()),
+            Some(PlanChange::Outdated) => return,
             Some(PlanChange::Same) => self.update_role(&key, &active),
             Some(PlanChange::Replaced) => {
                 self.end_role_and_cancel(&key);
-                self.start_role(&key, cluster, &active).await?;
+                self.start_role(&key, cluster, &active);
             }
-            None => self.start_role(&key, cluster, &active).await?,
+            None => self.start_role(&key, cluster, &active),
         }
         if let Some(proxied) = self.roles.get_mut(&key) {
             proxied.sequencer.set_vacant_roles(&active.vacant);
             proxied.sequencer.receive_recorded(&active.signals);
             self.advance(&key).await;
         }
-        Ok(())
     }
 
     /// Updates a role: the mission may have new holders.
@@ -62,25 +57,18 @@ impl HumanTaskProxyState {
     }
 
     /// Starts a role. A role with an invalid plan is ignored.
-    async fn start_role(
-        &mut self,
-        key: &RoleKey,
-        cluster: Option<ClusterId>,
-        active: &ActivePlan,
-    ) -> Result<(), BusError> {
+    fn start_role(&mut self, key: &RoleKey, cluster: Option<ClusterId>, active: &ActivePlan) {
         let (mission, role) = key;
         let proxied = match ProxyRole::start(cluster, active) {
             Ok(proxied) => proxied,
             Err(problem) => {
-                warn!(%mission, %role, %problem, "plan cannot be started");
-                return Ok(());
+                return warn!(%mission, %role, %problem, "plan cannot be started");
             }
         };
         let sent = proxied.sequencer.sent_signals().clone();
         self.signals.start_role(mission, role, Epoch::default(), sent);
         self.roles.insert(key.clone(), proxied);
         self.query_signals(key);
-        Ok(())
     }
 
     /// Receives the signals of another role.

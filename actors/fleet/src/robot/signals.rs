@@ -48,7 +48,7 @@ pub(crate) struct ReceivedSignals {
 }
 
 impl ReceivedSignals {
-    /// Decodes a published signal. A malformed one is logged.
+    /// Decodes a published signal. Logs a malformed signal and returns `None`.
     pub(crate) fn of(sample: Sample) -> Option<ReceivedSignals> {
         match codec::decode(&sample.payload) {
             Ok(history) => Some(ReceivedSignals { history, author: sample.author }),

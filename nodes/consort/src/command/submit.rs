@@ -69,7 +69,7 @@ const LOOK: Duration = Duration::from_millis(500);
 /// complete.
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let mission = inputs::mission_request(&args.mission)?;
-    let name = args.request.clone().unwrap_or_else(random_name);
+    let name = args.request.clone().unwrap_or_else(new_request_id);
     let request = SubmitRequest {
         mission,
         parameters: args.parameters.iter().cloned().collect(),
@@ -143,8 +143,8 @@ fn deadline(text: &str) -> Result<f64, InvalidValue> {
     time_until_deadline(number).map(|_| number).map_err(InvalidValue::new)
 }
 
-/// Returns a name that contains the time: a fleet rejects it when it no longer knows its outcome.
-fn random_name() -> RequestId {
+/// Creates an id that contains the time: a fleet rejects it once it no longer knows the outcome.
+fn new_request_id() -> RequestId {
     let half = || u128::from(SysRng.try_next_u64().expect("the system has random numbers"));
     RequestId::generate(Clock::real().wall_ms(), half() << 64 | half())
 }

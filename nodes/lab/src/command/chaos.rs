@@ -38,9 +38,9 @@ const SHRINK_TRIES: usize = 300;
 /// drawn from the seed. Nodes crash and restart (with their complete disk, without the unsynced
 /// writes, or with an empty disk), pause, and are partitioned. Links lose, duplicate, reorder and
 /// delay messages. Disks are slow, clocks drift, batteries run down, skills fail, panic and hang.
-/// The coordinator is killed at any moment. A hostile node with
-/// a valid certificate attacks the others. After 70 % of the time all faults end. The fleet must
-/// then converge: a single coordinator, every mission ended, and complete membership at every node.
+/// The coordinator is killed at any moment. A hostile node with a valid certificate attacks the
+/// others. After 70 % of the time all faults end. The fleet must then converge: a single
+/// coordinator, every mission ended, and complete membership at every node.
 ///
 /// It stops at the first seed that violates an invariant. It then prints the violation, the events
 /// before it, the smallest set of faults that reproduces it, and the command that repeats it. With

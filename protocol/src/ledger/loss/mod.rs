@@ -165,9 +165,10 @@ impl Ledger {
             limit_text(&mut cause, CAUSE_BYTES_MAX.saturating_sub(closing.len()));
         }
         entry.state = MissionState::Failed { cause: format!("{cause}{closing}") };
+        // Without a history, the end would drop the mission with the lowest number, perhaps this one.
         if has_limits {
             self.record_end(mission);
-        } // Else nothing is dropped before the next end: this mission may have the lowest number.
+        }
         Ok(CommandOutcome::Done)
     }
 

@@ -5,8 +5,8 @@ use super::state::RobotState;
 use crate::robot::active_plan::{ActivePlan, PlanStart};
 use crate::robot::checkpoint_writer::PendingOutput;
 use crate::robot::lease_client::Renewal;
+use consort_bus::Query;
 use consort_bus::reply;
-use consort_bus::{BusError, Query};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
 use consort_protocol::ids::RoleId;
@@ -98,7 +98,7 @@ impl RobotState {
         for action in actions {
             match action {
                 Action::Report => self.report(),
-                Action::Start(award, ended) => self.start(*award, &ended).await?,
+                Action::Start(award, ended) => self.start(*award, &ended),
                 Action::Suspend => self.suspend(),
                 Action::Resume => self.resume(),
                 Action::Halt(reason) => self.halt(reason),
@@ -111,7 +111,7 @@ impl RobotState {
         self.advance().await
     }
 
-    async fn start(&mut self, award: Award, recorded: &BTreeSet<StepIndex>) -> Result<(), BusError> {
+    fn start(&mut self, award: Award, recorded: &BTreeSet<StepIndex>) {
         let (mission, role, epoch) = (award.mission.clone(), award.role.clone(), award.epoch);
         let holders = self.lease.take_holders(&award);
         let restored = self.checkpoint.take_restored_for(epoch);
@@ -122,7 +122,7 @@ impl RobotState {
         };
         let next_goal = self.driver.next_goal();
         let start = PlanStart { award, recorded, holders, restored, next_goal };
-        let Some((mut active, failure)) = ActivePlan::start(start) else { return Ok(()) };
+        let Some((mut active, failure)) = ActivePlan::start(start) else { return };
         let links = &self.settings.links;
         let key = links.keys.write(&Key::Signal(mission.clone(), role.clone()));
         active.subscriptions.subscribe(links.bus.clone(), key, &self.myself, RobotMessage::Signal);
@@ -133,7 +133,6 @@ impl RobotState {
         release.into_iter().for_each(|event| self.emit_event(event));
         // Signals that were sent before the subscription are queried.
         self.query_signals();
-        Ok(())
     }
 
     fn suspend(&mut self) {

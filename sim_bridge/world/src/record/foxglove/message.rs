@@ -220,7 +220,7 @@ pub(super) struct Cylinder {
 
 #[derive(Debug, Serialize)]
 pub(super) struct Line {
-    /// 0: one line through all points; 1: and back to the first; 2: one line for every two points.
+    /// 0: a line through all points; 1: a closed line; 2: a separate line for each pair of points.
     #[serde(rename = "type")]
     pub(super) kind: u8,
     pub(super) pose: Pose,
