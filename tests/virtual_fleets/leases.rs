@@ -3,6 +3,7 @@
 use crate::support::{released, task_began};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::keys::Key;
 use consort_protocol::lease::{EndReason, LEASE_REACTION, LeaseTerms};
 use consort_skills::actions::Goal;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
@@ -166,26 +167,21 @@ fn a_coordinator_cut_off_with_a_holder_stops_renewing_its_lease() {
     });
 }
 
-/// Longest time from the end of a lease until the simulated robot is at rest: the check interval of
-/// the robot and the latency to its driver server.
-const REACTION: Duration = LEASE_REACTION;
-
 #[test]
 fn an_isolated_robot_rests_within_the_drift_bound() {
     let terms = LeaseTerms::default();
-    let drift = terms.drift_max(REACTION);
+    let drift = terms.drift_max(LEASE_REACTION);
     for (seed, rate) in [(84, 1.0), (85, 1.0 / (1.0 + drift)), (86, 1.0 + drift)] {
         for_each_seed([seed], async |seed| {
             let (mut fleet, mission) = fleet_with_clock_rates(seed, rate, [0.6, 0.7]).await;
             let (old, new) = holder(&fleet, &mission);
             isolate_with_driver(&fleet, &old);
             let cut = fleet.elapsed();
-            let at_rest = |fleet: &Fleet| fleet.goal_counts(&old).0 == fleet.goal_counts(&old).1;
             // The robot is also at rest between two legs of its way.
             fleet.wait_until("the suspension", SOON, |fleet| fleet.has_event(suspended)).await;
-            fleet.wait_until("the robot to be at rest", SOON, at_rest).await;
+            fleet.wait_until("the robot to be at rest", SOON, |fleet| is_at_rest(fleet, &old)).await;
             let rested = fleet.elapsed() - cut;
-            let latest = terms.lease.mul_f64(1.0 + drift) + REACTION;
+            let latest = terms.lease.mul_f64(1.0 + drift) + LEASE_REACTION;
             assert!(rested <= latest, "seed {seed}: at rest only after {rested:?}\n{}", fleet.event_log_text());
             assert!(!fleet.has_event(released), "seed {seed}: given away before\n{}", fleet.event_log_text());
             let goals = fleet.goal_counts(&old);
@@ -217,6 +213,58 @@ fn two_robots_drive_if_a_clock_exceeds_the_drift_bound() {
             })
             .await;
         fleet.wait_until("two to drive", SOON, |fleet| two_drivers(fleet).is_some()).await;
+    });
+}
+
+fn is_at_rest(fleet: &Fleet, robot: &str) -> bool {
+    let (started, ended) = fleet.goal_counts(robot);
+    started == ended
+}
+
+#[test]
+fn a_robot_whose_node_dies_at_the_end_of_its_lease_rests_in_time() {
+    for_each_seed([88, 89, 90, 91], async |seed| {
+        // Slow enough that no leg of the way ends by itself.
+        let (mut fleet, mission) = fleet_with_clock_rates(seed, 1.0, [0.06, 0.07]).await;
+        let (old, _) = holder(&fleet, &mission);
+        fleet.wait_until("the robot to drive", SOON, |fleet| !is_at_rest(fleet, &old)).await;
+        isolate_with_driver(&fleet, &old);
+        let (cut, lease) = (fleet.elapsed(), LeaseTerms::default().lease);
+        // Its node commands the driver until shortly before it would suspend.
+        let almost = lease - Duration::from_millis(700);
+        fleet.assert_never("a suspension", almost, |fleet| fleet.has_event(suspended)).await;
+        fleet.kill(&old).await;
+        assert!(!is_at_rest(&fleet, &old), "seed {seed}: it drives");
+        fleet.wait_until("the robot to be at rest", SOON, |fleet| is_at_rest(fleet, &old)).await;
+        let rested = fleet.elapsed() - cut;
+        assert!(rested <= lease + LEASE_REACTION, "seed {seed}: at rest only after {rested:?}");
+        fleet.heal();
+        fleet.assert_completes(&mission).await;
+        fleet.assert_sample_delivered(ROOM);
+        assert_eq!(two_drivers(&fleet), None, "seed {seed}\n{}", fleet.event_log_text());
+    });
+}
+
+#[test]
+fn a_robot_that_leaves_releases_its_role_when_its_body_is_at_rest() {
+    for_each_seed([92, 93, 94], async |seed| {
+        // Slow enough that no leg of the way ends by itself.
+        let (mut fleet, mission) = fleet_with_clock_rates(seed, 1.0, [0.06, 0.07]).await;
+        let (old, _) = holder(&fleet, &mission);
+        fleet.wait_until("the robot to drive", SOON, |fleet| !is_at_rest(fleet, &old)).await;
+        // The robot cannot cancel its goal, and the driver cannot report the end.
+        let (robot, world) = (slug::<NodeId>(&old), slug::<NodeId>("world"));
+        fleet.network.cut(robot.clone(), world.clone());
+        fleet.network.cut(world, robot);
+        let (leave, bus) = (fleet.keys().write(&Key::Leave(slug(&old))), fleet.requests.clone());
+        let left =
+            tokio::spawn(async move { bus.query(&leave, vec![].into(), SOON).await.expect("a query").recv().await });
+        fleet.wait_until("the release", SOON, |fleet| fleet.has_event(released)).await;
+        assert!(is_at_rest(&fleet, &old), "seed {seed}: its goal continues\n{}", fleet.event_log_text());
+        fleet.assert_completes(&mission).await;
+        fleet.assert_sample_delivered(ROOM);
+        assert_eq!(two_drivers(&fleet), None, "seed {seed}\n{}", fleet.event_log_text());
+        assert!(left.await.expect("no panic").is_some(), "seed {seed}: a reply");
     });
 }
 

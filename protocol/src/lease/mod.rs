@@ -10,15 +10,18 @@
 //! coordinator          replies ──────────────────────────────── lease + grace ─────────▶ may release
 //! ```
 //!
-//! [`RoleLease`] is the robot's side, [`LeaseMonitor`] the coordinator's.
+//! [`RoleLease`] is the robot's side, [`LeaseMonitor`] the coordinator's. The end of the lease
+//! reaches the robot's motors by [`keep_for`].
 
+mod acting_time;
 mod award;
 mod monitor;
 mod terms;
 
+pub use acting_time::{keep_for, stop_at};
 pub use award::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
 pub use monitor::LeaseMonitor;
-pub use terms::{LEASE_REACTION, LeaseTerms};
+pub use terms::{CLOCK_DRIFT_MAX, LEASE_REACTION, LeaseTerms};
 
 use crate::ids::{MissionId, RobotId, RoleId};
 use crate::plan::StepIndex;
@@ -133,7 +136,12 @@ impl RoleLease {
     /// Checks whether the robot may act at this instant: the award is confirmed and the lease has
     /// not run out.
     pub fn may_act(&self, now: NodeTime) -> bool {
-        self.held.as_ref().is_some_and(|held| held.phase == Phase::Active && now < held.until)
+        self.acts_until().is_some_and(|until| now < until)
+    }
+
+    /// Returns the time until which the robot may act, if the award is confirmed and not suspended.
+    pub fn acts_until(&self) -> Option<NodeTime> {
+        self.held.as_ref().filter(|held| held.phase == Phase::Active).map(|held| held.until)
     }
 
     /// Checks whether the plan is suspended: the lease has run out, or the award was restored after

@@ -3,6 +3,25 @@
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
+/// Longest time from the instant at which a driver server has to stop a robot until the order to
+/// stop has reached its body: the delay of a timer, and the control period of the driver (50 ms for
+/// a robot under Nav2).
+pub(super) const STOP_LATENESS: Duration = Duration::from_millis(100);
+
+/// Longest time in which a body comes to rest after the order to stop. A guess, which every robot of
+/// a fleet must meet: 0.5 m at 2 m/s. A robot that needs longer needs a driver that limits its
+/// speed.
+pub(super) const STOPPING_TIME: Duration = Duration::from_millis(500);
+
+/// Longest time from the end of a lease until the robot is at rest. The client timeout of driver
+/// servers is not part of it: a command carries the [time](super::keep_for) for which it may be
+/// acted on, which ends with the lease.
+pub const LEASE_REACTION: Duration = STOP_LATENESS.saturating_add(STOPPING_TIME);
+
+/// Largest relative difference between the rates of two clocks of a fleet. Quartz clocks differ by
+/// less than 0.01 %, and time synchronisation adds at most 0.05 %.
+pub const CLOCK_DRIFT_MAX: f64 = 0.01;
+
 /// Duration of a lease without contact. Fleet-wide: all nodes must use the same values.
 ///
 /// # Clocks
@@ -11,12 +30,12 @@ use std::time::Duration;
 /// even run at different rates, within a bound ([`drift_max`](LeaseTerms::drift_max)). Let the
 /// fastest clock of the fleet count `1 + d` seconds while the slowest counts 1 second, and measure
 /// all times below in seconds of the slowest clock. That is the worst case for the clocks of the
-/// robot and of the first coordinator. `L` is the lease, `G` the grace, and `r` the robot's
-/// reaction: the time from the end of its lease until it has come to rest (its control period and
-/// its stopping time).
+/// robot, of its driver server and of the first coordinator. `L` is the lease, `G` the grace, and
+/// `r` the robot's [reaction](LEASE_REACTION).
 ///
-/// - The robot sends a report at `s`. If the report is answered and no later report is, the robot
-///   is at rest by `s + L + r`.
+/// - The robot sends a report at `s`. If the report is answered and no later report is, no command
+///   lets its driver server act after `s + L`, whatever happens to the robot's node and to the links
+///   (derived in [`keep_for`](super::keep_for)). The body is at rest by `s + L + r`.
 /// - The coordinator replies at `a`, and `a >= s`. A majority had followed it at most `G / 2`
 ///   before.
 /// - A later coordinator was elected by a majority. At least one node of that majority had followed
@@ -29,18 +48,24 @@ use std::time::Duration;
 ///
 /// ```text
 /// L + r <= (L + G) / (1 + d) - G / 2      that is      d <= (G / 2 - r) / (L + G / 2 + r)
+///                                         or           G >= 2 (L d + r (1 + d)) / (1 - d)
 /// ```
 ///
-/// With the defaults and a reaction of 0.5 s this is 9 %; real clocks differ by less than 0.1 %. A
-/// coordinator that stays leader counts from `a`, which allows `d <= (G - r) / (L + r)`: 33 %.
+/// With the defaults and a reaction of 0.6 s this allows a drift of 7 %. A coordinator that stays
+/// leader counts from `a`, which allows `d <= (G - r) / (L + r)`: 30 %. A fleet must allow at least
+/// [`CLOCK_DRIFT_MAX`]; a configuration whose grace is below [`grace_min`](LeaseTerms::grace_min) is
+/// refused.
+///
+/// The driver server and the body are assumed to work: a driver server that is killed or paused while
+/// its robot moves must be backed by a dead-man switch of the robot itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LeaseTerms {
     /// The robot suspends this long after it sent the last report that was answered. Raised: the
     /// robot keeps moving through longer blackouts, but lost robots are replaced later. Default 4
     /// s: several times the duration of a takeover.
     pub lease: Duration,
-    /// Additional wait of the coordinator. It covers clock drift and the maximum age of the
-    /// coordinator's last contact with a quorum. Default 2 s.
+    /// Additional wait of the coordinator. It covers the reaction of the robot, clock drift, and the
+    /// maximum age of the coordinator's last contact with a quorum. Default 2 s.
     pub grace: Duration,
 }
 
@@ -50,21 +75,13 @@ impl Default for LeaseTerms {
     }
 }
 
-/// Longest time from the end of a lease until a robot whose node runs is at rest: the interval of
-/// its lease checks, 250 ms, and as much for the stop to reach the driver and to take effect.
-pub const LEASE_REACTION: Duration = Duration::from_millis(500);
-
-/// Relative clock drift at which configured leases must be safe. Real clocks differ by less than a
-/// tenth of it.
-const DRIFT_REQUIRED: f64 = 0.01;
-
 impl LeaseTerms {
-    /// Returns the smallest grace with which a lease is safe at a drift of 1 % and the
-    /// [reaction](LEASE_REACTION) of robots: the derivation above, solved for `G` and rounded up to
-    /// milliseconds.
+    /// Returns the smallest grace with which a lease is safe at a drift of [`CLOCK_DRIFT_MAX`] and
+    /// the [reaction](LEASE_REACTION) of robots: the derivation above, solved for `G` and rounded up
+    /// to milliseconds.
     pub fn grace_min(lease: Duration) -> Duration {
         let (lease, reaction) = (lease.as_secs_f64(), LEASE_REACTION.as_secs_f64());
-        let half = (reaction + DRIFT_REQUIRED * (lease + reaction)) / (1.0 - DRIFT_REQUIRED);
+        let half = (reaction + CLOCK_DRIFT_MAX * (lease + reaction)) / (1.0 - CLOCK_DRIFT_MAX);
         Duration::from_millis((2.0 * half * 1e3).ceil() as u64)
     }
 

@@ -146,7 +146,7 @@ fn overlaps(terms: LeaseTerms, drift: f64, reaction: Duration) -> bool {
 fn two_robots_act_at_once_only_if_clocks_drift_beyond_the_bound() {
     let seconds = Duration::from_secs_f64;
     let default = LeaseTerms::default();
-    assert!((default.drift_max(seconds(0.5)) - 1.0 / 11.0).abs() < 1e-12);
+    assert!((default.drift_max(LEASE_REACTION) - 1.0 / 14.0).abs() < 1e-12);
     for terms in [default, LeaseTerms { lease: seconds(10.0), grace: seconds(3.0) }] {
         for reaction in [0.0, 0.25, 0.5].map(seconds) {
             let bound = terms.drift_max(reaction);
@@ -164,9 +164,53 @@ fn the_smallest_grace_allows_a_drift_of_one_percent() {
         let lease = Duration::from_millis(lease_ms);
         let grace = LeaseTerms::grace_min(lease);
         let drift_max = |grace| LeaseTerms { lease, grace }.drift_max(LEASE_REACTION);
-        assert!(drift_max(grace) >= 0.01 && drift_max(grace - Duration::from_millis(2)) < 0.01, "{lease:?} {grace:?}");
+        assert!(
+            drift_max(grace) >= CLOCK_DRIFT_MAX && drift_max(grace - Duration::from_millis(2)) < CLOCK_DRIFT_MAX,
+            "{lease:?} {grace:?}"
+        );
     }
     assert!(LeaseTerms::default().grace > LeaseTerms::grace_min(LeaseTerms::default().lease));
+}
+
+/// Returns the instant at which a driver server stops its robot, in seconds of the slowest clock, if
+/// the robot's report was sent at 0. A state is sent, received, and named by a command that arrives;
+/// the clocks of client and server run `rates` times as fast as the slowest clock.
+fn stops_at(terms: LeaseTerms, [sent, received, commanded, arrives]: [f64; 4], rates: [f64; 2]) -> Option<f64> {
+    let client_timeout = Duration::from_secs(3);
+    let clocks = rates.map(|rate| move |at: f64| NodeTime::at(Duration::from_secs_f64(100.0 + at * rate)));
+    let (client, server) = (&clocks[0], &clocks[1]);
+    let lease_end = client(0.0) + terms.lease;
+    let keep_for = keep_for(lease_end, client_timeout, client(received), client(commanded))?;
+    let stop = stop_at(keep_for, client_timeout, server(sent), server(arrives))?;
+    Some(stop.since(server(0.0)).as_secs_f64() / rates[1])
+}
+
+#[test]
+fn no_delay_of_a_message_lets_a_driver_act_after_the_lease() {
+    let (terms, fast) = (LeaseTerms::default(), 1.0 + CLOCK_DRIFT_MAX);
+    let lease = terms.lease.as_secs_f64();
+    let delays = [0.0, 0.002, 0.7, 2.0, 3.9, 9.0];
+    let mut latest: f64 = 0.0;
+    let mut check = |times: [f64; 4]| {
+        for rates in [[1.0, 1.0], [fast, 1.0], [1.0, fast], [fast, fast]] {
+            let Some(stop) = stops_at(terms, times, rates) else { continue };
+            assert!(stop <= lease + 1e-6, "{times:?} {rates:?}: stops at {stop}");
+            latest = latest.max(stop);
+        }
+    };
+    for sent in [0.0, 0.3, 2.5, 3.99] {
+        for received in delays.map(|delay| sent + delay) {
+            for commanded in delays.map(|pause| received + pause) {
+                for arrives in delays.map(|delay| commanded + delay) {
+                    check([sent, received, commanded, arrives]);
+                }
+            }
+        }
+    }
+    assert!((latest - lease).abs() < 1e-6, "without delays the lease is used up: {latest}");
+    assert_eq!(stops_at(terms, [0.0, 0.1, 4.1, 4.2], [1.0, 1.0]), None, "sent after the lease");
+    assert_eq!(stops_at(terms, [3.0, 3.1, 3.2, 4.2], [1.0, 1.0]), None, "arrives after the lease");
+    assert_eq!(stops_at(terms, [0.0, 0.0, 0.5, 0.5], [1.0, 1.0]), Some(3.5), "the client timeout");
 }
 
 #[test]

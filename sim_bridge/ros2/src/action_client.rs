@@ -145,6 +145,11 @@ impl ActionClient {
         }
     }
 
+    /// Requests the cancellation of all goals at the server, including those of other clients.
+    pub async fn cancel_all(&self) -> RequestResult {
+        self.cancel(GoalUuid::default()).await
+    }
+
     /// Waits until an accepted goal has ended, for as long as its server is on the graph.
     pub async fn result(&self, id: GoalUuid) -> DriveResult {
         let request = GetResultRequest { goal_id: GoalId::from_bytes(id) };

@@ -52,7 +52,9 @@ pub enum GoalUpdate {
 pub struct ActionServer {
     updates: UnboundedSender<GoalUpdate>,
     requests_to_executor: UnboundedReceiver<ClientRequest>,
-    _tasks: JoinSet<()>,
+    _forwarders: JoinSet<()>,
+    /// Answers the requests, until there are no more updates.
+    state: JoinSet<()>,
 }
 
 type Feedback = FeedbackMessage<NavigateToPose>;
@@ -122,10 +124,10 @@ impl ActionServer {
         let (next_request, requests_to_executor) = unbounded_channel();
         let (updates, update) = unbounded_channel();
         let (requests, request) = unbounded_channel();
-        let mut tasks = JoinSet::new();
-        tasks.spawn(forward_requests(goal, requests.clone(), Request::Goal));
-        tasks.spawn(forward_requests(cancel, requests.clone(), Request::Cancel));
-        tasks.spawn(forward_requests(result, requests, Request::Result));
+        let mut forwarders = JoinSet::new();
+        forwarders.spawn(forward_requests(goal, requests.clone(), Request::Goal));
+        forwarders.spawn(forward_requests(cancel, requests.clone(), Request::Cancel));
+        forwarders.spawn(forward_requests(result, requests, Request::Result));
         let goals = GoalTable::new(RESULTS_KEPT);
         let state = State {
             goals,
@@ -135,14 +137,21 @@ impl ActionServer {
             requests_to_executor: next_request,
             since: Instant::now(),
         };
-        tasks.spawn(state.run(request, update));
+        let mut state_task = JoinSet::new();
+        state_task.spawn(state.run(request, update));
         info!(action = name, "action offered");
-        Ok(ActionServer { updates, requests_to_executor, _tasks: tasks })
+        Ok(ActionServer { updates, requests_to_executor, _forwarders: forwarders, state: state_task })
     }
 
     /// Returns the next request of a client.
     pub async fn next_request(&mut self) -> Option<ClientRequest> {
         self.requests_to_executor.recv().await
+    }
+
+    /// Removes the action from the graph once all updates are applied and their results are sent.
+    pub async fn close(mut self) {
+        drop(self.updates);
+        self.state.join_next().await;
     }
 
     /// Applies an update of a goal.
@@ -187,7 +196,7 @@ impl State {
                 update = updates.recv() => match update {
                     Some(GoalUpdate::Progress(goal, progress)) => self.publish_feedback(goal, progress).await,
                     Some(GoalUpdate::Ended(goal, status_of_end, outcome)) => self.end(goal, status_of_end, outcome).await,
-                    None => return,
+                    None => return self.abort_all().await,
                 },
                 _ = tick.tick() => {
                     if self.goals.remove_expired(self.since.elapsed()) {
@@ -257,6 +266,18 @@ impl State {
         let Some((status, outcome)) = self.goals.result(goal) else { return };
         for reply in self.awaiting.remove(&goal).unwrap_or_default() {
             send_result(reply, status, outcome.clone()).await;
+        }
+    }
+
+    /// Aborts the goals in progress: their clients wait for a result.
+    async fn abort_all(&mut self) {
+        let goals: Vec<GoalUuid> = self.goals.statuses().map(|(goal, ..)| goal).collect();
+        for goal in goals {
+            let outcome = NavigateResult {
+                error_code: mapping::UNKNOWN_ERROR,
+                error_msg: "the action server is stopping".to_owned(),
+            };
+            self.end(goal, EndState::Aborted, outcome).await;
         }
     }
 

@@ -10,6 +10,7 @@ use consort_ros2::route_planner::RoutePlanner;
 use consort_ros2::serve::{ServeSettings, serve};
 use consort_world::map::{self, Map};
 use std::error::Error;
+use std::future::Future;
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -110,34 +111,29 @@ fn main() -> ExitCode {
 async fn run(command: Command) -> Result<(), Box<dyn Error>> {
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
-    let stop_requested = async {
+    let stop_requested = async move {
         tokio::select! {
             _ = terminate.recv() => {}
             _ = interrupt.recv() => {}
         }
+        info!("stopping");
     };
-    tokio::select! {
-        result = run_command(command) => result,
-        () = stop_requested => {
-            info!("stopping");
-            Ok(())
-        }
-    }
+    run_command(command, stop_requested).await
 }
 
-async fn run_command(command: Command) -> Result<(), Box<dyn Error>> {
+async fn run_command(command: Command, stop: impl Future<Output = ()>) -> Result<(), Box<dyn Error>> {
     match command {
         Command::Serve { connection } => {
             let (map, bus, keys, ros) = connection.open("consort_bridge").await?;
             let since_1970 = SystemTime::UNIX_EPOCH.elapsed()?;
-            let first_goal = u64::try_from(since_1970.as_millis())?.saturating_mul(1_000_000);
+            let run = u64::try_from(since_1970.as_millis())?;
             let planner = Arc::new(RoutePlanner::new(map)?);
-            Ok(serve(&ros, ServeSettings { bus, keys, planner, first_goal }).await?)
+            Ok(serve(&ros, ServeSettings { bus, keys, planner, run }, stop).await?)
         }
         Command::Drive { connection, robot, place, action } => {
             let (map, bus, keys, ros) = connection.open("consort_driver").await?;
             let places = map.topology().places;
-            Ok(drive(&ros, DriveSettings { bus, keys, robot, place, places, action }).await?)
+            Ok(drive(&ros, DriveSettings { bus, keys, robot, place, places, action }, stop).await?)
         }
     }
 }

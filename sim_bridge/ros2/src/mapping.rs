@@ -9,6 +9,9 @@ use consort_skills::actions::{ActionError, ErrorCode, Goal};
 /// Coordinate frame of Nav2's maps, and of the fleet's map.
 pub const FRAME: &str = "map";
 
+/// The `error_code` of `NavigateToPose` for an unknown error.
+pub const UNKNOWN_ERROR: u16 = 9000;
+
 /// A ROS pose cannot be converted. Nothing was sent to the robot.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PoseError {
@@ -25,7 +28,7 @@ impl PoseError {
     pub fn code(&self) -> u16 {
         match self {
             PoseError::Frame(_) => 9002, // TF_ERROR
-            PoseError::Numbers => 9000,  // UNKNOWN
+            PoseError::Numbers => UNKNOWN_ERROR,
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::fleet;
 use consort_fleet::robot::{AlternativeProgress, Checkpoint};
 use consort_fleet::robot_driver::{
-    DriverCommand, DriverState, GoalRequest, PersonCommand, PersonEvent, PersonRequestState,
+    DriverCommand, DriverState, GoalRequest, Permit, PersonCommand, PersonEvent, PersonRequestState,
 };
 use consort_gossip::{GossipHarness, GossipInput as How};
 use consort_protocol::auction::{AuctionId, AuctionRecord, Bid, BidPart, BidResponse, CallForBids, RoleReply};
@@ -206,7 +206,10 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
         encoded(&BootstrapReply::Refused { reason: "no".to_owned() }),
         encoded(&MissionsChanged { node: ada, term: 3 }),
         encoded(&ActiveMissions { cluster: None, count: 1, plans: vec![live] }),
-        encoded(&DriverCommand { request: Some(GoalRequest::Cancel { id: GoalId(3) }) }),
+        encoded(&DriverCommand {
+            request: Some(GoalRequest::Cancel { id: GoalId(3) }),
+            permit: Permit { goals: vec![GoalId(2)], state: 7, keep_for_ms: 2_900 },
+        }),
         body_state(),
         encoded(&PersonCommand { id: GoalId(3), request: None }),
         encoded(&PersonRequestState::Ended(Ok(()))),

@@ -348,6 +348,7 @@ impl Assembly {
             robot: robot.clone(),
             keys: self.keys.clone(),
             bus: self.bus.clone(),
+            clock: self.clock,
             // 20 bits of goal ids per incarnation; incarnations start at least 1 ms apart.
             first_goal: incarnation << 20,
             heartbeat_interval: Duration::from_millis(300),

@@ -4,7 +4,7 @@
 use super::checkpoint::Checkpoint;
 use super::checkpoint_writer::{CheckpointWriter, PendingOutput};
 use super::recovery_policy::{AttemptFailure, RecoveryAction, RecoveryPolicy};
-use super::release::PendingRelease;
+use super::release::{DriverActivity, PendingRelease};
 use super::sequencer::{Sequencer, SequencerAction, StepRef};
 use super::signals::StaleSignals;
 use super::skill_runner::RunningSkill;
@@ -280,9 +280,9 @@ impl ActivePlan {
 
     /// Checks whether a report is needed: the next step waits for the ledger, or the reason of the
     /// release can be reported.
-    pub(super) fn needs_report(&self, is_idle: bool, now: NodeTime) -> bool {
+    pub(super) fn needs_report(&self, driver: DriverActivity, now: NodeTime) -> bool {
         match &self.recovery.release {
-            Some(release) => release.must_report(is_idle, now),
+            Some(release) => release.must_report(driver, now),
             None => self.sequencer.awaits_ledger(),
         }
     }
@@ -367,7 +367,9 @@ mod tests {
         start_task(&mut active, at(600));
         let effect = active.recover(failure(FailureKind::Task), delay, at(700));
         assert!(matches!(effect, Some(RecoveryEffect::Release(EventKind::TaskFailed { .. }))), "{effect:?}");
-        assert!(active.is_releasing() && active.needs_report(true, at(700)) && !active.needs_report(false, at(700)));
+        let driver = |is_idle| DriverActivity { is_idle, silent_for: Duration::ZERO };
+        let needs_report = |is_idle| active.needs_report(driver(is_idle), at(700));
+        assert!(active.is_releasing() && needs_report(true) && !needs_report(false));
         assert_eq!(active.next_action(at(9_000)), None);
         assert_eq!(active.recover(failure(FailureKind::Battery), delay, at(9_000)), None, "released already");
     }

@@ -2,6 +2,7 @@
 
 use super::energy_check::pricing_context;
 use super::recovery_policy::AttemptFailure;
+use super::release::DriverActivity;
 use super::worker_record::WorkerRecord;
 use crate::robot_driver::RobotDriver;
 use consort_protocol::ids::PlaceId;
@@ -103,9 +104,14 @@ impl DriverLink {
         self.driver.silent_for()
     }
 
-    /// Checks whether a state has arrived and no goal is in progress.
-    pub(super) fn is_idle(&self) -> bool {
-        self.driver.is_idle()
+    /// Returns whether the robot is at rest, as far as is known.
+    pub(super) fn activity(&self) -> DriverActivity {
+        DriverActivity { is_idle: self.driver.is_idle(), silent_for: self.silent_for() }
+    }
+
+    /// Lets the robot act until this time; `None` forbids it.
+    pub(super) fn allow_until(&self, until: Option<NodeTime>) {
+        self.driver.allow_until(until);
     }
 
     /// Returns the id of the next goal.

@@ -78,6 +78,11 @@ impl LeaseClient {
         self.lease.may_act(now)
     }
 
+    /// Returns the time until which the robot may act, if it holds a confirmed award.
+    pub(super) fn acts_until(&self) -> Option<NodeTime> {
+        self.lease.acts_until()
+    }
+
     /// Returns the availability of a robot with an award.
     pub(super) fn holding(&self) -> Option<Availability> {
         self.award().map(|award| Availability::Holding {

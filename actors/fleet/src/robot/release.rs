@@ -5,12 +5,24 @@ use consort_protocol::message::TaskFailure;
 use consort_protocol::units::NodeTime;
 use std::time::Duration;
 
-/// Extra time until a driver server applies [`CLIENT_TIMEOUT`]: it checks every 0.5 s, and clocks
-/// drift.
+/// Extra time until a robot is at rest after [`CLIENT_TIMEOUT`]: its reaction, and the drift of its
+/// driver server's clock.
 const CLIENT_TIMEOUT_MARGIN: Duration = Duration::from_secs(1);
 
-/// Reason for the release, and whether it was reported. Until the coordinator ends the award, the
-/// robot only waits.
+/// Time after the last permission for its goals at which a robot is at rest.
+const REST_AFTER: Duration = CLIENT_TIMEOUT.saturating_add(CLIENT_TIMEOUT_MARGIN);
+
+/// Activity of a driver as known to the robot's node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct DriverActivity {
+    /// No goal is in progress.
+    pub(super) is_idle: bool,
+    /// Time since the latest state of the driver.
+    pub(super) silent_for: Duration,
+}
+
+/// Reason for the release, and whether it was reported. The robot may not act from the beginning of
+/// the release; until the coordinator ends the award, it only waits.
 pub(super) struct PendingRelease {
     failure: TaskFailure,
     since: NodeTime,
@@ -22,21 +34,23 @@ impl PendingRelease {
         PendingRelease { failure, since, reported: false }
     }
 
-    /// Returns the reason once the robot no longer acts in the role, so that its successor cannot
-    /// meet it at work: the driver is idle, or it has been unreachable for so long that its server
-    /// has stopped it.
-    pub(super) fn due(&self, is_idle: bool, now: NodeTime) -> Option<&TaskFailure> {
-        (is_idle || now.since(self.since) >= CLIENT_TIMEOUT + CLIENT_TIMEOUT_MARGIN).then_some(&self.failure)
+    /// Returns the reason once the body is at rest, so that its successor cannot meet it at work: the
+    /// driver is idle, or it has been unreachable for so long that its server has stopped the robot.
+    /// A driver that still reports a goal in progress is not at rest, however long ago the release
+    /// began.
+    pub(super) fn due(&self, driver: DriverActivity, now: NodeTime) -> Option<&TaskFailure> {
+        let is_stopped_by_server = driver.silent_for >= REST_AFTER && now.since(self.since) >= REST_AFTER;
+        (driver.is_idle || is_stopped_by_server).then_some(&self.failure)
     }
 
     /// Checks whether the reason can be reported and has not been reported yet.
-    pub(super) fn must_report(&self, is_idle: bool, now: NodeTime) -> bool {
-        !self.reported && self.due(is_idle, now).is_some()
+    pub(super) fn must_report(&self, driver: DriverActivity, now: NodeTime) -> bool {
+        !self.reported && self.due(driver, now).is_some()
     }
 
     /// Marks the reason as reported and returns it, if it is [`due`](Self::due).
-    pub(super) fn take_report(&mut self, is_idle: bool, now: NodeTime) -> Option<TaskFailure> {
-        let failure = self.due(is_idle, now).cloned();
+    pub(super) fn take_report(&mut self, driver: DriverActivity, now: NodeTime) -> Option<TaskFailure> {
+        let failure = self.due(driver, now).cloned();
         self.reported = failure.is_some();
         failure
     }
@@ -45,10 +59,17 @@ impl PendingRelease {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::lease::{CLOCK_DRIFT_MAX, LEASE_REACTION};
     use consort_protocol::message::FailureKind;
 
     fn at(ms: u64) -> NodeTime {
         NodeTime::default() + Duration::from_millis(ms)
+    }
+
+    const IDLE: DriverActivity = DriverActivity { is_idle: true, silent_for: Duration::ZERO };
+
+    fn busy(silent_for_ms: u64) -> DriverActivity {
+        DriverActivity { is_idle: false, silent_for: Duration::from_millis(silent_for_ms) }
     }
 
     fn pending() -> PendingRelease {
@@ -59,24 +80,31 @@ mod tests {
     #[test]
     fn a_release_is_reported_as_soon_as_the_driver_is_idle() {
         let mut release = pending();
-        assert_eq!(release.due(false, at(1_100)), None);
-        assert!(release.must_report(true, at(1_100)));
-        assert!(release.take_report(true, at(1_100)).is_some());
-        assert!(!release.must_report(true, at(1_200)));
+        assert_eq!(release.due(busy(0), at(1_100)), None);
+        assert!(release.must_report(IDLE, at(1_100)));
+        assert!(release.take_report(IDLE, at(1_100)).is_some());
+        assert!(!release.must_report(IDLE, at(1_200)));
     }
 
     #[test]
     fn an_unreachable_driver_counts_as_stopped_after_the_client_timeout() {
         let release = pending();
-        assert!(!release.must_report(false, at(4_999)));
-        assert!(release.must_report(false, at(5_000)));
+        assert!(!release.must_report(busy(9_000), at(4_999)), "commands before the release permitted the goal");
+        assert!(!release.must_report(busy(3_999), at(9_000)), "it was at work 4 s ago");
+        assert!(release.must_report(busy(4_000), at(5_000)));
+        assert!(CLIENT_TIMEOUT_MARGIN > LEASE_REACTION + REST_AFTER.mul_f64(CLOCK_DRIFT_MAX));
+    }
+
+    #[test]
+    fn a_driver_that_reports_a_goal_in_progress_is_never_at_rest() {
+        assert_eq!(pending().due(busy(200), at(60_000)), None);
     }
 
     #[test]
     fn a_driver_that_moves_again_makes_the_report_due_again() {
         let mut release = pending();
-        release.take_report(true, at(1_100));
-        assert_eq!(release.take_report(false, at(1_200)), None);
-        assert!(release.must_report(true, at(1_300)));
+        release.take_report(IDLE, at(1_100));
+        assert_eq!(release.take_report(busy(0), at(1_200)), None);
+        assert!(release.must_report(IDLE, at(1_300)));
     }
 }

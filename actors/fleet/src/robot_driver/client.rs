@@ -2,13 +2,15 @@
 //! up to date.
 
 use super::goal_tracker::GoalTracker;
-use super::messages::{DriverCommand, DriverState, GoalRequest};
+use super::messages::{DriverState, GoalRequest};
 use bytes::Bytes;
+use consort_bus::clock::Clock;
 use consort_bus::tasks::Tasks;
 use consort_bus::{Reply, Sample, SharedBus, Stream};
 use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
 use consort_protocol::keys::{DriverCall, Key, Keys};
+use consort_protocol::units::NodeTime;
 use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotActions, Telemetry};
 use ractor::{Actor, ActorCell, ActorProcessingErr, ActorRef};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -30,6 +32,8 @@ pub struct DriverClientSettings {
     pub keys: Keys,
     /// The bus.
     pub bus: SharedBus,
+    /// The node's clock.
+    pub clock: Clock,
     /// First goal id: different for each incarnation of the node, so that no id is used twice.
     pub first_goal: u64,
     /// Interval of commands to the server while a goal is in progress or the server does not reply.
@@ -112,6 +116,12 @@ impl RobotDriver {
     /// incarnations of the client.
     pub fn is_idle(&self) -> bool {
         self.lock().is_idle()
+    }
+
+    /// Lets the robot act until this time of the node's clock; `None` forbids it, as at the start.
+    /// The driver server stops the robot at that time. A goal that is sent meanwhile waits.
+    pub fn allow_until(&self, until: Option<NodeTime>) {
+        self.lock().allow_until(until);
     }
 
     /// Cancels every goal in progress: the robot stops safely.
@@ -235,9 +245,12 @@ impl DriverClientState {
             if requests.is_empty() { vec![None] } else { requests.into_iter().map(Some).collect() };
         let key = self.settings.keys.write(&Key::Driver(self.settings.robot.clone(), DriverCall::Command));
         let (bus, limit, to) = (self.settings.bus.clone(), self.settings.heartbeat_interval, myself.clone());
+        let (driver, clock) = (self.driver.clone(), self.settings.clock);
         self.tasks.spawn(async move {
             for request in commands {
-                let bytes = codec::encode(&DriverCommand { request: request.clone() }).expect("a goal fits a message");
+                // The permission is that of the instant at which the command is sent.
+                let Some(command) = driver.lock().command(request.clone(), clock.now()) else { continue };
+                let bytes = codec::encode(&command).expect("a goal fits a message");
                 let Ok(replies) = bus.query(&key, Bytes::from(bytes), limit).await else { return };
                 // The next request waits for this reply: a goal must not be canceled before its
                 // start.
@@ -267,7 +280,7 @@ impl DriverClientState {
     fn receive_state(&mut self, payload: &[u8]) {
         match codec::decode::<DriverState>(payload) {
             Ok(state) if state.robot == self.settings.robot => {
-                if self.driver.lock().apply_state(state) {
+                if self.driver.lock().apply_state(state, self.settings.clock.now()) {
                     self.driver.notify_client();
                 }
             }

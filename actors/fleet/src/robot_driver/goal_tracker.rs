@@ -1,6 +1,9 @@
 //! The goal tracker: latest state of a driver and requests without a reply, as a value.
 
-use super::messages::{DriverState, GoalRequest};
+use super::CLIENT_TIMEOUT;
+use super::messages::{DriverCommand, DriverState, GoalRequest, Permit};
+use consort_protocol::lease::keep_for;
+use consort_protocol::units::NodeTime;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalId, GoalStatus, Telemetry};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -14,13 +17,14 @@ const GOALS_KEPT: usize = 32;
 /// State of a driver as known to its client, and pending requests.
 pub(super) struct GoalTracker {
     next: u64,
-    telemetry: Option<Telemetry>,
-    /// Arrival time of the latest state.
-    last_report_at: Option<Instant>,
+    latest: Option<LatestState>,
     /// Creation time of the tracker.
     since: Instant,
-    number: u64,
+    /// Time until which the robot may act.
+    allowed_until: Option<NodeTime>,
     goals: BTreeMap<GoalId, GoalStatus>,
+    /// Goals whose end was requested.
+    canceled: BTreeSet<GoalId>,
     /// Completed goals that must not be repeated, including those of previous incarnations of this
     /// node.
     done: BTreeMap<GoalId, Goal>,
@@ -28,6 +32,16 @@ pub(super) struct GoalTracker {
     /// Requests without a reply, in the order of sending.
     pending: Vec<GoalRequest>,
     changed: watch::Sender<u64>,
+}
+
+/// Latest state of the server.
+struct LatestState {
+    sequence: u64,
+    telemetry: Telemetry,
+    /// Arrival time.
+    arrived: Instant,
+    /// Arrival time by the node's clock.
+    arrived_at: NodeTime,
 }
 
 /// Attempt at a task. Goals that earlier attempts have completed are not repeated.
@@ -44,11 +58,11 @@ impl GoalTracker {
     pub(super) fn new(next: u64) -> GoalTracker {
         GoalTracker {
             next,
-            telemetry: None,
-            last_report_at: None,
+            latest: None,
             since: Instant::now(),
-            number: 0,
+            allowed_until: None,
             goals: BTreeMap::new(),
+            canceled: BTreeSet::new(),
             done: BTreeMap::new(),
             attempt: Attempt::default(),
             pending: vec![],
@@ -63,23 +77,23 @@ impl GoalTracker {
 
     /// Returns the latest telemetry.
     pub(super) fn telemetry(&self) -> Option<&Telemetry> {
-        self.telemetry.as_ref()
+        self.latest.as_ref().map(|latest| &latest.telemetry)
     }
 
     /// Returns the arrival time of the latest state.
     pub(super) fn last_report_at(&self) -> Option<Instant> {
-        self.last_report_at
+        self.latest.as_ref().map(|latest| latest.arrived)
     }
 
     /// Returns the time since the latest state, or since creation.
     pub(super) fn silent_for(&self) -> Duration {
-        self.last_report_at.unwrap_or(self.since).elapsed()
+        self.last_report_at().unwrap_or(self.since).elapsed()
     }
 
     /// Checks whether a state has arrived and no goal is in progress, including goals of previous
     /// incarnations of the client.
     pub(super) fn is_idle(&self) -> bool {
-        self.telemetry.is_some() && self.goals.values().all(GoalStatus::is_final)
+        self.latest.is_some() && self.goals.values().all(GoalStatus::is_final)
     }
 
     /// Returns the status of a goal, if it is still kept.
@@ -127,6 +141,30 @@ impl GoalTracker {
         }
     }
 
+    /// Lets the robot act until this time; `None` forbids it. Goals that were not started yet wait.
+    pub(super) fn allow_until(&mut self, until: Option<NodeTime>) {
+        self.allowed_until = until;
+    }
+
+    /// Returns the command for a request, with the permission at this instant. Returns `None` for the
+    /// start of a goal while the robot may not act.
+    pub(super) fn command(&self, request: Option<GoalRequest>, now: NodeTime) -> Option<DriverCommand> {
+        let permit = self.permit(now);
+        let is_start = matches!(request, Some(GoalRequest::Start { .. }));
+        (permit.is_some() || !is_start).then(|| DriverCommand { request, permit: permit.unwrap_or_default() })
+    }
+
+    fn permit(&self, now: NodeTime) -> Option<Permit> {
+        let (until, latest) = (self.allowed_until?, self.latest.as_ref()?);
+        let keep_for = keep_for(until, CLIENT_TIMEOUT, latest.arrived_at, now)?;
+        let in_progress = self.goals.iter().filter(|(id, status)| !status.is_final() && !self.canceled.contains(id));
+        Some(Permit {
+            goals: in_progress.map(|(id, _)| *id).collect(),
+            state: latest.sequence,
+            keep_for_ms: u64::try_from(keep_for.as_millis()).unwrap_or(u64::MAX),
+        })
+    }
+
     /// Returns the requests without a reply, in the order of sending.
     pub(super) fn pending_requests(&self) -> &[GoalRequest] {
         &self.pending
@@ -140,6 +178,7 @@ impl GoalTracker {
     /// Requests the end of a goal. A start request without a reply is no longer repeated: the
     /// server could receive it long after the goal has become obsolete.
     fn request_cancel(&mut self, goal: GoalId) {
+        self.canceled.insert(goal);
         self.pending.retain(|request| !matches!(request, GoalRequest::Start { id, .. } if *id == goal));
         let cancel = GoalRequest::Cancel { id: goal };
         if !self.pending.contains(&cancel) {
@@ -160,18 +199,20 @@ impl GoalTracker {
         found.is_some()
     }
 
-    /// Applies a state of the server. Returns true if requests should be sent at once.
-    pub(super) fn apply_state(&mut self, state: DriverState) -> bool {
-        if state.sequence <= self.number && self.number - state.sequence < 1 << 32 {
+    /// Applies a state of the server, which has arrived now. Returns true if requests should be sent
+    /// at once.
+    pub(super) fn apply_state(&mut self, state: DriverState, now: NodeTime) -> bool {
+        let (sequence, known) = (state.sequence, self.latest.as_ref().map_or(0, |latest| latest.sequence));
+        if sequence <= known && known - sequence < 1 << 32 {
             return false; // arrived late; a much lower number belongs to a restarted server
         }
-        self.number = state.sequence;
-        self.telemetry = Some(state.telemetry);
-        self.last_report_at = Some(Instant::now());
+        let (telemetry, arrived) = (state.telemetry, Instant::now());
+        self.latest = Some(LatestState { sequence, telemetry, arrived, arrived_at: now });
         self.done.extend(state.completed);
         while self.done.len() > GOALS_KEPT {
             self.done.pop_first();
         }
+        self.canceled.retain(|id| self.goals.contains_key(id));
         let reported: BTreeSet<GoalId> = state.goals.iter().map(|(id, _)| *id).collect();
         let mut has_unknown = false;
         for (id, status) in state.goals {
@@ -225,6 +266,42 @@ mod tests {
         DriverState { robot: "ada".parse().unwrap(), sequence: number, telemetry, goals, completed: vec![] }
     }
 
+    fn at(ms: u64) -> NodeTime {
+        NodeTime::at(Duration::from_millis(ms))
+    }
+
+    #[test]
+    fn no_goal_starts_without_a_permission() {
+        let mut tracker = GoalTracker::new(100);
+        tracker.apply_state(state(1, &[]), at(500));
+        tracker.start_goal(Goal::Wait { time: Seconds::ZERO });
+        let start = || tracker.pending.first().cloned();
+        let heartbeat = DriverCommand { request: None, permit: Permit::default() };
+        assert_eq!(tracker.command(start(), at(600)), None);
+        assert_eq!(tracker.command(None, at(600)), Some(heartbeat.clone()));
+        let mut tracker = tracker;
+        tracker.allow_until(Some(at(1_500)));
+        let start = tracker.pending.first().cloned();
+        let permit = Permit { goals: vec![GoalId(100)], state: 1, keep_for_ms: 1_000 };
+        let expected = DriverCommand { request: start.clone(), permit };
+        assert_eq!(tracker.command(start.clone(), at(600)), Some(expected));
+        assert_eq!(tracker.command(start, at(1_500)), None, "the lease has run out");
+        assert_eq!(tracker.command(None, at(1_500)), Some(heartbeat));
+    }
+
+    #[test]
+    fn a_canceled_goal_is_not_kept_alive() {
+        let mut tracker = GoalTracker::new(100);
+        tracker.allow_until(Some(at(60_000)));
+        let id = tracker.start_goal(Goal::Wait { time: Seconds::ZERO });
+        tracker.pending.clear();
+        tracker.apply_state(state(1, &[(100, executing()), (7, executing())]), at(500));
+        let kept = |tracker: &GoalTracker| tracker.command(None, at(600)).unwrap().permit.goals;
+        assert_eq!(kept(&tracker), [id], "the goal of a previous incarnation is not listed");
+        tracker.cancel(id);
+        assert_eq!(kept(&tracker), []);
+    }
+
     #[test]
     fn each_completed_goal_of_an_earlier_attempt_is_claimed_once() {
         let mut tracker = GoalTracker::new(100);
@@ -233,7 +310,7 @@ mod tests {
         // 101 to this one.
         let done = [(5, "amber"), (6, "birch"), (7, "amber"), (101, "amber")];
         let done = done.map(|(id, from)| (GoalId(id), pick_up(from)));
-        tracker.apply_state(DriverState { completed: done.to_vec(), ..state(1, &[]) });
+        tracker.apply_state(DriverState { completed: done.to_vec(), ..state(1, &[]) }, at(0));
         assert!(!tracker.claim_completed(&pick_up("amber")), "no attempt has started");
         let attempt = |next: u64| Attempt { earlier: 6..next, claimed: BTreeSet::new() };
         tracker.attempt = attempt(100);
@@ -251,11 +328,11 @@ mod tests {
     #[test]
     fn a_goal_of_a_previous_incarnation_is_canceled() {
         let mut tracker = GoalTracker::new(100);
-        assert!(tracker.apply_state(state(1, &[(6, GoalStatus::Succeeded), (7, executing())])));
+        assert!(tracker.apply_state(state(1, &[(6, GoalStatus::Succeeded), (7, executing())]), at(0)));
         assert_eq!(tracker.pending, [GoalRequest::Cancel { id: GoalId(7) }]);
         assert!(!tracker.goals[&GoalId(7)].is_final());
         tracker.pending.clear();
-        assert!(!tracker.apply_state(state(2, &[(6, GoalStatus::Succeeded), (7, GoalStatus::Canceled)])));
+        assert!(!tracker.apply_state(state(2, &[(6, GoalStatus::Succeeded), (7, GoalStatus::Canceled)]), at(0)));
         assert!(tracker.goals.values().all(GoalStatus::is_final));
     }
 
@@ -264,9 +341,9 @@ mod tests {
         let mut tracker = GoalTracker::new(100);
         tracker.goals = BTreeMap::from([(GoalId(100), executing()), (GoalId(101), GoalStatus::Sent)]);
         tracker.pending = vec![GoalRequest::Start { id: GoalId(101), goal: Goal::Wait { time: Seconds::ZERO } }];
-        assert!(!tracker.apply_state(state(1, &[(100, executing())])));
+        assert!(!tracker.apply_state(state(1, &[(100, executing())]), at(0)));
         assert_eq!(tracker.goals[&GoalId(100)], executing());
-        assert!(!tracker.apply_state(state(2, &[])));
+        assert!(!tracker.apply_state(state(2, &[]), at(0)));
         assert!(matches!(&tracker.goals[&GoalId(100)], GoalStatus::Aborted(error) if error.code == ErrorCode::Unknown));
         assert_eq!(tracker.goals[&GoalId(101)], GoalStatus::Sent);
     }

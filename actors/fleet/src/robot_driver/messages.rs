@@ -10,6 +10,22 @@ use serde::{Deserialize, Serialize};
 pub struct DriverCommand {
     /// Goal to start or cancel, if any.
     pub request: Option<GoalRequest>,
+    /// Goals that may continue, and until when.
+    pub permit: Permit,
+}
+
+/// Permission to act: the goals of a client that may continue, and until when. The default permits
+/// nothing.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Permit {
+    /// Goals in progress that the client supervises. A goal that the command starts need not be
+    /// listed.
+    pub goals: Vec<GoalId>,
+    /// Sequence number of the latest state that the client has received.
+    pub state: u64,
+    /// Time after the sending of that state for which the robot may act, in milliseconds
+    /// ([`keep_for`](fn@consort_protocol::lease::keep_for)).
+    pub keep_for_ms: u64,
 }
 
 /// Request about a goal.

@@ -11,19 +11,23 @@
 //!
 //! Commands are queries that are repeated until a reply arrives. Goals have ids, so a repeated goal
 //! starts nothing. States are published when a goal ends and at an interval. A state may be lost,
-//! because the next state replaces it. A robot stops when its driver client times out.
+//! because the next state replaces it. A command lists the goals that may continue, and until when
+//! ([`Permit`]): at the end of the lease, or when no such command arrives for [`CLIENT_TIMEOUT`], the
+//! robot stops.
 
 mod client;
+mod goal_table;
 mod goal_tracker;
 mod messages;
 mod server;
 
 use std::time::Duration;
 
-/// Time without a command after which a driver server stops a robot. Awards rely on this guarantee
-/// of every server: the release of a role whose driver is unreachable waits for this time.
+/// Time after the last command that permits a goal until a driver server stops the robot. Awards rely
+/// on this guarantee of every server: the release of a role whose driver is unreachable waits for
+/// this time.
 pub const CLIENT_TIMEOUT: Duration = Duration::from_secs(3);
 
 pub use client::{DriverClientSettings, RobotDriver};
-pub use messages::{DriverCommand, DriverState, GoalRequest, PersonCommand, PersonEvent, PersonRequestState};
+pub use messages::{DriverCommand, DriverState, GoalRequest, Permit, PersonCommand, PersonEvent, PersonRequestState};
 pub use server::{DriverServer, DriverServerMessage, DriverServerSettings};

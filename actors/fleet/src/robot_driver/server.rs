@@ -1,6 +1,7 @@
 //! The driver server: an actor that advances a [`RobotBackend`] in time and passes commands to it.
 
-use super::messages::{DriverCommand, DriverState, GoalRequest, PersonCommand, PersonEvent, PersonRequestState};
+use super::goal_table::{CommandEffect, GoalTable};
+use super::messages::{DriverCommand, DriverState, PersonCommand, PersonEvent, PersonRequestState};
 use bytes::Bytes;
 use consort_bus::clock::Clock;
 use consort_bus::reply;
@@ -13,12 +14,10 @@ use consort_protocol::units::{NodeTime, WorldTime};
 use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, GoalId, GoalStatus, RobotBackend};
 use ractor::{Actor, ActorProcessingErr, ActorRef};
 use serde::Serialize;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::time::Duration;
+use tokio::time::Instant;
 use tracing::{info, warn};
-
-/// Number of latest goals per robot in a published state.
-const GOALS_PUBLISHED: usize = 8;
 
 /// Number of repetitions of an event without a reply, 1 per publish interval: the event may be
 /// lost.
@@ -39,7 +38,7 @@ pub struct DriverServerSettings {
     pub speed: f64,
     /// Interval of published states without changes. Default 500 ms.
     pub publish_interval: Duration,
-    /// Client timeout: a robot stops when its driver client has sent nothing for this long, and a
+    /// Client timeout: a robot stops when no command has permitted its goal for this long, and a
     /// person request that was not repeated for this long is canceled. Longer than several
     /// intervals of a human task proxy. Default 3 s.
     pub client_timeout: Duration,
@@ -55,6 +54,8 @@ pub enum DriverServerMessage {
     WorldView(Query),
     /// A world event is due.
     WorldEventDue,
+    /// The permission of a goal may have run out.
+    StopDue,
     /// Periodic timer: publish all states.
     Tick,
 }
@@ -69,7 +70,7 @@ pub struct DriverServerState {
     started: NodeTime,
     /// World time at the start of the server.
     origin: WorldTime,
-    drivers: BTreeMap<RobotId, DriverEntry>,
+    goals: GoalTable,
     /// Person requests in progress, with the time of the latest repetition.
     person_requests: BTreeMap<GoalId, NodeTime>,
     /// Events of people without a reply, with the number of repetitions left.
@@ -87,22 +88,6 @@ fn sleep_for(seconds: f64) -> Duration {
     match Duration::try_from_secs_f64(seconds.max(0.0)) {
         Ok(ahead) if ahead < SLEEP_MAX => ahead + Duration::from_micros(1),
         Ok(_) | Err(_) => SLEEP_MAX,
-    }
-}
-
-#[derive(Default)]
-struct DriverEntry {
-    goals: VecDeque<GoalId>,
-    /// Last command of the driver client; `None` before the first, and after a client timeout.
-    last_command_at: Option<NodeTime>,
-}
-
-impl DriverEntry {
-    fn track(&mut self, goal: GoalId) {
-        self.goals.push_back(goal);
-        while self.goals.len() > GOALS_PUBLISHED {
-            self.goals.pop_front();
-        }
     }
 }
 
@@ -130,13 +115,10 @@ impl Actor for DriverServer {
             tasks.forward(settings.bus.serve(&view).await?, &myself, DriverServerMessage::WorldView);
         }
         tasks.send_every(settings.publish_interval, &myself, || DriverServerMessage::Tick);
-        let (now, mut drivers) = (settings.clock.now(), BTreeMap::new());
+        let (now, mut goals) = (settings.clock.now(), GoalTable::new(settings.client_timeout));
         for robot in world.robots() {
-            // Robots may still execute goals that clients sent to a previous server.
-            let mut entry = DriverEntry::default();
-            world.goals(&robot).into_iter().for_each(|goal| entry.track(goal));
-            entry.last_command_at = (!entry.goals.is_empty()).then_some(now);
-            drivers.insert(robot, entry);
+            let in_progress = world.goals(&robot);
+            goals.add_robot(robot, in_progress, now);
         }
         // People may still work on requests from proxies that used a previous server, or that are
         // gone.
@@ -147,7 +129,7 @@ impl Actor for DriverServer {
             world,
             started,
             origin,
-            drivers,
+            goals,
             person_requests,
             repeated_events: vec![],
             sequence,
@@ -163,6 +145,7 @@ impl Actor for DriverServer {
         state: &mut Self::State,
     ) -> Result<(), ActorProcessingErr> {
         let changed = state.advance();
+        state.stop_unpermitted_goals();
         match message {
             DriverServerMessage::Command(query) => state.handle_command(query).await,
             DriverServerMessage::PersonRequest(query) => state.handle_person_command(query).await,
@@ -171,8 +154,8 @@ impl Actor for DriverServer {
                 reply::json(&query, &state.settings.keys.write(&Key::World), &report).await;
             }
             DriverServerMessage::WorldEventDue => state.next_wake = None,
+            DriverServerMessage::StopDue => {}
             DriverServerMessage::Tick => {
-                state.stop_timed_out_robots();
                 state.cancel_unrepeated_requests();
                 state.publish_all().await;
             }
@@ -181,6 +164,7 @@ impl Actor for DriverServer {
         let after = state.advance();
         state.publish_events(after).await;
         state.wake_when_due(&myself);
+        state.wake_for_next_stop(&myself);
         Ok(())
     }
 }
@@ -211,22 +195,11 @@ impl DriverServerState {
             return reply::refuse(&query, "not a command to a driver").await;
         };
         let Some(command) = reply::decode_or_refuse::<DriverCommand>(&query).await else { return };
-        let now = self.settings.clock.now();
-        let Some(entry) = self.drivers.get_mut(&robot) else {
-            let available: Vec<_> = self.drivers.keys().map(RobotId::as_str).collect();
-            return reply::refuse(&query, &format!("no driver of {robot} here; available: {}", available.join(", ")))
-                .await;
-        };
-        entry.last_command_at = Some(now);
-        match command.request {
-            Some(GoalRequest::Start { id, goal }) if !entry.goals.contains(&id) => {
-                entry.track(id);
-                self.world.start(&robot, id, goal);
-            }
-            // Canceled before its start arrived: the late start must have no effect.
-            Some(GoalRequest::Cancel { id }) if !entry.goals.contains(&id) => entry.track(id),
-            Some(GoalRequest::Cancel { id }) => self.world.cancel(&robot, id),
-            Some(GoalRequest::Start { .. }) | None => {}
+        match self.goals.receive(&robot, command, self.settings.clock.now()) {
+            Ok(CommandEffect::Start(id, goal)) => self.world.start(&robot, id, goal),
+            Ok(CommandEffect::Cancel(id)) => self.world.cancel(&robot, id),
+            Ok(CommandEffect::None) => {}
+            Err(problem) => return reply::refuse(&query, &problem.to_string()).await,
         }
         // Rejections and cancellations take effect at once.
         let events = self.advance();
@@ -256,20 +229,20 @@ impl DriverServerState {
         reply::wire(&query, &query.key, &reply).await;
     }
 
-    /// Stops each robot after the timeout of its client: a fault would go unnoticed.
-    fn stop_timed_out_robots(&mut self) {
-        let now = self.settings.clock.now();
-        for (robot, entry) in &mut self.drivers {
-            if entry.last_command_at.is_some_and(|last| now.since(last) > self.settings.client_timeout) {
-                entry.last_command_at = None;
-                let running =
-                    entry.goals.iter().filter(|id| self.world.status(robot, **id).is_some_and(|s| !s.is_final()));
-                for id in running.copied().collect::<Vec<_>>() {
-                    info!(%robot, "driver client timed out: robot stopped");
-                    self.world.cancel(robot, id);
-                }
+    /// Stops each robot whose goal is no longer permitted.
+    fn stop_unpermitted_goals(&mut self) {
+        for (robot, id) in self.goals.take_expired(self.settings.clock.now()) {
+            if self.world.status(&robot, id).is_some_and(|status| !status.is_final()) {
+                info!(%robot, goal = id.0, "permission of a goal has run out: robot stopped");
+                self.world.cancel(&robot, id);
             }
         }
+    }
+
+    fn wake_for_next_stop(&mut self, myself: &ActorRef<DriverServerMessage>) {
+        let Some(stop) = self.goals.schedule_wake() else { return };
+        let ahead = self.settings.clock.instant(stop).saturating_duration_since(Instant::now());
+        self.tasks.send_after(sleep_for(ahead.as_secs_f64()), myself, DriverServerMessage::StopDue);
     }
 
     /// Cancels each person request that is no longer repeated: its proxy is gone, and the mission
@@ -292,7 +265,10 @@ impl DriverServerState {
         let mut changed_robots: Vec<RobotId> = vec![];
         for event in events {
             match event {
-                BackendEvent::GoalEnded { robot, .. } => changed_robots.push(robot),
+                BackendEvent::GoalEnded { robot, goal, .. } => {
+                    self.goals.end(&robot, goal);
+                    changed_robots.push(robot);
+                }
                 BackendEvent::Stranded { robot } => {
                     warn!(%robot, "battery empty: robot stopped");
                     changed_robots.push(robot);
@@ -328,7 +304,7 @@ impl DriverServerState {
                 self.repeated_events.push((event, left - 1));
             }
         }
-        for robot in self.drivers.keys().cloned().collect::<Vec<_>>() {
+        for robot in self.goals.robots().cloned().collect::<Vec<_>>() {
             self.publish_state(&robot).await;
         }
     }
@@ -349,17 +325,17 @@ impl DriverServerState {
 
     fn state_of(&mut self, robot: &RobotId) -> Option<DriverState> {
         let telemetry = self.world.telemetry(robot)?;
-        let entry = self.drivers.get(robot)?;
-        let status = |id: &GoalId| {
+        let status = |id: GoalId| {
             let unknown_goal =
                 || ActionError { code: ErrorCode::Unknown, message: format!("goal {} is unknown here", id.0) };
-            (*id, self.world.status(robot, *id).unwrap_or_else(|| GoalStatus::Aborted(unknown_goal())))
+            (id, self.world.status(robot, id).unwrap_or_else(|| GoalStatus::Aborted(unknown_goal())))
         };
-        let goals: Vec<(GoalId, GoalStatus)> = entry.goals.iter().map(status).collect();
+        let goals: Vec<(GoalId, GoalStatus)> = self.goals.goals(robot)?.map(status).collect();
         let succeeded = goals.iter().filter(|(_, status)| *status == GoalStatus::Succeeded);
         let done = succeeded.filter_map(|(id, _)| Some((*id, self.world.goal(robot, *id)?)));
         let done = done.filter(|(_, goal)| !goal.is_repeatable()).collect();
         self.sequence += 1;
+        self.goals.record_state(self.sequence, self.settings.clock.now());
         Some(DriverState { robot: robot.clone(), sequence: self.sequence, telemetry, goals, completed: done })
     }
 }

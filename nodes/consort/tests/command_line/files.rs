@@ -95,12 +95,12 @@ fn a_lease_that_lets_two_robots_act_is_rejected() {
     let file = crate_file("../../examples/station.toml");
     let ran = run(&["station", "--config", &file, "--lease-ms", "500", "--grace-ms", "200"]);
     assert_eq!(ran.code, Some(2));
-    assert!(ran.err.contains("lease.grace_ms is 200, allowed with lease.lease_ms 500 is 1031 or more"), "{}", ran.err);
+    assert!(ran.err.contains("lease.grace_ms is 200, allowed with lease.lease_ms 500 is 1235 or more"), "{}", ran.err);
     let fleet = test_file("short_lease.toml", "name = \"ward\"\n[lease]\nlease_ms = 4000\ngrace_ms = 1000\n");
     let ran = run(&["check", &fleet]);
     assert_eq!(ran.code, Some(1), "{}", ran.err);
     let text = format!("{}{}", ran.out, ran.err);
-    assert!(text.contains("lease.grace_ms is 1000, allowed with lease.lease_ms 4000 is 1102 or more"), "{text}");
+    assert!(text.contains("lease.grace_ms is 1000, allowed with lease.lease_ms 4000 is 1306 or more"), "{text}");
 }
 
 #[test]

@@ -31,7 +31,7 @@ fn a_mission_completes_although_the_coordinator_loses_its_cable() {
 #[test]
 fn a_role_holder_without_its_cable_suspends_and_is_replaced() {
     inside("link_failures::a_role_holder_without_its_cable_suspends_and_is_replaced", &[], || {
-        let lease: Table = "lease_ms = 1500\ngrace_ms = 1100".parse().expect("TOML");
+        let lease: Table = "lease_ms = 1500\ngrace_ms = 1300".parse().expect("TOML");
         let mut lab = Lab::new(&with(fleet(1), "lease", lease));
         for host in ["s1", "world", "ada", "bob", "lab-arm"] {
             lab.add(host);

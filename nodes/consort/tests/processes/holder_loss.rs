@@ -13,7 +13,7 @@ fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -> Table {
 /// Starts two carriers and an arm, and waits until they are members; a station is the voter. Leases
 /// are short, so that a lost robot is soon replaced.
 fn hospital() -> (Fleet, Client) {
-    let lease: Table = "lease_ms = 1500\ngrace_ms = 1100".parse().expect("TOML");
+    let lease: Table = "lease_ms = 1500\ngrace_ms = 1300".parse().expect("TOML");
     let file = with(with(example("fleet"), "name", "relay"), "bootstrap_expect", 1);
     let mut fleet = Fleet::new(&with(file, "lease", lease));
     let mut world = with(example("world"), "speed", 10.0);

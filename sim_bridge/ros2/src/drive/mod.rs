@@ -29,12 +29,13 @@ use nav2_driver::{Nav2Command, Nav2Driver, Nav2Event};
 use ractor::Actor;
 use std::collections::BTreeMap;
 use std::convert::Infallible;
+use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::{Instant, sleep, sleep_until, timeout};
 use tracing::{info, warn};
 
 /// Interval at which the state is published without changes: the interval of a world.
@@ -82,12 +83,19 @@ pub enum DriveError {
     },
 }
 
-/// Runs the driver server of a robot on the bus, and has Nav2 execute its goals, for as long as the
-/// future is polled.
+/// Time limit for the end of Nav2's goals for others before the first drive.
+const FREE_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// Time limit to stop the robot when the program ends.
+const STOP_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Runs the driver server of a robot on the bus, and has Nav2 execute its goals, until `stop` is
+/// ready. At the start it cancels the goals that Nav2 still executes, perhaps for a previous run of
+/// this program; at the end it cancels its own.
 ///
 /// # Errors
 /// [`DriveError`]: it ends with the driver server.
-pub async fn drive(ros: &Ros, settings: DriveSettings) -> Result<(), DriveError> {
+pub async fn drive(ros: &Ros, settings: DriveSettings, stop: impl Future<Output = ()>) -> Result<(), DriveError> {
     let DriveSettings { bus, keys, robot, place, places, action } = settings;
     let (client, feedback) = ActionClient::of(&ros.node, &action)?;
     let ((commands, command_receiver), (events, event_receiver)) = (unbounded_channel(), unbounded_channel());
@@ -105,8 +113,9 @@ pub async fn drive(ros: &Ros, settings: DriveSettings) -> Result<(), DriveError>
     let (server, ended) = spawned.map_err(|problem| failed(problem.to_string()))?;
     let _stop = StopWhenDropped(server.get_cell());
     info!(%robot, action, served = client.is_served(), "driving");
+    let relay = Relay::new(robot.clone(), client, events);
     tokio::select! {
-        () = relay(&robot, Arc::new(client), command_receiver, feedback, events) => Err(failed("the channel was closed".to_owned())),
+        () = relay.run(command_receiver, feedback, stop) => Ok(()),
         ended = ended => Err(failed(ended.err().map_or("it was stopped".to_owned(), |problem| problem.to_string()))),
     }
 }
@@ -128,45 +137,88 @@ struct Running {
 }
 
 /// Forwards commands of the driver to Nav2, and events of Nav2 to the driver.
-async fn relay(
-    robot: &RobotId,
+struct Relay {
+    robot: RobotId,
     client: Arc<ActionClient>,
-    mut command_receiver: UnboundedReceiver<Nav2Command>,
-    mut feedback: UnboundedReceiver<(GoalUuid, Progress)>,
     events: UnboundedSender<Nav2Event>,
-) {
-    let mut running: Option<Running> = None;
-    let mut drives = JoinSet::new();
-    loop {
-        tokio::select! {
-            command = command_receiver.recv() => match command {
-                Some(Nav2Command::Drive(number, to)) => {
-                    let id = *GoalId::new().as_bytes();
-                    let ((progress, feedback), (stop, stopped)) = (unbounded_channel(), watch::channel(false));
-                    running = Some(Running { number, id, progress, stop });
-                    let drive = Drive { client: Arc::clone(&client), number, id, to, events: events.clone() };
-                    let robot = robot.clone();
-                    drives.spawn(async move {
-                        let end = drive.run(feedback, stopped).await;
-                        info!(%robot, ?end, "drive at Nav2 ended");
-                    });
-                }
-                Some(Nav2Command::Stop(number)) => {
-                    if let Some(running) = running.as_ref().filter(|running| running.number == number) {
-                        running.stop.send_replace(true);
+    running: Option<Running>,
+    drives: JoinSet<()>,
+    /// True once Nav2 has no goals of others.
+    is_free: watch::Sender<bool>,
+}
+
+impl Relay {
+    fn new(robot: RobotId, client: ActionClient, events: UnboundedSender<Nav2Event>) -> Relay {
+        let (is_free, _) = watch::channel(false);
+        Relay { robot, client: Arc::new(client), events, running: None, drives: JoinSet::new(), is_free }
+    }
+
+    /// Ends when the driver has ended or, after `stop` is ready, when Nav2 has ended its goal.
+    async fn run(
+        mut self,
+        mut commands: UnboundedReceiver<Nav2Command>,
+        mut feedback: UnboundedReceiver<(GoalUuid, Progress)>,
+        stop: impl Future<Output = ()>,
+    ) {
+        let cancel_others = cancel_goals_of_others(Arc::clone(&self.client), self.is_free.clone());
+        tokio::pin!(cancel_others, stop);
+        loop {
+            tokio::select! {
+                never = &mut cancel_others => match never {},
+                () = &mut stop => return self.stop().await,
+                command = commands.recv() => match command {
+                    Some(Nav2Command::Drive(number, to)) => self.drive(number, to),
+                    Some(Nav2Command::Stop(number)) => self.cancel(|running| running.number == number),
+                    None => return,
+                },
+                Some((id, progress)) = feedback.recv() => {
+                    if let Some(running) = self.running.as_ref().filter(|running| running.id == id) {
+                        // A finished drive receives no feedback.
+                        let _ = running.progress.send(progress);
                     }
                 }
-                None => return,
-            },
-            Some((id, progress)) = feedback.recv() => {
-                if let Some(running) = running.as_ref().filter(|running| running.id == id) {
-                    // A finished drive receives no feedback.
-                    let _ = running.progress.send(progress);
-                }
+                Some(_) = self.drives.join_next() => {}
             }
-            Some(_) = drives.join_next() => {}
         }
     }
+
+    fn drive(&mut self, number: u64, to: Pose) {
+        let id = *GoalId::new().as_bytes();
+        let ((progress, feedback), (stop, stopped)) = (unbounded_channel(), watch::channel(false));
+        self.running = Some(Running { number, id, progress, stop });
+        let (client, events, is_free) = (Arc::clone(&self.client), self.events.clone(), self.is_free.subscribe());
+        let drive = Drive { client, number, id, to, events, is_free };
+        let robot = self.robot.clone();
+        self.drives.spawn(async move {
+            let end = drive.run(feedback, stopped).await;
+            info!(%robot, ?end, "drive at Nav2 ended");
+        });
+    }
+
+    fn cancel(&self, matches: impl Fn(&Running) -> bool) {
+        if let Some(running) = self.running.as_ref().filter(|running| matches(running)) {
+            running.stop.send_replace(true);
+        }
+    }
+
+    /// Cancels the drive in progress and waits for its end.
+    async fn stop(mut self) {
+        self.cancel(|_| true);
+        let ended = async { while self.drives.join_next().await.is_some() {} };
+        if timeout(STOP_TIMEOUT, ended).await.is_err() {
+            warn!(robot = %self.robot, "Nav2 has not ended its goal in {} s", STOP_TIMEOUT.as_secs());
+        }
+    }
+}
+
+/// Cancels the goals that Nav2 executes for others, once it is on the graph. A previous run of this
+/// program may have begun them, and nobody supervises them.
+async fn cancel_goals_of_others(client: Arc<ActionClient>, is_free: watch::Sender<bool>) -> Infallible {
+    while client.cancel_all().await == RequestResult::NoReply {
+        sleep(CANCEL_INTERVAL).await;
+    }
+    is_free.send_replace(true);
+    std::future::pending().await
 }
 
 struct Drive {
@@ -175,13 +227,17 @@ struct Drive {
     id: GoalUuid,
     to: Pose,
     events: UnboundedSender<Nav2Event>,
+    is_free: watch::Receiver<bool>,
 }
 
 impl Drive {
     /// Sends the drive to Nav2; returns the last event sent to the driver.
-    async fn run(self, mut feedback: UnboundedReceiver<Progress>, stop: watch::Receiver<bool>) -> Nav2Event {
+    async fn run(mut self, mut feedback: UnboundedReceiver<Progress>, stop: watch::Receiver<bool>) -> Nav2Event {
         let goal = Goal { pose: mapping::to_ros(self.to, mapping::now()), behavior_tree: String::new() };
-        let last = match self.client.send(self.id, goal).await {
+        // Without a reply to the cancel request of the start, there is none to the goal either.
+        let is_free = timeout(FREE_TIMEOUT, self.is_free.wait_for(|is_free| *is_free)).await.is_ok();
+        let result = if is_free { self.client.send(self.id, goal).await } else { RequestResult::NoReply };
+        let last = match result {
             RequestResult::Accepted => Nav2Event::Ended(self.number, self.run_until_end(&mut feedback, stop).await),
             RequestResult::Rejected => Nav2Event::Rejected(self.number, "Nav2 has rejected the goal".to_owned()),
             RequestResult::NoReply => Nav2Event::Rejected(self.number, "no server of Nav2 has replied".to_owned()),

@@ -21,12 +21,13 @@ use crate::ros::{Ros, RosError};
 use crate::route_planner::RoutePlanner;
 use bytes::Bytes;
 use consort_bus::{BusError, SharedBus};
-use consort_fleet::robot_driver::{DriverCommand, DriverState, GoalRequest};
+use consort_fleet::robot_driver::{CLIENT_TIMEOUT, DriverState, GoalRequest};
 use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
 use consort_protocol::keys::{DriverCall, Key, Keys};
 use goal_executor::{Action, GoalExecutor, Report};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
@@ -49,9 +50,9 @@ pub struct ServeSettings {
     pub keys: Keys,
     /// Route planner on the map of the robots.
     pub planner: Arc<RoutePlanner>,
-    /// Least goal id: greater than any id ever used, for example milliseconds since 1970 times a
-    /// million.
-    pub first_goal: u64,
+    /// Number of this run: greater than in any previous run, for example the milliseconds since 1970.
+    /// Goals of previous runs are canceled.
+    pub run: u64,
 }
 
 /// The bridge cannot serve, or no longer.
@@ -68,40 +69,71 @@ pub enum ServeError {
     Closed,
 }
 
-/// Offers an action server on `ros` for every robot whose state is received on the bus, for as long
-/// as the future is polled. A robot without further states keeps its server: its goals are aborted.
-pub async fn serve(ros: &Ros, settings: ServeSettings) -> Result<(), ServeError> {
-    let mut states = settings.bus.subscribe(&settings.keys.any_driver_state()).await?;
-    let mut robots: BTreeMap<RobotId, UnboundedSender<DriverState>> = BTreeMap::new();
-    let mut names: BTreeSet<String> = BTreeSet::new();
-    let mut tasks = JoinSet::new();
-    while let Some(sample) = states.recv().await {
-        let state: DriverState = match codec::decode(&sample.payload) {
-            Ok(state) => state,
-            Err(problem) => {
-                warn!(key = sample.key, %problem, "unreadable state");
-                continue;
-            }
-        };
-        let robot = state.robot.clone();
-        if !robots.contains_key(&robot) {
-            let (sender, states) = unbounded_channel();
-            robots.insert(robot.clone(), sender);
-            let name = mapping::ros_name(&robot);
-            if !names.insert(name.clone()) {
-                warn!(%robot, name, "another robot has the same name in ROS 2; no action server is offered");
-                continue;
-            }
-            let server = ActionServer::offer(&ros.node, &format!("/{name}/navigate_to_pose"))?;
-            let executor = GoalExecutor::new(robot.clone(), Arc::clone(&settings.planner), settings.first_goal);
-            let command = settings.keys.write(&Key::Driver(robot.clone(), DriverCall::Command));
-            let bridge = Bridge { robot, server, executor, bus: settings.bus.clone(), command, since: Instant::now() };
-            tasks.spawn(bridge.run(states));
+/// Time limit to stop the robots when the program ends. Without a reply a robot stops by itself.
+const STOP_TIMEOUT: Duration = CLIENT_TIMEOUT;
+
+/// Offers an action server on `ros` for every robot whose state is received on the bus, until `stop`
+/// is ready. Then all goals are canceled, and their clients receive a result. A robot without further
+/// states keeps its server: its goals are aborted.
+pub async fn serve(ros: &Ros, settings: ServeSettings, stop: impl Future<Output = ()>) -> Result<(), ServeError> {
+    let mut bridges = Bridges::default();
+    tokio::select! {
+        result = bridges.serve(ros, settings) => result,
+        () = stop => {
+            bridges.stop().await;
+            Ok(())
         }
-        // A robot that is not offered has no receiver.
-        let _ = robots[&state.robot].send(state);
     }
-    Err(ServeError::Closed)
+}
+
+/// The bridges of all robots.
+#[derive(Default)]
+struct Bridges {
+    /// States for the bridge of each robot.
+    robots: BTreeMap<RobotId, UnboundedSender<DriverState>>,
+    tasks: JoinSet<()>,
+}
+
+impl Bridges {
+    async fn serve(&mut self, ros: &Ros, settings: ServeSettings) -> Result<(), ServeError> {
+        let mut states = settings.bus.subscribe(&settings.keys.any_driver_state()).await?;
+        let mut names: BTreeSet<String> = BTreeSet::new();
+        while let Some(sample) = states.recv().await {
+            let state: DriverState = match codec::decode(&sample.payload) {
+                Ok(state) => state,
+                Err(problem) => {
+                    warn!(key = sample.key, %problem, "unreadable state");
+                    continue;
+                }
+            };
+            let robot = state.robot.clone();
+            if !self.robots.contains_key(&robot) {
+                let (sender, states) = unbounded_channel();
+                self.robots.insert(robot.clone(), sender);
+                let name = mapping::ros_name(&robot);
+                if !names.insert(name.clone()) {
+                    warn!(%robot, name, "another robot has the same name in ROS 2; no action server is offered");
+                    continue;
+                }
+                let server = ActionServer::offer(&ros.node, &format!("/{name}/navigate_to_pose"))?;
+                let executor = GoalExecutor::new(robot.clone(), Arc::clone(&settings.planner), settings.run);
+                let command = settings.keys.write(&Key::Driver(robot.clone(), DriverCall::Command));
+                let since = Instant::now();
+                let bridge = Bridge { robot, server, executor, bus: settings.bus.clone(), command, since };
+                self.tasks.spawn(bridge.run(states));
+            }
+            // A robot that is not offered has no receiver.
+            let _ = self.robots[&state.robot].send(state);
+        }
+        Err(ServeError::Closed)
+    }
+
+    /// Stops all robots, and waits until the clients of their goals have the results.
+    async fn stop(mut self) {
+        // A bridge stops when no more states can arrive.
+        self.robots.clear();
+        while self.tasks.join_next().await.is_some() {}
+    }
 }
 
 /// Performs the actions of a robot's executor.
@@ -123,7 +155,7 @@ impl Bridge {
             let actions = tokio::select! {
                 state = states.recv() => match state {
                     Some(state) => self.executor.handle_state(state, now),
-                    None => return,
+                    None => return self.stop().await,
                 },
                 request = self.server.next_request() => match request {
                     Some(ClientRequest::Execute(goal, goal_message)) => {
@@ -137,6 +169,23 @@ impl Bridge {
             };
             self.perform(actions).await;
         }
+    }
+
+    /// Cancels all goals; ends when the robot has stopped and the client has its result.
+    async fn stop(mut self) {
+        let actions = self.executor.stop();
+        let canceled = async {
+            self.perform(actions).await;
+            while self.executor.is_busy() {
+                tokio::time::sleep(HEARTBEAT_INTERVAL).await;
+                let repeated = self.executor.tick(self.since.elapsed());
+                self.perform(repeated).await;
+            }
+        };
+        if tokio::time::timeout(STOP_TIMEOUT, canceled).await.is_err() {
+            warn!(robot = %self.robot, "no reply to a cancel; the robot stops at its client timeout");
+        }
+        self.server.close().await;
     }
 
     async fn perform(&mut self, actions: Vec<Action>) {
@@ -160,8 +209,8 @@ impl Bridge {
     /// Sends a command to the driver server; returns the state in its reply, if any. Driver servers
     /// of other robots may refuse it.
     async fn command(&self, request: Option<GoalRequest>) -> Option<DriverState> {
-        let bytes =
-            Bytes::from(codec::encode(&DriverCommand { request }).expect("a goal is small enough for a message"));
+        let command = self.executor.command(request, self.since.elapsed());
+        let bytes = Bytes::from(codec::encode(&command).expect("a goal is small enough for a message"));
         let mut replies = match self.bus.query(&self.command, bytes, REPLY_TIMEOUT).await {
             Ok(replies) => replies,
             Err(problem) => {

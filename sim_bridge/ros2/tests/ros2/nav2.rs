@@ -2,6 +2,7 @@
 
 use crate::support::{LIMIT, Router, bus, carrier, hospital, host_world, keys, until, within};
 use bytes::Bytes;
+use consort_bus::clock::Clock;
 use consort_bus::{Bus, Encoding, ZenohBus};
 use consort_fleet::robot_driver::{DriverClientSettings, DriverCommand, DriverState, RobotDriver};
 use consort_protocol::codec;
@@ -69,7 +70,9 @@ impl Driven {
             action: "/navigate_to_pose".to_owned(),
         };
         let mut tasks = JoinSet::new();
-        tasks.spawn(async move { panic!("the driver stopped: {}", drive(&ros, settings).await.unwrap_err()) });
+        tasks.spawn(async move {
+            panic!("the driver stopped: {}", drive(&ros, settings, std::future::pending()).await.unwrap_err())
+        });
         let robot_driver = driver(&bus_of_robot).await;
         until("the state of the robot", async || robot_driver.is_idle()).await;
         Driven { router, robot_driver, bus: bus_of_robot, _tasks: tasks }
@@ -107,8 +110,11 @@ impl Driven {
 async fn driver(bus: &ZenohBus) -> RobotDriver {
     let (supervisor, _) = Actor::spawn(None, ClientOwner, ()).await.unwrap();
     let (bus, heartbeat_interval) = (Arc::new(bus.clone()), Duration::from_millis(300));
-    let link = DriverClientSettings { robot: ada(), keys: keys(), bus, first_goal: 1, heartbeat_interval };
-    RobotDriver::connect(link, &supervisor.get_cell()).await.unwrap()
+    let clock = Clock::real();
+    let link = DriverClientSettings { robot: ada(), keys: keys(), bus, clock, first_goal: 1, heartbeat_interval };
+    let driver = RobotDriver::connect(link, &supervisor.get_cell()).await.unwrap();
+    driver.allow_until(Some(clock.now() + 10 * LIMIT));
+    driver
 }
 
 /// Returns the navigation skill of this project.
@@ -170,7 +176,7 @@ async fn an_early_refusal_does_not_replace_the_reply_of_the_server() {
             // after the refusal of the command.
             let mut replies = second_bus.query(&second_query, query.payload.clone(), LIMIT).await.unwrap();
             while within("the refusal", replies.recv()).await.expect("a reply of the world").payload.is_ok() {}
-            let DriverCommand { request } = codec::decode(&query.payload).unwrap();
+            let DriverCommand { request, .. } = codec::decode(&query.payload).unwrap();
             let goals = request.iter().map(|request| (request.goal(), GoalStatus::Succeeded)).collect();
             let telemetry = Telemetry {
                 time: WorldTime::ZERO,

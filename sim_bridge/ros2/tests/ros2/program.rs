@@ -56,7 +56,7 @@ async fn it_runs_the_driver_server_of_a_robot_under_nav2() {
     let robot = ["--robot", "bob", "--place", "IC Room 6"];
     let _running = Running(program(&["drive"]).args(ends).args(robot).spawn().unwrap());
     let command = keys().write(&Key::Driver("bob".parse().unwrap(), DriverCall::Command));
-    let heartbeat = consort_fleet::robot_driver::DriverCommand { request: None };
+    let heartbeat = consort_fleet::robot_driver::DriverCommand { request: None, permit: Default::default() };
     let bytes = Bytes::from(consort_protocol::codec::encode(&heartbeat).unwrap());
     let mut state = None;
     until("the state of the robot", async || {

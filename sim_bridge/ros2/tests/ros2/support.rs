@@ -136,8 +136,8 @@ impl Offered {
         let ros = router.join("consort_bridge");
         offered.tasks.spawn(async move {
             let planner = Arc::new(RoutePlanner::new(hospital()).unwrap());
-            let settings = ServeSettings { bus: shared, keys: keys(), planner, first_goal: 1 };
-            panic!("the bridge stopped: {}", serve(&ros, settings).await.unwrap_err());
+            let settings = ServeSettings { bus: shared, keys: keys(), planner, run: 1 };
+            panic!("the bridge stopped: {}", serve(&ros, settings, std::future::pending()).await.unwrap_err());
         });
         offered
     }

@@ -166,8 +166,8 @@ impl RobotState {
         let now = self.now();
         self.sense(now);
         self.handle_lease_event(Event::Tick, now).await?;
-        let is_idle = self.driver.is_idle();
-        let needs_report = self.execution.plan.as_ref().is_some_and(|active| active.needs_report(is_idle, now));
+        let driver = self.driver.activity();
+        let needs_report = self.execution.plan.as_ref().is_some_and(|active| active.needs_report(driver, now));
         if needs_report || self.lease.is_report_due(now) {
             self.report();
         }
@@ -210,7 +210,7 @@ impl RobotState {
 
     /// Refuses new roles and releases the held role.
     async fn decommission(&mut self, timeout: Duration, done: RpcReplyPort<bool>) -> Result<(), ActorProcessingErr> {
-        self.decommission.add(done);
+        self.decommission.add(done, self.now());
         self.tasks.send_after(timeout, &self.myself, RobotMessage::DecommissionTimeout);
         if self.execution.continuing_plan().is_some() {
             let (kind, cause) = (FailureKind::Leaving, DECOMMISSION_CAUSE.to_owned());

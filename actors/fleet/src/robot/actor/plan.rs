@@ -124,7 +124,9 @@ impl RobotState {
     fn recover(&mut self, failure: AttemptFailure) {
         let (now, delay) = (self.now(), self.settings.execution.retry_delay);
         let Some(active) = self.execution.plan.as_mut() else { return };
-        match active.recover(failure, delay, now) {
+        let effect = active.recover(failure, delay, now);
+        self.update_permission();
+        match effect {
             Some(RecoveryEffect::Retry(delay, event)) => {
                 self.tasks.send_after(delay, &self.myself, RobotMessage::Tick);
                 self.emit_event(event);

@@ -1,7 +1,7 @@
 //! The robot actor performs its role: awards, replies to reports, start and end of the plan.
 
 use super::message::RobotMessage;
-use super::state::RobotState;
+use super::state::{RobotState, leaving};
 use crate::robot::active_plan::{ActivePlan, PlanStart};
 use crate::robot::checkpoint_writer::PendingOutput;
 use crate::robot::lease_client::Renewal;
@@ -104,6 +104,7 @@ impl RobotState {
                 Action::Halt(reason) => self.halt(reason),
             }
         }
+        self.update_permission();
         if self.lease.award().is_none() {
             self.decommission.reply(true);
         }
@@ -128,6 +129,8 @@ impl RobotState {
         active.subscriptions.subscribe(links.bus.clone(), key, &self.myself, RobotMessage::Signal);
         self.signals.start_role(&mission, &role, epoch, active.sequencer.sent_signals().clone());
         self.emit_event(event);
+        // A robot that was asked to leave after the award was received starts no task.
+        let failure = failure.or_else(|| self.decommission.is_leaving().then(leaving));
         let release = failure.map(|failure| active.release(failure, self.now()));
         self.execution.plan = Some(active);
         release.into_iter().for_each(|event| self.emit_event(event));

@@ -7,6 +7,7 @@ use crate::robot::checkpoint_writer::PendingOutput;
 use crate::robot::driver_link::DriverLink;
 use crate::robot::execution::Execution;
 use crate::robot::lease_client::{LeaseClient, ReportHeader};
+use crate::robot::release::{DriverActivity, PendingRelease};
 use crate::robot::report::send_report;
 use crate::robot::settings::RobotSettings;
 use crate::robot::signals::SignalExchange;
@@ -36,9 +37,16 @@ pub(crate) struct RobotState {
     pub(super) tasks: Tasks,
 }
 
-/// Pending decommission requests; `Some` once the first request has arrived.
+/// Decommission of the robot; `Some` once the first request has arrived.
 #[derive(Default)]
-pub(super) struct DecommissionRequests(Option<Vec<RpcReplyPort<bool>>>);
+pub(super) struct DecommissionRequests(Option<Decommission>);
+
+struct Decommission {
+    /// Pending requests.
+    requests: Vec<RpcReplyPort<bool>>,
+    /// Release of an award whose plan is not active.
+    release: PendingRelease,
+}
 
 impl DecommissionRequests {
     /// Checks whether a decommission was requested.
@@ -46,22 +54,42 @@ impl DecommissionRequests {
         self.0.is_some()
     }
 
-    pub(super) fn add(&mut self, done: RpcReplyPort<bool>) {
-        self.0.get_or_insert_default().push(done);
+    pub(super) fn add(&mut self, done: RpcReplyPort<bool>, now: NodeTime) {
+        let decommission = self
+            .0
+            .get_or_insert_with(|| Decommission { requests: vec![], release: PendingRelease::new(leaving(), now) });
+        decommission.requests.push(done);
+    }
+
+    /// Returns the reason to release an award whose plan is not active, once the body is at rest: a
+    /// previous incarnation may have started a goal.
+    fn take_report(&mut self, driver: DriverActivity, now: NodeTime) -> Option<TaskFailure> {
+        self.0.as_mut()?.release.take_report(driver, now)
     }
 
     /// Replies to all pending requests.
     pub(super) fn reply(&mut self, is_free: bool) {
-        for done in self.0.iter_mut().flat_map(std::mem::take) {
+        for done in self.0.iter_mut().flat_map(|decommission| std::mem::take(&mut decommission.requests)) {
             // The caller may have stopped waiting.
             let _ = done.send(is_free);
         }
     }
 }
 
+/// Returns the failure that releases the role of a leaving robot.
+pub(super) fn leaving() -> TaskFailure {
+    TaskFailure { task: None, cause: DECOMMISSION_CAUSE.to_owned(), kind: FailureKind::Leaving }
+}
+
 impl RobotState {
     pub(super) fn now(&self) -> NodeTime {
         self.settings.links.clock.now()
+    }
+
+    /// Lets the driver act until the end of the lease, while the plan continues.
+    pub(super) fn update_permission(&mut self) {
+        let until = self.lease.acts_until().filter(|_| self.execution.continuing_plan().is_some());
+        self.driver.allow_until(until);
     }
 
     /// Publishes an event of the robot.
@@ -111,12 +139,10 @@ impl RobotState {
 
     fn report_content(&mut self, header: ReportHeader, now: NodeTime) -> Report {
         let ReportHeader { mission, role, epoch, from_checkpoint, .. } = header;
-        let leaving = || TaskFailure { task: None, cause: DECOMMISSION_CAUSE.to_owned(), kind: FailureKind::Leaving };
-        let is_idle = self.driver.is_idle();
-        let active = self.execution.plan_of(epoch);
-        let failure = match active.and_then(|active| active.pending_release()) {
-            Some(release) => release.take_report(is_idle, now),
-            None => self.decommission.is_leaving().then(leaving),
+        let driver = self.driver.activity();
+        let failure = match self.execution.plan_of(epoch) {
+            Some(active) => active.pending_release().and_then(|release| release.take_report(driver, now)),
+            None => self.decommission.take_report(driver, now),
         };
         let active = self.execution.plan_of(epoch).map(|active| &active.sequencer);
         let restored = self.checkpoint.restored().filter(|checkpoint| checkpoint.award.epoch == epoch);

@@ -8,16 +8,20 @@
 //! ```
 
 use crate::goals::{EndState, GoalUuid};
-use crate::mapping::{PoseError, to_nav2_result};
+use crate::mapping::{PoseError, UNKNOWN_ERROR, to_nav2_result};
 use crate::messages::NavigateResult;
 use crate::route_planner::{PlannedRoute, RoutePlanner};
-use consort_fleet::robot_driver::{CLIENT_TIMEOUT, DriverState, GoalRequest};
+use consort_fleet::robot_driver::{CLIENT_TIMEOUT, DriverCommand, DriverState, GoalRequest, Permit};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{Metres, WorldTime};
 use consort_skills::actions::{ActionError, ErrorCode, Feedback, GoalId, GoalStatus, Telemetry};
 use std::sync::Arc;
 use std::time::Duration;
+
+/// First goal id of this program. The ids of robot nodes are smaller, so that the goals of a
+/// previous run of this program can be told from those of a robot node.
+const GOALS_START: u64 = 1 << 63;
 
 /// An effect for the caller to perform, in the order given.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,6 +54,8 @@ pub struct Report {
 pub struct GoalExecutor {
     robot: RobotId,
     planner: Arc<RoutePlanner>,
+    /// Id of the first goal of this run for the driver.
+    first: u64,
     /// Id of the next goal for the driver.
     next: u64,
     latest: Option<Telemetry>,
@@ -59,6 +65,10 @@ pub struct GoalExecutor {
     active_goal: Option<ActiveGoal>,
     /// Next goal, started when the current goal has ended.
     waiting: Option<(GoalUuid, Pose)>,
+    /// Goals in progress of a previous run of this program.
+    abandoned: Vec<GoalId>,
+    /// True if the program is ending.
+    stopping: bool,
 }
 
 #[derive(Debug)]
@@ -81,20 +91,44 @@ struct ActiveGoal {
 }
 
 impl GoalExecutor {
-    /// Creates an executor for a robot on a map. Goal ids start at `first_goal`; none of them may
-    /// have been used before.
-    pub fn new(robot: RobotId, planner: Arc<RoutePlanner>, first_goal: u64) -> GoalExecutor {
-        let (latest, last_state_at) = (None, Duration::ZERO);
+    /// Creates an executor for a robot on a map. `run` is greater than in any previous run of this
+    /// program, for example the milliseconds since 1970: no goal id is used twice.
+    pub fn new(robot: RobotId, planner: Arc<RoutePlanner>, run: u64) -> GoalExecutor {
+        let (latest, last_state_at, first) = (None, Duration::ZERO, GOALS_START | run << 20);
         GoalExecutor {
             robot,
             planner,
-            next: first_goal,
+            first,
+            next: first,
             latest,
             sequence: 0,
             last_state_at,
             active_goal: None,
             waiting: None,
+            abandoned: vec![],
+            stopping: false,
         }
+    }
+
+    /// Returns the command for a request. It lets the active goal continue for the client timeout,
+    /// counted from the latest state.
+    pub fn command(&self, request: Option<GoalRequest>, now: Duration) -> DriverCommand {
+        let in_progress = self.active_goal.iter().filter(|active| !active.canceling).map(|active| active.goal);
+        let keep_for = (now + CLIENT_TIMEOUT).saturating_sub(self.last_state_at);
+        let keep_for_ms = u64::try_from(keep_for.as_millis()).unwrap_or(u64::MAX);
+        DriverCommand { request, permit: Permit { goals: in_progress.collect(), state: self.sequence, keep_for_ms } }
+    }
+
+    /// Cancels all goals and accepts no more. [`is_busy`](Self::is_busy) is false when the robot has
+    /// stopped; its client then has the result.
+    pub fn stop(&mut self) -> Vec<Action> {
+        self.stopping = true;
+        let waiting = self.waiting.take().map(|(client, _)| stopped(client));
+        let active = self.active_goal.as_mut().map(|active| {
+            active.canceling = true;
+            Action::Command(Some(GoalRequest::Cancel { id: active.goal }))
+        });
+        waiting.into_iter().chain(active).collect()
     }
 
     /// Checks whether a goal is in progress; [`tick`](Self::tick) must then be called regularly.
@@ -104,6 +138,9 @@ impl GoalExecutor {
 
     /// Handles a new goal of a client. It replaces the goal of another client.
     pub fn handle_goal(&mut self, client: GoalUuid, to: Result<Pose, PoseError>, now: Duration) -> Vec<Action> {
+        if self.stopping {
+            return vec![stopped(client)];
+        }
         let mut actions = Vec::new();
         let to = match to {
             Ok(to) => to,
@@ -121,7 +158,9 @@ impl GoalExecutor {
                 active.canceling = true;
                 actions.push(Action::Command(Some(GoalRequest::Cancel { id: active.goal })));
             }
-            None => actions.extend(self.start_waiting(now)),
+            None if self.abandoned.is_empty() => actions.extend(self.start_waiting(now)),
+            // It starts when the abandoned goals have ended.
+            None => {}
         }
         actions
     }
@@ -130,7 +169,7 @@ impl GoalExecutor {
     pub fn cancel(&mut self, client: GoalUuid) -> Vec<Action> {
         if self.waiting.as_ref().is_some_and(|(waiting, _)| *waiting == client) {
             self.waiting = None;
-            return vec![Action::End(client, EndState::Canceled, NavigateResult::default())];
+            return vec![canceled(client)];
         }
         match self.active_goal.as_mut().filter(|active| active.client == Some(client)) {
             Some(active) => {
@@ -149,7 +188,14 @@ impl GoalExecutor {
         (self.sequence, self.last_state_at) = (state.sequence, now);
         let telemetry = state.telemetry;
         self.latest = Some(telemetry.clone());
-        let Some(active) = &mut self.active_goal else { return vec![] };
+        let is_abandoned =
+            |(id, status): &&(GoalId, GoalStatus)| (GOALS_START..self.first).contains(&id.0) && !status.is_final();
+        self.abandoned = state.goals.iter().filter(is_abandoned).map(|(id, _)| *id).collect();
+        if !self.abandoned.is_empty() {
+            let cancel = |id: &GoalId| Action::Command(Some(GoalRequest::Cancel { id: *id }));
+            return self.abandoned.iter().map(cancel).collect();
+        }
+        let Some(active) = &mut self.active_goal else { return self.start_waiting(now) };
         let status = state.goals.into_iter().find(|(id, _)| *id == active.goal).map(|(_, status)| status);
         active.confirmed |= status.is_some();
         match status {
@@ -270,15 +316,30 @@ impl GoalExecutor {
     /// Ends the current goal and starts the waiting goal.
     fn end(&mut self, how: EndState, outcome: NavigateResult, now: Duration) -> Vec<Action> {
         let client = self.active_goal.take().and_then(|active| active.client);
-        let mut actions: Vec<Action> = client.map(|client| Action::End(client, how, outcome)).into_iter().collect();
+        let end = |client| match how {
+            EndState::Canceled if self.stopping => stopped(client),
+            _ => Action::End(client, how, outcome),
+        };
+        let mut actions: Vec<Action> = client.map(end).into_iter().collect();
         actions.extend(self.start_waiting(now));
         actions
     }
 }
 
+fn canceled(client: GoalUuid) -> Action {
+    Action::End(client, EndState::Canceled, NavigateResult::default())
+}
+
 fn superseded(client: GoalUuid) -> Action {
-    let error_msg = "another goal has replaced it".to_owned();
-    Action::End(client, EndState::Aborted, NavigateResult { error_code: 9000, error_msg })
+    aborted(client, "another goal has replaced it")
+}
+
+fn stopped(client: GoalUuid) -> Action {
+    aborted(client, "the action server is stopping")
+}
+
+fn aborted(client: GoalUuid, why: &str) -> Action {
+    Action::End(client, EndState::Aborted, NavigateResult { error_code: UNKNOWN_ERROR, error_msg: why.to_owned() })
 }
 
 /// Returns the feedback for the whole route; the feedback of the driver is for its current leg.

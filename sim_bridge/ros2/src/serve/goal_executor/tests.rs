@@ -7,13 +7,16 @@ static NUMBER: AtomicU64 = AtomicU64::new(1);
 const ALICE: GoalUuid = [1; 16];
 const BERT: GoalUuid = [2; 16];
 
+/// First goal id of the executors below, written as 100.
+const FIRST: u64 = GOALS_START | 1 << 20;
+
 /// Returns an executor for a square of lanes, 10 m a side: A – B – C – D – A.
 fn executor() -> GoalExecutor {
     let text = "{name: square, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}, \
         {name: C, kind: other, x_m: 10, y_m: 10}, {name: D, kind: other, x_m: 0, y_m: 10}], \
         lanes: [{between: [A, B]}, {between: [B, C]}, {between: [C, D]}, {between: [D, A]}]}";
     let planner = RoutePlanner::new(consort_world::map::read(text, "square.yaml").unwrap()).unwrap();
-    let mut executor = GoalExecutor::new("ada".parse().unwrap(), Arc::new(planner), 100);
+    let mut executor = GoalExecutor::new("ada".parse().unwrap(), Arc::new(planner), 1);
     assert_eq!(executor.handle_state(state(&[]), s(0)), []);
     executor
 }
@@ -36,7 +39,7 @@ fn state(goals: &[(u64, GoalStatus)]) -> DriverState {
         able: true,
         closed: vec![],
     };
-    let goals = goals.iter().map(|(id, status)| (GoalId(*id), status.clone())).collect();
+    let goals = goals.iter().map(|(id, status)| (GoalId(FIRST + id - 100), status.clone())).collect();
     let sequence = NUMBER.fetch_add(1, Ordering::Relaxed);
     DriverState { robot: "ada".parse().unwrap(), sequence, telemetry, goals, completed: vec![] }
 }
@@ -63,8 +66,8 @@ fn at_b() -> Result<Pose, PoseError> {
 fn summary(actions: &[Action]) -> Vec<String> {
     let summary = |action: &Action| match action {
         Action::Command(None) => "heartbeat".to_owned(),
-        Action::Command(Some(GoalRequest::Start { id, .. })) => format!("start {}", id.0),
-        Action::Command(Some(GoalRequest::Cancel { id })) => format!("cancel {}", id.0),
+        Action::Command(Some(GoalRequest::Start { id, .. })) => format!("start {}", 100 + id.0 - FIRST),
+        Action::Command(Some(GoalRequest::Cancel { id })) => format!("cancel {}", 100 + id.0 - FIRST),
         Action::Feedback(client, report) => format!("feedback {} {:.1} m", client[0], report.distance.get()),
         Action::End(client, how, outcome) => format!("end {} {how:?} {}", client[0], outcome.error_code),
     };
@@ -195,4 +198,35 @@ fn a_goal_without_any_state_is_aborted() {
     let planner = Arc::clone(&executor().planner);
     let mut executor = GoalExecutor::new("bob".parse().unwrap(), planner, 1);
     assert_eq!(summary(&executor.handle_goal(ALICE, at_b(), s(1))), ["end 1 Aborted 9003"]);
+}
+
+#[test]
+fn goals_of_a_previous_run_are_canceled_before_a_goal_starts() {
+    let mut executor = executor();
+    assert_eq!(summary(&executor.handle_state(state(&[(99, executing(4.0, 8.0))]), s(1))), ["cancel 99"]);
+    assert_eq!(summary(&executor.handle_goal(ALICE, at_b(), s(1))), [] as [&str; 0]);
+    assert_eq!(executor.command(None, s(1)).permit.goals, [], "nothing lets the abandoned goal continue");
+    assert_eq!(summary(&executor.handle_state(state(&[(99, executing(3.0, 6.0))]), s(2))), ["cancel 99"]);
+    assert_eq!(summary(&executor.handle_state(state(&[(99, GoalStatus::Canceled)]), s(2))), ["start 100"]);
+}
+
+#[test]
+fn goals_of_a_robot_node_are_not_canceled() {
+    let mut executor = executor();
+    let mut state = state(&[]);
+    state.goals.push((GoalId(1_700_000_000_000 << 20), executing(4.0, 8.0)));
+    assert_eq!(executor.handle_state(state, s(1)), []);
+}
+
+#[test]
+fn a_stopped_executor_ends_its_goal_when_the_robot_has_stopped() {
+    let mut executor = executor();
+    executor.handle_goal(ALICE, at_b(), s(1));
+    executor.handle_state(state(&[(100, executing(4.0, 8.0))]), s(1));
+    assert_eq!(executor.command(None, s(2)).permit.keep_for_ms, 4_000, "3 s from now, counted from the state at 1 s");
+    assert_eq!(summary(&executor.stop()), ["cancel 100"]);
+    assert_eq!(executor.command(None, s(2)).permit.goals, []);
+    assert_eq!(summary(&executor.handle_goal(BERT, at_b(), s(2))), ["end 2 Aborted 9000"]);
+    let ended = executor.handle_state(state(&[(100, GoalStatus::Canceled)]), s(2));
+    assert_eq!((summary(&ended), executor.is_busy()), (vec!["end 1 Aborted 9000".to_owned()], false));
 }
