@@ -6,7 +6,7 @@ use consort_bus::clock::Clock;
 use consort_bus::trust::issue::{
     CertificateAuthority, IssuedCertificate, KeyMaterial, Validity, create_authority_from,
 };
-use consort_bus::trust::{Keyring, SigningBus};
+use consort_bus::trust::{Keyring, RevokedFiles, SigningBus};
 use consort_fleet::node::NodeSettings;
 use consort_protocol::ids::{FleetId, NodeId, PersonId};
 use consort_protocol::keys::Keys;
@@ -68,7 +68,7 @@ impl Credentials {
     /// Wraps the bus of a node in a bus that signs outgoing messages.
     pub async fn signing_bus(&self, bus: SharedBus, keyring: Keyring, clock: Clock) -> Arc<SigningBus> {
         let keys = Keys::new(&self.fleet);
-        let sealed = SigningBus::open(bus, keys, Arc::new(keyring), None, clock).await;
+        let sealed = SigningBus::open(bus, keys, Arc::new(keyring), RevokedFiles::default(), clock).await;
         Arc::new(sealed.expect("a virtual bus"))
     }
 

@@ -1,5 +1,7 @@
 //! Priorities and deadlines of missions.
 
+use consort_bus::clock::Clock;
+use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
@@ -98,6 +100,34 @@ fn a_mission_past_its_deadline_fails_with_its_progress() {
         let place = fleet.position("amber");
         fleet.assert_never("a drive", Duration::from_secs(5), |fleet| fleet.position("amber") != place).await;
     });
+}
+
+#[test]
+fn a_wrong_clock_of_one_voter_fails_no_mission() {
+    const DAY_MS: u64 = 86_400_000;
+    for (seed, wrong) in [(671, "aba"), (672, "abb"), (673, "abc")] {
+        for_each_seed([seed], async |seed| {
+            let robots = vec![RobotSpec::carrier("amber", "Dock")];
+            let stations = ["aba", "abb", "abc"];
+            // Robots have no vote, so that the wrong clock is one of three.
+            let adjust = move |settings: &mut NodeSettings| {
+                settings.may_vote = stations.contains(&settings.node.as_str());
+                settings.fleet.bootstrap_expect = stations.len();
+                if settings.node == slug(wrong) {
+                    settings.clock = Clock::virtual_at(DAY_MS);
+                }
+            };
+            let mut fleet = Fleet::adjusted_hospital(seed, robots, &stations, &ROOMS, Box::new(adjust)).await;
+            fleet.wait_for_coordinator().await;
+            let mission = submit(&fleet, "a", ROOMS[0], json!({ "deadline_s": 3600 })).await;
+            fleet.wait_until("the mission to begin", SOON, |fleet| fleet.holder(&mission, "r1").is_some()).await;
+            let mut coordinators = vec![fleet.kill_coordinator().await];
+            coordinators.push(fleet.wait_for_coordinator().await);
+            fleet.assert_completes(&mission).await;
+            let accepted_ms = fleet.view(&format!("mission/{mission}")).await["submitted_at_ms"].as_u64();
+            assert!(accepted_ms.is_some_and(|ms| ms < DAY_MS), "seed {seed}: {accepted_ms:?}, {coordinators:?}");
+        });
+    }
 }
 
 #[test]

@@ -1,7 +1,10 @@
-//! A node's clock: its uptime, and the date and time to show to people.
+//! A node's clock: its uptime, and the date and time.
 //!
-//! Both follow tokio's clock. On paused time they advance with the simulation only.
+//! The uptime follows the [boot clock](BootInstant) of the machine, and the date the machine's date,
+//! with its corrections. In a simulation both follow tokio's clock, and advance with the simulation
+//! only.
 
+use crate::boot_instant::BootInstant;
 use consort_protocol::units::NodeTime;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::time::Instant;
@@ -9,24 +12,30 @@ use tokio::time::Instant;
 /// Clock of a node. It starts when it is created, within a tokio runtime.
 #[derive(Debug, Clone, Copy)]
 pub struct Clock {
-    start: Instant,
-    wall_origin_ms: u64,
+    start: BootInstant,
+    wall: WallClock,
     /// Seconds counted per second of tokio's clock: 1, except for a drifting clock.
     rate: f64,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum WallClock {
+    /// That of the machine.
+    Machine,
+    /// The date at the start of the clock, in milliseconds since 1970.
+    StartedAt(u64),
 }
 
 impl Clock {
     /// Creates the clock of a node on a real machine.
     pub fn real() -> Clock {
-        // A date before 1970 is shown as 1970.
-        let origin = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO);
-        Clock::virtual_at(u64::try_from(origin.as_millis()).unwrap_or(u64::MAX))
+        Clock { start: BootInstant::now(), wall: WallClock::Machine, rate: 1.0 }
     }
 
     /// Creates a clock with a fixed date at its start, in milliseconds since 1970, so that a run
     /// repeats exactly.
     pub fn virtual_at(origin_ms: u64) -> Clock {
-        Clock { start: Instant::now(), wall_origin_ms: origin_ms, rate: 1.0 }
+        Clock { start: BootInstant::now(), wall: WallClock::StartedAt(origin_ms), rate: 1.0 }
     }
 
     /// Returns the same clock, running fast or slow: it counts `rate` seconds per second. Readings,
@@ -48,10 +57,17 @@ impl Clock {
         NodeTime::at(if self.rate == 1.0 { elapsed } else { elapsed.mul_f64(self.rate) })
     }
 
-    /// Returns the date and time to show to people, in milliseconds since 1970. It does not follow
-    /// later corrections of the machine's date, so no decision may depend on it.
+    /// Returns the date and time, in milliseconds since 1970. It may jump in both directions, and may
+    /// differ from that of other nodes.
     pub fn wall_ms(&self) -> u64 {
-        self.wall_origin_ms.saturating_add(self.now().as_millis())
+        match self.wall {
+            // A date before 1970 counts as 1970.
+            WallClock::Machine => {
+                let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO);
+                u64::try_from(since_1970.as_millis()).unwrap_or(u64::MAX)
+            }
+            WallClock::StartedAt(origin_ms) => origin_ms.saturating_add(self.now().as_millis()),
+        }
     }
 
     /// Returns the date and time as the time since 1970.
@@ -62,7 +78,7 @@ impl Clock {
     /// Returns the instant of tokio's clock at which this clock reads `at`.
     pub fn instant(&self, at: NodeTime) -> Instant {
         let since = at.since(NodeTime::ZERO);
-        self.start + if self.rate == 1.0 { since } else { since.div_f64(self.rate) }
+        (self.start + if self.rate == 1.0 { since } else { since.div_f64(self.rate) }).to_tokio()
     }
 }
 

@@ -7,6 +7,7 @@
 //! - [`clock`], [`tasks`], [`reply`] and [`wire_version`] are shared by all actors of a node.
 
 mod author;
+mod boot_instant;
 mod bus;
 pub mod clock;
 pub mod cluster_membership;
@@ -22,6 +23,7 @@ pub mod wire_version;
 pub mod zenoh_bus;
 
 pub use author::Author;
+pub use boot_instant::{BootInstant, suspended};
 pub use bus::*;
 pub use metered::{Direction, Meter, MeteredBus};
 pub use virtual_bus::{LinkModel, Traffic, TrafficByKind, VirtualBus, VirtualNetwork};

@@ -1,19 +1,19 @@
 //! Acknowledgements of a leader by its voters, and the last contact with each voter.
 
 use super::types::{RaftId, Vote};
+use consort_bus::BootInstant;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, PoisonError};
-use tokio::time::Instant;
 
 /// Acknowledgements of a leader: send time of the last acknowledged request, by voter.
 #[derive(Debug, Clone, Default)]
 pub(super) struct LeaderAcks {
     vote: Option<Vote>,
-    sent: BTreeMap<RaftId, Instant>,
+    sent: BTreeMap<RaftId, BootInstant>,
 }
 
 impl LeaderAcks {
-    pub(super) fn record(&mut self, vote: Vote, voter: RaftId, sent_at: Instant) {
+    pub(super) fn record(&mut self, vote: Vote, voter: RaftId, sent_at: BootInstant) {
         if self.vote != Some(vote) {
             *self = LeaderAcks { vote: Some(vote), sent: BTreeMap::new() };
         }
@@ -23,14 +23,15 @@ impl LeaderAcks {
 
     /// Returns the send time of the newest request that a majority of each of `halves` has
     /// acknowledged for the leader `vote`. `me` counts as part of the majority.
-    pub(super) fn quorum_ack(&self, vote: &Vote, me: RaftId, halves: &[BTreeSet<RaftId>]) -> Option<Instant> {
-        if self.vote.as_ref() != Some(vote) {
-            return None;
-        }
-        let now = Instant::now();
+    pub(super) fn quorum_ack(&self, vote: &Vote, me: RaftId, halves: &[BTreeSet<RaftId>]) -> Option<BootInstant> {
+        let is_current = self.vote.as_ref() == Some(vote);
+        let now = BootInstant::now();
         let of_half = |half: &BTreeSet<RaftId>| {
-            let sent = |voter: &RaftId| if *voter == me { Some(now) } else { self.sent.get(voter).copied() };
-            let mut sent: Vec<Instant> = half.iter().filter_map(sent).collect();
+            let sent = |voter: &RaftId| match *voter == me {
+                true => Some(now),
+                false => self.sent.get(voter).filter(|_| is_current).copied(),
+            };
+            let mut sent: Vec<BootInstant> = half.iter().filter_map(sent).collect();
             sent.sort_unstable_by(|a, b| b.cmp(a));
             sent.get(half.len() / 2).copied()
         };
@@ -41,17 +42,17 @@ impl LeaderAcks {
 /// Last contact with each voter, as the send time of the last request that it replied to. The age
 /// of the quorum's acknowledgement is measured in the same way.
 #[derive(Debug, Default)]
-pub(super) struct LastContacts(Mutex<BTreeMap<RaftId, Instant>>);
+pub(super) struct LastContacts(Mutex<BTreeMap<RaftId, BootInstant>>);
 
 impl LastContacts {
-    pub(super) fn record(&self, voter: RaftId, sent_at: Instant) {
+    pub(super) fn record(&self, voter: RaftId, sent_at: BootInstant) {
         let mut contacts = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let last = contacts.entry(voter).or_insert(sent_at);
         *last = sent_at.max(*last);
     }
 
     /// Returns the send time of the last request that `voter` has replied to.
-    pub(super) fn of(&self, voter: RaftId) -> Option<Instant> {
+    pub(super) fn of(&self, voter: RaftId) -> Option<BootInstant> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&voter).copied()
     }
 }

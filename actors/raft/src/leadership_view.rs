@@ -2,6 +2,7 @@
 
 use super::acknowledgements::LeaderAcks;
 use super::types::{LeaderId, LogId, Metrics, Peer, RaftId, leader_id_of};
+use consort_bus::BootInstant;
 use consort_protocol::ids::NodeId;
 use openraft::metrics::RaftServerMetrics;
 use openraft::{ServerState, StoredMembership};
@@ -10,7 +11,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::watch;
-use tokio::time::Instant;
 
 /// Metrics of openraft: all metrics, sent at every event, and the server metrics (voters and
 /// leader), sent only on a change.
@@ -98,16 +98,13 @@ pub(super) struct LeadershipMonitor {
     pub(super) election_max: Duration,
     pub(super) leadership: watch::Sender<LeadershipView>,
     pub(super) resigned_term: Arc<ResignedTerm>,
-    pub(super) quorum_ack: watch::Sender<Option<Instant>>,
+    pub(super) quorum_ack: watch::Sender<Option<BootInstant>>,
     pub(super) appends_suspended: Arc<AtomicBool>,
     /// Last entry in the log of this node when it was started.
     pub(super) last_at_start: Option<LogId>,
     /// Term in which this node was elected and the time at which this was noticed, while it is the
     /// leader.
-    pub(super) election: Option<(LeaderId, Instant)>,
-    /// The metrics are new: the ages in them count from their arrival.
-    pub(super) metrics_are_new: bool,
-    pub(super) quorum_ack_by_metrics: Option<Instant>,
+    pub(super) election: Option<(LeaderId, BootInstant)>,
     pub(super) me: RaftId,
     pub(super) acks: watch::Receiver<LeaderAcks>,
     /// Inputs of the view published last.
@@ -117,18 +114,11 @@ pub(super) struct LeadershipMonitor {
 impl LeadershipMonitor {
     pub(super) async fn run(mut self, mut feed: MetricsFeed) {
         loop {
-            self.metrics_are_new |= feed.metrics.has_changed().unwrap_or(false);
             let latest = feed.metrics.borrow_and_update().clone();
-            if std::mem::take(&mut self.metrics_are_new) {
-                // Metrics are sent at the moment they are taken, and openraft takes them at every
-                // event. Its whole milliseconds round the age down, so a millisecond is added.
-                let age = latest.millis_since_quorum_ack.map(|ms| Duration::from_millis(ms + 1));
-                self.quorum_ack_by_metrics = age.and_then(|age| Instant::now().checked_sub(age));
-            }
-            let mut ack_at = self.quorum_ack_by_metrics;
+            let mut ack_at = None;
             if latest.state == ServerState::Leader {
                 let halves = latest.membership_config.membership().get_joint_config();
-                ack_at = ack_at.max(self.acks.borrow_and_update().quorum_ack(&latest.vote, self.me, halves));
+                ack_at = self.acks.borrow_and_update().quorum_ack(&latest.vote, self.me, halves);
             }
             self.quorum_ack.send_if_modified(|known| std::mem::replace(known, ack_at) != ack_at);
             let elected_at = self.record_election(&latest);
@@ -143,10 +133,10 @@ impl LeadershipMonitor {
     }
 
     /// Returns the time at which this node became leader, if it is the leader.
-    fn record_election(&mut self, latest: &Metrics) -> Option<Instant> {
+    fn record_election(&mut self, latest: &Metrics) -> Option<BootInstant> {
         let leader_id = leader_id_of(&latest.vote).filter(|_| latest.state == ServerState::Leader);
         if self.election.map(|(leader_id, _)| leader_id) != leader_id {
-            self.election = leader_id.map(|leader_id| (leader_id, Instant::now()));
+            self.election = leader_id.map(|leader_id| (leader_id, BootInstant::now()));
         }
         self.election.map(|(_, at)| at)
     }
@@ -156,8 +146,8 @@ impl LeadershipMonitor {
     async fn publish_until_changed(
         &mut self,
         latest: &Metrics,
-        ack_at: Option<Instant>,
-        elected_at: Option<Instant>,
+        ack_at: Option<BootInstant>,
+        elected_at: Option<BootInstant>,
         feed: &mut MetricsFeed,
     ) -> Result<(), watch::error::RecvError> {
         // A new leader has not been acknowledged yet. For the duration of the timeout this does not
@@ -167,13 +157,13 @@ impl LeadershipMonitor {
             self.publish(latest, Quorum::Unknown);
             return self.next_change(latest, feed).await;
         };
-        if timeout_at > Instant::now() {
+        if timeout_at > BootInstant::now() {
             self.appends_suspended.store(false, Ordering::Relaxed);
             self.publish(latest, if ack_at.is_some() { Quorum::Confirmed } else { Quorum::Unknown });
             tokio::select! {
                 biased;
                 changed = self.next_change(latest, feed) => return changed,
-                () = tokio::time::sleep_until(timeout_at) => {}
+                () = tokio::time::sleep_until(timeout_at.to_tokio()) => {}
             }
         }
         // Metrics are sent with each heartbeat, so this is evaluated often enough.
@@ -186,10 +176,7 @@ impl LeadershipMonitor {
     async fn next_change(&mut self, latest: &Metrics, feed: &mut MetricsFeed) -> Result<(), watch::error::RecvError> {
         tokio::select! {
             biased;
-            changed = feed.changed(latest) => {
-                self.metrics_are_new = true;
-                changed
-            }
+            changed = feed.changed(latest) => changed,
             acked = self.acks.changed() => acked,
         }
     }

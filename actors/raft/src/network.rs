@@ -11,7 +11,7 @@ use super::acknowledgements::{LastContacts, LeaderAcks};
 use super::messages::{HeartbeatReply, HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_reply};
 use super::settings::APPEND_TIMEOUT;
 use super::types::{Peer, RaftId, StateMachine, TypeConfig, Vote};
-use consort_bus::SharedBus;
+use consort_bus::{BootInstant, SharedBus};
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
@@ -32,7 +32,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tokio::sync::watch;
-use tokio::time::{Instant, timeout};
+use tokio::time::timeout;
 
 /// Client of the other voters; creates a [`PeerClient`] for each.
 #[derive(Clone)]
@@ -138,7 +138,7 @@ impl PeerClient {
     /// Sends a heartbeat request. An acknowledgement is recorded. `None` without a reply.
     pub(super) async fn heartbeat(&self, vote: Vote) -> Option<HeartbeatReply> {
         let request = self.encode(&HeartbeatRequest { vote }).ok()?;
-        let sent_at = Instant::now();
+        let sent_at = BootInstant::now();
         let Ok(RaftReply::Done(heartbeat)) =
             self.send::<HeartbeatReply>(RaftCall::Heartbeat, request, self.client.retry_interval).await
         else {
@@ -150,7 +150,7 @@ impl PeerClient {
         Some(heartbeat)
     }
 
-    fn record_ack(&self, vote: Vote, sent_at: Instant) {
+    fn record_ack(&self, vote: Vote, sent_at: BootInstant) {
         self.client.acks.send_modify(|acks| acks.record(vote, self.target, sent_at));
     }
 
@@ -194,7 +194,7 @@ impl PeerClient {
         {
             return Err(RequestError::Suspended);
         }
-        let sent_at = Instant::now();
+        let sent_at = BootInstant::now();
         let key = self.client.keys.write(&Key::Raft(self.target.0, call));
         let mut replies = self.client.bus.query(&key, request.into(), limit).await?;
         let Some(reply) = replies.recv().await else {
@@ -240,7 +240,7 @@ impl<S: StateMachine> RaftNetwork<TypeConfig<S>> for PeerClient {
     ) -> Result<AppendEntriesResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
         // openraft read as many entries as fit: the log storage returns no more at once.
         let bytes = self.encode(&request).map_err(|error| unencodable(&error))?;
-        let sent_at = Instant::now();
+        let sent_at = BootInstant::now();
         let error = match self.append(request.vote, bytes, option.hard_ttl()).await {
             Ok(RaftReply::Done(reply)) => {
                 if !matches!(reply, AppendEntriesResponse::HigherVote(_)) {
@@ -273,8 +273,14 @@ impl<S: StateMachine> RaftNetwork<TypeConfig<S>> for PeerClient {
         option: RPCOption,
     ) -> Result<InstallSnapshotResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId, InstallSnapshotError>>> {
         let bytes = self.encode(&request).map_err(|error| unencodable(&error))?;
-        match self.send(RaftCall::Snapshot, bytes, option.hard_ttl()).await {
-            Ok(RaftReply::Done(reply)) => Ok(reply),
+        let sent_at = BootInstant::now();
+        match self.send::<InstallSnapshotResponse<RaftId>>(RaftCall::Snapshot, bytes, option.hard_ttl()).await {
+            Ok(RaftReply::Done(reply)) => {
+                if reply.vote == request.vote {
+                    self.record_ack(request.vote, sent_at);
+                }
+                Ok(reply)
+            }
             Ok(RaftReply::Mismatch(mismatch)) => {
                 let error = RaftError::APIError(InstallSnapshotError::SnapshotMismatch(mismatch));
                 Err(RemoteError::new(self.target, error).into())

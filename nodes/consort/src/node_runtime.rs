@@ -11,7 +11,7 @@ use crate::wiring::bus_settings;
 use crate::{map_loader, output, service_manager};
 use consort_bus::clock::Clock;
 use consort_bus::trust::SigningBus;
-use consort_bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
+use consort_bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus, suspended};
 use consort_dashboard::address::BoundAddress;
 use consort_dashboard::admission::Admission;
 use consort_dashboard::fleet_model::FloorPlan;
@@ -24,6 +24,7 @@ use consort_protocol::keys::Keys;
 use consort_text::count;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
+use std::os::unix::process::CommandExt as _;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
@@ -32,6 +33,9 @@ use tracing_subscriber::EnvFilter;
 
 /// Default log filter: the node's own actions, and only errors and warnings of libraries.
 const LOG: &str = "info,zenoh=error,openraft=error,openraft::replication=off,ractor=warn";
+
+/// Interval of the checks whether the machine was suspended.
+const SUSPENSION_CHECK_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Poll interval for links.
 const LOOK: Duration = Duration::from_millis(500);
@@ -100,7 +104,7 @@ async fn run_until_end(
     fleet: &FleetConfig,
     settings: impl FnOnce() -> Result<NodeSettings, Diagnostics>,
 ) -> Result<(), Failure> {
-    let CommonConfig { telemetry: telemetry_config, bus, dashboard, .. } = common;
+    let CommonConfig { data_dir, telemetry: telemetry_config, bus, dashboard, .. } = common;
     // Created before everything else, so that an early signal is not lost.
     let mut signals = ShutdownSignals::open()?;
     let page = match dashboard {
@@ -118,7 +122,7 @@ async fn run_until_end(
     observers.extend(metrics.observer());
     settings.observer = Some(Arc::new(observers));
     let clock = settings.clock;
-    let trust = NodeCredentials::open(bus, &settings)?;
+    let trust = NodeCredentials::open(bus, data_dir.as_deref(), &settings)?;
     let admission = Admission::for_fleet(&fleet.name, trust.keyring(), clock);
     let zenoh = ZenohBus::open(bus_settings(bus, fleet)).await;
     let zenoh = zenoh.map_err(|problem| Failure::Usage(problem.to_string()))?;
@@ -149,7 +153,13 @@ async fn run_until_end(
     service_manager::ready();
     watch.spawn(service_manager::run_watchdog(zenoh.clone(), Keys::new(&fleet.name), name.clone()));
 
-    let end = wait_for_end(&mut node, &mut signals, until_stdin_closes).await;
+    let end = tokio::select! {
+        end = wait_for_end(&mut node, &mut signals, until_stdin_closes) => end,
+        time = machine_suspended() => {
+            warn!(node = %name, "the machine was suspended for {:.1} s; restarting", time.as_secs_f64());
+            return Err(restart());
+        }
+    };
     service_manager::stopping();
     let end = end.map_err(|cause| Failure::Unsuccessful(format!("{name} stopped: {cause}")))?;
     info!(node = %name, signal = end.word(), "stops");
@@ -205,6 +215,28 @@ async fn wait_for_end(
         () = stdin_closed(until_stdin_closes) => Ok(End::Signal("end of input")),
         ended = node.ended_or_decommissioned() => ended.map(End::Left),
     }
+}
+
+/// Waits until the machine was suspended; returns for how long.
+async fn machine_suspended() -> Duration {
+    loop {
+        tokio::time::sleep(SUSPENSION_CHECK_INTERVAL).await;
+        let time = suspended();
+        if !time.is_zero() {
+            return time;
+        }
+    }
+}
+
+/// Replaces this process by a new run of the program with the same arguments, as if it had been
+/// killed: to the rest of the fleet this node was dead, and nothing that it remembers may still hold.
+fn restart() -> Failure {
+    let arguments = std::env::args_os().skip(1);
+    let problem = match std::env::current_exe() {
+        Ok(program) => std::process::Command::new(program).args(arguments).exec(),
+        Err(problem) => problem,
+    };
+    Failure::Unsuccessful(format!("the node could not restart after a suspension of the machine: {problem}"))
 }
 
 async fn bind(flag: &'static str, at: SocketAddr) -> Result<BoundAddress, Failure> {

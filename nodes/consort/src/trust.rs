@@ -19,13 +19,19 @@ use tracing::{info, warn};
 pub(crate) struct NodeCredentials(Option<(Arc<Keyring>, TrustFiles)>);
 
 impl NodeCredentials {
-    /// Reads the files, and checks that they belong to this node and permit its configured roles.
+    /// Reads the files, and checks that they belong to this node and permit its configured roles. The
+    /// latest list of revoked certificates is kept in `data_dir`.
     ///
     /// # Errors
     /// [`Failure::Usage`] with the file and the problem.
-    pub(crate) fn open(bus: &BusConfig, node: &NodeSettings) -> Result<NodeCredentials, Failure> {
+    pub(crate) fn open(
+        bus: &BusConfig,
+        data_dir: Option<&Path>,
+        node: &NodeSettings,
+    ) -> Result<NodeCredentials, Failure> {
         let Some(folder) = &bus.certs else { return Ok(NodeCredentials(None)) };
-        let files = trust_files(folder);
+        let mut files = trust_files(folder);
+        files.revoked.kept = data_dir.map(|folder| folder.join("revoked.pem"));
         let now = Duration::from_millis(node.clock.wall_ms());
         let keyring = files.open(&node.fleet.fleet, now, node.incarnation);
         let keyring = keyring.map_err(|problem| Failure::Usage(problem.to_string()))?;

@@ -67,7 +67,7 @@ words! {
         RaftHeartbeat = "raft/heartbeat",
         /// Entries of the ledger, and confirmations of the leadership.
         RaftAppend = "raft/append",
-        /// Other consensus messages.
+        /// Other consensus messages, and readings of the clocks of voters.
         Raft = "raft",
         /// Beacons of the coordinator.
         Beacon = "beacon",
@@ -112,7 +112,7 @@ impl KeyKind {
                 ("swim", _) => KeyKind::Swim,
                 ("raft", Some("heartbeat")) => KeyKind::RaftHeartbeat,
                 ("raft", Some("append")) => KeyKind::RaftAppend,
-                ("raft" | "bootstrap", _) => KeyKind::Raft,
+                ("raft" | "bootstrap" | "clock", _) => KeyKind::Raft,
                 ("beacon", _) => KeyKind::Beacon,
                 ("driver", Some("state")) => KeyKind::DriverState,
                 ("driver", _) => KeyKind::DriverCommand,

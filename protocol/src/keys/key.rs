@@ -36,6 +36,8 @@ pub enum Key {
     /// `wire/active_missions/{node}`: any node queries the coordinator on that node for the active
     /// missions.
     ActiveMissions(NodeId),
+    /// `wire/clock/{node}`: the time of day of a node that may vote.
+    Clock(NodeId),
     /// `wire/changed`: the coordinator publishes that active missions have changed.
     Changed,
     /// `wire/signal/{mission}/{role}`: a signal of the mission's plan, published for the role that
@@ -105,6 +107,7 @@ impl fmt::Display for Key {
             Key::Award(robot) => write!(f, "wire/award/{robot}"),
             Key::Report(node) => write!(f, "wire/report/{node}"),
             Key::ActiveMissions(node) => write!(f, "wire/active_missions/{node}"),
+            Key::Clock(node) => write!(f, "wire/clock/{node}"),
             Key::Changed => f.write_str("wire/changed"),
             Key::Signal(mission, role) => write!(f, "wire/signal/{mission}/{role}"),
             Key::SignalHistory(mission, role) => write!(f, "wire/signal_history/{mission}/{role}"),
@@ -154,6 +157,7 @@ pub(super) fn read(text: &str) -> Option<Key> {
         ["wire", "award", robot] => Key::Award(robot.parse().ok()?),
         ["wire", "report", node] => Key::Report(node.parse().ok()?),
         ["wire", "active_missions", node] => Key::ActiveMissions(node.parse().ok()?),
+        ["wire", "clock", node] => Key::Clock(node.parse().ok()?),
         ["wire", "changed"] => Key::Changed,
         ["wire", "signal", mission, role] => Key::Signal(mission.parse().ok()?, role.parse().ok()?),
         ["wire", "signal_history", mission, role] => Key::SignalHistory(mission.parse().ok()?, role.parse().ok()?),

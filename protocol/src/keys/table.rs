@@ -108,6 +108,7 @@ table! {
     Key::Award(_) => "wire/award/{robot}", "the robot" Answers WIRE, "the award or the revocation of a role";
     Key::Report(_) => "wire/report/{node}", "the coordinator" Answers WIRE, "reports of robots, which also renew their leases";
     Key::ActiveMissions(_) => "wire/active_missions/{node}", "the coordinator" Answers WIRE, "the active missions, with the plans of people";
+    Key::Clock(_) => "wire/clock/{node}", "nodes that may vote" Answers WIRE, "the time of day of the node, for the coordinator";
     Key::Changed => "wire/changed", "the coordinator" Publishes WIRE, "a notification that active missions have changed";
     Key::Signal(..) => "wire/signal/{mission}/{role}", "robots and human task proxies" Publishes WIRE, "a signal of the mission's plan for this role";
     Key::SignalHistory(..) => "wire/signal_history/{mission}/{role}", "the role's holder" Answers WIRE, "the signals that the role has sent";

@@ -19,6 +19,7 @@ pub(super) fn all() -> Vec<Key> {
         Key::Award(robot.clone()),
         Key::Report(node.clone()),
         Key::ActiveMissions(node.clone()),
+        Key::Clock(node.clone()),
         Key::Changed,
         Key::Signal(mission.clone(), role.clone()),
         Key::SignalHistory(mission.clone(), role),

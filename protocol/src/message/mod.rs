@@ -10,6 +10,7 @@
 //! | `wire/award/{robot}` | query | coordinator → robot | [`AwardNotice`] | [`AwardReply`] |
 //! | `wire/report/{node}` | query | robot → coordinator | [`Report`] | [`ReportReply`] |
 //! | `wire/active_missions/{node}` | query | any node → coordinator | empty | [`ActiveMissions`], in parts |
+//! | `wire/clock/{node}` | query | coordinator → voter | empty | `u64`: milliseconds since 1970 |
 //! | `wire/changed` | publish | coordinator → all | [`MissionsChanged`] | – |
 //! | `wire/signal/{mission}/{role}` | publish | role → role | [`SignalHistory`] | – |
 //! | `wire/signal_history/{mission}/{role}` | query | waiting role → role | empty | [`SignalHistory`] |

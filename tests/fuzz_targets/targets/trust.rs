@@ -2,7 +2,7 @@
 
 use super::frames::{frames, text};
 use super::scratch;
-use consort_bus::trust::Keyring;
+use consort_bus::trust::{Keyring, RevokedFiles};
 use consort_nodes::certs::{CertificateEntry, CertificateStore, unix_time};
 use consort_nodes::config::trust_files;
 use consort_protocol::access::{Operation, authorize};
@@ -137,7 +137,7 @@ pub(super) fn pem(bytes: &[u8]) -> bool {
         authority: file.clone(),
         certificate: file.clone(),
         key: file.clone(),
-        revoked: Some(file),
+        revoked: RevokedFiles { list: Some(file), kept: None },
     };
     match files.open(&FleetId::new("ward").expect("a slug"), unix_time(), 1) {
         Ok(_) => panic!("the same file was accepted as authority, certificate, key and revocation list"),

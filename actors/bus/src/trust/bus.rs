@@ -2,6 +2,7 @@
 
 use super::certificates::{CertificateExchange, ExchangeContext};
 use super::executed_requests::ExecutedRequests;
+use super::files::RevokedFiles;
 use super::keyring::Keyring;
 use super::record_signer::KeyringSigner;
 use super::rejections::RejectionLog;
@@ -20,7 +21,6 @@ use consort_protocol::keys::Keys;
 use consort_protocol::trust::{
     MessageKind, RequestProof, SignedEnvelope, decode_envelope, decode_requester, encode_requester, is_refusal,
 };
-use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Bus that signs outgoing messages, and delivers only messages that are signed, authorized and
@@ -46,7 +46,7 @@ enum SignaturePlace {
 }
 
 impl SigningBus {
-    /// Signs the messages on `bus` with `keyring`. `revoked` is the file with the list of revoked
+    /// Signs the messages on `bus` with `keyring`. `revoked` are the files with the list of revoked
     /// certificates; it is read again periodically.
     ///
     /// # Errors
@@ -55,7 +55,7 @@ impl SigningBus {
         bus: SharedBus,
         keys: Keys,
         keyring: Arc<Keyring>,
-        revoked: Option<PathBuf>,
+        revoked: RevokedFiles,
         clock: Clock,
     ) -> Result<SigningBus, BusError> {
         let rejections = Arc::new(RejectionLog::default());

@@ -2,7 +2,7 @@
 //! owner, and without a reply the nodes that know it. A record of a third node, which arrives
 //! through another, can thus be verified without a path to its owner.
 
-use super::files::read_revoked;
+use super::files::{RevokedFile, RevokedFiles, TrustError};
 use super::keyring::Keyring;
 use super::link_revocation::register_link_check;
 use super::rejections::RejectionLog;
@@ -12,7 +12,7 @@ use bytes::Bytes;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::trust::{Fingerprint, Principal};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
@@ -55,12 +55,8 @@ pub(super) struct ExchangeContext {
 }
 
 impl CertificateExchange {
-    /// Starts to serve the node's own certificate and to query others. `revoked` is the file with
-    /// the list of revoked certificates.
-    pub(super) async fn open(
-        context: ExchangeContext,
-        revoked: Option<PathBuf>,
-    ) -> Result<CertificateExchange, BusError> {
+    /// Starts to serve the node's own certificate and to query others.
+    pub(super) async fn open(context: ExchangeContext, revoked: RevokedFiles) -> Result<CertificateExchange, BusError> {
         let (requested, requests) = unbounded_channel();
         let mut tasks = JoinSet::new();
         // Persons publish no messages, so no node queries their certificates; and their links
@@ -153,41 +149,51 @@ async fn query_on(context: &ExchangeContext, key: &Key, requested: Fingerprint) 
     Ok(false)
 }
 
-/// Verifies all certificates again, periodically.
-async fn recheck_all(file: Option<PathBuf>, context: ExchangeContext) {
+/// Verifies all certificates again, periodically, with the latest list of revoked certificates.
+async fn recheck_all(files: RevokedFiles, context: ExchangeContext) {
     let ExchangeContext { keyring, clock, rejections, .. } = context;
     let links = register_link_check(&keyring, clock, rejections);
     let mut due = interval(READ_INTERVAL);
     due.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let (mut read_failed, mut last_list, mut next_recheck) = (false, None, Instant::now());
+    let (mut last_read, mut next_recheck) = (Ok(None), Instant::now());
     loop {
         due.tick().await;
-        let revoked = match file.as_deref().map(read_revoked).transpose() {
-            Ok(revoked) => {
-                read_failed = false;
-                revoked
+        let read = files.list.as_deref().map_or(Ok(None), RevokedFile::read);
+        let mut is_new = false;
+        if read != last_read {
+            match replace_list(&read, &keyring, &files, clock) {
+                Ok(replaced) => is_new = replaced,
+                Err(problem) => warn!(%problem, "list of revoked certificates not used; keeping the previous list"),
             }
-            Err(problem) => {
-                if !read_failed {
-                    warn!(%problem, "failed to read the list of revoked certificates; keeping the previous list");
-                }
-                read_failed = true;
-                None
-            }
-        };
-        let is_new = revoked.is_some() && revoked != last_list;
+            last_read = read;
+        }
         if !is_new && Instant::now() < next_recheck {
             continue;
         }
         next_recheck = Instant::now() + RECHECK_INTERVAL;
-        if is_new {
-            last_list.clone_from(&revoked);
-        }
-        for (identity, problem) in keyring.recheck(revoked, clock.unix_time()) {
+        for (identity, problem) in keyring.recheck(clock.unix_time()) {
             warn!(principal = %identity.principal, %problem, "certificate is no longer valid");
         }
         if is_new {
             links.repeat();
         }
     }
+}
+
+/// Uses a list that was read. Returns false if there is none.
+fn replace_list(
+    read: &Result<Option<RevokedFile>, TrustError>,
+    keyring: &Keyring,
+    files: &RevokedFiles,
+    clock: Clock,
+) -> Result<bool, String> {
+    let Some(list) = read.as_ref().map_err(TrustError::to_string)? else { return Ok(false) };
+    let file = files.list.as_deref().unwrap_or(Path::new("")).display();
+    keyring.replace_revoked(list.der.clone(), clock.unix_time()).map_err(|problem| format!("{file}: {problem}"))?;
+    if let Some(kept) = &files.kept
+        && let Err(problem) = list.write(kept)
+    {
+        warn!(file = %kept.display(), %problem, "the list of revoked certificates cannot be kept");
+    }
+    Ok(true)
 }

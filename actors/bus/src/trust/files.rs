@@ -2,6 +2,7 @@
 
 use super::issue::IssuedCertificate;
 use super::keyring::{Authority, CertificateError, Keyring, VerifiedCertificate};
+use super::revocation::RevocationList;
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::Identity;
 use pki_types::pem::PemObject;
@@ -9,6 +10,8 @@ use pki_types::{CertificateDer, CertificateRevocationListDer, PrivatePkcs8KeyDer
 use ring::error::KeyRejected;
 use ring::signature::Ed25519KeyPair;
 use std::fmt::Display;
+use std::fs::File;
+use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -50,8 +53,18 @@ pub struct TrustFiles {
     /// Private key of the certificate, in PKCS #8. Every reader of this file can act as the
     /// principal.
     pub key: PathBuf,
-    /// List of revoked certificates, if any. It is read again while the node runs.
-    pub revoked: Option<PathBuf>,
+    /// List of revoked certificates.
+    pub revoked: RevokedFiles,
+}
+
+/// Files with the list of revoked certificates.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct RevokedFiles {
+    /// List of the authority. It may be missing, and is read again while the node runs.
+    pub list: Option<PathBuf>,
+    /// The latest list that the node has read, written by the node. So an earlier list is not used
+    /// after a restart either.
+    pub kept: Option<PathBuf>,
 }
 
 /// A file cannot be used.
@@ -80,9 +93,12 @@ impl TrustFiles {
     pub fn open(&self, fleet: &FleetId, now: Duration, incarnation: u64) -> Result<Keyring, TrustError> {
         let authority = read_pem::<CertificateDer<'static>>(&self.authority, "certificate")?;
         let authority = Authority::new(fleet.clone(), &authority).map_err(TrustError::of(&self.authority))?;
-        let revoked = self.read_revoked()?;
         let certificate = read_pem::<CertificateDer<'static>>(&self.certificate, "certificate")?;
-        let own = authority.verify(certificate, revoked.as_deref(), now).map_err(TrustError::of(&self.certificate))?;
+        let own = authority.verify(certificate, None, now).map_err(TrustError::of(&self.certificate))?;
+        let revoked = self.read_revoked(&authority, &own, now)?;
+        let own = authority
+            .verify(own.certificate(), revoked.as_ref().map(RevocationList::der), now)
+            .map_err(TrustError::of(&self.certificate))?;
         let key = read_pem::<PrivatePkcs8KeyDer<'static>>(&self.key, "private key in PKCS #8")?;
         let of = self.certificate.display().to_string();
         let key = key_of(&own, &key, &of).map_err(TrustError::of(&self.key))?;
@@ -97,15 +113,53 @@ impl TrustFiles {
         self.open(fleet, now, 0).map(|keyring| keyring.identity().clone())
     }
 
-    fn read_revoked(&self) -> Result<Option<Vec<u8>>, TrustError> {
-        self.revoked.as_deref().map(read_revoked).transpose()
+    /// Reads the latest list of revoked certificates.
+    fn read_revoked(
+        &self,
+        authority: &Authority,
+        own: &VerifiedCertificate,
+        now: Duration,
+    ) -> Result<Option<RevocationList>, TrustError> {
+        let mut latest = None;
+        for file in [&self.revoked.list, &self.revoked.kept].into_iter().flatten() {
+            let Some(RevokedFile { der, .. }) = RevokedFile::read(file)? else { continue };
+            let list = authority.verify_list(der, own, now).map_err(TrustError::of(file))?;
+            if list.check_replaces(latest.as_ref()).is_ok() {
+                latest = Some(list);
+            }
+        }
+        Ok(latest)
     }
 }
 
-/// Reads the list of revoked certificates, in DER.
-pub(super) fn read_revoked(file: &Path) -> Result<Vec<u8>, TrustError> {
-    let list = read_pem::<CertificateRevocationListDer<'static>>(file, "list of revoked certificates")?;
-    Ok(list.to_vec())
+/// File with a list of revoked certificates.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct RevokedFile {
+    text: Vec<u8>,
+    /// The list, in DER.
+    pub(super) der: Vec<u8>,
+}
+
+impl RevokedFile {
+    /// Reads a file; `None` if there is no such file.
+    pub(super) fn read(file: &Path) -> Result<Option<RevokedFile>, TrustError> {
+        let text = match std::fs::read(file) {
+            Ok(text) => text,
+            Err(problem) if problem.kind() == ErrorKind::NotFound => return Ok(None),
+            Err(problem) => return Err(TrustError::of(file)(problem)),
+        };
+        let der = from_pem::<CertificateRevocationListDer<'static>>(file, &text, "list of revoked certificates")?;
+        Ok(Some(RevokedFile { der: der.to_vec(), text }))
+    }
+
+    /// Writes the list to another file, whole or not at all.
+    pub(super) fn write(&self, file: &Path) -> std::io::Result<()> {
+        let new = file.with_extension("new");
+        let mut written = File::create(&new)?;
+        written.write_all(&self.text)?;
+        written.sync_all()?;
+        std::fs::rename(&new, file)
+    }
 }
 
 impl Keyring {
@@ -140,6 +194,9 @@ fn key_of(own: &VerifiedCertificate, key: &PrivatePkcs8KeyDer<'_>, of: &str) -> 
 }
 
 pub(super) fn read_pem<T: PemObject>(file: &Path, what: &str) -> Result<T, TrustError> {
-    let text = std::fs::read(file).map_err(TrustError::of(file))?;
-    T::from_pem_slice(&text).map_err(|problem| TrustError::of(file)(format!("no {what} found: {problem}")))
+    from_pem(file, &std::fs::read(file).map_err(TrustError::of(file))?, what)
+}
+
+fn from_pem<T: PemObject>(file: &Path, text: &[u8], what: &str) -> Result<T, TrustError> {
+    T::from_pem_slice(text).map_err(|problem| TrustError::of(file)(format!("no {what} found: {problem}")))
 }

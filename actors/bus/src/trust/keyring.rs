@@ -1,6 +1,7 @@
 //! Keys and certificates: the fleet's authority, a node's own certificate and key, and received
 //! certificates.
 
+use super::revocation::{RevocationList, RevocationListError};
 use bytes::Bytes;
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::{
@@ -60,6 +61,11 @@ impl VerifiedCertificate {
         self.fingerprint
     }
 
+    /// Returns the certificate.
+    pub(super) fn certificate(&self) -> CertificateDer<'static> {
+        self.certificate.clone()
+    }
+
     /// Returns the certificate, in DER.
     pub(super) fn bytes(&self) -> Bytes {
         Bytes::copy_from_slice(&self.certificate)
@@ -101,7 +107,24 @@ impl Authority {
         revoked: Option<&[u8]>,
         now: Duration,
     ) -> Result<VerifiedCertificate, CertificateError> {
-        self.verify_for(KeyUsage::client_auth(), certificate, revoked, now)
+        self.verify_for(KeyUsage::client_auth(), certificate, revoked, UnknownStatusPolicy::Allow, now)
+    }
+
+    /// Decodes a list of revoked certificates, and verifies that the authority signed it, with a
+    /// certificate of the authority, at a time since 1970.
+    pub(super) fn verify_list(
+        &self,
+        list: Vec<u8>,
+        certificate: &VerifiedCertificate,
+        now: Duration,
+    ) -> Result<RevocationList, RevocationListError> {
+        let list = RevocationList::decode(list)?;
+        let (usage, certificate) = (KeyUsage::client_auth(), certificate.certificate.clone());
+        match self.verify_for(usage, certificate, Some(list.der()), UnknownStatusPolicy::Deny, now) {
+            // The list may contain this certificate.
+            Ok(_) | Err(CertificateError::Revoked) => Ok(list),
+            Err(problem) => Err(RevocationListError::NotSigned(problem.to_string())),
+        }
     }
 
     /// Verifies the certificate of a node that a link is opened to.
@@ -110,7 +133,7 @@ impl Authority {
         certificate: CertificateDer<'static>,
         now: Duration,
     ) -> Result<VerifiedCertificate, CertificateError> {
-        self.verify_for(KeyUsage::server_auth(), certificate, None, now)
+        self.verify_for(KeyUsage::server_auth(), certificate, None, UnknownStatusPolicy::Allow, now)
     }
 
     fn verify_for(
@@ -118,6 +141,7 @@ impl Authority {
         usage: KeyUsage,
         certificate: CertificateDer<'static>,
         revoked: Option<&[u8]>,
+        unlisted: UnknownStatusPolicy,
         now: Duration,
     ) -> Result<VerifiedCertificate, CertificateError> {
         let rejection = |problem: webpki::Error| match problem {
@@ -133,6 +157,11 @@ impl Authority {
                 let ahead = not_before.as_secs().saturating_sub(time.as_secs());
                 CertificateError::Invalid(format!("it is valid only in {}; check the clock", format_span(ahead)))
             }
+            webpki::Error::UnknownRevocationStatus | webpki::Error::InvalidCrlSignatureForPublicKey => {
+                CertificateError::Invalid(
+                    "the list of revoked certificates was not signed by this fleet's authority".to_owned(),
+                )
+            }
             other => CertificateError::Invalid(format!("it is not a valid certificate: {other}")),
         };
         let list = match revoked {
@@ -146,7 +175,7 @@ impl Authority {
         };
         let lists: Vec<&CertRevocationList<'_>> = list.iter().collect();
         let revocation = RevocationOptionsBuilder::new(&lists).ok();
-        let revocation = revocation.map(|options| options.with_status_policy(UnknownStatusPolicy::Allow).build());
+        let revocation = revocation.map(|options| options.with_status_policy(unlisted).build());
         let identity = {
             let read = EndEntityCert::try_from(&certificate).map_err(rejection)?;
             let anchors = [self.anchor.clone()];
@@ -193,9 +222,14 @@ pub struct Keyring {
 
 #[derive(Default)]
 struct ReceivedCertificates {
-    /// DER of the list of revoked certificates.
-    revoked: Option<Vec<u8>>,
+    revoked: Option<RevocationList>,
     certificates: BTreeMap<Fingerprint, Arc<VerifiedCertificate>>,
+}
+
+impl ReceivedCertificates {
+    fn revoked_der(&self) -> Option<&[u8]> {
+        self.revoked.as_ref().map(RevocationList::der)
+    }
 }
 
 impl Keyring {
@@ -205,7 +239,7 @@ impl Keyring {
         authority: Authority,
         own: VerifiedCertificate,
         key: Ed25519KeyPair,
-        revoked: Option<Vec<u8>>,
+        revoked: Option<RevocationList>,
         incarnation: u64,
     ) -> Keyring {
         let received = RwLock::new(ReceivedCertificates { revoked, certificates: BTreeMap::new() });
@@ -272,7 +306,7 @@ impl Keyring {
     ) -> Result<VerifiedCertificate, CertificateError> {
         let certificate = CertificateDer::from(certificate.to_vec());
         let received = self.received.read().unwrap_or_else(PoisonError::into_inner);
-        self.authority.verify(certificate, received.revoked.as_deref(), now)
+        self.authority.verify(certificate, received.revoked_der(), now)
     }
 
     /// Returns the identity of a certificate if it is revoked.
@@ -304,7 +338,7 @@ impl Keyring {
     ) -> Result<Arc<VerifiedCertificate>, CertificateError> {
         let certificate = CertificateDer::from(certificate.to_vec());
         let mut received = self.received.write().unwrap_or_else(PoisonError::into_inner);
-        let certificate = Arc::new(self.authority.verify(certificate, received.revoked.as_deref(), now)?);
+        let certificate = Arc::new(self.authority.verify(certificate, received.revoked_der(), now)?);
         if received.certificates.len() >= CERTIFICATES_MAX {
             received.certificates.clear();
         }
@@ -312,17 +346,24 @@ impl Keyring {
         Ok(certificate)
     }
 
+    /// Replaces the list of revoked certificates, in DER, by a later list.
+    pub(super) fn replace_revoked(&self, der: Vec<u8>, now: Duration) -> Result<(), RevocationListError> {
+        let list = self.authority.verify_list(der, &self.own, now)?;
+        let mut received = self.received.write().unwrap_or_else(PoisonError::into_inner);
+        list.check_replaces(received.revoked.as_ref())?;
+        received.revoked = Some(list);
+        Ok(())
+    }
+
     /// Verifies all stored certificates again, with the current list of revoked certificates and at
     /// this time. Removes and returns the certificates that are no longer valid, with the reasons.
-    pub(crate) fn recheck(&self, revoked: Option<Vec<u8>>, now: Duration) -> Vec<(Identity, CertificateError)> {
+    pub(crate) fn recheck(&self, now: Duration) -> Vec<(Identity, CertificateError)> {
         let mut received = self.received.write().unwrap_or_else(PoisonError::into_inner);
-        if revoked.is_some() {
-            received.revoked = revoked;
-        }
         let ReceivedCertificates { revoked, certificates } = &mut *received;
+        let revoked = revoked.as_ref().map(RevocationList::der);
         let mut removed = Vec::new();
         certificates.retain(|_, certificate| {
-            match self.authority.verify(certificate.certificate.clone(), revoked.as_deref(), now) {
+            match self.authority.verify(certificate.certificate.clone(), revoked, now) {
                 Ok(_) => true,
                 Err(problem) => {
                     removed.push((Identity::clone(&certificate.identity), problem));

@@ -31,11 +31,12 @@ mod probe;
 mod record_signer;
 mod rejections;
 mod requests;
+mod revocation;
 mod token;
 mod verifier;
 
 pub use bus::SigningBus;
-pub use files::{KeyError, KeyringError, TrustError, TrustFiles};
+pub use files::{KeyError, KeyringError, RevokedFiles, TrustError, TrustFiles};
 pub use keyring::{CertificateError, Keyring, VerifiedCertificate};
 pub use probe::ProbeError;
 pub use token::{TOKEN_MAX, TokenClaims, TokenError, forwarded_part};

@@ -202,6 +202,7 @@ fn messages(passings: &[LinkMessage]) -> Vec<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::trust::RevokedFiles;
 
     #[test]
     fn zenoh_accepts_certificates_and_rules_for_every_principal() {
@@ -209,7 +210,7 @@ mod tests {
             authority: "certs/ca.pem".into(),
             certificate: "certs/ada.pem".into(),
             key: "certs/ada.key".into(),
-            revoked: None,
+            revoked: RevokedFiles::default(),
         };
         let links = Some(LinkTrust { files, fleet: FleetId::new("ward").unwrap() });
         let config = ZenohSettings { link_trust: links, ..Default::default() }.config().unwrap();

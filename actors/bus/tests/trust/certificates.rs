@@ -28,7 +28,8 @@ async fn a_revoked_or_foreign_certificate_is_rejected() {
     let of_kim = authority.issue(&"consort://ward/person/kim?scope=read".parse().unwrap(), &[], LONG).unwrap();
     let mut files = fixture.files("kim", &of_kim);
     let revoked = [RevokedCertificate { serial: serial(&of_ada.certificate), since: NOW }];
-    files.revoked = Some(fixture.folder.write("revoked.pem", &authority.revocation_list(&revoked, 1, LONG).unwrap()));
+    files.revoked.list =
+        Some(fixture.folder.write("revoked.pem", &authority.revocation_list(&revoked, 1, LONG).unwrap()));
     let kim = fixture.with(fixture.plain("kim"), files, 1).await;
     let mut at_kim = kim.subscribe(&keys().any_events()).await.unwrap();
     let relay = fixture.plain("relay");
@@ -58,6 +59,43 @@ async fn a_revoked_or_foreign_certificate_is_rejected() {
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_list_of_revoked_certificates_is_not_rolled_back() {
+    let fixture = Fixture::new();
+    let (authority, foreign) = (fixture.authority(), Fixture::new());
+    let issue = |name: &str| {
+        authority.issue(&format!("consort://ward/node/{name}?roles=voter").parse().unwrap(), &[], LONG).unwrap()
+    };
+    let of_ada = issue("ada");
+    let revoked = [RevokedCertificate { serial: serial(&of_ada.certificate), since: NOW }];
+    let (earlier, later) =
+        (authority.revocation_list(&[], 1, LONG).unwrap(), authority.revocation_list(&revoked, 2, LONG).unwrap());
+    let mut files = fixture.files("bob", &issue("bob"));
+    files.revoked.list = Some(fixture.folder.write("revoked.pem", &later));
+    files.revoked.kept = Some(fixture.folder.0.join("kept.pem"));
+    let ada = fixture.with(fixture.plain("ada"), fixture.files("ada", &of_ada), 1).await;
+    let cyd = fixture.node("cyd", "consort://ward/node/cyd?roles=voter").await;
+    let foreign_list = foreign.authority().revocation_list(&[], 3, LONG).unwrap();
+    for (incarnation, list) in [(1, Some(&later)), (1, Some(&earlier)), (1, Some(&foreign_list)), (2, None)] {
+        let bob = fixture.with(fixture.plain("bob"), files.clone(), incarnation).await;
+        let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
+        match list {
+            Some(list) => drop(fixture.folder.write("revoked.pem", list)),
+            None => std::fs::remove_file(fixture.folder.0.join("revoked.pem")).unwrap(),
+        }
+        tokio::time::sleep(Duration::from_secs(30)).await;
+        introduce(&mut at_bob, &cyd, &Key::Beacon, &beacon("cyd")).await;
+        publish(&ada, &Key::Beacon, &beacon("ada")).await;
+        assert_eq!(received(&mut at_bob).await, [] as [Bytes; 0], "{incarnation} {list:?}");
+        // The next start finds the file that was written during this start.
+        if list == Some(&foreign_list) {
+            let problem = files.open(&ward(), NOW, 1).err().map(|problem| problem.to_string()).unwrap();
+            assert!(problem.contains("revoked.pem: "), "{problem}");
+            fixture.folder.write("revoked.pem", &earlier);
+        }
+    }
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
 async fn a_revocation_ends_accepted_certificates() {
     let fixture = Fixture::new();
     let authority = fixture.authority();
@@ -66,7 +104,7 @@ async fn a_revocation_ends_accepted_certificates() {
         let issued = authority.issue(&"consort://ward/node/bob?roles=robot".parse().unwrap(), &[], LONG).unwrap();
         fixture.files("bob", &issued)
     };
-    files.revoked = Some(fixture.folder.write("revoked.pem", &list(&[], 1)));
+    files.revoked.list = Some(fixture.folder.write("revoked.pem", &list(&[], 1)));
     let bob = fixture.with(fixture.plain("bob"), files, 1).await;
     let of_ada = authority.issue(&"consort://ward/node/ada?roles=voter".parse().unwrap(), &[], LONG).unwrap();
     let serial = serial(&of_ada.certificate);

@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use consort_bus::clock::Clock;
 use consort_bus::trust::issue::{CertificateAuthority, IssuedCertificate, Validity, create_authority};
-use consort_bus::trust::{Keyring, SigningBus, TrustFiles};
+use consort_bus::trust::{Keyring, RevokedFiles, SigningBus, TrustFiles};
 use consort_bus::{Bus, Delivery, Encoding, LinkModel, Sample, SharedBus, Stream, VirtualNetwork};
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, NodeId};
@@ -74,7 +74,7 @@ impl Fixture {
             authority: self.folder.write("ca.pem", &self.ca.certificate),
             certificate: self.folder.write(&format!("{name}.pem"), &issued.certificate),
             key: self.folder.write(&format!("{name}.key"), &issued.key),
-            revoked: None,
+            revoked: RevokedFiles::default(),
         }
     }
 

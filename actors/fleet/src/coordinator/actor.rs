@@ -97,6 +97,7 @@ impl Actor for Coordinator {
             }
             (CoordinatorMessage::Report(query), Some(session)) => session.handle_report(query),
             (CoordinatorMessage::ActiveMissions(query), Some(session)) => session.handle_active_missions(query).await,
+            (CoordinatorMessage::ClockRead { voter, wall_ms }, Some(session)) => session.record_clock(voter, wall_ms),
             (CoordinatorMessage::Api(query), Some(session)) => session.handle_api(query),
             (CoordinatorMessage::ApiRecheck(query), Some(_)) => {
                 // The former coordinator may or may not have executed the request. A repeated

@@ -37,7 +37,8 @@ pub(super) struct ApiHandler {
     pub(super) domain: Arc<Domain>,
     /// Prefix of generated request ids, different from the prefixes of other coordinators.
     pub(super) request_prefix: String,
-    pub(super) at_ms: u64,
+    /// Time of day in milliseconds since 1970, if it is known.
+    pub(super) time_ms: Option<u64>,
     pub(super) request_number: u64,
     /// Verified author of the request, in a closed fleet.
     pub(super) requester: Option<Requester>,
@@ -101,7 +102,7 @@ impl ApiHandler {
             Some(requester) => requester.request.clone(),
             None => format!("{}-{}", self.request_prefix, self.request_number),
         };
-        let submission = submission::prepare(request_fields, &self.domain, self.at_ms, default_id)?;
+        let submission = submission::prepare(request_fields, &self.domain, self.time_ms()?, default_id)?;
         if let Some(overload) = self.replica.read(|ledger| self.overload(ledger, &submission.request)) {
             return Err(overload);
         }
@@ -117,6 +118,11 @@ impl ApiHandler {
             Ok(other) => Err(format!("unexpected outcome of the ledger: {other:?}").into()),
             Err(problem) => Err(not_committed(&problem)),
         }
+    }
+
+    fn time_ms(&self) -> Result<u64, ApiError> {
+        let text = "the coordinator does not know the time of day of the voters yet".to_owned();
+        self.time_ms.ok_or(ApiError { text, may_retry: true })
     }
 
     /// Returns an error if the fleet accepts no new missions. A repeated request for an accepted
@@ -172,7 +178,7 @@ impl ApiHandler {
         self.replica.ensure_leader(COMMIT_TIMEOUT).await.map_err(|problem| not_committed(&problem))?;
         let (last, ledger) = self.replica.copy();
         let last = last.ok_or_else(|| "the ledger is empty".to_owned())?;
-        let backup = Backup::new(&ledger, last, self.fleet.clone(), self.node.clone(), self.at_ms)
+        let backup = Backup::new(&ledger, last, self.fleet.clone(), self.node.clone(), self.time_ms()?)
             .map_err(|problem| problem.to_string())?;
         let copy = json(backup);
         match copy.to_string().len() {

@@ -11,9 +11,11 @@ use super::requests::Requests;
 use super::session_context::SessionContext;
 use super::settings::{CoordinatorSettings, NodeParts};
 use super::status::CoordinatorStatus;
+use super::voter_clocks::VoterClocks;
 use crate::autopilot::{ActionResult, Autopilot, perform};
+use bytes::Bytes;
 use consort_bus::tasks::Tasks;
-use consort_bus::{BusError, PresenceToken, Query, reply};
+use consort_bus::{BusError, PresenceToken, Query, SharedBus, reply};
 use consort_protocol::auction::AuctionId;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
@@ -34,6 +36,12 @@ use tracing::{debug, info, warn};
 /// Timeout for the ledger to commit its cluster id.
 const BOOTSTRAP_TIMEOUT: Duration = Duration::from_secs(2);
 
+/// Timeout for a voter to return the time of its clock. A late reply would make its clock appear slow.
+const CLOCK_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Maximum number of requests that wait for the clocks of the voters.
+const EARLY_REQUESTS_MAX: usize = 64;
+
 /// Delay before the failure of a mission is proposed again.
 const FAIL_RETRY_DELAY: Duration = Duration::from_secs(2);
 
@@ -47,6 +55,9 @@ pub(super) struct LeaderSession {
     members: EnsembleMembers,
     requests: Requests,
     autopilot: Autopilot,
+    clocks: VoterClocks,
+    /// Requests that arrived before the clocks of a majority were known.
+    early_requests: Vec<Query>,
     /// The voter change in progress.
     voter_change: Tasks,
     /// Missions with a proposed failure, with the time of the proposal.
@@ -82,6 +93,8 @@ impl LeaderSession {
             members: EnsembleMembers::default(),
             requests: Requests::new(&context),
             autopilot: Autopilot::new(settings.autopilot, yielded),
+            clocks: VoterClocks::default(),
+            early_requests: vec![],
             voter_change: Tasks::default(),
             failing: BTreeMap::new(),
             context,
@@ -109,6 +122,7 @@ impl LeaderSession {
     pub(super) async fn begin(&mut self) {
         self.publish_beacon().await;
         self.update_members();
+        self.read_clocks();
         self.reconcile();
     }
 
@@ -120,7 +134,49 @@ impl LeaderSession {
         self.update_members();
         self.members.report_foreign_clusters(&self.context);
         self.start_voter_change();
+        // Without the time, a submission is answered with a time to retry.
+        self.handle_early_requests();
+        self.read_clocks();
         self.reconcile();
+    }
+
+    /// Reads the clocks of the other voters, if that is due.
+    fn read_clocks(&mut self) {
+        let (now, is_confirmed) = (self.context.now(), self.confirmed_ms().is_some());
+        if !self.clocks.begin_reading(is_confirmed, now) {
+            return;
+        }
+        let (voters, NodeParts { node, keys, bus, .. }) = (self.voters::<Vec<_>>(), &self.context.settings.parts);
+        for voter in voters.into_iter().filter(|voter| voter != node) {
+            let (key, bus) = (keys.write(&Key::Clock(voter.clone())), bus.clone());
+            let mailbox = self.context.mailbox.clone();
+            self.context.tasks.spawn(async move {
+                if let Some(wall_ms) = read_clock(&bus, &key).await {
+                    // The actor ends with the node.
+                    let _ = mailbox.cast(CoordinatorMessage::ClockRead { voter, wall_ms });
+                }
+            });
+        }
+    }
+
+    pub(super) fn record_clock(&mut self, voter: NodeId, wall_ms: u64) {
+        self.clocks.record(voter, wall_ms, self.context.now());
+        if self.confirmed_ms().is_some() {
+            self.handle_early_requests();
+        }
+    }
+
+    fn handle_early_requests(&mut self) {
+        let time_ms = self.confirmed_ms();
+        for query in std::mem::take(&mut self.early_requests) {
+            self.requests.handle(query, time_ms, &mut self.context);
+        }
+    }
+
+    /// Returns the time of day, in milliseconds since 1970, that a majority of the voters confirms.
+    fn confirmed_ms(&self) -> Option<u64> {
+        let NodeParts { node, clock, .. } = &self.context.settings.parts;
+        self.clocks.confirmed_ms(&self.voters(), node, clock.wall_ms(), self.context.now())
     }
 
     /// Publishes the beacon: the node, term and voters of this coordinator.
@@ -186,8 +242,8 @@ impl LeaderSession {
     }
 
     fn pending_actions(&mut self, now: NodeTime) -> Vec<CoordinatorAction> {
+        let confirmed_ms = self.confirmed_ms();
         let LeaderSession { context, auctions, held_roles, changes, failing, .. } = self;
-        let wall_ms = context.settings.parts.clock.wall_ms();
         context.read_ledger(|ledger| {
             let mut lease_monitor = context.lease_monitor.lock();
             let awards = awards_in_force(ledger);
@@ -202,7 +258,7 @@ impl LeaderSession {
             held_roles.follow(ledger, &epochs, &mut lease_monitor, now);
             let (rounds, notified) = (auctions.rounds(), held_roles.notified());
             let state = SessionState { lease_monitor: &lease_monitor, rounds, notified };
-            let actions = pending_actions(ledger, &state, now, wall_ms);
+            let actions = pending_actions(ledger, &state, now, confirmed_ms);
             for action in &actions {
                 if let CoordinatorAction::ReleaseRole(awarded, _) = action {
                     lease_monitor.stop_renewing(awarded.epoch, &awarded.robot, now);
@@ -284,13 +340,29 @@ impl LeaderSession {
     }
 
     pub(super) fn handle_api(&mut self, query: Query) {
-        self.requests.handle(query, &mut self.context);
+        let time_ms = self.confirmed_ms();
+        if time_ms.is_none() && self.early_requests.len() < EARLY_REQUESTS_MAX {
+            self.early_requests.push(query);
+            return;
+        }
+        self.requests.handle(query, time_ms, &mut self.context);
     }
 
     /// Returns the status of this session.
     pub(super) fn status(&self) -> CoordinatorStatus {
         CoordinatorStatus { term: self.context.term, since_ms: self.since_ms(), autopilot: self.autopilot.status() }
     }
+}
+
+/// Returns the time of a voter's clock, in milliseconds since 1970; `None` without a reply.
+async fn read_clock(bus: &SharedBus, key: &str) -> Option<u64> {
+    let mut replies = bus.query(key, Bytes::new(), CLOCK_TIMEOUT).await.ok()?;
+    while let Some(reply) = replies.recv().await {
+        if let Ok(payload) = reply.payload {
+            return codec::decode(&payload).ok();
+        }
+    }
+    None
 }
 
 /// Records the cluster id and the wire version in a new ledger.

@@ -4,7 +4,7 @@ use super::status::CoordinatorStatus;
 use crate::autopilot::ActionResult;
 use consort_bus::{Query, Sample};
 use consort_protocol::auction::{AuctionId, BidResponse, CallForBids};
-use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::CommandOutcome;
 use consort_protocol::message::AwardReply;
@@ -40,6 +40,8 @@ pub(crate) enum CoordinatorMessage {
     Report(Query),
     /// Query for the active missions.
     ActiveMissions(Query),
+    /// A voter has returned the time of its clock, in milliseconds since 1970.
+    ClockRead { voter: NodeId, wall_ms: u64 },
     /// Beacon of a coordinator.
     Beacon(Sample),
     /// Request of a client.

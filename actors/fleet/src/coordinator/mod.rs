@@ -35,6 +35,7 @@ mod settings;
 mod stall_detector;
 mod status;
 pub(crate) mod submission;
+mod voter_clocks;
 
 pub(crate) use actor::Coordinator;
 pub(crate) use last_known_place::foreign_clusters;

@@ -93,17 +93,18 @@ pub(super) struct SessionState<'a> {
     pub(super) notified: &'a BTreeMap<(Epoch, RoleId), NodeTime>,
 }
 
-/// Returns all pending actions, in the order in which missions are served.
+/// Returns all pending actions, in the order in which missions are served. `confirmed_ms` is the time
+/// of day that a majority of the voters confirms, in milliseconds since 1970.
 pub(super) fn pending_actions(
     ledger: &Ledger,
     state: &SessionState<'_>,
     now: NodeTime,
-    wall_ms: u64,
+    confirmed_ms: Option<u64>,
 ) -> Vec<CoordinatorAction> {
     let SessionState { lease_monitor, rounds, notified } = state;
     let mut actions = vec![];
     for entry in ledger.active_missions() {
-        if entry.submission.deadline_ms.is_some_and(|deadline| deadline <= wall_ms) {
+        if entry.submission.deadline_ms.zip(confirmed_ms).is_some_and(|(deadline, now_ms)| deadline <= now_ms) {
             actions.push(CoordinatorAction::FailMission { mission: entry.id.clone(), cause: past_deadline(entry) });
             continue;
         }

@@ -30,8 +30,9 @@ impl Requests {
         }
     }
 
-    /// Handles a request and replies to it.
-    pub(super) fn handle(&mut self, query: Query, context: &mut SessionContext) {
+    /// Handles a request and replies to it. `time_ms` is the time of day, in milliseconds since 1970,
+    /// if it is known.
+    pub(super) fn handle(&mut self, query: Query, time_ms: Option<u64>, context: &mut SessionContext) {
         let Some(Key::Api(call)) = context.settings.parts.keys.read(&query.key) else {
             let asked = query.key.rsplit('/').next().unwrap_or_default();
             let calls = ApiCall::ALL.iter().map(|call| call.as_str()).collect::<Vec<_>>().join(", ");
@@ -57,15 +58,15 @@ impl Requests {
         if let Some(Requester { author, request, .. }) = &requester {
             info!(call = call.as_str(), %author, request, "executing a request");
         }
-        let handler = self.handler(requester, context);
+        let handler = self.handler(requester, time_ms, context);
         context.tasks.spawn(async move {
             let reply = handler.handle(call, &query.payload).await;
             reply::json(&query, &query.key, &reply).await;
         });
     }
 
-    fn handler(&self, requester: Option<Requester>, context: &SessionContext) -> ApiHandler {
-        let NodeParts { node, keys, replica, knowledge, clock, wire_version, .. } = &context.settings.parts;
+    fn handler(&self, requester: Option<Requester>, time_ms: Option<u64>, context: &SessionContext) -> ApiHandler {
+        let NodeParts { node, keys, replica, knowledge, wire_version, .. } = &context.settings.parts;
         ApiHandler {
             fleet: keys.fleet().clone(),
             node: node.clone(),
@@ -79,7 +80,7 @@ impl Requests {
                 self.since_wall_ms,
                 node.as_str().chars().take(20).collect::<String>()
             ),
-            at_ms: clock.wall_ms(),
+            time_ms,
             request_number: self.count,
             requester,
             missions_max: context.settings.request_limits.missions_max,

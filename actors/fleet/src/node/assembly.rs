@@ -114,6 +114,7 @@ pub(super) async fn start_parts(
         Some(replica) => {
             assembly.follow_ledger_cluster(&replica);
             assembly.follow_ledger_version(&replica);
+            assembly.serve_clock().await?;
             let coordinator = assembly.start_coordinator(&replica, rng.next_u64()).await?;
             assembly.end_with_ledger(&replica);
             let (mobile, on_battery) = (!settings.stationary, !settings.mains_powered);
@@ -181,6 +182,18 @@ impl Assembly {
         let publish =
             move |own: Option<ClusterId>| gossip.update_with(move |knowledge| knowledge.cluster = own).is_ok();
         self.tasks.spawn(self.membership.clone().report_changes(publish));
+    }
+
+    /// Returns the time of day of this node to coordinators.
+    async fn serve_clock(&mut self) -> Result<(), NodeError> {
+        let mut readings = self.bus.serve(&self.keys.write(&Key::Clock(self.node.clone()))).await?;
+        let clock = self.clock;
+        self.tasks.spawn(async move {
+            while let Some(query) = readings.recv().await {
+                reply::wire(&query, &query.key, &clock.wall_ms()).await;
+            }
+        });
+        Ok(())
     }
 
     /// Follows the wire version of the fleet. The node ends if it cannot read that version.

@@ -12,6 +12,7 @@ use crate::network::RaftClient;
 use crate::settings::RaftSettings;
 use crate::storage::StateMachineStore;
 use crate::types::{Epoch, Peer, Raft, RaftId, StateMachine, epoch_of};
+use consort_bus::BootInstant;
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::{ClusterId, NodeId};
 use openraft::error::{CheckIsLeaderError, Fatal, InitializeError, RaftError};
@@ -22,7 +23,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
-use tokio::time::{Instant, timeout};
+use tokio::time::timeout;
 
 /// Bytes of a message reserved for its frame when it carries a single entry of commands.
 const FRAME_OVERHEAD: usize = 1024;
@@ -57,7 +58,7 @@ struct Inner<S: StateMachine> {
 /// Leadership as seen by this node.
 struct LeadershipState {
     view: watch::Sender<LeadershipView>,
-    quorum_ack: watch::Receiver<Option<Instant>>,
+    quorum_ack: watch::Receiver<Option<BootInstant>>,
     resigned_term: Arc<ResignedTerm>,
     leader_contact: Arc<LeaderContact>,
 }
@@ -194,14 +195,11 @@ impl<S: StateMachine> Replica<S> {
     /// Returns the age of the newest message that a majority has acknowledged in this term, counted
     /// from the time it was *sent*; `None` for a node that is not elected, or not acknowledged yet.
     ///
-    /// openraft takes the time at which each `AppendEntries` was sent, keeps the latest
-    /// acknowledged time per voter and its own clock for itself, and reports the latest time that a
-    /// majority reaches. No other leader can have been elected before this age exceeds
-    /// `election_min`, since each voter of that majority rejects candidates for that long after
-    /// *receiving* the message. The value is read from the metrics and rounded up (by 1 ms at
-    /// most). Heartbeats outside openraft count in the same way, and keep the age small while disks
-    /// are slow. While idle, the age is between one round trip and a heartbeat interval plus one
-    /// round trip.
+    /// No other leader can have been elected before this age exceeds `election_min`, since each
+    /// voter of that majority rejects candidates for that long after *receiving* the message. A
+    /// suspension of the machine counts. Heartbeats outside openraft count like its appends, and
+    /// keep the age small while disks are slow. While idle, the age is between one round trip and a
+    /// heartbeat interval plus one round trip.
     pub fn quorum_ack_age(&self) -> Option<Duration> {
         let has_resigned = self.inner.leadership.resigned_term.covers(self.inner.leadership.view.borrow().term);
         self.inner.leadership.quorum_ack.borrow().filter(|_| !has_resigned).map(|at| at.elapsed())

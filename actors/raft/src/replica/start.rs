@@ -93,8 +93,6 @@ impl<S: StateMachine> Replica<S> {
             appends_suspended,
             last_at_start,
             election: None,
-            metrics_are_new: true,
-            quorum_ack_by_metrics: None,
             me: id,
             acks: acks.subscribe(),
             published_inputs: None,

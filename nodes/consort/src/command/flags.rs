@@ -2,9 +2,9 @@
 
 use super::flag_values::{seconds, share, timing};
 use crate::config::{
-    BusConfig, ConfigFile, FleetConfig, FleetRef, LogFormat, NodeFile, TelemetryConfig, load, to_toml,
+    BusConfig, ConfigFile, FleetConfig, FleetRef, LogFormat, NodeFile, TelemetryConfig, load_unchecked, to_toml,
 };
-use crate::diagnostic::Diagnostics;
+use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::exit::Failure;
 use crate::extensions::Extensions;
 use crate::wiring::NodeIncarnation;
@@ -105,12 +105,14 @@ pub(super) struct NodeFlags {
 
 impl NodeFlags {
     /// Runs the node of a file, with flags overriding the file's values, or prints the effective
-    /// configuration. `wire` builds its parts, within the runtime.
+    /// configuration. Only the combined values are validated; `path` is the file in messages.
+    /// `wire` builds the node's parts, within the runtime.
     ///
     /// # Errors
     /// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails.
     pub(super) fn run<C: NodeFile + Clone>(
         self,
+        path: Option<&Path>,
         mut file: C,
         extensions: Extensions,
         wire: impl FnOnce(&C, &FleetConfig, NodeIncarnation) -> Result<NodeSettings, Diagnostics>,
@@ -121,9 +123,9 @@ impl NodeFlags {
         self.bus.apply(surroundings.bus);
         self.run.apply(surroundings.telemetry);
         *surroundings.dashboard = self.dashboard_flags.dashboard.or(*surroundings.dashboard);
-        let fleet = self.fleet.resolve(surroundings.fleet, domain)?;
+        let fleet = self.fleet.resolve(path, surroundings.fleet, domain)?;
         *surroundings.fleet = FleetRef::from(fleet.clone());
-        finish_config(&mut file, domain)?;
+        finish_config(path, &mut file, domain)?;
         if self.run.print_config {
             return output::line(to_toml(&file).trim_end());
         }
@@ -254,13 +256,13 @@ struct FleetFlags {
 }
 
 impl FleetFlags {
-    /// Combines the fleet of the flags and of a node's file.
+    /// Combines the fleet of the flags and of a node's file at `path`.
     ///
     /// # Errors
     /// [`Failure::Usage`] for an invalid fleet.
-    fn resolve(self, named: &FleetRef, domain: &Domain) -> Result<FleetConfig, Failure> {
+    fn resolve(self, path: Option<&Path>, named: &FleetRef, domain: &Domain) -> Result<FleetConfig, Failure> {
         let mut fleet = match &self.fleet {
-            Some(path) => load(path, domain)?,
+            Some(path) => load_unchecked(path)?,
             None => named.resolve(domain)?,
         };
         set(&mut fleet.name, self.fleet_name);
@@ -278,7 +280,7 @@ impl FleetFlags {
         set(&mut fleet.lease.lease_ms, self.lease_ms);
         set(&mut fleet.lease.grace_ms, self.grace_ms);
         fleet.auction.window_ms = self.window_ms.or(fleet.auction.window_ms);
-        finish_config(&mut fleet, domain)?;
+        finish_config(self.fleet.as_deref().or(path), &mut fleet, domain)?;
         Ok(fleet)
     }
 }
@@ -290,13 +292,15 @@ pub(super) fn set<T>(place: &mut T, given: Option<T>) {
     }
 }
 
-/// Resolves paths of flags relative to the current directory, and validates the result.
+/// Resolves paths of flags relative to the current directory, and validates the result. `path` is
+/// the file that the flags override.
 ///
 /// # Errors
 /// [`Failure::Usage`] for an invalid configuration.
-fn finish_config<C: ConfigFile>(config: &mut C, domain: &Domain) -> Result<(), Failure> {
+fn finish_config<C: ConfigFile>(path: Option<&Path>, config: &mut C, domain: &Domain) -> Result<(), Failure> {
     let here = std::env::current_dir().unwrap_or_else(|_| PathBuf::from("/"));
     config.resolve_paths(Path::new(&here));
-    let problems = config.validate(domain);
-    if problems.is_empty() { Ok(()) } else { Err(Failure::Usage(problems.join("\n"))) }
+    let file = path.map(|path| path.display().to_string()).unwrap_or_default();
+    let problems = config.validate(domain).into_iter().map(|problem| Diagnostic::for_file(&file, problem)).collect();
+    Ok(Diagnostics::into_result(problems)?)
 }

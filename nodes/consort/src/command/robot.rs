@@ -2,7 +2,7 @@
 
 use super::flag_values::{InvalidValue, quantity, share};
 use super::flags::{NodeFlags, VoterFlags, set};
-use crate::config::{RobotConfig, load};
+use crate::config::{RobotConfig, load_unchecked};
 use crate::exit::Failure;
 use crate::extensions::Extensions;
 use crate::wiring::robot_node;
@@ -75,7 +75,7 @@ fn rate(text: &str) -> Result<SharePerSecond, InvalidValue> {
 /// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails.
 pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     let mut robot: RobotConfig = match (&args.config, &args.robot.name, &args.robot.place) {
-        (Some(path), _, _) => load(path, &extensions.domain())?,
+        (Some(path), _, _) => load_unchecked(path)?,
         (None, Some(name), Some(place)) => {
             RobotConfig::new(name.clone(), place.clone(), args.robot.skills.iter().cloned().collect())
         }
@@ -94,5 +94,7 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     set(&mut robot.stationary, given.keeper.stationary);
     set(&mut robot.mains_powered, given.keeper.mains_powered);
     set(&mut robot.may_vote, given.keeper.vote.may_vote);
-    args.node.run(robot, extensions, |robot, fleet, incarnation| robot_node(robot, fleet, incarnation, extensions))
+    args.node.run(args.config.as_deref(), robot, extensions, |robot, fleet, incarnation| {
+        robot_node(robot, fleet, incarnation, extensions)
+    })
 }

@@ -1,7 +1,7 @@
 //! `consort station`: runs a node without a robot.
 
 use super::flags::{NodeFlags, VoterFlags, set};
-use crate::config::{StationConfig, load};
+use crate::config::{StationConfig, load_unchecked};
 use crate::exit::Failure;
 use crate::extensions::Extensions;
 use crate::wiring::station_node;
@@ -46,7 +46,7 @@ struct StationFlags {
 /// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails.
 pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     let mut station: StationConfig = match (&args.config, &args.station.name) {
-        (Some(path), _) => load(path, &extensions.domain())?,
+        (Some(path), _) => load_unchecked(path)?,
         (None, Some(name)) => StationConfig::new(name.clone()),
         (None, None) => return Err(Failure::Usage("--name NAME or --config FILE is needed".to_owned())),
     };
@@ -55,6 +55,7 @@ pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     set(&mut station.stationary, given.keeper.stationary);
     set(&mut station.mains_powered, given.keeper.mains_powered);
     set(&mut station.may_vote, given.keeper.vote.may_vote);
-    args.node
-        .run(station, extensions, |station, fleet, incarnation| station_node(station, fleet, incarnation, extensions))
+    args.node.run(args.config.as_deref(), station, extensions, |station, fleet, incarnation| {
+        station_node(station, fleet, incarnation, extensions)
+    })
 }

@@ -1,7 +1,7 @@
 //! `consort world`: runs a node with a simulated world.
 
 use super::flags::{MayVoteFlag, NodeFlags, set};
-use crate::config::{WorldConfig, load};
+use crate::config::{WorldConfig, load_unchecked};
 use crate::exit::Failure;
 use crate::extensions::Extensions;
 use crate::rendering::{self, RenderFlags};
@@ -60,7 +60,7 @@ struct WorldFlags {
 /// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails, or if
 /// it cannot be recorded.
 pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
-    let mut world: WorldConfig = load(&args.config, &extensions.domain())?;
+    let mut world: WorldConfig = load_unchecked(&args.config)?;
     let given = args.world;
     set(&mut world.name, given.name);
     set(&mut world.seed, given.seed);
@@ -68,7 +68,7 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     set(&mut world.may_vote, given.vote.may_vote);
     let render = args.render;
     let mut shown = None;
-    let ended = args.node.run(world, extensions, |world, fleet, incarnation| {
+    let ended = args.node.run(Some(&args.config), world, extensions, |world, fleet, incarnation| {
         let (settings, shared) = world_node(world, fleet, incarnation, extensions)?;
         render.start_recording(&shared)?;
         shown = Some(shared);

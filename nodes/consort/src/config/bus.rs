@@ -1,7 +1,7 @@
 //! Network settings of a node, and its credentials.
 
 use super::read::resolve_path;
-use consort_bus::trust::TrustFiles;
+use consort_bus::trust::{RevokedFiles, TrustFiles};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -57,12 +57,11 @@ impl BusConfig {
 
 /// Returns the files in a folder that `consort cert` has written for a principal.
 pub fn trust_files(folder: &Path) -> TrustFiles {
-    let revoked = folder.join("revoked.pem");
     TrustFiles {
         authority: folder.join("ca.pem"),
         certificate: folder.join("cert.pem"),
         key: folder.join("key.pem"),
-        revoked: revoked.exists().then_some(revoked),
+        revoked: RevokedFiles { list: Some(folder.join("revoked.pem")), kept: None },
     }
 }
 

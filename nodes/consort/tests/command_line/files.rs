@@ -111,6 +111,18 @@ fn a_flag_value_is_validated_like_a_file_value() {
     assert!(ran.err.contains("lease.lease_ms is 1, allowed is 500 to 3600000"), "{}", ran.err);
 }
 
+#[test]
+fn a_node_file_is_validated_together_with_the_flags() {
+    let text = "name = \"s\"\n[bus]\nlisten = [\"tls/127.0.0.1:0\"]\n";
+    let file = test_file("tls_without_certs.toml", text);
+    let combined = run(&["station", "--config", &file, "--certs", "certs", "--print-config"]);
+    assert_eq!(combined.code, Some(0), "{}", combined.err);
+    let alone = run(&["station", "--config", &file, "--print-config"]);
+    assert_eq!(alone.code, Some(2));
+    let expected = format!("consort: {file}: bus.listen: \"tls/127.0.0.1:0\": the protocol is tls only for a node");
+    assert!(alone.err.starts_with(&expected), "{}", alone.err);
+}
+
 /// Returns the allowed keys of a table in this kind of file, from the error message about an
 /// unknown key.
 fn allowed_keys(kind: &str, table: &str) -> Vec<String> {

@@ -14,6 +14,7 @@
 //! | `wire/award/{robot}` | – | voters | that robot |
 //! | `wire/report/{node}` | – | robots and hosts, in their own name | that node, if a voter |
 //! | `wire/active_missions/{node}` | – | any node | that node, if a voter |
+//! | `wire/clock/{node}` | – | voters | that node, if a voter |
 //! | `wire/signal/{mission}/{role}` | robots and hosts | – | – |
 //! | `wire/signal_history/{mission}/{role}` | – | any node | robots and hosts |
 //! | `wire/driver/{robot}/command` | – | that robot | hosts that serve it |
@@ -197,11 +198,13 @@ fn permitted_content(node: &Node<'_>, operation: Operation, key: &str) -> Option
         (&["wire", "bootstrap", name], Reply) => unnamed(node.is(Voter) && node.is_named(name)),
         (&["wire", "beacon"], Publish) => node.is(Voter).then_some(NamedContent::Beacon),
         (&["wire", "changed"], Publish) => node.is(Voter).then_some(NamedContent::MissionsChanged),
-        (&["wire", "bid" | "award", _], Query) => unnamed(node.is(Voter)),
+        (&["wire", "bid" | "award" | "clock", _], Query) => unnamed(node.is(Voter)),
         (&["wire", "bid", name], Reply) => (node.is(Robot) && node.is_named(name)).then_some(NamedContent::BidResponse),
         (&["wire", "award", name], Reply) => unnamed(node.is(Robot) && node.is_named(name)),
         (&["wire", "report", _], Query) => (node.is(Robot) || node.is(Host)).then_some(NamedContent::Report),
-        (&["wire", "report" | "active_missions", name], Reply) => unnamed(node.is(Voter) && node.is_named(name)),
+        (&["wire", "report" | "active_missions" | "clock", name], Reply) => {
+            unnamed(node.is(Voter) && node.is_named(name))
+        }
         (&["wire", "active_missions", _] | &["wire", "signal_history", _, _] | &["wire", "world"], Query) => {
             unnamed(true)
         }
