@@ -3,7 +3,7 @@
 use super::fleet;
 use consort_fleet::robot::{AlternativeProgress, Checkpoint};
 use consort_fleet::robot_driver::{
-    DriverCommand, DriverState, GoalRequest, Permit, PersonCommand, PersonEvent, PersonRequestState,
+    DriverCommand, DriverState, GoalRequest, Permit, PersonCommand, PersonEvent, PersonRequestState, StateStamp,
 };
 use consort_gossip::{GossipHarness, GossipInput as How};
 use consort_protocol::auction::{AuctionId, AuctionRecord, Bid, BidPart, BidResponse, CallForBids, RoleReply};
@@ -153,7 +153,7 @@ fn state() -> DriverState {
     let goal = Goal::NavigateToPose { pose: Pose::new(1.0, 1.0, 0.0), place: None };
     DriverState {
         robot: slug("ada"),
-        sequence: 4,
+        stamp: StateStamp { boot: 5, sequence: 4 },
         telemetry,
         goals: vec![(GoalId(1), GoalStatus::Succeeded), (GoalId(2), GoalStatus::Sent)],
         completed: vec![(GoalId(1), goal)],
@@ -208,7 +208,7 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
         encoded(&ActiveMissions { cluster: None, count: 1, plans: vec![live] }),
         encoded(&DriverCommand {
             request: Some(GoalRequest::Cancel { id: GoalId(3) }),
-            permit: Permit { goals: vec![GoalId(2)], state: 7, keep_for_ms: 2_900 },
+            permit: Permit { goals: vec![GoalId(2)], state: StateStamp { boot: 5, sequence: 7 }, keep_for_ms: 2_900 },
         }),
         body_state(),
         encoded(&PersonCommand { id: GoalId(3), request: None }),

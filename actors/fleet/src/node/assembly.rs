@@ -126,7 +126,7 @@ pub(super) async fn start_parts(
     };
     assembly.serve_views(coordinator).await?;
     if let Some(server) = settings.driver_server {
-        assembly.start_driver_server(server).await?;
+        assembly.start_driver_server(server, rng.next_u64()).await?;
     }
     let robot = match settings.robot {
         Some(part) => Some(assembly.start_robot(part, incarnation, store.checkpoints).await?),
@@ -327,8 +327,9 @@ impl Assembly {
     }
 
     /// Starts the driver server and the human task proxy.
-    async fn start_driver_server(&self, part: DriverServerPart) -> Result<(), NodeError> {
+    async fn start_driver_server(&self, part: DriverServerPart, boot: u64) -> Result<(), NodeError> {
         let server = DriverServerSettings {
+            boot,
             keys: self.keys.clone(),
             bus: self.bus.clone(),
             clock: self.clock,

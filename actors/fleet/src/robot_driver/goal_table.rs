@@ -2,6 +2,7 @@
 //! when a robot must stop.
 
 use super::messages::{DriverCommand, GoalRequest, Permit};
+use super::state_order::StateStamp;
 use consort_protocol::ids::RobotId;
 use consort_protocol::lease::stop_at;
 use consort_protocol::units::NodeTime;
@@ -20,8 +21,8 @@ const STATES_KEPT: Duration = Duration::from_secs(10);
 pub(super) struct GoalTable {
     client_timeout: Duration,
     robots: BTreeMap<RobotId, VecDeque<TrackedGoal>>,
-    /// Send times of the latest states, by sequence number.
-    sent_states: VecDeque<(u64, NodeTime)>,
+    /// Send times of the latest states.
+    sent_states: VecDeque<(StateStamp, NodeTime)>,
     /// Instant of the earliest scheduled wake-up.
     next_wake: Option<NodeTime>,
 }
@@ -49,10 +50,10 @@ pub(super) enum CommandError {
     #[error("no driver of {robot} here; available: {available}")]
     UnknownRobot { robot: RobotId, available: String },
     #[error(
-        "goal {} of {robot} is not started: its permission of {keep_for_ms} ms after state {state} has run out, or \
-         the state is not known here; repeat the command with a later state", goal.0
+        "goal {} of {robot} is not started: its permission of {keep_for_ms} ms after state {} has run out, or \
+         the state is not known here; repeat the command with a later state", goal.0, state.sequence
     )]
-    NotPermitted { robot: RobotId, goal: GoalId, state: u64, keep_for_ms: u64 },
+    NotPermitted { robot: RobotId, goal: GoalId, state: StateStamp, keep_for_ms: u64 },
 }
 
 impl GoalTable {
@@ -78,8 +79,8 @@ impl GoalTable {
     }
 
     /// Records that a state is sent.
-    pub(super) fn record_state(&mut self, sequence: u64, now: NodeTime) {
-        self.sent_states.push_back((sequence, now));
+    pub(super) fn record_state(&mut self, state: StateStamp, now: NodeTime) {
+        self.sent_states.push_back((state, now));
         while self.sent_states.front().is_some_and(|(_, sent)| now.since(*sent) > STATES_KEPT) {
             self.sent_states.pop_front();
         }
@@ -125,7 +126,7 @@ impl GoalTable {
     /// Returns the time until which a command lets its goals continue; `None` if it has passed, or
     /// the state in the permit is unknown.
     fn stop_time(&self, permit: &Permit, now: NodeTime) -> Option<NodeTime> {
-        let (_, sent) = self.sent_states.iter().rev().find(|(sequence, _)| *sequence == permit.state)?;
+        let (_, sent) = self.sent_states.iter().rev().find(|(state, _)| *state == permit.state)?;
         stop_at(Duration::from_millis(permit.keep_for_ms), self.client_timeout, *sent, now)
     }
 
@@ -195,16 +196,20 @@ mod tests {
         Some(GoalRequest::Start { id: GoalId(id), goal: wait() })
     }
 
+    fn stamp(sequence: u64) -> StateStamp {
+        StateStamp { boot: 3, sequence }
+    }
+
     /// A table with the state 1, sent at 0.
     fn table() -> GoalTable {
         let mut table = GoalTable::new(CLIENT_TIMEOUT);
         table.add_robot(ada(), vec![], at(0));
-        table.record_state(1, at(0));
+        table.record_state(stamp(1), at(0));
         table
     }
 
     fn permit(goals: &[u64], keep_for_ms: u64) -> Permit {
-        Permit { goals: goals.iter().map(|id| GoalId(*id)).collect(), state: 1, keep_for_ms }
+        Permit { goals: goals.iter().map(|id| GoalId(*id)).collect(), state: stamp(1), keep_for_ms }
     }
 
     fn receive(
@@ -246,11 +251,14 @@ mod tests {
         let mut table = table();
         let not_permitted =
             |state, keep_for_ms| Err(CommandError::NotPermitted { robot: ada(), goal: GoalId(5), state, keep_for_ms });
-        assert_eq!(receive(&mut table, start(5), permit(&[], 900), 900), not_permitted(1, 900));
-        let of_another_server = Permit { goals: vec![], state: 77, keep_for_ms: 900 };
-        assert_eq!(receive(&mut table, start(5), of_another_server, 100), not_permitted(77, 900));
-        table.record_state(2, at(20_000));
-        assert_eq!(receive(&mut table, start(5), permit(&[], 30_000), 20_000), not_permitted(1, 30_000));
+        assert_eq!(receive(&mut table, start(5), permit(&[], 900), 900), not_permitted(stamp(1), 900));
+        let of_another_server = Permit { goals: vec![], state: StateStamp { boot: 4, sequence: 1 }, keep_for_ms: 900 };
+        assert_eq!(
+            receive(&mut table, start(5), of_another_server, 100),
+            not_permitted(StateStamp { boot: 4, sequence: 1 }, 900)
+        );
+        table.record_state(stamp(2), at(20_000));
+        assert_eq!(receive(&mut table, start(5), permit(&[], 30_000), 20_000), not_permitted(stamp(1), 30_000));
         assert_eq!(stops(&table), []);
     }
 

@@ -2,6 +2,7 @@
 
 use super::CLIENT_TIMEOUT;
 use super::messages::{DriverCommand, DriverState, GoalRequest, Permit};
+use super::state_order::StateOrder;
 use consort_protocol::lease::keep_for;
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalId, GoalStatus, Telemetry};
@@ -18,6 +19,7 @@ const GOALS_KEPT: usize = 32;
 pub(super) struct GoalTracker {
     next: u64,
     latest: Option<LatestState>,
+    order: StateOrder,
     /// Creation time of the tracker.
     since: Instant,
     /// Time until which the robot may act.
@@ -36,7 +38,6 @@ pub(super) struct GoalTracker {
 
 /// Latest state of the server.
 struct LatestState {
-    sequence: u64,
     telemetry: Telemetry,
     /// Arrival time.
     arrived: Instant,
@@ -59,6 +60,7 @@ impl GoalTracker {
         GoalTracker {
             next,
             latest: None,
+            order: StateOrder::default(),
             since: Instant::now(),
             allowed_until: None,
             goals: BTreeMap::new(),
@@ -160,7 +162,7 @@ impl GoalTracker {
         let in_progress = self.goals.iter().filter(|(id, status)| !status.is_final() && !self.canceled.contains(id));
         Some(Permit {
             goals: in_progress.map(|(id, _)| *id).collect(),
-            state: latest.sequence,
+            state: self.order.newest(),
             keep_for_ms: u64::try_from(keep_for.as_millis()).unwrap_or(u64::MAX),
         })
     }
@@ -202,12 +204,11 @@ impl GoalTracker {
     /// Applies a state of the server, which has arrived now. Returns true if requests should be sent
     /// at once.
     pub(super) fn apply_state(&mut self, state: DriverState, now: NodeTime) -> bool {
-        let (sequence, known) = (state.sequence, self.latest.as_ref().map_or(0, |latest| latest.sequence));
-        if sequence <= known && known - sequence < 1 << 32 {
-            return false; // arrived late; a much lower number belongs to a restarted server
+        if !self.order.accept(state.stamp) {
+            return false;
         }
         let (telemetry, arrived) = (state.telemetry, Instant::now());
-        self.latest = Some(LatestState { sequence, telemetry, arrived, arrived_at: now });
+        self.latest = Some(LatestState { telemetry, arrived, arrived_at: now });
         self.done.extend(state.completed);
         while self.done.len() > GOALS_KEPT {
             self.done.pop_first();
@@ -243,6 +244,7 @@ impl GoalTracker {
 
 #[cfg(test)]
 mod tests {
+    use super::super::state_order::StateStamp;
     use super::*;
     use consort_protocol::pose::Pose;
     use consort_protocol::units::{BatteryShare, Seconds, WorldTime};
@@ -251,6 +253,10 @@ mod tests {
     fn executing() -> GoalStatus {
         let distance_remaining = consort_protocol::units::Metres::ZERO;
         GoalStatus::Executing(Feedback::remaining(distance_remaining, Seconds::ZERO))
+    }
+
+    fn stamp(sequence: u64) -> StateStamp {
+        StateStamp { boot: 3, sequence }
     }
 
     fn state(number: u64, goals: &[(u64, GoalStatus)]) -> DriverState {
@@ -263,7 +269,7 @@ mod tests {
             closed: vec![],
         };
         let goals = goals.iter().map(|(id, status)| (GoalId(*id), status.clone())).collect();
-        DriverState { robot: "ada".parse().unwrap(), sequence: number, telemetry, goals, completed: vec![] }
+        DriverState { robot: "ada".parse().unwrap(), stamp: stamp(number), telemetry, goals, completed: vec![] }
     }
 
     fn at(ms: u64) -> NodeTime {
@@ -282,7 +288,7 @@ mod tests {
         let mut tracker = tracker;
         tracker.allow_until(Some(at(1_500)));
         let start = tracker.pending.first().cloned();
-        let permit = Permit { goals: vec![GoalId(100)], state: 1, keep_for_ms: 1_000 };
+        let permit = Permit { goals: vec![GoalId(100)], state: stamp(1), keep_for_ms: 1_000 };
         let expected = DriverCommand { request: start.clone(), permit };
         assert_eq!(tracker.command(start.clone(), at(600)), Some(expected));
         assert_eq!(tracker.command(start, at(1_500)), None, "the lease has run out");

@@ -1,5 +1,6 @@
 //! Messages between driver clients and driver servers.
 
+use super::state_order::StateStamp;
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_skills::actions::{ActionError, Goal, GoalId, GoalStatus, PersonRequest, Telemetry};
 use serde::{Deserialize, Serialize};
@@ -21,8 +22,8 @@ pub struct Permit {
     /// Goals in progress that the client supervises. A goal that the command starts need not be
     /// listed.
     pub goals: Vec<GoalId>,
-    /// Sequence number of the latest state that the client has received.
-    pub state: u64,
+    /// Latest state that the client has received.
+    pub state: StateStamp,
     /// Time after the sending of that state for which the robot may act, in milliseconds
     /// ([`keep_for`](fn@consort_protocol::lease::keep_for)).
     pub keep_for_ms: u64,
@@ -59,8 +60,8 @@ impl GoalRequest {
 pub struct DriverState {
     /// The robot.
     pub robot: RobotId,
-    /// Increases with each state of a server. A client ignores states that arrive late.
-    pub sequence: u64,
+    /// Position among the states of the server. A client ignores states that arrive late.
+    pub stamp: StateStamp,
     /// Telemetry of the robot.
     pub telemetry: Telemetry,
     /// Latest goals, in the order of their ids.

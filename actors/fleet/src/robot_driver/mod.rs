@@ -20,6 +20,7 @@ mod goal_table;
 mod goal_tracker;
 mod messages;
 mod server;
+mod state_order;
 
 use std::time::Duration;
 
@@ -31,3 +32,4 @@ pub const CLIENT_TIMEOUT: Duration = Duration::from_secs(3);
 pub use client::{DriverClientSettings, RobotDriver};
 pub use messages::{DriverCommand, DriverState, GoalRequest, Permit, PersonCommand, PersonEvent, PersonRequestState};
 pub use server::{DriverServer, DriverServerMessage, DriverServerSettings};
+pub use state_order::{StateOrder, StateStamp};

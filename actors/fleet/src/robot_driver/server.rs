@@ -2,6 +2,7 @@
 
 use super::goal_table::{CommandEffect, GoalTable};
 use super::messages::{DriverCommand, DriverState, PersonCommand, PersonEvent, PersonRequestState};
+use super::state_order::StateStamp;
 use bytes::Bytes;
 use consort_bus::clock::Clock;
 use consort_bus::reply;
@@ -28,6 +29,8 @@ const SLEEP_MAX: Duration = Duration::from_secs(3600);
 
 /// Settings of a driver server.
 pub struct DriverServerSettings {
+    /// Random number of this start of the server: clients recognise late states by it.
+    pub boot: u64,
     /// The fleet's keys.
     pub keys: Keys,
     /// The bus.
@@ -75,7 +78,8 @@ pub struct DriverServerState {
     person_requests: BTreeMap<GoalId, NodeTime>,
     /// Events of people without a reply, with the number of repetitions left.
     repeated_events: Vec<(PersonEvent, u32)>,
-    sequence: u64,
+    /// Position of the latest state.
+    stamp: StateStamp,
     /// World time of the earliest scheduled wake-up.
     next_wake: Option<WorldTime>,
     tasks: Tasks,
@@ -123,7 +127,8 @@ impl Actor for DriverServer {
         // People may still work on requests from proxies that used a previous server, or that are
         // gone.
         let person_requests = world.open_person_requests().into_iter().map(|ask| (ask, now)).collect();
-        let (started, origin, sequence) = (settings.clock.now(), world.now(), settings.clock.wall_ms() << 16);
+        let (started, origin) = (settings.clock.now(), world.now());
+        let stamp = StateStamp { boot: settings.boot, sequence: 0 };
         Ok(DriverServerState {
             settings,
             world,
@@ -132,7 +137,7 @@ impl Actor for DriverServer {
             goals,
             person_requests,
             repeated_events: vec![],
-            sequence,
+            stamp,
             next_wake: None,
             tasks,
         })
@@ -334,9 +339,9 @@ impl DriverServerState {
         let succeeded = goals.iter().filter(|(_, status)| *status == GoalStatus::Succeeded);
         let done = succeeded.filter_map(|(id, _)| Some((*id, self.world.goal(robot, *id)?)));
         let done = done.filter(|(_, goal)| !goal.is_repeatable()).collect();
-        self.sequence += 1;
-        self.goals.record_state(self.sequence, self.settings.clock.now());
-        Some(DriverState { robot: robot.clone(), sequence: self.sequence, telemetry, goals, completed: done })
+        self.stamp.sequence += 1;
+        self.goals.record_state(self.stamp, self.settings.clock.now());
+        Some(DriverState { robot: robot.clone(), stamp: self.stamp, telemetry, goals, completed: done })
     }
 }
 

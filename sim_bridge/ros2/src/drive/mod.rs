@@ -30,6 +30,7 @@ use ractor::Actor;
 use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::future::Future;
+use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
@@ -101,6 +102,7 @@ pub async fn drive(ros: &Ros, settings: DriveSettings, stop: impl Future<Output 
     let ((commands, command_receiver), (events, event_receiver)) = (unbounded_channel(), unbounded_channel());
     let driver = Nav2Driver::new(robot.clone(), place, places, commands, event_receiver)?;
     let server = DriverServerSettings {
+        boot: random_number(),
         keys,
         bus,
         clock: Clock::real(),
@@ -118,6 +120,11 @@ pub async fn drive(ros: &Ros, settings: DriveSettings, stop: impl Future<Output 
         () = relay.run(command_receiver, feedback, stop) => Ok(()),
         ended = ended => Err(failed(ended.err().map_or("it was stopped".to_owned(), |problem| problem.to_string()))),
     }
+}
+
+/// Returns a number from the operating system: the keys of a new hasher are random.
+fn random_number() -> u64 {
+    RandomState::new().build_hasher().finish()
 }
 
 struct StopWhenDropped(ractor::ActorCell);

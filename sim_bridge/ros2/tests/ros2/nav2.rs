@@ -4,7 +4,7 @@ use crate::support::{LIMIT, Router, bus, carrier, hospital, host_world, keys, un
 use bytes::Bytes;
 use consort_bus::clock::Clock;
 use consort_bus::{Bus, Encoding, ZenohBus};
-use consort_fleet::robot_driver::{DriverClientSettings, DriverCommand, DriverState, RobotDriver};
+use consort_fleet::robot_driver::{DriverClientSettings, DriverCommand, DriverState, RobotDriver, StateStamp};
 use consort_protocol::codec;
 use consort_protocol::ids::{RobotId, TaskType};
 use consort_protocol::keys::{DriverCall, Key};
@@ -187,7 +187,7 @@ async fn an_early_refusal_does_not_replace_the_reply_of_the_server() {
                 closed: vec![],
             };
             sequence += 1;
-            let state = DriverState { robot: ada(), sequence, telemetry, goals, completed: vec![] };
+            let state = DriverState { robot: ada(), stamp: StateStamp { boot: 1, sequence }, telemetry, goals, completed: vec![] };
             let bytes = Bytes::from(codec::encode(&state).unwrap());
             query.replier.reply(&query.key, bytes, Encoding::Wire).await.unwrap();
         }

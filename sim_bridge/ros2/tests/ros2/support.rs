@@ -107,6 +107,7 @@ pub(crate) async fn host_world(
     let setup = WorldSetup { robots, ..WorldSetup::new(hospital(), 7) };
     let world = SharedWorld::new(World::new(setup).unwrap());
     let settings = DriverServerSettings {
+        boot: 1,
         keys: keys(),
         bus: Arc::new(bus.clone()),
         clock: Clock::real(),

@@ -11,7 +11,7 @@ use crate::goals::{EndState, GoalUuid};
 use crate::mapping::{PoseError, UNKNOWN_ERROR, to_nav2_result};
 use crate::messages::NavigateResult;
 use crate::route_planner::{PlannedRoute, RoutePlanner};
-use consort_fleet::robot_driver::{CLIENT_TIMEOUT, DriverCommand, DriverState, GoalRequest, Permit};
+use consort_fleet::robot_driver::{CLIENT_TIMEOUT, DriverCommand, DriverState, GoalRequest, Permit, StateOrder};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{Metres, WorldTime};
@@ -59,8 +59,7 @@ pub struct GoalExecutor {
     /// Id of the next goal for the driver.
     next: u64,
     latest: Option<Telemetry>,
-    /// Sequence number of the latest state.
-    sequence: u64,
+    order: StateOrder,
     last_state_at: Duration,
     active_goal: Option<ActiveGoal>,
     /// Next goal, started when the current goal has ended.
@@ -101,7 +100,7 @@ impl GoalExecutor {
             first,
             next: first,
             latest,
-            sequence: 0,
+            order: StateOrder::default(),
             last_state_at,
             active_goal: None,
             waiting: None,
@@ -116,7 +115,7 @@ impl GoalExecutor {
         let in_progress = self.active_goal.iter().filter(|active| !active.canceling).map(|active| active.goal);
         let keep_for = (now + CLIENT_TIMEOUT).saturating_sub(self.last_state_at);
         let keep_for_ms = u64::try_from(keep_for.as_millis()).unwrap_or(u64::MAX);
-        DriverCommand { request, permit: Permit { goals: in_progress.collect(), state: self.sequence, keep_for_ms } }
+        DriverCommand { request, permit: Permit { goals: in_progress.collect(), state: self.order.newest(), keep_for_ms } }
     }
 
     /// Cancels all goals and accepts no more. [`is_busy`](Self::is_busy) is false when the robot has
@@ -182,10 +181,10 @@ impl GoalExecutor {
 
     /// Handles a state of the driver server.
     pub fn handle_state(&mut self, state: DriverState, now: Duration) -> Vec<Action> {
-        if state.sequence <= self.sequence && self.sequence - state.sequence < 1 << 32 {
-            return vec![]; // older than the latest state; a much smaller number belongs to a restarted server
+        if !self.order.accept(state.stamp) {
+            return vec![];
         }
-        (self.sequence, self.last_state_at) = (state.sequence, now);
+        self.last_state_at = now;
         let telemetry = state.telemetry;
         self.latest = Some(telemetry.clone());
         let is_abandoned =

@@ -1,4 +1,5 @@
 use super::*;
+use consort_fleet::robot_driver::StateStamp;
 use consort_protocol::units::{BatteryShare, Seconds};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -40,8 +41,8 @@ fn state(goals: &[(u64, GoalStatus)]) -> DriverState {
         closed: vec![],
     };
     let goals = goals.iter().map(|(id, status)| (GoalId(FIRST + id - 100), status.clone())).collect();
-    let sequence = NUMBER.fetch_add(1, Ordering::Relaxed);
-    DriverState { robot: "ada".parse().unwrap(), sequence, telemetry, goals, completed: vec![] }
+    let stamp = StateStamp { boot: 3, sequence: NUMBER.fetch_add(1, Ordering::Relaxed) };
+    DriverState { robot: "ada".parse().unwrap(), stamp, telemetry, goals, completed: vec![] }
 }
 
 fn state_with_closure(closed: (&str, &str), goals: &[(u64, GoalStatus)]) -> DriverState {
