@@ -223,7 +223,7 @@ impl Bridge {
                 Ok(payload) => match codec::decode::<DriverState>(&payload) {
                     Ok(state) if state.robot == self.robot => return Some(state),
                     Ok(state) => {
-                        warn!(robot = %self.robot, other = %state.robot, "received the state of another robot")
+                        warn!(robot = %self.robot, other = %state.robot, "received the state of another robot");
                     }
                     Err(problem) => warn!(robot = %self.robot, %problem, "unreadable state"),
                 },

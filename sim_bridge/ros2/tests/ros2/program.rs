@@ -4,11 +4,17 @@ use crate::support::{LIMIT, Offered, carrier, keys, to_place, until, within};
 use bytes::Bytes;
 use consort_bus::Bus;
 use consort_protocol::keys::{DriverCall, Key};
+use consort_protocol::pose::Pose;
 use consort_ros2::messages::{NavigateResult, NavigateToPose};
+use consort_ros2::ros::Ros;
 use consort_skills::actions::RobotBackend;
 use hiroz::Builder;
+use hiroz::action::client::{GoalHandle, ZActionClient};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
+
+type Client = ZActionClient<NavigateToPose>;
+type Handle = GoalHandle<NavigateToPose>;
 
 /// A process that is killed when dropped.
 struct Running(Child);
@@ -46,6 +52,62 @@ async fn it_serves_a_world_of_the_fleet_until_sigterm() {
         .await;
     let gone = async || !ros.node.graph().has_action_server("/ada/navigate_to_pose");
     until("an empty graph", gone).await;
+}
+
+/// Starts the program for a world, and a goal that takes long. Returns the program, its arguments and
+/// the goal, for which the robot drives.
+async fn drive_far(offered: &Offered) -> (Running, Vec<String>, Ros, Client, Handle) {
+    let world = offered.bus.listen_addresses().await.join(",");
+    let ends = ["--connect", &world, "--router", &offered.router.address, "--map", "hospital"].map(str::to_owned);
+    let running = Running(program(&["serve"]).args(&ends).spawn().unwrap());
+    let ros = offered.router.join("rviz");
+    let client = ros.node.create_action_client::<NavigateToPose>("/ada/navigate_to_pose").build().unwrap();
+    assert!(client.wait_for_server(LIMIT).await, "an action server within {LIMIT:?}");
+    let mut handle = within("acceptance", client.send_goal(to_place("PC Room 8"))).await.unwrap();
+    let mut feedback = handle.feedback().unwrap();
+    within("feedback", feedback.recv()).await.unwrap();
+    (running, ends.to_vec(), ros, client, handle)
+}
+
+fn pose(offered: &Offered) -> Pose {
+    offered.world.telemetry(&"ada".parse().unwrap()).unwrap().pose
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_restarted_server_cancels_the_goal_of_its_previous_run() {
+    let offered = Offered::without_bridge(vec![carrier("ada", "Dock", 1.0)]).await;
+    let (running, ends, _ros, client, _handle) = drive_far(&offered).await;
+    drop(running);
+    let _restarted = Running(program(&["serve"]).args(&ends).spawn().unwrap());
+    // Until the graph shows the end of the killed server, it may receive the goal.
+    let mut outcome = None;
+    until("a goal at the restarted server", async || {
+        let sent = tokio::time::timeout(Duration::from_secs(5), client.send_goal(to_place("Crossing"))).await;
+        if let Ok(Ok(handle)) = sent {
+            outcome = tokio::time::timeout(LIMIT, handle.result()).await.ok();
+        }
+        outcome.is_some()
+    })
+    .await;
+    assert_eq!(outcome.unwrap().unwrap(), NavigateResult::default());
+    assert_eq!(offered.world.telemetry(&"ada".parse().unwrap()).unwrap().place.as_str(), "Crossing");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sigterm_stops_the_robot_and_returns_a_result() {
+    let offered = Offered::without_bridge(vec![carrier("ada", "Dock", 1.0)]).await;
+    let (mut running, _, _ros, _client, handle) = drive_far(&offered).await;
+    let result = tokio::spawn(handle.result());
+    let signal_sent = Command::new("kill").args(["-TERM", &running.0.id().to_string()]).status().unwrap();
+    assert!(signal_sent.success());
+    let outcome = within("the result", result).await.unwrap().unwrap();
+    let here = pose(&offered);
+    assert_eq!((outcome.error_code, outcome.error_msg.as_str()), (9000, "the action server is stopping"));
+    until("the end of the process", async || running.0.try_wait().unwrap().is_some_and(|status| status.success()))
+        .await;
+    let then = offered.world.now().as_secs() + 2.0;
+    until("two seconds of the world", async || offered.world.now().as_secs() > then).await;
+    assert_eq!(pose(&offered), here, "it has stopped");
 }
 
 #[tokio::test(flavor = "multi_thread")]
