@@ -249,13 +249,13 @@ impl DriverClientState {
         self.tasks.spawn(async move {
             for request in commands {
                 // The permission is that of the instant at which the command is sent.
-                let Some(command) = driver.lock().command(request.clone(), clock.now()) else { continue };
+                let command = driver.lock().command(request, clock.now());
                 let bytes = codec::encode(&command).expect("a goal fits a message");
                 let Ok(replies) = bus.query(&key, Bytes::from(bytes), limit).await else { return };
                 // The next request waits for this reply: a goal must not be canceled before its
                 // start.
                 let Some(reply) = first_reply(replies).await else { return };
-                if to.cast(DriverClientMessage::CommandReplied(request, reply)).is_err() {
+                if to.cast(DriverClientMessage::CommandReplied(command.request, reply)).is_err() {
                     return;
                 }
             }

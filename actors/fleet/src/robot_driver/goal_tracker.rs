@@ -148,12 +148,13 @@ impl GoalTracker {
         self.allowed_until = until;
     }
 
-    /// Returns the command for a request, with the permission at this instant. Returns `None` for the
-    /// start of a goal while the robot may not act.
-    pub(super) fn command(&self, request: Option<GoalRequest>, now: NodeTime) -> Option<DriverCommand> {
+    /// Returns the command for a request, with the permission at this instant. While the robot may not
+    /// act, it is a heartbeat instead of the start of a goal.
+    pub(super) fn command(&self, request: Option<GoalRequest>, now: NodeTime) -> DriverCommand {
         let permit = self.permit(now);
-        let is_start = matches!(request, Some(GoalRequest::Start { .. }));
-        (permit.is_some() || !is_start).then(|| DriverCommand { request, permit: permit.unwrap_or_default() })
+        let is_start = |request: &GoalRequest| matches!(request, GoalRequest::Start { .. });
+        let request = request.filter(|request| permit.is_some() || !is_start(request));
+        DriverCommand { request, permit: permit.unwrap_or_default() }
     }
 
     fn permit(&self, now: NodeTime) -> Option<Permit> {
@@ -283,16 +284,16 @@ mod tests {
         tracker.start_goal(Goal::Wait { time: Seconds::ZERO });
         let start = || tracker.pending.first().cloned();
         let heartbeat = DriverCommand { request: None, permit: Permit::default() };
-        assert_eq!(tracker.command(start(), at(600)), None);
-        assert_eq!(tracker.command(None, at(600)), Some(heartbeat.clone()));
+        assert_eq!(tracker.command(start(), at(600)), heartbeat);
+        assert_eq!(tracker.command(None, at(600)), heartbeat);
         let mut tracker = tracker;
         tracker.allow_until(Some(at(1_500)));
         let start = tracker.pending.first().cloned();
         let permit = Permit { goals: vec![GoalId(100)], state: stamp(1), keep_for_ms: 1_000 };
         let expected = DriverCommand { request: start.clone(), permit };
-        assert_eq!(tracker.command(start.clone(), at(600)), Some(expected));
-        assert_eq!(tracker.command(start, at(1_500)), None, "the lease has run out");
-        assert_eq!(tracker.command(None, at(1_500)), Some(heartbeat));
+        assert_eq!(tracker.command(start.clone(), at(600)), expected);
+        assert_eq!(tracker.command(start, at(1_500)), heartbeat, "the lease has run out");
+        assert_eq!(tracker.command(None, at(1_500)), heartbeat);
     }
 
     #[test]
@@ -302,7 +303,7 @@ mod tests {
         let id = tracker.start_goal(Goal::Wait { time: Seconds::ZERO });
         tracker.pending.clear();
         tracker.apply_state(state(1, &[(100, executing()), (7, executing())]), at(500));
-        let kept = |tracker: &GoalTracker| tracker.command(None, at(600)).unwrap().permit.goals;
+        let kept = |tracker: &GoalTracker| tracker.command(None, at(600)).permit.goals;
         assert_eq!(kept(&tracker), [id], "the goal of a previous incarnation is not listed");
         tracker.cancel(id);
         assert_eq!(kept(&tracker), []);

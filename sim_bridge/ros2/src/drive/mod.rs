@@ -85,7 +85,7 @@ pub enum DriveError {
 }
 
 /// Time limit for the end of Nav2's goals for others before the first drive.
-const FREE_TIMEOUT: Duration = Duration::from_secs(2);
+const FREE_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Time limit to stop the robot when the program ends.
 const STOP_TIMEOUT: Duration = Duration::from_secs(5);
@@ -219,9 +219,18 @@ impl Relay {
 }
 
 /// Cancels the goals that Nav2 executes for others, once it is on the graph. A previous run of this
-/// program may have begun them, and nobody supervises them.
+/// program may have begun them, and nobody supervises them. A server that does not reply has none, or
+/// cannot be stopped by anybody.
 async fn cancel_goals_of_others(client: Arc<ActionClient>, is_free: watch::Sender<bool>) -> Infallible {
-    while client.cancel_all().await == RequestResult::NoReply {
+    loop {
+        let was_served = client.is_served();
+        if client.cancel_all().await != RequestResult::NoReply {
+            break;
+        }
+        if was_served {
+            warn!("no reply of Nav2 to the request to cancel all goals");
+            break;
+        }
         sleep(CANCEL_INTERVAL).await;
     }
     is_free.send_replace(true);
@@ -242,7 +251,8 @@ impl Drive {
     async fn run(mut self, mut feedback: UnboundedReceiver<Progress>, stop: watch::Receiver<bool>) -> Nav2Event {
         let goal = Goal { pose: mapping::to_ros(self.to, mapping::now()), behavior_tree: String::new() };
         // Without a reply to the cancel request of the start, there is none to the goal either.
-        let is_free = timeout(FREE_TIMEOUT, self.is_free.wait_for(|is_free| *is_free)).await.is_ok();
+        let is_free =
+            self.client.is_served() && timeout(FREE_TIMEOUT, self.is_free.wait_for(|is_free| *is_free)).await.is_ok();
         let result = if is_free { self.client.send(self.id, goal).await } else { RequestResult::NoReply };
         let last = match result {
             RequestResult::Accepted => Nav2Event::Ended(self.number, self.run_until_end(&mut feedback, stop).await),

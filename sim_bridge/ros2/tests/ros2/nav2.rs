@@ -78,13 +78,15 @@ impl Driven {
         Driven { router, robot_driver, bus: bus_of_robot, _tasks: tasks }
     }
 
-    /// Starts a Nav2 with a session of its own, and waits until the graph of the driver contains
-    /// it.
+    /// Starts a Nav2 with a session of its own, and waits until the driver has canceled the goals of
+    /// previous runs.
     async fn nav2(&self) -> (Ros, ZActionServer<NavigateToPose>) {
         let ros = self.router.join("bt_navigator");
         let server = ros.node.create_action_server::<NavigateToPose>("/navigate_to_pose").build().unwrap();
-        let observer = self.router.join("onlooker");
-        until("the action server", async || observer.node.graph().has_action_server("/navigate_to_pose")).await;
+        let (request, query) = within("a request to cancel all goals", server.recv_cancel()).await.unwrap();
+        assert_eq!(request.goal_info.goal_id.as_bytes(), &[0; 16]);
+        let response = CancelGoalServiceResponse { return_code: 0, goals_canceling: vec![] };
+        server.send_cancel_response_low(&query, &response).unwrap();
         (ros, server)
     }
 
@@ -187,7 +189,13 @@ async fn an_early_refusal_does_not_replace_the_reply_of_the_server() {
                 closed: vec![],
             };
             sequence += 1;
-            let state = DriverState { robot: ada(), stamp: StateStamp { boot: 1, sequence }, telemetry, goals, completed: vec![] };
+            let state = DriverState {
+                robot: ada(),
+                stamp: StateStamp { boot: 1, sequence },
+                telemetry,
+                goals,
+                completed: vec![],
+            };
             let bytes = Bytes::from(codec::encode(&state).unwrap());
             query.replier.reply(&query.key, bytes, Encoding::Wire).await.unwrap();
         }

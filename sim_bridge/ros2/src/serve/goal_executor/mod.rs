@@ -115,7 +115,10 @@ impl GoalExecutor {
         let in_progress = self.active_goal.iter().filter(|active| !active.canceling).map(|active| active.goal);
         let keep_for = (now + CLIENT_TIMEOUT).saturating_sub(self.last_state_at);
         let keep_for_ms = u64::try_from(keep_for.as_millis()).unwrap_or(u64::MAX);
-        DriverCommand { request, permit: Permit { goals: in_progress.collect(), state: self.order.newest(), keep_for_ms } }
+        DriverCommand {
+            request,
+            permit: Permit { goals: in_progress.collect(), state: self.order.newest(), keep_for_ms },
+        }
     }
 
     /// Cancels all goals and accepts no more. [`is_busy`](Self::is_busy) is false when the robot has
