@@ -2,7 +2,9 @@
 //! as the fleet uses that wire version.
 //!
 //! `golden_bytes/1/` contains the messages and records of release 0.1.0: the seeds of some targets,
-//! written by that release with `CONSORT_FUZZ_SEEDS=DIR`. Only a new wire version adds a folder.
+//! written by that release with `CONSORT_FUZZ_SEEDS=DIR`. Only a new wire version adds a folder. The
+//! command and the state of drivers (`wire/seed-17` and `seed-18`) are those of this release: earlier
+//! releases use other keys for them.
 
 use super::{seeds, target};
 use std::fs;
