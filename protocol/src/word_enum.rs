@@ -16,7 +16,7 @@ macro_rules! words {
                 match self { $($name::$variant => $word),* }
             }
 
-            /// Returns the variant with this word, if there is one.
+            /// Returns the variant with this word; `None` for any other word.
             pub fn parse(word: &str) -> Option<$name> {
                 $name::ALL.iter().copied().find(|call| call.as_str() == word)
             }

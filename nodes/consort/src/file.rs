@@ -3,8 +3,7 @@
 use crate::diagnostic::Diagnostic;
 use crate::exit::Failure;
 use std::fs;
-use std::io::{self, Read, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::io::{self, Read};
 use std::path::Path;
 
 /// Maximum size of a file that is read whole, in bytes.
@@ -47,17 +46,8 @@ pub(crate) fn read_text(file: &Path, bytes_max: u64) -> Result<String, FileReadE
 /// # Errors
 /// [`Diagnostic`] with the file and the system's message; the former content is unchanged.
 pub(crate) fn write_atomically(file: &Path, text: &str, mode: u32) -> Result<(), Diagnostic> {
-    let unfinished = file.with_extension("new");
-    let written = || {
-        let mut options = fs::OpenOptions::new();
-        // A leftover of a former attempt may have other permissions.
-        let _ = fs::remove_file(&unfinished);
-        let mut to = options.write(true).create_new(true).mode(mode).open(&unfinished)?;
-        to.write_all(text.as_bytes())?;
-        to.sync_all()?;
-        fs::rename(&unfinished, file)
-    };
-    written().map_err(|problem: io::Error| Diagnostic::for_file(file.display(), problem))
+    let written = consort_bus::trust::write_atomically(file, text.as_bytes(), mode);
+    written.map_err(|problem| Diagnostic::for_file(file.display(), problem))
 }
 
 /// Returns the error for an existing file that `--force` would replace.

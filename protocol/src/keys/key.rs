@@ -71,7 +71,7 @@ pub enum Key {
     ViewMap,
     /// `view/health`.
     ViewHealth,
-    /// `view/world`: the world from the simulator, if there is one.
+    /// `view/world`: the world, in a fleet with a simulator.
     ViewWorld,
     /// `seen/{node}/…`: a view from this node.
     Seen(NodeId, Box<Key>),

@@ -148,7 +148,8 @@ impl ActionServer {
         self.requests_to_executor.recv().await
     }
 
-    /// Removes the action from the graph once all updates are applied and their results are sent.
+    /// Applies all updates, aborts the goals that are still in progress, sends the results, and removes
+    /// the action from the graph.
     pub async fn close(mut self) {
         drop(self.updates);
         self.state.join_next().await;

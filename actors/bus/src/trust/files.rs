@@ -10,8 +10,9 @@ use pki_types::{CertificateDer, CertificateRevocationListDer, PrivatePkcs8KeyDer
 use ring::error::KeyRejected;
 use ring::signature::Ed25519KeyPair;
 use std::fmt::Display;
-use std::fs::File;
+use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write as _};
+use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -152,14 +153,24 @@ impl RevokedFile {
         Ok(Some(RevokedFile { der: der.to_vec(), text }))
     }
 
-    /// Writes the list to another file, whole or not at all.
+    /// Writes the list to another file.
     pub(super) fn write(&self, file: &Path) -> std::io::Result<()> {
-        let new = file.with_extension("new");
-        let mut written = File::create(&new)?;
-        written.write_all(&self.text)?;
-        written.sync_all()?;
-        std::fs::rename(&new, file)
+        write_atomically(file, &self.text, 0o644)
     }
+}
+
+/// Writes a file atomically, with these permissions: a concurrent reader finds the former content.
+///
+/// # Errors
+/// The error of the system; the former content is unchanged.
+pub fn write_atomically(file: &Path, content: &[u8], mode: u32) -> std::io::Result<()> {
+    let unfinished = file.with_extension("new");
+    // A leftover of a former attempt may have other permissions.
+    let _ = std::fs::remove_file(&unfinished);
+    let mut to = OpenOptions::new().write(true).create_new(true).mode(mode).open(&unfinished)?;
+    to.write_all(content)?;
+    to.sync_all()?;
+    std::fs::rename(&unfinished, file)
 }
 
 impl Keyring {

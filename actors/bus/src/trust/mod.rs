@@ -36,7 +36,7 @@ mod token;
 mod verifier;
 
 pub use bus::SigningBus;
-pub use files::{KeyError, KeyringError, RevokedFiles, TrustError, TrustFiles};
+pub use files::{KeyError, KeyringError, RevokedFiles, TrustError, TrustFiles, write_atomically};
 pub use keyring::{CertificateError, Keyring, VerifiedCertificate};
 pub use probe::ProbeError;
 pub use token::{TOKEN_MAX, TokenClaims, TokenError, forwarded_part};

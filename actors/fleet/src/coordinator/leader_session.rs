@@ -357,12 +357,7 @@ impl LeaderSession {
 /// Returns the time of a voter's clock, in milliseconds since 1970; `None` without a reply.
 async fn read_clock(bus: &SharedBus, key: &str) -> Option<u64> {
     let mut replies = bus.query(key, Bytes::new(), CLOCK_TIMEOUT).await.ok()?;
-    while let Some(reply) = replies.recv().await {
-        if let Ok(payload) = reply.payload {
-            return codec::decode(&payload).ok();
-        }
-    }
-    None
+    codec::decode(&replies.recv().await?.payload.ok()?).ok()
 }
 
 /// Records the cluster id and the wire version in a new ledger.

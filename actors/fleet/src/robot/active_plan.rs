@@ -79,7 +79,7 @@ pub(super) struct PlanStart<'a> {
 /// Next action of a plan.
 #[derive(Debug, PartialEq)]
 pub(super) enum PlanAction {
-    /// Send outputs whose steps are stored in the checkpoint.
+    /// Send the outputs of steps that the checkpoint contains.
     Emit(Vec<PendingOutput>),
     /// Start a task.
     StartTask {

@@ -25,7 +25,7 @@ pub(super) struct GoalTracker {
     /// Time until which the robot may act.
     allowed_until: Option<NodeTime>,
     goals: BTreeMap<GoalId, GoalStatus>,
-    /// Goals whose end was requested.
+    /// Canceled goals, until their end is reported.
     canceled: BTreeSet<GoalId>,
     /// Completed goals that must not be repeated, including those of previous incarnations of this
     /// node.

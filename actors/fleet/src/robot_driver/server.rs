@@ -234,7 +234,7 @@ impl DriverServerState {
         reply::wire(&query, &query.key, &reply).await;
     }
 
-    /// Stops each robot whose goal is no longer permitted.
+    /// Cancels the goals that are no longer permitted: their robots stop.
     fn stop_unpermitted_goals(&mut self) {
         for (robot, id) in self.goals.take_expired(self.settings.clock.now()) {
             if self.world.status(&robot, id).is_some_and(|status| !status.is_final()) {

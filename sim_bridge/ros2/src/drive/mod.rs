@@ -253,11 +253,21 @@ impl Drive {
         // Without a reply to the cancel request of the start, there is none to the goal either.
         let is_free =
             self.client.is_served() && timeout(FREE_TIMEOUT, self.is_free.wait_for(|is_free| *is_free)).await.is_ok();
-        let result = if is_free { self.client.send(self.id, goal).await } else { RequestResult::NoReply };
+        let result = match is_free {
+            true if *stop.borrow() => None,
+            true => Some(self.client.send(self.id, goal).await),
+            false => Some(RequestResult::NoReply),
+        };
         let last = match result {
-            RequestResult::Accepted => Nav2Event::Ended(self.number, self.run_until_end(&mut feedback, stop).await),
-            RequestResult::Rejected => Nav2Event::Rejected(self.number, "Nav2 has rejected the goal".to_owned()),
-            RequestResult::NoReply => Nav2Event::Rejected(self.number, "no server of Nav2 has replied".to_owned()),
+            // The robot must not begin to drive after it was stopped.
+            None => Nav2Event::Ended(self.number, DriveResult::Canceled),
+            Some(RequestResult::Accepted) => {
+                Nav2Event::Ended(self.number, self.run_until_end(&mut feedback, stop).await)
+            }
+            Some(RequestResult::Rejected) => Nav2Event::Rejected(self.number, "Nav2 has rejected the goal".to_owned()),
+            Some(RequestResult::NoReply) => {
+                Nav2Event::Rejected(self.number, "no server of Nav2 has replied".to_owned())
+            }
         };
         self.send_event(last.clone());
         last

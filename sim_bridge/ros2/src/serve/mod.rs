@@ -171,7 +171,7 @@ impl Bridge {
         }
     }
 
-    /// Cancels all goals; ends when the robot has stopped and the client has its result.
+    /// Cancels all goals; ends when the robot has stopped and the clients have their results.
     async fn stop(mut self) {
         let actions = self.executor.stop();
         let canceled = async {

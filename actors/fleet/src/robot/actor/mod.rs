@@ -29,9 +29,9 @@ use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
 use consort_protocol::lease::Event;
-use consort_protocol::message::{Beacon, FailureKind};
+use consort_protocol::message::{Beacon, TaskFailure};
 use ractor::{Actor, ActorProcessingErr, ActorRef, RpcReplyPort, SupervisionEvent};
-use state::{DECOMMISSION_CAUSE, DecommissionRequests, RobotState};
+use state::{DecommissionRequests, RobotState, leaving};
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::{info, warn};
@@ -213,7 +213,7 @@ impl RobotState {
         self.decommission.add(done, self.now());
         self.tasks.send_after(timeout, &self.myself, RobotMessage::DecommissionTimeout);
         if self.execution.continuing_plan().is_some() {
-            let (kind, cause) = (FailureKind::Leaving, DECOMMISSION_CAUSE.to_owned());
+            let TaskFailure { kind, cause, .. } = leaving();
             self.handle_failure(AttemptFailure { kind, cause, permanent: true }).await?;
         }
         self.report();

@@ -21,7 +21,7 @@ use ractor::{ActorRef, RpcReplyPort};
 use tracing::debug;
 
 /// Cause of a release because of a decommission.
-pub(super) const DECOMMISSION_CAUSE: &str = "it leaves the fleet";
+const DECOMMISSION_CAUSE: &str = "it leaves the fleet";
 
 /// State of the robot actor, by concern.
 pub(crate) struct RobotState {
@@ -44,7 +44,7 @@ pub(super) struct DecommissionRequests(Option<Decommission>);
 struct Decommission {
     /// Pending requests.
     requests: Vec<RpcReplyPort<bool>>,
-    /// Release of an award whose plan is not active.
+    /// Release of an award without an active plan.
     release: PendingRelease,
 }
 
@@ -61,7 +61,7 @@ impl DecommissionRequests {
         decommission.requests.push(done);
     }
 
-    /// Returns the reason to release an award whose plan is not active, once the body is at rest: a
+    /// Returns the reason to release an award without an active plan, once the body is at rest: a
     /// previous incarnation may have started a goal.
     fn take_report(&mut self, driver: DriverActivity, now: NodeTime) -> Option<TaskFailure> {
         self.0.as_mut()?.release.take_report(driver, now)

@@ -13,8 +13,9 @@ use crate::messages::NavigateResult;
 use crate::route_planner::{PlannedRoute, RoutePlanner};
 use consort_fleet::robot_driver::{CLIENT_TIMEOUT, DriverCommand, DriverState, GoalRequest, Permit, StateOrder};
 use consort_protocol::ids::{PlaceId, RobotId};
+use consort_protocol::lease::keep_for;
 use consort_protocol::pose::Pose;
-use consort_protocol::units::{Metres, WorldTime};
+use consort_protocol::units::{Metres, NodeTime, WorldTime};
 use consort_skills::actions::{ActionError, ErrorCode, Feedback, GoalId, GoalStatus, Telemetry};
 use std::sync::Arc;
 use std::time::Duration;
@@ -66,8 +67,6 @@ pub struct GoalExecutor {
     waiting: Option<(GoalUuid, Pose)>,
     /// Goals in progress of a previous run of this program.
     abandoned: Vec<GoalId>,
-    /// True if the program is ending.
-    stopping: bool,
 }
 
 #[derive(Debug)]
@@ -105,7 +104,6 @@ impl GoalExecutor {
             active_goal: None,
             waiting: None,
             abandoned: vec![],
-            stopping: false,
         }
     }
 
@@ -113,7 +111,8 @@ impl GoalExecutor {
     /// counted from the latest state.
     pub fn command(&self, request: Option<GoalRequest>, now: Duration) -> DriverCommand {
         let in_progress = self.active_goal.iter().filter(|active| !active.canceling).map(|active| active.goal);
-        let keep_for = (now + CLIENT_TIMEOUT).saturating_sub(self.last_state_at);
+        let (now, last_state_at) = (NodeTime::at(now), NodeTime::at(self.last_state_at));
+        let keep_for = keep_for(now + CLIENT_TIMEOUT, CLIENT_TIMEOUT, last_state_at, now).unwrap_or_default();
         let keep_for_ms = u64::try_from(keep_for.as_millis()).unwrap_or(u64::MAX);
         DriverCommand {
             request,
@@ -121,16 +120,15 @@ impl GoalExecutor {
         }
     }
 
-    /// Cancels all goals and accepts no more. [`is_busy`](Self::is_busy) is false when the robot has
-    /// stopped; its client then has the result.
+    /// Cancels all goals, without a result for their clients: the action server aborts them when it
+    /// closes. [`is_busy`](Self::is_busy) is false when the robot has stopped.
     pub fn stop(&mut self) -> Vec<Action> {
-        self.stopping = true;
-        let waiting = self.waiting.take().map(|(client, _)| stopped(client));
-        let active = self.active_goal.as_mut().map(|active| {
-            active.canceling = true;
+        self.waiting = None;
+        let cancel = |active: &mut ActiveGoal| {
+            (active.client, active.canceling) = (None, true);
             Action::Command(Some(GoalRequest::Cancel { id: active.goal }))
-        });
-        waiting.into_iter().chain(active).collect()
+        };
+        self.active_goal.as_mut().map(cancel).into_iter().collect()
     }
 
     /// Checks whether a goal is in progress; [`tick`](Self::tick) must then be called regularly.
@@ -140,9 +138,6 @@ impl GoalExecutor {
 
     /// Handles a new goal of a client. It replaces the goal of another client.
     pub fn handle_goal(&mut self, client: GoalUuid, to: Result<Pose, PoseError>, now: Duration) -> Vec<Action> {
-        if self.stopping {
-            return vec![stopped(client)];
-        }
         let mut actions = Vec::new();
         let to = match to {
             Ok(to) => to,
@@ -318,11 +313,7 @@ impl GoalExecutor {
     /// Ends the current goal and starts the waiting goal.
     fn end(&mut self, how: EndState, outcome: NavigateResult, now: Duration) -> Vec<Action> {
         let client = self.active_goal.take().and_then(|active| active.client);
-        let end = |client| match how {
-            EndState::Canceled if self.stopping => stopped(client),
-            _ => Action::End(client, how, outcome),
-        };
-        let mut actions: Vec<Action> = client.map(end).into_iter().collect();
+        let mut actions: Vec<Action> = client.map(|client| Action::End(client, how, outcome)).into_iter().collect();
         actions.extend(self.start_waiting(now));
         actions
     }
@@ -333,15 +324,8 @@ fn canceled(client: GoalUuid) -> Action {
 }
 
 fn superseded(client: GoalUuid) -> Action {
-    aborted(client, "another goal has replaced it")
-}
-
-fn stopped(client: GoalUuid) -> Action {
-    aborted(client, "the action server is stopping")
-}
-
-fn aborted(client: GoalUuid, why: &str) -> Action {
-    Action::End(client, EndState::Aborted, NavigateResult { error_code: UNKNOWN_ERROR, error_msg: why.to_owned() })
+    let error_msg = "another goal has replaced it".to_owned();
+    Action::End(client, EndState::Aborted, NavigateResult { error_code: UNKNOWN_ERROR, error_msg })
 }
 
 /// Returns the feedback for the whole route; the feedback of the driver is for its current leg.
