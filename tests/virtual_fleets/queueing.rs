@@ -1,9 +1,12 @@
 //! More missions than robots.
 
+use crate::support::task_began;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
-use consort_protocol::ledger::Ledger;
-use consort_tests::{Fleet, RobotSpec, for_each_seed};
+use consort_protocol::keys::ApiCall;
+use consort_protocol::ledger::{Ledger, MissionState};
+use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
+use serde_json::json;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -119,5 +122,56 @@ fn a_waiting_mission_survives_the_coordinator() {
             fleet.assert_sample_delivered(room);
         }
         fleet.assert_exclusive_roles();
+    });
+}
+
+/// Each of two missions has lost a robot, waits for the robot of the other mission, and keeps a robot
+/// that waits for a signal of the lost one.
+#[test]
+fn missions_that_wait_for_the_robots_of_each_other_are_resolved() {
+    for_each_seed(SEEDS, async |seed| {
+        let carriers = [("amber", "PC Room 8"), ("birch", "IC Room 4"), ("fern", "Dock"), ("gorse", "PC Room 2")];
+        let robots = carriers.map(|(name, place)| RobotSpec::carrier(name, place)).to_vec();
+        let mut fleet = Fleet::hospital(seed, robots, &["aba", "bab", "cab"], &ROOMS).await;
+        fleet.wait_for_coordinator().await;
+        let drive = |task: &str, role: &str| json!({ "task": task, "type": "navigation", "roles": [role], "parameters": { "to": "IC Room 6" } });
+        let managed = json!({ "kind": "managed" });
+        let mission = json!({
+            "mission": "in-turn", "roles": { "first": managed, "second": managed },
+            "root": { "task": "visit", "method": "sequential", "tasks": [drive("go", "first"), drive("follow", "second")] },
+        });
+        let mut missions: Vec<MissionId> = vec![];
+        for request in ["a", "b"] {
+            let answer =
+                fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission, "request": request })).await;
+            missions.push(slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {seed}: {answer}"))));
+        }
+        let went = |fleet: &Fleet| fleet.event_log.times(task_began("go")).len();
+        fleet.wait_until("both to drive", SOON, |fleet| went(fleet) == 2).await;
+        for mission in &missions {
+            let lost = fleet.holder(mission, "first").expect("held").to_string();
+            fleet.kill(&lost).await;
+        }
+        for mission in &missions {
+            fleet.assert_completes(mission).await;
+        }
+        fleet.assert_exclusive_roles();
+        // Only the robot of the later mission gave way, once.
+        let gave_way = |what: &EventKind| matches!(what, EventKind::GaveUp { .. });
+        let gave_way: Vec<_> = fleet.events().into_iter().filter(gave_way).collect();
+        let [EventKind::GaveUp { mission, role, cause, .. }] = &gave_way[..] else {
+            panic!("seed {seed}: {gave_way:?}\n{}", fleet.event_log_text())
+        };
+        assert_eq!((mission, role.as_str()), (&missions[1], "second"), "seed {seed}");
+        assert_eq!(*cause, format!("it gives way to {}", missions[0]), "seed {seed}");
+        let completed: Vec<_> = fleet
+            .events()
+            .into_iter()
+            .filter_map(|what| match what {
+                EventKind::Mission { mission, state: MissionState::Completed, .. } => Some(mission),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(completed, missions, "seed {seed}: the better-ranked mission is completed first");
     });
 }

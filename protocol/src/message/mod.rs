@@ -162,6 +162,13 @@ pub enum AwardNotice {
         /// Reason for the end.
         reason: EndReason,
     },
+    /// The robot is asked to return the role if it has not acted in it.
+    GiveWay {
+        /// Epoch of the award.
+        epoch: Epoch,
+        /// Mission that waits for the robot.
+        to: MissionId,
+    },
 }
 
 /// Reply of a robot to a notice.
@@ -235,6 +242,8 @@ pub enum FailureKind {
     /// The checkpoint cannot be written: after a crash the robot would not find its role.
     #[serde(alias = "notebook")]
     Checkpoint,
+    /// Another mission waits for the robot, which has not acted in the role.
+    GaveWay,
 }
 
 /// Reply of the coordinator to a report. The content of the report is in the ledger before any

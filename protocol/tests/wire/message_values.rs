@@ -31,6 +31,7 @@ pub(crate) fn notice() -> impl Strategy<Value = AwardNotice> {
     prop_oneof![
         award.prop_map(|award| AwardNotice::Awarded(Box::new(award))),
         (epoch(), ending()).prop_map(|(epoch, reason)| AwardNotice::Revoked { epoch, reason }),
+        (epoch(), name()).prop_map(|(epoch, to)| AwardNotice::GiveWay { epoch, to }),
     ]
 }
 
@@ -51,6 +52,7 @@ pub(crate) fn report() -> impl Strategy<Value = Report> {
         Just(FailureKind::Battery),
         Just(FailureKind::Leaving),
         Just(FailureKind::Plan),
+        Just(FailureKind::GaveWay),
     ];
     let failure = (option::of(name()), text(), kind).prop_map(|(task, cause, kind)| TaskFailure { task, cause, kind });
     let who = (name::<RobotId>(), any::<u64>(), name(), name(), epoch(), branch());

@@ -3,7 +3,7 @@
 use super::message::AwardedRole;
 use super::session_context::SessionContext;
 use super::stall_detector::{StallDetector, StalledRole};
-use consort_protocol::ids::RoleId;
+use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::lease::{Award, Epoch, LeaseMonitor};
 use consort_protocol::ledger::Ledger;
 use consort_protocol::message::AwardNotice;
@@ -19,7 +19,12 @@ pub(super) struct HeldRoles {
     stalled: BTreeMap<(Epoch, RoleId), String>,
     /// Time of the last award notice for each role.
     notified: BTreeMap<(Epoch, RoleId), NodeTime>,
+    /// Time of the last request to give way, for each role.
+    asked_to_give_way: BTreeMap<(Epoch, RoleId), Option<NodeTime>>,
 }
+
+/// Interval at which a robot is asked again to give way.
+const GIVE_WAY_INTERVAL: Duration = Duration::from_secs(2);
 
 impl HeldRoles {
     /// Creates the state of a session. A role is stalled if none of its steps has ended for
@@ -29,6 +34,7 @@ impl HeldRoles {
             stall_detector: StallDetector::new(stall_timeout),
             stalled: BTreeMap::new(),
             notified: BTreeMap::new(),
+            asked_to_give_way: BTreeMap::new(),
         }
     }
 
@@ -46,6 +52,7 @@ impl HeldRoles {
         now: NodeTime,
     ) {
         self.notified.retain(|(epoch, _), _| epochs.contains(epoch));
+        self.asked_to_give_way.retain(|(epoch, _), _| epochs.contains(epoch));
         self.stalled.retain(|(epoch, _), _| epochs.contains(epoch));
         for StalledRole { role, robot, epoch, cause } in self.stall_detector.check(ledger, now) {
             lease_monitor.stop_renewing(epoch, &robot, now);
@@ -64,6 +71,21 @@ impl HeldRoles {
         let Some(award) = award else { return };
         self.notified.insert((awarded.epoch, awarded.role.clone()), now);
         context.notify_award(awarded, &AwardNotice::Awarded(Box::new(award)));
+    }
+
+    /// Asks a robot to return a role for the mission `first`, again every two seconds.
+    pub(super) fn ask_to_give_way(
+        &mut self,
+        awarded: AwardedRole,
+        first: MissionId,
+        context: &mut SessionContext,
+        now: NodeTime,
+    ) {
+        let asked = self.asked_to_give_way.entry((awarded.epoch, awarded.role)).or_default();
+        if asked.is_none_or(|at| now.since(at) >= GIVE_WAY_INTERVAL) {
+            *asked = Some(now);
+            context.notify(awarded.robot, &AwardNotice::GiveWay { epoch: awarded.epoch, to: first });
+        }
     }
 
     /// Releases a role with an expired lease. The holder of a stalled role may not get it again.

@@ -275,6 +275,9 @@ impl LeaderSession {
             CoordinatorAction::ReleaseRole(awarded, cause) => {
                 self.held_roles.release(awarded, cause, &mut self.context);
             }
+            CoordinatorAction::AskToGiveWay(awarded, first) => {
+                self.held_roles.ask_to_give_way(awarded, first, &mut self.context, now);
+            }
             CoordinatorAction::FailMission { mission, cause } => self.fail_mission(mission, cause, now),
         }
     }

@@ -19,6 +19,7 @@ mod api;
 mod auctioneer;
 mod auctions;
 mod change_feed;
+mod circular_waits;
 mod ensemble_members;
 mod held_roles;
 mod last_known_place;

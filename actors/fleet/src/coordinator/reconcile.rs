@@ -1,6 +1,7 @@
 //! Reconciliation: computes the pending actions of a coordinator from the ledger and the session,
 //! as values.
 
+use super::circular_waits::roles_to_give_up;
 use super::message::{AwardedRole, CollectedBids};
 use consort_protocol::auction::RefusalReason;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
@@ -72,6 +73,8 @@ pub(super) enum CoordinatorAction {
     NotifyAward(AwardedRole),
     /// Release the role of a robot after its lease has certainly expired, with the cause.
     ReleaseRole(AwardedRole, String),
+    /// Ask a robot to return a role for a better-ranked mission.
+    AskToGiveWay(AwardedRole, MissionId),
     /// Fail a mission.
     FailMission { mission: MissionId, cause: String },
 }
@@ -130,6 +133,8 @@ pub(super) fn pending_actions(
             }
         }
     }
+    let circular = roles_to_give_up(ledger).into_iter();
+    actions.extend(circular.map(|(awarded, first)| CoordinatorAction::AskToGiveWay(awarded, first)));
     actions
 }
 

@@ -248,10 +248,10 @@ fn progress(report: &Report) -> Command {
     Command::Progress { mission: report.mission.clone(), role, epoch, branch: report.branch, ended }
 }
 
-/// Releases the role to another robot. A robot that only leaves the fleet, or that has started
-/// nothing because its checkpoint failed, may bid again.
+/// Releases the role to another robot. A robot that only leaves the fleet, that gives way, or that has
+/// started nothing because its checkpoint failed, may bid again.
 fn release_failed(report: &Report, failure: &TaskFailure) -> Command {
-    let robot_failed = !matches!(failure.kind, FailureKind::Leaving | FailureKind::Checkpoint);
+    let robot_failed = !matches!(failure.kind, FailureKind::Leaving | FailureKind::Checkpoint | FailureKind::GaveWay);
     release(report, failure_cause(report, failure), robot_failed)
 }
 

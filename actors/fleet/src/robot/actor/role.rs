@@ -5,14 +5,14 @@ use super::state::{RobotState, leaving};
 use crate::robot::active_plan::{ActivePlan, PlanStart};
 use crate::robot::checkpoint_writer::PendingOutput;
 use crate::robot::lease_client::Renewal;
+use crate::robot::recovery_policy::AttemptFailure;
 use consort_bus::Query;
 use consort_bus::reply;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::NodeId;
-use consort_protocol::ids::RoleId;
+use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{Action, Award, EndReason, Epoch, Event, RoleHolder};
-use consort_protocol::message::ReportReply;
+use consort_protocol::message::{AwardNotice, FailureKind, ReportReply};
 use consort_protocol::plan::{Signal, StepIndex};
 use consort_protocol::units::NodeTime;
 use ractor::ActorProcessingErr;
@@ -23,13 +23,30 @@ impl RobotState {
     pub(super) async fn handle_award_notice(&mut self, query: Query) -> Result<(), ActorProcessingErr> {
         let Some((query, notice)) = reply::decode_or_refuse_in(&mut self.tasks, query) else { return Ok(()) };
         let now = self.now();
+        let give_way = match &notice {
+            AwardNotice::GiveWay { epoch, to } => Some((*epoch, to.clone())),
+            AwardNotice::Awarded(_) | AwardNotice::Revoked { .. } => None,
+        };
         let (reply, event) = self.lease.answer(notice, self.decommission.is_leaving());
         let key = self.settings.links.keys.write(&Key::Award(self.settings.robot.clone()));
         reply::wire_in(&mut self.tasks, query, key, reply);
+        if let Some((epoch, to)) = give_way {
+            self.give_way(epoch, &to).await?;
+        }
         match event {
             Some(event) => self.handle_lease_event(event, now).await,
             None => Ok(()),
         }
+    }
+
+    /// Returns a role in which the robot has not acted to a mission that waits for the robot.
+    async fn give_way(&mut self, epoch: Epoch, to: &MissionId) -> Result<(), ActorProcessingErr> {
+        let may_give_way = |active: &mut ActivePlan| active.award.epoch == epoch && active.sequencer.is_untouched();
+        if self.execution.continuing_plan().is_some_and(may_give_way) {
+            let (kind, cause) = (FailureKind::GaveWay, format!("it gives way to {to}"));
+            self.handle_failure(AttemptFailure { kind, cause, permanent: true }).await?;
+        }
+        Ok(())
     }
 
     /// Handles an event of the lease.

@@ -268,6 +268,11 @@ impl Sequencer {
         !self.progress.plan().guarded.is_disjoint(self.progress.ended())
     }
 
+    /// Checks whether no step has ended, so that another robot can do the role from its start.
+    pub(crate) fn is_untouched(&self) -> bool {
+        self.progress.ended().is_empty()
+    }
+
     /// Returns the tasks of an alternative.
     pub(crate) fn alternative_tasks(&self, number: usize) -> Vec<TaskId> {
         let tasks = alternative(self.progress.plan(), number).map_or(&[][..], |replacement| &replacement.tasks);
