@@ -81,6 +81,13 @@ impl StationFleet {
         self.start(name).await;
     }
 
+    /// Starts a station whose damaged store was replaced by an empty one.
+    pub async fn start_with_replaced_store(&mut self, name: &str) {
+        let seed = self.seed.wrapping_mul(1_000_003).wrapping_add(self.lives + 1);
+        self.stores.insert(name.to_owned(), NodeStore::replacing_damaged(seed));
+        self.start(name).await;
+    }
+
     async fn start_as(&mut self, name: &str, fixed: bool) {
         self.lives += 1;
         let seed = self.seed.wrapping_mul(1_000_003).wrapping_add(self.lives);

@@ -214,3 +214,35 @@ fn a_node_does_not_create_a_second_cluster_during_a_bootstrap() {
         one_cluster(&fleet).await;
     });
 }
+
+/// All stores were damaged: none of the empty stores may become the ledger, since the damaged files may
+/// be all that is left of it.
+#[test]
+fn nodes_with_replaced_stores_create_no_cluster() {
+    for_each_seed(1..3, async |seed| {
+        let mut fleet = StationFleet::founded(seed, &ONE).await;
+        fleet.submit("basil", "first").await;
+        for name in ONE {
+            fleet.kill(name).await;
+        }
+        for name in ONE {
+            fleet.start_with_replaced_store(name).await;
+        }
+        fleet.advance(Duration::from_secs(60)).await;
+        assert_eq!(fleet.leaders(), Vec::<String>::new(), "seed {seed}");
+        assert_eq!(clusters(&fleet), BTreeSet::from([None]), "seed {seed}");
+    });
+}
+
+#[test]
+fn a_node_with_a_replaced_store_joins_the_cluster_again() {
+    for_each_seed(1..3, async |seed| {
+        let mut fleet = StationFleet::founded(seed, &ONE).await;
+        fleet.submit("basil", "first").await;
+        fleet.kill("basil").await;
+        fleet.start_with_replaced_store("basil").await;
+        let holds = |fleet: &StationFleet| missions(fleet, &["basil"]) == [["first"]];
+        fleet.wait_until("basil to have the ledger", holds).await;
+        fleet.wait_until("basil to vote again", |fleet| fleet.voters().len() == 3 && holds(fleet)).await;
+    });
+}

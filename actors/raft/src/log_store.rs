@@ -51,6 +51,12 @@ pub trait LogStore: Send + Sync + 'static {
         "this process's memory".to_owned()
     }
 
+    /// Checks whether this store replaces a damaged store, whose ledger may be the only one of its fleet.
+    /// Its node never bootstraps a cluster.
+    fn replaces_damaged(&self) -> bool {
+        false
+    }
+
     /// Returns advice for the operator when the stored data is damaged, if there is any.
     fn repair_advice(&self) -> Option<&'static str> {
         None
@@ -93,13 +99,23 @@ pub(crate) fn with_repair_advice(error: io::Error, advice: Option<&str>) -> io::
 #[derive(Debug, Clone)]
 pub struct MemoryLogStore {
     identity: StoreIdentity,
+    replaces_damaged: bool,
     state: Arc<Mutex<PersistentState>>,
 }
 
 impl MemoryLogStore {
     /// Creates an empty log store with an identity of its own; see [`StoreIdentity::from_seed`].
     pub fn new(identity_seed: u64) -> Self {
-        MemoryLogStore { identity: StoreIdentity::from_seed(identity_seed), state: Arc::default() }
+        MemoryLogStore {
+            identity: StoreIdentity::from_seed(identity_seed),
+            replaces_damaged: false,
+            state: Arc::default(),
+        }
+    }
+
+    /// Creates an empty log store that replaces a damaged one.
+    pub fn replacing_damaged(identity_seed: u64) -> Self {
+        MemoryLogStore { replaces_damaged: true, ..MemoryLogStore::new(identity_seed) }
     }
 
     fn write(&self, change: impl FnOnce(&mut PersistentState)) -> io::Result<()> {
@@ -113,6 +129,10 @@ impl MemoryLogStore {
 impl LogStore for MemoryLogStore {
     fn identity(&self) -> StoreIdentity {
         self.identity
+    }
+
+    fn replaces_damaged(&self) -> bool {
+        self.replaces_damaged
     }
 
     async fn load(&self) -> io::Result<PersistentState> {

@@ -7,7 +7,7 @@
 //! So an operator decides on it, not a node.
 
 use super::log_store::{PersistentState, StoreIdentity};
-use super::storage::{self, AppliedState, CachedEntry, StoredSnapshot, encode_record};
+use super::storage::{self, AppliedState, CachedEntry, StoredSnapshot, encode_record, snapshot_id};
 use super::types::{Epoch, LogId, Peer, RaftId, SnapshotMeta, StateMachine, StoredMembership, Vote, epoch_of};
 use consort_protocol::ids::NodeId;
 use openraft::{CommittedLeaderId, Membership};
@@ -84,8 +84,8 @@ pub fn recover_as_only_voter<S: StateMachine>(
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "the log store is empty: there is nothing to recover"));
     };
     change(&mut machine.state);
-    let snapshot = format!("recovered-{}@{:032x}", epoch_of(&last), store.0);
-    as_snapshot(&machine.state, last, vote, RaftId::of(node, store), node, snapshot)
+    let origin = format!("recovered-{}", epoch_of(&last));
+    as_snapshot(&machine.state, last, vote, node, store, &origin)
 }
 
 /// Creates the log store of `node`, with the store identity `store`, as that of the only voter. It
@@ -100,29 +100,31 @@ pub(super) fn restore_as_only_voter<S: StateMachine>(
     store: StoreIdentity,
 ) -> io::Result<PersistentState> {
     let id = RaftId::of(node, store);
-    let snapshot = format!("restored-{last}@{:032x}", store.0);
+    let origin = format!("restored-{last}");
     let last = LogId::new(CommittedLeaderId::new(last.term, id), last.index);
     // Its term is not below the term of the restored state.
     let vote = encode_record(&Vote::new(last.leader_id.term, id))?;
-    as_snapshot(state, last, Some(vote), id, node, snapshot)
+    as_snapshot(state, last, Some(vote), node, store, &origin)
 }
 
 fn as_snapshot<S: StateMachine>(
     state: &S,
     last: LogId,
     vote: Option<Vec<u8>>,
-    id: RaftId,
     node: &NodeId,
-    snapshot_id: String,
+    store: StoreIdentity,
+    origin: &str,
 ) -> io::Result<PersistentState> {
+    let id = RaftId::of(node, store);
     let members = BTreeMap::from([(id, Peer { name: node.clone() })]);
     let membership = Membership::new(vec![BTreeSet::from([id])], members);
+    let state = encode_record(state)?;
     let meta = SnapshotMeta {
         last_log_id: Some(last),
         last_membership: StoredMembership::new(Some(last), membership),
-        snapshot_id,
+        snapshot_id: snapshot_id(origin, store, &state),
     };
-    let stored_snapshot = StoredSnapshot { meta, state: encode_record(state)? };
+    let stored_snapshot = StoredSnapshot { meta, state };
     let last = encode_record(&last)?;
     Ok(PersistentState {
         vote,

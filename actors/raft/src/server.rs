@@ -5,6 +5,7 @@ use super::leader_contact::LeaderContact;
 use super::leadership_transfer;
 use super::leadership_view::LeadershipView;
 use super::messages::{HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_request};
+use super::storage::ReceivedChunks;
 use super::types::{Raft, RaftId, StateMachine, TypeConfig, Vote};
 use consort_bus::{BusError, Encoding, Query, Stream};
 use consort_protocol::codec::{self, CodecError};
@@ -12,12 +13,13 @@ use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
-use openraft::error::{Fatal, InstallSnapshotError, RaftError};
+use openraft::SnapshotSegmentId;
+use openraft::error::{Fatal, InstallSnapshotError, RaftError, SnapshotMismatch};
 use openraft::raft::{AppendEntriesRequest, InstallSnapshotRequest, VoteRequest, VoteResponse};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 use tracing::{debug, warn};
@@ -73,6 +75,8 @@ pub(super) struct RaftServer<S: StateMachine> {
     /// Cluster of the first leader that this node followed. Until its own ledger records a cluster,
     /// it follows no other.
     pub(super) followed: OnceLock<ClusterId>,
+    /// Chunks of the snapshot that is being received.
+    pub(super) received_chunks: Mutex<ReceivedChunks>,
 }
 
 impl<S: StateMachine> RaftServer<S> {
@@ -138,6 +142,14 @@ impl<S: StateMachine> RaftServer<S> {
         let request: InstallSnapshotRequest<TypeConfig<S>> = self.decode_and_follow(query)?;
         check_chunk_size(request.offset, request.data.len())?;
         self.record_leader(&request.vote);
+        if !self.check_chunk(&request) {
+            let id = request.meta.snapshot_id;
+            warn!(node = %self.me, id, "a received snapshot is damaged; it is requested again");
+            let segment = |offset| SnapshotSegmentId { id: id.clone(), offset };
+            // The leader sends the snapshot again from its start.
+            let mismatch = SnapshotMismatch { expect: segment(0), got: segment(request.offset) };
+            return encode_reply(&RaftReply::<()>::Mismatch(mismatch));
+        }
         match self.raft.install_snapshot(request).await {
             Ok(reply) => encode_reply(&RaftReply::Done(reply)),
             Err(RaftError::APIError(InstallSnapshotError::SnapshotMismatch(mismatch))) => {
@@ -145,6 +157,14 @@ impl<S: StateMachine> RaftServer<S> {
             }
             Err(RaftError::Fatal(fatal)) => Err(Box::new(fatal).into()),
         }
+    }
+
+    /// Adds a chunk to the checksum of its snapshot. Returns whether the snapshot, if this is its last
+    /// chunk, is intact.
+    fn check_chunk(&self, request: &InstallSnapshotRequest<TypeConfig<S>>) -> bool {
+        let mut received = self.received_chunks.lock().unwrap_or_else(PoisonError::into_inner);
+        received.add(&request.meta.snapshot_id, request.offset, &request.data);
+        !request.done || received.finish()
     }
 
     /// Records contact from the leader, unless its term is over. This happens before openraft

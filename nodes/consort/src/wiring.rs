@@ -22,7 +22,7 @@ use consort_protocol::pose::Pose;
 use consort_protocol::versions::VersionRange;
 use consort_protocol::view::MapView;
 use consort_raft::StoreIdentity;
-use consort_raft::store::{DurableStore, NodeStore, StoreOwner};
+use consort_raft::store::{DurableStore, NodeStore, Quarantine, StoreOwner};
 use consort_skills::descriptor::{Calibration, DescriptorRegistry, Estimator};
 use consort_skills::environment::{Environment, Passages, Routes};
 use consort_skills::library::SkillLibrary;
@@ -37,7 +37,7 @@ use std::fmt::Display;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
-use tracing::warn;
+use tracing::{error, warn};
 
 /// Version of this program's estimators, as nodes publish it. It changes with the estimators'
 /// results, and not with each release: bids of two releases in a fleet must be comparable.
@@ -70,7 +70,12 @@ impl NodeIncarnation {
             Some(folder) => {
                 let of = |problem: &dyn Display| Diagnostics::from(Diagnostic::for_file("data_dir", problem));
                 let owner = StoreOwner { fleet: fleet.name.clone(), node: node.clone() };
-                let store = DurableStore::open(folder, &owner, new_store_identity()).map_err(|problem| of(&problem))?;
+                let opened = DurableStore::open_or_replace(folder, &owner, new_store_identity());
+                let (store, quarantine) = opened.map_err(|problem| of(&problem))?;
+                if let Some(Quarantine { file, damage, moved_to }) = quarantine {
+                    let (file, moved_to) = (file.display(), moved_to.display());
+                    error!(%node, %file, damage, %moved_to, "damaged store moved away: the node joins again as an empty member");
+                }
                 let incarnation = store.begin_incarnation(clock.wall_ms()).map_err(|problem| of(&problem))?;
                 (store.into_node_store(), incarnation)
             }

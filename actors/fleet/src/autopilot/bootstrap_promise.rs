@@ -28,6 +28,8 @@ pub(super) struct ObservedFleet {
     pub(super) cluster: Option<ClusterId>,
     /// The node's own replica of the ledger has voters.
     pub(super) has_voters: bool,
+    /// The node's store replaces a damaged store, which may contain the only ledger.
+    pub(super) lost_ledger: bool,
     /// Node that has the turn to bootstrap, considering all nodes known to this node.
     pub(super) next_founder: Option<NodeId>,
 }
@@ -36,7 +38,9 @@ impl ObservedFleet {
     /// Returns the reason why no node may bootstrap, if there is any.
     fn reason_against_bootstrap(&self) -> Option<String> {
         let cluster = self.cluster.map(|cluster| format!("a cluster of this name exists: {cluster}"));
-        cluster.or_else(|| self.has_voters.then(|| "a ledger of this name exists".to_owned()))
+        let exists = || self.has_voters.then(|| "a ledger of this name exists".to_owned());
+        let lost = || self.lost_ledger.then(|| "its damaged store may contain the ledger".to_owned());
+        cluster.or_else(exists).or_else(lost)
     }
 }
 
@@ -119,6 +123,7 @@ mod tests {
         ObservedFleet {
             cluster: None,
             has_voters: false,
+            lost_ledger: false,
             next_founder: names.iter().map(|name| candidate(name).node).min(),
         }
     }
@@ -146,7 +151,8 @@ mod tests {
         let alone = fleet_with(&["bob"]);
         let known = ObservedFleet { cluster: Some(ClusterId(7)), ..alone.clone() };
         let kept = ObservedFleet { has_voters: true, ..alone.clone() };
-        for fleet in [&known, &kept, &fleet_with(&["ada", "bob"]), &fleet_with(&[])] {
+        let lost = ObservedFleet { lost_ledger: true, ..alone.clone() };
+        for fleet in [&known, &kept, &lost, &fleet_with(&["ada", "bob"]), &fleet_with(&[])] {
             let mut bob = BootstrapPromise::new(candidate("bob"), DURATION);
             assert!(!bob.begin_request(fleet, now), "{fleet:?}");
             assert!(bob.begin_request(&alone, now) && !bob.confirm(fleet, now), "{fleet:?}");
@@ -155,6 +161,7 @@ mod tests {
         let reason = format!("a cluster of this name exists: {}", ClusterId(7));
         assert_eq!(bob.reply(&candidate("ada"), &known, now), refused(&reason));
         assert_eq!(bob.reply(&candidate("ada"), &kept, now), refused("a ledger of this name exists"));
+        assert_eq!(bob.reply(&candidate("ada"), &lost, now), refused("its damaged store may contain the ledger"));
         assert!(bob.begin_request(&alone, now) && bob.confirm(&alone, now));
         assert_eq!(bob.reply(&candidate("ada"), &alone, now), refused("bob has bootstrapped the cluster"));
     }

@@ -57,6 +57,7 @@ pub(super) async fn start_parts(
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let keys = Keys::new(&fleet.fleet);
     let events = EventPublisher::open(node.clone(), &keys, bus.clone(), clock, observer.clone());
+    let replaces_damaged = store.log_store.replaces_damaged();
     let replica = match settings.may_vote {
         true => Some(start_replica(&fleet, &node, bus.clone(), store.log_store, rng.next_u64(), observer).await?),
         false => None,
@@ -119,7 +120,7 @@ pub(super) async fn start_parts(
             assembly.end_with_ledger(&replica);
             let (mobile, on_battery) = (!settings.stationary, !settings.mains_powered);
             let founder = BootstrapRequest { mobile, on_battery, node: assembly.node.clone() };
-            assembly.found_ledger(replica, founder).await?;
+            assembly.found_ledger(replica, founder, replaces_damaged).await?;
             Some(coordinator)
         }
         None => None,
@@ -292,7 +293,12 @@ impl Assembly {
     }
 
     /// Founds the fleet's ledger if there is none and it is this node's turn.
-    async fn found_ledger(&mut self, replica: Replica<Ledger>, founder: BootstrapRequest) -> Result<(), NodeError> {
+    async fn found_ledger(
+        &mut self,
+        replica: Replica<Ledger>,
+        founder: BootstrapRequest,
+        replaces_damaged: bool,
+    ) -> Result<(), NodeError> {
         let requests = self.bus.serve(&self.keys.write(&Key::Bootstrap(self.node.clone()))).await?;
         let bootstrap = Bootstrap {
             me: founder,
@@ -301,6 +307,7 @@ impl Assembly {
             replica,
             knowledge: self.knowledge(),
             membership: self.membership.clone(),
+            replaces_damaged,
             expected_nodes: self.fleet.bootstrap_expect,
             target_voters: self.fleet.voters,
             reply_timeout: self.times.auction_window,

@@ -17,7 +17,7 @@ use crate::types::{Raft, RaftId, StateMachine};
 use consort_bus::SharedBus;
 use consort_protocol::keys::Keys;
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 use tokio::sync::{mpsc, watch};
 use tracing::info;
 
@@ -116,6 +116,7 @@ impl<S: StateMachine> Replica<S> {
             keys,
             cluster: machine.cluster(),
             followed: OnceLock::new(),
+            received_chunks: Mutex::default(),
         };
         let server_task = Task::spawn(server.run(queries));
         let (proposals, proposal_queue) = mpsc::unbounded_channel();

@@ -39,7 +39,7 @@ pub(crate) fn load_state<S: StateMachine>(
     let mut machine =
         AppliedState { state: S::default(), applied: None, membership: StoredMembership::default(), snapshot: None };
     if let Some(bytes) = snapshot {
-        let stored: StoredSnapshot = decode_record(&bytes)?;
+        let stored = StoredSnapshot::decode(&bytes)?;
         machine.restore(decode_record(&stored.state)?, stored);
     }
     if log.purged > machine.applied {

@@ -4,12 +4,14 @@
 mod load;
 mod log_cache;
 mod records;
+mod snapshot_id;
 mod state_machine;
 
 pub(crate) use load::{load_state, open};
 pub(crate) use log_cache::CachedEntry;
 #[cfg(feature = "test-util")]
 pub(crate) use records::decode_record;
-pub(crate) use records::{StoredSnapshot, encode_record};
+pub(crate) use records::{SnapshotError, StoredSnapshot, encode_record};
+pub(crate) use snapshot_id::{ReceivedChunks, snapshot_id};
 pub use state_machine::ApplyObserver;
 pub(crate) use state_machine::{AppliedState, StateMachineStore};

@@ -1,6 +1,7 @@
 //! The state machine and its snapshots.
 
 use super::records::{Covered, SnapshotNotStored, StoredSnapshot, decode_record, encode_record, lock};
+use super::snapshot_id::snapshot_id;
 use crate::log_store::LogStore;
 use crate::types::{
     Batch, Epoch, LogId, SnapshotMeta, StateMachine, StorageError, StorageIOError, StoredMembership, TypeConfig,
@@ -173,16 +174,11 @@ impl<S: StateMachine> RaftStateMachine<TypeConfig<S>> for StateMachineStore<S> {
 
     async fn get_snapshot_builder(&mut self) -> SnapshotBuilder<S> {
         let machine = lock(&self.machine);
-        let last = machine.applied.as_ref().map_or("start".to_owned(), ToString::to_string);
         SnapshotBuilder {
             store: self.clone(),
             state: machine.state.clone(),
-            meta: SnapshotMeta {
-                last_log_id: machine.applied,
-                last_membership: machine.membership.clone(),
-                // The id includes the store: two nodes may encode the same state differently.
-                snapshot_id: format!("{last}@{:032x}", self.log_store.identity().0),
-            },
+            last_log_id: machine.applied,
+            last_membership: machine.membership.clone(),
         }
     }
 
@@ -216,13 +212,17 @@ fn to_snapshot<S: StateMachine>(stored: StoredSnapshot) -> Snapshot<TypeConfig<S
 pub(crate) struct SnapshotBuilder<S: StateMachine> {
     store: StateMachineStore<S>,
     state: S,
-    meta: SnapshotMeta,
+    last_log_id: Option<LogId>,
+    last_membership: StoredMembership,
 }
 
 impl<S: StateMachine> RaftSnapshotBuilder<TypeConfig<S>> for SnapshotBuilder<S> {
     async fn build_snapshot(&mut self) -> Result<Snapshot<TypeConfig<S>>, StorageError> {
-        let stored =
-            StoredSnapshot { meta: self.meta.clone(), state: encode_record(&self.state).map_err(writing_snapshot)? };
+        let state = encode_record(&self.state).map_err(writing_snapshot)?;
+        let (last_log_id, last_membership) = (self.last_log_id, self.last_membership.clone());
+        let last = last_log_id.as_ref().map_or("start".to_owned(), ToString::to_string);
+        let snapshot_id = snapshot_id(&last, self.store.log_store.identity(), &state);
+        let stored = StoredSnapshot { meta: SnapshotMeta { last_log_id, last_membership, snapshot_id }, state };
         let record = encode_record(&stored).map_err(writing_snapshot)?;
         let _exclusive = self.store.snapshots.lock().await;
         let newest = lock(&self.store.machine).snapshot.as_ref().and_then(|stored| stored.meta.last_log_id);

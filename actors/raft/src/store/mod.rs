@@ -10,6 +10,6 @@ pub use backup::{Backup, BackupError, restore};
 pub use checkpoint_store::CheckpointStore;
 #[cfg(feature = "test-util")]
 pub use durable::StorageBackend;
-pub use durable::{COMMIT_MARKER_FILE, DurableStore, LEDGER_FILE, OpenError, REPAIR_ADVICE, StoreOwner};
+pub use durable::{COMMIT_MARKER_FILE, DurableStore, LEDGER_FILE, OpenError, Quarantine, REPAIR_ADVICE, StoreOwner};
 pub use node_store::NodeStore;
 pub use recover::{inspect_ledger, recover};

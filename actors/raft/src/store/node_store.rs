@@ -17,9 +17,15 @@ impl NodeStore {
     /// Creates storage in memory, lost with its last clone. A clone given to a restarted node
     /// simulates a disk that survived.
     pub fn in_memory(identity_seed: u64) -> NodeStore {
-        NodeStore {
-            log_store: Arc::new(MemoryLogStore::new(identity_seed)),
-            checkpoints: Arc::new(MemoryCheckpointStore::default()),
-        }
+        NodeStore::with(MemoryLogStore::new(identity_seed))
+    }
+
+    /// Same, as a replacement of damaged storage.
+    pub fn replacing_damaged(identity_seed: u64) -> NodeStore {
+        NodeStore::with(MemoryLogStore::replacing_damaged(identity_seed))
+    }
+
+    fn with(log_store: MemoryLogStore) -> NodeStore {
+        NodeStore { log_store: Arc::new(log_store), checkpoints: Arc::new(MemoryCheckpointStore::default()) }
     }
 }

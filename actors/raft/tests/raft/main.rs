@@ -1,5 +1,6 @@
 //! Replicated ledger on the virtual bus.
 
+mod damaged_snapshots;
 mod failover;
 mod group_commit;
 mod leadership_transfer;

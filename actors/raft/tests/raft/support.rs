@@ -68,7 +68,12 @@ pub(crate) struct Fleet {
     pub(crate) log_stores: BTreeMap<NodeId, MemoryLogStore>,
     pub(crate) started_at: Instant,
     pub(crate) starts: u64,
+    /// Layer over the bus of each node.
+    bus_layer: BusLayer,
 }
+
+/// Returns the bus of a node with a layer over it.
+pub(crate) type BusLayer = Box<dyn Fn(SharedBus) -> SharedBus>;
 
 pub(crate) fn default_settings(node: NodeId) -> RaftSettings {
     RaftSettings::new(FleetId::new("ward").expect("a slug"), node)
@@ -81,6 +86,16 @@ pub(crate) fn with_short_logs(node: NodeId) -> RaftSettings {
 impl Fleet {
     /// Starts `size` nodes and bootstraps the cluster; there is no leader yet.
     pub(crate) async fn bootstrapped(seed: u64, size: usize, settings: fn(NodeId) -> RaftSettings) -> Fleet {
+        Fleet::bootstrapped_on(seed, size, settings, Box::new(|bus| bus)).await
+    }
+
+    /// Same, with a layer over the bus of each node.
+    pub(crate) async fn bootstrapped_on(
+        seed: u64,
+        size: usize,
+        settings: fn(NodeId) -> RaftSettings,
+        bus_layer: BusLayer,
+    ) -> Fleet {
         let mut fleet = Fleet {
             seed,
             network: VirtualNetwork::new(seed, LinkModel::LAN),
@@ -89,6 +104,7 @@ impl Fleet {
             log_stores: BTreeMap::new(),
             started_at: Instant::now(),
             starts: 0,
+            bus_layer,
         };
         for name in &NAMES[..size] {
             fleet.start_empty(name).await;
@@ -112,7 +128,7 @@ impl Fleet {
         self.starts += 1;
         let seed = self.seed.wrapping_mul(1000) + self.starts;
         let log_store: Arc<dyn LogStore> = Arc::new(self.log_stores[&node(name)].clone());
-        let bus: SharedBus = Arc::new(self.network.bus(node(name)));
+        let bus = (self.bus_layer)(Arc::new(self.network.bus(node(name))));
         let replica = Replica::start((self.settings)(node(name)), bus, log_store, seed).await.expect("a start");
         let id = replica.id();
         self.replicas.insert(node(name), replica);

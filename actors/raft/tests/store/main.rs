@@ -1,7 +1,9 @@
 //! Durable store: reading returns exactly the written data, or an error.
 
 use consort_protocol::ids::{FleetId, NodeId};
-use consort_raft::store::{COMMIT_MARKER_FILE, CheckpointStore, DurableStore, LEDGER_FILE, OpenError, StoreOwner};
+use consort_raft::store::{
+    COMMIT_MARKER_FILE, CheckpointStore, DurableStore, LEDGER_FILE, OpenError, Quarantine, StoreOwner,
+};
 use consort_raft::{LogStore, PersistentState, StoreIdentity};
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -114,6 +116,84 @@ fn written_data_is_read_back_after_a_restart() {
     block_on(store.write(None)).expect("a write");
     drop(store);
     assert_eq!(block_on(open(&folder).expect("the same store").read()).expect("a checkpoint store"), None);
+}
+
+/// Opens a store, and replaces it if it is damaged.
+fn open_or_replace(folder: &Path, fresh: u128) -> (DurableStore, Option<Quarantine>) {
+    DurableStore::open_or_replace(folder, &owner("ada"), StoreIdentity(fresh)).expect("a store")
+}
+
+#[test]
+fn a_damaged_store_is_moved_away_and_replaced_by_an_empty_one() {
+    let folder = TempDir::new();
+    let (store, quarantine) = open_or_replace(&folder, 1);
+    assert!(quarantine.is_none() && !store.replaces_damaged());
+    assert_eq!(store.begin_incarnation(5000).expect("a write"), 5000);
+    block_on(write_all_kinds(&store, 3));
+    drop(store);
+    assert!(open_or_replace(&folder, 2).1.is_none(), "an undamaged store is not replaced");
+
+    // Two acknowledged writes are missing from the file: an older copy.
+    let older = fs::read(folder.join(LEDGER_FILE)).expect("a file");
+    let (store, _) = open_or_replace(&folder, 2);
+    block_on(store.save_vote(vec![1])).expect("a write");
+    block_on(store.save_vote(vec![2])).expect("a write");
+    drop(store);
+    fs::write(folder.join(LEDGER_FILE), &older).expect("a file");
+    let (store, quarantine) = open_or_replace(&folder, 3);
+    let Quarantine { damage, moved_to, .. } = quarantine.expect("damage");
+    assert!(damage.contains("an older copy"), "{damage}");
+    assert_eq!(moved_to, folder.join("damaged-1"));
+    assert!(fs::read(moved_to.join(LEDGER_FILE)).expect("the former file").starts_with(b"redb"));
+    assert!(moved_to.join(COMMIT_MARKER_FILE).exists());
+    assert_eq!(block_on(contents(&store)), (StoreIdentity(3), PersistentState::default(), None));
+    assert!(store.replaces_damaged());
+    // The clock was set back as well.
+    assert_eq!(store.begin_incarnation(4000).expect("a write"), 5001);
+    drop(store);
+    let (store, quarantine) = open_or_replace(&folder, 4);
+    assert!(quarantine.is_none() && store.replaces_damaged() && store.identity() == StoreIdentity(3));
+    drop(store);
+
+    // Damaged again.
+    fs::write(folder.join(LEDGER_FILE), b"redb, but nothing else").expect("a file");
+    let (store, quarantine) = open_or_replace(&folder, 5);
+    assert_eq!(quarantine.expect("damage").moved_to, folder.join("damaged-2"));
+    assert_eq!(store.identity(), StoreIdentity(5));
+}
+
+/// Every state that an interrupted replacement leaves behind.
+#[test]
+fn an_interrupted_replacement_never_leaves_a_new_store() {
+    let folder = TempDir::new();
+    block_on(write_all_kinds(&open(&folder).expect("a store"), 4));
+    let [ledger, marker] = [LEDGER_FILE, COMMIT_MARKER_FILE].map(|name| fs::read(folder.join(name)).expect("a file"));
+    let damaged = &ledger[..ledger.len() / 2];
+    let replacement = TempDir::new();
+    fs::write(replacement.join(LEDGER_FILE), damaged).expect("a file");
+    fs::write(replacement.join(COMMIT_MARKER_FILE), &marker).expect("a file");
+    drop(open_or_replace(&replacement, 7));
+    let new_ledger = fs::read(replacement.join(LEDGER_FILE)).expect("a file");
+    let moments = [
+        ("before the first move", Some(damaged), Some(&marker)),
+        ("the ledger is moved", None, Some(&marker)),
+        ("the new ledger is in place", Some(&new_ledger[..]), Some(&marker)),
+        ("the marker is moved", Some(&new_ledger[..]), None),
+    ];
+    for (moment, ledger, marker) in moments {
+        let folder = TempDir::new();
+        fs::create_dir(folder.join("damaged-1")).expect("a folder");
+        fs::write(folder.join("ledger.redb.new"), &new_ledger[..200]).expect("a file");
+        if let Some(bytes) = ledger {
+            fs::write(folder.join(LEDGER_FILE), bytes).expect("a file");
+        }
+        if let Some(bytes) = marker {
+            fs::write(folder.join(COMMIT_MARKER_FILE), bytes).expect("a file");
+        }
+        let (store, _) = open_or_replace(&folder, 8);
+        assert!(store.replaces_damaged(), "{moment}");
+        assert_eq!(block_on(contents(&store)).1, PersistentState::default(), "{moment}");
+    }
 }
 
 #[test]

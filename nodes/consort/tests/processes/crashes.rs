@@ -2,6 +2,7 @@
 
 use crate::demo::each_once;
 use crate::support::{Client, Fleet, LONG, example, until};
+use consort_raft::store::LEDGER_FILE;
 use serde_json::Value;
 use toml::Table;
 
@@ -276,4 +277,38 @@ fn the_fleet_continues_after_a_restart_of_the_world() {
     let second = submit(&client, "after");
     completes(&mut client, &second);
     fleet.stop();
+}
+
+/// Damages the ledger file of a stopped node.
+fn damage_ledger(fleet: &Fleet, node: &str) {
+    let path = fleet.path(&format!("{node}-data")).join(LEDGER_FILE);
+    let mut bytes = std::fs::read(&path).expect("a ledger");
+    for byte in bytes.iter_mut().skip(4096) {
+        *byte ^= 0x55;
+    }
+    std::fs::write(&path, bytes).expect("a ledger");
+}
+
+#[test]
+fn a_voter_with_a_damaged_store_joins_again() {
+    let mut fleet = start_voters("damage", 20.0);
+    let client = Client::open(&fleet.address("world"), "damage");
+    let leader = coordinator(&client);
+    let first = submit(&client, "first");
+    let victim = STATIONS.into_iter().find(|name| *name != leader).expect("three stations");
+    fleet.kill(victim);
+    damage_ledger(&fleet, victim);
+    let mut observer = Client::open(&fleet.address("world"), "damage");
+    fleet.start_again(victim);
+    // The coordinator replaces the former member of this name by the new one.
+    let reason = format!("{victim} came back with an empty store: {victim} replaces it");
+    observer.wait_for_event("the node is a voter again", LONG, |event| {
+        event["event"] == "voters" && event["reason"] == *reason
+    });
+    assert!(fleet.path(&format!("{victim}-data")).join("damaged-1").join(LEDGER_FILE).exists());
+    // Two of three voters are a majority: the other one, and the one that was rebuilt.
+    fleet.kill(&leader);
+    let second = submit(&client, "second");
+    let known = |mission: &str| !client.view(&format!("mission/{mission}"))["state"].is_null();
+    assert!(known(&first) && known(&second));
 }

@@ -34,11 +34,22 @@ impl DirectoryLock {
 pub(super) fn create(directory: &Path, owner: &StoreOwner, identity: StoreIdentity) -> Result<(), OpenError> {
     let ledger = directory.join(LEDGER_FILE);
     let unfinished = with_suffix(&ledger, "new");
-    // Left by an interrupted creation; nothing was acknowledged on it.
-    let _ = fs::remove_file(&unfinished);
-    let created = backend(&unfinished, true).and_then(|file| LedgerFile::create(file, owner, identity)).map(drop);
-    created.and_then(|()| rename_durably(&unfinished, &ledger)).map_err(|error| OpenError::io(&ledger, error))?;
+    let created = create_ledger_file(&unfinished, owner, identity, None);
+    created.and_then(|()| move_file(&unfinished, &ledger)).map_err(|error| OpenError::io(&ledger, error))?;
     create_commit_marker(directory, MarkerRecord { identity, commits: 1 })
+}
+
+/// Creates the ledger file of an empty store. A store that replaces a damaged store gets the last
+/// incarnation of that store.
+pub(super) fn create_ledger_file(
+    path: &Path,
+    owner: &StoreOwner,
+    identity: StoreIdentity,
+    replaced: Option<u64>,
+) -> io::Result<()> {
+    // Left by an interrupted creation; nothing was acknowledged on it.
+    let _ = fs::remove_file(path);
+    backend(path, true).and_then(|file| LedgerFile::create(file, owner, identity, replaced)).map(drop)
 }
 
 /// Creates the commit marker of a ledger file.
@@ -47,7 +58,7 @@ pub(super) fn create_commit_marker(directory: &Path, record: MarkerRecord) -> Re
     let unfinished = with_suffix(&marker, "new");
     let _ = fs::remove_file(&unfinished); // see above
     let created = backend(&unfinished, true).and_then(|file| CommitMarker::create(Box::new(file), record)).map(drop);
-    created.and_then(|()| rename_durably(&unfinished, &marker)).map_err(|error| OpenError::io(&marker, error))
+    created.and_then(|()| move_file(&unfinished, &marker)).map_err(|error| OpenError::io(&marker, error))
 }
 
 /// Appends `.` and `suffix` to the file name of `path`.
@@ -73,10 +84,11 @@ pub(super) fn backend(path: &Path, create: bool) -> io::Result<FileBackend> {
     FileBackend::new(file).map_err(|error| io::Error::other(error.to_string()))
 }
 
-/// Renames a complete file durably.
-fn rename_durably(from: &Path, to: &Path) -> io::Result<()> {
+/// Moves a complete file durably, within its file system.
+pub(super) fn move_file(from: &Path, to: &Path) -> io::Result<()> {
     fs::rename(from, to)?;
-    sync_directory_of(to)
+    sync_directory_of(to)?;
+    sync_directory_of(from)
 }
 
 /// Syncs the directory of a file, so that its name is on disk.

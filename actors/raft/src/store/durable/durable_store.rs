@@ -34,6 +34,7 @@ struct Shared {
     path: PathBuf,
     owner: StoreOwner,
     identity: StoreIdentity,
+    replaces_damaged: bool,
     queue: Mutex<Queue>,
     files: Mutex<Files>,
     /// Number of writes so far. The settling task compares it to detect a pause.
@@ -74,6 +75,7 @@ impl DurableStore {
             path: path.to_owned(),
             owner: ledger.owner().clone(),
             identity: ledger.identity(),
+            replaces_damaged: ledger.replaces_damaged(),
             queue: Mutex::default(),
             files: Mutex::new(Files { ledger, marker, failed: None }),
             writes: AtomicU64::default(),
@@ -266,6 +268,10 @@ impl LogStore for DurableStore {
 
     fn location(&self) -> String {
         self.shared.path.display().to_string()
+    }
+
+    fn replaces_damaged(&self) -> bool {
+        self.shared.replaces_damaged
     }
 
     fn repair_advice(&self) -> Option<&'static str> {

@@ -7,6 +7,7 @@
 
 use super::layout::StoreOwner;
 use crate::log_store::{PersistentState, StoreIdentity};
+use crate::storage::{SnapshotError, StoredSnapshot};
 use consort_protocol::ids::{FleetId, NodeId};
 use redb::{Database, ReadableDatabase, ReadableTable, StorageBackend, Table, TableDefinition};
 use std::io;
@@ -32,6 +33,8 @@ const COMMITTED_KEY: &str = "committed";
 const PURGED_KEY: &str = "purged";
 const SNAPSHOT_KEY: &str = "snapshot";
 const CHECKPOINT_KEY: &str = "page";
+/// Present if the store replaces a damaged store.
+const REPLACES_DAMAGED_KEY: &str = "replaces_damaged";
 
 /// Page cache in bytes. The replica keeps the log in memory, so little is read.
 const CACHE_BYTES: usize = 8 << 20;
@@ -65,6 +68,7 @@ pub(super) struct LedgerFile {
     database: Database,
     owner: StoreOwner,
     identity: StoreIdentity,
+    replaces_damaged: bool,
     commits: u64,
 }
 
@@ -105,20 +109,27 @@ fn malformed(name: &str) -> io::Error {
 }
 
 impl LedgerFile {
-    /// Creates a ledger file in an empty file, and syncs it to disk.
+    /// Creates a ledger file in an empty file, and syncs it to disk. If it replaces a damaged store,
+    /// `replaced` is the last incarnation of that store.
     pub(super) fn create(
         file: impl StorageBackend,
         owner: &StoreOwner,
         identity: StoreIdentity,
+        replaced: Option<u64>,
     ) -> io::Result<LedgerFile> {
         let mut builder = Database::builder();
         let database = builder.set_cache_size(CACHE_BYTES).create_with_backend(file).map_err(io_error)?;
-        let mut ledger = LedgerFile { database, owner: owner.clone(), identity, commits: 0 };
+        let mut ledger =
+            LedgerFile { database, owner: owner.clone(), identity, replaces_damaged: replaced.is_some(), commits: 0 };
         ledger.transact(|values, _| {
             values.insert(FORMAT_KEY, &FORMAT.to_be_bytes()[..]).map_err(io_error)?;
             values.insert(FLEET_KEY, owner.fleet.as_str().as_bytes()).map_err(io_error)?;
             values.insert(NODE_KEY, owner.node.as_str().as_bytes()).map_err(io_error)?;
             values.insert(IDENTITY_KEY, &identity.0.to_be_bytes()[..]).map_err(io_error)?;
+            if let Some(last_incarnation) = replaced {
+                values.insert(INCARNATION_KEY, &last_incarnation.to_be_bytes()[..]).map_err(io_error)?;
+                values.insert(REPLACES_DAMAGED_KEY, &[][..]).map_err(io_error)?;
+            }
             Ok(())
         })?;
         Ok(ledger)
@@ -173,8 +184,24 @@ impl LedgerFile {
         };
         let identity = value_of(IDENTITY_KEY)?.try_into().map_err(|_| malformed(IDENTITY_KEY))?;
         let commits = number(COMMITS_KEY, &value_of(COMMITS_KEY)?)?;
+        let replaces_damaged = values.get(REPLACES_DAMAGED_KEY).map_err(io_error)?.is_some();
+        let snapshot = values.get(SNAPSHOT_KEY).map_err(io_error)?;
+        snapshot.map_or(Ok(()), |bytes| check_snapshot(bytes.value()))?;
         drop((values, read_transaction));
-        Ok(LedgerFile { database, owner, identity: StoreIdentity(u128::from_be_bytes(identity)), commits })
+        let identity = StoreIdentity(u128::from_be_bytes(identity));
+        Ok(LedgerFile { database, owner, identity, replaces_damaged, commits })
+    }
+
+    /// Reads the last incarnation from a damaged file; 0 if it cannot be read.
+    pub(super) fn salvage_incarnation(file: impl StorageBackend) -> u64 {
+        let read = || -> io::Result<u64> {
+            let database = Database::builder().create_with_backend(file).map_err(io_error)?;
+            let read_transaction = database.begin_read().map_err(io_error)?;
+            let values = read_transaction.open_table(VALUES).map_err(io_error)?;
+            let value = values.get(INCARNATION_KEY).map_err(io_error)?;
+            value.map_or(Ok(0), |bytes| number(INCARNATION_KEY, bytes.value()))
+        };
+        catch_unwind(AssertUnwindSafe(read)).ok().and_then(Result::ok).unwrap_or(0)
     }
 
     pub(super) fn owner(&self) -> &StoreOwner {
@@ -183,6 +210,11 @@ impl LedgerFile {
 
     pub(super) fn identity(&self) -> StoreIdentity {
         self.identity
+    }
+
+    /// Checks whether the store replaces a damaged store.
+    pub(super) fn replaces_damaged(&self) -> bool {
+        self.replaces_damaged
     }
 
     /// Returns the number of the last write.
@@ -246,6 +278,15 @@ impl LedgerFile {
         write_transaction.commit().map_err(io_error)?;
         self.commits = commits;
         Ok(())
+    }
+}
+
+/// Checks the checksum of the stored snapshot. A snapshot of another layout belongs to another release; the
+/// replica reports it.
+fn check_snapshot(bytes: &[u8]) -> io::Result<()> {
+    match StoredSnapshot::decode(bytes) {
+        Err(SnapshotError::Damaged(id)) => Err(SnapshotError::Damaged(id).into()),
+        Ok(_) | Err(SnapshotError::Undecodable(_)) => Ok(()),
     }
 }
 

@@ -4,6 +4,7 @@
 //!   DATA_DIR/ledger.redb   log, vote, snapshot, and the checkpoint of the robot
 //!            ledger.seal   commit marker: owner of the ledger, and last write known to be on disk (see `commit_marker`)
 //!            lock          held by the only process that may write
+//!            damaged-N/    former files that were damaged (see `quarantine`)
 //! ```
 //!
 //! Guarantees:
@@ -15,7 +16,8 @@
 //!   the store is opened, pages are verified by their checksums, and the last write by the commit
 //!   marker. A single case is left: damage to the very last write before a *power* failure, within
 //!   `SETTLE_DELAY` of it, looks like an unfinished write.
-//! - A directory that once contained a ledger is never treated as a new directory.
+//! - A directory that once contained a ledger is never treated as a new directory: the store that replaces a
+//!   damaged store bootstraps no cluster.
 
 mod commit_marker;
 mod directory;
@@ -24,9 +26,11 @@ mod layout;
 mod ledger_file;
 mod open;
 mod open_error;
+mod quarantine;
 
 pub use durable_store::DurableStore;
 pub use layout::{COMMIT_MARKER_FILE, LEDGER_FILE, StoreOwner};
 pub use open_error::{OpenError, REPAIR_ADVICE};
+pub use quarantine::Quarantine;
 #[cfg(feature = "test-util")]
 pub use redb::StorageBackend;

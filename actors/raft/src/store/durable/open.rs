@@ -16,7 +16,7 @@ impl DurableStore {
     /// identity `fresh`, which must be drawn anew for each call.
     ///
     /// # Errors
-    /// [`OpenError`]; a damaged store is never replaced by an empty store.
+    /// [`OpenError`]; a damaged store is not replaced by an empty store.
     pub fn open(folder: &Path, owner: &StoreOwner, fresh: StoreIdentity) -> Result<DurableStore, OpenError> {
         fs::create_dir_all(folder).map_err(|error| OpenError::io(folder, error))?;
         let lock = DirectoryLock::acquire(folder)?;
@@ -56,7 +56,7 @@ impl DurableStore {
         let length = |path, file: &dyn StorageBackend| file.len().map_err(|error| OpenError::io(path, error));
         let is_new = length(ledger_path, &ledger)? == 0 && length(marker_path, &marker)? == 0;
         let (file, marker) = if is_new {
-            let file = LedgerFile::create(ledger, owner, fresh);
+            let file = LedgerFile::create(ledger, owner, fresh, None);
             let file = file.map_err(|error| OpenError::io(ledger_path, error))?;
             let marker =
                 CommitMarker::create(Box::new(marker), MarkerRecord { identity: fresh, commits: file.commits() });
