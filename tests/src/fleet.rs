@@ -22,7 +22,7 @@ use consort_world::SharedWorld;
 use consort_world::map;
 use consort_world::world::{LoggedEvent, PersonSetup, World, WorldSetup};
 use serde_json::Value;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::AbortHandle;
@@ -56,6 +56,8 @@ pub struct Fleet {
     options: NodeOptions,
     /// Tasks that record the leadership views of nodes.
     followers: BTreeMap<String, AbortHandle>,
+    /// Nodes with a disk that cannot be written; each may end by itself.
+    pub(crate) unwritable: BTreeSet<String>,
     /// Certificates of the nodes, if the fleet is closed.
     pub credentials: Option<Credentials>,
     /// Signing buses of the nodes of a closed fleet.
@@ -199,6 +201,7 @@ impl Fleet {
             stores: BTreeMap::new(),
             options,
             followers: BTreeMap::new(),
+            unwritable: BTreeSet::new(),
             credentials,
             signing_buses: BTreeMap::new(),
         };

@@ -34,6 +34,8 @@ pub(crate) fn ward(skills: &[&str], bootstrap_expect: usize) -> FleetSettings {
         voters: VOTERS,
         autopilot_rule: autopilot::decide,
         dead_after: Timing::Lan.parameters().dead_after,
+        snapshot_every: consort_raft::SNAPSHOT_EVERY,
+        log_entries_kept: consort_raft::LOG_ENTRIES_KEPT,
         map: Some(Arc::new(shipped("hospital").expect("it is shipped").to_view())),
     }
 }

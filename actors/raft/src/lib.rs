@@ -55,6 +55,6 @@ pub use leadership_view::LeadershipView;
 pub use log_store::{LogStore, MemoryLogStore, PersistentState, StoreIdentity};
 pub use offline_recovery::{LogStoreContents, inspect_log_store, recover_as_only_voter};
 pub use replica::Replica;
-pub use settings::{RaftSettings, RaftSettingsError};
+pub use settings::{LOG_ENTRIES_KEPT, RaftSettings, RaftSettingsError, SNAPSHOT_EVERY};
 pub use storage::ApplyObserver;
 pub use types::{Epoch, LeaderId, RaftId, StateMachine};

@@ -50,6 +50,12 @@ pub struct RaftSettings {
     pub log_entries_kept: u64,
 }
 
+/// Default number of applied entries after which a snapshot is taken.
+pub const SNAPSHOT_EVERY: u64 = 5000;
+
+/// Default number of entries kept in the log although a snapshot covers them.
+pub const LOG_ENTRIES_KEPT: u64 = 1000;
+
 impl RaftSettings {
     /// Creates the default settings for `node` of `fleet`, with the times of [`Timing::Lan`].
     pub fn new(fleet: FleetId, node: NodeId) -> Self {
@@ -61,8 +67,8 @@ impl RaftSettings {
             election_min: parameters.election_min,
             election_max: parameters.election_max,
             check_quorum_timeout: parameters.election_min,
-            snapshot_every: 5000,
-            log_entries_kept: 1000,
+            snapshot_every: SNAPSHOT_EVERY,
+            log_entries_kept: LOG_ENTRIES_KEPT,
         };
         settings.with_timing(Timing::Lan)
     }

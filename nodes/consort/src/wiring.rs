@@ -143,6 +143,8 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         voters: config.voters,
         autopilot_rule: autopilot::decide,
         dead_after: config.times().dead_after,
+        snapshot_every: consort_raft::SNAPSHOT_EVERY,
+        log_entries_kept: consort_raft::LOG_ENTRIES_KEPT,
         map: None,
     })
 }

@@ -5,6 +5,7 @@ use super::fault_injector::{DATE_MS, FaultInjector};
 use super::hostile::HostileNode;
 use super::run_counters::millis;
 use super::schedule::{ChaosAction, DiskAfterCrash};
+use crate::disk::DiskFault;
 use crate::{Fleet, Observation, slug};
 use consort_bus::{Bus, BusError, LinkModel, Reply, Stream};
 use consort_protocol::ids::NodeId;
@@ -36,6 +37,7 @@ pub(super) struct ActionExecutor {
     cuts: BTreeMap<usize, Vec<(String, String)>>,
     weather: BTreeMap<usize, LinkModel>,
     slow: BTreeMap<usize, (String, u64)>,
+    disk_faults: BTreeMap<usize, (String, DiskFault)>,
     paused: BTreeMap<usize, String>,
     hostile: BTreeMap<usize, HostileNode>,
     /// Robots with a drained battery.
@@ -53,6 +55,7 @@ impl ActionExecutor {
             cuts: BTreeMap::new(),
             weather: BTreeMap::new(),
             slow: BTreeMap::new(),
+            disk_faults: BTreeMap::new(),
             paused: BTreeMap::new(),
             hostile: BTreeMap::new(),
             flat: BTreeSet::new(),
@@ -129,6 +132,15 @@ impl ActionExecutor {
                 self.slow.insert(number, (node.clone(), *write_ms));
                 self.change_disks();
             }
+            // The disk of a node that is down is healthy when it starts again.
+            ChaosAction::Disk { node, fault, .. } if fleet.nodes.contains_key(node) => {
+                self.injector.disk(node).set_fault(Some(*fault));
+                if matches!(fault, DiskFault::Fails | DiskFault::Full) {
+                    fleet.unwritable.insert(node.clone());
+                }
+                self.disk_faults.insert(number, (node.clone(), *fault));
+            }
+            ChaosAction::Disk { .. } => {}
             ChaosAction::Drift { .. } => {} // in effect from the start: see `FaultInjector`
             ChaosAction::Battery { robot } => {
                 let charge = BatteryShare::new(0.04).expect("a share");
@@ -169,6 +181,9 @@ impl ActionExecutor {
         if self.weather.remove(&number).is_some() {
             self.change_weather(fleet);
         }
+        if let Some((node, fault)) = self.disk_faults.remove(&number) {
+            self.end_disk_fault(fleet, number, &node, fault).await;
+        }
         if let Some((node, _)) = self.slow.remove(&number) {
             self.injector.disk(&node).set_slow(None);
             self.change_disks();
@@ -180,7 +195,7 @@ impl ActionExecutor {
         let numbers: BTreeSet<usize> = (self.down.keys().chain(self.paused.keys()))
             .chain(self.partitions.keys().chain(self.cuts.keys()))
             .chain(self.weather.keys().chain(self.slow.keys()))
-            .chain(self.hostile.keys())
+            .chain(self.hostile.keys().chain(self.disk_faults.keys()))
             .copied()
             .collect();
         for number in numbers {
@@ -199,7 +214,7 @@ impl ActionExecutor {
                 continue; // down already
             }
             fleet.kill(node).await;
-            self.injector.disk(node).crash(disk.unsynced_writes());
+            self.injector.disk(node).crash(disk.effect());
             if disk == DiskAfterCrash::Empty {
                 self.injector.lose_disk(node);
             }
@@ -207,9 +222,24 @@ impl ActionExecutor {
         }
     }
 
+    /// Ends the fault of a disk, and restarts its node unless its store can still be written.
+    async fn end_disk_fault(&mut self, fleet: &mut Fleet, number: usize, node: &str, fault: DiskFault) {
+        let after = match fault {
+            DiskFault::Hangs => return self.injector.disk(node).set_fault(None),
+            DiskFault::Fails | DiskFault::Full => DiskAfterCrash::Kept,
+            DiskFault::Lies => DiskAfterCrash::Torn,
+        };
+        if self.injector.disk(node).has_fault() && fleet.nodes.contains_key(node) {
+            self.crash(fleet, number, &[node.to_owned()], after).await;
+            self.down.remove(&number);
+            self.start(fleet, node).await;
+        }
+    }
+
     /// Starts or restarts a node and records its leadership view.
     pub(super) async fn start(&mut self, fleet: &mut Fleet, node: &str) {
         fleet.event_log.add(Observation::TestAction { node: slug(node), action: "starts again" });
+        fleet.unwritable.remove(node);
         let known = self.composition.nodes().into_iter().find(|known| *known == node).expect("a node of the fleet");
         if known == WORLD {
             fleet.start_world().await;

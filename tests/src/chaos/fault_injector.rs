@@ -12,6 +12,8 @@ use consort_skills::environment::Environment;
 use consort_skills::library::SkillLibrary;
 use consort_skills::skill::TaskContext;
 use consort_world::map;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
@@ -34,6 +36,9 @@ pub(super) struct FaultInjector(Rc<RefCell<Parts>>);
 struct Parts {
     started: Instant,
     seed: u64,
+    /// Entries between two snapshots, and entries kept behind a snapshot: few, so that every run contains
+    /// snapshots and purges.
+    log_retention: (u64, u64),
     disks: BTreeMap<String, VirtualDisk>,
     /// Number of disks created so far.
     created_disks: u64,
@@ -56,7 +61,10 @@ impl FaultInjector {
         let library = |faults: &FaultQueue| Arc::new(faulty_library(environment.clone(), faults));
         let libraries = faults.iter().map(|(robot, faults)| (robot.clone(), library(faults))).collect();
         let (started, disks, created_disks) = (Instant::now(), BTreeMap::new(), 0);
-        FaultInjector(Rc::new(RefCell::new(Parts { started, seed, disks, created_disks, rates, faults, libraries })))
+        let mut chance = ChaCha8Rng::seed_from_u64(seed ^ 0x5a_a95_407);
+        let log_retention = (chance.random_range(5..=50), chance.random_range(0..=20));
+        let parts = Parts { started, seed, log_retention, disks, created_disks, rates, faults, libraries };
+        FaultInjector(Rc::new(RefCell::new(parts)))
     }
 
     /// Returns a function that applies the faults to the settings of a node.
@@ -69,6 +77,7 @@ impl FaultInjector {
         let node = settings.node.to_string();
         settings.store = self.disk(&node).store();
         let parts = self.0.borrow();
+        (settings.fleet.snapshot_every, settings.fleet.log_entries_kept) = parts.log_retention;
         let date = DATE_MS + u64::try_from(parts.started.elapsed().as_millis()).unwrap_or(u64::MAX);
         settings.clock = Clock::virtual_at(date).drifting(parts.rates.get(&node).copied().unwrap_or(1.0));
         if let (Some(robot), Some(library)) = (&mut settings.robot, parts.libraries.get(&node)) {

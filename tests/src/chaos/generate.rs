@@ -2,6 +2,7 @@
 
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, WORLD};
 use super::schedule::{ChaosAction, DiskAfterCrash, FaultKind, Schedule, ScheduledAction, SkillFault};
+use crate::disk::DiskFault;
 use consort_protocol::trust::NodeRole;
 use rand::seq::{IndexedMutRandom, IndexedRandom, SliceRandom};
 use rand::{RngExt, SeedableRng};
@@ -23,6 +24,16 @@ const AWAY_MS: Range<u64> = 15_000..30_000;
 const HOSTILE_ROLES: [Option<NodeRole>; 4] =
     [Some(NodeRole::Robot), Some(NodeRole::Host), Some(NodeRole::Dashboard), None];
 
+/// Faults of which each run has one or two.
+const RARE: [FaultKind; 6] = [
+    FaultKind::CrashDamaged,
+    FaultKind::DiskFails,
+    FaultKind::DiskFull,
+    FaultKind::DiskHangs,
+    FaultKind::DiskLies,
+    FaultKind::LeaseEnd,
+];
+
 /// Generates a schedule with faults of these kinds for a fleet that runs for `minutes`.
 pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[FaultKind]) -> Schedule {
     let chance = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed_0fc4_a05f);
@@ -36,8 +47,9 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
         drained: vec![],
     };
     draw.requests(minutes);
-    // Hostile nodes are drawn separately, below.
-    let kinds_of_faults: Vec<_> = kinds.iter().filter(|kind| **kind != FaultKind::Hostile).collect();
+    // Hostile nodes and the faults of `RARE` are drawn separately, below.
+    let (rare, kinds_of_faults): (Vec<&FaultKind>, Vec<&FaultKind>) =
+        kinds.iter().filter(|kind| **kind != FaultKind::Hostile).partition(|kind| RARE.contains(*kind));
     if !kinds_of_faults.is_empty() {
         // On average about one fault in twenty seconds; some runs have far fewer, some far more.
         let most = (draw.end_ms / 12_000).max(2);
@@ -55,6 +67,13 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
     }
     if kinds.contains(&FaultKind::Partition) {
         draw.isolate_carrier();
+    }
+    draw.chance = ChaCha8Rng::seed_from_u64(seed ^ 0xd15c_fa17);
+    if !rare.is_empty() {
+        for _ in 0..draw.chance.random_range(1..=2) {
+            let kind = **rare.choose(&mut draw.chance).expect("there are some");
+            draw.fault(kind);
+        }
     }
     Schedule { steps: draw.steps }.in_order()
 }
@@ -169,7 +188,17 @@ impl Draw<'_> {
                 self.slow_disk_before(&node, at_ms);
                 ChaosAction::Crash { node, disk: DiskAfterCrash::Torn, for_ms }
             }
-            FaultKind::CrashEmpty => return self.lose_disk(for_ms),
+            FaultKind::CrashEmpty => return self.lose_disk(DiskAfterCrash::Empty, for_ms),
+            FaultKind::CrashDamaged => return self.lose_disk(DiskAfterCrash::Damaged, for_ms),
+            FaultKind::DiskFails => ChaosAction::Disk { node: self.voter(), fault: DiskFault::Fails, for_ms },
+            FaultKind::DiskFull => ChaosAction::Disk { node: self.voter(), fault: DiskFault::Full, for_ms },
+            FaultKind::DiskHangs => ChaosAction::Disk { node: self.voter(), fault: DiskFault::Hangs, for_ms },
+            // Writes that were acknowledged are lost: the store is replaced.
+            FaultKind::DiskLies => {
+                let node = self.disk_to_lose()?;
+                ChaosAction::Disk { node, fault: DiskFault::Lies, for_ms }
+            }
+            FaultKind::LeaseEnd => return self.lease_end(at_ms),
             FaultKind::CoordinatorCrash => {
                 let disk = if self.chance.random_bool(0.5) { DiskAfterCrash::Kept } else { DiskAfterCrash::Torn };
                 ChaosAction::Crash { node: "coordinator".to_owned(), disk, for_ms }
@@ -256,15 +285,35 @@ impl Draw<'_> {
         }
     }
 
-    /// Draws the loss of a disk, unless too few disks would be left for a majority of the voters.
-    fn lose_disk(&mut self, for_ms: u64) -> Option<ChaosAction> {
+    /// Draws the loss of a disk's content.
+    fn lose_disk(&mut self, disk: DiskAfterCrash, for_ms: u64) -> Option<ChaosAction> {
+        let node = self.disk_to_lose()?;
+        Some(ChaosAction::Crash { node, disk, for_ms })
+    }
+
+    /// Draws a voter that loses its disk, unless too few disks would be left for a majority of the voters.
+    fn disk_to_lose(&mut self) -> Option<String> {
         let voters = self.composition.voters();
         let node = *voters.choose(&mut self.chance).expect("a fleet has voters");
         if self.lost_disks.contains(&node) || (self.lost_disks.len() + 1) * 2 >= voters.len() {
             return None;
         }
         self.lost_disks.push(node);
-        Some(ChaosAction::Crash { node: node.to_owned(), disk: DiskAfterCrash::Empty, for_ms })
+        Some(node.to_owned())
+    }
+
+    /// Isolates a carrier with its driver, and kills the carrier's node around the end of its lease. Only
+    /// the driver can stop the body then.
+    fn lease_end(&mut self, at_ms: u64) -> Option<ChaosAction> {
+        let for_ms = self.chance.random_range(AWAY_MS).min(self.end_ms.saturating_sub(at_ms));
+        let groups = self.carrier_groups(self.composition.nodes().into_iter().map(str::to_owned).collect());
+        let carrier = groups.last()?.iter().find(|node| *node != WORLD)?.clone();
+        let killed_at = at_ms + self.chance.random_range(2_500..4_500);
+        let crash = ChaosAction::Crash { node: carrier, disk: DiskAfterCrash::Kept, for_ms: for_ms / 2 };
+        if killed_at + for_ms / 2 < self.end_ms {
+            self.steps.push(ScheduledAction { at_ms: killed_at, action: crash });
+        }
+        Some(ChaosAction::Partition { groups, for_ms })
     }
 
     fn groups(&mut self) -> Vec<Vec<String>> {
@@ -355,9 +404,13 @@ mod tests {
     fn faults_spare_a_majority_of_disks_and_a_carrier() {
         let composition = ChaosFleet::of(7);
         for seed in 0..500 {
-            let steps = generate(seed, &composition, 5.0, &[FaultKind::CrashEmpty, FaultKind::Battery]).steps;
-            let lost =
-                |step: &&ScheduledAction| matches!(step.action, ChaosAction::Crash { disk: DiskAfterCrash::Empty, .. });
+            let kinds = [FaultKind::CrashEmpty, FaultKind::CrashDamaged, FaultKind::DiskLies, FaultKind::Battery];
+            let steps = generate(seed, &composition, 5.0, &kinds).steps;
+            let lost = |step: &&ScheduledAction| match step.action {
+                ChaosAction::Crash { disk, .. } => matches!(disk, DiskAfterCrash::Empty | DiskAfterCrash::Damaged),
+                ChaosAction::Disk { fault, .. } => fault == DiskFault::Lies,
+                _ => false,
+            };
             let drained = |step: &&ScheduledAction| matches!(step.action, ChaosAction::Battery { .. });
             assert!(steps.iter().filter(lost).count() <= 2, "seed {seed}");
             assert!(steps.iter().filter(drained).count() <= 2, "seed {seed}");

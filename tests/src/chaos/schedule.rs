@@ -1,7 +1,7 @@
 //! Schedules of actions as plain data that can be stored, shrunk and replayed.
 
 use super::chaos_fleet::MISSIONS;
-use crate::disk::UnsyncedWrites;
+use crate::disk::{CrashEffect, DiskFault};
 use consort_protocol::trust::NodeRole;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Display};
@@ -116,6 +116,16 @@ pub enum ChaosAction {
         /// Duration in milliseconds.
         for_ms: u64,
     },
+    /// The disk of a node has a fault, until a restart of the node or the end of the action. A node that
+    /// could not write, or whose writes were not synced, is restarted at the end.
+    Disk {
+        /// The node.
+        node: String,
+        /// The fault.
+        fault: DiskFault,
+        /// Duration in milliseconds.
+        for_ms: u64,
+    },
     /// The clock of a node is fast or slow from its first start on.
     Drift {
         /// The node.
@@ -175,16 +185,19 @@ pub enum DiskAfterCrash {
     Kept,
     /// All acknowledged writes are kept, and a random part of the others.
     Torn,
+    /// All writes are kept, and the ledger file is damaged afterwards.
+    Damaged,
     /// The node starts with an empty disk.
     Empty,
 }
 
 impl DiskAfterCrash {
-    /// Returns the effect on queued writes.
-    pub(crate) fn unsynced_writes(self) -> UnsyncedWrites {
+    /// Returns the effect on the files.
+    pub(crate) fn effect(self) -> CrashEffect {
         match self {
-            DiskAfterCrash::Kept => UnsyncedWrites::AllKept,
-            DiskAfterCrash::Torn | DiskAfterCrash::Empty => UnsyncedWrites::SomeLost,
+            DiskAfterCrash::Kept => CrashEffect::Kill,
+            DiskAfterCrash::Torn | DiskAfterCrash::Empty => CrashEffect::PowerFailure,
+            DiskAfterCrash::Damaged => CrashEffect::Damage,
         }
     }
 }
@@ -224,11 +237,17 @@ pub enum FaultKind {
     Battery,
     Skill,
     Hostile,
+    CrashDamaged,
+    DiskFails,
+    DiskFull,
+    DiskHangs,
+    DiskLies,
+    LeaseEnd,
 }
 
 impl FaultKind {
     /// All kinds except `None`.
-    pub const FAULTS: [FaultKind; 17] = [
+    pub const FAULTS: [FaultKind; 23] = [
         FaultKind::Crash,
         FaultKind::CrashTorn,
         FaultKind::CrashEmpty,
@@ -246,6 +265,12 @@ impl FaultKind {
         FaultKind::Battery,
         FaultKind::Skill,
         FaultKind::Hostile,
+        FaultKind::CrashDamaged,
+        FaultKind::DiskFails,
+        FaultKind::DiskFull,
+        FaultKind::DiskHangs,
+        FaultKind::DiskLies,
+        FaultKind::LeaseEnd,
     ];
 
     /// Returns its name on the command line.
@@ -269,6 +294,12 @@ impl FaultKind {
             FaultKind::Battery => "battery",
             FaultKind::Skill => "skill",
             FaultKind::Hostile => "hostile",
+            FaultKind::CrashDamaged => "crash-damaged",
+            FaultKind::DiskFails => "disk-fails",
+            FaultKind::DiskFull => "disk-full",
+            FaultKind::DiskHangs => "disk-hangs",
+            FaultKind::DiskLies => "disk-lies",
+            FaultKind::LeaseEnd => "lease-end",
         }
     }
 }
@@ -306,6 +337,7 @@ impl ChaosAction {
             | ChaosAction::Cut { for_ms, .. }
             | ChaosAction::Weather { for_ms, .. }
             | ChaosAction::SlowDisk { for_ms, .. }
+            | ChaosAction::Disk { for_ms, .. }
             | ChaosAction::Hostile { for_ms, .. } => Some(*for_ms),
             ChaosAction::Submit { .. }
             | ChaosAction::Cancel { .. }
@@ -332,6 +364,7 @@ impl ChaosAction {
             | ChaosAction::Cut { for_ms, .. }
             | ChaosAction::Weather { for_ms, .. }
             | ChaosAction::SlowDisk { for_ms, .. }
+            | ChaosAction::Disk { for_ms, .. }
             | ChaosAction::Hostile { for_ms, .. } => *for_ms = ms,
             ChaosAction::Submit { .. }
             | ChaosAction::Cancel { .. }
@@ -379,6 +412,7 @@ impl Display for ChaosAction {
         let fate = |disk: &DiskAfterCrash| match disk {
             DiskAfterCrash::Kept => "its disk kept",
             DiskAfterCrash::Torn => "its last unsynced writes lost",
+            DiskAfterCrash::Damaged => "its store damaged",
             DiskAfterCrash::Empty => "its disk lost",
         };
         match self {
@@ -409,6 +443,15 @@ impl Display for ChaosAction {
             ),
             ChaosAction::SlowDisk { node, write_ms, for_ms } => {
                 write!(f, "the disk of {node} takes up to {write_ms} ms a write {}", For(*for_ms))
+            }
+            ChaosAction::Disk { node, fault, for_ms } => {
+                let fault = match fault {
+                    DiskFault::Fails => "fails",
+                    DiskFault::Full => "is full",
+                    DiskFault::Hangs => "hangs",
+                    DiskFault::Lies => "does not sync",
+                };
+                write!(f, "the disk of {node} {fault} {}", For(*for_ms))
             }
             ChaosAction::Drift { node, rate } => write!(f, "the clock of {node} counts {rate:.4} s a second"),
             ChaosAction::Battery { robot } => write!(f, "the battery of {robot} runs down"),

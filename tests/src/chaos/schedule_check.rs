@@ -26,7 +26,9 @@ impl Schedule {
                 }
                 ChaosAction::Cancel { .. } | ChaosAction::Blackout { .. } | ChaosAction::Hostile { .. } => {}
                 ChaosAction::Crash { node, .. } => check_known(step, node, &nodes, &["coordinator"])?,
-                ChaosAction::Pause { node, .. } | ChaosAction::SlowDisk { node, .. } => {
+                ChaosAction::Pause { node, .. }
+                | ChaosAction::SlowDisk { node, .. }
+                | ChaosAction::Disk { node, .. } => {
                     check_known(step, node, &nodes, &[])?;
                 }
                 ChaosAction::Partition { groups, .. } => {

@@ -146,6 +146,8 @@ impl<'s> TrialRun<'s> {
             voters: STATIONS.len(),
             autopilot_rule: autopilot::decide,
             dead_after: times.dead_after,
+            snapshot_every: consort_raft::SNAPSHOT_EVERY,
+            log_entries_kept: consort_raft::LOG_ENTRIES_KEPT,
             map: None,
         };
         let network = VirtualNetwork::new(derive(seed, &["network"]), LinkModel::LAN);

@@ -145,7 +145,11 @@ async fn start_replica(
     seed: u64,
     observer: Option<SharedObserver>,
 ) -> Result<Replica<Ledger>, NodeError> {
-    let settings = RaftSettings::new(fleet.fleet.clone(), node.clone()).with_timing(fleet.timing);
+    let settings = RaftSettings {
+        snapshot_every: fleet.snapshot_every,
+        log_entries_kept: fleet.log_entries_kept,
+        ..RaftSettings::new(fleet.fleet.clone(), node.clone()).with_timing(fleet.timing)
+    };
     let applied = observer.map(|observer| {
         let node = node.clone();
         Arc::new(move |at, commands: &[Command]| observer.on_applied(&node, at, commands)) as ApplyObserver<Ledger>

@@ -57,6 +57,10 @@ pub struct FleetSettings {
     pub autopilot_rule: AutopilotRule,
     /// Time without contact after which the autopilot replaces a voter.
     pub dead_after: Duration,
+    /// Number of applied entries of the ledger after which a node takes a snapshot.
+    pub snapshot_every: u64,
+    /// Number of entries of the ledger that a node keeps although its snapshot covers them.
+    pub log_entries_kept: u64,
     /// The fleet's map, served as `view/map`. No decision depends on it.
     pub map: Option<Arc<MapView>>,
 }

@@ -1,18 +1,14 @@
 //! Power failures, killed processes and full disks, at any moment of a write.
 //!
-//! The disk is simulated: after a power failure, data that was written and not synced is on the
-//! disk or not, independently for each sector.
+//! The disk is simulated: see `SimulatedFile`.
 
 use super::{bytes, owner};
-use consort_raft::store::{DurableStore, OpenError, StorageBackend};
+use consort_raft::store::{DurableStore, OpenError, SimulatedFile, StorageBackend};
 use consort_raft::{LogStore, PersistentState, StoreIdentity};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use std::io;
 use std::sync::{Arc, Mutex};
-
-/// Unit that a disk writes atomically, in bytes.
-const SECTOR: usize = 512;
 
 /// A machine with two files. It can compute the content of its disk after a power failure at the
 /// present moment.
@@ -21,7 +17,7 @@ struct Machine(Arc<Mutex<Simulation>>);
 
 #[derive(Debug, Default)]
 struct Simulation {
-    files: [FileContent; 2],
+    files: [SimulatedFile; 2],
     /// Number of calls so far.
     calls: u64,
     /// Call numbers at which to take an image, in descending order.
@@ -31,21 +27,7 @@ struct Simulation {
     images: Vec<Image>,
     rng: Option<ChaCha8Rng>,
     /// Size limit of a file, in bytes.
-    size_max: Option<usize>,
-}
-
-#[derive(Debug, Clone, Default)]
-struct FileContent {
-    /// Content as seen by the process.
-    now: Vec<u8>,
-    synced: Vec<u8>,
-    unsynced: Vec<Unsynced>,
-}
-
-#[derive(Debug, Clone)]
-enum Unsynced {
-    Length(usize),
-    Write(usize, Vec<u8>),
+    size_max: Option<u64>,
 }
 
 /// Content of the files after a failure.
@@ -56,36 +38,6 @@ struct Image {
     kind: &'static str,
 }
 
-impl FileContent {
-    fn after_power_cut(&self, rng: &mut ChaCha8Rng) -> Vec<u8> {
-        let mut remaining = self.synced.clone();
-        let survival_chance = rng.random_range(0..=4_u8);
-        let mut survives = || rng.random_range(0..4) < survival_chance;
-        for operation in &self.unsynced {
-            match operation {
-                Unsynced::Length(length) => {
-                    if survives() {
-                        remaining.resize(*length, 0);
-                    }
-                }
-                Unsynced::Write(offset, data) => {
-                    let mut done = 0;
-                    while done < data.len() {
-                        let position = offset + done;
-                        let length = (SECTOR - position % SECTOR).min(data.len() - done);
-                        // There is nothing beyond the end of a file that did not grow.
-                        if survives() && position + length <= remaining.len() {
-                            remaining[position..position + length].copy_from_slice(&data[done..done + length]);
-                        }
-                        done += length;
-                    }
-                }
-            }
-        }
-        remaining
-    }
-}
-
 impl Simulation {
     fn count_call(&mut self) {
         self.calls += 1;
@@ -94,8 +46,8 @@ impl Simulation {
         }
         self.image_calls.pop();
         let rng = self.rng.as_mut().expect("a generator");
-        let after_power_cut = [0, 1].map(|file| self.files[file].after_power_cut(rng));
-        let after_kill = [0, 1].map(|file| self.files[file].now.clone());
+        let after_power_cut = [0, 1].map(|file| self.files[file].after_power_failure(rng));
+        let after_kill = [0, 1].map(|file| self.files[file].content().to_vec());
         for (files, kind) in [(after_power_cut, "power cut"), (after_kill, "kill")] {
             self.images.push(Image { files, acknowledged: self.acknowledged, kind });
         }
@@ -104,7 +56,7 @@ impl Simulation {
 
 impl Machine {
     fn with_files(files: [Vec<u8>; 2]) -> Machine {
-        let files = files.map(|now| FileContent { synced: now.clone(), now, unsynced: vec![] });
+        let files = files.map(SimulatedFile::with_content);
         Machine(Arc::new(Mutex::new(Simulation { files, ..Simulation::default() })))
     }
 
@@ -127,26 +79,19 @@ struct File {
 
 impl StorageBackend for File {
     fn len(&self) -> io::Result<u64> {
-        Ok(self.machine.simulation().files[self.index].now.len() as u64)
+        Ok(self.machine.simulation().files[self.index].content().len() as u64)
     }
 
     fn read(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
-        let simulation = self.machine.simulation();
-        let offset = usize::try_from(offset).expect("a small file");
-        let found = simulation.files[self.index].now.get(offset..offset + out.len());
-        out.copy_from_slice(found.ok_or(io::ErrorKind::UnexpectedEof)?);
-        Ok(())
+        self.machine.simulation().files[self.index].read(offset, out)
     }
 
     fn set_len(&self, len: u64) -> io::Result<()> {
         let mut simulation = self.machine.simulation();
-        let len = usize::try_from(len).expect("a small file");
         if simulation.size_max.is_some_and(|size_max| len > size_max) {
             return Err(io::Error::from_raw_os_error(28)); // ENOSPC
         }
-        let file = &mut simulation.files[self.index];
-        file.now.resize(len, 0);
-        file.unsynced.push(Unsynced::Length(len));
+        simulation.files[self.index].set_len(len)?;
         simulation.count_call();
         Ok(())
     }
@@ -154,19 +99,13 @@ impl StorageBackend for File {
     fn sync_data(&self) -> io::Result<()> {
         let mut simulation = self.machine.simulation();
         simulation.count_call();
-        let file = &mut simulation.files[self.index];
-        file.synced = file.now.clone();
-        file.unsynced.clear();
+        simulation.files[self.index].sync();
         Ok(())
     }
 
     fn write(&self, offset: u64, data: &[u8]) -> io::Result<()> {
         let mut simulation = self.machine.simulation();
-        let offset = usize::try_from(offset).expect("a small file");
-        let file = &mut simulation.files[self.index];
-        let target = file.now.get_mut(offset..offset + data.len()).ok_or(io::ErrorKind::UnexpectedEof)?;
-        target.copy_from_slice(data);
-        file.unsynced.push(Unsynced::Write(offset, data.to_vec()));
+        simulation.files[self.index].write(offset, data)?;
         simulation.count_call();
         Ok(())
     }
@@ -256,8 +195,8 @@ fn acknowledged_writes_survive_a_power_cut_at_any_moment() {
 fn a_store_on_a_full_disk_fails_and_loses_nothing() {
     let machine = Machine::default();
     let store = machine.open().expect("a store");
-    let calls_before = machine.simulation().files[0].now.len();
-    machine.simulation().size_max = Some(calls_before + 200_000);
+    let length_before = machine.simulation().files[0].content().len() as u64;
+    machine.simulation().size_max = Some(length_before + 200_000);
     let mut acknowledged = 0;
     let problem = super::block_on(async {
         loop {

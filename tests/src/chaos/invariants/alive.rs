@@ -1,7 +1,7 @@
 //! A node ends only when it is killed.
 //!
 //! By design, a failing actor ends its node, and the supervisor of the node restarts it. No fault
-//! of the network, of another node or of a slow disk may cause that.
+//! of the network, of another node or of a slow disk may cause that; a disk that cannot be written may.
 
 use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
@@ -15,8 +15,9 @@ impl Invariant for Alive {
     }
 
     fn observe(&mut self, _: Duration, _: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
-        match fleet.nodes.iter().find(|(_, node)| node.has_ended()) {
-            Some((name, _)) => Err(format!("the node {name} ended by itself").into()),
+        let ended = fleet.nodes.iter().filter(|(_, node)| node.has_ended());
+        match ended.filter(|(name, _)| !fleet.unwritable.contains(*name)).map(|(name, _)| name).next() {
+            Some(name) => Err(format!("the node {name} ended by itself").into()),
             None => Ok(()),
         }
     }

@@ -19,6 +19,10 @@ impl LogStore for FaultyLogStore {
         self.inner.identity()
     }
 
+    fn replaces_damaged(&self) -> bool {
+        self.inner.replaces_damaged()
+    }
+
     fn location(&self) -> String {
         self.inner.location()
     }

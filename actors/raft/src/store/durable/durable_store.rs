@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::oneshot;
-use tokio::task::{JoinError, spawn_blocking};
+use tokio::task::spawn_blocking;
 use tracing::warn;
 
 /// Delay after the last write before lagging data is written to disk as well. A guess: long
@@ -41,7 +41,7 @@ struct Shared {
     writes: AtomicU64,
     lagging_task_runs: AtomicBool,
     /// Released last.
-    _lock: Option<DirectoryLock>,
+    directory_lock: Option<DirectoryLock>,
 }
 
 /// Pending writes, in order.
@@ -80,7 +80,7 @@ impl DurableStore {
             files: Mutex::new(Files { ledger, marker, failed: None }),
             writes: AtomicU64::default(),
             lagging_task_runs: AtomicBool::default(),
-            _lock: directory_lock,
+            directory_lock,
         };
         DurableStore { shared: Arc::new(shared) }
     }
@@ -149,11 +149,20 @@ impl DurableStore {
         lock(&self.shared.queue).changes.push((change, sender));
         let shared = Arc::clone(&self.shared);
         // The first thread that gets the files writes all pending changes; the others then find
-        // nothing to do. It runs on a thread for blocking work, and not on a thread of this store,
-        // since virtual time stands still meanwhile.
-        spawn_blocking(move || shared.write_queued()).await.map_err(thread_failed)?;
+        // nothing to do.
+        self.run(move || shared.write_queued()).await?;
         self.write_lagging_soon();
         written.await.map_err(|_| io::Error::other("the write was abandoned"))?
+    }
+
+    /// Runs blocking work. Files are written on a thread for blocking work, and not on a thread of this
+    /// store, since virtual time stands still meanwhile. Simulated files do not block; writing them
+    /// at once keeps runs reproducible.
+    async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> io::Result<T> {
+        if self.shared.directory_lock.is_none() {
+            return Ok(work());
+        }
+        spawn_blocking(work).await.map_err(|error| io::Error::other(format!("the writing thread failed: {error}")))
     }
 
     /// Starts a task that writes lagging data to disk when there was no write for a while.
@@ -170,7 +179,8 @@ impl DurableStore {
                 let writes = shared.writes.load(Ordering::SeqCst);
                 if last_seen == Some(writes) {
                     shared.lagging_task_runs.store(false, Ordering::SeqCst);
-                    let result = spawn_blocking(move || shared.write_lagging()).await.map_err(thread_failed).flatten();
+                    let store = DurableStore { shared: Arc::clone(&shared) };
+                    let result = store.run(move || shared.write_lagging()).await.flatten();
                     if let Err(error) = result {
                         warn!(%error, "lagging data of the store was not written");
                     }
@@ -182,10 +192,6 @@ impl DurableStore {
             }
         });
     }
-}
-
-fn thread_failed(error: JoinError) -> io::Error {
-    io::Error::other(format!("the writing thread failed: {error}"))
 }
 
 impl Shared {
@@ -280,7 +286,7 @@ impl LogStore for DurableStore {
 
     async fn load(&self) -> io::Result<PersistentState> {
         let store = self.clone();
-        spawn_blocking(move || store.persistent_state()).await.map_err(thread_failed)?
+        self.run(move || store.persistent_state()).await?
     }
 
     async fn save_vote(&self, vote: Vec<u8>) -> io::Result<()> {
@@ -314,7 +320,7 @@ impl LogStore for DurableStore {
 impl CheckpointStore for DurableStore {
     async fn read(&self) -> io::Result<Option<Vec<u8>>> {
         let shared = Arc::clone(&self.shared);
-        spawn_blocking(move || lock(&shared.files).ledger.checkpoint()).await.map_err(thread_failed)?
+        self.run(move || lock(&shared.files).ledger.checkpoint()).await?
     }
 
     async fn write(&self, checkpoint: Option<Vec<u8>>) -> io::Result<()> {

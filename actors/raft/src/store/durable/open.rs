@@ -54,21 +54,36 @@ impl DurableStore {
     ) -> Result<DurableStore, OpenError> {
         let (ledger_path, marker_path) = (Path::new(LEDGER_FILE), Path::new(COMMIT_MARKER_FILE));
         let length = |path, file: &dyn StorageBackend| file.len().map_err(|error| OpenError::io(path, error));
-        let is_new = length(ledger_path, &ledger)? == 0 && length(marker_path, &marker)? == 0;
-        let (file, marker) = if is_new {
-            let file = LedgerFile::create(ledger, owner, fresh, None);
-            let file = file.map_err(|error| OpenError::io(ledger_path, error))?;
-            let marker =
-                CommitMarker::create(Box::new(marker), MarkerRecord { identity: fresh, commits: file.commits() });
-            (file, marker.map_err(|error| OpenError::io(marker_path, error))?)
-        } else {
-            let file = LedgerFile::open(ledger).map_err(|error| OpenError::of(ledger_path, error))?;
-            (file, open_marker(marker_path, marker)?)
-        };
+        if length(ledger_path, &ledger)? == 0 && length(marker_path, &marker)? == 0 {
+            return DurableStore::create_on(ledger, marker, owner, fresh, None);
+        }
+        let file = LedgerFile::open(ledger).map_err(|error| OpenError::of(ledger_path, error))?;
+        let marker = open_marker(marker_path, marker)?;
         check_marker(&file, &marker, ledger_path)?;
         let store = DurableStore::new(file, marker, ledger_path, None);
         store.check_owner(owner)?;
         Ok(store)
+    }
+
+    /// Creates an empty store on another storage backend. If it replaces a damaged store, `replaced` is a
+    /// bound of the incarnations of that store. For tests.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    #[cfg(feature = "test-util")]
+    pub fn create_on(
+        ledger: impl StorageBackend,
+        marker: impl StorageBackend,
+        owner: &StoreOwner,
+        identity: StoreIdentity,
+        replaced: Option<u64>,
+    ) -> Result<DurableStore, OpenError> {
+        let (ledger_path, marker_path) = (Path::new(LEDGER_FILE), Path::new(COMMIT_MARKER_FILE));
+        let file = LedgerFile::create(ledger, owner, identity, replaced);
+        let file = file.map_err(|error| OpenError::io(ledger_path, error))?;
+        let marker = CommitMarker::create(Box::new(marker), MarkerRecord { identity, commits: file.commits() });
+        let marker = marker.map_err(|error| OpenError::io(marker_path, error))?;
+        Ok(DurableStore::new(file, marker, ledger_path, None))
     }
 
     fn open_locked(folder: &Path, lock: DirectoryLock) -> Result<DurableStore, OpenError> {
