@@ -14,6 +14,8 @@ mod followed_coordinator;
 #[cfg(feature = "test-util")]
 pub mod fuzz_api;
 mod human_task_proxy;
+#[cfg(test)]
+mod lease_model;
 pub mod node;
 pub mod observe;
 pub mod robot;

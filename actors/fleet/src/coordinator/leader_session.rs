@@ -5,7 +5,7 @@ use super::change_feed::ChangeFeed;
 use super::ensemble_members::EnsembleMembers;
 use super::held_roles::HeldRoles;
 use super::message::{AwardedRole, CollectedBids, CoordinatorMessage};
-use super::reconcile::{CoordinatorAction, SessionState, awards_in_force, pending_actions};
+use super::reconcile::{CoordinatorAction, SessionState, pending_actions, stop_renewing_released, track_awards};
 use super::reports::ReportHandler;
 use super::requests::Requests;
 use super::session_context::SessionContext;
@@ -246,12 +246,7 @@ impl LeaderSession {
         let LeaderSession { context, auctions, held_roles, changes, failing, .. } = self;
         context.read_ledger(|ledger| {
             let mut lease_monitor = context.lease_monitor.lock();
-            let awards = awards_in_force(ledger);
-            for (epoch, robot) in &awards {
-                lease_monitor.track(*epoch, robot, now);
-            }
-            let epochs = awards.into_iter().map(|(epoch, _)| epoch).collect();
-            lease_monitor.retain(&epochs, now);
+            let epochs = track_awards(ledger, &mut lease_monitor, now);
             changes.follow(ledger);
             auctions.follow(ledger, now);
             failing.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_final()));
@@ -259,11 +254,7 @@ impl LeaderSession {
             let (rounds, notified) = (auctions.rounds(), held_roles.notified());
             let state = SessionState { lease_monitor: &lease_monitor, rounds, notified };
             let actions = pending_actions(ledger, &state, now, confirmed_ms);
-            for action in &actions {
-                if let CoordinatorAction::ReleaseRole(awarded, _) = action {
-                    lease_monitor.stop_renewing(awarded.epoch, &awarded.robot, now);
-                }
-            }
+            stop_renewing_released(&actions, &mut lease_monitor, now);
             actions
         })
     }

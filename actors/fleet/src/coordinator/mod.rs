@@ -26,6 +26,8 @@ mod last_known_place;
 mod leader_session;
 mod lease_monitor;
 mod message;
+#[cfg(test)]
+pub(crate) mod model_session;
 mod no_leader;
 mod rate_limit;
 mod reconcile;

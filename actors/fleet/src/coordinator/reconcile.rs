@@ -186,13 +186,33 @@ pub(super) fn unavailable_robots(
 }
 
 /// Returns all awards, with their robots, that are in force or may still be acted on.
-pub(super) fn awards_in_force(ledger: &Ledger) -> BTreeSet<(Epoch, RobotId)> {
+fn awards_in_force(ledger: &Ledger) -> BTreeSet<(Epoch, RobotId)> {
     let mut awards = BTreeSet::new();
     for entry in ledger.active_missions() {
         awards.extend(entry.role_holders().into_values().map(|held| (held.epoch, held.robot)));
         awards.extend(entry.former_holders.iter().map(|held| (held.epoch, held.robot.clone())));
     }
     awards
+}
+
+/// Tracks the leases of all awards in force and forgets the others. Returns the epochs in force.
+pub(super) fn track_awards(ledger: &Ledger, lease_monitor: &mut LeaseMonitor, now: NodeTime) -> BTreeSet<Epoch> {
+    let awards = awards_in_force(ledger);
+    for (epoch, robot) in &awards {
+        lease_monitor.track(*epoch, robot, now);
+    }
+    let epochs = awards.into_iter().map(|(epoch, _)| epoch).collect();
+    lease_monitor.retain(&epochs, now);
+    epochs
+}
+
+/// Ends the renewal of the roles that these actions release.
+pub(super) fn stop_renewing_released(actions: &[CoordinatorAction], lease_monitor: &mut LeaseMonitor, now: NodeTime) {
+    for action in actions {
+        if let CoordinatorAction::ReleaseRole(awarded, _) = action {
+            lease_monitor.stop_renewing(awarded.epoch, &awarded.robot, now);
+        }
+    }
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ const GOALS_PUBLISHED: usize = 8;
 const STATES_KEPT: Duration = Duration::from_secs(10);
 
 /// Latest goals of the robots of a driver server.
+#[derive(Debug, Clone)]
 pub(super) struct GoalTable {
     client_timeout: Duration,
     robots: BTreeMap<RobotId, VecDeque<TrackedGoal>>,
@@ -27,6 +28,7 @@ pub(super) struct GoalTable {
     next_wake: Option<NodeTime>,
 }
 
+#[derive(Debug, Clone)]
 struct TrackedGoal {
     id: GoalId,
     /// The robot stops at this time; `None` for a goal that has ended or was stopped.
@@ -76,6 +78,12 @@ impl GoalTable {
     /// Returns the latest goals of a robot, in the order of their commands.
     pub(super) fn goals(&self, robot: &RobotId) -> Option<impl Iterator<Item = GoalId>> {
         self.robots.get(robot).map(|goals| goals.iter().map(|goal| goal.id))
+    }
+
+    /// Returns the goals of a robot with the times at which the robot stops.
+    #[cfg(test)]
+    pub(super) fn stop_times(&self, robot: &RobotId) -> impl Iterator<Item = (GoalId, Option<NodeTime>)> {
+        self.robots.get(robot).into_iter().flatten().map(|goal| (goal.id, goal.stop_at))
     }
 
     /// Records that a state is sent.
@@ -222,7 +230,7 @@ mod tests {
     }
 
     fn stops(table: &GoalTable) -> Vec<Option<NodeTime>> {
-        table.robots[&ada()].iter().map(|goal| goal.stop_at).collect()
+        table.stop_times(&ada()).map(|(_, stop_at)| stop_at).collect()
     }
 
     #[test]

@@ -19,6 +19,8 @@ mod client;
 mod goal_table;
 mod goal_tracker;
 mod messages;
+#[cfg(test)]
+pub(crate) mod model_driver;
 mod server;
 mod state_order;
 

@@ -8,12 +8,13 @@ use consort_bus::Author;
 use consort_bus::clock::Clock;
 use consort_gossip::SharedKnowledge;
 use consort_protocol::ids::{NodeId, PlaceId, RobotId};
-use consort_protocol::lease::EndReason;
+use consort_protocol::lease::{EndReason, LeaseMonitor};
 use consort_protocol::ledger::{
     Branch, Command, CommandError, CommandOutcome, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase,
 };
 use consort_protocol::message::{FailureKind, Report, ReportReply, TaskFailure};
 use consort_protocol::mission::RoleKind;
+use consort_protocol::units::NodeTime;
 use consort_raft::{ProposeError, Replica};
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -29,7 +30,7 @@ const COMMITS_MAX: u32 = 4;
 
 /// Next step of handling a report.
 #[derive(Debug, Clone, PartialEq)]
-enum Step {
+pub(super) enum Step {
     /// Send this reply; nothing is left to commit.
     Reply(ReportReply),
     /// Commit this command first.
@@ -76,8 +77,12 @@ impl ReportHandler {
                 Step::Reply(reply) => return self.renew_if_leader(reply, &report),
                 Step::Commit(command) => command,
             };
-            if let Err(problem) = self.commit(command, &report).await {
-                return reply_not_coordinator(problem);
+            let outcome = match self.replica.propose(command, COMMIT_TIMEOUT).await {
+                Ok(outcome) => outcome,
+                Err(problem) => return reply_not_coordinator(problem),
+            };
+            if let Some(reply) = reply_to_refusal(&outcome, &report) {
+                return self.renew_if_leader(reply, &report);
             }
         }
         debug!(robot = %report.robot, mission = %report.mission, "ledger changed while a report was being handled");
@@ -91,35 +96,48 @@ impl ReportHandler {
         })
     }
 
-    /// Commits a command. The ledger shows the result.
-    async fn commit(&self, command: Command, report: &Report) -> Result<(), ProposeError> {
-        match self.replica.propose(command, COMMIT_TIMEOUT).await? {
-            CommandOutcome::Refused(CommandError::Restarted { .. }) => self.release_restarted(report).await,
-            _ => Ok(()),
-        }
-    }
-
-    /// Releases the role of a robot that restarted without a checkpoint.
-    async fn release_restarted(&self, report: &Report) -> Result<(), ProposeError> {
-        let Report { robot, mission, role, .. } = report;
-        info!(%robot, %mission, %role, "robot restarted: role released");
-        let cause = format!("{robot} restarted and has lost the plan");
-        self.replica.propose(release(report, cause, false), COMMIT_TIMEOUT).await.map(drop)
-    }
-
     fn renew_if_leader(&self, reply: ReportReply, report: &Report) -> ReportReply {
-        if self.replica.quorum_ack_age().is_none_or(|age| age > self.leadership_age_max) {
-            return ReportReply::NotCoordinator { coordinator: None };
-        }
-        // A robot that gets a renewal counts as contacted before the lease can be found expired.
-        let may_renew = || self.lease_monitor.lock().renew(report.epoch, &report.robot, self.clock.now());
-        if matches!(reply, ReportReply::Renewed { .. }) && !may_renew() {
-            let Report { robot, mission, role, .. } = report;
-            debug!(%robot, %mission, %role, "lease not renewed: release is due");
-            return ReportReply::NotCoordinator { coordinator: None };
-        }
-        reply
+        let contact = QuorumContact { age: self.replica.quorum_ack_age(), age_max: self.leadership_age_max };
+        confirm(reply, report, contact, &mut self.lease_monitor.lock(), || self.clock.now())
     }
+}
+
+/// Age of a coordinator's last contact with a majority; `None` for a node that does not lead.
+pub(super) struct QuorumContact {
+    pub(super) age: Option<Duration>,
+    /// Maximum age at which the coordinator may reply.
+    pub(super) age_max: Duration,
+}
+
+/// Returns the reply, if this coordinator may send it, and renews the lease. The clock is read after
+/// the lease monitor is locked: a robot that gets a renewal counts as contacted before its lease can
+/// be found expired.
+pub(super) fn confirm(
+    reply: ReportReply,
+    report: &Report,
+    quorum: QuorumContact,
+    lease_monitor: &mut LeaseMonitor,
+    now: impl FnOnce() -> NodeTime,
+) -> ReportReply {
+    if quorum.age.is_none_or(|age| age > quorum.age_max) {
+        return ReportReply::NotCoordinator { coordinator: None };
+    }
+    let may_renew = || lease_monitor.renew(report.epoch, &report.robot, now());
+    if matches!(reply, ReportReply::Renewed { .. }) && !may_renew() {
+        let Report { robot, mission, role, .. } = report;
+        debug!(%robot, %mission, %role, "lease not renewed: release is due");
+        return ReportReply::NotCoordinator { coordinator: None };
+    }
+    reply
+}
+
+/// Returns the reply to a robot that restarted without a checkpoint: it has lost the plan. Its body may
+/// still act on a command of the previous incarnation, so the coordinator releases the role only when
+/// the lease has expired. `None` for other outcomes: the ledger shows the result.
+pub(super) fn reply_to_refusal(outcome: &CommandOutcome, report: &Report) -> Option<ReportReply> {
+    let CommandOutcome::Refused(CommandError::Restarted { robot, mission, role }) = outcome else { return None };
+    info!(%robot, %mission, %role, "robot restarted and has lost the plan: role is released after its lease");
+    Some(ReportReply::Ended { epoch: report.epoch, reason: EndReason::Released, current: None })
 }
 
 fn reply_not_coordinator(problem: ProposeError) -> ReportReply {
@@ -150,7 +168,11 @@ enum ReportCase<'a> {
 }
 
 /// Returns the next step of handling a report.
-fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> BTreeMap<RobotId, PlaceId>) -> Step {
+pub(super) fn next(
+    entry: Option<&MissionEntry>,
+    report: &Report,
+    places: impl FnOnce() -> BTreeMap<RobotId, PlaceId>,
+) -> Step {
     match report_case(entry, report) {
         ReportCase::Ended(reason) => Step::Reply(ended(entry, report, reason)),
         ReportCase::Ahead => Step::Reply(ReportReply::NotCoordinator { coordinator: None }),
