@@ -81,16 +81,19 @@ impl StationFleet {
         self.start(name).await;
     }
 
-    /// Starts a station whose damaged store was replaced by an empty one.
+    /// Starts a station with an empty store, after damage to its store.
     pub async fn start_with_replaced_store(&mut self, name: &str) {
-        let seed = self.seed.wrapping_mul(1_000_003).wrapping_add(self.lives + 1);
-        self.stores.insert(name.to_owned(), NodeStore::replacing_damaged(seed));
+        self.stores.insert(name.to_owned(), NodeStore::replacing_damaged(self.seed_of_life(self.lives + 1)));
         self.start(name).await;
+    }
+
+    fn seed_of_life(&self, life: u64) -> u64 {
+        self.seed.wrapping_mul(1_000_003).wrapping_add(life)
     }
 
     async fn start_as(&mut self, name: &str, fixed: bool) {
         self.lives += 1;
-        let seed = self.seed.wrapping_mul(1_000_003).wrapping_add(self.lives);
+        let seed = self.seed_of_life(self.lives);
         let store = self.stores.entry(name.to_owned()).or_insert_with(|| NodeStore::in_memory(seed)).clone();
         let settings = NodeSettings {
             fleet: self.settings.clone(),

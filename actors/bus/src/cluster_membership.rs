@@ -9,7 +9,7 @@
 //! [`ClusterBus`] applies this to every message about missions: it adds the cluster to outgoing
 //! messages and drops incoming messages of other clusters. Actors need no code for it.
 
-use crate::bus::{BusError, Query, Reply, Sample, SharedBus, Stream};
+use crate::bus::{BusError, Query, Sample, SharedBus, Stream};
 use crate::layer::{Layer, MessageContent, refuse_in_background};
 use bytes::Bytes;
 use consort_protocol::codec::{self, CodecError};
@@ -184,10 +184,6 @@ impl Layer for ClusterBus {
     }
 
     /// A service replies only to queries of its own cluster, so the replies need no check.
-    fn incoming_replies(&self, (): (), replies: Stream<Reply>) -> Stream<Reply> {
-        replies
-    }
-
     fn incoming_queries(&self, key_expr: &str, incoming_queries: Stream<Query>) -> Stream<Query> {
         if !self.keys.is_cluster_scoped(key_expr) {
             return incoming_queries;

@@ -15,14 +15,17 @@ use std::time::Duration;
 use tracing::debug;
 
 /// Payload and attachment of a message.
-pub(crate) struct MessageContent {
-    pub(crate) payload: Bytes,
-    pub(crate) attachment: Bytes,
+#[derive(Debug, Clone)]
+pub struct MessageContent {
+    /// Payload.
+    pub payload: Bytes,
+    /// Attachment.
+    pub attachment: Bytes,
 }
 
-/// Transformations that a layer applies to messages. Presence and links are passed to the inner
-/// bus. A layer need not distinguish the two kinds of query and of service.
-pub(crate) trait Layer: Send + Sync + 'static {
+/// Transformations that a layer applies to messages; by default it passes them on. Presence and links
+/// are passed to the inner bus. A layer need not distinguish the two kinds of query and of service.
+pub trait Layer: Send + Sync + 'static {
     /// State kept for a query until its replies have arrived.
     type QueryState: Send;
 
@@ -33,11 +36,15 @@ pub(crate) trait Layer: Send + Sync + 'static {
     ///
     /// # Errors
     /// [`BusError`] if the message cannot be published at all.
-    fn outgoing_publication(&self, key: &str, content: MessageContent) -> Result<MessageContent, BusError>;
+    fn outgoing_publication(&self, _key: &str, content: MessageContent) -> Result<MessageContent, BusError> {
+        Ok(content)
+    }
 
     /// Transforms the publications delivered to a subscriber of `key_expr`. A layer may drop
     /// samples.
-    fn incoming_publications(&self, key_expr: &str, samples: Stream<Sample>) -> Stream<Sample>;
+    fn incoming_publications(&self, _key_expr: &str, samples: Stream<Sample>) -> Stream<Sample> {
+        samples
+    }
 
     /// Transforms a query on `key_expr` before it is sent.
     ///
@@ -50,10 +57,14 @@ pub(crate) trait Layer: Send + Sync + 'static {
     ) -> Result<(MessageContent, Self::QueryState), BusError>;
 
     /// Transforms the replies delivered to the querying node.
-    fn incoming_replies(&self, state: Self::QueryState, replies: Stream<Reply>) -> Stream<Reply>;
+    fn incoming_replies(&self, _state: Self::QueryState, replies: Stream<Reply>) -> Stream<Reply> {
+        replies
+    }
 
     /// Transforms the queries delivered to a service on `key_expr`. A layer may drop queries.
-    fn incoming_queries(&self, key_expr: &str, queries: Stream<Query>) -> Stream<Query>;
+    fn incoming_queries(&self, _key_expr: &str, queries: Stream<Query>) -> Stream<Query> {
+        queries
+    }
 }
 
 /// Refuses a query in a background task, so that the next query is not delayed. A requester in good

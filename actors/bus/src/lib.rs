@@ -25,6 +25,7 @@ pub mod zenoh_bus;
 pub use author::Author;
 pub use boot_instant::{BootInstant, suspended};
 pub use bus::*;
+pub use layer::{Layer, MessageContent};
 pub use metered::{Direction, Meter, MeteredBus};
 pub use virtual_bus::{LinkModel, Traffic, TrafficByKind, VirtualBus, VirtualNetwork};
 pub use zenoh_bus::{ZenohBus, ZenohSettings};

@@ -113,7 +113,7 @@ impl MemoryLogStore {
         }
     }
 
-    /// Creates an empty log store that replaces a damaged one.
+    /// Same as [`new`](Self::new), after damage to a former log store.
     pub fn replacing_damaged(identity_seed: u64) -> Self {
         MemoryLogStore { replaces_damaged: true, ..MemoryLogStore::new(identity_seed) }
     }

@@ -237,6 +237,12 @@ impl MissionEntry {
         held.collect()
     }
 
+    /// Returns the roles that robots hold now, with their entries and holders.
+    pub fn held_roles(&self) -> impl Iterator<Item = (&RoleId, &RoleEntry, &RoleAssignment)> {
+        let held = self.roles.iter().filter(|(_, role)| matches!(role.phase, RolePhase::Awarded | RolePhase::Active));
+        held.filter_map(|(id, role)| Some((id, role, role.holder.as_ref()?)))
+    }
+
     /// Returns the signals that other roles have sent to `receiver`, according to their ended
     /// steps. They outlive their senders.
     pub fn signals_to(&self, receiver: &RoleId) -> BTreeSet<Signal> {
@@ -294,12 +300,9 @@ impl MissionEntry {
             Branch::Recovery => None,
         };
         let Some(filled) = filled else { return false };
-        let in_force = |(_, role): &(&RoleId, &RoleEntry)| matches!(role.phase, RolePhase::Awarded | RolePhase::Active);
-        let others = self.roles.iter().filter(|(id, _)| **id != from).filter(in_force);
-        self.former_holders = others
-            .filter_map(|(_, role)| role.holder.as_ref())
-            .map(|holder| RoleHolder { robot: holder.robot.clone(), epoch: holder.epoch })
-            .collect();
+        let others = self.held_roles().filter(|(id, ..)| **id != from);
+        self.former_holders =
+            others.map(|(.., holder)| RoleHolder { robot: holder.robot.clone(), epoch: holder.epoch }).collect();
         self.roles = RoleEntry::all_open(&filled.mission);
         self.submission.recovery = Some(filled);
         self.branch = Branch::Recovery;

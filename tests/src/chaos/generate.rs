@@ -24,15 +24,10 @@ const AWAY_MS: Range<u64> = 15_000..30_000;
 const HOSTILE_ROLES: [Option<NodeRole>; 4] =
     [Some(NodeRole::Robot), Some(NodeRole::Host), Some(NodeRole::Dashboard), None];
 
-/// Faults of which each run has one or two.
-const RARE: [FaultKind; 6] = [
-    FaultKind::CrashDamaged,
-    FaultKind::DiskFails,
-    FaultKind::DiskFull,
-    FaultKind::DiskHangs,
-    FaultKind::DiskLies,
-    FaultKind::LeaseEnd,
-];
+/// Checks for a fault that is drawn separately: one or two for each run.
+fn is_rare(kind: FaultKind) -> bool {
+    matches!(kind, FaultKind::CrashDamaged | FaultKind::Disk(_) | FaultKind::LeaseEnd)
+}
 
 /// Generates a schedule with faults of these kinds for a fleet that runs for `minutes`.
 pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[FaultKind]) -> Schedule {
@@ -47,9 +42,9 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
         drained: vec![],
     };
     draw.requests(minutes);
-    // Hostile nodes and the faults of `RARE` are drawn separately, below.
+    // Hostile nodes and rare faults are drawn separately, below.
     let (rare, kinds_of_faults): (Vec<&FaultKind>, Vec<&FaultKind>) =
-        kinds.iter().filter(|kind| **kind != FaultKind::Hostile).partition(|kind| RARE.contains(*kind));
+        kinds.iter().filter(|kind| **kind != FaultKind::Hostile).partition(|kind| is_rare(**kind));
     if !kinds_of_faults.is_empty() {
         // On average about one fault in twenty seconds; some runs have far fewer, some far more.
         let most = (draw.end_ms / 12_000).max(2);
@@ -190,13 +185,10 @@ impl Draw<'_> {
             }
             FaultKind::CrashEmpty => return self.lose_disk(DiskAfterCrash::Empty, for_ms),
             FaultKind::CrashDamaged => return self.lose_disk(DiskAfterCrash::Damaged, for_ms),
-            FaultKind::DiskFails => ChaosAction::Disk { node: self.voter(), fault: DiskFault::Fails, for_ms },
-            FaultKind::DiskFull => ChaosAction::Disk { node: self.voter(), fault: DiskFault::Full, for_ms },
-            FaultKind::DiskHangs => ChaosAction::Disk { node: self.voter(), fault: DiskFault::Hangs, for_ms },
-            // Writes that were acknowledged are lost: the store is replaced.
-            FaultKind::DiskLies => {
-                let node = self.disk_to_lose()?;
-                ChaosAction::Disk { node, fault: DiskFault::Lies, for_ms }
+            FaultKind::Disk(fault) => {
+                // Without syncs, acknowledged writes are lost: the store is replaced.
+                let node = if fault == DiskFault::Lies { self.disk_to_lose()? } else { self.voter() };
+                ChaosAction::Disk { node, fault, for_ms }
             }
             FaultKind::LeaseEnd => return self.lease_end(at_ms),
             FaultKind::CoordinatorCrash => {
@@ -404,7 +396,8 @@ mod tests {
     fn faults_spare_a_majority_of_disks_and_a_carrier() {
         let composition = ChaosFleet::of(7);
         for seed in 0..500 {
-            let kinds = [FaultKind::CrashEmpty, FaultKind::CrashDamaged, FaultKind::DiskLies, FaultKind::Battery];
+            let kinds =
+                [FaultKind::CrashEmpty, FaultKind::CrashDamaged, FaultKind::Disk(DiskFault::Lies), FaultKind::Battery];
             let steps = generate(seed, &composition, 5.0, &kinds).steps;
             let lost = |step: &&ScheduledAction| match step.action {
                 ChaosAction::Crash { disk, .. } => matches!(disk, DiskAfterCrash::Empty | DiskAfterCrash::Damaged),

@@ -238,10 +238,7 @@ pub enum FaultKind {
     Skill,
     Hostile,
     CrashDamaged,
-    DiskFails,
-    DiskFull,
-    DiskHangs,
-    DiskLies,
+    Disk(DiskFault),
     LeaseEnd,
 }
 
@@ -266,10 +263,10 @@ impl FaultKind {
         FaultKind::Skill,
         FaultKind::Hostile,
         FaultKind::CrashDamaged,
-        FaultKind::DiskFails,
-        FaultKind::DiskFull,
-        FaultKind::DiskHangs,
-        FaultKind::DiskLies,
+        FaultKind::Disk(DiskFault::Fails),
+        FaultKind::Disk(DiskFault::Full),
+        FaultKind::Disk(DiskFault::Hangs),
+        FaultKind::Disk(DiskFault::Lies),
         FaultKind::LeaseEnd,
     ];
 
@@ -295,10 +292,10 @@ impl FaultKind {
             FaultKind::Skill => "skill",
             FaultKind::Hostile => "hostile",
             FaultKind::CrashDamaged => "crash-damaged",
-            FaultKind::DiskFails => "disk-fails",
-            FaultKind::DiskFull => "disk-full",
-            FaultKind::DiskHangs => "disk-hangs",
-            FaultKind::DiskLies => "disk-lies",
+            FaultKind::Disk(DiskFault::Fails) => "disk-fails",
+            FaultKind::Disk(DiskFault::Full) => "disk-full",
+            FaultKind::Disk(DiskFault::Hangs) => "disk-hangs",
+            FaultKind::Disk(DiskFault::Lies) => "disk-lies",
             FaultKind::LeaseEnd => "lease-end",
         }
     }

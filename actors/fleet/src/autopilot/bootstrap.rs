@@ -79,7 +79,8 @@ impl Bootstrap {
     /// nodes before others. It is the turn of the first of them by name. That node asks all nodes
     /// that it can reach, and then bootstraps the cluster. A node that knows of a cluster of this
     /// fleet's name never bootstraps, even if little of that cluster is left: its ledger may
-    /// contain promises. The same holds for a node whose store replaces a damaged store. The autopilot of that cluster adds new nodes.
+    /// contain promises. The autopilot of that cluster adds new nodes. A node whose store replaces a
+    /// damaged store never bootstraps either.
     pub(crate) async fn run(self, requests: Stream<Query>) {
         let promise = Mutex::new(BootstrapPromise::new(self.me.clone(), self.reply_timeout * PROMISE_REPLY_TIMEOUTS));
         tokio::join!(self.reply_to_all(&promise, requests), self.bootstrap_in_turn(&promise));
@@ -160,7 +161,7 @@ impl Bootstrap {
         ObservedFleet {
             cluster: self.membership.cluster().or(known_cluster),
             has_voters: !self.replica.leadership().borrow().voters.is_empty(),
-            lost_ledger: self.replaces_damaged,
+            replaces_damaged: self.replaces_damaged,
             next_founder: first_voters(candidates, self.target_voters).map(|voter| voter.node).min(),
         }
     }

@@ -29,7 +29,7 @@ pub(super) struct ObservedFleet {
     /// The node's own replica of the ledger has voters.
     pub(super) has_voters: bool,
     /// The node's store replaces a damaged store, which may contain the only ledger.
-    pub(super) lost_ledger: bool,
+    pub(super) replaces_damaged: bool,
     /// Node that has the turn to bootstrap, considering all nodes known to this node.
     pub(super) next_founder: Option<NodeId>,
 }
@@ -39,7 +39,7 @@ impl ObservedFleet {
     fn reason_against_bootstrap(&self) -> Option<String> {
         let cluster = self.cluster.map(|cluster| format!("a cluster of this name exists: {cluster}"));
         let exists = || self.has_voters.then(|| "a ledger of this name exists".to_owned());
-        let lost = || self.lost_ledger.then(|| "its damaged store may contain the ledger".to_owned());
+        let lost = || self.replaces_damaged.then(|| "its damaged store may contain the ledger".to_owned());
         cluster.or_else(exists).or_else(lost)
     }
 }
@@ -123,7 +123,7 @@ mod tests {
         ObservedFleet {
             cluster: None,
             has_voters: false,
-            lost_ledger: false,
+            replaces_damaged: false,
             next_founder: names.iter().map(|name| candidate(name).node).min(),
         }
     }
@@ -151,7 +151,7 @@ mod tests {
         let alone = fleet_with(&["bob"]);
         let known = ObservedFleet { cluster: Some(ClusterId(7)), ..alone.clone() };
         let kept = ObservedFleet { has_voters: true, ..alone.clone() };
-        let lost = ObservedFleet { lost_ledger: true, ..alone.clone() };
+        let lost = ObservedFleet { replaces_damaged: true, ..alone.clone() };
         for fleet in [&known, &kept, &lost, &fleet_with(&["ada", "bob"]), &fleet_with(&[])] {
             let mut bob = BootstrapPromise::new(candidate("bob"), DURATION);
             assert!(!bob.begin_request(fleet, now), "{fleet:?}");

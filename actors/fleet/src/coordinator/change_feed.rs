@@ -27,13 +27,14 @@ struct MissionSnapshot {
 
 impl MissionSnapshot {
     fn of(entry: &MissionEntry, since: NodeTime) -> MissionSnapshot {
-        let in_force = |role: &RoleEntry| matches!(role.phase, RolePhase::Awarded | RolePhase::Active);
-        let mut holders = if entry.state.is_final() { BTreeMap::new() } else { entry.role_holders() };
-        holders.retain(|role, _| entry.roles.get(role).is_some_and(in_force));
+        let held = entry.held_roles().filter(|_| !entry.state.is_final()).map(|(role, _, holder)| {
+            let holder = RoleHolder { robot: holder.robot.clone(), epoch: holder.epoch };
+            (role.clone(), holder)
+        });
         MissionSnapshot {
             state: entry.state.clone(),
             done: entry.progress().0,
-            holders,
+            holders: held.collect(),
             released: entry.release_count,
             since,
         }

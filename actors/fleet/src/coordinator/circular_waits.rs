@@ -8,8 +8,8 @@
 
 use super::message::AwardedRole;
 use consort_protocol::auction::{BidVerdict, RefusalReason};
-use consort_protocol::ids::{MissionId, RobotId, RoleId};
-use consort_protocol::ledger::{Ledger, MissionEntry, RoleAssignment, RolePhase};
+use consort_protocol::ids::{MissionId, RobotId};
+use consort_protocol::ledger::{Ledger, MissionEntry};
 use petgraph::algo::tarjan_scc;
 use petgraph::graph::DiGraph;
 use std::collections::BTreeMap;
@@ -21,12 +21,11 @@ pub(super) fn roles_to_give_up(ledger: &Ledger) -> Vec<(AwardedRole, MissionId)>
     if waiting.len() < 2 {
         return vec![];
     }
-    let holders: BTreeMap<RobotId, usize> = waiting
-        .iter()
-        .enumerate()
-        .flat_map(|(rank, entry)| held_roles(entry).map(move |(_, held)| (held.robot.clone(), rank)))
+    let holders: BTreeMap<&RobotId, usize> = (0..)
+        .zip(&waiting)
+        .flat_map(|(rank, entry)| entry.held_roles().map(move |(.., holder)| (&holder.robot, rank)))
         .collect();
-    let waits_for = waiting.iter().zip(0_usize..).flat_map(|(entry, rank)| {
+    let waits_for = (0..).zip(&waiting).flat_map(|(rank, entry)| {
         let blocking = busy_robots(entry).filter_map(|robot| holders.get(robot).copied());
         blocking.filter(move |other| *other != rank).map(move |other| (rank, other))
     });
@@ -56,26 +55,17 @@ fn busy_robots(entry: &MissionEntry) -> impl Iterator<Item = &RobotId> {
     })
 }
 
-/// Returns the roles that robots hold now.
-fn held_roles(entry: &MissionEntry) -> impl Iterator<Item = (&RoleId, &RoleAssignment)> {
-    let held = entry.roles.iter().filter(|(_, role)| matches!(role.phase, RolePhase::Awarded | RolePhase::Active));
-    held.filter_map(|(id, role)| Some((id, role.holder.as_ref()?)))
-}
-
 /// Returns the held roles of a mission in which no step has ended.
 fn untouched_roles(entry: &MissionEntry) -> Vec<AwardedRole> {
-    let untouched = held_roles(entry).filter(|(role, _)| entry.roles[*role].ended.is_empty());
-    let awarded = |(role, holder): (&RoleId, &RoleAssignment)| {
-        let (mission, role, robot) = (entry.id.clone(), role.clone(), holder.robot.clone());
-        AwardedRole { mission, role, robot, epoch: holder.epoch }
-    };
-    untouched.map(awarded).collect()
+    let untouched = entry.held_roles().filter(|(_, held, _)| held.ended.is_empty());
+    untouched.map(|(role, _, holder)| AwardedRole::of(entry, role, holder)).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use consort_protocol::auction::{AuctionEntry, AuctionId, AuctionRecord};
+    use consort_protocol::ids::RoleId;
     use consort_protocol::lease::Epoch;
     use consort_protocol::ledger::{Branch, Command, CommandOutcome, Submission};
     use consort_protocol::mission::{Format, MissionTemplate};
@@ -90,8 +80,8 @@ mod tests {
         Epoch { term: 1, index }
     }
 
-    /// Ledger with missions that hold one robot each, named `holders`. Its other role is open since its
-    /// auction, in which the robots named `busy` refused. In `touched` missions a step has ended.
+    /// Returns a ledger with missions of two roles. For each mission: the robot that holds a role, the
+    /// robots that refused the open role because they hold another, and whether a step has ended.
     fn ledger(missions: &[(&str, &[&str], bool)]) -> Ledger {
         let (r1, r2) = (RoleId::new("r1").unwrap(), RoleId::new("r2").unwrap());
         let mut ledger = Ledger::default();

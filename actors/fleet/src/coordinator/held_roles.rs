@@ -17,14 +17,9 @@ pub(super) struct HeldRoles {
     /// Roles to be released because their holders reply but make no progress, once the leases have
     /// expired.
     stalled: BTreeMap<(Epoch, RoleId), String>,
-    /// Time of the last award notice for each role.
+    /// Time of the last notice to the holder of each role.
     notified: BTreeMap<(Epoch, RoleId), NodeTime>,
-    /// Time of the last request to give way, for each role.
-    asked_to_give_way: BTreeMap<(Epoch, RoleId), Option<NodeTime>>,
 }
-
-/// Interval at which a robot is asked again to give way.
-const GIVE_WAY_INTERVAL: Duration = Duration::from_secs(2);
 
 impl HeldRoles {
     /// Creates the state of a session. A role is stalled if none of its steps has ended for
@@ -34,11 +29,10 @@ impl HeldRoles {
             stall_detector: StallDetector::new(stall_timeout),
             stalled: BTreeMap::new(),
             notified: BTreeMap::new(),
-            asked_to_give_way: BTreeMap::new(),
         }
     }
 
-    /// Returns the time of the last award notice for each role.
+    /// Returns the time of the last notice to the holder of each role.
     pub(super) fn notified(&self) -> &BTreeMap<(Epoch, RoleId), NodeTime> {
         &self.notified
     }
@@ -52,7 +46,6 @@ impl HeldRoles {
         now: NodeTime,
     ) {
         self.notified.retain(|(epoch, _), _| epochs.contains(epoch));
-        self.asked_to_give_way.retain(|(epoch, _), _| epochs.contains(epoch));
         self.stalled.retain(|(epoch, _), _| epochs.contains(epoch));
         for StalledRole { role, robot, epoch, cause } in self.stall_detector.check(ledger, now) {
             lease_monitor.stop_renewing(epoch, &robot, now);
@@ -73,7 +66,7 @@ impl HeldRoles {
         context.notify_award(awarded, &AwardNotice::Awarded(Box::new(award)));
     }
 
-    /// Asks a robot to return a role for the mission `first`, again every two seconds.
+    /// Asks a robot to return a role for the mission `first`.
     pub(super) fn ask_to_give_way(
         &mut self,
         awarded: AwardedRole,
@@ -81,11 +74,9 @@ impl HeldRoles {
         context: &mut SessionContext,
         now: NodeTime,
     ) {
-        let asked = self.asked_to_give_way.entry((awarded.epoch, awarded.role)).or_default();
-        if asked.is_none_or(|at| now.since(at) >= GIVE_WAY_INTERVAL) {
-            *asked = Some(now);
-            context.notify(awarded.robot, &AwardNotice::GiveWay { epoch: awarded.epoch, to: first });
-        }
+        let AwardedRole { role, robot, epoch, .. } = awarded;
+        self.notified.insert((epoch, role), now);
+        context.notify(robot, &AwardNotice::GiveWay { epoch, to: first });
     }
 
     /// Releases a role with an expired lease. The holder of a stalled role may not get it again.

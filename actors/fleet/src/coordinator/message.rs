@@ -6,7 +6,7 @@ use consort_bus::{Query, Sample};
 use consort_protocol::auction::{AuctionId, BidResponse, CallForBids};
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::CommandOutcome;
+use consort_protocol::ledger::{CommandOutcome, MissionEntry, RoleAssignment};
 use consort_protocol::message::AwardReply;
 use consort_raft::ProposeError;
 use std::collections::BTreeSet;
@@ -70,4 +70,12 @@ pub(crate) struct AwardedRole {
     pub(super) robot: RobotId,
     /// Epoch of the award.
     pub(super) epoch: Epoch,
+}
+
+impl AwardedRole {
+    /// Returns a held role of a mission.
+    pub(super) fn of(entry: &MissionEntry, role: &RoleId, holder: &RoleAssignment) -> AwardedRole {
+        let (mission, role, robot) = (entry.id.clone(), role.clone(), holder.robot.clone());
+        AwardedRole { mission, role, robot, epoch: holder.epoch }
+    }
 }

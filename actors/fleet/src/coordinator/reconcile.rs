@@ -86,7 +86,7 @@ pub(super) fn backoff(rounds: u32) -> Duration {
     Duration::from_millis(250 << rounds.saturating_sub(1).min(5)).min(Duration::from_secs(5))
 }
 
-/// Interval for repeating an award notice that the robot has not confirmed.
+/// Interval for repeating a notice to the holder of a role that has not followed it.
 const NOTICE_REPEAT_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Session state that the pending actions depend on.
@@ -105,6 +105,10 @@ pub(super) fn pending_actions(
     confirmed_ms: Option<u64>,
 ) -> Vec<CoordinatorAction> {
     let SessionState { lease_monitor, rounds, notified } = state;
+    let is_notice_due = |awarded: &AwardedRole| {
+        let notified = notified.get(&(awarded.epoch, awarded.role.clone()));
+        notified.is_none_or(|at| now.since(*at) >= NOTICE_REPEAT_INTERVAL)
+    };
     let mut actions = vec![];
     for entry in ledger.active_missions() {
         if entry.submission.deadline_ms.zip(confirmed_ms).is_some_and(|(deadline, now_ms)| deadline <= now_ms) {
@@ -119,21 +123,18 @@ pub(super) fn pending_actions(
         if due && can_be_auctioned(entry, lease_monitor, now) {
             actions.push(CoordinatorAction::CallForBids(entry.id.clone()));
         }
-        for (role, held) in &entry.roles {
-            let (Some(holder), RolePhase::Awarded | RolePhase::Active) = (&held.holder, held.phase) else { continue };
+        for (role, held, holder) in entry.held_roles() {
             let (robot, epoch) = (&holder.robot, holder.epoch);
-            let awarded = AwardedRole { mission: entry.id.clone(), role: role.clone(), robot: robot.clone(), epoch };
-            let is_notice_due =
-                || notified.get(&(epoch, role.clone())).is_none_or(|at| now.since(*at) >= NOTICE_REPEAT_INTERVAL);
+            let awarded = AwardedRole::of(entry, role, holder);
             if lease_monitor.has_expired(epoch, robot, now) {
                 let silent = lease_monitor.since_contact(epoch, robot, now).as_secs_f64();
                 actions.push(CoordinatorAction::ReleaseRole(awarded, format!("{robot} silent for {silent:.1} s")));
-            } else if held.phase == RolePhase::Awarded && is_notice_due() {
+            } else if held.phase == RolePhase::Awarded && is_notice_due(&awarded) {
                 actions.push(CoordinatorAction::NotifyAward(awarded));
             }
         }
     }
-    let circular = roles_to_give_up(ledger).into_iter();
+    let circular = roles_to_give_up(ledger).into_iter().filter(|(awarded, _)| is_notice_due(awarded));
     actions.extend(circular.map(|(awarded, first)| CoordinatorAction::AskToGiveWay(awarded, first)));
     actions
 }
@@ -171,11 +172,10 @@ pub(super) fn unavailable_robots(
         let (item, mission) = (held_item.item, entry.id.clone());
         (held_item.robot, RefusalReason::CarriesItem { item, mission })
     });
-    let held = ledger.active_missions().into_iter().flat_map(|entry| {
-        let holding =
-            entry.roles.iter().filter(|(_, held)| matches!(held.phase, RolePhase::Awarded | RolePhase::Active));
-        holding.filter_map(|(role, held)| Some((held.holder.as_ref()?.robot.clone(), busy(&entry.id, role))))
-    });
+    let held = ledger
+        .active_missions()
+        .into_iter()
+        .flat_map(|entry| entry.held_roles().map(|(role, _, holder)| (holder.robot.clone(), busy(&entry.id, role))));
     let proposed = rounds.iter().flat_map(|(mission, round)| match &round.phase {
         RoundPhase::Proposing(holders) => {
             holders.iter().map(|(role, robot)| (robot.clone(), busy(mission, role))).collect::<Vec<_>>()

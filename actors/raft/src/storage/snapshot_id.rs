@@ -6,12 +6,17 @@
 //!   └ last entry  └ store of the builder          └ CRC-32 of the encoded state
 //! ```
 //!
-//! Two replicas may encode the same state differently, so the id includes the store. Ids of releases
-//! before 0.3 contain no checksum; their snapshots count as intact.
+//! Two replicas may encode the same state differently, so the id includes the store. Ids of earlier
+//! releases contain no checksum; their snapshots count as intact.
 
 use crate::log_store::StoreIdentity;
+use crate::settings::SNAPSHOT_CHUNK;
+use consort_protocol::codec::RECORD_BYTES_MAX;
 use crc32fast::Hasher;
 use std::collections::BTreeMap;
+
+/// Maximum number of chunks of a snapshot.
+const CHUNKS_MAX: usize = RECORD_BYTES_MAX / SNAPSHOT_CHUNK + 1;
 
 /// Returns the id of a snapshot of `state` up to the entry `last`, built on `store`.
 pub(crate) fn snapshot_id(last: &str, store: StoreIdentity, state: &[u8]) -> String {
@@ -38,10 +43,10 @@ pub(crate) struct ReceivedChunks {
 }
 
 impl ReceivedChunks {
-    /// Adds a chunk. A chunk of another snapshot discards those of the former; a repeated chunk
-    /// replaces itself.
+    /// Adds a chunk. A chunk of another snapshot discards those of the former, and so does a chunk
+    /// beyond the maximum number. A repeated chunk replaces itself.
     pub(crate) fn add(&mut self, id: &str, offset: u64, chunk: &[u8]) {
-        if self.id != id {
+        if self.id != id || self.chunks.len() >= CHUNKS_MAX {
             *self = ReceivedChunks { id: id.to_owned(), chunks: BTreeMap::new() };
         }
         let mut hasher = Hasher::new();
@@ -77,6 +82,16 @@ mod tests {
             assert!(!is_intact(&id, &damaged), "bit {bit}");
         }
         assert!(is_intact("T1-N2-3@0000000000000000000000000000002a", &state), "an id of an earlier release");
+    }
+
+    #[test]
+    fn the_number_of_chunks_is_bounded() {
+        let mut received = ReceivedChunks::default();
+        for offset in 0..3 * CHUNKS_MAX as u64 {
+            received.add("T1-N2-3@2a-crc00000000", offset, &[1]);
+            assert!(received.chunks.len() <= CHUNKS_MAX, "{offset}");
+        }
+        assert!(!received.finish());
     }
 
     #[test]

@@ -1,17 +1,11 @@
 //! A snapshot that is damaged on its way is not installed; the leader sends it again.
 
-use crate::support::{Fleet, NumberCommand, on_virtual_time, with_short_logs};
-use async_trait::async_trait;
+use crate::support::{Fleet, on_virtual_time, with_short_logs};
 use bytes::Bytes;
-use consort_bus::{
-    Bus, BusError, Delivery, Encoding, Link, Presence, PresenceToken, Query, Reply, Sample, ServiceSelection,
-    SharedBus, Stream,
-};
+use consort_bus::{BusError, Layer, MessageContent, SharedBus};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::Duration;
 
-const TIMEOUT: Duration = Duration::from_secs(2);
 const DAMAGED_CHUNKS: u32 = 3;
 
 /// Bus that changes a byte in the first large chunks of snapshots.
@@ -34,53 +28,19 @@ impl DamagingBus {
     }
 }
 
-#[async_trait]
-impl Bus for DamagingBus {
-    async fn publish_with_attachment(
-        &self,
-        key: &str,
-        payload: Bytes,
-        attachment: Bytes,
-        encoding: Encoding,
-        delivery: Delivery,
-    ) -> Result<(), BusError> {
-        self.inner.publish_with_attachment(key, payload, attachment, encoding, delivery).await
+impl Layer for DamagingBus {
+    type QueryState = ();
+
+    fn inner(&self) -> &SharedBus {
+        &self.inner
     }
 
-    async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
-        self.inner.subscribe(key_expr).await
-    }
-
-    async fn query_with(
+    fn outgoing_query(
         &self,
         key_expr: &str,
-        payload: Bytes,
-        attachment: Bytes,
-        timeout: Duration,
-        target: ServiceSelection,
-    ) -> Result<Stream<Reply>, BusError> {
-        let payload = self.damage(key_expr, payload);
-        self.inner.query_with(key_expr, payload, attachment, timeout, target).await
-    }
-
-    async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        self.inner.serve(key_expr).await
-    }
-
-    async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        self.inner.serve_complete(key_expr).await
-    }
-
-    async fn announce(&self, key: &str) -> Result<PresenceToken, BusError> {
-        self.inner.announce(key).await
-    }
-
-    async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
-        self.inner.watch(key_expr).await
-    }
-
-    async fn links(&self) -> Vec<Link> {
-        self.inner.links().await
+        MessageContent { payload, attachment }: MessageContent,
+    ) -> Result<(MessageContent, ()), BusError> {
+        Ok((MessageContent { payload: self.damage(key_expr, payload), attachment }, ()))
     }
 }
 
@@ -91,14 +51,7 @@ fn a_snapshot_damaged_on_its_way_is_sent_again() {
         let counter = Arc::clone(&damaged);
         let damaging = move |inner| Arc::new(DamagingBus { inner, damaged: Arc::clone(&counter) }) as SharedBus;
         let fleet = Fleet::bootstrapped_on(3, 3, with_short_logs, Box::new(damaging)).await;
-        let leader = fleet.leader().await;
-        let lost = fleet.replicas.keys().find(|name| **name != leader).expect("three nodes").clone();
-        let others = fleet.replicas.keys().filter(|name| **name != lost).cloned().collect();
-        fleet.network.partition([vec![lost.clone()], others]);
-        fleet.replicas[&leader].propose(NumberCommand::Grow(300_000), TIMEOUT).await.expect("a commit");
-        for number in 0..100 {
-            fleet.replicas[&leader].propose(NumberCommand::Append(number), TIMEOUT).await.expect("a commit");
-        }
+        fleet.advance_without_follower(100).await;
         fleet.network.heal();
         fleet.until_all_hold(100).await;
         assert_eq!(damaged.load(Ordering::SeqCst), DAMAGED_CHUNKS);

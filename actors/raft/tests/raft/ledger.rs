@@ -219,14 +219,7 @@ fn a_leader_with_a_one_way_link_is_replaced() {
 fn a_node_that_was_cut_off_catches_up_by_a_chunked_snapshot() {
     on_virtual_time(async {
         let fleet = Fleet::bootstrapped(3, 3, with_short_logs).await;
-        let leader = fleet.leader().await;
-        let lost = fleet.replicas.keys().find(|name| **name != leader).expect("three nodes").clone();
-        let others = fleet.replicas.keys().filter(|name| **name != lost).cloned().collect();
-        fleet.network.partition([vec![lost.clone()], others]);
-        fleet.replicas[&leader].propose(NumberCommand::Grow(300_000), TIMEOUT).await.expect("a commit");
-        for number in 0..200 {
-            fleet.replicas[&leader].propose(NumberCommand::Append(number), TIMEOUT).await.expect("a commit");
-        }
+        let lost = fleet.advance_without_follower(200).await;
         assert!(fleet.replicas[&lost].read(|list| list.written.is_empty()));
         fleet.network.heal();
         fleet.until_all_hold(200).await;

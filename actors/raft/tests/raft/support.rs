@@ -172,6 +172,19 @@ impl Fleet {
         self.leaders().remove(0)
     }
 
+    /// Cuts a follower off, and commits a large state and `count` numbers without it. Returns the follower.
+    pub(crate) async fn advance_without_follower(&self, count: u64) -> NodeId {
+        let leader = self.leader().await;
+        let lost = self.replicas.keys().find(|name| **name != leader).expect("three nodes").clone();
+        let others = self.replicas.keys().filter(|name| **name != lost).cloned().collect();
+        self.network.partition([vec![lost.clone()], others]);
+        let numbers = (0..count).map(NumberCommand::Append);
+        for command in [NumberCommand::Grow(300_000)].into_iter().chain(numbers) {
+            self.replicas[&leader].propose(command, Duration::from_secs(2)).await.expect("a commit");
+        }
+        lost
+    }
+
     /// Appends a number through the current leader, and retries until it succeeds; returns its log
     /// position.
     pub(crate) async fn write(&self, number: u64) -> Epoch {

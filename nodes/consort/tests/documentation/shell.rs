@@ -67,7 +67,7 @@ fn free_ports() -> Vec<(String, String)> {
     (7447..7451).map(|port| (format!("127.0.0.1:{port}"), format!("127.0.0.1:{}", free_port()))).collect()
 }
 
-/// Returns the commands of a block whose fence is in line `first`.
+/// Returns the commands of the code block that begins in line `first`.
 fn steps(first: usize, text: &str) -> Vec<PageStep> {
     let mut steps: Vec<PageStep> = vec![];
     for (line, text) in (first + 1..).zip(text.lines()) {

@@ -139,12 +139,8 @@ impl Ledger {
     /// Returns the role that a robot holds now, with the epoch of its award.
     pub fn held_by(&self, robot: &RobotId) -> Option<(&MissionEntry, &RoleId, Epoch)> {
         self.missions.values().filter(|entry| !entry.state.is_final()).find_map(|entry| {
-            entry.roles.iter().find_map(|(id, role)| match (&role.holder, role.phase) {
-                (Some(holder), RolePhase::Awarded | RolePhase::Active) if holder.robot == *robot => {
-                    Some((entry, id, holder.epoch))
-                }
-                _ => None,
-            })
+            let held = entry.held_roles().find(|(.., holder)| holder.robot == *robot);
+            held.map(|(id, _, holder)| (entry, id, holder.epoch))
         })
     }
 

@@ -65,7 +65,7 @@ fn quarantine(folder: &Path, owner: &StoreOwner, identity: StoreIdentity) -> Res
         (&unfinished, ledger.clone()),
         (&marker, moved_to.join(COMMIT_MARKER_FILE)),
     ] {
-        // One of the two files of a store may be missing.
+        // The damage may be a missing file.
         if from.try_exists().map_err(|error| OpenError::io(from, error))? {
             move_file(from, &to).map_err(|error| OpenError::io(from, error))?;
         }
@@ -76,13 +76,13 @@ fn quarantine(folder: &Path, owner: &StoreOwner, identity: StoreIdentity) -> Res
 
 /// Creates the directory for the files of a damaged store.
 fn new_directory(folder: &Path) -> Result<PathBuf, OpenError> {
-    for number in 1_u32.. {
+    let mut number = 1_u32;
+    loop {
         let path = folder.join(format!("damaged-{number}"));
         match fs::create_dir(&path) {
             Ok(()) => return Ok(path),
-            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => number += 1,
             Err(error) => return Err(OpenError::io(&path, error)),
         }
     }
-    unreachable!("a directory contains fewer than 2^32 files")
 }
