@@ -108,8 +108,11 @@ impl LeaseClient {
 
     /// Returns the reply to an award notice, and the event to be handled after the reply was sent.
     pub(super) fn answer(&self, notice: AwardNotice, is_leaving: bool) -> (AwardReply, Option<Event>) {
+        let is_held = |award: &Award| self.lease.award().is_some_and(|held| held.epoch == award.epoch);
         match notice {
-            AwardNotice::Awarded(_) if is_leaving => (AwardReply::Declined(DeclineReason::Leaving), None),
+            AwardNotice::Awarded(award) if is_leaving && !is_held(&award) => {
+                (AwardReply::Declined(DeclineReason::Leaving), None)
+            }
             AwardNotice::Awarded(award) => match self.lease.check_award(&award) {
                 Ok(()) => (AwardReply::Acknowledged, Some(Event::AwardReceived(award))),
                 Err(why) => (AwardReply::Declined(why), None),
@@ -212,6 +215,15 @@ mod tests {
         let client = LeaseClient::new("ada".parse().unwrap(), LeaseTerms::default(), None, at(0));
         let (reply, event) = client.answer(AwardNotice::Awarded(Box::new(award(7))), true);
         assert_eq!((reply, event), (AwardReply::Declined(DeclineReason::Leaving), None));
+    }
+
+    /// A robot that declines an award counts as not holding it, and the role passes on at once.
+    #[test]
+    fn a_leaving_robot_acknowledges_a_repetition_of_the_award_it_holds() {
+        let (reply, _) = client().answer(AwardNotice::Awarded(Box::new(award(7))), true);
+        assert_eq!(reply, AwardReply::Acknowledged);
+        let (reply, _) = client().answer(AwardNotice::Awarded(Box::new(award(9))), true);
+        assert_eq!(reply, AwardReply::Declined(DeclineReason::Leaving));
     }
 
     #[test]
