@@ -42,6 +42,17 @@ impl Fleet {
         values
     }
 
+    /// Sends a read to all nodes and returns their replies.
+    pub async fn read_everywhere(&self, call: ApiCall, payload: &Value) -> Vec<Value> {
+        let (key, limit) = (self.keys.write(&Key::Api(call)), Duration::from_secs(3));
+        let mut replies = self.requests.query(&key, payload.to_string().into(), limit).await.expect("a virtual bus");
+        let mut values = vec![];
+        while let Some(reply) = replies.recv().await {
+            values.push(serde_json::from_slice(&reply.payload.expect("a reply")).expect("JSON"));
+        }
+        values
+    }
+
     async fn query(&self, call: ApiCall, payload: &str) -> Stream<Reply> {
         let key = self.keys.write(&Key::Api(call));
         let limit = Duration::from_secs(3);

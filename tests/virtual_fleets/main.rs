@@ -18,6 +18,7 @@ mod long_texts;
 mod path_following;
 mod people;
 mod queueing;
+mod reads;
 mod recovery;
 mod refusals;
 mod repeated_missions;

@@ -61,7 +61,7 @@ mod tests {
         assert_eq!(submit["payload_schema"]["required"], json!(["mission"]));
         assert_eq!(submit["payload_schema"]["additionalProperties"], json!(false));
         assert_eq!(submit["answer_schema"]["required"], json!(["mission", "again"]));
-        assert_eq!(of("list")["payload_schema"], Value::Null);
+        assert_eq!(of("help")["payload_schema"], Value::Null);
         assert_eq!(help["calls"].as_array().unwrap().len(), ApiCall::ALL.len());
     }
 }

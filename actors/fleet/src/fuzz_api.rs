@@ -4,7 +4,9 @@
 //! function calls the decoder that the actors use, and returns the decoded value encoded again.
 
 use crate::coordinator::submission::{SubmitError, template};
-use consort_protocol::api::{MissionChangeRequest, MissionQuery, SubmitRequest, UpgradeRequest, parse_request};
+use consort_protocol::api::{
+    MissionChangeRequest, MissionQuery, SubmitRequest, UpgradeRequest, parse_read_options, parse_request,
+};
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
 use consort_protocol::mission::MissionTemplate;
@@ -65,7 +67,8 @@ pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, impl std::er
         ApiCall::Cancel | ApiCall::Resolve => drop(parse_request::<MissionChangeRequest>(call, payload)?),
         ApiCall::Get | ApiCall::Explain => drop(parse_request::<MissionQuery>(call, payload)?),
         ApiCall::Upgrade => drop(parse_request::<UpgradeRequest>(call, payload)?),
-        ApiCall::List | ApiCall::Help | ApiCall::Backup => {}
+        ApiCall::List => drop(parse_read_options(call, payload)?),
+        ApiCall::Help | ApiCall::Backup => {}
     }
     Ok(ApiRequest::Other)
 }

@@ -46,6 +46,7 @@ mod replica;
 mod runtime;
 mod server;
 mod settings;
+mod staleness;
 mod storage;
 pub mod store;
 mod types;

@@ -5,9 +5,10 @@ use super::leader_contact::LeaderContact;
 use super::leadership_transfer;
 use super::leadership_view::LeadershipView;
 use super::messages::{HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_request};
+use super::staleness::AnnouncedCommits;
 use super::storage::ReceivedChunks;
-use super::types::{Raft, RaftId, StateMachine, TypeConfig, Vote};
-use consort_bus::{BusError, Encoding, Query, Stream};
+use super::types::{Raft, RaftId, StateMachine, TypeConfig, Vote, epoch_of};
+use consort_bus::{BootInstant, BusError, Encoding, Query, Stream};
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
@@ -15,7 +16,7 @@ use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
 use openraft::SnapshotSegmentId;
 use openraft::error::{Fatal, InstallSnapshotError, RaftError, SnapshotMismatch};
-use openraft::raft::{AppendEntriesRequest, InstallSnapshotRequest, VoteRequest, VoteResponse};
+use openraft::raft::{AppendEntriesRequest, AppendEntriesResponse, InstallSnapshotRequest, VoteRequest, VoteResponse};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -67,6 +68,7 @@ pub(super) struct RaftServer<S: StateMachine> {
     pub(super) leadership: watch::Receiver<LeadershipView>,
     pub(super) election_min: Duration,
     pub(super) heartbeat: Duration,
+    pub(super) announced_commits: Arc<AnnouncedCommits>,
     /// Number of requests rejected so far.
     pub(super) rejected: Arc<AtomicU64>,
     pub(super) keys: Keys,
@@ -133,8 +135,13 @@ impl<S: StateMachine> RaftServer<S> {
     async fn append(&self, query: &Query) -> Result<Vec<u8>, RequestError> {
         let request: AppendEntriesRequest<TypeConfig<S>> = self.decode_and_follow(query)?;
         self.record_leader(&request.vote);
+        let (arrived_at, term) = (BootInstant::now(), request.vote.leader_id().term);
+        let committed = request.leader_commit.as_ref().map(epoch_of).filter(|committed| committed.term == term);
         let _pending = self.leader_contact.begin_append();
         let reply = self.raft.append_entries(request).await.map_err(Box::new)?;
+        if let (Some(committed), AppendEntriesResponse::Success) = (committed, &reply) {
+            self.announced_commits.record(committed, arrived_at);
+        }
         encode_reply(&RaftReply::Done(reply))
     }
 

@@ -7,9 +7,9 @@
 //! | `resolve` | `{"mission": "lab-samples-1", "by": "Nia"}`: the items that the mission left with robots have been taken care of | `{"mission": …, "state": …}` |
 //! | `backup` | nothing | a copy of the ledger, with everything acknowledged before the request: with key figures as plain text |
 //! | `upgrade` | `{"finish": false}`: the wire versions that each node reads; with `true` the fleet writes the next version from then on | `{"wire": 1, "next": 2, "nodes": […]}` |
-//! | `get` | `{"mission": "lab-samples-1"}` | the mission, as in `view/mission/{id}` |
-//! | `list` | nothing | `{"missions": […]}`, as in `view/missions` |
-//! | `explain` | `{"mission": "lab-samples-1"}` | why each robot did or did not get each role |
+//! | `get` | `{"mission": "lab-samples-1"}`; optional: `linearizable` | the mission, as in `view/mission/{id}` |
+//! | `list` | nothing, or `{"linearizable": true}` | `{"missions": […]}`, as in `view/missions` |
+//! | `explain` | `{"mission": "lab-samples-1"}`; optional: `linearizable` | why each robot did or did not get each role |
 //! | `help` | nothing | `{"calls": […]}`: all calls, with JSON Schemas; `api/{call}/help` returns a single call |
 //!
 //! Only the coordinator replies to the first 5 calls. All of them except `backup` may change state.
@@ -18,6 +18,11 @@
 //! after that time: there is no coordinator yet, or the ledger did not commit in time. The reply to
 //! a submission is sent once the mission is committed. Any node replies to the other calls (see
 //! [`crate::view`]).
+//!
+//! A read is answered from the copy of the nearest node, which may lag behind: `ledger` in the reply
+//! states its `revision` and its age. With `"linearizable": true` a majority first confirms the
+//! coordinator, and the reply contains everything that was acknowledged before the request; without
+//! a majority it is an error with `retry_after_ms`.
 //!
 //! A repeated `request` id gets the same reply and is not executed again, until a day after the end
 //! of the mission; after the end the reply contains its `outcome`. The fleet forgets an outcome
@@ -34,8 +39,8 @@ mod reply;
 mod request;
 
 pub use help::{CallHelp, HelpReply, example, payload_schema};
-pub use parse::{RequestError, parse_request};
+pub use parse::{RequestError, parse_read_options, parse_request};
 pub use reply::{
     ErrorReply, ExplainReply, MissionChangeReply, NodeVersions, SubmitReply, UninvitedRobot, UpgradeReply,
 };
-pub use request::{MissionChangeRequest, MissionQuery, MissionSource, SubmitRequest, UpgradeRequest};
+pub use request::{MissionChangeRequest, MissionQuery, MissionSource, ReadOptions, SubmitRequest, UpgradeRequest};

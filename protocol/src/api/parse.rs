@@ -1,6 +1,7 @@
 //! Parser of request payloads. An error names the field, the problem and the allowed values.
 
 use super::help::{example, payload_schema};
+use super::request::ReadOptions;
 use crate::keys::ApiCall;
 use crate::mission::FILE_BYTES_MAX;
 use serde::de::DeserializeOwned;
@@ -48,6 +49,18 @@ pub fn parse_request<T: DeserializeOwned>(call: ApiCall, payload: &[u8]) -> Resu
         None => serde_json::from_slice(payload).map_err(|problem| problem.to_string()),
     };
     read.map_err(|problem| RequestError::Invalid { call, problem })
+}
+
+/// Parses the payload of a call whose only parameters are [`ReadOptions`]. No payload, or `null`, means
+/// the default.
+///
+/// # Errors
+/// [`RequestError`].
+pub fn parse_read_options(call: ApiCall, payload: &[u8]) -> Result<ReadOptions, RequestError> {
+    match payload {
+        b"" | b"null" => Ok(ReadOptions::default()),
+        payload => parse_request(call, payload),
+    }
 }
 
 /// Returns a description of the first field with a wrong type, according to the call's own schema.
@@ -108,11 +121,23 @@ mod tests {
                 }
                 ApiCall::Get | ApiCall::Explain => parse_request::<MissionQuery>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Upgrade => parse_request::<UpgradeRequest>(*call, bytes.as_bytes()).map(drop),
-                ApiCall::List | ApiCall::Help | ApiCall::Backup => Ok(()),
+                ApiCall::List => parse_read_options(*call, bytes.as_bytes()).map(drop),
+                ApiCall::Help | ApiCall::Backup => Ok(()),
             };
             assert_eq!(taken, Ok(()), "{}", call.as_str());
             assert_eq!(type_error(*call, &example), None, "{}", call.as_str());
         }
+    }
+
+    #[test]
+    fn options_of_a_read_may_be_omitted() {
+        let read = |payload: &str| parse_read_options(ApiCall::List, payload.as_bytes());
+        for payload in ["", "null", "{}", r#"{"linearizable": false}"#] {
+            assert_eq!(read(payload), Ok(ReadOptions { linearizable: false }), "{payload}");
+        }
+        assert_eq!(read(r#"{"linearizable": true}"#), Ok(ReadOptions { linearizable: true }));
+        let error = read(r#"{"linearizable": "yes"}"#).unwrap_err().to_string();
+        assert!(error.starts_with("linearizable is a string; allowed is boolean; an example is {"), "{error}");
     }
 
     #[test]

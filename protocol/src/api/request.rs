@@ -75,6 +75,17 @@ pub struct UpgradeRequest {
     pub finish: bool,
 }
 
+/// Options of a read.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ReadOptions {
+    /// The reply contains everything that was acknowledged before the request: a majority confirms
+    /// it, or the reply is an error. Otherwise any node replies from its own copy, which may lag
+    /// behind; the reply states how far.
+    #[serde(default)]
+    pub linearizable: bool,
+}
+
 /// Queries a mission.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -82,4 +93,7 @@ pub struct MissionQuery {
     /// The mission.
     #[schemars(with = "String")]
     pub mission: MissionId,
+    /// The reply contains everything that was acknowledged before the request; see `list`.
+    #[serde(default)]
+    pub linearizable: bool,
 }

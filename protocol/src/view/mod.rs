@@ -39,7 +39,7 @@ pub use mission::{
     MissionBrief, MissionProgress, MissionStateName, MissionStatus, MissionSummary, MissionView, MissionsView,
     RequestTerms, RoleView, StepView, TaskParticipant, TaskProgress, TaskView,
 };
-pub use provenance::{Provenance, WithProvenance};
+pub use provenance::{LedgerCopy, Provenance, WithProvenance};
 
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, Schema};

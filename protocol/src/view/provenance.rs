@@ -23,6 +23,22 @@ pub struct Provenance {
     /// Version of the program.
     #[serde(default)]
     pub version: String,
+    /// The copy of the ledger that was read; absent if the content comes from elsewhere.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ledger: Option<LedgerCopy>,
+}
+
+/// Copy of the ledger from which a view or reply was computed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct LedgerCopy {
+    /// Number of the last entry of the ledger that the copy contains. It grows with every change.
+    pub revision: u64,
+    /// Staleness in milliseconds: the copy contains everything that was acknowledged at least that
+    /// long ago, except for the delay of a message. 0 if the read is linearizable, null if the
+    /// node has had no contact with a leader since its start.
+    pub age_ms: Option<u64>,
+    /// The copy contained everything that was acknowledged before the request.
+    pub linearizable: bool,
 }
 
 /// A view or reply with its provenance, in a single object.

@@ -95,7 +95,7 @@ pub(super) fn request(bytes: &[u8]) -> bool {
                 taken = true;
             }
             // These two calls accept any payload.
-            Ok(ApiRequest::Other) => taken |= !matches!(call, ApiCall::List | ApiCall::Help),
+            Ok(ApiRequest::Other) => taken |= !matches!(call, ApiCall::Help | ApiCall::Backup),
             Err(problem) => assert!(!problem.to_string().is_empty()),
         }
     }

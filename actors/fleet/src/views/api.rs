@@ -3,7 +3,9 @@
 use super::ViewService;
 use super::draw::json;
 use crate::api_help;
-use consort_protocol::api::{ErrorReply, ExplainReply, MissionQuery, UninvitedRobot, parse_request};
+use consort_protocol::api::{
+    ErrorReply, ExplainReply, MissionQuery, ReadOptions, UninvitedRobot, parse_read_options, parse_request,
+};
 use consort_protocol::auction::{Explanation, explain};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key};
@@ -28,13 +30,19 @@ impl ViewService {
     /// Returns the reply to a request.
     pub(super) async fn answer_request(&self, call: ApiCall, payload: &[u8]) -> Value {
         let reply = match call {
-            ApiCall::List => self.view(&Key::ViewMissions).await.ok_or_else(|| error_reply("missions are unknown")),
+            ApiCall::List => match parse_read_options(call, payload) {
+                Ok(ReadOptions { linearizable: true }) => self.linearizable_view(&Key::ViewMissions).await,
+                Ok(ReadOptions { linearizable: false }) => {
+                    self.view(&Key::ViewMissions).await.ok_or_else(|| error_reply("missions are unknown"))
+                }
+                Err(problem) => Err(error_reply(problem.to_string())),
+            },
             ApiCall::Get => match parse_request(call, payload) {
-                Ok(MissionQuery { mission }) => self.mission(&mission).await,
+                Ok(query) => self.mission(&query).await,
                 Err(problem) => Err(error_reply(problem.to_string())),
             },
             ApiCall::Explain => match parse_request(call, payload) {
-                Ok(MissionQuery { mission }) => self.explain(&mission).await,
+                Ok(query) => self.explain(&query).await,
                 Err(problem) => Err(error_reply(problem.to_string())),
             },
             ApiCall::Help => Ok(json(api_help::help())),
@@ -53,8 +61,11 @@ impl ViewService {
 
     /// Returns a mission, or an error. If no voter is reachable, the mission may exist all the
     /// same, and the error allows a retry.
-    async fn mission(&self, mission: &MissionId) -> Result<Value, Value> {
+    async fn mission(&self, MissionQuery { mission, linearizable }: &MissionQuery) -> Result<Value, Value> {
         let key = Key::ViewMission(mission.clone());
+        if *linearizable {
+            return self.linearizable_view(&key).await;
+        }
         let deadline = Instant::now() + MISSION_WAIT;
         loop {
             if let Some(found) = self.view(&key).await {
@@ -73,8 +84,8 @@ impl ViewService {
         }
     }
 
-    async fn explain(&self, mission: &MissionId) -> Result<Value, Value> {
-        let view = self.mission(mission).await?;
+    async fn explain(&self, query: &MissionQuery) -> Result<Value, Value> {
+        let (mission, view) = (&query.mission, self.mission(query).await?);
         let read = WithProvenance::<MissionView>::deserialize(&view);
         let WithProvenance { provenance, content: view } =
             read.map_err(|problem| error_reply(format!("mission {mission} cannot be read: {problem}")))?;

@@ -39,6 +39,7 @@ impl ClusterStatus {
             term: self.term,
             at_ms,
             version: env!("CARGO_PKG_VERSION").to_owned(),
+            ledger: None,
         }
     }
 }

@@ -10,20 +10,25 @@ use consort_protocol::ensemble::Membership;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, KnownRecord};
+use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Ledger, MissionState};
 use consort_protocol::units::NodeTime;
 use consort_protocol::view::{
-    Contact, CoordinatorView, EnsembleMember, EnsembleView, EnsemblesView, FleetView, HealthView, HeldRole, NodeStatus,
-    NodeTraits, NodeView, Provenance, PublishedRecord, RobotView, WithProvenance,
+    Contact, CoordinatorView, EnsembleMember, EnsembleView, EnsemblesView, FleetView, HealthView, HeldRole, LedgerCopy,
+    NodeStatus, NodeTraits, NodeView, Provenance, PublishedRecord, RobotView, WithProvenance,
 };
+use consort_raft::Replica;
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 /// Inputs of all views at a single moment.
 pub(super) struct ViewContext<'a> {
     pub(super) views: &'a Views,
     pub(super) status: ClusterStatus,
+    /// A majority has confirmed this node's copy of the ledger for this request.
+    pub(super) linearizable: bool,
     pub(super) now: NodeTime,
 }
 
@@ -57,37 +62,44 @@ impl ViewContext<'_> {
 
     /// Returns the views of the ledger, if this node has a copy.
     fn ledger_views(&self, wanted: &impl Fn(&Key) -> bool, named: Option<&MissionId>) -> Vec<(Key, Value)> {
-        let drawn = self.ledger(|ledger| {
+        let Some(replica) = self.own_copy() else { return vec![] };
+        // Before the state is read: it may become newer in between, but not older.
+        let age_ms = if self.linearizable { Some(0) } else { replica.staleness().map(millis) };
+        replica.read_with_position(|Epoch { index: revision, .. }, ledger| {
+            let copy = LedgerCopy { revision, age_ms, linearizable: self.linearizable };
+            let provenance = Provenance { ledger: Some(copy), ..self.provenance() };
             let mut views = vec![];
             if wanted(&Key::ViewMissions) {
-                views.push((Key::ViewMissions, self.with_provenance(missions(ledger))));
+                views.push((Key::ViewMissions, with(&provenance, missions(ledger))));
             }
             if wanted(&Key::ViewAuctions) {
-                views.push((Key::ViewAuctions, self.with_provenance(auctions(ledger))));
+                views.push((Key::ViewAuctions, with(&provenance, auctions(ledger))));
             }
             let entries = ledger.missions().map(|entry| (Key::ViewMission(entry.id.clone()), entry));
             let wanted = entries.filter(|(key, _)| wanted(key));
-            views.extend(wanted.map(|(key, entry)| (key, self.with_provenance(mission(entry)))));
+            views.extend(wanted.map(|(key, entry)| (key, with(&provenance, mission(entry)))));
             let ended = named.filter(|id| ledger.mission(id).is_none());
             if let Some((id, tombstone)) = ended.and_then(|id| Some((id, ledger.tombstone(id)?))) {
-                let view = self.with_provenance(ended_mission(id.clone(), tombstone));
-                views.push((Key::ViewMission(id.clone()), view));
+                views.push((Key::ViewMission(id.clone()), with(&provenance, ended_mission(id.clone(), tombstone))));
             }
             views
-        });
-        drawn.unwrap_or_default()
+        })
+    }
+
+    /// Returns this node's copy of the ledger, if it is up to date as far as the node knows.
+    fn own_copy(&self) -> Option<&Replica<Ledger>> {
+        self.views.replica.as_ref().filter(|_| self.status.has_ledger)
     }
 
     /// Reads the ledger, if this node has a copy.
     fn ledger<T>(&self, look: impl FnOnce(&Ledger) -> T) -> Option<T> {
-        let replica = self.views.replica.as_ref().filter(|_| self.status.has_ledger)?;
-        Some(replica.read(look))
+        Some(self.own_copy()?.read(look))
     }
 
     /// Returns the JSON of a view with its provenance. The fields of `view/world` and `view/map`
     /// take precedence over fields of the provenance.
     pub(super) fn with_provenance<T: Serialize>(&self, content: T) -> Value {
-        json(WithProvenance { provenance: self.provenance(), content })
+        with(&self.provenance(), content)
     }
 
     fn provenance(&self) -> Provenance {
@@ -196,7 +208,7 @@ impl ViewContext<'_> {
                 seen_by: self.views.node.clone(),
                 alive,
                 status: node_status(statuses.get(node)),
-                age_ms: u64::try_from(stored.age(self.now).as_millis()).unwrap_or(u64::MAX),
+                age_ms: millis(stored.age(self.now)),
             },
             record: PublishedRecord {
                 incarnation: record.stamp.incarnation,
@@ -242,7 +254,7 @@ impl ViewContext<'_> {
         self.views.knowledge.read(|base| {
             for (node, stored) in base.iter() {
                 let status = statuses.get(node).copied().unwrap_or(MemberStatus::Unknown);
-                let age_ms = u64::try_from(stored.age(self.now).as_millis()).unwrap_or(u64::MAX);
+                let age_ms = millis(stored.age(self.now));
                 if matches!(status, MemberStatus::Down { .. } | MemberStatus::Suspect { .. })
                     && !stored.record.knowledge.leaving
                 {
@@ -275,6 +287,14 @@ impl ViewContext<'_> {
         });
         inputs
     }
+}
+
+fn with<T: Serialize>(provenance: &Provenance, content: T) -> Value {
+    json(WithProvenance { provenance: provenance.clone(), content })
+}
+
+fn millis(time: Duration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }
 
 /// Returns the JSON of a view.

@@ -11,7 +11,9 @@
 //! All nodes declare `view/**` as complete, so a client with Zenoh's default target gets a single
 //! reply, from the nearest node. Each reply contains its source and its age. A node that Zenoh
 //! queries in addition replies too; the client then gets the replies of only 1 of these nodes: see
-//! `bus`. `seen/{node}/**` serves the same views, computed by that node alone.
+//! `bus`. `seen/{node}/**` serves the same views, computed by that node alone. With the payload
+//! `{"linearizable": true}` it serves a single view of the ledger, after a majority has confirmed that
+//! the node leads.
 //!
 //! Views are computed on request and cost nothing otherwise. The read-only requests (`get`, `list`,
 //! `explain` and `help`) are also served here.
@@ -20,6 +22,7 @@ mod api;
 mod cluster_status;
 mod draw;
 mod health;
+mod linearizable;
 mod mission;
 
 use crate::api_help::call_help;
@@ -33,7 +36,7 @@ use consort_bus::reply;
 use consort_bus::tasks::Tasks;
 use consort_bus::{BusError, Query, Sample, SharedBus, Stream};
 use consort_gossip::SharedKnowledge;
-use consort_protocol::api::ErrorReply;
+use consort_protocol::api::{ErrorReply, ReadOptions};
 use consort_protocol::codec;
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{MissionId, NodeId};
@@ -158,12 +161,7 @@ impl ViewService {
         let Ok(requested) = keyexpr::new(query.key.as_str()) else { return };
         let replies = match service {
             Service::Views => self.requested_views(requested).await,
-            Service::Seen => {
-                let seen = |key: &Key| Key::Seen(self.views.node.clone(), Box::new(key.clone()));
-                let wanted = |key: &Key| self.is_requested(requested, &seen(key));
-                let own_views = self.context().await.draw(&wanted, self.named_mission(requested).as_ref());
-                own_views.into_iter().map(|(key, value)| (seen(&key), value)).collect()
-            }
+            Service::Seen => self.seen_views(requested, &query.payload).await,
             Service::Request(call) => vec![(Key::Api(call), self.answer_request(call, &query.payload).await)],
             Service::Help => {
                 let keys = ApiCall::ALL.iter().map(|call| (Key::Help(*call), *call));
@@ -187,6 +185,20 @@ impl ViewService {
             key => key,
         };
         if let Key::ViewMission(mission) = key { Some(mission) } else { None }
+    }
+
+    /// Returns the requested views of this node alone.
+    async fn seen_views(&self, requested: &keyexpr, payload: &[u8]) -> Vec<(Key, Value)> {
+        let seen = |key: &Key| Key::Seen(self.views.node.clone(), Box::new(key.clone()));
+        let is_linearizable = serde_json::from_slice(payload).is_ok_and(|ReadOptions { linearizable }| linearizable);
+        if is_linearizable {
+            let Some(Key::Seen(node, key)) = self.views.keys.read(requested.as_str()) else { return vec![] };
+            let view = self.own_linearizable_view(&key).await;
+            return vec![(Key::Seen(node, key), view.unwrap_or_else(|error| error))];
+        }
+        let wanted = |key: &Key| self.is_requested(requested, &seen(key));
+        let own_views = self.context().await.draw(&wanted, self.named_mission(requested).as_ref());
+        own_views.into_iter().map(|(key, value)| (seen(&key), value)).collect()
     }
 
     /// Returns the requested views. A voter and the driver server contribute what this node lacks.
@@ -272,7 +284,7 @@ impl ViewService {
             None => None,
         };
         let now = self.views.clock.now();
-        ViewContext { views: &self.views, status: self.status(coordinator_status, now), now }
+        ViewContext { views: &self.views, status: self.status(coordinator_status, now), linearizable: false, now }
     }
 
     fn status(&self, coordinator_status: Option<CoordinatorStatus>, now: NodeTime) -> ClusterStatus {

@@ -10,6 +10,7 @@ use crate::leader_contact::LeaderContact;
 use crate::leadership_view::{LeadershipView, ResignedTerm};
 use crate::network::RaftClient;
 use crate::settings::RaftSettings;
+use crate::staleness::AnnouncedCommits;
 use crate::storage::StateMachineStore;
 use crate::types::{Epoch, Peer, Raft, RaftId, StateMachine, epoch_of};
 use consort_bus::BootInstant;
@@ -49,6 +50,7 @@ struct Inner<S: StateMachine> {
     raft: Raft<S>,
     machine: StateMachineStore<S>,
     leadership: LeadershipState,
+    announced_commits: Arc<AnnouncedCommits>,
     client: RaftClient,
     rejected: Arc<AtomicU64>,
     proposals: mpsc::UnboundedSender<Proposal<S>>,
@@ -163,6 +165,11 @@ impl<S: StateMachine> Replica<S> {
         self.inner.machine.read(inspect)
     }
 
+    /// Same as [`Replica::read`], but also passes the position of the last applied entry.
+    pub fn read_with_position<R>(&self, inspect: impl FnOnce(Epoch, &S) -> R) -> R {
+        self.inner.machine.read_with_position(inspect)
+    }
+
     /// Returns a copy of this node's state and the position of the last entry applied to it, if
     /// any.
     pub fn copy(&self) -> (Option<Epoch>, S)
@@ -203,6 +210,21 @@ impl<S: StateMachine> Replica<S> {
     pub fn quorum_ack_age(&self) -> Option<Duration> {
         let has_resigned = self.inner.leadership.resigned_term.covers(self.inner.leadership.view.borrow().term);
         self.inner.leadership.quorum_ack.borrow().filter(|_| !has_resigned).map(|at| at.elapsed())
+    }
+
+    /// Returns the staleness of this node's state: a [`Replica::read`] from now on contains
+    /// everything that was committed at least that long ago. `None` if this node has neither led nor
+    /// followed a leader since its start.
+    ///
+    /// A follower counts from the arrival of the leader's message, so the delay of that message
+    /// comes on top; so does the time for which a leader that lost its majority continues, at most
+    /// the check-quorum timeout.
+    pub fn staleness(&self) -> Option<Duration> {
+        let applied = *self.applied().borrow();
+        let leads_since = self.leadership().borrow().term;
+        // Until a leader has applied an entry of its own term, it may lack entries of the term before.
+        let as_leader = self.quorum_ack_age().filter(|_| applied.term >= leads_since);
+        as_leader.or_else(|| self.inner.announced_commits.staleness(applied))
     }
 
     /// Returns the age of the last message that each other voter and learner has replied to,

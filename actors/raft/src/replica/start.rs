@@ -12,6 +12,7 @@ use crate::network::RaftClient;
 use crate::runtime::seed_elections;
 use crate::server::RaftServer;
 use crate::settings::RaftSettings;
+use crate::staleness::AnnouncedCommits;
 use crate::storage::{self, ApplyObserver};
 use crate::types::{Raft, RaftId, StateMachine};
 use consort_bus::SharedBus;
@@ -105,6 +106,7 @@ impl<S: StateMachine> Replica<S> {
         let election_task = Task::spawn(elections);
         let heartbeat_task = Task::spawn(election::send_heartbeats(raft.clone(), client.clone(), settings.heartbeat));
         let rejected = Arc::<AtomicU64>::default();
+        let announced_commits = Arc::<AnnouncedCommits>::default();
         let server = RaftServer {
             me: id,
             raft: raft.clone(),
@@ -112,6 +114,7 @@ impl<S: StateMachine> Replica<S> {
             leadership: leadership.subscribe(),
             election_min: settings.election_min,
             heartbeat: settings.heartbeat,
+            announced_commits: Arc::clone(&announced_commits),
             rejected: Arc::clone(&rejected),
             keys,
             cluster: machine.cluster(),
@@ -132,7 +135,8 @@ impl<S: StateMachine> Replica<S> {
             heartbeats: heartbeat_task,
         };
         let leadership = LeadershipState { view: leadership, quorum_ack, resigned_term, leader_contact };
-        let inner = Inner { id, settings, raft, machine, leadership, client, rejected, proposals, tasks };
+        let inner =
+            Inner { id, settings, raft, machine, leadership, announced_commits, client, rejected, proposals, tasks };
         Ok(Replica { inner: Arc::new(inner) })
     }
 }

@@ -96,6 +96,12 @@ impl<S: StateMachine> StateMachineStore<S> {
         inspect(&lock(&self.machine).state)
     }
 
+    /// Calls `inspect` with the position of the last applied entry, and the state after it.
+    pub(crate) fn read_with_position<R>(&self, inspect: impl FnOnce(Epoch, &S) -> R) -> R {
+        let machine = lock(&self.machine);
+        inspect(machine.applied.as_ref().map(epoch_of).unwrap_or_default(), &machine.state)
+    }
+
     /// Returns the state as applied so far on this node, and the position of its last entry.
     pub(crate) fn copy(&self) -> (Option<Epoch>, S)
     where

@@ -30,7 +30,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let Args { mission, ask } = args;
     ask.print(
-        async |client: &mut Client| client.api(ApiCall::Explain, &MissionQuery { mission }).await,
+        async |client: &mut Client| client.api(ApiCall::Explain, &MissionQuery { mission, linearizable: false }).await,
         |answer: &ExplainReply| answer.text.join("\n"),
     )
 }

@@ -3,6 +3,7 @@
 use crate::client::{Client, ClientFlags, read_answer};
 use crate::exit::Failure;
 use crate::output;
+use consort_protocol::api::ReadOptions;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{HeldItem, MissionState};
@@ -22,6 +23,7 @@ use std::time::Duration;
 Examples:
   consort missions
   consort missions --watch
+  consort missions --linearizable
   consort missions --json | head -c 2000")]
 pub(crate) struct Args {
     /// Keep running, and add a line for every change
@@ -30,6 +32,11 @@ pub(crate) struct Args {
     /// Print JSON: the whole list; with --watch a line for every change
     #[arg(long)]
     json: bool,
+    /// Show everything acknowledged before now, confirmed by a majority of the voters
+    ///
+    /// Without it the nearest node replies from its own copy of the ledger, which may lag behind.
+    #[arg(long)]
+    linearizable: bool,
     #[command(flatten)]
     client: ClientFlags,
 }
@@ -42,19 +49,18 @@ const LOOK: Duration = Duration::from_millis(500);
 /// # Errors
 /// See [`Client::api`].
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
-    args.client.with_client(
-        async |client| {
-            if args.watch { watch(client, args.json).await } else { once(client, args.json).await }
-        },
-    )
+    args.client.with_client(async |client| {
+        let options = ReadOptions { linearizable: args.linearizable };
+        if args.watch { watch(client, options, args.json).await } else { once(client, options, args.json).await }
+    })
 }
 
-async fn list(client: &mut Client) -> Result<Value, Failure> {
-    client.api(ApiCall::List, &()).await
+async fn list(client: &mut Client, options: ReadOptions) -> Result<Value, Failure> {
+    client.api(ApiCall::List, &options).await
 }
 
-async fn once(client: &mut Client, in_json: bool) -> Result<(), Failure> {
-    let answer = list(client).await?;
+async fn once(client: &mut Client, options: ReadOptions, in_json: bool) -> Result<(), Failure> {
+    let answer = list(client, options).await?;
     if in_json {
         return output::line(&answer);
     }
@@ -67,10 +73,10 @@ async fn once(client: &mut Client, in_json: bool) -> Result<(), Failure> {
     output::line(output::table(&rows))
 }
 
-async fn watch(client: &mut Client, in_json: bool) -> Result<(), Failure> {
+async fn watch(client: &mut Client, options: ReadOptions, in_json: bool) -> Result<(), Failure> {
     let mut shown: BTreeMap<MissionId, MissionSummary> = BTreeMap::new();
     loop {
-        let MissionsView { missions } = read_answer(&list(client).await?)?;
+        let MissionsView { missions } = read_answer(&list(client, options).await?)?;
         for mission in missions {
             if shown.get(&mission.brief.mission) != Some(&mission) {
                 client.progress().clear();

@@ -151,7 +151,7 @@ fn new_request_id() -> RequestId {
 
 async fn wait(client: &mut Client, id: &MissionId, in_json: bool) -> Result<(), Failure> {
     loop {
-        let answer = client.api(ApiCall::Get, &MissionQuery { mission: id.clone() }).await?;
+        let answer = client.api(ApiCall::Get, &MissionQuery { mission: id.clone(), linearizable: false }).await?;
         let MissionView { brief: MissionBrief { status, progress, .. }, auction, .. } = read_answer(&answer)?;
         let state = status.detail.as_str().replace('_', " ");
         if !matches!(status.detail, MissionState::Pending | MissionState::Running) {
