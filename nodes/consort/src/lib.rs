@@ -30,3 +30,4 @@ pub mod telemetry;
 pub(crate) mod trust;
 pub(crate) mod tui;
 pub mod wiring;
+mod zenoh_panic;

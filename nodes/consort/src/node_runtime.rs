@@ -8,6 +8,7 @@ use crate::shutdown_signals::ShutdownSignals;
 use crate::telemetry::Telemetry;
 use crate::trust::NodeCredentials;
 use crate::wiring::bus_settings;
+use crate::zenoh_panic::abort_on_zenoh_panic;
 use crate::{map_loader, output, service_manager};
 use consort_bus::clock::Clock;
 use consort_bus::trust::SigningBus;
@@ -91,6 +92,7 @@ pub fn run_node(
 ) -> Result<(), Failure> {
     let telemetry = &common.telemetry;
     start_log(telemetry.log.as_deref().unwrap_or(LOG), telemetry.log_format)?;
+    abort_on_zenoh_panic();
     let runtime = build_runtime()?;
     let ended = runtime.block_on(run_until_end(until_stdin_closes, common, fleet, settings));
     // Tasks that still run or hang end with the process.
