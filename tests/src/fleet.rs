@@ -282,8 +282,7 @@ impl Fleet {
 
     async fn start(&mut self, mut settings: NodeSettings) {
         (self.options.adjust)(&mut settings);
-        let bus: SharedBus = Arc::new(self.network.bus(settings.node.clone()));
-        let mut bus = (self.options.wrap_bus)(&settings, bus);
+        let mut bus: SharedBus = Arc::new(self.network.bus(settings.node.clone()));
         let name = settings.node.to_string();
         if let Some(credentials) = &self.credentials {
             let keyring = credentials.keyring_of(&settings.node, Credentials::roles(&settings), settings.incarnation);
@@ -292,6 +291,7 @@ impl Fleet {
             self.signing_buses.insert(name.clone(), Arc::clone(&sealed));
             bus = sealed;
         }
+        let bus = (self.options.wrap_bus)(&settings, bus);
         let node = NodeHandle::start(settings, bus).await.expect("a virtual node starts");
         self.nodes.insert(name, node);
     }

@@ -24,7 +24,8 @@ mod slots;
 #[expect(dead_code, unused_imports, reason = "the tests use the rest")]
 mod support;
 
-use lab::{Lab, Way, inside_again};
+use consort_tests::host_network::Way;
+use lab::{Lab, inside_again};
 use scenario::{FLEET, coordinator, fleet, hospital, wait_for_successor, with};
 use serde_json::{Value, json};
 use std::io::Write as _;

@@ -1,14 +1,14 @@
 //! The command line.
 
-use crate::command::{bench, chaos, check, experiment, png, schema, test};
+use crate::command::{bench, chaos, check, experiment, png, schema, soak, test};
 use clap::{Parser, Subcommand};
 use consort_nodes::output::exit_code;
 use std::process::ExitCode;
 
 /// The laboratory of Consort: fault injection, behavior tests, evaluations and benchmarks.
 ///
-/// Each command runs whole fleets, or the simulator, in this process. Nothing is sent over a
-/// network. `consort lab ARGUMENTS` starts this program.
+/// Most commands run whole fleets, or the simulator, in this process. Only `soak` starts processes and
+/// sends messages, in network namespaces of its own. `consort lab ARGUMENTS` starts this program.
 #[derive(Debug, Parser)]
 #[command(name = "consort-lab", version, max_term_width = 100, after_long_help = AFTER_HELP)]
 pub struct Cli {
@@ -21,6 +21,9 @@ const AFTER_HELP: &str = "\
 Examples:
   # whole fleets under generated faults; a violation is printed with the command that repeats it
   consort-lab chaos --seeds 1..1000
+
+  # real processes under random faults
+  consort-lab soak --minutes 30
 
   # required behavior, in plain text
   consort-lab test tests/features
@@ -35,6 +38,7 @@ wrong.";
 #[derive(Debug, Subcommand)]
 enum Command {
     Chaos(chaos::Args),
+    Soak(soak::Args),
     Test(test::Args),
     Experiment(experiment::Args),
     Bench(bench::Args),
@@ -49,6 +53,7 @@ pub fn run() -> ExitCode {
         "consort-lab",
         match Cli::parse().command {
             Command::Chaos(args) => chaos::run(&args),
+            Command::Soak(args) => soak::run(&args),
             Command::Test(args) => test::run(args),
             Command::Experiment(args) => experiment::run(&args),
             Command::Bench(args) => bench::run(args),

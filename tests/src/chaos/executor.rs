@@ -6,10 +6,10 @@ use super::hostile::HostileNode;
 use super::run_counters::millis;
 use super::schedule::{ChaosAction, DiskAfterCrash};
 use crate::disk::DiskFault;
+use crate::history::{Acknowledged, History, Reader, RecordingClient};
 use crate::{Fleet, Observation, slug};
-use consort_bus::{Bus, BusError, LinkModel, Reply, Stream};
+use consort_bus::LinkModel;
 use consort_protocol::ids::NodeId;
-use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::units::BatteryShare;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -17,20 +17,15 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 
-/// Delay of a client before it repeats a request.
-const RETRY_INTERVAL: Duration = Duration::from_millis(700);
-
 /// Interval at which people look for missions that need intervention.
 const RESOLVE_INTERVAL: Duration = Duration::from_secs(10);
-
-/// Missions of acknowledged requests, by request.
-pub(super) type Acknowledged = watch::Sender<BTreeMap<String, String>>;
 
 /// Executor of actions, with the active faults and the state that ends each of them.
 pub(super) struct ActionExecutor {
     composition: ChaosFleet,
     injector: FaultInjector,
     acknowledged: Acknowledged,
+    history: History,
     /// Stopped nodes, by the action that will restart them.
     down: BTreeMap<usize, Vec<String>>,
     partitions: BTreeMap<usize, Vec<Vec<String>>>,
@@ -50,6 +45,7 @@ impl ActionExecutor {
             composition,
             injector,
             acknowledged: watch::Sender::default(),
+            history: History::default(),
             down: BTreeMap::new(),
             partitions: BTreeMap::new(),
             cuts: BTreeMap::new(),
@@ -65,6 +61,11 @@ impl ActionExecutor {
     /// Returns the acknowledged requests.
     pub(super) fn acknowledged(&self) -> BTreeMap<String, String> {
         self.acknowledged.borrow().clone()
+    }
+
+    /// Returns the history of all clients.
+    pub(super) fn history(&self) -> &History {
+        &self.history
     }
 
     /// Returns a receiver for changes of the acknowledged requests.
@@ -102,6 +103,7 @@ impl ActionExecutor {
             }
             ChaosAction::Pause { node, .. } => {
                 fleet.network.pause(&slug(node));
+                self.history.begin_pause(slug(node));
                 self.paused.insert(number, node.clone());
             }
             ChaosAction::Partition { groups, .. } => {
@@ -167,6 +169,7 @@ impl ActionExecutor {
             && !self.paused.values().any(|other| *other == node)
         {
             fleet.network.resume(&slug(&node));
+            self.history.end_pause(&slug(&node));
         }
         if self.partitions.remove(&number).is_some() {
             self.apply_partition(fleet);
@@ -281,87 +284,50 @@ impl ActionExecutor {
         }
     }
 
-    /// Resolves missions that need intervention, as a person would. Robots that hold an item
-    /// receive no other work until then.
+    fn client(&self, fleet: &Fleet) -> RecordingClient {
+        RecordingClient { bus: Arc::clone(&fleet.requests), keys: fleet.keys.clone(), history: self.history.clone() }
+    }
+
+    /// Starts the clients that read missions.
+    pub(super) fn spawn_readers(&self, fleet: &Fleet) {
+        for reader in Reader::ALL {
+            tokio::spawn(self.client(fleet).read(reader, self.acknowledged.clone(), fleet.seed));
+        }
+    }
+
+    /// Starts a person who resolves missions that need intervention, including those of unnamed
+    /// requests that were never acknowledged.
     pub(super) fn spawn_resolver(&self, fleet: &Fleet) {
-        let client = Arc::clone(&fleet.requests);
-        let key = |call| fleet.keys.write(&Key::Api(call));
-        let (list, resolve) = (key(ApiCall::List), key(ApiCall::Resolve));
+        let client = self.client(fleet);
         tokio::spawn(async move {
             loop {
-                // The list includes unnamed requests that were never acknowledged.
-                let answers = query_nearest(&*client, &list).await;
-                let mut held: Vec<Value> = vec![];
-                for mission in answers.iter().filter_map(|answer| answer["missions"].as_array()).flatten() {
-                    if mission["state"] == "needs_intervention" {
-                        held.push(mission["mission"].clone());
-                    }
-                }
-                for mission in held {
-                    query_all(&*client, &resolve, &json!({ "mission": mission, "by": "chaos" })).await;
-                }
+                client.resolve_all().await;
                 tokio::time::sleep(RESOLVE_INTERVAL).await;
             }
         });
     }
 
     fn submit(&self, fleet: &Fleet, request: &str, request_body: Value) {
-        let (client, key) = (Arc::clone(&fleet.requests), fleet.keys.write(&Key::Api(ApiCall::Submit)));
-        let (event_log, acknowledged, request) =
-            (fleet.event_log.clone(), self.acknowledged.clone(), request.to_owned());
-        let named = request_body.get("request").is_some();
+        let (client, event_log) = (self.client(fleet), fleet.event_log.clone());
+        let (acknowledged, request) = (self.acknowledged.clone(), request.to_owned());
+        let name = request_body.get("request").is_some().then(|| request.clone());
         tokio::spawn(async move {
-            loop {
-                for answer in query_all(&*client, &key, &request_body).await {
-                    if let Some(mission) = answer["mission"].as_str() {
-                        let (node, mission_id) = (slug("client"), slug(mission));
-                        let name = named.then(|| request.clone());
-                        event_log.add(Observation::RequestAcknowledged { node, request: name, mission: mission_id });
-                        acknowledged.send_modify(|known| drop(known.insert(request, mission.to_owned())));
-                        return;
-                    }
-                }
-                tokio::time::sleep(RETRY_INTERVAL).await;
-            }
+            let mission = client.submit(&request_body).await;
+            let node = slug("client");
+            event_log.add(Observation::RequestAcknowledged { node, request: name, mission: mission.clone() });
+            acknowledged.send_modify(|known| drop(known.insert(request, mission.to_string())));
         });
     }
 
     fn cancel(&self, fleet: &Fleet, request: &str) {
-        let (client, key) = (Arc::clone(&fleet.requests), fleet.keys.write(&Key::Api(ApiCall::Cancel)));
-        let (mut acknowledged, request) = (self.acknowledged.subscribe(), request.to_owned());
+        let (client, request) = (self.client(fleet), request.to_owned());
+        let mut acknowledged = self.acknowledged.subscribe();
         tokio::spawn(async move {
-            let Ok(mission) =
+            if let Ok(known) =
                 acknowledged.wait_for(|known| known.contains_key(&request)).await.map(|m| m[&request].clone())
-            else {
-                return;
-            };
-            let request_body = json!({ "mission": mission, "by": "chaos" });
-            // Any reply suffices: the mission may have ended by itself.
-            while query_all(&*client, &key, &request_body).await.is_empty() {
-                tokio::time::sleep(RETRY_INTERVAL).await;
+            {
+                client.cancel(&slug(&known)).await;
             }
         });
     }
-}
-
-/// Returns the replies of all nodes that count themselves coordinator. There may be several or
-/// none.
-async fn query_all(client: &dyn Bus, key: &str, request_body: &Value) -> Vec<Value> {
-    collect_replies(client.query(key, request_body.to_string().into(), Duration::from_secs(3)).await).await
-}
-
-/// Returns the reply of the nearest node.
-async fn query_nearest(client: &dyn Bus, key: &str) -> Vec<Value> {
-    collect_replies(client.query_nearest(key, vec![].into(), Duration::from_secs(3)).await).await
-}
-
-async fn collect_replies(replies: Result<Stream<Reply>, BusError>) -> Vec<Value> {
-    let mut answers = vec![];
-    let Ok(mut replies) = replies else { return answers };
-    while let Some(reply) = replies.recv().await {
-        if let Ok(answer) = reply.payload.map(|payload| serde_json::from_slice(&payload).unwrap_or(Value::Null)) {
-            answers.push(answer);
-        }
-    }
-    answers
 }

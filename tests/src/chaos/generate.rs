@@ -20,13 +20,16 @@ const FIRST_MS: u64 = 4_000;
 /// grace.
 const AWAY_MS: Range<u64> = 15_000..30_000;
 
+/// Number of times at which a carrier is isolated and killed at the end of its lease, in each run.
+const LEASE_ENDS: usize = 2;
+
 /// Roles in the certificates of hostile nodes. Consensus trusts voters, so there is none.
 const HOSTILE_ROLES: [Option<NodeRole>; 4] =
     [Some(NodeRole::Robot), Some(NodeRole::Host), Some(NodeRole::Dashboard), None];
 
 /// Checks for a fault that is drawn separately: one or two for each run.
 fn is_rare(kind: FaultKind) -> bool {
-    matches!(kind, FaultKind::CrashDamaged | FaultKind::Disk(_) | FaultKind::LeaseEnd)
+    matches!(kind, FaultKind::CrashDamaged | FaultKind::Disk(_))
 }
 
 /// Generates a schedule with faults of these kinds for a fleet that runs for `minutes`.
@@ -42,9 +45,10 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
         drained: vec![],
     };
     draw.requests(minutes);
-    // Hostile nodes and rare faults are drawn separately, below.
+    // Hostile nodes, ends of leases and rare faults are drawn separately, below.
+    let is_own = |kind: &&FaultKind| matches!(kind, FaultKind::Hostile | FaultKind::LeaseEnd);
     let (rare, kinds_of_faults): (Vec<&FaultKind>, Vec<&FaultKind>) =
-        kinds.iter().filter(|kind| **kind != FaultKind::Hostile).partition(|kind| is_rare(**kind));
+        kinds.iter().filter(|kind| !is_own(kind)).partition(|kind| is_rare(**kind));
     if !kinds_of_faults.is_empty() {
         // On average about one fault in twenty seconds; some runs have far fewer, some far more.
         let most = (draw.end_ms / 12_000).max(2);
@@ -68,6 +72,12 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
         for _ in 0..draw.chance.random_range(1..=2) {
             let kind = **rare.choose(&mut draw.chance).expect("there are some");
             draw.fault(kind);
+        }
+    }
+    draw.chance = ChaCha8Rng::seed_from_u64(seed ^ 0x1ea5_e0ed);
+    if kinds.contains(&FaultKind::LeaseEnd) {
+        for _ in 0..LEASE_ENDS {
+            draw.lease_end();
         }
     }
     Schedule { steps: draw.steps }.in_order()
@@ -176,7 +186,7 @@ impl Draw<'_> {
     fn act(&mut self, kind: FaultKind, at_ms: u64) -> Option<ChaosAction> {
         let for_ms = self.lasting(at_ms, 40_000);
         Some(match kind {
-            FaultKind::None | FaultKind::Hostile => return None,
+            FaultKind::None | FaultKind::Hostile | FaultKind::LeaseEnd => return None,
             FaultKind::Crash => ChaosAction::Crash { node: self.node(), disk: DiskAfterCrash::Kept, for_ms },
             FaultKind::CrashTorn => {
                 let node = self.node();
@@ -190,7 +200,6 @@ impl Draw<'_> {
                 let node = if fault == DiskFault::Lies { self.disk_to_lose()? } else { self.voter() };
                 ChaosAction::Disk { node, fault, for_ms }
             }
-            FaultKind::LeaseEnd => return self.lease_end(at_ms),
             FaultKind::CoordinatorCrash => {
                 let disk = if self.chance.random_bool(0.5) { DiskAfterCrash::Kept } else { DiskAfterCrash::Torn };
                 ChaosAction::Crash { node: "coordinator".to_owned(), disk, for_ms }
@@ -294,18 +303,25 @@ impl Draw<'_> {
         Some(node.to_owned())
     }
 
-    /// Isolates a carrier with its driver, and kills the carrier's node around the end of its lease. Only
-    /// the driver can stop the body then.
-    fn lease_end(&mut self, at_ms: u64) -> Option<ChaosAction> {
-        let for_ms = self.chance.random_range(AWAY_MS).min(self.end_ms.saturating_sub(at_ms));
+    /// Isolates a carrier with its driver while it executes a request, and kills the carrier's node
+    /// shortly before its lease ends. Only the driver can stop the body then. The drivers come back just
+    /// before the role may pass on, so that another carrier can begin at once.
+    fn lease_end(&mut self) -> Option<()> {
+        let latest = self.end_ms.saturating_sub(AWAY_MS.end);
+        let asked = self.steps.iter().filter(|step| step.action.submitted_request().is_some()).map(|step| step.at_ms);
+        let asked: Vec<u64> = asked.filter(|at_ms| *at_ms < latest).collect();
+        let at_ms = asked.choose(&mut self.chance)? + self.chance.random_range(4_000..20_000);
+        let killed_at = at_ms + self.chance.random_range(2_800..4_200);
+        let (for_ms, down_ms) = (self.chance.random_range(4_200..5_600), self.chance.random_range(AWAY_MS));
+        if killed_at + down_ms >= self.end_ms {
+            return None;
+        }
         let groups = self.carrier_groups(self.composition.nodes().into_iter().map(str::to_owned).collect());
         let carrier = groups.last()?.iter().find(|node| *node != WORLD)?.clone();
-        let killed_at = at_ms + self.chance.random_range(2_500..4_500);
-        let crash = ChaosAction::Crash { node: carrier, disk: DiskAfterCrash::Kept, for_ms: for_ms / 2 };
-        if killed_at + for_ms / 2 < self.end_ms {
-            self.steps.push(ScheduledAction { at_ms: killed_at, action: crash });
-        }
-        Some(ChaosAction::Partition { groups, for_ms })
+        let crash = ChaosAction::Crash { node: carrier, disk: DiskAfterCrash::Kept, for_ms: down_ms };
+        self.steps.push(ScheduledAction { at_ms, action: ChaosAction::Partition { groups, for_ms } });
+        self.steps.push(ScheduledAction { at_ms: killed_at, action: crash });
+        Some(())
     }
 
     fn groups(&mut self) -> Vec<Vec<String>> {

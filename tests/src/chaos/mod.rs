@@ -7,9 +7,8 @@
 //! A seed determines a run to the byte. A violation is reproduced by its seed, or by its schedule
 //! after shrinking.
 //!
-//! Limits: a pause leaves the timers of a node running, unlike a stopped process. Disks lose whole
-//! writes and never return other bytes than were written. The bus is not Zenoh. Other tests use
-//! real processes, real files and real hosts.
+//! Limits: a pause leaves the timers of a node running, unlike a stopped process. The bus is not
+//! Zenoh. Other tests use real processes, real files and real hosts.
 
 pub mod chaos_fleet;
 mod executor;

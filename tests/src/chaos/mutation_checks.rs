@@ -40,6 +40,9 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck { mutant: Mutant::WaitSkipped, seeds_max: 3 },
     MutantCheck { mutant: Mutant::GuardSkipped, seeds_max: 3 },
     MutantCheck { mutant: Mutant::TwoRemoved, seeds_max: 6 },
+    MutantCheck { mutant: Mutant::StaleRead, seeds_max: 30 },
+    MutantCheck { mutant: Mutant::SignersUnchecked, seeds_max: 3 },
+    MutantCheck { mutant: Mutant::AuthorsUnchecked, seeds_max: 3 },
 ];
 
 /// Result of a mutation check.
@@ -63,7 +66,7 @@ pub fn check_mutant(check: MutantCheck, jobs: usize, mut each: impl FnMut()) -> 
     let composition = ChaosFleet::of(NODES);
     let config = |seed, mutant| {
         (
-            RunConfig { seed, nodes: NODES, minutes: MINUTES, closed: false, mutant },
+            RunConfig { seed, nodes: NODES, minutes: MINUTES, closed: check.mutant.needs_closed_fleet(), mutant },
             generate(seed, &composition, MINUTES, &FaultKind::FAULTS),
         )
     };

@@ -49,7 +49,7 @@ pub struct RunConfig {
     pub minutes: f64,
     /// Nodes have certificates and sign their messages.
     pub closed: bool,
-    /// Bug injected into all nodes; only in an open fleet.
+    /// Bug injected into all nodes.
     pub mutant: Option<Mutant>,
 }
 
@@ -69,7 +69,7 @@ pub struct RunOutcome {
 /// Violation of an invariant.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Violation {
-    /// Name of an invariant, or `liveness`, `relay`, `panic`.
+    /// Name of an invariant, or `liveness`, `relay`, `linearizable`, `age of reads`, `panic`.
     pub invariant: String,
     /// Time in milliseconds since the start of the fleet.
     pub at_ms: u64,
@@ -115,6 +115,7 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let violation = run.run_phases(config, schedule, &composition).await.err();
     let Run { fleet, executor, mut checker } = run;
     checker.counters.end(&fleet, &executor.acknowledged());
+    checker.counters.client_replies = executor.history().replies();
     let mut hasher = DefaultHasher::new();
     hasher.write(fleet.event_log_text().as_bytes());
     hasher.write_u64(fleet.network.digest());
@@ -153,6 +154,7 @@ impl Run {
         composition: &ChaosFleet,
     ) -> Result<(), Violation> {
         let faults_end = Duration::from_secs_f64(config.minutes * 60.0 * LIFTED);
+        self.executor.spawn_readers(&self.fleet);
         self.schedule(schedule, faults_end).await?;
         self.executor.end_all_faults(&mut self.fleet).await;
         self.fleet.heal();
@@ -175,7 +177,11 @@ impl Run {
             self.pass(end).await;
             self.checker.check(&self.fleet)?;
         }
-        self.check_relay(config.seed, composition).await
+        self.check_relay(config.seed, composition).await?;
+        let history = self.executor.history();
+        let violation = |name, reason| self.checker.violation(name, reason, &self.fleet);
+        history.check_linearizable().map_err(|reason| violation("linearizable", reason))?;
+        history.check_ages().map_err(|reason| violation("age of reads", reason))
     }
 
     /// Executes the schedule until all faults have ended.

@@ -26,6 +26,8 @@ pub struct RunCounters {
     pub lost: usize,
     /// Durations from the loss of each leader to the takeover by the next, in milliseconds.
     pub takeovers_ms: Vec<u64>,
+    /// Calls of clients with a definite reply, all checked for linearizability.
+    pub client_replies: usize,
     /// Duration from the end of all faults to the end of every mission.
     pub converged_ms: Option<u64>,
     #[serde(skip)]

@@ -1,10 +1,11 @@
 //! Packet loss: some packets at all hosts, or all packets in a direction.
 
-use crate::lab::{Way, inside};
+use crate::lab::inside;
 use crate::scenario::{
     assert_completes_once, assert_completes_once_despite_loss, coordinator, hospital, submit, wait_for_agreement,
     wait_for_first_task, wait_for_successor,
 };
+use consort_tests::host_network::Way;
 
 const HOSTS: [&str; 8] = ["s1", "s2", "s3", "s4", "s5", "world", "ada", "lab-arm"];
 

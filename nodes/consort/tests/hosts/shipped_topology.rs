@@ -9,8 +9,8 @@
 //! `/etc/consort` of a machine is a folder of the test with copies of the files, `/var/lib/consort`
 //! is another folder; host names are in `/etc/hosts`.
 
-use crate::lab::{ip, run, within};
 use crate::support::{Ended, Folder, LONG, Program, until};
+use consort_tests::host_network::{ip, run, within};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 

@@ -1,8 +1,9 @@
 //! The shipped topologies, each with the failure that it must survive.
 
-use crate::lab::{inside, within};
+use crate::lab::inside;
 use crate::shipped_topology::ShippedTopology;
 use crate::support::LONG;
+use consort_tests::host_network::within;
 use serde_json::Value;
 use std::cell::RefCell;
 use std::process::{Child, Command};

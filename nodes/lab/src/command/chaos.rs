@@ -92,7 +92,7 @@ pub(crate) struct Args {
     /// Run fleets without certificates, in which the hostile node has no effect
     #[arg(long, conflicts_with_all = ["mutants", "scoreboard"])]
     open: bool,
-    /// Run with an injected bug, in fleets without certificates
+    /// Run with an injected bug, in fleets without certificates unless the bug concerns them
     #[arg(long, value_name = "NAME", conflicts_with_all = ["mutants", "scoreboard"])]
     mutant: Option<Mutant>,
     /// Hunt every injected bug, and print the number of seeds and the invariant that found it
@@ -155,7 +155,7 @@ impl Args {
             seed,
             nodes: self.nodes,
             minutes: self.minutes,
-            closed: self.mutant.is_none() && !self.open,
+            closed: !self.open && self.mutant.is_none_or(Mutant::needs_closed_fleet),
             mutant: self.mutant,
         }
     }

@@ -6,4 +6,5 @@ pub(crate) mod check;
 pub(crate) mod experiment;
 pub(crate) mod png;
 pub mod schema;
+pub(crate) mod soak;
 pub mod test;

@@ -7,8 +7,8 @@ use super::reports::{ReportBug, with_all_signals};
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_bus::{
-    Author, Bus, BusError, Delivery, Encoding, Link, Presence, PresenceToken, Query, Reply, Sample, ServiceSelection,
-    SharedBus, Stream,
+    Author, Bus, BusError, Delivery, Encoding, Link, Presence, PresenceToken, Query, Reply, RequestAuthority, Sample,
+    ServiceSelection, SharedBus, Stream,
 };
 use consort_fleet::node::NodeSettings;
 use consort_protocol::codec;
@@ -55,7 +55,11 @@ impl FaultyBus {
 
     async fn send(&self, query: OutgoingQuery<'_>) -> Result<Stream<Reply>, BusError> {
         let OutgoingQuery { key, payload, attachment, timeout, target } = query;
-        self.inner.query_with(key, payload, attachment, timeout, target).await
+        let replies = self.inner.query_with(key, payload, attachment, timeout, target).await?;
+        Ok(match self.mutant {
+            Mutant::AuthorsUnchecked => replies.map(|reply| Reply { author: Author::UNKNOWN, ..reply }),
+            _ => replies,
+        })
     }
 
     /// Acknowledges a heartbeat request for a voter that does not reply.
@@ -119,6 +123,9 @@ impl FaultyBus {
         let report_bug = ReportBug::of(mutant);
         let mut forgotten = 0;
         queries.map(move |query| match (mutant, keys.read(&query.key)) {
+            (Mutant::StaleRead, Some(Key::Api(ApiCall::Get | ApiCall::List))) => without_confirmation(query),
+            (Mutant::SignersUnchecked, _) => Query { authority: RequestAuthority::Unchecked, ..query },
+            (Mutant::AuthorsUnchecked, _) => Query { author: Author::UNKNOWN, ..query },
             (Mutant::GuardSkipped, Some(Key::Award(_))) => without_guards(query),
             (Mutant::RequestForgotten, Some(Key::Api(ApiCall::Submit))) => {
                 forget_request(query, &ledger, &mut forgotten)
@@ -139,6 +146,16 @@ fn without_guards(query: Query) -> Query {
     award.plan.guarded.clear();
     let payload = encoded(&AwardNotice::Awarded(award)).to_vec();
     Query { payload: encoded(&ClusterEnvelope { cluster, payload }), ..query }
+}
+
+/// Makes a linearizable read an ordinary one.
+fn without_confirmation(query: Query) -> Query {
+    let Ok(mut request) = serde_json::from_slice::<Value>(&query.payload) else { return query };
+    if request.get("linearizable").is_none() {
+        return query;
+    }
+    request["linearizable"] = json!(false);
+    Query { payload: request.to_string().into(), ..query }
 }
 
 /// Renames a request that the ledger already contains, so that it counts as a new request.
@@ -194,7 +211,11 @@ impl Bus for FaultyBus {
     }
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
-        self.inner.subscribe(key_expr).await
+        let samples = self.inner.subscribe(key_expr).await?;
+        Ok(match self.mutant {
+            Mutant::AuthorsUnchecked => samples.map(|sample| Sample { author: Author::UNKNOWN, ..sample }),
+            _ => samples,
+        })
     }
 
     async fn query_with(

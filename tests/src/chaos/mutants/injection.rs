@@ -11,8 +11,8 @@ use consort_fleet::observe::SharedObserver;
 use consort_protocol::lease::LeaseTerms;
 use std::sync::Arc;
 
-/// Injection of a bug into all nodes of a run. The fleet must be open: a changed message would not
-/// match its signature.
+/// Injection of a bug into all nodes of a run. In a closed fleet the bug is above the signatures: a
+/// node signs the messages that its bug has changed.
 #[derive(Clone)]
 pub(in crate::chaos) struct MutantInjection {
     mutant: Mutant,

@@ -52,11 +52,17 @@ pub enum Mutant {
     GuardSkipped,
     /// The autopilot removes a second voter together with a voter that is gone.
     TwoRemoved,
+    /// Linearizable reads are answered from the copy of any node.
+    StaleRead,
+    /// Requests are executed whoever signed them.
+    SignersUnchecked,
+    /// Messages count whoever their author is.
+    AuthorsUnchecked,
 }
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 13] = [
+    pub const ALL: [Mutant; 16] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -70,7 +76,15 @@ impl Mutant {
         Mutant::WaitSkipped,
         Mutant::GuardSkipped,
         Mutant::TwoRemoved,
+        Mutant::StaleRead,
+        Mutant::SignersUnchecked,
+        Mutant::AuthorsUnchecked,
     ];
+
+    /// Checks whether the bug has an effect only in a closed fleet with a hostile node.
+    pub fn needs_closed_fleet(self) -> bool {
+        matches!(self, Mutant::SignersUnchecked | Mutant::AuthorsUnchecked)
+    }
 
     /// Returns the name, as used on the command line.
     pub fn name(self) -> &'static str {
@@ -88,6 +102,9 @@ impl Mutant {
             Mutant::WaitSkipped => "wait-skipped",
             Mutant::GuardSkipped => "guard-skipped",
             Mutant::TwoRemoved => "two-removed",
+            Mutant::StaleRead => "stale-read",
+            Mutant::SignersUnchecked => "signers-unchecked",
+            Mutant::AuthorsUnchecked => "authors-unchecked",
         }
     }
 }

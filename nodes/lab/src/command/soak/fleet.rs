@@ -1,0 +1,282 @@
+//! The processes of the fleet, each on its own host.
+
+use consort_bus::zenoh_bus::Mode;
+use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
+use consort_nodes::exit::Failure;
+use consort_protocol::ids::FleetId;
+use consort_protocol::keys::{Key, Keys};
+use consort_tests::example_files::example;
+use consort_tests::host_network::{HostNetwork, run, within};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::os::unix::process::ExitStatusExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+use toml::Table;
+
+/// Name of the fleet.
+const FLEET: &str = "soak";
+
+/// The voters of the ledger.
+pub(super) const STATIONS: [&str; 3] = ["s1", "s2", "s3"];
+
+/// The robots.
+pub(super) const ROBOTS: [&str; 3] = ["ada", "bob", "lab-arm"];
+
+/// Host of the simulated world. It is never killed: the state of its world is only in its memory.
+pub(super) const WORLD: &str = "world";
+
+/// Simulated seconds per second: missions end within a fraction of a minute.
+const WORLD_SPEED: f64 = 8.0;
+
+/// Rooms with a nurse and samples.
+pub(super) const ROOMS: [&str; 6] = ["IC Room 6", "PC Room 1", "IC Room 2", "PC Room 5", "IC Room 4", "PC Room 2"];
+
+/// Samples of each nurse. A world has at most 10,000 in all.
+const SAMPLES: usize = 1_500;
+
+/// Limit for the fleet to be complete at the start.
+const START_LIMIT: Duration = Duration::from_secs(120);
+
+/// Interval at which a condition is checked at the start.
+const LOOK_INTERVAL: Duration = Duration::from_millis(200);
+
+/// Signal of a process that ends after a panic in Zenoh.
+const SIGABRT: i32 = 6;
+
+/// Fleet with a process for each node.
+pub(super) struct ProcessFleet {
+    pub(super) network: HostNetwork,
+    pub(super) keys: Keys,
+    processes: BTreeMap<String, Child>,
+    /// Processes that ended after a panic in Zenoh, and were started again.
+    pub(super) failures_of_zenoh: u32,
+    program: PathBuf,
+    folder: PathBuf,
+}
+
+fn unsuccessful(problem: impl std::fmt::Display) -> Failure {
+    Failure::Unsuccessful(problem.to_string())
+}
+
+impl ProcessFleet {
+    /// Starts all nodes, and waits until the robots are members of the ensemble.
+    ///
+    /// # Errors
+    /// [`Failure`]: a process cannot be started, or the fleet is not complete in time.
+    pub(super) async fn start(folder: &Path) -> Result<ProcessFleet, Failure> {
+        let program = std::env::current_exe().map_err(unsuccessful)?.with_file_name("consort");
+        if !program.is_file() {
+            return Err(Failure::Usage(format!(
+                "{} does not exist; build it: cargo build --release",
+                program.display()
+            )));
+        }
+        let mut network = HostNetwork::new();
+        for host in STATIONS.into_iter().chain(ROBOTS).chain([WORLD]) {
+            network.add(host);
+        }
+        let id: FleetId = FLEET.parse().map_err(unsuccessful)?;
+        let mut fleet = ProcessFleet {
+            network,
+            keys: Keys::new(&id),
+            processes: BTreeMap::new(),
+            failures_of_zenoh: 0,
+            program,
+            folder: folder.to_owned(),
+        };
+        fleet.write_files()?;
+        for node in STATIONS.into_iter().chain([WORLD]).chain(ROBOTS) {
+            fleet.start_node(node)?;
+        }
+        fleet.wait_complete().await?;
+        Ok(fleet)
+    }
+
+    fn write_files(&self) -> Result<(), Failure> {
+        let mut fleet = example("fleet");
+        fleet.insert("name".to_owned(), FLEET.into());
+        fleet.insert("bootstrap_expect".to_owned(), (STATIONS.len() as i64).into());
+        self.write("fleet", &fleet)?;
+        for station in STATIONS {
+            self.write_node(station, example("station"), &STATIONS)?;
+        }
+        let mut world = example("world");
+        world.insert("speed".to_owned(), WORLD_SPEED.into());
+        if let Some(bodies) = world.get_mut("robot").and_then(toml::Value::as_array_mut)
+            && let Some(mut second) = bodies.first().and_then(toml::Value::as_table).cloned()
+        {
+            second.insert("id".to_owned(), "bob".into());
+            second.insert("place".to_owned(), "PC Room 4".into());
+            bodies.push(second.into());
+        }
+        world.insert("person".to_owned(), toml::Value::Array(ROOMS.iter().map(|room| nurse(room).into()).collect()));
+        self.write_node(WORLD, world, &STATIONS)?;
+        for robot in ROBOTS {
+            let mut node = example(if robot == "lab-arm" { "arm" } else { "robot" });
+            node.insert("may_vote".to_owned(), false.into());
+            self.write_node(robot, node, &[&STATIONS[..], &[WORLD]].concat())?;
+        }
+        Ok(())
+    }
+
+    fn write_node(&self, name: &str, mut node: Table, neighbours: &[&str]) -> Result<(), Failure> {
+        let others = neighbours.iter().filter(|other| **other != name);
+        let connect: Vec<String> = others.map(|other| address(&self.network, other)).collect();
+        let mut bus = Table::new();
+        bus.insert("listen".to_owned(), vec!["tcp/0.0.0.0:7447".to_owned()].into());
+        bus.insert("connect".to_owned(), connect.into());
+        node.insert("name".to_owned(), name.into());
+        node.insert("bus".to_owned(), bus.into());
+        node.insert("data_dir".to_owned(), format!("data-{name}").into());
+        self.write(name, &node)
+    }
+
+    fn write(&self, name: &str, table: &Table) -> Result<(), Failure> {
+        let file = self.folder.join(format!("{name}.toml"));
+        std::fs::write(&file, table.to_string())
+            .map_err(|problem| unsuccessful(format_args!("{}: {problem}", file.display())))
+    }
+
+    /// Starts the process of a node. Its log is appended to that of the process before.
+    ///
+    /// # Errors
+    /// [`Failure::Unsuccessful`] if it cannot be started.
+    pub(super) fn start_node(&mut self, name: &str) -> Result<(), Failure> {
+        let kind = match name {
+            WORLD => "world",
+            name if STATIONS.contains(&name) => "station",
+            _ => "robot",
+        };
+        let log = File::options().create(true).append(true).open(self.folder.join(format!("{name}.log")));
+        let file = self.folder.join(format!("{name}.toml"));
+        let [program, prefix @ ..] = within(name);
+        let mut command = Command::new(program);
+        command.args(prefix).arg(&self.program).args([kind, "--config"]).arg(file).arg("--until-stdin-closes");
+        command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(log.map_err(unsuccessful)?);
+        for (variable, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("CONSORT_")) {
+            command.env_remove(variable);
+        }
+        let child = command.spawn().map_err(|problem| unsuccessful(format_args!("{name}: {problem}")))?;
+        self.processes.insert(name.to_owned(), child);
+        Ok(())
+    }
+
+    /// Opens a client of these hosts: it uses the first that it reaches, and changes to another when it
+    /// loses the link.
+    ///
+    /// # Errors
+    /// [`Failure::Unsuccessful`] if none is reached in time.
+    pub(super) async fn client(&self, hosts: &[&str]) -> Result<SharedBus, Failure> {
+        let connect: Vec<String> = hosts.iter().map(|host| address(&self.network, host)).collect();
+        let settings = ZenohSettings { mode: Mode::Client, connect, ..ZenohSettings::default() };
+        let deadline = Instant::now() + START_LIMIT;
+        loop {
+            match ZenohBus::open(settings.clone()).await {
+                Ok(bus) => return Ok(Arc::new(bus)),
+                Err(problem) if Instant::now() >= deadline => return Err(unsuccessful(problem)),
+                Err(_) => tokio::time::sleep(LOOK_INTERVAL).await,
+            }
+        }
+    }
+
+    /// Ends the process of a node with SIGKILL.
+    pub(super) fn kill(&mut self, name: &str) {
+        if let Some(mut child) = self.processes.remove(name) {
+            // It may have ended by itself; the verdict depends on the log then.
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+
+    /// Sends a signal, such as `STOP`, to the process of a node.
+    pub(super) fn signal(&self, name: &str, signal: &str) {
+        if let Some(child) = self.processes.get(name) {
+            run("kill", &[&format!("-{signal}"), &child.id().to_string()]);
+        }
+    }
+
+    /// Starts processes again that have ended after a panic in Zenoh, as a service manager does.
+    ///
+    /// # Errors
+    /// A description of the first process that has ended for another reason.
+    pub(super) fn restart_ended(&mut self) -> Result<(), String> {
+        let ended = |(name, child): (&String, &mut Child)| Some((name.clone(), child.try_wait().ok().flatten()?));
+        let ended: Vec<(String, ExitStatus)> = self.processes.iter_mut().filter_map(ended).collect();
+        for (name, status) in ended {
+            if status.signal() != Some(SIGABRT) || name == WORLD {
+                self.processes.remove(&name);
+                return Err(format!("the process of {name} has ended by itself: {status}"));
+            }
+            self.failures_of_zenoh += 1;
+            self.start_node(&name).map_err(|problem| problem.to_string())?;
+        }
+        Ok(())
+    }
+
+    /// Returns the panics in the logs outside of Zenoh.
+    pub(super) fn panics(&self) -> Vec<String> {
+        let nodes = STATIONS.into_iter().chain(ROBOTS).chain([WORLD]);
+        let is_own = |line: &&str| line.contains("panicked at") && !line.contains("/zenoh");
+        let of = |node: &str| {
+            let log = std::fs::read_to_string(self.folder.join(format!("{node}.log"))).unwrap_or_default();
+            log.lines().find(is_own).map(|line| format!("{node}: {line}"))
+        };
+        nodes.filter_map(of).collect()
+    }
+
+    /// Ends all processes.
+    pub(super) fn stop(&mut self) {
+        for name in self.processes.keys().cloned().collect::<Vec<_>>() {
+            self.kill(&name);
+        }
+    }
+
+    async fn wait_complete(&mut self) -> Result<(), Failure> {
+        let key = self.keys.write(&Key::ViewEnsembles);
+        let bus = self.client(&STATIONS).await?;
+        let is_complete = async || {
+            let limit = Duration::from_secs(2);
+            let mut replies = bus.query_nearest(&key, vec![].into(), limit).await.ok()?;
+            let view: serde_json::Value = serde_json::from_slice(&replies.recv().await?.payload.ok()?).ok()?;
+            let members = view["ensembles"][0]["members"].as_array()?.len();
+            (members == ROBOTS.len()).then_some(())
+        };
+        let deadline = Instant::now() + START_LIMIT;
+        while is_complete().await.is_none() {
+            self.restart_ended().map_err(unsuccessful)?;
+            if Instant::now() >= deadline {
+                let folder = self.folder.display();
+                return Err(unsuccessful(format_args!(
+                    "the fleet is not complete within {START_LIMIT:?}; see {folder}"
+                )));
+            }
+            tokio::time::sleep(LOOK_INTERVAL).await;
+        }
+        Ok(())
+    }
+}
+
+impl Drop for ProcessFleet {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
+
+/// Returns the table of a nurse with samples.
+fn nurse(room: &str) -> Table {
+    let samples: Vec<String> = (0..SAMPLES).map(|number| format!("{room}-{number}")).collect();
+    let mut nurse = Table::new();
+    nurse.insert("name".to_owned(), format!("nurse of {room}").into());
+    nurse.insert("role".to_owned(), "nurse".into());
+    nurse.insert("place".to_owned(), room.into());
+    nurse.insert("samples".to_owned(), samples.into());
+    nurse
+}
+
+fn address(network: &HostNetwork, host: &str) -> String {
+    format!("tcp/{}:7447", network.address(host, ""))
+}

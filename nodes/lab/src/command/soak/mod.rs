@@ -1,0 +1,119 @@
+//! `consort-lab soak`: a fleet of real processes under random faults, with clients at work.
+
+mod faults;
+mod fleet;
+mod verdict;
+mod workload;
+
+use clap::Args as ClapArgs;
+use consort_nodes::command::flag_values::InvalidValue;
+use consort_nodes::exit::Failure;
+use consort_nodes::output;
+use consort_tests::history::History;
+use consort_tests::host_network::{INSIDE, is_inside, run_inside};
+use fleet::ProcessFleet;
+use std::path::PathBuf;
+use std::time::Duration;
+use workload::Workload;
+
+/// Programs that the namespaces and the packet loss need.
+const TOOLS: [&str; 3] = ["ip", "nft", "kill"];
+
+/// Runs a fleet of real processes under random faults, and checks what its clients see.
+///
+/// Each node is a process of `consort` in a network namespace of its own: three stations that store
+/// the ledger on disk, two carriers, an arm and the host of the simulated world. For the given time
+/// nodes are killed, stopped and restarted, cables are cut, packets are lost and the network is
+/// partitioned. Meanwhile clients submit, cancel and read missions over Zenoh. Then all faults end,
+/// and every mission must end.
+///
+/// The verdict depends only on what is visible from outside: all calls of the clients must be
+/// linearizable, no acknowledged mission may be lost or executed as two missions, no term may have
+/// two coordinators, and no process may end by itself.
+///
+/// It needs Linux with unprivileged user namespaces, or root, and the programs ip (iproute2) and nft
+/// (nftables). Nothing is sent outside of its own namespaces. The program `consort` must be beside
+/// this program.
+#[derive(Debug, ClapArgs)]
+#[command(after_long_help = "\
+Examples:
+  consort-lab soak --minutes 30
+  consort-lab soak --minutes 5 --seed 7        # the same order of faults again; their effects vary
+
+Exit codes: 0 everything held; 1 something did not, and the logs are kept; 2 the flags are wrong or there can be no
+namespaces here.")]
+pub(crate) struct Args {
+    /// Minutes under faults
+    #[arg(long, default_value_t = 30.0, value_parser = minutes)]
+    minutes: f64,
+    /// Source of the order of faults and requests [default: random]
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Print the verdict as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn minutes(text: &str) -> Result<f64, InvalidValue> {
+    let minutes: f64 =
+        text.parse().map_err(|_| InvalidValue::new(format_args!("{text:?} is not a number of minutes")))?;
+    if (0.1..=1440.0).contains(&minutes) { Ok(minutes) } else { Err(InvalidValue::new("from 0.1 to 1440 minutes")) }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Usage`] if there can be no namespaces here; [`Failure::Unsuccessful`] if something did
+/// not hold.
+pub(crate) fn run(args: &Args) -> Result<(), Failure> {
+    let seed = args.seed.unwrap_or_else(|| u64::from(std::process::id()));
+    if is_inside() {
+        return soak(args, seed);
+    }
+    let hindrance = |reason: String| Failure::Usage(format!("there can be no namespaces here: {reason}"));
+    let (minutes, seed_text) = (args.minutes.to_string(), seed.to_string());
+    let mut arguments = vec!["soak", "--minutes", &minutes, "--seed", &seed_text];
+    arguments.extend(args.json.then_some("--json"));
+    let status = run_inside(&arguments, &TOOLS, &std::process::id().to_string()).map_err(hindrance)?;
+    if status.success() {
+        return Ok(());
+    }
+    Err(Failure::Unsuccessful(format!("the soak with seed {seed} did not hold")))
+}
+
+/// Runs the soak inside the namespaces.
+fn soak(args: &Args, seed: u64) -> Result<(), Failure> {
+    let folder = folder();
+    std::fs::create_dir_all(&folder)
+        .map_err(|problem| Failure::Usage(format!("{} cannot be created: {problem}", folder.display())))?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
+    let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;
+    let verdict = runtime.block_on(async {
+        let mut fleet = ProcessFleet::start(&folder).await?;
+        let history = History::default();
+        let workload = Workload::start(&fleet, &history, seed).await?;
+        output::note(format_args!("seed {seed}: the fleet works; faults for {} minutes", args.minutes));
+        let faults = faults::inject(&mut fleet, seed, Duration::from_secs_f64(args.minutes * 60.0)).await;
+        output::note("all faults are over; waiting for the end of all missions");
+        let verdict = verdict::reach(&mut fleet, workload, &history, faults).await;
+        fleet.stop();
+        Ok::<_, Failure>(verdict)
+    })?;
+    if args.json {
+        output::json(&verdict)?;
+    } else {
+        output::line(&verdict)?;
+    }
+    if verdict.violations.is_empty() {
+        let _ = std::fs::remove_dir_all(&folder);
+        return Ok(());
+    }
+    Err(Failure::Unsuccessful(format!("the logs and data of the nodes are in {}", folder.display())))
+}
+
+/// Returns the folder for the files of the nodes. In its own namespaces each run is process 1 or 2;
+/// the variable distinguishes them.
+fn folder() -> PathBuf {
+    let id = std::env::var(INSIDE).unwrap_or_default();
+    std::env::temp_dir().join(format!("consort-soak-{id}"))
+}

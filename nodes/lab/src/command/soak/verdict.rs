@@ -1,0 +1,117 @@
+//! The verdict: what must hold at the end, as far as it is visible from outside.
+
+use super::faults::FaultCounts;
+use super::fleet::ProcessFleet;
+use super::workload::Workload;
+use consort_protocol::view::MissionsView;
+use consort_tests::history::History;
+use consort_text::count;
+use serde::{Deserialize as _, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::time::Duration;
+use tokio::time::{Instant, sleep, timeout};
+
+/// Limit for all requests to be acknowledged and for all missions to end after the last fault.
+const END_LIMIT: Duration = Duration::from_secs(600);
+
+/// Interval at which the missions are read meanwhile.
+const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Verdict of a soak.
+#[derive(Debug, Serialize)]
+pub(super) struct Verdict {
+    /// Acknowledged missions.
+    pub(super) acknowledged: usize,
+    /// Missions by their state at the end.
+    pub(super) states: BTreeMap<&'static str, usize>,
+    /// Calls of clients with a definite reply.
+    pub(super) replies: usize,
+    /// Number of terms with a coordinator.
+    pub(super) terms: usize,
+    /// Nodes that ended after a panic in Zenoh, and were started again.
+    pub(super) failures_of_zenoh: u32,
+    /// Number of faults of each kind.
+    pub(super) faults: FaultCounts,
+    /// Everything that did not hold.
+    pub(super) violations: Vec<String>,
+}
+
+/// Waits for the end of all missions, ends the clients, and checks everything.
+pub(super) async fn reach(
+    fleet: &mut ProcessFleet,
+    mut workload: Workload,
+    history: &History,
+    faults: Result<FaultCounts, String>,
+) -> Verdict {
+    let mut violations: Vec<String> = faults.as_ref().err().cloned().into_iter().collect();
+    let faults = faults.unwrap_or_default();
+    let deadline = Instant::now() + END_LIMIT;
+    if timeout(END_LIMIT, workload.end_submissions()).await.is_err() {
+        violations.push(format!("not all requests were acknowledged within {} s", END_LIMIT.as_secs()));
+    }
+    let acknowledged: BTreeSet<String> = workload.acknowledged.borrow().values().cloned().collect();
+    let mut missions = MissionsView::default();
+    loop {
+        if let Some(list) = workload.client.list().await.and_then(|list| MissionsView::deserialize(list).ok()) {
+            missions = list;
+            if missions.missions.iter().all(|mission| mission.brief.status.detail.is_final()) {
+                break;
+            }
+        }
+        violations.extend(fleet.restart_ended().err());
+        if Instant::now() >= deadline {
+            let open = missions.missions.iter().filter(|mission| !mission.brief.status.detail.is_final());
+            let open: Vec<String> = open.map(|mission| mission.brief.mission.to_string()).collect();
+            violations.push(format!("missions that have not ended in time: {}", open.join(", ")));
+            break;
+        }
+        sleep(LOOK_INTERVAL).await;
+    }
+    let terms = workload.end().await;
+    let known: BTreeSet<String> = missions.missions.iter().map(|mission| mission.brief.mission.to_string()).collect();
+    violations.extend(acknowledged.difference(&known).map(|mission| format!("{mission} was acknowledged and is lost")));
+    violations
+        .extend(known.difference(&acknowledged).map(|mission| format!("{mission} is a second mission of a request")));
+    for (term, nodes) in terms.iter().filter(|(_, nodes)| nodes.len() > 1) {
+        let names: Vec<&str> = nodes.iter().map(|node| node.as_str()).collect();
+        violations.push(format!("term {term} had several coordinators: {}", names.join(", ")));
+    }
+    violations.extend(history.check_linearizable().err());
+    violations.extend(fleet.panics());
+    let mut states = BTreeMap::new();
+    for mission in &missions.missions {
+        *states.entry(mission.brief.status.detail.as_str()).or_default() += 1;
+    }
+    let terms = terms.len();
+    Verdict {
+        acknowledged: acknowledged.len(),
+        states,
+        replies: history.replies(),
+        terms,
+        failures_of_zenoh: fleet.failures_of_zenoh,
+        faults,
+        violations,
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let FaultCounts { kills, stops, cuts, losses, partitions } = self.faults;
+        let missions = count(self.acknowledged, "mission", "missions");
+        let states = self.states.iter().map(|(state, number)| format!("{number} {}", state.replace('_', " ")));
+        let states: Vec<String> = states.collect();
+        let held = if self.violations.is_empty() { "held" } else { "violated" };
+        write!(
+            f,
+            "{held}: {missions} acknowledged ({}), {} checked, {}, {}; {} ({kills} kills, {stops} stops, \
+             {cuts} cuts, {losses} losses, {partitions} partitions)",
+            states.join(", "),
+            count(self.replies, "reply", "replies"),
+            count(self.terms, "term", "terms"),
+            count(self.failures_of_zenoh as usize, "failure of Zenoh", "failures of Zenoh"),
+            count(self.faults.total() as usize, "fault", "faults"),
+        )?;
+        self.violations.iter().try_for_each(|violation| write!(f, "\n  {violation}"))
+    }
+}

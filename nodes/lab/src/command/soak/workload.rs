@@ -1,0 +1,139 @@
+//! The clients of the fleet.
+
+use super::fleet::{ProcessFleet, ROOMS, STATIONS};
+use consort_bus::{SharedBus, Stream};
+use consort_nodes::exit::Failure;
+use consort_protocol::ids::NodeId;
+use consort_tests::history::{Acknowledged, History, Reader, RecordingClient};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::time::Duration;
+use tokio::task::{JoinHandle, JoinSet};
+
+/// Milliseconds between two missions.
+const SUBMIT_INTERVAL_MS: std::ops::Range<u64> = 5_000..20_000;
+
+/// Share of the missions that are canceled.
+const CANCELED_SHARE: f64 = 0.2;
+
+/// Interval at which a person resolves missions that need intervention.
+const RESOLVE_INTERVAL: Duration = Duration::from_secs(5);
+
+/// Clients at work.
+pub(super) struct Workload {
+    pub(super) acknowledged: Acknowledged,
+    pub(super) client: RecordingClient,
+    /// Nodes that were elected, by term.
+    elected: JoinHandle<BTreeMap<u64, Vec<NodeId>>>,
+    end_elected: tokio::sync::oneshot::Sender<()>,
+    submitter: JoinHandle<JoinSet<()>>,
+    end_submitter: tokio::sync::watch::Sender<bool>,
+    readers: JoinSet<()>,
+}
+
+impl Workload {
+    /// Starts the clients: one that submits and cancels, a reader of each kind at its own station, and
+    /// a person who resolves missions.
+    ///
+    /// # Errors
+    /// [`Failure::Unsuccessful`] if a client cannot be opened.
+    pub(super) async fn start(fleet: &ProcessFleet, history: &History, seed: u64) -> Result<Workload, Failure> {
+        let client = |bus: SharedBus| RecordingClient { bus, keys: fleet.keys.clone(), history: history.clone() };
+        let acknowledged = Acknowledged::default();
+        let mut readers = JoinSet::new();
+        for (reader, station) in Reader::ALL.into_iter().zip(STATIONS) {
+            let bus = fleet.client(&[station]).await?;
+            readers.spawn(client(bus).read(reader, acknowledged.clone(), seed));
+        }
+        let bus = fleet.client(&STATIONS).await?;
+        let client = client(bus.clone());
+        let resolver = client.clone();
+        readers.spawn(async move {
+            loop {
+                resolver.resolve_all().await;
+                tokio::time::sleep(RESOLVE_INTERVAL).await;
+            }
+        });
+        let events = bus.subscribe(&fleet.keys.any_events()).await;
+        let events = events.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
+        let (end_elected, end) = tokio::sync::oneshot::channel();
+        let elected = tokio::spawn(record_elected(events, end));
+        let (end_submitter, end) = tokio::sync::watch::channel(false);
+        let submitter = tokio::spawn(submit(client.clone(), acknowledged.clone(), seed, end));
+        Ok(Workload { acknowledged, client, elected, end_elected, submitter, end_submitter, readers })
+    }
+
+    /// Submits nothing more, and waits until everything is acknowledged.
+    pub(super) async fn end_submissions(&mut self) {
+        self.end_submitter.send_replace(true);
+        if let Ok(open) = (&mut self.submitter).await {
+            open.join_all().await;
+        }
+    }
+
+    /// Ends all clients, and returns the nodes that were elected, by term.
+    pub(super) async fn end(mut self) -> BTreeMap<u64, Vec<NodeId>> {
+        self.readers.shutdown().await;
+        let _ = self.end_elected.send(());
+        self.elected.await.unwrap_or_default()
+    }
+}
+
+/// Submits missions, and cancels some of them, until the end. Returns the requests under way.
+async fn submit(
+    client: RecordingClient,
+    acknowledged: Acknowledged,
+    seed: u64,
+    mut end: tokio::sync::watch::Receiver<bool>,
+) -> JoinSet<()> {
+    let mut chance = ChaCha8Rng::seed_from_u64(seed ^ 0x50a7);
+    let mut requests = JoinSet::new();
+    for number in 1_u64.. {
+        let (room, canceled) = (ROOMS[chance.random_range(0..ROOMS.len())], chance.random_bool(CANCELED_SHARE));
+        let cancel_after = canceled.then(|| Duration::from_millis(chance.random_range(0..10_000)));
+        let (client, acknowledged) = (client.clone(), acknowledged.clone());
+        requests.spawn(async move {
+            let request = format!("soak-{number}");
+            let body = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request });
+            let mission = client.submit(&body).await;
+            acknowledged.send_modify(|known| drop(known.insert(request, mission.to_string())));
+            if let Some(after) = cancel_after {
+                tokio::time::sleep(after).await;
+                client.cancel(&mission).await;
+            }
+        });
+        let interval = Duration::from_millis(chance.random_range(SUBMIT_INTERVAL_MS));
+        if tokio::time::timeout(interval, end.wait_for(|end| *end)).await.is_ok() {
+            break;
+        }
+    }
+    requests
+}
+
+/// Records the nodes that were elected in each term, until the end.
+async fn record_elected(
+    mut events: Stream<consort_bus::Sample>,
+    mut end: tokio::sync::oneshot::Receiver<()>,
+) -> BTreeMap<u64, Vec<NodeId>> {
+    let mut elected: BTreeMap<u64, Vec<NodeId>> = BTreeMap::new();
+    loop {
+        let sample = tokio::select! {
+            sample = events.recv() => sample,
+            _ = &mut end => None,
+        };
+        let Some(sample) = sample else { return elected };
+        let event: Value = serde_json::from_slice(&sample.payload).unwrap_or_default();
+        if let ("elected", Some(term), Some(node)) = (
+            event["event"].as_str().unwrap_or_default(),
+            event["term"].as_u64(),
+            event["node"].as_str().and_then(|node| node.parse::<NodeId>().ok()),
+        ) {
+            let nodes = elected.entry(term).or_default();
+            if !nodes.contains(&node) {
+                nodes.push(node);
+            }
+        }
+    }
+}

@@ -1,0 +1,174 @@
+//! Clients that record their calls.
+
+use super::{CLIENT, ClientCall, History};
+use consort_bus::{ServiceSelection, SharedBus};
+use consort_protocol::ids::MissionId;
+use consort_protocol::keys::{ApiCall, Key, Keys};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// Timeout of a call.
+const CALL_TIMEOUT: Duration = Duration::from_secs(3);
+
+/// Delay before a request is repeated.
+const RETRY_INTERVAL: Duration = Duration::from_millis(700);
+
+/// Missions of acknowledged requests, by request.
+pub type Acknowledged = watch::Sender<BTreeMap<String, String>>;
+
+/// Kind of reader: what it reads, and from where.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reader {
+    /// A mission or all missions, linearizable, from the nearest node.
+    Nearest,
+    /// All missions, linearizable, through every node.
+    EveryNode,
+    /// All missions, from the copy of every node.
+    EveryCopy,
+}
+
+impl Reader {
+    /// All kinds.
+    pub const ALL: [Reader; 3] = [Reader::Nearest, Reader::EveryNode, Reader::EveryCopy];
+}
+
+/// Client that records its calls in a history.
+#[derive(Clone)]
+pub struct RecordingClient {
+    /// Its bus. In a closed fleet it signs the requests of a person.
+    pub bus: SharedBus,
+    /// Keys of the fleet.
+    pub keys: Keys,
+    /// History of its calls.
+    pub history: History,
+}
+
+impl RecordingClient {
+    /// Submits a mission, again and again until it is acknowledged.
+    pub async fn submit(&self, request: &Value) -> MissionId {
+        let name = request.get("request").and_then(Value::as_str).map(str::to_owned);
+        let call = ClientCall::Submit { request: name };
+        loop {
+            let replies = self.change(ApiCall::Submit, &call, request).await;
+            let missions = replies.iter().filter_map(|reply| reply["mission"].as_str());
+            if let Some(mission) = missions.filter_map(|mission| mission.parse().ok()).next() {
+                return mission;
+            }
+            tokio::time::sleep(RETRY_INTERVAL).await;
+        }
+    }
+
+    /// Cancels a mission, again and again until there is any reply: the mission may have ended by
+    /// itself.
+    pub async fn cancel(&self, mission: &MissionId) {
+        let call = ClientCall::Cancel { mission: mission.clone() };
+        let request = json!({ "mission": mission, "by": CLIENT });
+        while self.change(ApiCall::Cancel, &call, &request).await.is_empty() {
+            tokio::time::sleep(RETRY_INTERVAL).await;
+        }
+    }
+
+    /// Returns the reply to a linearizable list of all missions, if there is a definite one. The read is
+    /// not recorded.
+    pub async fn list(&self) -> Option<Value> {
+        let mut list = None;
+        let each = |reply: Value| list = reply.get("missions").is_some().then_some(reply);
+        self.query_each(ApiCall::List, &json!({ "linearizable": true }), ServiceSelection::Nearest, each).await;
+        list
+    }
+
+    /// Resolves the missions that need intervention, as a person would. Robots that hold an item
+    /// receive no other work until then.
+    pub async fn resolve_all(&self) {
+        let mut replies = vec![];
+        self.query_each(ApiCall::List, &Value::Null, ServiceSelection::Nearest, |value| replies.push(value)).await;
+        let mut held: Vec<MissionId> = vec![];
+        for mission in replies.iter().filter_map(|reply| reply["missions"].as_array()).flatten() {
+            if mission["state"] == "needs_intervention" {
+                held.extend(mission["mission"].as_str().and_then(|id| id.parse().ok()));
+            }
+        }
+        for mission in held {
+            let request = json!({ "mission": mission, "by": CLIENT });
+            self.change(ApiCall::Resolve, &ClientCall::Resolve { mission }, &request).await;
+        }
+    }
+
+    /// Reads missions at random times, for ever.
+    pub async fn read(self, reader: Reader, acknowledged: Acknowledged, seed: u64) {
+        let mut chance = ChaCha8Rng::seed_from_u64(seed ^ (0x5ead + reader as u64));
+        loop {
+            let pause_ms = match reader {
+                Reader::Nearest => 500..3_000,
+                Reader::EveryNode => 4_000..12_000,
+                Reader::EveryCopy => 3_000..9_000,
+            };
+            tokio::time::sleep(Duration::from_millis(chance.random_range(pause_ms))).await;
+            let linearizable = reader != Reader::EveryCopy;
+            let target = if reader == Reader::Nearest { ServiceSelection::Nearest } else { ServiceSelection::All };
+            match pick(&mut chance, &acknowledged).filter(|_| reader == Reader::Nearest) {
+                Some(mission) => self.record_read(ClientCall::Get { mission }, target).await,
+                None => self.record_read(ClientCall::List { linearizable }, target).await,
+            }
+        }
+    }
+
+    /// Sends a request that changes something to all nodes, and records the first definite reply.
+    async fn change(&self, call: ApiCall, recorded: &ClientCall, request: &Value) -> Vec<Value> {
+        let (invoked, mut is_recorded, mut replies) = (self.history.invoke(), false, vec![]);
+        let each = |value| {
+            if let Some(reply) = recorded.parse(&value).filter(|_| !is_recorded) {
+                self.history.record(recorded.clone(), invoked, reply);
+                is_recorded = true;
+            }
+            replies.push(value);
+        };
+        self.query_each(call, request, ServiceSelection::All, each).await;
+        if !is_recorded {
+            self.history.record_unknown(recorded.clone(), invoked);
+        }
+        replies
+    }
+
+    /// Records each definite reply as a read of its own.
+    async fn record_read(&self, read: ClientCall, target: ServiceSelection) {
+        let (call, payload) = match &read {
+            ClientCall::Get { mission } => (ApiCall::Get, json!({ "mission": mission, "linearizable": true })),
+            ClientCall::List { linearizable } => (ApiCall::List, json!({ "linearizable": linearizable })),
+            other => unreachable!("{other:?} is no read"),
+        };
+        let invoked = self.history.invoke();
+        let record = |value: Value| {
+            if let Some(reply) = read.parse(&value) {
+                self.history.record(read.clone(), invoked, reply);
+            }
+        };
+        self.query_each(call, &payload, target, record).await;
+    }
+
+    /// Calls `each` with every reply as it arrives.
+    async fn query_each(&self, call: ApiCall, payload: &Value, target: ServiceSelection, mut each: impl FnMut(Value)) {
+        let (key, payload) = (self.keys.write(&Key::Api(call)), payload.to_string().into());
+        let Ok(mut replies) = self.bus.query_with(&key, payload, vec![].into(), CALL_TIMEOUT, target).await else {
+            return;
+        };
+        while let Some(reply) = replies.recv().await {
+            if let Ok(payload) = reply.payload {
+                each(serde_json::from_slice(&payload).unwrap_or(Value::Null));
+            }
+        }
+    }
+}
+
+/// Draws an acknowledged mission to read, or `None` to read all missions.
+fn pick(chance: &mut ChaCha8Rng, acknowledged: &Acknowledged) -> Option<MissionId> {
+    let known: Vec<String> = acknowledged.borrow().values().cloned().collect();
+    match chance.random_range(0..=known.len()) {
+        0 => None,
+        number => known[number - 1].parse().ok(),
+    }
+}

@@ -1,0 +1,124 @@
+//! Sequential specification of a single mission, for the linearizability tester.
+
+use super::CLIENT;
+use consort_protocol::ids::MissionId;
+use consort_protocol::ledger::MissionState;
+use stateright::semantics::SequentialSpec;
+
+/// Operation on a mission.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum MissionOp {
+    Submit,
+    Cancel,
+    Resolve,
+    Read,
+}
+
+/// Result of an operation on a mission.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum MissionResult {
+    Submitted {
+        mission: MissionId,
+        again: bool,
+        outcome: Option<MissionState>,
+    },
+    /// The mission was canceled or resolved, and has this state.
+    Changed(Option<MissionState>),
+    Refused,
+    /// `None`: the mission does not exist.
+    Read(Option<MissionState>),
+    /// The client got no definite reply.
+    Unknown,
+}
+
+/// A mission as clients may see it. Robots and coordinators change it between the calls of clients,
+/// so a call may find any state that can follow the state seen last.
+#[derive(Debug, Clone, Default)]
+pub(super) struct MissionSpec {
+    exists: bool,
+    id: Option<MissionId>,
+    /// The state seen last.
+    state: Option<MissionState>,
+    /// It has ended, in whatever state.
+    ended: bool,
+    cancel_requested: bool,
+    resolve_requested: bool,
+}
+
+impl MissionSpec {
+    /// Changes to a state, if the mission may have reached it.
+    fn advance(&mut self, next: &MissionState) -> bool {
+        let is_resolved = |state: &MissionState| match state {
+            MissionState::Failed { cause } => cause.contains("; resolved by "),
+            _ => false,
+        };
+        let may_follow = match &self.state {
+            None | Some(MissionState::Pending | MissionState::Running) => !self.ended || next.is_final(),
+            Some(MissionState::NeedsIntervention { .. }) => {
+                matches!(next, MissionState::NeedsIntervention { .. }) || is_resolved(next)
+            }
+            Some(last) => last == next,
+        };
+        let was_requested = match next {
+            MissionState::Canceled { by } if by.contains(CLIENT) => self.cancel_requested,
+            state if is_resolved(state) => self.resolve_requested,
+            _ => true,
+        };
+        self.ended |= next.is_final();
+        self.state = Some(next.clone());
+        may_follow && was_requested
+    }
+
+    fn submitted(&mut self, mission: &MissionId, again: bool, outcome: Option<&MissionState>) -> bool {
+        let is_same = self.id.get_or_insert_with(|| mission.clone()) == mission;
+        let existed = std::mem::replace(&mut self.exists, true);
+        let is_outcome_valid = match outcome {
+            Some(state) => again && state.is_final() && self.advance(state),
+            None => !self.ended,
+        };
+        // The network may deliver a request twice, so even a first reply may say `again`.
+        is_same && (again || !existed) && is_outcome_valid
+    }
+}
+
+impl SequentialSpec for MissionSpec {
+    type Op = MissionOp;
+    type Ret = MissionResult;
+
+    /// Executes an operation whose result is unknown.
+    fn invoke(&mut self, op: &MissionOp) -> MissionResult {
+        match op {
+            MissionOp::Submit => self.exists = true,
+            MissionOp::Cancel => self.cancel_requested = true,
+            MissionOp::Resolve => self.resolve_requested = true,
+            MissionOp::Read => {}
+        }
+        MissionResult::Unknown
+    }
+
+    fn is_valid_step(&mut self, op: &MissionOp, result: &MissionResult) -> bool {
+        match (op, result) {
+            (MissionOp::Submit, MissionResult::Submitted { mission, again, outcome }) => {
+                self.submitted(mission, *again, outcome.as_ref())
+            }
+            // An acknowledged cancellation has taken effect.
+            (MissionOp::Cancel, MissionResult::Changed(Some(state))) => {
+                self.cancel_requested = true;
+                self.exists && state.is_final() && self.advance(state)
+            }
+            (MissionOp::Resolve, MissionResult::Changed(Some(state))) => {
+                self.resolve_requested = true;
+                self.exists && state.is_final() && self.advance(state)
+            }
+            // A mission that has ended cannot be canceled.
+            (MissionOp::Cancel, MissionResult::Refused) => {
+                self.ended |= self.exists;
+                true
+            }
+            (MissionOp::Submit | MissionOp::Resolve, MissionResult::Refused) => true,
+            (MissionOp::Read, MissionResult::Read(None)) => !self.exists,
+            (MissionOp::Read, MissionResult::Read(Some(state))) => self.exists && self.advance(state),
+            _ => false,
+        }
+    }
+}
