@@ -54,9 +54,9 @@ pub enum Mutant {
     TwoRemoved,
     /// Linearizable reads are answered from the copy of any node.
     StaleRead,
-    /// Requests are executed whoever signed them.
+    /// Requests are executed without a check of their signatures.
     SignersUnchecked,
-    /// Messages count whoever their author is.
+    /// The authors of messages between nodes are not checked.
     AuthorsUnchecked,
 }
 

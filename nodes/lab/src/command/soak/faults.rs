@@ -45,21 +45,19 @@ enum Fault {
     Partition(Vec<&'static str>),
 }
 
-/// Injects random faults for a time. All of them are over when it returns.
-///
-/// # Errors
-/// A process has ended by itself.
-pub(super) async fn inject(fleet: &mut ProcessFleet, seed: u64, time: Duration) -> Result<FaultCounts, String> {
+/// Injects random faults for a time, or until a process has ended by itself; returns a description of
+/// that process. All faults are over when it returns.
+pub(super) async fn inject(fleet: &mut ProcessFleet, seed: u64, time: Duration) -> (FaultCounts, Option<String>) {
     let mut chance = ChaCha8Rng::seed_from_u64(seed ^ 0xfa17);
     let (start, mut counts) = (Instant::now(), FaultCounts::default());
     let end = start + time;
     // Each with its end.
     let mut active: Vec<(Instant, Fault)> = vec![];
-    let mut next = start;
-    while Instant::now() < end {
+    let (mut next, mut ended) = (start, None);
+    while Instant::now() < end && ended.is_none() {
         let first_end = active.iter().map(|(end, _)| *end).min();
         sleep_until(first_end.map_or(next, |first| first.min(next)).min(end)).await;
-        fleet.restart_ended()?;
+        ended = fleet.restart_ended().err();
         let now = Instant::now();
         let (over, rest): (Vec<_>, Vec<_>) = active.into_iter().partition(|(until, _)| *until <= now);
         active = rest;
@@ -83,7 +81,7 @@ pub(super) async fn inject(fleet: &mut ProcessFleet, seed: u64, time: Duration) 
     for (_, fault) in active {
         fault.end(fleet);
     }
-    Ok(counts)
+    (counts, ended)
 }
 
 impl Fault {

@@ -26,7 +26,7 @@ pub(super) const STATIONS: [&str; 3] = ["s1", "s2", "s3"];
 /// The robots.
 pub(super) const ROBOTS: [&str; 3] = ["ada", "bob", "lab-arm"];
 
-/// Host of the simulated world. It is never killed: the state of its world is only in its memory.
+/// Host of the simulated world. No fault kills it: the state of its world is only in its memory.
 pub(super) const WORLD: &str = "world";
 
 /// Simulated seconds per second: missions end within a fraction of a minute.
@@ -37,6 +37,9 @@ pub(super) const ROOMS: [&str; 6] = ["IC Room 6", "PC Room 1", "IC Room 2", "PC 
 
 /// Samples of each nurse. A world has at most 10,000 in all.
 const SAMPLES: usize = 1_500;
+
+/// Samples that a drawer can hold.
+const DRAWER_SLOTS: i64 = 1_000;
 
 /// Limit for the fleet to be complete at the start.
 const START_LIMIT: Duration = Duration::from_secs(120);
@@ -112,12 +115,20 @@ impl ProcessFleet {
             second.insert("id".to_owned(), "bob".into());
             second.insert("place".to_owned(), "PC Room 4".into());
             bodies.push(second.into());
+            // Robots do not charge by themselves, and nobody empties the drawers after a failed mission.
+            for body in bodies.iter_mut().filter_map(toml::Value::as_table_mut) {
+                body.insert("discharge_share_per_s".to_owned(), 0.0.into());
+            }
+        }
+        if let Some(limits) = world.get_mut("limits").and_then(toml::Value::as_table_mut) {
+            limits.insert("drawer_slots".to_owned(), DRAWER_SLOTS.into());
         }
         world.insert("person".to_owned(), toml::Value::Array(ROOMS.iter().map(|room| nurse(room).into()).collect()));
         self.write_node(WORLD, world, &STATIONS)?;
         for robot in ROBOTS {
             let mut node = example(if robot == "lab-arm" { "arm" } else { "robot" });
             node.insert("may_vote".to_owned(), false.into());
+            node.insert("discharge_share_per_s".to_owned(), 0.0.into());
             self.write_node(robot, node, &[&STATIONS[..], &[WORLD]].concat())?;
         }
         Ok(())
@@ -207,7 +218,7 @@ impl ProcessFleet {
         let ended = |(name, child): (&String, &mut Child)| Some((name.clone(), child.try_wait().ok().flatten()?));
         let ended: Vec<(String, ExitStatus)> = self.processes.iter_mut().filter_map(ended).collect();
         for (name, status) in ended {
-            if status.signal() != Some(SIGABRT) || name == WORLD {
+            if status.signal() != Some(SIGABRT) {
                 self.processes.remove(&name);
                 return Err(format!("the process of {name} has ended by itself: {status}"));
             }

@@ -42,10 +42,9 @@ pub(super) async fn reach(
     fleet: &mut ProcessFleet,
     mut workload: Workload,
     history: &History,
-    faults: Result<FaultCounts, String>,
+    (faults, ended): (FaultCounts, Option<String>),
 ) -> Verdict {
-    let mut violations: Vec<String> = faults.as_ref().err().cloned().into_iter().collect();
-    let faults = faults.unwrap_or_default();
+    let mut violations: Vec<String> = ended.into_iter().collect();
     let deadline = Instant::now() + END_LIMIT;
     if timeout(END_LIMIT, workload.end_submissions()).await.is_err() {
         violations.push(format!("not all requests were acknowledged within {} s", END_LIMIT.as_secs()));
