@@ -34,23 +34,13 @@ impl Fleet {
 
     /// Sends a request and returns all replies in the order of arrival.
     pub async fn request_all(&self, call: ApiCall, payload: &Value) -> Vec<Value> {
-        let mut replies = self.query(call, &payload.to_string()).await;
-        let mut values = vec![];
-        while let Some(reply) = replies.recv().await {
-            values.push(serde_json::from_slice(&reply.payload.expect("a reply")).expect("JSON"));
-        }
-        values
+        values(self.query(call, &payload.to_string()).await).await
     }
 
     /// Sends a read to all nodes and returns their replies.
     pub async fn read_everywhere(&self, call: ApiCall, payload: &Value) -> Vec<Value> {
         let (key, limit) = (self.keys.write(&Key::Api(call)), Duration::from_secs(3));
-        let mut replies = self.requests.query(&key, payload.to_string().into(), limit).await.expect("a virtual bus");
-        let mut values = vec![];
-        while let Some(reply) = replies.recv().await {
-            values.push(serde_json::from_slice(&reply.payload.expect("a reply")).expect("JSON"));
-        }
-        values
+        values(self.requests.query(&key, payload.to_string().into(), limit).await.expect("a virtual bus")).await
     }
 
     async fn query(&self, call: ApiCall, payload: &str) -> Stream<Reply> {
@@ -155,4 +145,13 @@ impl Fleet {
         }
         present
     }
+}
+
+/// Returns all replies as JSON, in the order of arrival.
+async fn values(mut replies: Stream<Reply>) -> Vec<Value> {
+    let mut values = vec![];
+    while let Some(reply) = replies.recv().await {
+        values.push(serde_json::from_slice(&reply.payload.expect("a reply")).expect("JSON"));
+    }
+    values
 }

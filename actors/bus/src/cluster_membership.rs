@@ -179,11 +179,11 @@ impl Layer for ClusterBus {
         })
     }
 
+    // A service replies only to queries of its own cluster, so the replies need no check.
     fn outgoing_query(&self, key_expr: &str, content: MessageContent) -> Result<(MessageContent, ()), BusError> {
         Ok((MessageContent { payload: self.wrap(key_expr, content.payload)?, ..content }, ()))
     }
 
-    /// A service replies only to queries of its own cluster, so the replies need no check.
     fn incoming_queries(&self, key_expr: &str, incoming_queries: Stream<Query>) -> Stream<Query> {
         if !self.keys.is_cluster_scoped(key_expr) {
             return incoming_queries;

@@ -1,10 +1,10 @@
 //! End of the process after a panic in Zenoh.
 //!
 //! Zenoh 1.10 can panic in the routing of a node when a link is lost, while it holds the lock of its
-//! tables (`consort-lab soak` found it; reported upstream as eclipse-zenoh/zenoh issue 2624 for a related
-//! place); builds with debug assertions panic more often. Its runtime catches the panic, and the node continues with routing tables that nobody can
-//! lock: other nodes count it alive or not by chance, and nothing that it sends arrives. A node that has
-//! ended is better: the others notice it at once, and its service manager starts it again.
+//! tables (`consort-lab soak` found it; eclipse-zenoh/zenoh issue 2624 is about a related place); builds
+//! with debug assertions panic more often. Its runtime catches the panic, and the node continues with a
+//! poisoned lock: every later task that uses the tables panics, too. A node that has ended is better: the
+//! others notice it at once, and its service manager starts it again.
 
 use std::panic::{self, PanicHookInfo};
 use std::path::Path;

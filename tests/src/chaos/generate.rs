@@ -306,22 +306,23 @@ impl Draw<'_> {
     /// Isolates a carrier with its driver while it executes a request, and kills the carrier's node
     /// shortly before its lease ends. Only the driver can stop the body then. The drivers come back just
     /// before the role may pass on, so that another carrier can begin at once.
-    fn lease_end(&mut self) -> Option<()> {
+    fn lease_end(&mut self) {
         let latest = self.end_ms.saturating_sub(AWAY_MS.end);
         let asked = self.steps.iter().filter(|step| step.action.submitted_request().is_some()).map(|step| step.at_ms);
         let asked: Vec<u64> = asked.filter(|at_ms| *at_ms < latest).collect();
-        let at_ms = asked.choose(&mut self.chance)? + self.chance.random_range(4_000..20_000);
+        let Some(asked) = asked.choose(&mut self.chance) else { return };
+        let at_ms = asked + self.chance.random_range(4_000..20_000);
         let killed_at = at_ms + self.chance.random_range(2_800..4_200);
         let (for_ms, down_ms) = (self.chance.random_range(4_200..5_600), self.chance.random_range(AWAY_MS));
         if killed_at + down_ms >= self.end_ms {
-            return None;
+            return;
         }
         let groups = self.carrier_groups(self.composition.nodes().into_iter().map(str::to_owned).collect());
-        let carrier = groups.last()?.iter().find(|node| *node != WORLD)?.clone();
+        let isolated = groups.iter().flatten().rev().find(|node| *node != WORLD);
+        let carrier = isolated.expect("a carrier in the last group").clone();
         let crash = ChaosAction::Crash { node: carrier, disk: DiskAfterCrash::Kept, for_ms: down_ms };
         self.steps.push(ScheduledAction { at_ms, action: ChaosAction::Partition { groups, for_ms } });
         self.steps.push(ScheduledAction { at_ms: killed_at, action: crash });
-        Some(())
     }
 
     fn groups(&mut self) -> Vec<Vec<String>> {

@@ -76,8 +76,7 @@ impl MissionSpec {
             Some(state) => again && state.is_final() && self.advance(state),
             None => !self.ended,
         };
-        // The network may deliver a request twice, so even a first reply may say `again`.
-        is_same && (again || !existed) && is_outcome_valid
+        is_same && existed == again && is_outcome_valid
     }
 }
 
@@ -85,7 +84,7 @@ impl SequentialSpec for MissionSpec {
     type Op = MissionOp;
     type Ret = MissionResult;
 
-    /// Executes an operation whose result is unknown.
+    /// Executes an operation that got no definite reply.
     fn invoke(&mut self, op: &MissionOp) -> MissionResult {
         match op {
             MissionOp::Submit => self.exists = true,

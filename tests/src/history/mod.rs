@@ -177,7 +177,7 @@ impl History {
         records.operations.push(Operation { call, invoked, returned });
     }
 
-    /// Records a call whose outcome is unknown.
+    /// Records a call without a definite reply.
     pub fn record_unknown(&self, call: ClientCall, invoked: Moment) {
         self.lock().operations.push(Operation { call, invoked, returned: None });
     }

@@ -293,7 +293,7 @@ fn with<T: Serialize>(provenance: &Provenance, content: T) -> Value {
     json(WithProvenance { provenance: provenance.clone(), content })
 }
 
-fn millis(time: Duration) -> u64 {
+pub(super) fn millis(time: Duration) -> u64 {
     u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }
 

@@ -6,8 +6,8 @@
 //!                                                                       ▼ its copy of the ledger
 //! ```
 
-use super::ViewService;
 use super::draw::json;
+use super::{RETRY_AFTER_MS, ViewService};
 use bytes::Bytes;
 use consort_protocol::api::{ErrorReply, ReadOptions};
 use consort_protocol::keys::Key;
@@ -19,9 +19,6 @@ const CONFIRMATION_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Timeout for the coordinator to reply: a little more than it may take.
 const COORDINATOR_TIMEOUT: Duration = Duration::from_millis(2300);
-
-/// Suggested delay of a retry in milliseconds: about the duration of a takeover.
-const RETRY_AFTER_MS: u64 = 300;
 
 impl ViewService {
     /// Reads a view of the ledger, here or at the coordinator.

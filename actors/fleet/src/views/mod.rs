@@ -46,7 +46,7 @@ use consort_protocol::message::Beacon;
 use consort_protocol::units::NodeTime;
 use consort_protocol::view::MapView;
 use consort_raft::{RaftId, Replica};
-use draw::{ViewContext, json};
+use draw::{ViewContext, json, millis};
 use ractor::ActorRef;
 use serde_json::{Map, Value};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -68,7 +68,7 @@ const WORLD_TIMEOUT: Duration = Duration::from_millis(400);
 /// Timeout for this node's own coordinator to return its status.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// Suggested delay of a retry in milliseconds if no voter replies.
+/// Suggested delay of a retry in milliseconds if no voter replies, or none confirms a read.
 const RETRY_AFTER_MS: u64 = 300;
 
 /// Number of missed beacons after which a coordinator no longer counts as active.
@@ -292,7 +292,6 @@ impl ViewService {
         let latest_beacon = self.latest_beacon.lock().unwrap_or_else(PoisonError::into_inner).latest().cloned();
         let leadership = replica.as_ref().map(|replica| replica.leadership().borrow().clone()).unwrap_or_default();
         let last_beacon = latest_beacon.as_ref().map(|(beacon, at)| (beacon, now.since(*at)));
-        let millis = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
         let own_id = replica.as_ref().map(Replica::id);
         let is_member = |id: &RaftId| leadership.voters.contains_key(id) || leadership.learners.contains_key(id);
         // A voter that was replaced while it was away does not know it; the beacon shows it.

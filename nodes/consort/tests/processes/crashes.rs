@@ -306,7 +306,7 @@ fn a_voter_with_a_damaged_store_joins_again() {
         event["event"] == "voters" && event["reason"] == *reason
     });
     assert!(fleet.path(&format!("{victim}-data")).join("damaged-1").join(LEDGER_FILE).exists());
-    // The rebuilt voter and one other voter are a majority.
+    // Without the leader a majority needs the rebuilt voter.
     fleet.kill(&leader);
     let second = submit(&client, "second");
     let known = |mission: &str| !client.view(&format!("mission/{mission}"))["state"].is_null();

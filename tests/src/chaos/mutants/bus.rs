@@ -148,7 +148,7 @@ fn without_guards(query: Query) -> Query {
     Query { payload: encoded(&ClusterEnvelope { cluster, payload }), ..query }
 }
 
-/// Makes a linearizable read an ordinary one.
+/// Turns off the option `linearizable` of a read.
 fn without_confirmation(query: Query) -> Query {
     let Ok(mut request) = serde_json::from_slice::<Value>(&query.payload) else { return query };
     if request.get("linearizable").is_none() {

@@ -22,7 +22,7 @@ pub(super) struct ParkedSignal {
 pub(super) struct ParkedSignals(VecDeque<ParkedSignal>);
 
 impl ParkedSignals {
-    /// Parks a signal. Returns true if it is the only one.
+    /// Parks a signal. Returns whether no other signal was parked before.
     pub(super) fn park(&mut self, parked: ParkedSignal) -> bool {
         let first = self.0.is_empty();
         if !self.0.contains(&parked) {

@@ -46,8 +46,8 @@ pub(super) async fn reach(
 ) -> Verdict {
     let mut violations: Vec<String> = ended.into_iter().collect();
     let deadline = Instant::now() + END_LIMIT;
-    if timeout(END_LIMIT, workload.end_submissions()).await.is_err() {
-        violations.push(format!("not all requests were acknowledged within {} s", END_LIMIT.as_secs()));
+    if let Err(violation) = end_submissions(fleet, &mut workload).await {
+        violations.push(violation);
     }
     let acknowledged: BTreeSet<String> = workload.acknowledged.borrow().values().cloned().collect();
     let mut missions = MissionsView::default();
@@ -91,6 +91,24 @@ pub(super) async fn reach(
         failures_of_zenoh: fleet.failures_of_zenoh,
         faults,
         violations,
+    }
+}
+
+/// Waits until all requests are acknowledged. Meanwhile nodes are started again after a panic in Zenoh.
+///
+/// # Errors
+/// A description of what did not hold.
+async fn end_submissions(fleet: &mut ProcessFleet, workload: &mut Workload) -> Result<(), String> {
+    let acknowledged = timeout(END_LIMIT, workload.end_submissions());
+    tokio::pin!(acknowledged);
+    loop {
+        tokio::select! {
+            ended = &mut acknowledged => {
+                let problem = format!("not all requests were acknowledged within {} s", END_LIMIT.as_secs());
+                return ended.map_err(|_| problem);
+            }
+            () = sleep(LOOK_INTERVAL) => fleet.restart_ended()?,
+        }
     }
 }
 
