@@ -74,8 +74,7 @@ fn another_robot_takes_over_before_custody() {
     let r1 = view["roles"].as_array().expect("roles").iter().find(|role| role["role"] == "r1").expect("r1");
     assert_eq!(r1["holder"], other);
     assert_eq!(client.view("world")["samples"][0]["place"], "Laboratory");
-    let token = format!("robot/{lost}");
-    until("the token of the lost robot is removed", LONG, || (!client.present().contains(&token)).then_some(()));
+    fleet.wait_for_removed_tokens(&client, &lost);
     assert_eq!(client.view(&format!("robot/{lost}"))["alive"], false);
     assert!(!fleet.names().contains(&lost.as_str()));
     fleet.stop();

@@ -1,6 +1,6 @@
 //! A fleet with a process per node, from the example files.
 
-use super::{Ended, Folder, LONG, Program, example, until};
+use super::{Client, Ended, Folder, LONG, Program, example, until};
 use std::collections::BTreeMap;
 use toml::Table;
 
@@ -157,6 +157,19 @@ impl Fleet {
             check_clean_shutdown(node);
         }
         self.folder.await_no_process();
+    }
+
+    /// Waits until the presence tokens of a dead node are removed.
+    ///
+    /// Zenoh 1.10.2 keeps a token, and logs it, if a router has removed the dead node from its graph
+    /// before a router that does not know of the death announces the token again. Tokens are hints.
+    pub(crate) fn wait_for_removed_tokens(&self, client: &Client, node: &str) {
+        until(&format!("the tokens of {node} are removed, or Zenoh logs that it keeps them"), LONG, || {
+            let present = client.present();
+            let mut left = present.iter().filter(|token| token.ends_with(&format!("/{node}"))).peekable();
+            let logs = if left.peek().is_some() { self.logs() } else { String::new() };
+            left.all(|token| logs.contains(&format!("/alive/{token}: cannot get index of"))).then_some(())
+        });
     }
 
     /// Returns the logs of all nodes, for the message of a failed test.
