@@ -20,9 +20,19 @@ use std::time::Duration;
 /// 1970 to 2049. Most tests begin at the start of this range, chaos runs in between.
 const LONG: Validity = Validity { from: Duration::ZERO, until: Duration::from_secs(2_493_072_000) };
 
+/// Signatures of the messages of a closed fleet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Signatures {
+    /// The signatures of production.
+    Ed25519,
+    /// Hashes, which take a hundredth of the time.
+    Simulated,
+}
+
 /// A certificate authority and its issuer.
 pub struct Credentials {
     seed: u64,
+    signatures: Signatures,
     fleet: FleetId,
     authority: IssuedCertificate,
     issuer: CertificateAuthority,
@@ -30,12 +40,12 @@ pub struct Credentials {
 
 impl Credentials {
     /// Derives the authority from a seed.
-    pub fn new(fleet: FleetId, seed: u64) -> Credentials {
+    pub fn new(fleet: FleetId, seed: u64, signatures: Signatures) -> Credentials {
         let authority =
             create_authority_from(&fleet, LONG, draw(seed, "authority")).expect("a certificate can be made");
         let issuer = CertificateAuthority::from_pem(&authority.certificate, &authority.key)
             .expect("the certificate just created");
-        Credentials { seed, fleet, authority, issuer }
+        Credentials { seed, signatures, fleet, authority, issuer }
     }
 
     /// Returns the keyring of a node with these roles, for an incarnation of the node. A host serves
@@ -62,7 +72,11 @@ impl Credentials {
         let issued = self.issuer.issue_from(&identity, LONG, drawn).expect("a certificate can be made");
         let keyring =
             Keyring::from_issued(self.fleet.clone(), &self.authority.certificate, &issued, Duration::ZERO, life);
-        keyring.expect("the certificate just created")
+        let keyring = keyring.expect("the certificate just created");
+        match self.signatures {
+            Signatures::Ed25519 => keyring,
+            Signatures::Simulated => keyring.with_simulated_signatures(),
+        }
     }
 
     /// Wraps the bus of a node in a bus that signs outgoing messages.

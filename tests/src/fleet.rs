@@ -1,6 +1,6 @@
 //! A whole fleet in a single process on virtual time.
 
-use crate::credentials::Credentials;
+use crate::credentials::{Credentials, Signatures};
 use crate::event_log::{EventLog, Observation};
 use crate::robot_spec::RobotSpec;
 use crate::slug;
@@ -74,15 +74,15 @@ pub(crate) type WrapBus = Box<dyn FnMut(&NodeSettings, SharedBus) -> SharedBus>;
 pub(crate) struct NodeOptions {
     pub(crate) adjust: AdjustNode,
     pub(crate) wrap_bus: WrapBus,
-    /// Nodes have certificates and sign their messages.
-    pub(crate) closed: bool,
+    /// Nodes have certificates and sign their messages in this way; an open fleet has none.
+    pub(crate) signatures: Option<Signatures>,
     /// Date at which the client's clock starts, in milliseconds since 1970.
     pub(crate) date_ms: u64,
 }
 
 impl Default for NodeOptions {
     fn default() -> NodeOptions {
-        NodeOptions { adjust: Box::new(|_| ()), wrap_bus: Box::new(|_, bus| bus), closed: false, date_ms: 0 }
+        NodeOptions { adjust: Box::new(|_| ()), wrap_bus: Box::new(|_, bus| bus), signatures: None, date_ms: 0 }
     }
 }
 
@@ -137,7 +137,7 @@ impl Fleet {
 
     /// Starts the same hospital with certificates; nodes sign their messages.
     pub async fn closed_hospital(seed: u64, members: Vec<RobotSpec>, stations: &[&str], rooms: &[&str]) -> Fleet {
-        let options = NodeOptions { closed: true, ..NodeOptions::default() };
+        let options = NodeOptions { signatures: Some(Signatures::Ed25519), ..NodeOptions::default() };
         Fleet::hospital_with(seed, members, stations, rooms, options).await
     }
 
@@ -176,7 +176,8 @@ impl Fleet {
         let places = world.with(|world| world.map().topology().places);
         settings.domain = Arc::new(hospital().with_places(places.into_keys()));
         let client = network.bus(slug("client"));
-        let credentials = options.closed.then(|| Credentials::new(settings.fleet.clone(), seed));
+        let credentials =
+            options.signatures.map(|signatures| Credentials::new(settings.fleet.clone(), seed, signatures));
         let requests: SharedBus = match &credentials {
             None => Arc::new(client.clone()),
             Some(credentials) => {

@@ -18,7 +18,7 @@ mod station_fleet;
 mod stolen_key;
 mod ward;
 
-pub use credentials::Credentials;
+pub use credentials::{Credentials, Signatures};
 pub use event_log::{EventLog, Observation, RoleInterval};
 pub(crate) use fleet::AdjustNode;
 pub use fleet::Fleet;

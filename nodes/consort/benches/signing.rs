@@ -25,7 +25,7 @@ use consort_protocol::message::{Beacon, ClusterEnvelope, RecordUpdate};
 use consort_protocol::trust::{ENVELOPE_BYTES, MessageKind, NodeRole, ReplayWindow, decode_envelope, signed_part};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_protocol::versions::VersionRange;
-use consort_tests::Credentials;
+use consort_tests::{Credentials, Signatures};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -125,7 +125,7 @@ fn costs<T>(
     write: impl Fn(&T) -> Vec<u8>,
     decode_message: impl Fn(&[u8]),
 ) -> Value {
-    let credentials = Credentials::new(name("ward"), 1);
+    let credentials = Credentials::new(name("ward"), 1, Signatures::Ed25519);
     let ada = credentials.keyring_of(&name("ada"), [NodeRole::Robot, NodeRole::Voter].into(), 1);
     let keys = Keys::new(&name("ward"));
     let key = keys.write(key);

@@ -13,6 +13,7 @@ use super::invariants::{self, Invariant, InvariantViolation};
 use super::mutants::{Mutant, MutantInjection};
 use super::run_counters::{RunCounters, millis};
 use super::schedule::{DiskAfterCrash, Schedule};
+use crate::credentials::Signatures;
 use crate::fleet::NodeOptions;
 use crate::{Fleet, Observation, slug};
 use consort_protocol::ids::{MissionId, NodeId};
@@ -69,7 +70,7 @@ pub struct RunOutcome {
 /// Violation of an invariant.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Violation {
-    /// Name of an invariant, or `liveness`, `relay`, `linearizable`, `age of reads`, `panic`.
+    /// Name of an invariant, or `liveness`, `relay`, `linearizable`, `read_age`, `panic`.
     pub invariant: String,
     /// Time in milliseconds since the start of the fleet.
     pub at_ms: u64,
@@ -126,7 +127,8 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
 /// Returns the options that inject the faults, and the bug if there is one.
 fn node_options(config: &RunConfig, injector: &FaultInjector) -> NodeOptions {
     let mut adjust = injector.adjust();
-    let options = NodeOptions { closed: config.closed, date_ms: DATE_MS, ..NodeOptions::default() };
+    let signatures = config.closed.then_some(Signatures::Simulated);
+    let options = NodeOptions { signatures, date_ms: DATE_MS, ..NodeOptions::default() };
     let Some(mutant) = config.mutant else { return NodeOptions { adjust, ..options } };
     let injection = MutantInjection::new(mutant);
     let at_bus = injection.clone();
@@ -181,7 +183,7 @@ impl Run {
         let history = self.executor.history();
         let violation = |name, reason| self.checker.violation(name, reason, &self.fleet);
         history.check_linearizable().map_err(|reason| violation("linearizable", reason))?;
-        history.check_ages().map_err(|reason| violation("age of reads", reason))
+        history.check_ages().map_err(|reason| violation("read_age", reason))
     }
 
     /// Executes the schedule until all faults have ended.

@@ -2,6 +2,7 @@
 //! certificates.
 
 use super::revocation::{RevocationList, RevocationListError};
+use super::signature::{SIGNATURE, SignatureScheme};
 use bytes::Bytes;
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::{
@@ -31,6 +32,7 @@ pub struct VerifiedCertificate {
     pub identity: Arc<Identity>,
     fingerprint: Fingerprint,
     certificate: CertificateDer<'static>,
+    scheme: SignatureScheme,
 }
 
 /// A certificate is rejected.
@@ -73,8 +75,14 @@ impl VerifiedCertificate {
 
     /// Checks a signature with the key of the certificate.
     pub fn verify(&self, message: &[u8], signature: &[u8]) -> bool {
-        let certificate = EndEntityCert::try_from(&self.certificate);
-        certificate.is_ok_and(|certificate| certificate.verify_signature(ED25519, message, signature).is_ok())
+        match self.scheme {
+            SignatureScheme::Ed25519 => {
+                let certificate = EndEntityCert::try_from(&self.certificate);
+                certificate.is_ok_and(|certificate| certificate.verify_signature(ED25519, message, signature).is_ok())
+            }
+            #[cfg(feature = "test-util")]
+            SignatureScheme::Simulated => signature == super::signature::simulated(self.fingerprint, message),
+        }
     }
 }
 
@@ -90,6 +98,7 @@ fn fingerprint(certificate: &CertificateDer<'_>) -> Fingerprint {
 pub(super) struct Authority {
     pub(super) fleet: FleetId,
     anchor: TrustAnchor<'static>,
+    scheme: SignatureScheme,
 }
 
 impl Authority {
@@ -97,7 +106,7 @@ impl Authority {
     pub(super) fn new(fleet: FleetId, certificate: &CertificateDer<'_>) -> Result<Authority, CertificateError> {
         let anchor =
             anchor_from_trusted_cert(certificate).map_err(|problem| CertificateError::Invalid(problem.to_string()))?;
-        Ok(Authority { fleet, anchor: anchor.to_owned() })
+        Ok(Authority { fleet, anchor: anchor.to_owned(), scheme: SignatureScheme::Ed25519 })
     }
 
     /// Verifies the certificate of a message's author or of a client, at a time since 1970.
@@ -186,7 +195,8 @@ impl Authority {
         if identity.fleet != self.fleet {
             return Err(CertificateError::OtherFleet { other: identity.fleet, own: self.fleet.clone() });
         }
-        Ok(VerifiedCertificate { identity: Arc::new(identity), fingerprint: fingerprint(&certificate), certificate })
+        let fingerprint = fingerprint(&certificate);
+        Ok(VerifiedCertificate { identity: Arc::new(identity), fingerprint, certificate, scheme: self.scheme })
     }
 }
 
@@ -246,6 +256,22 @@ impl Keyring {
         Keyring { authority, own: Arc::new(own), key, numbers: AtomicU64::new(incarnation << 20), received }
     }
 
+    /// Replaces the signatures of the whole fleet by simulated ones, which take a hundredth of the time.
+    /// Certificates are still signed by the authority.
+    #[cfg(feature = "test-util")]
+    #[must_use]
+    pub fn with_simulated_signatures(mut self) -> Keyring {
+        self.authority.scheme = SignatureScheme::Simulated;
+        let VerifiedCertificate { identity, fingerprint, certificate, .. } = &*self.own;
+        self.own = Arc::new(VerifiedCertificate {
+            identity: Arc::clone(identity),
+            fingerprint: *fingerprint,
+            certificate: certificate.clone(),
+            scheme: SignatureScheme::Simulated,
+        });
+        self
+    }
+
     /// Returns the identity of the keyring's principal.
     pub fn identity(&self) -> &Identity {
         &self.own.identity
@@ -269,33 +295,29 @@ impl Keyring {
     /// Signs a message and returns the envelope.
     pub fn sign_envelope(&self, kind: MessageKind, number: u64, key: &str, payload: &[u8]) -> Vec<u8> {
         let signer = self.fingerprint();
-        let signature = self.key.sign(&signed_part(kind, signer, number, key, payload));
-        encode_envelope(kind, SignedEnvelope { signer, number, signature: signature.as_ref(), payload })
+        let signature = self.sign(&signed_part(kind, signer, number, key, payload));
+        encode_envelope(kind, SignedEnvelope { signer, number, signature: &signature, payload })
     }
 
     /// Signs a message and returns the detached signature, with the own certificate. `query` is the
     /// payload of the query that the message replies to.
     pub(super) fn sign_detached(&self, kind: MessageKind, key: &str, query: &[u8], payload: &[u8]) -> Vec<u8> {
         let (signer, number) = (self.fingerprint(), self.next_number());
-        let signature = self.key.sign(&signed_attachment(kind, signer, number, key, query, payload));
-        encode_envelope(
-            kind,
-            SignedEnvelope { signer, number, signature: signature.as_ref(), payload: &self.own.certificate },
-        )
+        let signature = self.sign(&signed_attachment(kind, signer, number, key, query, payload));
+        encode_envelope(kind, SignedEnvelope { signer, number, signature: &signature, payload: &self.own.certificate })
     }
 
     /// Signs a request that changes the fleet, and returns the attachment of its query. `proof` is
     /// the encoded `RequestProof`.
     pub(super) fn sign_request(&self, number: u64, key: &str, proof: &[u8], payload: &[u8]) -> Vec<u8> {
         let signer = self.fingerprint();
-        let signature = self.key.sign(&signed_request(signer, number, key, proof, payload));
-        let signature = signature.as_ref();
-        encode_envelope(MessageKind::Query, SignedEnvelope { signer, number, signature, payload: proof })
+        let signature = self.sign(&signed_request(signer, number, key, proof, payload));
+        encode_envelope(MessageKind::Query, SignedEnvelope { signer, number, signature: &signature, payload: proof })
     }
 
     /// Returns the principal's signature of a message.
-    pub(super) fn sign(&self, message: &[u8]) -> Vec<u8> {
-        self.key.sign(message).as_ref().to_vec()
+    pub(super) fn sign(&self, message: &[u8]) -> [u8; SIGNATURE] {
+        self.authority.scheme.sign(&self.key, self.fingerprint(), message)
     }
 
     /// Verifies a certificate without storing it.

@@ -32,6 +32,7 @@ mod record_signer;
 mod rejections;
 mod requests;
 mod revocation;
+mod signature;
 mod token;
 mod verifier;
 
