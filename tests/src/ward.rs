@@ -8,6 +8,7 @@ use consort_protocol::auction::{BidLimits, OptimalAssignment};
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::EnsembleId;
 use consort_protocol::lease::LeaseTerms;
+use consort_protocol::ledger::HistoryLimits;
 use consort_protocol::timing::Timing;
 use consort_skills::domain::hospital;
 use consort_world::map::shipped;
@@ -25,6 +26,7 @@ pub(crate) fn ward(skills: &[&str], bootstrap_expect: usize) -> FleetSettings {
         domain: Arc::new(hospital()),
         limits: BidLimits::default(),
         request_limits: RequestLimits::default(),
+        history_limits: HistoryLimits::default(),
         allocator: Arc::new(OptimalAssignment),
         lease_terms: LeaseTerms::default(),
         bid_window: Duration::from_millis(200),

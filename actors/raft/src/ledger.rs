@@ -25,6 +25,7 @@ impl StateMachine for Ledger {
             | Command::Cancel { .. }
             | Command::Resolve { .. }
             | Command::RaiseWireVersion { .. }
+            | Command::SetHistoryLimits(_)
             | Command::Bootstrap { .. } => false,
         }
     }

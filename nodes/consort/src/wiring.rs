@@ -131,6 +131,7 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         domain: Arc::new(domain.with_places(places.into_keys())),
         limits: limits(config),
         request_limits: RequestLimits { missions_max: config.requests.missions, requests_per_s: config.requests.per_s },
+        history_limits: config.history.limits(),
         allocator: Arc::new(OptimalAssignment),
         lease_terms: LeaseTerms {
             lease: Duration::from_millis(config.lease.lease_ms),

@@ -1,6 +1,7 @@
 //! Commands of the ledger and their outcomes.
 
 use super::entry::{Branch, MissionState};
+use super::limits::HistoryLimits;
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
 use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId};
@@ -117,6 +118,8 @@ pub enum Command {
         /// New wire version.
         wire: u8,
     },
+    /// Changes the limits of the history. It has no effect before wire version 3.
+    SetHistoryLimits(HistoryLimits),
 }
 
 /// Outcome of a command.

@@ -4,12 +4,13 @@
 //! so that a repeated request is not executed again, and a client that waits for the mission learns
 //! its outcome. The history has no clock: it counts time by the submissions that follow an end.
 //!
-//! A tombstone is forgotten when a submission arrives [`TOMBSTONE_AGE_MAX_MS`] after its end, or when
-//! the tombstones exceed [`TOMBSTONE_BYTES_MAX`]. After that, a request whose id contains an earlier
-//! time of creation is rejected, since it may be a repetition.
+//! A tombstone is forgotten when a submission arrives long after its end, or when the tombstones exceed
+//! their size ([`HistoryLimits`]). After that, a request whose id contains an earlier time of creation
+//! is rejected, since it may be a repetition.
 
 use super::command::CommandError;
 use super::entry::{MissionEntry, MissionState};
+use super::limits::HistoryLimits;
 use crate::ids::{MissionId, RequestId};
 use consort_text::shorten;
 use serde::{Deserialize, Serialize};
@@ -17,17 +18,6 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// Wire version since which the ledger has a history.
 pub(super) const HISTORY_SINCE: u8 = 3;
-
-/// Maximum number of ended missions kept whole, for display; the earliest ended are dropped.
-pub(super) const HISTORY_MAX: usize = 500;
-
-/// Time for which an outcome is known after the end of a mission, in milliseconds: a day. Raised:
-/// later repetitions are recognised, and the ledger is larger. Default: a guess.
-pub(super) const TOMBSTONE_AGE_MAX_MS: u64 = 24 * 60 * 60 * 1000;
-
-/// Maximum size of all tombstones in bytes, as counted by [`Tombstone::bytes`]: some twenty thousand
-/// missions. Raised: more missions a day are remembered, and snapshots are larger.
-pub(super) const TOMBSTONE_BYTES_MAX: u64 = 4 * 1024 * 1024;
 
 /// Maximum length of a cause in a tombstone, in bytes.
 const CAUSE_MAX: usize = 200;
@@ -58,7 +48,7 @@ impl Tombstone {
         }
     }
 
-    /// Returns the approximate size in a snapshot: ids of the request and the mission are stored
+    /// Returns the approximate size in a snapshot, which [`HistoryLimits`] limits: ids of the request and the mission are stored
     /// more than once.
     fn bytes(&self, mission: &MissionId) -> u64 {
         let text = match &self.state {
@@ -89,6 +79,7 @@ pub(super) struct History {
     bytes: u64,
     /// Latest time of submission of a forgotten mission.
     forgotten_ms: Option<u64>,
+    limits: HistoryLimits,
 }
 
 impl History {
@@ -100,6 +91,16 @@ impl History {
         let mut history = History::default();
         ended.into_iter().for_each(|entry| history.push(entry));
         history
+    }
+
+    /// Returns the limits in force.
+    pub(super) fn limits(&self) -> HistoryLimits {
+        self.limits
+    }
+
+    /// Changes the limits. They take effect with the next mission that ends or is submitted.
+    pub(super) fn set_limits(&mut self, limits: HistoryLimits) {
+        self.limits = limits.bounded();
     }
 
     /// Adds a mission that has just ended.
@@ -118,14 +119,15 @@ impl History {
 
     /// Returns the earliest ended mission that is no longer kept whole, if there are too many.
     pub(super) fn pop_whole(&mut self) -> Option<MissionId> {
-        let first = self.order.len().checked_sub(self.whole()).filter(|_| self.whole() > HISTORY_MAX)?;
+        let first =
+            self.order.len().checked_sub(self.whole()).filter(|_| self.whole > u64::from(self.limits.missions_max))?;
         self.whole -= 1;
         self.order.get(first).cloned()
     }
 
     /// Forgets tombstones beyond the size limit, and returns their requests.
     pub(super) fn forget_over_size(&mut self) -> Vec<RequestId> {
-        self.forget_while(|history, _| history.bytes > TOMBSTONE_BYTES_MAX)
+        self.forget_while(|history, _| history.bytes > history.limits.outcome_bytes_max)
     }
 
     /// Forgets the tombstones that are too old at the time of a submission, and returns their
@@ -137,7 +139,8 @@ impl History {
                 _ => break,
             }
         }
-        let is_old = |ended_ms: u64| at_ms.saturating_sub(ended_ms) >= TOMBSTONE_AGE_MAX_MS;
+        let age_max_ms = self.limits.outcome_age_max_ms;
+        let is_old = |ended_ms: u64| at_ms.saturating_sub(ended_ms) >= age_max_ms;
         self.forget_while(|_, tombstone| tombstone.ended_ms.is_some_and(is_old))
     }
 

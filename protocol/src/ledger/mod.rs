@@ -36,4 +36,5 @@ pub use apply::Ledger;
 pub use command::{Command, CommandError, CommandOutcome};
 pub use entry::{Branch, HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, RoleRelease};
 pub use history::Tombstone;
+pub use limits::HistoryLimits;
 pub use submission::{DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, time_until_deadline};

@@ -6,7 +6,8 @@ use consort_protocol::auction::{
 };
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
-    Branch, Command, CommandError, CommandOutcome, HeldItem, MissionState, Priority, RecoveryBranch, Submission,
+    Branch, Command, CommandError, CommandOutcome, HeldItem, HistoryLimits, MissionState, Priority, RecoveryBranch,
+    Submission,
 };
 use consort_protocol::plan::Division;
 use proptest::collection::{btree_map, btree_set, vec};
@@ -145,6 +146,9 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
         (name(), text(), places()).prop_map(|(mission, by, places)| Command::Cancel { mission, by, places }),
         (name(), text()).prop_map(|(mission, by)| Command::Resolve { mission, by }),
         any::<u8>().prop_map(|wire| Command::RaiseWireVersion { wire }),
+        (any::<u32>(), any::<u64>(), any::<u64>()).prop_map(|(missions_max, outcome_age_max_ms, outcome_bytes_max)| {
+            Command::SetHistoryLimits(HistoryLimits { missions_max, outcome_age_max_ms, outcome_bytes_max })
+        }),
     ]
 }
 

@@ -21,6 +21,7 @@ use consort_protocol::ids::{NodeId, PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::lease::LeaseTerms;
+use consort_protocol::ledger::HistoryLimits;
 use consort_protocol::ledger::MissionState;
 use consort_protocol::plan::{Division, divide_and_check};
 use consort_protocol::pose::Pose;
@@ -137,6 +138,7 @@ impl<'s> TrialRun<'s> {
             domain: Arc::clone(&setup.domain),
             limits: BidLimits::default(),
             request_limits: RequestLimits::default(),
+            history_limits: HistoryLimits::default(),
             allocator: allocator_of_policy(setup, trial, &division, &managed, seed),
             lease_terms: LeaseTerms::default(),
             bid_window: times.auction_window,

@@ -21,7 +21,7 @@ use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId};
 use consort_protocol::keys::Key;
-use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry};
+use consort_protocol::ledger::{Command, CommandOutcome, HistoryLimits, Ledger, MissionEntry};
 use consort_protocol::message::{ActiveMissions, ActivePlan, AwardReply, Beacon, Report};
 use consort_protocol::mission::RoleKind;
 use consort_protocol::units::NodeTime;
@@ -354,9 +354,10 @@ async fn read_clock(bus: &SharedBus, key: &str) -> Option<u64> {
     codec::decode(&replies.recv().await?.payload.ok()?).ok()
 }
 
-/// Records the cluster id and the wire version in a new ledger.
+/// Records the cluster id and the wire version in a new ledger, and the limits of the history in a ledger
+/// with others.
 fn found_ledger(context: &mut SessionContext) {
-    let replica = context.settings.parts.replica.clone();
+    let (replica, limits) = (context.settings.parts.replica.clone(), context.settings.history_limits);
     if replica.cluster().borrow().is_none() {
         let (cluster, wire) = (ClusterId(context.settings.cluster_seed), first_version(&context.settings.parts));
         context.tasks.spawn(async move {
@@ -368,12 +369,26 @@ fn found_ledger(context: &mut SessionContext) {
             if let Err(problem) = replica.propose(Command::RaiseWireVersion { wire }, BOOTSTRAP_TIMEOUT).await {
                 debug!(%problem, "wire version was not recorded");
             }
+            if let Some(command) = replica.read(|ledger| change_of_limits(ledger, limits))
+                && let Err(problem) = replica.propose(command, BOOTSTRAP_TIMEOUT).await
+            {
+                debug!(%problem, "limits of the history were not recorded");
+            }
         });
     } else if replica.read(Ledger::wire).is_none() {
         // The founder died before this proposal. Until then, no node has written more than the
         // first version, which every node reads.
         context.propose(Command::RaiseWireVersion { wire: codec::FIRST_VERSION });
+    } else if let Some(command) = replica.read(|ledger| change_of_limits(ledger, limits)) {
+        context.propose(command);
     }
+}
+
+/// Returns the command that changes the limits of a ledger's history to those of this fleet. `None` if
+/// they are the same, or if the ledger has no history.
+fn change_of_limits(ledger: &Ledger, limits: HistoryLimits) -> Option<Command> {
+    let in_force = ledger.history_limits()?;
+    (in_force != limits).then_some(Command::SetHistoryLimits(limits))
 }
 
 /// Returns the wire version of a newly founded fleet: the newest, unless a known node cannot read

@@ -12,7 +12,7 @@ use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::ledger::Ledger;
+use consort_protocol::ledger::{HistoryLimits, Ledger};
 use consort_protocol::mission::Domain;
 use consort_raft::Replica;
 use std::sync::Arc;
@@ -29,6 +29,8 @@ pub(crate) struct CoordinatorSettings {
     pub(crate) domain: Arc<Domain>,
     /// Limits of accepted requests and missions.
     pub(crate) request_limits: RequestLimits,
+    /// Limits of the ledger's history of ended missions.
+    pub(crate) history_limits: HistoryLimits,
     /// Durations of leases.
     pub(crate) lease_terms: LeaseTerms,
     /// Maximum time for a held role without an ended step, while it could make progress. Then the

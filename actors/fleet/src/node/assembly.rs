@@ -277,6 +277,7 @@ impl Assembly {
             },
             domain: Arc::clone(&self.fleet.domain),
             request_limits: self.fleet.request_limits,
+            history_limits: self.fleet.history_limits,
             lease_terms: self.fleet.lease_terms,
             stall_timeout: self.fleet.stall_timeout,
             tick_interval: self.times.beacon_interval,

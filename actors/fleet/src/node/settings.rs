@@ -10,6 +10,7 @@ use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::knowledge::RobotKnowledge;
 use consort_protocol::lease::LeaseTerms;
+use consort_protocol::ledger::HistoryLimits;
 use consort_protocol::mission::Domain;
 use consort_protocol::timing::Timing;
 use consort_protocol::versions::VersionRange;
@@ -34,6 +35,8 @@ pub struct FleetSettings {
     pub limits: BidLimits,
     /// Limits of accepted requests and missions.
     pub request_limits: RequestLimits,
+    /// Limits of the ledger's history of ended missions.
+    pub history_limits: HistoryLimits,
     /// Allocation rule: [`OptimalAssignment`](consort_protocol::auction::OptimalAssignment), except
     /// in evaluations.
     pub allocator: Arc<dyn Allocator>,

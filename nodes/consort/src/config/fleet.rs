@@ -10,6 +10,7 @@ use consort_protocol::auction::BidLimits;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
 use consort_protocol::lease::LeaseTerms;
+use consort_protocol::ledger::HistoryLimits;
 use consort_protocol::mission::Domain;
 use consort_protocol::timing::{Timing, TimingParameters};
 use consort_protocol::units::{BatteryShare, Seconds};
@@ -71,6 +72,8 @@ pub struct FleetConfig {
     pub limits: LimitsConfig,
     /// Limits of requests.
     pub requests: RequestsConfig,
+    /// Memory of ended missions.
+    pub history: HistoryConfig,
     /// Duration of awards.
     pub lease: LeaseConfig,
     /// Settings of auctions.
@@ -100,6 +103,21 @@ pub struct RequestsConfig {
     /// Maximum sustained number of requests (submit, cancel, resolve) per second, with bursts of
     /// five times as many; 0 for no limit. Default 200.
     pub per_s: u32,
+}
+
+/// `[history]`: what the fleet remembers of ended missions.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct HistoryConfig {
+    /// Maximum number of ended missions kept whole, for display. The earliest ended are dropped.
+    /// Default 500.
+    pub missions: u32,
+    /// Time after the end of a mission for which its outcome is known, in hours. A request that is
+    /// repeated within that time is not executed again. Longer: the ledger is larger. Default 24.
+    pub outcomes_h: u32,
+    /// Maximum size of all outcomes, in MiB: some five thousand missions each. The earliest are
+    /// dropped. Default 4.
+    pub outcomes_mib: u32,
 }
 
 /// `[lease]`: duration of awards without contact.
@@ -139,6 +157,7 @@ impl Default for FleetConfig {
             stall_after_s: 900,
             limits: LimitsConfig::default(),
             requests: RequestsConfig::default(),
+            history: HistoryConfig::default(),
             lease: LeaseConfig::default(),
             auction: AuctionConfig::default(),
             ensemble: vec![],
@@ -157,6 +176,37 @@ impl Default for RequestsConfig {
     fn default() -> Self {
         let RequestLimits { missions_max: missions, requests_per_s } = RequestLimits::default();
         RequestsConfig { missions, per_s: requests_per_s }
+    }
+}
+
+const HOUR_MS: u64 = 60 * 60 * 1000;
+const MIB: u64 = 1024 * 1024;
+
+impl HistoryConfig {
+    /// Returns the limits of the ledger's history.
+    pub(crate) fn limits(&self) -> HistoryLimits {
+        HistoryLimits {
+            missions_max: self.missions,
+            outcome_age_max_ms: u64::from(self.outcomes_h) * HOUR_MS,
+            outcome_bytes_max: u64::from(self.outcomes_mib) * MIB,
+        }
+    }
+
+    /// Returns the limits in the units of the file.
+    fn of(limits: HistoryLimits) -> HistoryConfig {
+        let HistoryLimits { missions_max, outcome_age_max_ms, outcome_bytes_max } = limits;
+        let whole = |number: u64| u32::try_from(number).unwrap_or(u32::MAX);
+        HistoryConfig {
+            missions: missions_max,
+            outcomes_h: whole(outcome_age_max_ms / HOUR_MS),
+            outcomes_mib: whole(outcome_bytes_max / MIB),
+        }
+    }
+}
+
+impl Default for HistoryConfig {
+    fn default() -> Self {
+        HistoryConfig::of(HistoryLimits::default())
     }
 }
 
@@ -216,6 +266,10 @@ impl ConfigFile for FleetConfig {
         within("stall_after_s", self.stall_after_s, 0, 604_800);
         within("requests.missions", self.requests.missions as u64, 0, 1_000_000);
         within("requests.per_s", self.requests.per_s.into(), 0, 1_000_000);
+        let largest = HistoryConfig::of(HistoryLimits::LARGEST);
+        within("history.missions", self.history.missions.into(), 1, largest.missions.into());
+        within("history.outcomes_h", self.history.outcomes_h.into(), 1, largest.outcomes_h.into());
+        within("history.outcomes_mib", self.history.outcomes_mib.into(), 1, largest.outcomes_mib.into());
         within("lease.lease_ms", self.lease.lease_ms, 500, LEASE_MS_MAX);
         within("lease.grace_ms", self.lease.grace_ms, 1, LEASE_MS_MAX);
         within("auction.window_ms", ms(times.auction_window), 1, 60_000);

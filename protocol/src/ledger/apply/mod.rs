@@ -2,8 +2,9 @@
 
 use super::command::{Command, CommandError, CommandOutcome, ReleaseCause};
 use super::entry::{Branch, HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase};
-use super::history::{HISTORY_MAX, HISTORY_SINCE, History, Tombstone};
+use super::history::{HISTORY_SINCE, History, Tombstone};
 use super::layout::VersionedPart;
+use super::limits::HistoryLimits;
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
 use crate::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
@@ -12,6 +13,9 @@ use crate::mission::RoleKind;
 use crate::plan::StepIndex;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
+
+/// Maximum number of ended missions before wire version 3.
+const HISTORY_MAX: usize = 500;
 
 /// The replicated state: missions, awards and their results.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -46,6 +50,7 @@ impl Ledger {
             Command::Cancel { mission, by, places } => self.cancel(&mission, by, &places),
             Command::Resolve { mission, by } => self.resolve(&mission, &by),
             Command::RaiseWireVersion { wire } => Ok(self.raise(wire)),
+            Command::SetHistoryLimits(limits) => Ok(self.set_history_limits(limits)),
         };
         done.unwrap_or_else(CommandOutcome::Refused)
     }
@@ -91,6 +96,11 @@ impl Ledger {
     /// Returns the remainder of an ended mission, which is kept longer than the mission.
     pub fn tombstone(&self, mission: &MissionId) -> Option<&Tombstone> {
         self.versioned.history.as_ref()?.tombstone(mission)
+    }
+
+    /// Returns the limits of the history; `None` before wire version 3.
+    pub fn history_limits(&self) -> Option<HistoryLimits> {
+        self.versioned.history.as_ref().map(History::limits)
     }
 
     /// Checks whether the ledger has a history and limits, since wire version 3.
@@ -156,6 +166,13 @@ impl Ledger {
         *written = (*written).max(Some(wire));
         if *written >= Some(HISTORY_SINCE) {
             history.get_or_insert_with(|| History::of(self.missions.values()));
+        }
+        CommandOutcome::Done
+    }
+
+    fn set_history_limits(&mut self, limits: HistoryLimits) -> CommandOutcome {
+        if let Some(history) = &mut self.versioned.history {
+            history.set_limits(limits);
         }
         CommandOutcome::Done
     }
@@ -383,11 +400,9 @@ impl Ledger {
         let ended = self.missions.values().filter(|entry| entry.state.has_ended());
         let mut ended: Vec<(u64, MissionId, RequestId)> =
             ended.map(|entry| (entry.number, entry.id.clone(), entry.submission.request.clone())).collect();
-        if ended.len() <= HISTORY_MAX {
-            return;
-        }
+        let Some(excess) = ended.len().checked_sub(HISTORY_MAX) else { return };
         ended.sort();
-        for (_, mission, request) in ended.drain(..ended.len() - HISTORY_MAX) {
+        for (_, mission, request) in ended.drain(..excess) {
             self.missions.remove(&mission);
             self.requests.remove(&request);
         }

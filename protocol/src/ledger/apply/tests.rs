@@ -309,6 +309,24 @@ fn an_outcome_is_known_for_a_day_after_the_end() {
 }
 
 #[test]
+fn the_limits_of_the_history_are_part_of_the_ledger() {
+    let mut log = Log::with_history();
+    assert_eq!(log.0.history_limits(), Some(HistoryLimits::default()));
+    let limits = HistoryLimits { missions_max: 2, outcome_age_max_ms: 1_000, outcome_bytes_max: u64::MAX };
+    log.apply(Command::SetHistoryLimits(limits));
+    let in_force = HistoryLimits { outcome_bytes_max: HistoryLimits::LARGEST.outcome_bytes_max, ..limits };
+    assert_eq!(log.0.history_limits(), Some(in_force), "the largest allowed size");
+    let first = log.submit_at("first", 0);
+    log.cancel(&first);
+    log.fail_others(2);
+    assert_eq!(log.0.missions().count(), 2);
+    log.submit_at("later", 999);
+    assert!(log.0.remembers(&RequestId::new("first").unwrap()));
+    log.submit_at("much-later", 1_000);
+    assert!(!log.0.remembers(&RequestId::new("first").unwrap()));
+}
+
+#[test]
 fn a_request_that_may_be_a_repetition_of_a_forgotten_request_is_rejected() {
     let mut log = Log::with_history();
     let name = |at_ms, random| RequestId::generate(at_ms, random);

@@ -7,7 +7,7 @@ use crate::auction::{AuctionId, AuctionRecord};
 use crate::ids::RequestId;
 use crate::lease::RoleHolder;
 use crate::ledger::Command;
-use crate::ledger::history::HISTORY_MAX;
+use crate::ledger::HistoryLimits;
 use crate::mission::test_data::{FETCH_SAMPLE, domain};
 use crate::mission::{Format, MissionTemplate};
 use crate::plan::{StepIndex, divide_and_check};
@@ -198,7 +198,7 @@ fn a_carrier_lost_with_the_sample_needs_intervention_until_resolved() {
         let lost_cause = format!("amber was lost as r1 and {has} the sample: silent for 7 s");
         assert_eq!(log.intervention(), (lost_cause.as_str(), vec![("amber", Some(&place()), certain)]));
         assert!(log.entry().state.is_final());
-        for number in 0..HISTORY_MAX + 3 {
+        for number in 0..HistoryLimits::LARGEST.missions_max + 3 {
             let mission = log.submit(&format!("more{number}"), &fetch_sample());
             let (cause, places) = ("test".to_owned(), BTreeMap::new());
             log.apply(Command::Fail { mission, cause, branch: None, places });
