@@ -64,6 +64,11 @@ pub struct LeadershipView {
 }
 
 impl LeadershipView {
+    /// Returns the name of a voter or learner.
+    pub(super) fn name_of(&self, id: RaftId) -> Option<&NodeId> {
+        self.voters.get(&id).or_else(|| self.learners.get(&id))
+    }
+
     pub(super) fn without_leader(self) -> LeadershipView {
         LeadershipView { leader_id: None, leader: None, is_leader: false, lost_quorum: false, ..self }
     }
@@ -100,6 +105,7 @@ pub(super) struct LeadershipMonitor {
     pub(super) resigned_term: Arc<ResignedTerm>,
     pub(super) quorum_ack: watch::Sender<Option<BootInstant>>,
     pub(super) appends_suspended: Arc<AtomicBool>,
+    pub(super) quorum_lost: Arc<AtomicBool>,
     /// Last entry in the log of this node when it was started.
     pub(super) last_at_start: Option<LogId>,
     /// Term in which this node was elected and the time at which this was noticed, while it is the
@@ -153,12 +159,12 @@ impl LeadershipMonitor {
         // A new leader has not been acknowledged yet. For the duration of the timeout this does not
         // count as a lost quorum.
         let Some(timeout_at) = ack_at.or(elected_at).map(|at| at + self.check_quorum_timeout) else {
-            self.appends_suspended.store(false, Ordering::Relaxed);
+            self.resume_appends();
             self.publish(latest, Quorum::Unknown);
             return self.next_change(latest, feed).await;
         };
         if timeout_at > BootInstant::now() {
-            self.appends_suspended.store(false, Ordering::Relaxed);
+            self.resume_appends();
             self.publish(latest, if ack_at.is_some() { Quorum::Confirmed } else { Quorum::Unknown });
             tokio::select! {
                 biased;
@@ -166,10 +172,16 @@ impl LeadershipMonitor {
                 () = tokio::time::sleep_until(timeout_at.to_tokio()) => {}
             }
         }
+        self.quorum_lost.store(true, Ordering::Relaxed);
         // Metrics are sent with each heartbeat, so this is evaluated often enough.
         self.appends_suspended.store(self.suspends_appends(timeout_at.elapsed()), Ordering::Relaxed);
         self.publish(latest, Quorum::Lost);
         self.next_change(latest, feed).await
+    }
+
+    fn resume_appends(&self) {
+        self.quorum_lost.store(false, Ordering::Relaxed);
+        self.appends_suspended.store(false, Ordering::Relaxed);
     }
 
     /// Waits for new metrics of openraft, or for an acknowledgement outside openraft.

@@ -8,10 +8,11 @@
 //! sent again.
 
 use super::acknowledgements::{LastContacts, LeaderAcks};
+use super::leadership_view::LeadershipView;
 use super::messages::{HeartbeatReply, HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_reply};
 use super::settings::APPEND_TIMEOUT;
 use super::types::{Peer, RaftId, StateMachine, TypeConfig, Vote};
-use consort_bus::{BootInstant, SharedBus};
+use consort_bus::{BootInstant, Reply, SharedBus};
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
@@ -42,6 +43,8 @@ pub(super) struct RaftClient {
     pub(super) me: RaftId,
     /// Cluster of this node's ledger; part of every request.
     pub(super) cluster: watch::Receiver<Option<ClusterId>>,
+    /// Leadership view of this node, which names the members.
+    pub(super) leadership: watch::Receiver<LeadershipView>,
     pub(super) last_contacts: Arc<LastContacts>,
     /// Acknowledgements of this node as leader.
     pub(super) acks: Arc<watch::Sender<LeaderAcks>>,
@@ -49,6 +52,10 @@ pub(super) struct RaftClient {
     pub(super) retry_interval: Duration,
     /// This node does not send its appends and heartbeats (check-quorum); see `election`.
     pub(super) appends_suspended: Arc<AtomicBool>,
+    /// No majority has replied to this node as leader within the check-quorum timeout. Another leader may
+    /// have committed more, so the appends that are still sent announce no commit: a follower would count
+    /// its state as recent.
+    pub(super) quorum_lost: Arc<AtomicBool>,
 }
 
 impl RaftClient {
@@ -197,14 +204,28 @@ impl PeerClient {
         let sent_at = BootInstant::now();
         let key = self.client.keys.write(&Key::Raft(self.target.0, call));
         let mut replies = self.client.bus.query(&key, request.into(), limit).await?;
-        let Some(reply) = replies.recv().await else {
-            let timed_out = sent_at.elapsed() >= limit;
-            return Err(if timed_out { RequestError::TimedOut(limit) } else { RequestError::NoService(self.target) });
+        let reply = loop {
+            let Some(reply) = replies.recv().await else {
+                let timed_out = sent_at.elapsed() >= limit;
+                let error =
+                    if timed_out { RequestError::TimedOut(limit) } else { RequestError::NoService(self.target) };
+                return Err(error);
+            };
+            if self.is_by_target(&reply) {
+                break reply;
+            }
         };
         let reply = reply.payload.map_err(|refused| RequestError::Rejected(refused.0))?;
         let reply = decode_reply(&reply).map_err(RequestError::Undecodable)?;
         self.client.last_contacts.record(self.target, sent_at);
         Ok(reply)
+    }
+
+    /// Checks whether the target sent a reply. Another voter may not reply in its place: its key permits
+    /// replies to every request of consensus. The author of a reply by a node that is not a known member is
+    /// not checked.
+    fn is_by_target(&self, reply: &Reply) -> bool {
+        self.client.leadership.borrow().name_of(self.target).is_none_or(|name| reply.author.may_be(name.as_str()))
     }
 
     fn to_rpc_error<E: std::error::Error>(
@@ -235,9 +256,12 @@ fn unexpected_mismatch<E: std::error::Error>() -> RPCError<RaftId, Peer, RaftErr
 impl<S: StateMachine> RaftNetwork<TypeConfig<S>> for PeerClient {
     async fn append_entries(
         &mut self,
-        request: AppendEntriesRequest<TypeConfig<S>>,
+        mut request: AppendEntriesRequest<TypeConfig<S>>,
         option: RPCOption,
     ) -> Result<AppendEntriesResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
+        if self.client.quorum_lost.load(Ordering::Relaxed) {
+            request.leader_commit = None;
+        }
         // openraft read as many entries as fit: the log storage returns no more at once.
         let bytes = self.encode(&request).map_err(|error| unencodable(&error))?;
         let sent_at = BootInstant::now();

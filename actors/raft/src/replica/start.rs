@@ -65,7 +65,8 @@ impl<S: StateMachine> Replica<S> {
         let queries = bus.serve(&keys.any_raft(id.0)).await?;
         let last_contacts = Arc::<LastContacts>::default();
         let acks = Arc::new(watch::Sender::new(LeaderAcks::default()));
-        let appends_suspended = Arc::<AtomicBool>::default();
+        let leadership = watch::Sender::new(LeadershipView::default());
+        let (appends_suspended, quorum_lost) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
         let client = RaftClient {
             bus,
             keys: keys.clone(),
@@ -75,6 +76,8 @@ impl<S: StateMachine> Replica<S> {
             acks: Arc::clone(&acks),
             retry_interval: settings.heartbeat,
             appends_suspended: Arc::clone(&appends_suspended),
+            quorum_lost: Arc::clone(&quorum_lost),
+            leadership: leadership.subscribe(),
         };
 
         // No await between these two lines: openraft draws its timeout before the first await of
@@ -82,7 +85,6 @@ impl<S: StateMachine> Replica<S> {
         seed_elections(seed);
         let raft = Raft::<S>::new(id, config, client.clone(), log, machine.clone()).await?;
 
-        let leadership = watch::Sender::new(LeadershipView::default());
         let resigned_term = Arc::<ResignedTerm>::default();
         let (quorum_ack_sender, quorum_ack) = watch::channel(None);
         let monitor = LeadershipMonitor {
@@ -92,6 +94,7 @@ impl<S: StateMachine> Replica<S> {
             resigned_term: Arc::clone(&resigned_term),
             quorum_ack: quorum_ack_sender,
             appends_suspended,
+            quorum_lost,
             last_at_start,
             election: None,
             me: id,
