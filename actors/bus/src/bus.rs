@@ -160,7 +160,7 @@ impl<T: 'static> Stream<T> {
     /// Returns this stream with `transform` applied to each item on removal, after all earlier
     /// transformations. Items mapped to `None` are dropped.
     #[must_use]
-    pub(crate) fn filter_map(self, mut transform: impl FnMut(T) -> Option<T> + Send + Sync + 'static) -> Self {
+    pub fn filter_map(self, mut transform: impl FnMut(T) -> Option<T> + Send + Sync + 'static) -> Self {
         let transform: Transform<T> = match self.transform {
             Some(mut before) => Box::new(move |item| before(item).and_then(&mut transform)),
             None => Box::new(transform),

@@ -138,7 +138,7 @@ impl MissionState {
     }
 
     /// Checks whether the mission has ended and does not wait for a person.
-    pub(super) fn has_ended(&self) -> bool {
+    pub fn has_ended(&self) -> bool {
         self.is_final() && !self.needs_intervention()
     }
 
