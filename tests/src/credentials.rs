@@ -4,7 +4,7 @@
 use consort_bus::SharedBus;
 use consort_bus::clock::Clock;
 use consort_bus::trust::issue::{
-    CertificateAuthority, IssuedCertificate, KeyMaterial, Validity, create_authority_from,
+    CertificateAuthority, IssuedCertificate, KeyMaterial, RevokedCertificate, Validity, create_authority_from,
 };
 use consort_bus::trust::{Keyring, RevokedFiles, SigningBus};
 use consort_fleet::node::NodeSettings;
@@ -14,7 +14,10 @@ use consort_protocol::trust::{AccessScope, Identity, NodeRole, Principal, Served
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
+use std::fs;
+use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 /// 1970 to 2049. Most tests begin at the start of this range, chaos runs in between.
@@ -36,6 +39,15 @@ pub struct Credentials {
     fleet: FleetId,
     authority: IssuedCertificate,
     issuer: CertificateAuthority,
+    /// File with the list of revoked certificates, which all nodes read. It exists once there is a list.
+    revoked: PathBuf,
+}
+
+impl Drop for Credentials {
+    fn drop(&mut self) {
+        // Usually there is none.
+        let _ = fs::remove_file(&self.revoked);
+    }
 }
 
 impl Credentials {
@@ -45,7 +57,16 @@ impl Credentials {
             create_authority_from(&fleet, LONG, draw(seed, "authority")).expect("a certificate can be made");
         let issuer = CertificateAuthority::from_pem(&authority.certificate, &authority.key)
             .expect("the certificate just created");
-        Credentials { seed, signatures, fleet, authority, issuer }
+        Credentials { seed, signatures, fleet, authority, issuer, revoked: new_list() }
+    }
+
+    /// Revokes the certificate of a principal, at a time since 1970. Nodes read the list within seconds.
+    pub fn revoke(&self, name: &str, since: Duration) {
+        let mut serial = draw(self.seed, name).serial.to_vec();
+        serial[0] &= 0x7f; // as in the certificate
+        let revoked = [RevokedCertificate { serial, since }];
+        let list = self.issuer.revocation_list(&revoked, 1, LONG).expect("a list can be made");
+        fs::write(&self.revoked, list).expect("a file in the folder for temporary files");
     }
 
     /// Returns the keyring of a node with these roles, for an incarnation of the node. A host serves
@@ -82,7 +103,8 @@ impl Credentials {
     /// Wraps the bus of a node in a bus that signs outgoing messages.
     pub async fn signing_bus(&self, bus: SharedBus, keyring: Keyring, clock: Clock) -> Arc<SigningBus> {
         let keys = Keys::new(&self.fleet);
-        let sealed = SigningBus::open(bus, keys, Arc::new(keyring), RevokedFiles::default(), clock).await;
+        let revoked = RevokedFiles { list: Some(self.revoked.clone()), kept: None };
+        let sealed = SigningBus::open(bus, keys, Arc::new(keyring), revoked, clock).await;
         Arc::new(sealed.expect("a virtual bus"))
     }
 
@@ -95,6 +117,13 @@ impl Credentials {
         ];
         roles.into_iter().filter_map(|(needed, role)| needed.then_some(role)).collect()
     }
+}
+
+/// Returns the path of a list that no other fleet uses.
+fn new_list() -> PathBuf {
+    static LISTS: AtomicU64 = AtomicU64::new(0);
+    let name = format!("consort-revoked-{}-{}.pem", std::process::id(), LISTS.fetch_add(1, Ordering::Relaxed));
+    std::env::temp_dir().join(name)
 }
 
 /// Derives the key and the serial number of a certificate.

@@ -21,6 +21,7 @@ use consort_skills::library::SkillLibrary;
 use consort_world::SharedWorld;
 use consort_world::map;
 use consort_world::world::{LoggedEvent, PersonSetup, World, WorldSetup};
+use futures::FutureExt as _;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -74,6 +75,8 @@ pub(crate) type WrapBus = Box<dyn FnMut(&NodeSettings, SharedBus) -> SharedBus>;
 pub(crate) struct NodeOptions {
     pub(crate) adjust: AdjustNode,
     pub(crate) wrap_bus: WrapBus,
+    /// Wraps the bus below the signatures.
+    pub(crate) wrap_network: WrapBus,
     /// Nodes have certificates and sign their messages in this way; an open fleet has none.
     pub(crate) signatures: Option<Signatures>,
     /// Date at which the client's clock starts, in milliseconds since 1970.
@@ -82,7 +85,13 @@ pub(crate) struct NodeOptions {
 
 impl Default for NodeOptions {
     fn default() -> NodeOptions {
-        NodeOptions { adjust: Box::new(|_| ()), wrap_bus: Box::new(|_, bus| bus), signatures: None, date_ms: 0 }
+        NodeOptions {
+            adjust: Box::new(|_| ()),
+            wrap_bus: Box::new(|_, bus| bus),
+            wrap_network: Box::new(|_, bus| bus),
+            signatures: None,
+            date_ms: 0,
+        }
     }
 }
 
@@ -284,6 +293,7 @@ impl Fleet {
     async fn start(&mut self, mut settings: NodeSettings) {
         (self.options.adjust)(&mut settings);
         let mut bus: SharedBus = Arc::new(self.network.bus(settings.node.clone()));
+        bus = (self.options.wrap_network)(&settings, bus);
         let name = settings.node.to_string();
         if let Some(credentials) = &self.credentials {
             let keyring = credentials.keyring_of(&settings.node, Credentials::roles(&settings), settings.incarnation);
@@ -318,6 +328,11 @@ impl Fleet {
             }
         });
         self.followers.insert(name.to_owned(), follower.abort_handle());
+    }
+
+    /// Checks whether a node has ended by itself.
+    pub(crate) fn has_ended(&self, node: &NodeId) -> bool {
+        self.nodes.get(node.as_str()).is_some_and(NodeHandle::has_ended)
     }
 
     /// Checks whether a node belongs to a robot.
@@ -362,6 +377,17 @@ impl Fleet {
         node.shut_down().await;
         self.gone(name, "left");
         reply
+    }
+
+    /// Shuts a node down if it has been decommissioned by now. Returns whether it was.
+    pub(crate) async fn finish_decommission(&mut self, name: &str) -> bool {
+        let node = self.nodes.get_mut(name).filter(|node| !node.has_ended());
+        if !node.is_some_and(|node| matches!(node.ended_or_decommissioned().now_or_never(), Some(Ok(_)))) {
+            return false;
+        }
+        self.nodes.remove(name).expect("checked before").shut_down().await;
+        self.gone(name, "left");
+        true
     }
 
     fn gone(&mut self, name: &str, what: &'static str) {

@@ -52,8 +52,8 @@ impl Fleet {
     pub fn mission_state(&self, mission: &MissionId) -> Option<MissionState> {
         let states = self.nodes.values().filter_map(|node| {
             let read = |ledger: &Ledger| {
-                let entry = ledger.mission(mission)?;
-                Some((entry.state.is_final(), entry.progress().0, entry.state.clone()))
+                let (state, entry) = (ledger.mission_state(mission)?, ledger.mission(mission));
+                Some((state.is_final(), entry.map_or(0, |entry| entry.progress().0), state.clone()))
             };
             node.replica.as_ref()?.read(read)
         });

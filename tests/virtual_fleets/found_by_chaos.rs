@@ -141,3 +141,18 @@ fn a_transfer_of_leadership_outlives_the_leader_session() {
         ]}"#,
     );
 }
+
+/// A leader without a quorum suspends its appends for most of the time only. Those that it sent announced its
+/// last commit to a follower in its part of the partition, which then called its old copy recent.
+#[test]
+fn a_leader_without_a_quorum_announces_no_commit() {
+    holds(
+        1,
+        3.0,
+        r#"{"steps": [
+            {"at_ms": 35367, "action": "partition", "groups": [["clove", "lab-arm", "basil", "hazel", "indigo", "world", "client"], ["aster", "garnet"]], "for_ms": 8000},
+            {"at_ms": 43367, "action": "crash", "node": "basil", "disk": "damaged", "for_ms": 125},
+            {"at_ms": 43367, "action": "partition", "groups": [["basil", "aster", "garnet", "hazel", "indigo", "world", "client"], ["clove", "lab-arm"]], "for_ms": 3750}
+        ]}"#,
+    );
+}

@@ -2,23 +2,41 @@
 
 use super::chaos_fleet::{ChaosFleet, WORLD};
 use super::fault_injector::{DATE_MS, FaultInjector};
-use super::hostile::HostileNode;
+use super::hostile::{HOSTILE, HostileNode};
+use super::rolling_upgrade::{self, RollingUpgrade};
 use super::run_counters::millis;
-use super::schedule::{ChaosAction, DiskAfterCrash};
+use super::schedule::{CARRIER_OF, ChaosAction, DiskAfterCrash};
 use crate::disk::DiskFault;
 use crate::history::{Acknowledged, History, Reader, RecordingClient};
 use crate::{Fleet, Observation, slug};
 use consort_bus::LinkModel;
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{MissionId, NodeId, RoleId};
+use consort_protocol::ledger::Ledger;
 use consort_protocol::units::BatteryShare;
+use consort_protocol::versions::VersionRange;
+use consort_skills::actions::RobotBackend as _;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 
 /// Interval at which people look for missions that need intervention.
 const RESOLVE_INTERVAL: Duration = Duration::from_secs(10);
+
+/// Time after which a robot whose driver server is gone stops by itself, as the watchdog of its base requires.
+const BASE_WATCHDOG: Duration = Duration::from_millis(500);
+
+/// Share of the named requests that a client repeats although they were acknowledged, and the pause before
+/// each repetition.
+const REPEATED: f64 = 0.5;
+const REPEATED_AFTER_S: RangeInclusive<u64> = 10..=120;
+
+/// Role of the carrier in the missions.
+const CARRIER_ROLE: &str = "r1";
 
 /// Executor of actions, with the active faults and the state that ends each of them.
 pub(super) struct ActionExecutor {
@@ -33,8 +51,19 @@ pub(super) struct ActionExecutor {
     weather: BTreeMap<usize, LinkModel>,
     slow: BTreeMap<usize, (String, u64)>,
     disk_faults: BTreeMap<usize, (String, DiskFault)>,
+    /// Paused nodes, and nodes of suspended machines.
     paused: BTreeMap<usize, String>,
+    suspended: BTreeSet<usize>,
     hostile: BTreeMap<usize, HostileNode>,
+    /// Time at which the certificate of a hostile node is revoked.
+    revocation: Option<Duration>,
+    /// Nodes that were asked to leave, and whether they have left.
+    leaving: BTreeMap<usize, (String, bool)>,
+    /// Nodes that are gone for good.
+    removed: BTreeSet<String>,
+    upgrade: Option<RollingUpgrade>,
+    /// Time at which the robots stop, because the driver server is gone.
+    bodies_stop_at: Option<Duration>,
     /// Robots with a drained battery.
     flat: BTreeSet<String>,
 }
@@ -43,9 +72,9 @@ impl ActionExecutor {
     pub(super) fn new(composition: ChaosFleet, injector: FaultInjector) -> ActionExecutor {
         ActionExecutor {
             composition,
-            injector,
             acknowledged: watch::Sender::default(),
-            history: History::default(),
+            history: History::new(injector.ended_missions_max()),
+            injector,
             down: BTreeMap::new(),
             partitions: BTreeMap::new(),
             cuts: BTreeMap::new(),
@@ -53,7 +82,13 @@ impl ActionExecutor {
             slow: BTreeMap::new(),
             disk_faults: BTreeMap::new(),
             paused: BTreeMap::new(),
+            suspended: BTreeSet::new(),
             hostile: BTreeMap::new(),
+            revocation: None,
+            leaving: BTreeMap::new(),
+            removed: BTreeSet::new(),
+            upgrade: None,
+            bodies_stop_at: None,
             flat: BTreeSet::new(),
         }
     }
@@ -75,7 +110,8 @@ impl ActionExecutor {
 
     /// Begins action `number`.
     pub(super) async fn begin(&mut self, fleet: &mut Fleet, number: usize, act: &ChaosAction) {
-        match act {
+        let Some(act) = act.resolved(|name| self.carrier(fleet, name)) else { return };
+        match &act {
             ChaosAction::Submit { request, unnamed, mission, room, priority, deadline_s } => {
                 let mut request_body =
                     json!({ "mission": mission, "parameters": { "room": room }, "priority": priority });
@@ -101,11 +137,27 @@ impl ActionExecutor {
                 let nodes = fleet.running();
                 self.crash(fleet, number, &nodes, *disk).await;
             }
-            ChaosAction::Pause { node, .. } => {
-                fleet.network.pause(&slug(node));
-                self.history.begin_pause(slug(node));
-                self.paused.insert(number, node.clone());
+            ChaosAction::Pause { node, .. } => self.pause(fleet, number, node),
+            ChaosAction::Suspend { node, .. } => {
+                self.pause(fleet, number, node);
+                self.suspended.insert(number);
             }
+            ChaosAction::Remove { node } => {
+                self.crash(fleet, number, std::slice::from_ref(node), DiskAfterCrash::Kept).await;
+                self.removed.insert(node.clone());
+            }
+            ChaosAction::Leave { node, .. } if fleet.nodes.contains_key(node) => {
+                let (client, node) = (self.client(fleet), node.clone());
+                self.leaving.insert(number, (node.clone(), false));
+                tokio::spawn(async move { client.leave(&slug(&node)).await });
+            }
+            ChaosAction::Leave { .. } => {} // it is down
+            ChaosAction::Upgrade { interval_ms } => {
+                self.injector.upgrade();
+                let (nodes, interval) = (fleet.running(), Duration::from_millis(*interval_ms));
+                self.upgrade = Some(RollingUpgrade::new(nodes, interval, fleet.elapsed()));
+            }
+            ChaosAction::WrongDate { .. } => {} // in effect by the clock of the node: see `FaultInjector`
             ChaosAction::Partition { groups, .. } => {
                 self.partitions.insert(number, groups.clone());
                 self.apply_partition(fleet);
@@ -149,7 +201,9 @@ impl ActionExecutor {
                 fleet.world.with(|world| world.set_charge(&slug(robot), charge));
                 self.flat.insert(robot.clone());
             }
-            ChaosAction::Hostile { role, .. } => {
+            ChaosAction::Hostile { role, revoked, for_ms } => {
+                let halfway = fleet.elapsed() + Duration::from_millis(for_ms / 2);
+                self.revocation = revoked.then_some(halfway);
                 let (seed, date_ms) = (fleet.seed ^ number as u64, DATE_MS + millis(fleet.elapsed()));
                 let attack = HostileNode::start(fleet, *role, seed, date_ms).await;
                 attack.map(|attack| self.hostile.insert(number, attack));
@@ -170,6 +224,18 @@ impl ActionExecutor {
         {
             fleet.network.resume(&slug(&node));
             self.history.end_pause(&slug(&node));
+            let is_up = fleet.nodes.contains_key(&node);
+            if self.suspended.remove(&number) && is_up && self.injector.notices_suspension(&node) {
+                self.restart(fleet, number, &node).await;
+            }
+        }
+        if let Some((node, has_left)) = self.leaving.remove(&number) {
+            if has_left {
+                self.injector.lose_disk(&node);
+                self.start(fleet, &node).await;
+            } else if fleet.nodes.contains_key(&node) {
+                self.restart(fleet, number, &node).await;
+            }
         }
         if self.partitions.remove(&number).is_some() {
             self.apply_partition(fleet);
@@ -198,7 +264,7 @@ impl ActionExecutor {
         let numbers: BTreeSet<usize> = (self.down.keys().chain(self.paused.keys()))
             .chain(self.partitions.keys().chain(self.cuts.keys()))
             .chain(self.weather.keys().chain(self.slow.keys()))
-            .chain(self.hostile.keys().chain(self.disk_faults.keys()))
+            .chain(self.hostile.keys().chain(self.disk_faults.keys()).chain(self.leaving.keys()))
             .copied()
             .collect();
         for number in numbers {
@@ -211,12 +277,70 @@ impl ActionExecutor {
         }
     }
 
+    /// Performs what is due between the actions of the schedule: the ends of nodes that have left, the
+    /// restarts of an upgrade, and revocations.
+    pub(super) async fn advance(&mut self, fleet: &mut Fleet) {
+        for (node, has_left) in self.leaving.values_mut() {
+            *has_left |= fleet.finish_decommission(node).await;
+        }
+        if let Some(upgrade) = &mut self.upgrade {
+            let next = upgrade.next(fleet.elapsed());
+            if upgrade.is_complete() {
+                self.upgrade = None;
+                rolling_upgrade::spawn_finish(self.client(fleet));
+            }
+            if let Some(node) = next.filter(|node| fleet.nodes.contains_key(node)) {
+                self.restart(fleet, usize::MAX, &node).await;
+            }
+        }
+        if self.bodies_stop_at.is_some_and(|due| due <= fleet.elapsed()) {
+            self.bodies_stop_at = None;
+            if !fleet.nodes.contains_key(WORLD) {
+                stop_bodies(fleet);
+            }
+        }
+        if self.revocation.is_some_and(|due| due <= fleet.elapsed()) {
+            self.revocation = None;
+            let date_ms = DATE_MS + millis(fleet.elapsed());
+            fleet.credentials.iter().for_each(|fleet| fleet.revoke(HOSTILE, Duration::from_millis(date_ms)));
+        }
+    }
+
+    /// Returns a check whether the fleet writes the version that it should write at the end.
+    pub(super) fn upgrade_check(&self) -> impl Fn(&Fleet) -> bool + use<> {
+        let newest = VersionRange::OWN.newest;
+        move |fleet| fleet.ledger(Ledger::wire).flatten() == Some(newest)
+    }
+
+    /// Restarts a running node as after a crash of its process.
+    async fn restart(&mut self, fleet: &mut Fleet, number: usize, node: &str) {
+        self.crash(fleet, number, &[node.to_owned()], DiskAfterCrash::Kept).await;
+        self.down.remove(&number);
+        self.start(fleet, node).await;
+    }
+
+    fn pause(&mut self, fleet: &Fleet, number: usize, node: &str) {
+        fleet.network.pause(&slug(node));
+        self.history.begin_pause(slug(node));
+        self.paused.insert(number, node.to_owned());
+    }
+
+    /// Returns the carrier of an acknowledged request.
+    fn carrier(&self, fleet: &Fleet, name: &str) -> Option<String> {
+        let mission: MissionId = slug(self.acknowledged.borrow().get(name.strip_prefix(CARRIER_OF)?)?);
+        let holder = fleet.ledger(|ledger| ledger.mission(&mission)?.holders().remove(&slug::<RoleId>(CARRIER_ROLE)));
+        holder.flatten().map(|robot| robot.to_string())
+    }
+
     pub(super) async fn crash(&mut self, fleet: &mut Fleet, number: usize, nodes: &[String], disk: DiskAfterCrash) {
         for node in nodes {
             if !fleet.nodes.contains_key(node) {
                 continue; // down already
             }
             fleet.kill(node).await;
+            if node == WORLD {
+                self.bodies_stop_at = Some(fleet.elapsed() + BASE_WATCHDOG);
+            }
             self.injector.disk(node).crash(disk.effect());
             if disk == DiskAfterCrash::Empty {
                 self.injector.lose_disk(node);
@@ -227,12 +351,14 @@ impl ActionExecutor {
 
     /// Ends the fault of a disk, and restarts its node unless its store can still be written.
     async fn end_disk_fault(&mut self, fleet: &mut Fleet, number: usize, node: &str, fault: DiskFault) {
+        let other = self.disk_faults.values().rev().find(|(other, _)| other == node).map(|(_, fault)| *fault);
         let after = match fault {
-            DiskFault::Hangs => return self.injector.disk(node).set_fault(None),
+            DiskFault::Hangs => return self.injector.disk(node).set_fault(other),
             DiskFault::Fails | DiskFault::Full => DiskAfterCrash::Kept,
             DiskFault::Lies => DiskAfterCrash::Torn,
         };
-        if self.injector.disk(node).has_fault() && fleet.nodes.contains_key(node) {
+        let is_faulty = self.injector.disk(node).has_fault() || fleet.unwritable.contains(node);
+        if is_faulty && fleet.nodes.contains_key(node) {
             self.crash(fleet, number, &[node.to_owned()], after).await;
             self.down.remove(&number);
             self.start(fleet, node).await;
@@ -241,6 +367,9 @@ impl ActionExecutor {
 
     /// Starts or restarts a node and records its leadership view.
     pub(super) async fn start(&mut self, fleet: &mut Fleet, node: &str) {
+        if self.removed.contains(node) || fleet.nodes.contains_key(node) {
+            return;
+        }
         fleet.event_log.add(Observation::TestAction { node: slug(node), action: "starts again" });
         fleet.unwritable.remove(node);
         let known = self.composition.nodes().into_iter().find(|known| *known == node).expect("a node of the fleet");
@@ -311,11 +440,22 @@ impl ActionExecutor {
         let (client, event_log) = (self.client(fleet), fleet.event_log.clone());
         let (acknowledged, request) = (self.acknowledged.clone(), request.to_owned());
         let name = request_body.get("request").is_some().then(|| request.clone());
+        let mut chance = ChaCha8Rng::seed_from_u64(fleet.seed ^ fleet.elapsed().as_nanos() as u64);
+        let repetition =
+            chance.random_bool(REPEATED).then(|| Duration::from_secs(chance.random_range(REPEATED_AFTER_S)));
         tokio::spawn(async move {
-            let mission = client.submit(&request_body).await;
-            let node = slug("client");
-            event_log.add(Observation::RequestAcknowledged { node, request: name, mission: mission.clone() });
-            acknowledged.send_modify(|known| drop(known.insert(request, mission.to_string())));
+            loop {
+                let (node, mission) = (slug("client"), client.submit(&request_body).await);
+                let request_name = name.clone();
+                event_log.add(Observation::RequestAcknowledged {
+                    node,
+                    request: request_name,
+                    mission: mission.clone(),
+                });
+                acknowledged.send_if_modified(|known| known.insert(request.clone(), mission.to_string()).is_none());
+                let Some(pause) = repetition.filter(|_| name.is_some()) else { return };
+                tokio::time::sleep(pause).await;
+            }
         });
     }
 
@@ -329,5 +469,15 @@ impl ActionExecutor {
                 client.cancel(&slug(&known)).await;
             }
         });
+    }
+}
+
+/// Ends all goals in the world.
+fn stop_bodies(fleet: &Fleet) {
+    let mut world = fleet.world.clone();
+    for robot in world.robots() {
+        for goal in world.goals(&robot) {
+            world.cancel(&robot, goal);
+        }
     }
 }

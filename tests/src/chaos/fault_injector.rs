@@ -1,12 +1,17 @@
 //! Fault injection before nodes start: disks that lose writes, clocks that drift, skills that fail.
 
 use super::chaos_fleet::{ARM, ChaosFleet};
-use super::schedule::{ChaosAction, Schedule, SkillFault};
+use super::generate::lease_terms;
+use super::mutants::Mutant;
+use super::run::RunConfig;
+use super::schedule::{ChaosAction, Schedule, ScheduledAction, SkillFault};
 use crate::AdjustNode;
 use crate::disk::VirtualDisk;
+use consort_bus::BootInstant;
 use consort_bus::clock::Clock;
 use consort_fleet::node::NodeSettings;
 use consort_protocol::units::{Seconds, WorldTime};
+use consort_protocol::versions::VersionRange;
 use consort_skills::bt::{Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeSpec, NodeStatus};
 use consort_skills::environment::Environment;
 use consort_skills::library::SkillLibrary;
@@ -18,6 +23,7 @@ use std::cell::RefCell;
 use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 use tokio::time::Instant;
 
 /// Duration of a hang in world seconds: half a minute of node time at ten times the speed.
@@ -25,6 +31,9 @@ const HANGS_S: f64 = 300.0;
 
 /// Date at the start of every run, in milliseconds since 1970.
 pub(super) const DATE_MS: u64 = 1_790_000_000_000;
+
+/// Beginning and end.
+type Period = (BootInstant, BootInstant);
 
 /// Queued faults of the skills of a robot.
 type FaultQueue = Arc<Mutex<VecDeque<SkillFault>>>;
@@ -39,6 +48,15 @@ struct Parts {
     /// Entries between two snapshots, and entries kept behind a snapshot: few, so that every run contains
     /// snapshots and purges.
     log_retention: (u64, u64),
+    /// Ended missions kept whole, and missions accepted at a time: few, so that every run contains dropped
+    /// missions and rejected requests.
+    mission_limits: (u32, usize),
+    /// The nodes that start from now on run the latest program.
+    is_upgraded: bool,
+    /// Period in which the date of a node is wrong, and the error in milliseconds.
+    wrong_dates: BTreeMap<String, (Period, i64)>,
+    /// Suspensions of machines that the clocks of the nodes do not count, for a mutation check.
+    uncounted: BTreeMap<String, Period>,
     disks: BTreeMap<String, VirtualDisk>,
     /// Number of disks created so far.
     created_disks: u64,
@@ -48,7 +66,8 @@ struct Parts {
 }
 
 impl FaultInjector {
-    pub(super) fn new(seed: u64, composition: &ChaosFleet, schedule: &Schedule) -> FaultInjector {
+    pub(super) fn new(config: &RunConfig, composition: &ChaosFleet, schedule: &Schedule) -> FaultInjector {
+        let seed = config.seed;
         let drift = |act: &ChaosAction| {
             if let ChaosAction::Drift { node, rate } = act { Some((node.clone(), *rate)) } else { None }
         };
@@ -63,7 +82,37 @@ impl FaultInjector {
         let (started, disks, created_disks) = (Instant::now(), BTreeMap::new(), 0);
         let mut chance = ChaCha8Rng::seed_from_u64(seed ^ 0x5a_a95_407);
         let log_retention = (chance.random_range(5..=50), chance.random_range(0..=20));
-        let parts = Parts { started, seed, log_retention, disks, created_disks, rates, faults, libraries };
+        let mission_limits = (chance.random_range(0..=4), chance.random_range(2..=6));
+        let now = BootInstant::now();
+        let period =
+            |at_ms: u64, for_ms: u64| (now + Duration::from_millis(at_ms), now + Duration::from_millis(at_ms + for_ms));
+        let (mut wrong_dates, mut uncounted, mut is_upgraded) = (BTreeMap::new(), BTreeMap::new(), true);
+        for ScheduledAction { at_ms, action } in &schedule.steps {
+            match action {
+                ChaosAction::WrongDate { node, ahead_s, for_ms } => {
+                    wrong_dates.insert(node.clone(), (period(*at_ms, *for_ms), ahead_s * 1000));
+                }
+                ChaosAction::Suspend { node, for_ms } if config.mutant == Some(Mutant::SuspensionNotCounted) => {
+                    uncounted.insert(node.clone(), period(*at_ms, *for_ms));
+                }
+                ChaosAction::Upgrade { .. } => is_upgraded = false,
+                _ => {}
+            }
+        }
+        let parts = Parts {
+            started,
+            seed,
+            log_retention,
+            mission_limits,
+            is_upgraded,
+            wrong_dates,
+            uncounted,
+            disks,
+            created_disks,
+            rates,
+            faults,
+            libraries,
+        };
         FaultInjector(Rc::new(RefCell::new(parts)))
     }
 
@@ -79,10 +128,36 @@ impl FaultInjector {
         let parts = self.0.borrow();
         (settings.fleet.snapshot_every, settings.fleet.log_entries_kept) = parts.log_retention;
         let date = DATE_MS + u64::try_from(parts.started.elapsed().as_millis()).unwrap_or(u64::MAX);
+        (settings.fleet.history_limits.missions_max, settings.fleet.request_limits.missions_max) = parts.mission_limits;
+        settings.fleet.lease_terms = lease_terms(parts.seed);
+        if !parts.is_upgraded {
+            settings.supported_versions = VersionRange::OWN.up_to(VersionRange::OWN.newest - 1);
+        }
         settings.clock = Clock::virtual_at(date).drifting(parts.rates.get(&node).copied().unwrap_or(1.0));
+        if let Some(((from, until), ahead_ms)) = parts.wrong_dates.get(&node) {
+            settings.clock = settings.clock.with_wrong_date(*from, *until, *ahead_ms);
+        }
+        if let Some((from, until)) = parts.uncounted.get(&node) {
+            settings.clock = settings.clock.stopped(*from, *until);
+        }
         if let (Some(robot), Some(library)) = (&mut settings.robot, parts.libraries.get(&node)) {
             robot.library = Arc::clone(library);
         }
+    }
+
+    /// Returns the number of ended missions that the fleet keeps whole.
+    pub(super) fn ended_missions_max(&self) -> usize {
+        self.0.borrow().mission_limits.0 as usize
+    }
+
+    /// Lets the nodes that start from now on run the latest program.
+    pub(super) fn upgrade(&self) {
+        self.0.borrow_mut().is_upgraded = true;
+    }
+
+    /// Checks whether a node replaces its process after a suspension of its machine.
+    pub(super) fn notices_suspension(&self, node: &str) -> bool {
+        !self.0.borrow().uncounted.contains_key(node)
     }
 
     /// Returns the disk of a node and creates it if necessary.

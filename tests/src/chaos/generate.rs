@@ -1,8 +1,10 @@
 //! Generation of schedules from a seed.
 
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, WORLD};
-use super::schedule::{ChaosAction, DiskAfterCrash, FaultKind, Schedule, ScheduledAction, SkillFault};
+use super::fault_kind::FaultKind;
+use super::schedule::{ChaosAction, DiskAfterCrash, Schedule, ScheduledAction, SkillFault};
 use crate::disk::DiskFault;
+use consort_protocol::lease::LeaseTerms;
 use consort_protocol::trust::NodeRole;
 use rand::seq::{IndexedMutRandom, IndexedRandom, SliceRandom};
 use rand::{RngExt, SeedableRng};
@@ -14,18 +16,35 @@ use std::time::Duration;
 pub(crate) const LIFTED: f64 = 0.7;
 
 /// Time of the first possible fault. The cluster usually exists by then.
-const FIRST_MS: u64 = 4_000;
+pub(super) const FIRST_MS: u64 = 4_000;
 
 /// Duration for which a carrier is isolated so that its role is reassigned: longer than lease and
 /// grace.
-const AWAY_MS: Range<u64> = 15_000..30_000;
+pub(super) const AWAY_MS: Range<u64> = 15_000..30_000;
 
 /// Number of times at which a carrier is isolated and killed at the end of its lease, in each run.
 const LEASE_ENDS: usize = 2;
 
-/// Roles in the certificates of hostile nodes. Consensus trusts voters, so there is none.
-const HOSTILE_ROLES: [Option<NodeRole>; 4] =
-    [Some(NodeRole::Robot), Some(NodeRole::Host), Some(NodeRole::Dashboard), None];
+/// Roles in the certificates of hostile nodes.
+const HOSTILE_ROLES: [Option<NodeRole>; 5] =
+    [Some(NodeRole::Robot), Some(NodeRole::Host), Some(NodeRole::Dashboard), None, Some(NodeRole::Voter)];
+
+/// Share of the runs with each kind of fault that is drawn separately. A run with few kinds has all of
+/// them.
+const SEPARATE: f64 = 0.2;
+
+/// Largest number of kinds with which a run has all kinds that are drawn separately.
+const FEW_KINDS: usize = 4;
+
+/// Leases and graces in milliseconds. All tolerate as much drift of the clocks as the default does.
+const LEASES_MS: [(u64, u64); 3] = [(4_000, 2_000), (2_000, 1_700), (1_000, 1_550)];
+
+/// Returns the lease terms of the run with this seed.
+pub(super) fn lease_terms(seed: u64) -> LeaseTerms {
+    let number = usize::try_from(seed / 2 % LEASES_MS.len() as u64).expect("a small number");
+    let (lease, grace) = LEASES_MS[number];
+    LeaseTerms { lease: Duration::from_millis(lease), grace: Duration::from_millis(grace) }
+}
 
 /// Checks for a fault that is drawn separately: one or two for each run.
 fn is_rare(kind: FaultKind) -> bool {
@@ -39,14 +58,15 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
     let mut draw = Draw {
         chance,
         composition,
+        lease_terms: lease_terms(seed),
         end_ms: end_ms.max(FIRST_MS + 2_000),
         steps: vec![],
         lost_disks: vec![],
         drained: vec![],
     };
     draw.requests(minutes);
-    // Hostile nodes, ends of leases and rare faults are drawn separately, below.
-    let is_own = |kind: &&FaultKind| matches!(kind, FaultKind::Hostile | FaultKind::LeaseEnd);
+    // These and rare faults are drawn separately, below.
+    let is_own = |kind: &&FaultKind| kind.is_drawn_separately();
     let (rare, kinds_of_faults): (Vec<&FaultKind>, Vec<&FaultKind>) =
         kinds.iter().filter(|kind| !is_own(kind)).partition(|kind| is_rare(**kind));
     if !kinds_of_faults.is_empty() {
@@ -80,18 +100,26 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
             draw.lease_end();
         }
     }
+    for kind in kinds.iter().filter(|kind| kind.is_drawn_separately()) {
+        let salted = kind.name().bytes().fold(seed, |salted, byte| salted.wrapping_mul(257).wrapping_add(byte.into()));
+        draw.chance = ChaCha8Rng::seed_from_u64(salted);
+        if kinds.len() <= FEW_KINDS || draw.chance.random_bool(SEPARATE) {
+            draw.separate(*kind);
+        }
+    }
     Schedule { steps: draw.steps }.in_order()
 }
 
-struct Draw<'a> {
-    chance: ChaCha8Rng,
-    composition: &'a ChaosFleet,
-    end_ms: u64,
-    steps: Vec<ScheduledAction>,
+pub(super) struct Draw<'a> {
+    pub(super) chance: ChaCha8Rng,
+    pub(super) composition: &'a ChaosFleet,
+    pub(super) lease_terms: LeaseTerms,
+    pub(super) end_ms: u64,
+    pub(super) steps: Vec<ScheduledAction>,
     /// Nodes with a lost disk.
-    lost_disks: Vec<&'static str>,
+    pub(super) lost_disks: Vec<&'static str>,
     /// Robots with a drained battery.
-    drained: Vec<&'static str>,
+    pub(super) drained: Vec<&'static str>,
 }
 
 impl Draw<'_> {
@@ -152,7 +180,8 @@ impl Draw<'_> {
         let role = HOSTILE_ROLES[usize::try_from(seed % HOSTILE_ROLES.len() as u64).expect("a small number")];
         let at_ms = chance.random_range(FIRST_MS..self.end_ms - 1_000);
         let for_ms = chance.random_range(1_000..60_000).min(self.end_ms - at_ms);
-        self.steps.push(ScheduledAction { at_ms, action: ChaosAction::Hostile { role, for_ms } });
+        let revoked = chance.random_bool(0.3);
+        self.steps.push(ScheduledAction { at_ms, action: ChaosAction::Hostile { role, revoked, for_ms } });
     }
 
     fn fault(&mut self, kind: FaultKind) {
@@ -169,7 +198,7 @@ impl Draw<'_> {
         (*node).to_owned()
     }
 
-    fn voter(&mut self) -> String {
+    pub(super) fn voter(&mut self) -> String {
         (*self.composition.voters().choose(&mut self.chance).expect("a fleet has voters")).to_owned()
     }
 
@@ -186,7 +215,6 @@ impl Draw<'_> {
     fn act(&mut self, kind: FaultKind, at_ms: u64) -> Option<ChaosAction> {
         let for_ms = self.lasting(at_ms, 40_000);
         Some(match kind {
-            FaultKind::None | FaultKind::Hostile | FaultKind::LeaseEnd => return None,
             FaultKind::Crash => ChaosAction::Crash { node: self.node(), disk: DiskAfterCrash::Kept, for_ms },
             FaultKind::CrashTorn => {
                 let node = self.node();
@@ -258,6 +286,15 @@ impl Draw<'_> {
                     .expect("three");
                 ChaosAction::Skill { robot, how, times: self.chance.random_range(1..=3) }
             }
+            FaultKind::None
+            | FaultKind::Hostile
+            | FaultKind::LeaseEnd
+            | FaultKind::Suspend
+            | FaultKind::WrongDate
+            | FaultKind::Leave
+            | FaultKind::Upgrade
+            | FaultKind::CircularWait
+            | FaultKind::StaleMajority => return None,
         })
     }
 
@@ -274,7 +311,7 @@ impl Draw<'_> {
 
     /// Moves a request right before the crash, in most runs, so that an acknowledged request may be
     /// lost.
-    fn request_just_before(&mut self, at_ms: u64) {
+    pub(super) fn request_just_before(&mut self, at_ms: u64) {
         if !self.chance.random_bool(0.7) {
             return;
         }
@@ -301,28 +338,6 @@ impl Draw<'_> {
         }
         self.lost_disks.push(node);
         Some(node.to_owned())
-    }
-
-    /// Isolates a carrier with its driver while it executes a request, and kills the carrier's node
-    /// shortly before its lease ends. Only the driver can stop the body then. The drivers come back just
-    /// before the role may pass on, so that another carrier can begin at once.
-    fn lease_end(&mut self) {
-        let latest = self.end_ms.saturating_sub(AWAY_MS.end);
-        let asked = self.steps.iter().filter(|step| step.action.submitted_request().is_some()).map(|step| step.at_ms);
-        let asked: Vec<u64> = asked.filter(|at_ms| *at_ms < latest).collect();
-        let Some(asked) = asked.choose(&mut self.chance) else { return };
-        let at_ms = asked + self.chance.random_range(4_000..20_000);
-        let killed_at = at_ms + self.chance.random_range(2_800..4_200);
-        let (for_ms, down_ms) = (self.chance.random_range(4_200..5_600), self.chance.random_range(AWAY_MS));
-        if killed_at + down_ms >= self.end_ms {
-            return;
-        }
-        let groups = self.carrier_groups(self.composition.nodes().into_iter().map(str::to_owned).collect());
-        let isolated = groups.iter().flatten().rev().find(|node| *node != WORLD);
-        let carrier = isolated.expect("a carrier in the last group").clone();
-        let crash = ChaosAction::Crash { node: carrier, disk: DiskAfterCrash::Kept, for_ms: down_ms };
-        self.steps.push(ScheduledAction { at_ms, action: ChaosAction::Partition { groups, for_ms } });
-        self.steps.push(ScheduledAction { at_ms: killed_at, action: crash });
     }
 
     fn groups(&mut self) -> Vec<Vec<String>> {
@@ -382,6 +397,13 @@ mod tests {
                 assert!(over <= 210_050, "seed {seed}: {step}");
             }
         }
+    }
+
+    #[test]
+    fn all_leases_tolerate_the_drift_of_clocks() {
+        use consort_protocol::lease::LEASE_REACTION;
+        let tolerated = LeaseTerms::default().drift_max(LEASE_REACTION);
+        assert!((0..6).all(|seed| lease_terms(seed).drift_max(LEASE_REACTION) >= tolerated));
     }
 
     #[test]

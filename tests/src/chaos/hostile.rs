@@ -1,9 +1,9 @@
 //! A hostile node: it has one valid certificate of the fleet, and attacks the other nodes.
 //!
 //! It replays and moves messages that it has received, publishes and queries in the name of others,
-//! lies about epochs, terms and versions, refuses and answers queries of others, makes requests
-//! with its own and with captured signatures, sends texts of great length, and floods. Signed
-//! messages are attempted with its own key, and without one.
+//! lies about epochs, terms and versions, refuses and answers queries of others (or refuses all of
+//! them), makes requests with its own and with captured signatures, sends texts of great length, and
+//! floods. Signed messages are attempted with its own key, and without one.
 
 use crate::{Fleet, StolenKey, report_of_all_steps, signals_sent, slug};
 use bytes::Bytes;
@@ -67,6 +67,8 @@ struct Attacker {
     keys: Keys,
     victims: Vec<NodeId>,
     cluster: Option<ClusterId>,
+    /// Every query of others is refused at once.
+    refuses_all: bool,
     captured: Mutex<VecDeque<Sample>>,
     /// Requests of people that it has relayed.
     requests: Mutex<VecDeque<(String, Bytes, Bytes)>>,
@@ -77,7 +79,9 @@ impl HostileNode {
     /// Starts the attacks of a node with the certificate of this role, or of none.
     pub(super) async fn start(fleet: &Fleet, role: Option<NodeRole>, seed: u64, date_ms: u64) -> Option<HostileNode> {
         let key = StolenKey::of(fleet, HOSTILE, role, date_ms).await?;
+        let mut chance = ChaCha8Rng::seed_from_u64(seed);
         let attacker = Arc::new(Attacker {
+            refuses_all: chance.random_bool(0.5),
             in_cluster: key.in_cluster(fleet),
             signing: key.signing,
             plain: key.plain,
@@ -86,7 +90,7 @@ impl HostileNode {
             cluster: fleet.ledger(|ledger| ledger.cluster()).flatten(),
             captured: Mutex::default(),
             requests: Mutex::default(),
-            chance: Mutex::new(ChaCha8Rng::seed_from_u64(seed)),
+            chance: Mutex::new(chance),
         });
         let mut attacks = JoinSet::new();
         attacks.spawn(Arc::clone(&attacker).capture());
@@ -135,6 +139,7 @@ impl Attacker {
             let key = query.key.replace('*', self.victim().as_str());
             // A failed attempt is no failure of the run.
             let _ = match self.draw(|chance| chance.random_range(0..5)) {
+                _ if self.refuses_all => query.replier.refuse("no").await,
                 0 => query.replier.refuse("no").await,
                 1 => query.replier.refuse(&"no ".repeat(LONG_TEXT / 3)).await,
                 2 => query.replier.reply(&key, query.payload.clone(), Encoding::Wire).await,

@@ -13,23 +13,27 @@
 pub mod chaos_fleet;
 mod executor;
 mod fault_injector;
+mod fault_kind;
 pub mod generate;
 mod hostile;
 pub(crate) mod invariants;
 pub mod mutants;
 pub mod mutation_checks;
+mod rolling_upgrade;
 pub mod run;
 pub(crate) mod run_counters;
 pub(crate) mod schedule;
 mod schedule_check;
 pub mod scoreboard;
+mod scripted;
 pub mod seed_sweep;
 pub mod shrink;
 
 pub use chaos_fleet::ChaosFleet;
+pub use fault_kind::{FaultKind, UnknownFaultKind};
 pub use generate::generate;
 pub use run::{RunConfig, RunOutcome, Violation, run};
-pub use schedule::{ChaosAction, FaultKind, Schedule, ScheduledAction, UnknownFaultKind};
+pub use schedule::{ChaosAction, Schedule, ScheduledAction};
 pub use schedule_check::{ScheduleError, ScheduleProblem};
 pub use seed_sweep::SeedSweep;
 pub use shrink::shrink;

@@ -1,10 +1,10 @@
 //! The checks: one injected bug at a time, which chaos must find under the usual generated faults.
 
 use super::chaos_fleet::ChaosFleet;
+use super::fault_kind::FaultKind;
 use super::generate::generate;
 use super::mutants::Mutant;
 use super::run::RunConfig;
-use super::schedule::FaultKind;
 use super::seed_sweep::SeedSweep;
 use serde::Serialize;
 
@@ -13,8 +13,21 @@ use serde::Serialize;
 pub struct MutantCheck {
     /// The injected bug.
     pub mutant: Mutant,
+    /// Kinds of generated faults.
+    pub faults: &'static [FaultKind],
     /// Number of seeds, from 1 on, within which chaos must find the bug.
     pub seeds_max: u64,
+}
+
+impl MutantCheck {
+    const fn new(mutant: Mutant, seeds_max: u64) -> MutantCheck {
+        MutantCheck { mutant, faults: &FaultKind::FAULTS, seeds_max }
+    }
+
+    /// Creates a check with few kinds of faults, which are more frequent then.
+    const fn under(mutant: Mutant, faults: &'static [FaultKind], seeds_max: u64) -> MutantCheck {
+        MutantCheck { mutant, faults, seeds_max }
+    }
 }
 
 /// Simulated minutes of each run of a check.
@@ -27,22 +40,31 @@ pub(crate) const NODES: usize = 7;
 /// the measured number. The bug with 90 seeds needs a lost acknowledgement and a client that
 /// repeats the request under the same name.
 pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
-    MutantCheck { mutant: Mutant::SkipFsync, seeds_max: 20 },
-    MutantCheck { mutant: Mutant::DoubleVote, seeds_max: 20 },
-    MutantCheck { mutant: Mutant::NoCheckQuorum, seeds_max: 3 },
-    MutantCheck { mutant: Mutant::IgnoreEpoch, seeds_max: 30 },
-    MutantCheck { mutant: Mutant::LeaseNotChecked, seeds_max: 30 },
-    MutantCheck { mutant: Mutant::EarlyRelease, seeds_max: 30 },
-    MutantCheck { mutant: Mutant::RefusedApplied, seeds_max: 30 },
-    MutantCheck { mutant: Mutant::UncommittedReport, seeds_max: 3 },
-    MutantCheck { mutant: Mutant::RequestForgotten, seeds_max: 90 },
-    MutantCheck { mutant: Mutant::LostRelay, seeds_max: 3 },
-    MutantCheck { mutant: Mutant::WaitSkipped, seeds_max: 3 },
-    MutantCheck { mutant: Mutant::GuardSkipped, seeds_max: 3 },
-    MutantCheck { mutant: Mutant::TwoRemoved, seeds_max: 6 },
-    MutantCheck { mutant: Mutant::StaleRead, seeds_max: 30 },
-    MutantCheck { mutant: Mutant::SignersUnchecked, seeds_max: 3 },
-    MutantCheck { mutant: Mutant::AuthorsUnchecked, seeds_max: 3 },
+    MutantCheck::new(Mutant::SkipFsync, 20),
+    MutantCheck::new(Mutant::DoubleVote, 20),
+    MutantCheck::new(Mutant::NoCheckQuorum, 3),
+    MutantCheck::new(Mutant::IgnoreEpoch, 30),
+    MutantCheck::new(Mutant::LeaseNotChecked, 30),
+    MutantCheck::new(Mutant::EarlyRelease, 30),
+    MutantCheck::new(Mutant::RefusedApplied, 30),
+    MutantCheck::new(Mutant::UncommittedReport, 3),
+    MutantCheck::new(Mutant::RequestForgotten, 90),
+    MutantCheck::new(Mutant::LostRelay, 3),
+    MutantCheck::new(Mutant::WaitSkipped, 3),
+    MutantCheck::new(Mutant::GuardSkipped, 3),
+    MutantCheck::new(Mutant::TwoRemoved, 6),
+    MutantCheck::new(Mutant::StaleRead, 30),
+    MutantCheck::new(Mutant::SignersUnchecked, 3),
+    MutantCheck::new(Mutant::AuthorsUnchecked, 3),
+    MutantCheck::under(Mutant::RefusalsUnsigned, &[FaultKind::Hostile], 24),
+    MutantCheck::under(Mutant::BeaconsBelieved, &[FaultKind::Hostile], 12),
+    MutantCheck::under(Mutant::SuspensionNotCounted, &[FaultKind::Suspend], 6),
+    MutantCheck::under(Mutant::GraceTooSmall, &[FaultKind::LeaseEnd, FaultKind::Drift], 90),
+    MutantCheck::under(Mutant::OwnClock, &[FaultKind::WrongDate], 12),
+    MutantCheck::under(Mutant::ReleasedInMotion, &[FaultKind::Leave], 60),
+    MutantCheck::new(Mutant::OutcomesForgotten, 3),
+    MutantCheck::under(Mutant::CircularWaitKept, &[FaultKind::CircularWait], 18),
+    MutantCheck::under(Mutant::IdentityKept, &[FaultKind::StaleMajority], 3),
 ];
 
 /// Result of a mutation check.
@@ -67,7 +89,7 @@ pub fn check_mutant(check: MutantCheck, jobs: usize, mut each: impl FnMut()) -> 
     let config = |seed, mutant| {
         (
             RunConfig { seed, nodes: NODES, minutes: MINUTES, closed: check.mutant.needs_closed_fleet(), mutant },
-            generate(seed, &composition, MINUTES, &FaultKind::FAULTS),
+            generate(seed, &composition, MINUTES, check.faults),
         )
     };
     let mut first = 1;

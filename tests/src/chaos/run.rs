@@ -17,6 +17,7 @@ use crate::credentials::Signatures;
 use crate::fleet::NodeOptions;
 use crate::{Fleet, Observation, slug};
 use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::ledger::MissionState;
 use consort_world::world::World;
 use serde::Serialize;
 use std::any::Any;
@@ -35,6 +36,9 @@ const MISSION_LIMIT: Duration = Duration::from_secs(600);
 
 /// Limit for the fleet to converge after all faults have ended.
 const CONVERGENCE_LIMIT: Duration = Duration::from_secs(60);
+
+/// Longest time without a leader in a transfer of leadership, in milliseconds.
+const TRANSFER_MAX_MS: u64 = 120;
 
 /// Limit for the news of a restart to reach a node without a link to the restarted node.
 const RELAY_LIMIT: Duration = Duration::from_secs(30);
@@ -70,7 +74,7 @@ pub struct RunOutcome {
 /// Violation of an invariant.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Violation {
-    /// Name of an invariant, or `liveness`, `relay`, `linearizable`, `read_age`, `panic`.
+    /// Name of an invariant, or `liveness`, `relay`, `undisturbed`, `linearizable`, `read_age`, `panic`.
     pub invariant: String,
     /// Time in milliseconds since the start of the fleet.
     pub at_ms: u64,
@@ -106,7 +110,7 @@ fn panic_text(panic: &(dyn Any + Send)) -> String {
 
 async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let composition = ChaosFleet::of(config.nodes);
-    let injector = FaultInjector::new(config.seed, &composition, schedule);
+    let injector = FaultInjector::new(config, &composition, schedule);
     let options = node_options(config, &injector);
     let fleet = Fleet::hospital_with(config.seed, composition.members(), &composition.stations, &ROOMS, options).await;
     let mut run = Run { fleet, executor: ActionExecutor::new(composition.clone(), injector), checker: Checker::new() };
@@ -131,13 +135,14 @@ fn node_options(config: &RunConfig, injector: &FaultInjector) -> NodeOptions {
     let options = NodeOptions { signatures, date_ms: DATE_MS, ..NodeOptions::default() };
     let Some(mutant) = config.mutant else { return NodeOptions { adjust, ..options } };
     let injection = MutantInjection::new(mutant);
-    let at_bus = injection.clone();
+    let (at_bus, at_network) = (injection.clone(), injection.clone());
     NodeOptions {
         adjust: Box::new(move |settings| {
             adjust(settings);
             injection.equip(settings);
         }),
         wrap_bus: Box::new(move |settings, bus| at_bus.wrap_bus(settings, bus)),
+        wrap_network: Box::new(move |settings, bus| at_network.wrap_network(settings, bus)),
         ..options
     }
 }
@@ -162,7 +167,10 @@ impl Run {
         self.fleet.heal();
         self.executor.spawn_resolver(&self.fleet);
         let since = self.fleet.elapsed();
-        self.until("a single coordinator, and all nodes alive in all views", CONVERGENCE_LIMIT, has_converged).await?;
+        let is_upgraded = self.executor.upgrade_check();
+        let has_settled = |fleet: &Fleet| has_converged(fleet) && is_upgraded(fleet);
+        let what = "a single coordinator, all nodes alive in all views, and the latest version";
+        self.until(what, CONVERGENCE_LIMIT, has_settled).await?;
         let requests: Vec<String> = schedule.steps.iter().filter_map(|step| step.action.submitted_request()).collect();
         let executor = self.executor.acknowledged_receiver();
         self.until("an end of every mission", MISSION_LIMIT, move |fleet| {
@@ -180,6 +188,13 @@ impl Run {
             self.checker.check(&self.fleet)?;
         }
         self.check_relay(config.seed, composition).await?;
+        let slowest = self.checker.counters.takeovers_ms.iter().max();
+        if schedule.has_only_hostile_nodes()
+            && let Some(slowest) = slowest.filter(|ms| **ms > TRANSFER_MAX_MS)
+        {
+            let reason = format!("there was no leader for {slowest} ms, with hostile nodes as the only faults");
+            return Err(self.checker.violation("undisturbed", reason, &self.fleet));
+        }
         let history = self.executor.history();
         let violation = |name, reason| self.checker.violation(name, reason, &self.fleet);
         history.check_linearizable().map_err(|reason| violation("linearizable", reason))?;
@@ -197,6 +212,7 @@ impl Run {
             }
         }
         loop {
+            self.executor.advance(&mut self.fleet).await;
             self.checker.check(&self.fleet)?;
             let now = self.fleet.elapsed();
             while let Some(((at_ms, begins, number), _)) = queue.first_key_value()
@@ -233,6 +249,7 @@ impl Run {
     async fn until(&mut self, what: &str, limit: Duration, done: impl Fn(&Fleet) -> bool) -> Result<(), Violation> {
         let end = self.fleet.elapsed() + limit;
         loop {
+            self.executor.advance(&mut self.fleet).await;
             self.checker.check(&self.fleet)?;
             if done(&self.fleet) {
                 return Ok(());
@@ -259,7 +276,8 @@ impl Run {
     /// must learn of the restart through third nodes, because gossip crosses the fleet even without
     /// a direct link.
     async fn check_relay(&mut self, seed: u64, composition: &ChaosFleet) -> Result<(), Violation> {
-        let nodes = composition.nodes();
+        let nodes: Vec<&str> =
+            composition.nodes().into_iter().filter(|node| self.fleet.nodes.contains_key(*node)).collect();
         let pick = |salt: u64| nodes[usize::try_from((seed ^ salt) % nodes.len() as u64).unwrap_or(0)];
         let (restarted, other) = (pick(0x51), pick(0xa7));
         if restarted == other {
@@ -324,7 +342,8 @@ fn not_alive(fleet: &Fleet) -> impl Iterator<Item = String> {
 fn unfinished(fleet: &Fleet, acknowledged: &BTreeMap<String, String>) -> Vec<String> {
     let open = |mission: &&String| {
         let id: MissionId = slug(mission);
-        fleet.ledger(|ledger| ledger.mission(&id).is_some_and(|entry| entry.state.is_final())) != Some(true)
+        // A mission that the ledger has forgotten has ended.
+        fleet.ledger(|ledger| ledger.mission_state(&id).is_none_or(MissionState::is_final)) != Some(true)
     };
     acknowledged.values().filter(open).cloned().collect()
 }

@@ -24,7 +24,12 @@ pub struct ScheduledAction {
     pub action: ChaosAction,
 }
 
-/// An action. Nodes are given by name; `coordinator` is the coordinator at that instant.
+/// Prefix of a name that stands for the robot that has the role of the carrier in the mission of a request at
+/// that instant, as in `carrier of r0`.
+pub(super) const CARRIER_OF: &str = "carrier of ";
+
+/// An action. Nodes are given by name; `coordinator` is the coordinator at that instant. Crashes, departures,
+/// cuts and partitions may also name a carrier by its request.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "action", rename_all = "snake_case")]
 pub enum ChaosAction {
@@ -77,6 +82,33 @@ pub enum ChaosAction {
         node: String,
         /// Duration in milliseconds.
         for_ms: u64,
+    },
+    /// The machine of a node is suspended: no message enters or leaves the node, and its process is
+    /// replaced by a new one when the machine resumes, as a node does that notices a suspension.
+    Suspend {
+        /// The node.
+        node: String,
+        /// Duration in milliseconds.
+        for_ms: u64,
+    },
+    /// A node is gone for good.
+    Remove {
+        /// The node.
+        node: String,
+    },
+    /// A person makes a node leave the fleet. Later it joins again with an empty disk; a node that could
+    /// not leave in that time is restarted instead.
+    Leave {
+        /// The node.
+        node: String,
+        /// Time in milliseconds until the node joins again.
+        for_ms: u64,
+    },
+    /// The fleet starts with the previous wire version. From this time on its nodes are restarted with
+    /// the latest program, in turn, and a person then raises the version.
+    Upgrade {
+        /// Interval between two restarts in milliseconds.
+        interval_ms: u64,
     },
     /// Only nodes of the same group reach each other.
     Partition {
@@ -133,6 +165,15 @@ pub enum ChaosAction {
         /// Seconds that the clock counts per second.
         rate: f64,
     },
+    /// The date of a node's clock is wrong.
+    WrongDate {
+        /// The node.
+        node: String,
+        /// Seconds by which it is ahead; negative if it is behind.
+        ahead_s: i64,
+        /// Duration in milliseconds.
+        for_ms: u64,
+    },
     /// The battery of a robot drops to the charge at which the robot stops.
     Battery {
         /// The robot.
@@ -144,6 +185,9 @@ pub enum ChaosAction {
         /// Role in its certificate; none if absent.
         #[serde(default, skip_serializing_if = "Option::is_none", with = "role_name")]
         role: Option<NodeRole>,
+        /// Its certificate is revoked halfway.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        revoked: bool,
         /// Duration in milliseconds.
         for_ms: u64,
     },
@@ -214,115 +258,6 @@ pub enum SkillFault {
     Hangs,
 }
 
-/// Kinds of faults as listed on the scoreboard.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-#[expect(missing_docs, reason = "each is described at the act that it is a kind of")]
-pub enum FaultKind {
-    None,
-    Crash,
-    CrashTorn,
-    CrashEmpty,
-    CoordinatorCrash,
-    Blackout,
-    Pause,
-    Partition,
-    OneWayCut,
-    Loss,
-    Duplication,
-    Reordering,
-    Delay,
-    SlowDisk,
-    Drift,
-    Battery,
-    Skill,
-    Hostile,
-    CrashDamaged,
-    Disk(DiskFault),
-    LeaseEnd,
-}
-
-impl FaultKind {
-    /// All kinds except `None`.
-    pub const FAULTS: [FaultKind; 23] = [
-        FaultKind::Crash,
-        FaultKind::CrashTorn,
-        FaultKind::CrashEmpty,
-        FaultKind::CoordinatorCrash,
-        FaultKind::Blackout,
-        FaultKind::Pause,
-        FaultKind::Partition,
-        FaultKind::OneWayCut,
-        FaultKind::Loss,
-        FaultKind::Duplication,
-        FaultKind::Reordering,
-        FaultKind::Delay,
-        FaultKind::SlowDisk,
-        FaultKind::Drift,
-        FaultKind::Battery,
-        FaultKind::Skill,
-        FaultKind::Hostile,
-        FaultKind::CrashDamaged,
-        FaultKind::Disk(DiskFault::Fails),
-        FaultKind::Disk(DiskFault::Full),
-        FaultKind::Disk(DiskFault::Hangs),
-        FaultKind::Disk(DiskFault::Lies),
-        FaultKind::LeaseEnd,
-    ];
-
-    /// Returns its name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            FaultKind::None => "none",
-            FaultKind::Crash => "crash",
-            FaultKind::CrashTorn => "crash-torn",
-            FaultKind::CrashEmpty => "crash-empty",
-            FaultKind::CoordinatorCrash => "coordinator-crash",
-            FaultKind::Blackout => "blackout",
-            FaultKind::Pause => "pause",
-            FaultKind::Partition => "partition",
-            FaultKind::OneWayCut => "one-way-cut",
-            FaultKind::Loss => "loss",
-            FaultKind::Duplication => "duplication",
-            FaultKind::Reordering => "reordering",
-            FaultKind::Delay => "delay",
-            FaultKind::SlowDisk => "slow-disk",
-            FaultKind::Drift => "drift",
-            FaultKind::Battery => "battery",
-            FaultKind::Skill => "skill",
-            FaultKind::Hostile => "hostile",
-            FaultKind::CrashDamaged => "crash-damaged",
-            FaultKind::Disk(DiskFault::Fails) => "disk-fails",
-            FaultKind::Disk(DiskFault::Full) => "disk-full",
-            FaultKind::Disk(DiskFault::Hangs) => "disk-hangs",
-            FaultKind::Disk(DiskFault::Lies) => "disk-lies",
-            FaultKind::LeaseEnd => "lease-end",
-        }
-    }
-}
-
-impl std::str::FromStr for FaultKind {
-    type Err = UnknownFaultKind;
-
-    fn from_str(name: &str) -> Result<FaultKind, UnknownFaultKind> {
-        let mut known = [FaultKind::None].into_iter().chain(FaultKind::FAULTS);
-        known.find(|kind| kind.name() == name).ok_or_else(|| UnknownFaultKind(name.to_owned()))
-    }
-}
-
-/// Name that is no kind of fault.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct UnknownFaultKind(pub String);
-
-impl Display for UnknownFaultKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let names: Vec<_> = [FaultKind::None].into_iter().chain(FaultKind::FAULTS).map(FaultKind::name).collect();
-        write!(f, "no kind of fault is called {:?}; there are {}", self.0, names.join(", "))
-    }
-}
-
-impl std::error::Error for UnknownFaultKind {}
-
 impl ChaosAction {
     /// Returns the duration in milliseconds; `None` for an instantaneous action.
     pub(crate) fn for_ms(&self) -> Option<u64> {
@@ -330,6 +265,9 @@ impl ChaosAction {
             ChaosAction::Crash { for_ms, .. }
             | ChaosAction::Blackout { for_ms, .. }
             | ChaosAction::Pause { for_ms, .. }
+            | ChaosAction::Suspend { for_ms, .. }
+            | ChaosAction::Leave { for_ms, .. }
+            | ChaosAction::WrongDate { for_ms, .. }
             | ChaosAction::Partition { for_ms, .. }
             | ChaosAction::Cut { for_ms, .. }
             | ChaosAction::Weather { for_ms, .. }
@@ -338,10 +276,45 @@ impl ChaosAction {
             | ChaosAction::Hostile { for_ms, .. } => Some(*for_ms),
             ChaosAction::Submit { .. }
             | ChaosAction::Cancel { .. }
+            | ChaosAction::Remove { .. }
+            | ChaosAction::Upgrade { .. }
             | ChaosAction::Drift { .. }
             | ChaosAction::Battery { .. }
             | ChaosAction::Skill { .. } => None,
         }
+    }
+
+    /// Returns the action with the names of nodes that `resolve` returns; `None` if there is no such node.
+    pub(super) fn resolved(&self, resolve: impl Fn(&str) -> Option<String>) -> Option<ChaosAction> {
+        let resolve = |name: &mut String| match name.starts_with(CARRIER_OF) {
+            true => resolve(name).map(|found| *name = found),
+            false => Some(()),
+        };
+        let mut action = self.clone();
+        match &mut action {
+            ChaosAction::Crash { node, .. } | ChaosAction::Remove { node } | ChaosAction::Leave { node, .. } => {
+                resolve(node)?;
+            }
+            ChaosAction::Cut { from, to, .. } => {
+                resolve(from)?;
+                resolve(to)?;
+            }
+            ChaosAction::Partition { groups, .. } => {
+                for place in 0..groups.len() {
+                    for member in 0..groups[place].len() {
+                        let named = groups[place][member].clone();
+                        resolve(&mut groups[place][member])?;
+                        let found = groups[place][member].clone();
+                        if found != named {
+                            let others = groups.iter_mut().enumerate().filter(|(other, _)| *other != place);
+                            others.for_each(|(_, group)| group.retain(|name| *name != found));
+                        }
+                    }
+                }
+            }
+            _ => {}
+        }
+        Some(action)
     }
 
     /// Returns the name of the submitted request, if the action is one.
@@ -357,6 +330,9 @@ impl ChaosAction {
             ChaosAction::Crash { for_ms, .. }
             | ChaosAction::Blackout { for_ms, .. }
             | ChaosAction::Pause { for_ms, .. }
+            | ChaosAction::Suspend { for_ms, .. }
+            | ChaosAction::Leave { for_ms, .. }
+            | ChaosAction::WrongDate { for_ms, .. }
             | ChaosAction::Partition { for_ms, .. }
             | ChaosAction::Cut { for_ms, .. }
             | ChaosAction::Weather { for_ms, .. }
@@ -365,6 +341,8 @@ impl ChaosAction {
             | ChaosAction::Hostile { for_ms, .. } => *for_ms = ms,
             ChaosAction::Submit { .. }
             | ChaosAction::Cancel { .. }
+            | ChaosAction::Remove { .. }
+            | ChaosAction::Upgrade { .. }
             | ChaosAction::Drift { .. }
             | ChaosAction::Battery { .. }
             | ChaosAction::Skill { .. } => {}
@@ -374,6 +352,13 @@ impl ChaosAction {
 }
 
 impl Schedule {
+    /// Checks whether the schedule has no faults but hostile nodes.
+    pub(super) fn has_only_hostile_nodes(&self) -> bool {
+        self.steps.iter().all(|step| {
+            matches!(step.action, ChaosAction::Submit { .. } | ChaosAction::Cancel { .. } | ChaosAction::Hostile { .. })
+        })
+    }
+
     /// Sorts the actions by time; actions of the same instant keep their order.
     #[must_use]
     pub fn in_order(mut self) -> Schedule {
@@ -426,6 +411,19 @@ impl Display for ChaosAction {
                 write!(f, "every node crashes, {}, down {}", fate(disk), For(*for_ms))
             }
             ChaosAction::Pause { node, for_ms } => write!(f, "{node} is paused {}", For(*for_ms)),
+            ChaosAction::Suspend { node, for_ms } => write!(f, "the machine of {node} is suspended {}", For(*for_ms)),
+            ChaosAction::Remove { node } => write!(f, "{node} is gone for good"),
+            ChaosAction::Leave { node, for_ms } => write!(f, "{node} leaves the fleet {}", For(*for_ms)),
+            ChaosAction::Upgrade { interval_ms } => {
+                write!(
+                    f,
+                    "the fleet is upgraded, a node every {:.3} s",
+                    Duration::from_millis(*interval_ms).as_secs_f64()
+                )
+            }
+            ChaosAction::WrongDate { node, ahead_s, for_ms } => {
+                write!(f, "the date of {node} is wrong by {ahead_s} s {}", For(*for_ms))
+            }
             ChaosAction::Partition { groups, for_ms } => {
                 let groups: Vec<_> = groups.iter().map(|group| group.join(" ")).collect();
                 write!(f, "partition {} {}", groups.join(" | "), For(*for_ms))
@@ -452,9 +450,10 @@ impl Display for ChaosAction {
             }
             ChaosAction::Drift { node, rate } => write!(f, "the clock of {node} counts {rate:.4} s a second"),
             ChaosAction::Battery { robot } => write!(f, "the battery of {robot} runs down"),
-            ChaosAction::Hostile { role, for_ms } => {
+            ChaosAction::Hostile { role, revoked, for_ms } => {
                 let role = role.map_or("no role", NodeRole::as_str);
-                write!(f, "a hostile node with a certificate of {role} {}", For(*for_ms))
+                let revoked = if *revoked { ", which is revoked halfway," } else { "" };
+                write!(f, "a hostile node with a certificate of {role}{revoked} {}", For(*for_ms))
             }
             ChaosAction::Skill { robot, how, times } => {
                 let how = match how {

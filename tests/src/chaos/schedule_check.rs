@@ -1,7 +1,7 @@
 //! Check of a schedule against its fleet.
 
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS};
-use super::schedule::{ChaosAction, Schedule, ScheduledAction};
+use super::schedule::{CARRIER_OF, ChaosAction, Schedule, ScheduledAction};
 
 impl Schedule {
     /// Checks that the fleet contains everything that the schedule names.
@@ -13,7 +13,7 @@ impl Schedule {
         let robots: Vec<&str> = composition.carriers.iter().copied().chain([ARM]).collect();
         let check_known = |step: &ScheduledAction, name: &str, known: &[&str], extra: &[&str]| {
             let known: Vec<&str> = known.iter().chain(extra).copied().collect();
-            if known.contains(&name) {
+            if known.contains(&name) || name.starts_with(CARRIER_OF) {
                 return Ok(());
             }
             Err(step.invalid(ScheduleProblem::UnknownName { name: name.to_owned(), known: known.join(", ") }))
@@ -24,9 +24,16 @@ impl Schedule {
                     check_known(step, room, &ROOMS, &[])?;
                     check_known(step, mission, &MISSIONS, &[])?;
                 }
-                ChaosAction::Cancel { .. } | ChaosAction::Blackout { .. } | ChaosAction::Hostile { .. } => {}
+                ChaosAction::Cancel { .. }
+                | ChaosAction::Blackout { .. }
+                | ChaosAction::Upgrade { .. }
+                | ChaosAction::Hostile { .. } => {}
+                ChaosAction::Remove { node } => check_known(step, node, &nodes, &[])?,
                 ChaosAction::Crash { node, .. } => check_known(step, node, &nodes, &["coordinator"])?,
                 ChaosAction::Pause { node, .. }
+                | ChaosAction::Suspend { node, .. }
+                | ChaosAction::Leave { node, .. }
+                | ChaosAction::WrongDate { node, .. }
                 | ChaosAction::SlowDisk { node, .. }
                 | ChaosAction::Disk { node, .. } => {
                     check_known(step, node, &nodes, &[])?;

@@ -1,9 +1,9 @@
 //! Results of the fleet under each kind of fault alone.
 
 use super::chaos_fleet::ChaosFleet;
+use super::fault_kind::FaultKind;
 use super::generate::generate;
 use super::run::{RunConfig, RunOutcome};
-use super::schedule::FaultKind;
 use super::seed_sweep::{SeedSweep, percentiles};
 use serde::Serialize;
 

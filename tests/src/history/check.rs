@@ -3,6 +3,7 @@
 use super::mission_spec::{MissionOp, MissionResult, MissionSpec};
 use super::{ClientCall, ClientReply, Operation, Pause};
 use consort_protocol::ids::MissionId;
+use consort_protocol::ledger::MissionState;
 use stateright::semantics::{ConsistencyTester, LinearizabilityTester};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -13,8 +14,10 @@ use std::time::Duration;
 const AGE_TOLERANCE: Duration = Duration::from_secs(3);
 
 /// Checks the requests and the linearizable reads of all clients.
-pub(super) fn check_linearizable(operations: &[Operation]) -> Result<(), String> {
-    check_missions(operations)?;
+///
+/// Lists contain at most the latest `listed_max` of the missions that have ended.
+pub(super) fn check_linearizable(operations: &[Operation], listed_max: usize) -> Result<(), String> {
+    check_missions(operations, listed_max)?;
     check_revisions(operations)
 }
 
@@ -27,8 +30,8 @@ struct MissionOperation {
 
 /// Checks each mission by itself. Linearizability is local: a history is linearizable if its part
 /// about each object is.
-fn check_missions(operations: &[Operation]) -> Result<(), String> {
-    for (name, operations) in by_mission(operations) {
+fn check_missions(operations: &[Operation], listed_max: usize) -> Result<(), String> {
+    for (name, operations) in by_mission(operations, listed_max) {
         if !is_linearizable(&operations) {
             return Err(format!("the calls about {name} have no linearization:{}", text(&operations)));
         }
@@ -38,7 +41,7 @@ fn check_missions(operations: &[Operation]) -> Result<(), String> {
 
 /// Divides the history by mission. A mission is named by its request, or by its id if the request has
 /// no name.
-fn by_mission(operations: &[Operation]) -> BTreeMap<String, Vec<MissionOperation>> {
+fn by_mission(operations: &[Operation], listed_max: usize) -> BTreeMap<String, Vec<MissionOperation>> {
     let (names, missions) = names(operations);
     let name = |mission: &MissionId| names.get(mission).cloned().unwrap_or_else(|| mission.to_string());
     let mut parts: BTreeMap<String, Vec<MissionOperation>> =
@@ -82,14 +85,22 @@ fn by_mission(operations: &[Operation]) -> BTreeMap<String, Vec<MissionOperation
             }
             (ClientCall::List { linearizable: true }, Some(ClientReply::Read { states, .. })) => {
                 for mission in &missions {
-                    let state = states.get(mission).cloned();
-                    add(name(mission), MissionOp::Read, Some(MissionResult::Read(state)));
+                    let result = match states.get(mission) {
+                        None if lacks_ended(states, listed_max) => MissionResult::NotListed,
+                        state => MissionResult::Read(state.cloned()),
+                    };
+                    add(name(mission), MissionOp::Read, Some(result));
                 }
             }
             (ClientCall::Get { .. } | ClientCall::List { .. }, _) => {}
         }
     }
     parts
+}
+
+/// Checks whether a list may lack missions that have ended.
+fn lacks_ended(states: &BTreeMap<MissionId, MissionState>, listed_max: usize) -> bool {
+    states.values().filter(|state| state.has_ended()).count() >= listed_max
 }
 
 /// Returns the requests of missions with named requests, and all missions of the history.
@@ -220,7 +231,7 @@ fn linearizable_reads(operations: &[Operation]) -> impl Iterator<Item = Lineariz
 /// Checks that a read from any node contains everything that was acknowledged before its stated age,
 /// except by nodes that were paused: the age counts from the arrival of messages, and a pause delays
 /// them.
-pub(super) fn check_ages(operations: &[Operation], pauses: &[Pause]) -> Result<(), String> {
+pub(super) fn check_ages(operations: &[Operation], pauses: &[Pause], listed_max: usize) -> Result<(), String> {
     for Operation { call, invoked, returned } in operations {
         let (ClientCall::List { linearizable: false }, Some((_, ClientReply::Read { node, copy, states }))) =
             (call, returned)
@@ -243,6 +254,7 @@ pub(super) fn check_ages(operations: &[Operation], pauses: &[Pause]) -> Result<(
             if let Some((returned, ClientReply::Submitted(reply))) = returned
                 && returned.at < complete_until
                 && !states.contains_key(&reply.mission)
+                && !lacks_ended(states, listed_max)
             {
                 let at = returned.at.as_secs_f64();
                 return error(format!("{} is missing, acknowledged at {at:.3} s", reply.mission));
@@ -274,10 +286,10 @@ mod tests {
     use super::super::Moment;
     use super::*;
     use consort_protocol::api::SubmitReply;
-    use consort_protocol::ledger::MissionState;
     use consort_protocol::view::LedgerCopy;
 
     const REQUEST: &str = "r1";
+    const LISTED_MAX: usize = 500;
 
     fn mission() -> MissionId {
         "lab-samples-1".parse().unwrap()
@@ -329,12 +341,12 @@ mod tests {
 
     #[track_caller]
     fn assert_holds(operations: &[Operation]) {
-        assert_eq!(check_linearizable(operations), Ok(()));
+        assert_eq!(check_linearizable(operations, LISTED_MAX), Ok(()));
     }
 
     #[track_caller]
     fn assert_violated(operations: &[Operation], reason: &str) {
-        let error = check_linearizable(operations).unwrap_err();
+        let error = check_linearizable(operations, LISTED_MAX).unwrap_err();
         assert!(error.contains(reason), "{error}");
     }
 
@@ -385,12 +397,12 @@ mod tests {
     #[test]
     fn other_reads_are_at_most_as_old_as_they_say() {
         let local = |invoked, state| read(ClientCall::List { linearizable: false }, invoked, invoked + 1, 1, state);
-        assert_eq!(check_ages(&[submit(1, 2, false), local(4, None)], &[]), Ok(()), "within the tolerance");
+        assert_eq!(check_ages(&[submit(1, 2, false), local(4, None)], &[], LISTED_MAX), Ok(()), "within the tolerance");
         let operations = [submit(1, 2, false), local(20, None)];
-        let error = check_ages(&operations, &[]).unwrap_err();
+        let error = check_ages(&operations, &[], LISTED_MAX).unwrap_err();
         assert!(error.contains("lab-samples-1 is missing, acknowledged at 2.000 s"), "{error}");
         let pause =
             Pause { node: "aster".parse().unwrap(), began: Duration::ZERO, ended: Some(Duration::from_secs(19)) };
-        assert_eq!(check_ages(&operations, &[pause]), Ok(()), "the node was paused shortly before");
+        assert_eq!(check_ages(&operations, &[pause], LISTED_MAX), Ok(()), "the node was paused shortly before");
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{CLIENT, ClientCall, History};
 use consort_bus::{ServiceSelection, SharedBus};
-use consort_protocol::ids::MissionId;
+use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -13,6 +13,12 @@ use tokio::sync::watch;
 
 /// Timeout of a call.
 const CALL_TIMEOUT: Duration = Duration::from_secs(3);
+
+/// Timeout of a request to leave: a node hands over its vote and its role first.
+const LEAVE_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Interval between two requests to upgrade.
+const UPGRADE_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Delay before a request is repeated.
 const RETRY_INTERVAL: Duration = Duration::from_millis(700);
@@ -77,15 +83,35 @@ impl RecordingClient {
     pub async fn list(&self) -> Option<Value> {
         let mut list = None;
         let each = |reply: Value| list = reply.get("missions").is_some().then_some(reply);
-        self.query_each(ApiCall::List, &json!({ "linearizable": true }), ServiceSelection::Nearest, each).await;
+        let (key, request) = (Key::Api(ApiCall::List), json!({ "linearizable": true }));
+        self.query_each(&key, &request, ServiceSelection::Nearest, CALL_TIMEOUT, each).await;
         list
+    }
+
+    /// Makes a node leave the fleet. The reply is not recorded.
+    pub async fn leave(&self, node: &NodeId) {
+        self.query_each(&Key::Leave(node.clone()), &json!({}), ServiceSelection::All, LEAVE_TIMEOUT, drop).await;
+    }
+
+    /// Raises the wire version of the fleet, again and again until it is `newest`.
+    pub async fn upgrade(&self, newest: u8) {
+        let (key, mut wire) = (Key::Api(ApiCall::Upgrade), None);
+        for finish in [false, true].into_iter().cycle() {
+            let each = |reply: Value| wire = reply["wire"].as_u64().or(wire);
+            self.query_each(&key, &json!({ "finish": finish }), ServiceSelection::All, CALL_TIMEOUT, each).await;
+            if wire == Some(u64::from(newest)) {
+                return;
+            }
+            tokio::time::sleep(UPGRADE_INTERVAL).await;
+        }
     }
 
     /// Resolves the missions that need intervention, as a person would. Robots that hold an item
     /// receive no other work until then.
     pub async fn resolve_all(&self) {
         let mut replies = vec![];
-        self.query_each(ApiCall::List, &Value::Null, ServiceSelection::Nearest, |value| replies.push(value)).await;
+        let each = |value| replies.push(value);
+        self.query_each(&Key::Api(ApiCall::List), &Value::Null, ServiceSelection::Nearest, CALL_TIMEOUT, each).await;
         let mut held: Vec<MissionId> = vec![];
         for mission in replies.iter().filter_map(|reply| reply["missions"].as_array()).flatten() {
             if mission["state"] == "needs_intervention" {
@@ -127,7 +153,7 @@ impl RecordingClient {
             }
             replies.push(value);
         };
-        self.query_each(call, request, ServiceSelection::All, each).await;
+        self.query_each(&Key::Api(call), request, ServiceSelection::All, CALL_TIMEOUT, each).await;
         if !is_recorded {
             self.history.record_unknown(recorded.clone(), invoked);
         }
@@ -147,13 +173,20 @@ impl RecordingClient {
                 self.history.record(read.clone(), invoked, reply);
             }
         };
-        self.query_each(call, &payload, target, record).await;
+        self.query_each(&Key::Api(call), &payload, target, CALL_TIMEOUT, record).await;
     }
 
     /// Calls `each` with every reply as it arrives.
-    async fn query_each(&self, call: ApiCall, payload: &Value, target: ServiceSelection, mut each: impl FnMut(Value)) {
-        let (key, payload) = (self.keys.write(&Key::Api(call)), payload.to_string().into());
-        let Ok(mut replies) = self.bus.query_with(&key, payload, vec![].into(), CALL_TIMEOUT, target).await else {
+    async fn query_each(
+        &self,
+        key: &Key,
+        payload: &Value,
+        target: ServiceSelection,
+        timeout: Duration,
+        mut each: impl FnMut(Value),
+    ) {
+        let (key, payload) = (self.keys.write(key), payload.to_string().into());
+        let Ok(mut replies) = self.bus.query_with(&key, payload, vec![].into(), timeout, target).await else {
             return;
         };
         while let Some(reply) = replies.recv().await {

@@ -27,6 +27,8 @@ pub(super) enum MissionResult {
     Refused,
     /// `None`: the mission does not exist.
     Read(Option<MissionState>),
+    /// A list that lacks missions that have ended earlier lacks this mission, too.
+    NotListed,
     /// The client got no definite reply.
     Unknown,
 }
@@ -55,9 +57,13 @@ impl MissionSpec {
         let may_follow = match &self.state {
             None | Some(MissionState::Pending | MissionState::Running) => !self.ended || next.is_final(),
             Some(MissionState::NeedsIntervention { .. }) => {
-                matches!(next, MissionState::NeedsIntervention { .. }) || is_resolved(next)
+                // A shortened text lacks the person.
+                let is_shortened = matches!(next, MissionState::Failed { cause } if cause.ends_with('…'));
+                matches!(next, MissionState::NeedsIntervention { .. })
+                    || is_resolved(next)
+                    || (is_shortened && self.resolve_requested)
             }
-            Some(last) => last == next,
+            Some(last) => is_same_outcome(last, next),
         };
         let was_requested = match next {
             MissionState::Canceled { by } if by.contains(CLIENT) => self.cancel_requested,
@@ -77,6 +83,18 @@ impl MissionSpec {
             None => !self.ended,
         };
         is_same && existed == again && is_outcome_valid
+    }
+}
+
+/// Checks whether two states are the same outcome. The ledger shortens the text of a mission that ended
+/// earlier.
+fn is_same_outcome(earlier: &MissionState, later: &MissionState) -> bool {
+    match (earlier, later) {
+        (MissionState::Failed { cause: earlier }, MissionState::Failed { cause: later })
+        | (MissionState::Canceled { by: earlier }, MissionState::Canceled { by: later }) => {
+            later == earlier || later.strip_suffix('…').is_some_and(|start| earlier.starts_with(start))
+        }
+        _ => earlier == later,
     }
 }
 
@@ -117,6 +135,10 @@ impl SequentialSpec for MissionSpec {
             (MissionOp::Submit | MissionOp::Resolve, MissionResult::Refused) => true,
             (MissionOp::Read, MissionResult::Read(None)) => !self.exists,
             (MissionOp::Read, MissionResult::Read(Some(state))) => self.exists && self.advance(state),
+            (MissionOp::Read, MissionResult::NotListed) => {
+                self.ended |= self.exists;
+                true
+            }
             _ => false,
         }
     }

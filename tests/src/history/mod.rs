@@ -139,6 +139,7 @@ struct Records {
     order: u64,
     operations: Vec<Operation>,
     pauses: Vec<Pause>,
+    listed_max: usize,
 }
 
 impl Records {
@@ -152,15 +153,14 @@ impl Records {
 #[derive(Debug, Clone)]
 pub struct History(Arc<Mutex<Records>>);
 
-impl Default for History {
-    /// Creates an empty history that begins now.
-    fn default() -> History {
-        let records = Records { start: Instant::now(), order: 0, operations: vec![], pauses: vec![] };
+impl History {
+    /// Creates an empty history that begins now. The ledger keeps at most `listed_max` missions that have
+    /// ended for lists.
+    pub fn new(listed_max: usize) -> History {
+        let records = Records { start: Instant::now(), order: 0, operations: vec![], pauses: vec![], listed_max };
         History(Arc::new(Mutex::new(records)))
     }
-}
 
-impl History {
     fn lock(&self) -> MutexGuard<'_, Records> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -209,7 +209,8 @@ impl History {
     /// # Errors
     /// Description of the first contradiction.
     pub fn check_linearizable(&self) -> Result<(), String> {
-        check::check_linearizable(&self.lock().operations)
+        let records = self.lock();
+        check::check_linearizable(&records.operations, records.listed_max)
     }
 
     /// Checks that other reads are at most as old as they say.
@@ -218,6 +219,6 @@ impl History {
     /// Description of the first contradiction.
     pub fn check_ages(&self) -> Result<(), String> {
         let records = self.lock();
-        check::check_ages(&records.operations, &records.pauses)
+        check::check_ages(&records.operations, &records.pauses, records.listed_max)
     }
 }

@@ -1,6 +1,7 @@
 //! An acknowledged mission is in the ledger of every later coordinator, exactly once. A request
 //! without a name counts as a new request each time it is sent.
 
+use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation, slug};
 use consort_protocol::ids::{MissionId, NodeId};
@@ -14,26 +15,34 @@ pub(super) struct Acknowledged {
     missions: BTreeMap<String, MissionId>,
     /// Missions of unnamed requests.
     unnamed: BTreeSet<MissionId>,
+    /// Shows which ended missions are no longer remembered.
+    reference: ReferenceLedger,
 }
 
 impl Acknowledged {
+    /// Checks whether the limits of the history permit to forget a mission: a ledger that never restarts
+    /// has forgotten it. It has been submitted, since each mission is acknowledged after its entry is applied.
+    fn is_forgotten(&self, mission: &MissionId) -> bool {
+        self.reference.ledger.mission_state(mission).is_none()
+    }
+
     fn all_in_ledger_of(&self, node: &NodeId, fleet: &Fleet) -> Result<(), InvariantViolation> {
         let Some(replica) = fleet.nodes.get(node.as_str()).and_then(|node| node.replica.as_ref()) else {
             return Ok(());
         };
         replica.read(|ledger| {
+            let is_lost = |mission: &&MissionId| ledger.mission_state(mission).is_none() && !self.is_forgotten(mission);
+            if let Some(lost) = self.missions.values().chain(&self.unnamed).find(is_lost) {
+                return Err(format!("{lost} was acknowledged, but the leader {node} does not have it").into());
+            }
             for (request, mission) in &self.missions {
                 let found = ledger.mission_of_request(&slug(request)).map(|entry| &entry.id);
-                if found != Some(mission) {
-                    let found = found.map_or("no mission".to_owned(), ToString::to_string);
+                if let Some(found) = found.filter(|found| *found != mission) {
                     return Err(format!(
                         "{request} was acknowledged as {mission}, but the leader {node} has {found} for it"
                     )
                     .into());
                 }
-            }
-            if let Some(lost) = self.unnamed.iter().find(|mission| ledger.mission(mission).is_none()) {
-                return Err(format!("{lost} was acknowledged, but the leader {node} does not have it").into());
             }
             once_each(ledger)
         })
@@ -56,6 +65,7 @@ impl Invariant for Acknowledged {
     }
 
     fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
+        self.reference.observe(entry);
         match entry {
             Observation::RequestAcknowledged { request: None, mission, .. } => {
                 let asked_for = self.missions.values().any(|known| known == mission);

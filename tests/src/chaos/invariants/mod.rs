@@ -8,6 +8,7 @@ mod alive;
 mod authority;
 mod committed;
 mod custody;
+mod deadlines;
 mod guarded;
 mod one_holder;
 mod one_leader;
@@ -75,6 +76,7 @@ pub(crate) fn all() -> Vec<Box<dyn Invariant>> {
         Box::<settled::Settled>::default(),
         Box::<signals::Signals>::default(),
         Box::<custody::Custody>::default(),
+        Box::<deadlines::Deadlines>::default(),
         Box::<guarded::Guarded>::default(),
         Box::<single_voter_change::SingleVoterChange>::default(),
         Box::<replayed::Replayed>::default(),

@@ -1,8 +1,8 @@
 //! A role has at most a single active holder, a robot acts in at most a single role, and the awards
 //! of a role have increasing epochs.
 //!
-//! A robot is active from the start or resumption of a role until it suspends the role, halts it or
-//! is killed. Each robot records these events locally.
+//! A robot is active from the start or resumption of a role until it suspends the role, gives it up, halts
+//! it, is killed, or ends because it cannot write to its disk. Each robot records these events locally.
 
 use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
@@ -40,8 +40,9 @@ impl Invariant for OneHolder {
         "one_holder"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
+    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
         let node = entry.node();
+        self.active.retain(|_, who| !fleet.has_ended(who));
         if let Observation::TestAction { action: "killed", .. } = entry {
             self.active.retain(|_, who| who != node);
         }
@@ -59,7 +60,12 @@ impl Invariant for OneHolder {
                 self.begins(node, mission, role)
             }
             Some(EventKind::Resumed { mission, role }) => self.begins(node, mission, role),
-            Some(EventKind::Suspended { mission, role } | EventKind::Halted { mission, role, .. }) => {
+            Some(
+                EventKind::Suspended { mission, role }
+                | EventKind::GaveUp { mission, role, .. }
+                | EventKind::TaskFailed { mission, role, .. }
+                | EventKind::Halted { mission, role, .. },
+            ) => {
                 let part = (mission.clone(), role.clone());
                 if self.active.get(&part) == Some(node) {
                     self.active.remove(&part);

@@ -10,9 +10,16 @@ pub(in crate::chaos) struct ReferenceLedger {
     pub(in crate::chaos) ledger: Ledger,
     /// Index of the last applied entry.
     pub(super) index: u64,
+    /// Ended missions are not dropped: the limits of the history are ignored.
+    keeps_all: bool,
 }
 
 impl ReferenceLedger {
+    /// Creates a ledger that keeps ended missions, whatever the limits of the history are.
+    pub(super) fn keeping_all() -> ReferenceLedger {
+        ReferenceLedger { keeps_all: true, ..ReferenceLedger::default() }
+    }
+
     /// Applies new entries. [`committed`](super::committed) checks that the entries agree between
     /// nodes.
     pub(super) fn observe(&mut self, entry: &Observation) {
@@ -25,7 +32,8 @@ impl ReferenceLedger {
     pub(in crate::chaos) fn apply(&mut self, at: Epoch, commands: &[Command]) {
         if at.index > self.index {
             self.index = at.index;
-            for command in commands {
+            let is_ignored = |command: &&Command| self.keeps_all && matches!(command, Command::SetHistoryLimits(_));
+            for command in commands.iter().filter(|command| !is_ignored(command)) {
                 self.ledger.apply(at, command.clone());
             }
         }

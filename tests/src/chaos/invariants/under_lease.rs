@@ -60,6 +60,7 @@ impl Invariant for UnderLease {
 
     fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
         let node = entry.node();
+        self.active.retain(|(who, _)| !fleet.has_ended(who));
         if let Observation::TestAction { action: "killed", .. } = entry {
             self.active.retain(|(who, _)| who != node);
         }
@@ -67,7 +68,12 @@ impl Invariant for UnderLease {
             Some(EventKind::Started { mission, role, .. } | EventKind::Resumed { mission, role }) => {
                 self.begins(node, (mission.clone(), role.clone()))
             }
-            Some(EventKind::Suspended { mission, role } | EventKind::Halted { mission, role, .. }) => {
+            Some(
+                EventKind::Suspended { mission, role }
+                | EventKind::GaveUp { mission, role, .. }
+                | EventKind::TaskFailed { mission, role, .. }
+                | EventKind::Halted { mission, role, .. },
+            ) => {
                 self.active.remove(&(node.clone(), (mission.clone(), role.clone())));
                 Ok(())
             }

@@ -1,11 +1,14 @@
 //! Bus of a node with a bug: the bus changes messages that the node sends or receives.
 
 use super::Mutant;
+use super::driver::CanceledGoals;
 use super::known_ledger::KnownLedger;
 use super::message::{decode_report, encoded};
+use super::refusals::{RefusalPassage, merged};
 use super::reports::{ReportBug, with_all_signals};
 use async_trait::async_trait;
 use bytes::Bytes;
+use consort_bus::clock::Clock;
 use consort_bus::{
     Author, Bus, BusError, Delivery, Encoding, Link, Presence, PresenceToken, Query, Reply, RequestAuthority, Sample,
     ServiceSelection, SharedBus, Stream,
@@ -13,10 +16,12 @@ use consort_bus::{
 use consort_fleet::node::NodeSettings;
 use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
-use consort_protocol::keys::{ApiCall, Key, Keys, RaftCall};
-use consort_protocol::message::{AwardNotice, ClusterEnvelope, Exchange, ReportReply};
+use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys, RaftCall};
+use consort_protocol::lease::Epoch;
+use consort_protocol::message::{AwardNotice, Beacon, ClusterEnvelope, Exchange, ReportReply};
 use serde::Serialize;
 use serde_json::{Value, json};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::mpsc;
@@ -29,6 +34,11 @@ pub(super) struct FaultyBus {
     ledger: KnownLedger,
     /// Last renewal that this node's robot received.
     renewal: Arc<Mutex<Option<Bytes>>>,
+    /// Latest term in the beacons that this node received.
+    latest_term: Arc<AtomicU64>,
+    canceled: CanceledGoals,
+    clock: Clock,
+    passage: RefusalPassage,
     inner: SharedBus,
 }
 
@@ -48,17 +58,28 @@ enum HeartbeatReply {
 }
 
 impl FaultyBus {
-    pub(super) fn new(mutant: Mutant, settings: &NodeSettings, ledger: KnownLedger, inner: SharedBus) -> FaultyBus {
+    pub(super) fn new(
+        mutant: Mutant,
+        settings: &NodeSettings,
+        ledger: KnownLedger,
+        passage: RefusalPassage,
+        inner: SharedBus,
+    ) -> FaultyBus {
         let (node, keys) = (settings.node.clone(), Keys::new(&settings.fleet.fleet));
-        FaultyBus { mutant, node, keys, ledger, renewal: Arc::default(), inner }
+        let (renewal, latest_term, canceled) = Default::default();
+        FaultyBus { mutant, node, keys, ledger, renewal, latest_term, canceled, clock: settings.clock, passage, inner }
     }
 
     async fn send(&self, query: OutgoingQuery<'_>) -> Result<Stream<Reply>, BusError> {
         let OutgoingQuery { key, payload, attachment, timeout, target } = query;
+        let refusals = (self.mutant == Mutant::RefusalsUnsigned).then(|| self.passage.open());
         let replies = self.inner.query_with(key, payload, attachment, timeout, target).await?;
         Ok(match self.mutant {
             Mutant::AuthorsUnchecked => replies.map(|reply| Reply { author: Author::UNKNOWN, ..reply }),
-            _ => replies,
+            _ => match refusals {
+                Some(refusals) => merged(replies, refusals),
+                None => replies,
+            },
         })
     }
 
@@ -127,6 +148,7 @@ impl FaultyBus {
             (Mutant::SignersUnchecked, _) => Query { authority: RequestAuthority::Unchecked, ..query },
             (Mutant::AuthorsUnchecked, _) => Query { author: Author::UNKNOWN, ..query },
             (Mutant::GuardSkipped, Some(Key::Award(_))) => without_guards(query),
+            (Mutant::CircularWaitKept, Some(Key::Award(_))) => without_giving_way(query),
             (Mutant::RequestForgotten, Some(Key::Api(ApiCall::Submit))) => {
                 forget_request(query, &ledger, &mut forgotten)
             }
@@ -145,6 +167,14 @@ fn without_guards(query: Query) -> Query {
     let Ok(AwardNotice::Awarded(mut award)) = codec::decode(&payload) else { return query };
     award.plan.guarded.clear();
     let payload = encoded(&AwardNotice::Awarded(award)).to_vec();
+    Query { payload: encoded(&ClusterEnvelope { cluster, payload }), ..query }
+}
+
+/// Turns a request to give way into one for another award, which the robot ignores.
+fn without_giving_way(query: Query) -> Query {
+    let Ok(ClusterEnvelope { cluster, payload }) = codec::decode(&query.payload) else { return query };
+    let Ok(AwardNotice::GiveWay { to, .. }) = codec::decode(&payload) else { return query };
+    let payload = encoded(&AwardNotice::GiveWay { epoch: Epoch::default(), to }).to_vec();
     Query { payload: encoded(&ClusterEnvelope { cluster, payload }), ..query }
 }
 
@@ -212,7 +242,18 @@ impl Bus for FaultyBus {
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
         let samples = self.inner.subscribe(key_expr).await?;
+        let (keys, canceled, latest_term) = (self.keys.clone(), self.canceled.clone(), Arc::clone(&self.latest_term));
         Ok(match self.mutant {
+            Mutant::BeaconsBelieved => samples.filter_map(move |sample| {
+                let Some(Key::Beacon) = keys.read(&sample.key) else { return Some(sample) };
+                let ClusterEnvelope { payload, .. } = codec::decode(&sample.payload).ok()?;
+                let beacon: Beacon = codec::decode(&payload).ok()?;
+                (beacon.term >= latest_term.fetch_max(beacon.term, Ordering::Relaxed)).then_some(sample)
+            }),
+            Mutant::ReleasedInMotion => samples.map(move |sample| match keys.read(&sample.key) {
+                Some(Key::Driver(_, DriverCall::State)) => Sample { payload: canceled.end(sample.payload), ..sample },
+                _ => sample,
+            }),
             Mutant::AuthorsUnchecked => samples.map(|sample| Sample { author: Author::UNKNOWN, ..sample }),
             _ => samples,
         })
@@ -232,6 +273,16 @@ impl Bus for FaultyBus {
             (Mutant::LeaseNotChecked, Some(Key::Report(_))) => self.renew_without_reply(query).await,
             (Mutant::LostRelay, Some(Key::Gossip(peer))) => self.exchange_own_records(peer, query).await,
             (Mutant::WaitSkipped, Some(Key::Report(_))) => self.receive_all_signals(query).await,
+            (Mutant::ReleasedInMotion, Some(Key::Driver(_, DriverCall::Command))) => {
+                self.canceled.observe(&query.payload);
+                let (replies, canceled) = (self.send(query).await?, self.canceled.clone());
+                Ok(replies.map(move |reply| Reply { payload: reply.payload.map(|state| canceled.end(state)), ..reply }))
+            }
+            (Mutant::OwnClock, Some(Key::Clock(_))) => {
+                let (replies, clock) = (self.send(query).await?, self.clock);
+                let own = move |_| encoded(&clock.wall_ms());
+                Ok(replies.map(move |reply| Reply { payload: reply.payload.map(own), ..reply }))
+            }
             _ => self.send(query).await,
         }
     }

@@ -7,16 +7,19 @@ use std::io;
 use std::sync::Arc;
 
 /// Log store that acknowledges writes too early ([`Mutant::SkipFsync`]), or drops votes
-/// ([`Mutant::DoubleVote`]). For other mutants it equals the wrapped store.
+/// ([`Mutant::DoubleVote`]), or keeps the identity of the store that it replaces
+/// ([`Mutant::IdentityKept`]). For other mutants it equals the wrapped store.
 pub(super) struct FaultyLogStore {
     pub(super) mutant: Mutant,
+    /// Identity of the node's first store.
+    pub(super) first: StoreIdentity,
     pub(super) inner: Arc<dyn LogStore>,
 }
 
 #[async_trait]
 impl LogStore for FaultyLogStore {
     fn identity(&self) -> StoreIdentity {
-        self.inner.identity()
+        if self.mutant == Mutant::IdentityKept { self.first } else { self.inner.identity() }
     }
 
     fn replaces_damaged(&self) -> bool {

@@ -4,15 +4,19 @@
 //! The code of the nodes contains no bug for these checks. The harness injects each bug from
 //! outside, into all nodes of a run:
 //!
-//! - by the log store (`log_store.rs`): `skip-fsync`, `double-vote`;
-//! - by settings (`injection.rs`): `early-release`, `two-removed`;
+//! - by the log store (`log_store.rs`): `skip-fsync`, `double-vote`, `identity-kept`;
+//! - by settings (`injection.rs`): `early-release`, `two-removed`, `grace-too-small`, `outcomes-forgotten`;
+//! - by the clock (`fault_injector.rs`): `suspension-not-counted`;
+//! - below the signatures of a node (`refusals.rs`): `refusals-unsigned`;
 //! - by the bus of the node (`bus.rs`, and `reports.rs` for the reports of robots): all others.
 
 mod bus;
+mod driver;
 mod injection;
 mod known_ledger;
 mod log_store;
 mod message;
+mod refusals;
 mod reports;
 
 pub(super) use injection::MutantInjection;
@@ -58,11 +62,29 @@ pub enum Mutant {
     SignersUnchecked,
     /// The authors of messages between nodes are not checked.
     AuthorsUnchecked,
+    /// Refusals without a signature are accepted.
+    RefusalsUnsigned,
+    /// A node follows the coordinator of the latest term, although it does not answer.
+    BeaconsBelieved,
+    /// The clock of a node stops while its machine is suspended, and the node continues afterwards.
+    SuspensionNotCounted,
+    /// The grace does not cover the time in which a robot stops.
+    GraceTooSmall,
+    /// The coordinator judges deadlines by its own clock.
+    OwnClock,
+    /// A canceled goal counts as ended at once, so a role may be released while the body moves.
+    ReleasedInMotion,
+    /// The ledger forgets missions as they end.
+    OutcomesForgotten,
+    /// Robots ignore requests to give way to a better-ranked mission.
+    CircularWaitKept,
+    /// An empty store that replaces a damaged one keeps its Raft id.
+    IdentityKept,
 }
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 16] = [
+    pub const ALL: [Mutant; 25] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -79,11 +101,23 @@ impl Mutant {
         Mutant::StaleRead,
         Mutant::SignersUnchecked,
         Mutant::AuthorsUnchecked,
+        Mutant::RefusalsUnsigned,
+        Mutant::BeaconsBelieved,
+        Mutant::SuspensionNotCounted,
+        Mutant::GraceTooSmall,
+        Mutant::OwnClock,
+        Mutant::ReleasedInMotion,
+        Mutant::OutcomesForgotten,
+        Mutant::CircularWaitKept,
+        Mutant::IdentityKept,
     ];
 
     /// Checks whether the bug has an effect only in a closed fleet with a hostile node.
     pub fn needs_closed_fleet(self) -> bool {
-        matches!(self, Mutant::SignersUnchecked | Mutant::AuthorsUnchecked)
+        matches!(
+            self,
+            Mutant::SignersUnchecked | Mutant::AuthorsUnchecked | Mutant::RefusalsUnsigned | Mutant::BeaconsBelieved
+        )
     }
 
     /// Returns the name, as used on the command line.
@@ -105,6 +139,15 @@ impl Mutant {
             Mutant::StaleRead => "stale-read",
             Mutant::SignersUnchecked => "signers-unchecked",
             Mutant::AuthorsUnchecked => "authors-unchecked",
+            Mutant::RefusalsUnsigned => "refusals-unsigned",
+            Mutant::BeaconsBelieved => "beacons-believed",
+            Mutant::SuspensionNotCounted => "suspension-not-counted",
+            Mutant::GraceTooSmall => "grace-too-small",
+            Mutant::OwnClock => "own-clock",
+            Mutant::ReleasedInMotion => "released-in-motion",
+            Mutant::OutcomesForgotten => "outcomes-forgotten",
+            Mutant::CircularWaitKept => "circular-wait-kept",
+            Mutant::IdentityKept => "identity-kept",
         }
     }
 }

@@ -9,6 +9,7 @@ use clap::Args as ClapArgs;
 use consort_nodes::command::flag_values::InvalidValue;
 use consort_nodes::exit::Failure;
 use consort_nodes::output;
+use consort_protocol::ledger::HistoryLimits;
 use consort_tests::history::History;
 use consort_tests::host_network::{INSIDE, is_inside, run_inside};
 use fleet::ProcessFleet;
@@ -90,7 +91,7 @@ fn soak(args: &Args, seed: u64) -> Result<(), Failure> {
     let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;
     let verdict = runtime.block_on(async {
         let mut fleet = ProcessFleet::start(&folder).await?;
-        let history = History::default();
+        let history = History::new(HistoryLimits::default().missions_max as usize);
         let workload = Workload::start(&fleet, &history, seed).await?;
         output::note(format_args!("seed {seed}: the fleet works; faults for {} minutes", args.minutes));
         let faults = faults::inject(&mut fleet, seed, Duration::from_secs_f64(args.minutes * 60.0)).await;
