@@ -1,7 +1,7 @@
 //! Commands of the ledger and their outcomes.
 
 use super::entry::{Branch, MissionState};
-use super::limits::HistoryLimits;
+use super::history_limits::HistoryLimits;
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
 use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId};

@@ -10,7 +10,7 @@
 
 use super::command::CommandError;
 use super::entry::{MissionEntry, MissionState};
-use super::limits::HistoryLimits;
+use super::history_limits::HistoryLimits;
 use crate::ids::{MissionId, RequestId};
 use consort_text::shorten;
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,7 @@
 //! Executes the actions of a schedule on a fleet.
 
-use super::chaos_fleet::{ChaosFleet, WORLD};
-use super::fault_injector::{DATE_MS, FaultInjector};
+use super::chaos_fleet::{ChaosFleet, DATE_MS, WORLD};
+use super::fault_injector::FaultInjector;
 use super::hostile::{HOSTILE, HostileNode};
 use super::rolling_upgrade::{self, RollingUpgrade};
 use super::run_counters::millis;
@@ -342,6 +342,7 @@ impl ActionExecutor {
                 self.bodies_stop_at = Some(fleet.elapsed() + BASE_WATCHDOG);
             }
             self.injector.disk(node).crash(disk.effect());
+            self.disk_faults.retain(|_, (faulty, _)| faulty != node);
             if disk == DiskAfterCrash::Empty {
                 self.injector.lose_disk(node);
             }

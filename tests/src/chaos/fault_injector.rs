@@ -1,9 +1,7 @@
 //! Fault injection before nodes start: disks that lose writes, clocks that drift, skills that fail.
 
-use super::chaos_fleet::{ARM, ChaosFleet};
+use super::chaos_fleet::{ARM, ChaosFleet, DATE_MS};
 use super::generate::lease_terms;
-use super::mutants::Mutant;
-use super::run::RunConfig;
 use super::schedule::{ChaosAction, Schedule, ScheduledAction, SkillFault};
 use crate::AdjustNode;
 use crate::disk::VirtualDisk;
@@ -28,9 +26,6 @@ use tokio::time::Instant;
 
 /// Duration of a hang in world seconds: half a minute of node time at ten times the speed.
 const HANGS_S: f64 = 300.0;
-
-/// Date at the start of every run, in milliseconds since 1970.
-pub(super) const DATE_MS: u64 = 1_790_000_000_000;
 
 /// Beginning and end.
 type Period = (BootInstant, BootInstant);
@@ -66,8 +61,13 @@ struct Parts {
 }
 
 impl FaultInjector {
-    pub(super) fn new(config: &RunConfig, composition: &ChaosFleet, schedule: &Schedule) -> FaultInjector {
-        let seed = config.seed;
+    /// Creates the injector of a run. A mutation check lets the clocks of nodes not count suspensions.
+    pub(super) fn new(
+        seed: u64,
+        counts_suspension: bool,
+        composition: &ChaosFleet,
+        schedule: &Schedule,
+    ) -> FaultInjector {
         let drift = |act: &ChaosAction| {
             if let ChaosAction::Drift { node, rate } = act { Some((node.clone(), *rate)) } else { None }
         };
@@ -92,7 +92,7 @@ impl FaultInjector {
                 ChaosAction::WrongDate { node, ahead_s, for_ms } => {
                     wrong_dates.insert(node.clone(), (period(*at_ms, *for_ms), ahead_s * 1000));
                 }
-                ChaosAction::Suspend { node, for_ms } if config.mutant == Some(Mutant::SuspensionNotCounted) => {
+                ChaosAction::Suspend { node, for_ms } if !counts_suspension => {
                     uncounted.insert(node.clone(), period(*at_ms, *for_ms));
                 }
                 ChaosAction::Upgrade { .. } => is_upgraded = false,

@@ -5,9 +5,9 @@
 //!  ─────────┴──────── invariants at every step ─────────────┴─────── liveness ─────────────────┴──────── relay ───────▶
 //! ```
 
-use super::chaos_fleet::{ChaosFleet, ROOMS};
+use super::chaos_fleet::{ChaosFleet, DATE_MS, ROOMS};
 use super::executor::ActionExecutor;
-use super::fault_injector::{DATE_MS, FaultInjector};
+use super::fault_injector::FaultInjector;
 use super::generate::LIFTED;
 use super::invariants::{self, Invariant, InvariantViolation};
 use super::mutants::{Mutant, MutantInjection};
@@ -110,7 +110,8 @@ fn panic_text(panic: &(dyn Any + Send)) -> String {
 
 async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let composition = ChaosFleet::of(config.nodes);
-    let injector = FaultInjector::new(config, &composition, schedule);
+    let counts_suspension = config.mutant != Some(Mutant::SuspensionNotCounted);
+    let injector = FaultInjector::new(config.seed, counts_suspension, &composition, schedule);
     let options = node_options(config, &injector);
     let fleet = Fleet::hospital_with(config.seed, composition.members(), &composition.stations, &ROOMS, options).await;
     let mut run = Run { fleet, executor: ActionExecutor::new(composition.clone(), injector), checker: Checker::new() };

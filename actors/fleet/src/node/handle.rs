@@ -118,6 +118,11 @@ impl NodeHandle {
         self.ended.is_finished()
     }
 
+    /// Returns the cause, if the node has ended by itself.
+    pub fn end_cause(&self) -> Option<&str> {
+        self.has_ended().then(|| self.cause.get().map_or("unknown cause", String::as_str))
+    }
+
     /// Waits until the node has ended by itself and returns the cause: an actor failed, or the copy
     /// of the ledger did.
     pub async fn ended(&mut self) -> String {

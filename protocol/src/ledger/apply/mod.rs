@@ -3,8 +3,8 @@
 use super::command::{Command, CommandError, CommandOutcome, ReleaseCause};
 use super::entry::{Branch, HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase};
 use super::history::{HISTORY_SINCE, History, Tombstone};
+use super::history_limits::HistoryLimits;
 use super::layout::VersionedPart;
-use super::limits::HistoryLimits;
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
 use crate::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};

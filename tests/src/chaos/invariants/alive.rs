@@ -15,9 +15,9 @@ impl Invariant for Alive {
     }
 
     fn observe(&mut self, _: Duration, _: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
-        let ended = fleet.nodes.iter().filter(|(_, node)| node.has_ended());
-        match ended.filter(|(name, _)| !fleet.unwritable.contains(*name)).map(|(name, _)| name).next() {
-            Some(name) => Err(format!("the node {name} ended by itself").into()),
+        let running = fleet.nodes.iter().filter(|(name, _)| !fleet.unwritable.contains(*name));
+        match running.filter_map(|(name, node)| Some((name, node.end_cause()?))).next() {
+            Some((name, cause)) => Err(format!("the node {name} ended by itself: {cause}").into()),
             None => Ok(()),
         }
     }
