@@ -17,6 +17,17 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 
+/// What the records of the known voters state of a wire version.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum VersionEvidence {
+    /// At least 2 voters, and at least half of them, read it.
+    Confirmed,
+    /// Most voters cannot read it.
+    Refuted,
+    /// Fewer than 2 voters are known to read it.
+    Unknown,
+}
+
 /// Range of wire versions that a node reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VersionRange {

@@ -156,3 +156,21 @@ fn a_leader_without_a_quorum_announces_no_commit() {
         ]}"#,
     );
 }
+
+/// Two missions waited for each other's robots without end. The ledger still contained the refusal that
+/// the arm had sent while its driver did not reply, so the coordinator found no circular wait.
+#[test]
+fn missions_that_wait_for_each_other_end_after_a_robot_has_failed() {
+    holds(
+        2712,
+        2.0,
+        r#"{"steps": [
+            {"at_ms": 30079, "action": "remove", "node": "garnet"},
+            {"at_ms": 39079, "action": "submit", "request": "w0", "mission": "lab-samples", "room": "IC Room 3", "priority": 20},
+            {"at_ms": 40579, "action": "crash", "node": "lab-arm", "disk": "kept", "for_ms": 8500},
+            {"at_ms": 42079, "action": "submit", "request": "w1", "mission": "lab-samples", "room": "PC Room 7", "priority": 30},
+            {"at_ms": 48552, "action": "partition", "groups": [["aster", "basil", "clove", "hazel", "indigo", "lab-arm", "client"], ["garnet", "world"]], "for_ms": 10567},
+            {"at_ms": 54577, "action": "skill", "robot": "indigo", "how": "hangs", "times": 3}
+        ]}"#,
+    );
+}

@@ -7,9 +7,11 @@ use consort_protocol::codec;
 use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::message::Beacon;
-use consort_protocol::versions::VersionRange;
+use consort_protocol::versions::{VersionEvidence, VersionRange};
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::sync::watch;
+use tokio::time::Instant;
 use tracing::{debug, info, warn};
 
 /// Wire version that a node writes: the oldest version that it reads, until it receives the version
@@ -79,8 +81,11 @@ impl WireVersion {
         }
     }
 
-    /// Adopts the versions that the beacons of this node's cluster contain, except those that
-    /// `refuted` rejects: a single voter cannot end the other nodes by an invented version.
+    /// Adopts the versions that the beacons of this node's cluster contain. `judge` states what is
+    /// known of a version. A single voter cannot end the other nodes by an invented version: a version
+    /// that most voters cannot read is ignored, and a version that this program cannot read is adopted
+    /// only if 2 voters can read it, or if beacons repeat it for [`CONFIRMATION_TIME`] and no beacon
+    /// contains a version that this program reads.
     ///
     /// # Errors
     /// [`BusError`] if the bus is closed.
@@ -89,20 +94,17 @@ impl WireVersion {
         bus: &SharedBus,
         keys: &Keys,
         tasks: &mut Tasks,
-        refuted: impl Fn(u8) -> bool + Send + 'static,
+        judge: impl Fn(u8) -> VersionEvidence + Send + 'static,
     ) -> Result<(), BusError> {
         let mut beacons = bus.subscribe(&keys.write(&Key::Beacon)).await?;
         tasks.spawn(async move {
-            let mut ignored = None;
+            let mut filter = BeaconFilter::new(self.supported);
             while let Some(sample) = beacons.recv().await {
                 match codec::decode::<Beacon>(&sample.payload) {
-                    Ok(beacon) if beacon.wire.is_some_and(&refuted) => {
-                        // Beacons are frequent.
-                        if ignored.replace(beacon.wire) != Some(beacon.wire) {
-                            warn!(node = %beacon.node, version = beacon.wire, "wire version ignored: most voters cannot read it");
-                        }
+                    Ok(beacon) if filter.accepts(&beacon, &judge, Instant::now()) => {
+                        self.adopt(beacon.cluster, beacon.wire);
                     }
-                    Ok(beacon) => self.adopt(beacon.cluster, beacon.wire),
+                    Ok(_) => {}
                     Err(problem) => debug!(%problem, "dropped a malformed beacon"),
                 }
             }
@@ -116,6 +118,55 @@ impl WireVersion {
         let mut versions = self.written.subscribe();
         let version = versions.wait_for(|own| !self.supported.contains(own.version)).await.map(|own| own.version);
         unsupported_advice(version.expect("this is the sender"), self.supported)
+    }
+}
+
+/// Time for which beacons must repeat a version that this program cannot read, if too few voters are
+/// known to confirm it. A coordinator that writes another version is heard within this time.
+const CONFIRMATION_TIME: Duration = Duration::from_secs(30);
+
+/// Decides which beacons contain a version to be adopted.
+#[derive(Debug)]
+struct BeaconFilter {
+    supported: VersionRange,
+    /// The version that was ignored last, for the log: beacons are frequent.
+    ignored: Option<u8>,
+    /// Version that this program cannot read and that waits for confirmation, with the time at which
+    /// it was first received.
+    unconfirmed: Option<(Option<ClusterId>, u8, Instant)>,
+}
+
+impl BeaconFilter {
+    fn new(supported: VersionRange) -> BeaconFilter {
+        BeaconFilter { supported, ignored: None, unconfirmed: None }
+    }
+
+    fn accepts(&mut self, beacon: &Beacon, judge: impl Fn(u8) -> VersionEvidence, now: Instant) -> bool {
+        let Some(version) = beacon.wire else { return true };
+        let evidence = judge(version);
+        let is_readable = self.supported.contains(version);
+        if is_readable && evidence != VersionEvidence::Refuted {
+            self.unconfirmed = None;
+        }
+        match (evidence, is_readable) {
+            (VersionEvidence::Confirmed, _) | (VersionEvidence::Unknown, true) => true,
+            (VersionEvidence::Refuted, _) => {
+                if self.ignored.replace(version) != Some(version) {
+                    warn!(node = %beacon.node, version, "wire version ignored: most voters cannot read it");
+                }
+                false
+            }
+            (VersionEvidence::Unknown, false) => {
+                let same =
+                    |(cluster, unconfirmed, _): &(_, u8, _)| *cluster == beacon.cluster && *unconfirmed == version;
+                let known = self.unconfirmed.filter(same);
+                if known.is_none() {
+                    warn!(node = %beacon.node, version, "wire version not supported; waits for its confirmation");
+                }
+                let (.., since) = *self.unconfirmed.insert(known.unwrap_or((beacon.cluster, version, now)));
+                now.duration_since(since) >= CONFIRMATION_TIME
+            }
+        }
     }
 }
 
@@ -133,6 +184,8 @@ fn unsupported_advice(fleet: u8, own: VersionRange) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::ids::NodeId;
+    use std::collections::BTreeSet;
 
     #[tokio::test]
     async fn a_node_with_an_unsupported_version_gets_advice() {
@@ -158,5 +211,34 @@ mod tests {
             "{}",
             unsupported_advice(0, VersionRange::OWN)
         );
+    }
+
+    #[test]
+    fn a_beacon_alone_ends_no_node() {
+        let node = NodeId::new("basil").unwrap();
+        let beacon = |wire| Beacon {
+            node: node.clone(),
+            term: 1,
+            voters: BTreeSet::new(),
+            since_ms: 0,
+            cluster: Some(ClusterId(1)),
+            wire,
+        };
+        let (own, unknown) = (VersionRange::OWN.newest, VersionRange::OWN.newest + 1);
+        let start = Instant::now();
+        let at = |seconds| start + Duration::from_secs(seconds);
+        let mut filter = BeaconFilter::new(VersionRange::OWN);
+        let mut accepts = |wire, evidence, seconds| filter.accepts(&beacon(Some(wire)), |_| evidence, at(seconds));
+        assert!(accepts(own, VersionEvidence::Unknown, 0));
+        assert!(accepts(unknown, VersionEvidence::Confirmed, 0));
+        assert!(!accepts(unknown, VersionEvidence::Refuted, 0));
+        // Another coordinator still writes a version that the program reads.
+        assert!(!accepts(unknown, VersionEvidence::Unknown, 1));
+        assert!(accepts(own, VersionEvidence::Unknown, 20));
+        assert!(!accepts(unknown, VersionEvidence::Unknown, 31));
+        // A beacon that the voters refute contradicts nothing.
+        assert!(!accepts(own, VersionEvidence::Refuted, 40));
+        assert!(!accepts(unknown, VersionEvidence::Unknown, 60));
+        assert!(accepts(unknown, VersionEvidence::Unknown, 61));
     }
 }

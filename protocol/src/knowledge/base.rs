@@ -4,7 +4,7 @@ use super::digest::{CLASSES_MAX, Digest, DigestScope, class, hash, mix};
 use super::record::{Proof, Record, RecordStamp};
 use crate::ids::NodeId;
 use crate::units::NodeTime;
-use crate::versions::VersionRange;
+use crate::versions::{VersionEvidence, VersionRange};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -138,14 +138,17 @@ impl KnowledgeBase {
         self.records.iter()
     }
 
-    /// Checks whether the fleet certainly does not write this wire version: most of the known nodes
-    /// that may vote cannot read it.
-    pub fn refutes_wire_version(&self, version: u8) -> bool {
+    /// Returns what the records of the nodes that may vote state of a wire version.
+    pub fn wire_version_evidence(&self, version: u8) -> VersionEvidence {
         let voters = self.records.values().map(|known| &known.record.knowledge).filter(|known| known.may_vote);
         let (read, all) = voters.fold((0, 0), |(read, all), known| {
             (read + usize::from(known.supported_versions.contains(version)), all + 1)
         });
-        2 * read < all
+        match read {
+            _ if 2 * read < all => VersionEvidence::Refuted,
+            0 | 1 => VersionEvidence::Unknown,
+            _ => VersionEvidence::Confirmed,
+        }
     }
 
     /// Returns the wire versions that each node reads, according to its record.

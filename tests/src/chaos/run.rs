@@ -16,8 +16,8 @@ use super::schedule::{DiskAfterCrash, Schedule};
 use crate::credentials::Signatures;
 use crate::fleet::NodeOptions;
 use crate::{Fleet, Observation, slug};
-use consort_protocol::ids::{MissionId, NodeId};
-use consort_protocol::ledger::MissionState;
+use consort_protocol::ids::{MissionId, NodeId, RoleId};
+use consort_protocol::ledger::{Ledger, MissionState, RoleEntry};
 use consort_world::world::World;
 use serde::Serialize;
 use std::any::Any;
@@ -269,8 +269,24 @@ impl Run {
         let not_alive: Vec<String> = not_alive(&self.fleet).collect();
         format!(
             "leading {leading:?}; acknowledged {acknowledged:?}; unfinished {:?}; not alive {not_alive:?}",
-            unfinished(&self.fleet, &acknowledged),
+            unfinished(&self.fleet, &acknowledged).iter().map(|id| self.mission_text(id)).collect::<Vec<_>>(),
         )
+    }
+
+    /// Describes the roles of a mission and its latest auction.
+    fn mission_text(&self, id: &str) -> String {
+        let describe = |ledger: &Ledger| {
+            let entry = ledger.mission(&slug(id))?;
+            let role = |(role, state): (&RoleId, &RoleEntry)| {
+                let holder = state.holder.as_ref().map_or("nobody", |holder| holder.robot.as_str());
+                format!("{role} {:?} by {holder}, {} steps ended", state.phase, state.ended.len())
+            };
+            let roles: Vec<String> = entry.roles.iter().map(role).collect();
+            let refusals = entry.auction.iter().flat_map(|auction| &auction.entries);
+            let refusals: Vec<String> = refusals.map(|entry| format!("{}: {:?}", entry.robot, entry.verdict)).collect();
+            Some(format!("{id} ({}; last auction: {})", roles.join("; "), refusals.join(", ")))
+        };
+        self.fleet.ledger(describe).flatten().unwrap_or_else(|| id.to_owned())
     }
 
     /// Cuts the link between two nodes in both directions and restarts the first. The second node

@@ -21,6 +21,7 @@ use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
 use consort_protocol::units::NodeTime;
 use consort_raft::ProposeError;
 use std::collections::{BTreeMap, BTreeSet};
+use std::mem::discriminant;
 use std::time::Duration;
 use tracing::debug;
 
@@ -244,13 +245,17 @@ impl Auctions {
     }
 }
 
-/// Checks whether a record differs from the previous record in more than times and counters.
+/// Checks whether a record differs from the previous record in more than times, counters and details.
+/// The kinds of refusals count, because [`circular_waits`](super::circular_waits) reads them in the ledger.
 fn differs(known: &AuctionRecord, record: &AuctionRecord) -> bool {
     let essence = |record: &AuctionRecord| {
-        let verdicts = record
-            .entries
-            .iter()
-            .map(|entry| (entry.role.clone(), entry.robot.clone(), std::mem::discriminant(&entry.verdict)));
+        let verdicts = record.entries.iter().map(|entry| {
+            let reason = match &entry.verdict {
+                BidVerdict::Refused { reason } => Some(discriminant(reason)),
+                BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => None,
+            };
+            (entry.role.clone(), entry.robot.clone(), discriminant(&entry.verdict), reason)
+        });
         (record.failure.clone(), verdicts.collect::<Vec<_>>())
     };
     essence(known) != essence(record)

@@ -204,8 +204,8 @@ impl Assembly {
     /// Follows the wire version of the fleet. The node ends if it cannot read that version.
     async fn follow_wire_version(&mut self) -> Result<(), NodeError> {
         let knowledge = self.knowledge();
-        let refuted = move |version: u8| knowledge.read(|base| base.refutes_wire_version(version));
-        self.wire_version.clone().follow_beacons(&self.bus, &self.keys, &mut self.tasks, refuted).await?;
+        let judge = move |version: u8| knowledge.read(|base| base.wire_version_evidence(version));
+        self.wire_version.clone().follow_beacons(&self.bus, &self.keys, &mut self.tasks, judge).await?;
         let (wire_version, root) = (self.wire_version.clone(), self.root.clone());
         self.tasks.spawn(async move {
             let advice = wire_version.wait_unsupported().await;
