@@ -81,6 +81,8 @@ pub(crate) struct NodeOptions {
     pub(crate) signatures: Option<Signatures>,
     /// Date at which the client's clock starts, in milliseconds since 1970.
     pub(crate) date_ms: u64,
+    /// World seconds per second of node time.
+    pub(crate) world_speed: f64,
 }
 
 impl Default for NodeOptions {
@@ -91,6 +93,7 @@ impl Default for NodeOptions {
             wrap_network: Box::new(|_, bus| bus),
             signatures: None,
             date_ms: 0,
+            world_speed: 10.0,
         }
     }
 }
@@ -172,7 +175,8 @@ impl Fleet {
         let world = SharedWorld::new(World::new(setup).expect("a valid world"));
         let stations = stations.iter().map(|station| (*station).to_owned()).collect();
         let skills = ["operate_drawer", "pick_up"].map(str::to_owned).to_vec();
-        Fleet::from_setup(FleetSetup { seed, members, stations, world, speed: 10.0, skills, options }).await
+        let speed = options.world_speed;
+        Fleet::from_setup(FleetSetup { seed, members, stations, world, speed, skills, options }).await
     }
 
     /// Starts a fleet for the robots of an existing world.

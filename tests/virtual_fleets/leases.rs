@@ -2,7 +2,7 @@
 
 use crate::support::{released, task_began};
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{EndReason, LEASE_REACTION, LeaseTerms};
 use consort_skills::actions::Goal;
@@ -280,5 +280,28 @@ fn a_blocked_bus_does_not_keep_a_robot_from_suspending() {
         fleet.network.unblock(&slug(&holder));
         fleet.assert_completes(&mission).await;
         assert_eq!(two_drivers(&fleet), None, "seed {seed}");
+    });
+}
+
+/// The robot with the best bid replies to every call for bids, and never receives its award. A stolen key
+/// can do the same.
+#[test]
+fn a_robot_that_bids_and_never_confirms_delays_a_mission_once() {
+    for_each_seed(SEEDS, async |seed| {
+        let robots = [("gorse", "PC Room 8"), ("fern", "Dock")].map(|(name, place)| RobotSpec::carrier(name, place));
+        let mut fleet = Fleet::hospital(seed, robots.to_vec(), &["aster", "basil", "clove"], &["PC Room 8"]).await;
+        assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the coordinator");
+        fleet.network.block_queries(slug("gorse"), &fleet.keys().write(&Key::Award(slug("gorse"))));
+        let mission = fleet.submit("a", "PC Room 8").await;
+        fleet.assert_completes(&mission).await;
+        let awarded: Vec<String> = fleet
+            .events()
+            .into_iter()
+            .filter_map(|what| match what {
+                EventKind::Awarded { holders, .. } => Some(holders.get(&slug::<RoleId>("r1"))?.to_string()),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(awarded, ["gorse", "fern"], "seed {seed}\n{}", fleet.event_log_text());
     });
 }

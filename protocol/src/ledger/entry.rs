@@ -289,6 +289,12 @@ impl MissionEntry {
         failed.map(|released| (released.robot.clone(), released.cause.clone())).collect()
     }
 
+    /// Returns the robots that have lost or returned a role of this mission, with the latest causes.
+    pub fn former_robots(&self, role: &RoleId) -> BTreeMap<RobotId, String> {
+        let released = self.releases.iter().filter(|released| released.role == *role);
+        released.map(|released| (released.robot.clone(), released.cause.clone())).collect()
+    }
+
     /// Switches to the recovery branch for the lost item. Returns false without any change if there
     /// is no such branch, if it was taken before, or if it uses a value that is not known. All its
     /// roles are open.

@@ -53,6 +53,8 @@ pub(super) struct ActionExecutor {
     disk_faults: BTreeMap<usize, (String, DiskFault)>,
     /// Paused nodes, and nodes of suspended machines.
     paused: BTreeMap<usize, String>,
+    /// Nodes with a blocked bus.
+    blocked: BTreeMap<usize, String>,
     suspended: BTreeSet<usize>,
     hostile: BTreeMap<usize, HostileNode>,
     /// Time at which the certificate of a hostile node is revoked.
@@ -82,6 +84,7 @@ impl ActionExecutor {
             slow: BTreeMap::new(),
             disk_faults: BTreeMap::new(),
             paused: BTreeMap::new(),
+            blocked: BTreeMap::new(),
             suspended: BTreeSet::new(),
             hostile: BTreeMap::new(),
             revocation: None,
@@ -138,6 +141,12 @@ impl ActionExecutor {
                 self.crash(fleet, number, &nodes, *disk).await;
             }
             ChaosAction::Pause { node, .. } => self.pause(fleet, number, node),
+            ChaosAction::Block { node, .. } if fleet.nodes.contains_key(node) => {
+                fleet.network.block(&slug(node));
+                self.history.begin_pause(slug(node));
+                self.blocked.insert(number, node.clone());
+            }
+            ChaosAction::Block { .. } => {} // it is down
             ChaosAction::Suspend { node, .. } => {
                 self.pause(fleet, number, node);
                 self.suspended.insert(number);
@@ -229,6 +238,9 @@ impl ActionExecutor {
                 self.restart(fleet, number, &node).await;
             }
         }
+        if let Some(node) = self.blocked.remove(&number) {
+            self.unblock(fleet, &node);
+        }
         if let Some((node, has_left)) = self.leaving.remove(&number) {
             if has_left {
                 self.injector.lose_disk(&node);
@@ -261,7 +273,7 @@ impl ActionExecutor {
 
     /// Ends all active faults and starts all stopped nodes.
     pub(super) async fn end_all_faults(&mut self, fleet: &mut Fleet) {
-        let numbers: BTreeSet<usize> = (self.down.keys().chain(self.paused.keys()))
+        let numbers: BTreeSet<usize> = (self.down.keys().chain(self.paused.keys()).chain(self.blocked.keys()))
             .chain(self.partitions.keys().chain(self.cuts.keys()))
             .chain(self.weather.keys().chain(self.slow.keys()))
             .chain(self.hostile.keys().chain(self.disk_faults.keys()).chain(self.leaving.keys()))
@@ -319,6 +331,14 @@ impl ActionExecutor {
         self.start(fleet, node).await;
     }
 
+    /// Unblocks the bus of a node, unless another fault blocks it.
+    fn unblock(&mut self, fleet: &Fleet, node: &str) {
+        if !self.blocked.values().any(|other| other == node) {
+            fleet.network.unblock(&slug(node));
+            self.history.end_pause(&slug(node));
+        }
+    }
+
     fn pause(&mut self, fleet: &Fleet, number: usize, node: &str) {
         fleet.network.pause(&slug(node));
         self.history.begin_pause(slug(node));
@@ -338,6 +358,10 @@ impl ActionExecutor {
                 continue; // down already
             }
             fleet.kill(node).await;
+            if self.blocked.values().any(|blocked| blocked == node) {
+                self.blocked.retain(|_, blocked| blocked != node); // a new process has empty buffers
+                self.unblock(fleet, node);
+            }
             if node == WORLD {
                 self.bodies_stop_at = Some(fleet.elapsed() + BASE_WATCHDOG);
             }

@@ -36,11 +36,12 @@ pub enum FaultKind {
     Upgrade,
     CircularWait,
     StaleMajority,
+    BlockedBus,
 }
 
 impl FaultKind {
     /// All kinds except `None`.
-    pub const FAULTS: [FaultKind; 29] = [
+    pub const FAULTS: [FaultKind; 30] = [
         FaultKind::Crash,
         FaultKind::CrashTorn,
         FaultKind::CrashEmpty,
@@ -70,6 +71,7 @@ impl FaultKind {
         FaultKind::Upgrade,
         FaultKind::CircularWait,
         FaultKind::StaleMajority,
+        FaultKind::BlockedBus,
     ];
 
     /// Checks whether faults of this kind are drawn by themselves, not in place of others.
@@ -84,6 +86,7 @@ impl FaultKind {
                 | FaultKind::Upgrade
                 | FaultKind::CircularWait
                 | FaultKind::StaleMajority
+                | FaultKind::BlockedBus
         )
     }
 
@@ -120,6 +123,7 @@ impl FaultKind {
             FaultKind::Upgrade => "upgrade",
             FaultKind::CircularWait => "circular-wait",
             FaultKind::StaleMajority => "stale-majority",
+            FaultKind::BlockedBus => "blocked-bus",
         }
     }
 }

@@ -33,6 +33,11 @@ const HOSTILE_ROLES: [Option<NodeRole>; 5] =
 /// them.
 const SEPARATE: f64 = 0.2;
 
+/// Share of the runs with the fault `lease-end` in a slow world, and its speed. With few kinds of faults the
+/// share is larger.
+const SLOW_WORLD: [f64; 2] = [0.25, 0.75];
+const SLOW_SPEED: u32 = 2;
+
 /// Largest number of kinds with which a run has all kinds that are drawn separately.
 const FEW_KINDS: usize = 4;
 
@@ -107,7 +112,11 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
             draw.separate(*kind);
         }
     }
-    Schedule { steps: draw.steps }.in_order()
+    draw.chance = ChaCha8Rng::seed_from_u64(seed ^ 0x510_77ed);
+    let is_slow = kinds.contains(&FaultKind::LeaseEnd)
+        && draw.chance.random_bool(SLOW_WORLD[usize::from(kinds.len() <= FEW_KINDS)]);
+    let schedule = Schedule::of(draw.steps).in_order();
+    Schedule { world_speed: if is_slow { SLOW_SPEED } else { schedule.world_speed }, ..schedule }
 }
 
 pub(super) struct Draw<'a> {
@@ -294,7 +303,8 @@ impl Draw<'_> {
             | FaultKind::Leave
             | FaultKind::Upgrade
             | FaultKind::CircularWait
-            | FaultKind::StaleMajority => return None,
+            | FaultKind::StaleMajority
+            | FaultKind::BlockedBus => return None,
         })
     }
 

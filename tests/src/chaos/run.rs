@@ -112,7 +112,7 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let composition = ChaosFleet::of(config.nodes);
     let counts_suspension = config.mutant != Some(Mutant::SuspensionNotCounted);
     let injector = FaultInjector::new(config.seed, counts_suspension, &composition, schedule);
-    let options = node_options(config, &injector);
+    let options = NodeOptions { world_speed: schedule.world_speed.into(), ..node_options(config, &injector) };
     let fleet = Fleet::hospital_with(config.seed, composition.members(), &composition.stations, &ROOMS, options).await;
     let mut run = Run { fleet, executor: ActionExecutor::new(composition.clone(), injector), checker: Checker::new() };
     for node in composition.nodes() {
@@ -174,7 +174,7 @@ impl Run {
         self.until(what, CONVERGENCE_LIMIT, has_settled).await?;
         let requests: Vec<String> = schedule.steps.iter().filter_map(|step| step.action.submitted_request()).collect();
         let executor = self.executor.acknowledged_receiver();
-        self.until("an end of every mission", MISSION_LIMIT, move |fleet| {
+        self.until("an end of every mission", MISSION_LIMIT * schedule.slowdown(), move |fleet| {
             let acknowledged = executor.borrow();
             requests.iter().all(|request| acknowledged.contains_key(request))
                 && unfinished(fleet, &acknowledged).is_empty()

@@ -8,10 +8,42 @@ use std::fmt::{self, Display};
 use std::time::Duration;
 
 /// All actions on a fleet, ordered by time.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Schedule {
     /// The actions.
     pub steps: Vec<ScheduledAction>,
+    /// World seconds per second of node time. In a slow world goals last longer than the driver servers
+    /// keep them without commands.
+    #[serde(default = "usual_speed", skip_serializing_if = "is_usual_speed")]
+    pub world_speed: u32,
+}
+
+/// World speed of most runs.
+const USUAL_SPEED: u32 = 10;
+
+fn usual_speed() -> u32 {
+    USUAL_SPEED
+}
+
+fn is_usual_speed(speed: &u32) -> bool {
+    *speed == USUAL_SPEED
+}
+
+impl Schedule {
+    /// Returns the schedule of these actions at the usual speed of the world.
+    pub fn of(steps: Vec<ScheduledAction>) -> Schedule {
+        Schedule { steps, world_speed: USUAL_SPEED }
+    }
+
+    /// Returns the same schedule with other actions.
+    pub(super) fn with_steps(&self, steps: Vec<ScheduledAction>) -> Schedule {
+        Schedule { steps, world_speed: self.world_speed }
+    }
+
+    /// Returns the number by which missions last longer than at the usual speed.
+    pub(super) fn slowdown(&self) -> u32 {
+        USUAL_SPEED.div_ceil(self.world_speed.max(1))
+    }
 }
 
 /// An action with its time. A fault also contains its duration.
@@ -72,6 +104,14 @@ pub enum ChaosAction {
         /// State of their disks after the crash.
         disk: DiskAfterCrash,
         /// Downtime in milliseconds.
+        for_ms: u64,
+    },
+    /// The operations of a node's bus do not return for this time, as when its buffers are full.
+    /// Messages to the node still arrive, and its timers continue.
+    Block {
+        /// Name of the node.
+        node: String,
+        /// Duration in milliseconds.
         for_ms: u64,
     },
     /// No message enters or leaves a node; all of them arrive afterwards. On the virtual bus the
@@ -266,6 +306,7 @@ impl ChaosAction {
             | ChaosAction::Blackout { for_ms, .. }
             | ChaosAction::Pause { for_ms, .. }
             | ChaosAction::Suspend { for_ms, .. }
+            | ChaosAction::Block { for_ms, .. }
             | ChaosAction::Leave { for_ms, .. }
             | ChaosAction::WrongDate { for_ms, .. }
             | ChaosAction::Partition { for_ms, .. }
@@ -331,6 +372,7 @@ impl ChaosAction {
             | ChaosAction::Blackout { for_ms, .. }
             | ChaosAction::Pause { for_ms, .. }
             | ChaosAction::Suspend { for_ms, .. }
+            | ChaosAction::Block { for_ms, .. }
             | ChaosAction::Leave { for_ms, .. }
             | ChaosAction::WrongDate { for_ms, .. }
             | ChaosAction::Partition { for_ms, .. }
@@ -410,6 +452,7 @@ impl Display for ChaosAction {
             ChaosAction::Blackout { disk, for_ms } => {
                 write!(f, "every node crashes, {}, down {}", fate(disk), For(*for_ms))
             }
+            ChaosAction::Block { node, for_ms } => write!(f, "the bus of {node} is blocked {}", For(*for_ms)),
             ChaosAction::Pause { node, for_ms } => write!(f, "{node} is paused {}", For(*for_ms)),
             ChaosAction::Suspend { node, for_ms } => write!(f, "the machine of {node} is suspended {}", For(*for_ms)),
             ChaosAction::Remove { node } => write!(f, "{node} is gone for good"),

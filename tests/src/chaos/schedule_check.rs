@@ -32,6 +32,7 @@ impl Schedule {
                 ChaosAction::Crash { node, .. } => check_known(step, node, &nodes, &["coordinator"])?,
                 ChaosAction::Pause { node, .. }
                 | ChaosAction::Suspend { node, .. }
+                | ChaosAction::Block { node, .. }
                 | ChaosAction::Leave { node, .. }
                 | ChaosAction::WrongDate { node, .. }
                 | ChaosAction::SlowDisk { node, .. }

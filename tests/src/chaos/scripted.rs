@@ -40,6 +40,7 @@ impl Draw<'_> {
             }
             FaultKind::CircularWait => self.circular_wait(),
             FaultKind::StaleMajority => self.stale_majority(),
+            FaultKind::BlockedBus => self.block_buses(),
             _ => {}
         }
     }
@@ -94,6 +95,21 @@ impl Draw<'_> {
         let for_ms = self.chance.random_range(6_500..20_000).min(self.end_ms.saturating_sub(at_ms)).max(50);
         let node = (*self.composition.carriers.choose(&mut self.chance).expect("a fleet has carriers")).to_owned();
         self.steps.push(ScheduledAction { at_ms, action: ChaosAction::Suspend { node, for_ms } });
+    }
+
+    /// Blocks the buses of nodes, of carriers more often than of others: for a moment, or for longer than
+    /// lease and grace.
+    fn block_buses(&mut self) {
+        for _ in 0..self.chance.random_range(1..=3) {
+            let at_ms = self.chance.random_range(FIRST_MS..self.end_ms - 1_000);
+            let for_ms = self.chance.random_range(500..10_000).min(self.end_ms - at_ms);
+            let nodes = match self.chance.random_bool(0.5) {
+                true => self.composition.carriers.clone(),
+                false => self.composition.nodes(),
+            };
+            let node = (*nodes.choose(&mut self.chance).expect("a fleet has nodes")).to_owned();
+            self.steps.push(ScheduledAction { at_ms, action: ChaosAction::Block { node, for_ms } });
+        }
     }
 
     /// Draws the beginning of a scripted fault. `None` if the run is too short, or if too many disks are

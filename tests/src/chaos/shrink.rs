@@ -10,12 +10,12 @@ pub fn shrink(schedule: &Schedule, tries_max: usize, mut fails: impl FnMut(&Sche
     let mut tries = 0;
     let mut still = |steps: &[ScheduledAction]| {
         tries += 1;
-        tries <= tries_max && fails(&Schedule { steps: steps.to_vec() })
+        tries <= tries_max && fails(&schedule.with_steps(steps.to_vec()))
     };
     let mut steps = schedule.steps.clone();
     drop_parts(&mut steps, &mut still);
     shorten(&mut steps, &mut still);
-    Schedule { steps }
+    schedule.with_steps(steps)
 }
 
 /// Drops halves, quarters and so on, down to single actions, until all remaining actions are
@@ -73,7 +73,7 @@ mod tests {
                 schedule.steps.iter().find(|s| matches!(&s.action, ChaosAction::Pause { node: n, .. } if n == node));
             step.and_then(|step| step.action.for_ms()).unwrap_or(0)
         };
-        let found = shrink(&Schedule { steps }, 1_000, |s| lasts(s, "n4") >= 2_000 && lasts(s, "n17") >= 100);
+        let found = shrink(&Schedule::of(steps), 1_000, |s| lasts(s, "n4") >= 2_000 && lasts(s, "n17") >= 100);
         let expected = [pause(4, "n4").action.with_duration_ms(2_500), pause(17, "n17").action.with_duration_ms(156)];
         assert_eq!(found.steps.iter().map(|step| step.action.clone()).collect::<Vec<_>>(), expected);
     }

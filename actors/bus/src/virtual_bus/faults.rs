@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use consort_protocol::ids::NodeId;
+use zenoh_keyexpr::OwnedKeyExpr;
 
 /// Faults in force. Nodes are identified by name and need not exist yet.
 #[derive(Debug, Default)]
@@ -16,6 +17,8 @@ pub(super) struct Faults {
     outgoing_blocked: BTreeSet<NodeId>,
     /// Nodes with blocked incoming messages.
     incoming_blocked: BTreeSet<NodeId>,
+    /// Queries that a node does not receive.
+    queries_blocked: Vec<(NodeId, OwnedKeyExpr)>,
 }
 
 impl Faults {
@@ -50,6 +53,15 @@ impl Faults {
 
     pub(super) fn block_incoming(&mut self, node: NodeId) {
         self.incoming_blocked.insert(node);
+    }
+
+    pub(super) fn block_queries(&mut self, to: NodeId, key_expr: OwnedKeyExpr) {
+        self.queries_blocked.push((to, key_expr));
+    }
+
+    /// Checks whether a node does not receive queries on a key.
+    pub(super) fn blocks_query(&self, to: &NodeId, key: &OwnedKeyExpr) -> bool {
+        self.queries_blocked.iter().any(|(node, blocked)| node == to && blocked.intersects(key))
     }
 
     pub(super) fn heal(&mut self) {

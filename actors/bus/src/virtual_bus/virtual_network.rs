@@ -7,6 +7,7 @@ use super::link::{LinkModel, NetworkCounters, TrafficByKind};
 use consort_protocol::ids::NodeId;
 use std::sync::Arc;
 use std::time::Duration;
+use zenoh_keyexpr::OwnedKeyExpr;
 
 /// The network between the nodes of a virtual fleet. Clones share the network.
 ///
@@ -77,6 +78,15 @@ impl VirtualNetwork {
     /// Blocks this node's incoming messages; the other nodes still receive its messages.
     pub fn block_incoming(&self, node: NodeId) {
         self.shared.with(|network| network.change_faults(|faults| faults.block_incoming(node)));
+    }
+
+    /// Drops all queries to a node on a key expression.
+    ///
+    /// # Panics
+    /// If the key expression is invalid.
+    pub fn block_queries(&self, to: NodeId, key_expr: &str) {
+        let key_expr = OwnedKeyExpr::new(key_expr).expect("a valid key expression");
+        self.shared.with(|network| network.change_faults(|faults| faults.block_queries(to, key_expr)));
     }
 
     /// Isolates this node in both directions.

@@ -17,7 +17,7 @@ use consort_protocol::auction::{
 };
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
-use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry};
 use consort_protocol::units::NodeTime;
 use consort_raft::ProposeError;
 use std::collections::{BTreeMap, BTreeSet};
@@ -153,24 +153,34 @@ impl Auctions {
         }
     }
 
+    /// Assigns the roles. A robot that has lost or returned a role of the mission gets it again only if
+    /// the mission cannot be awarded otherwise: a robot that bids and then does not act delays the mission
+    /// once, and not for ever.
     fn outcome(&self, bids: &CollectedBids, context: &SessionContext) -> AuctionOutcome {
         let CollectedBids { call, expected, responses } = bids;
-        let (unavailable, excluded) = context.read_ledger(|ledger| {
+        let (unavailable, failed, released) = context.read_ledger(|ledger| {
             let entry = ledger.mission(&call.auction.mission);
-            let excluded = |role: &RoleId| entry.map(|entry| entry.excluded(role)).unwrap_or_default();
-            let excluded = call.roles.keys().map(|role| (role.clone(), excluded(role))).collect();
-            (unavailable_robots(ledger, &self.rounds, &call.auction.mission), excluded)
+            let of_roles = |robots: &dyn Fn(&MissionEntry, &RoleId) -> BTreeMap<RobotId, String>| {
+                let of_role = |role| entry.map(|entry| robots(entry, role)).unwrap_or_default();
+                call.roles.keys().map(|role| (role.clone(), of_role(role))).collect::<BTreeMap<_, _>>()
+            };
+            let unavailable = unavailable_robots(ledger, &self.rounds, &call.auction.mission);
+            (unavailable, of_roles(&MissionEntry::excluded), of_roles(&MissionEntry::former_robots))
         });
         let settings = &context.settings.auctions;
-        let auction_context = AuctionContext {
-            invited: expected,
-            unavailable: &unavailable,
-            excluded: &excluded,
-            limits: &settings.limits,
-            window_ms: u64::try_from(settings.bid_window.as_millis()).unwrap_or(u64::MAX),
-            at_ms: context.settings.parts.clock.wall_ms(),
+        let clear = |excluded| {
+            let auction_context = AuctionContext {
+                invited: expected,
+                unavailable: &unavailable,
+                excluded,
+                limits: &settings.limits,
+                window_ms: u64::try_from(settings.bid_window.as_millis()).unwrap_or(u64::MAX),
+                at_ms: context.settings.parts.clock.wall_ms(),
+            };
+            clear_auction_with(call, responses, &auction_context, &*settings.allocator)
         };
-        clear_auction_with(call, responses, &auction_context, &*settings.allocator)
+        let by_others = (released != failed).then(|| clear(&released));
+        by_others.filter(|outcome| outcome.holders.is_some()).unwrap_or_else(|| clear(&failed))
     }
 
     /// Proposes the award, or defers the mission and backs off.

@@ -1,7 +1,7 @@
 //! Bus of a node with a bug: the bus changes messages that the node sends or receives.
 
 use super::Mutant;
-use super::driver::CanceledGoals;
+use super::driver::{CanceledGoals, without_time_limit};
 use super::known_ledger::KnownLedger;
 use super::message::{decode_report, encoded};
 use super::refusals::{RefusalPassage, merged};
@@ -277,6 +277,10 @@ impl Bus for FaultyBus {
                 self.canceled.observe(&query.payload);
                 let (replies, canceled) = (self.send(query).await?, self.canceled.clone());
                 Ok(replies.map(move |reply| Reply { payload: reply.payload.map(|state| canceled.end(state)), ..reply }))
+            }
+            (Mutant::KeptTooLong, Some(Key::Driver(_, DriverCall::Command))) => {
+                let payload = without_time_limit(query.payload);
+                self.send(OutgoingQuery { payload, ..query }).await
             }
             (Mutant::OwnClock, Some(Key::Clock(_))) => {
                 let (replies, clock) = (self.send(query).await?, self.clock);

@@ -8,6 +8,13 @@ use consort_skills::actions::{GoalId, GoalStatus};
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
+/// Lets a command be acted on for an hour, so that only the limit of the driver server applies.
+pub(super) fn without_time_limit(payload: Bytes) -> Bytes {
+    let Ok(mut command) = codec::decode::<DriverCommand>(&payload) else { return payload };
+    command.permit.keep_for_ms = 3_600_000;
+    encoded(&command)
+}
+
 /// Goals that a robot has canceled.
 #[derive(Clone, Default)]
 pub(super) struct CanceledGoals(Arc<Mutex<BTreeSet<GoalId>>>);

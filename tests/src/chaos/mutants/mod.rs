@@ -78,13 +78,16 @@ pub enum Mutant {
     OutcomesForgotten,
     /// Robots ignore requests to give way to a better-ranked mission.
     CircularWaitKept,
+    /// Driver servers ignore how long a command may be acted on, and stop a robot only by their own
+    /// limit for silent nodes.
+    KeptTooLong,
     /// An empty store that replaces a damaged one keeps its Raft id.
     IdentityKept,
 }
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 25] = [
+    pub const ALL: [Mutant; 26] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -109,6 +112,7 @@ impl Mutant {
         Mutant::ReleasedInMotion,
         Mutant::OutcomesForgotten,
         Mutant::CircularWaitKept,
+        Mutant::KeptTooLong,
         Mutant::IdentityKept,
     ];
 
@@ -147,6 +151,7 @@ impl Mutant {
             Mutant::ReleasedInMotion => "released-in-motion",
             Mutant::OutcomesForgotten => "outcomes-forgotten",
             Mutant::CircularWaitKept => "circular-wait-kept",
+            Mutant::KeptTooLong => "kept-too-long",
             Mutant::IdentityKept => "identity-kept",
         }
     }

@@ -68,6 +68,8 @@ impl Network {
             }
             for service in services {
                 let arrival = self.transmit(requester, *index, route.kind, Some(request.bytes()));
+                let blocked = self.faults.blocks_query(&self.nodes[*index].id, &request.key_expr);
+                let arrival = arrival.filter(|_| !blocked);
                 let state = QueryPartState { service: self.incarnation(*index), broken: false, earliest: self.now };
                 if let Some(arrival) = arrival {
                     let part = QueryPart { query, service: *service };
