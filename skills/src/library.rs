@@ -233,7 +233,7 @@ impl ActiveSkill {
         self.update_time(actions);
         let status = match self.tree.tick(actions, self.now) {
             NodeStatus::Running => return SkillStatus::Running,
-            NodeStatus::Success => SkillStatus::Succeeded,
+            NodeStatus::Success | NodeStatus::Skipped => SkillStatus::Succeeded,
             NodeStatus::Failure => {
                 let cause =
                     self.tree.cause().map_or("the skill failed without a cause".to_owned(), ToString::to_string);

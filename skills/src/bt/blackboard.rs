@@ -5,7 +5,8 @@
 //! port then holds the index of its entry, and two remapped keys share an entry.
 
 use super::manifest::PortConstraint;
-use super::value::{PortType, PortValue, Value, ValueError};
+use super::port_value::PortValue;
+use super::value::{PortType, Value, ValueError};
 
 /// Index of an entry in its blackboard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -92,6 +93,11 @@ impl Blackboard {
         }
         entry.value = Some(value);
         Ok(())
+    }
+
+    /// Returns the value of an entry; `None` while it is empty.
+    pub(crate) fn value(&self, id: EntryId) -> Option<&Value> {
+        self.entries[id.0].value.as_ref()
     }
 
     pub(crate) fn key(&self, id: EntryId) -> &str {

@@ -1,11 +1,15 @@
 //! Checked nodes: names resolved and ports bound.
 
+use super::bound_script::BoundScript;
 use super::builtin::Builtin;
+use super::conditions::Conditions;
+use super::decorator::MapResult;
 use super::leaf::LeafNode;
-use super::node::ChildNode;
+use super::node::{ChildNode, Node};
 use super::ports::Ports;
 use super::registry::MakeLeaf;
 use super::value::PortType;
+use std::sync::Arc;
 
 /// Greatest nesting depth of nodes, sub-trees included, in a file and in a tree. Ticking and
 /// reading recurse once per level, which the stack must hold. A guess, several times the depth of
@@ -33,23 +37,30 @@ pub(crate) struct CheckedNode<C> {
     pub(crate) name: String,
     pub(crate) implementation: NodeImpl<C>,
     pub(crate) ports: Ports,
+    /// The script in the port `code`.
+    pub(crate) code: Option<Arc<BoundScript>>,
+    pub(crate) conditions: Option<Arc<Conditions>>,
     pub(crate) children: Vec<CheckedNode<C>>,
 }
 
 pub(crate) enum NodeImpl<C> {
     Builtin(Builtin),
     Leaf(MakeLeaf<C>),
+    /// A use of a sub-tree that has conditions. Its root is the only child.
+    SubTree,
 }
 
 impl<C> CheckedNode<C> {
     pub(crate) fn slot(&self, context: &C) -> ChildNode {
         let ports = self.ports.clone();
-        ChildNode::new(match &self.implementation {
+        let mut children: Vec<ChildNode> = self.children.iter().map(|child| child.slot(context)).collect();
+        let node: Box<dyn Node> = match &self.implementation {
             NodeImpl::Leaf(make) => Box::new(LeafNode { name: self.name.clone(), leaf: make(context), ports }),
-            NodeImpl::Builtin(builtin) => {
-                let children = self.children.iter().map(|child| child.slot(context)).collect();
-                builtin.instantiate(&self.name, ports, children)
+            NodeImpl::Builtin(builtin) => builtin.instantiate(&self.name, ports, self.code.as_ref(), children),
+            NodeImpl::SubTree => {
+                Box::new(MapResult::unchanged(children.pop().expect("the root of the sub-tree is its child")))
             }
-        })
+        };
+        ChildNode::new(node, self.conditions.clone())
     }
 }

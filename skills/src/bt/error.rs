@@ -1,6 +1,7 @@
 //! Errors in tree descriptions.
 
 use super::blackboard::BlackboardError;
+use super::script::ScriptError;
 use super::value::{PortType, ValueError};
 use std::fmt;
 
@@ -15,6 +16,21 @@ pub struct TreeError {
     pub node: Option<String>,
     /// The error, and the allowed values.
     pub kind: Box<TreeErrorKind>,
+}
+
+/// Position of a node: file, line, tree and node.
+#[derive(Debug, Clone)]
+pub(crate) struct Place {
+    pub(crate) source: String,
+    pub(crate) line: Option<u32>,
+    pub(crate) node: Option<String>,
+}
+
+impl Place {
+    /// Creates an error at this position.
+    pub(crate) fn error(&self, kind: TreeErrorKind) -> TreeError {
+        TreeError { source: self.source.clone(), line: self.line, node: self.node.clone(), kind: Box::new(kind) }
+    }
 }
 
 impl fmt::Display for TreeError {
@@ -118,12 +134,20 @@ pub enum TreeErrorKind {
     #[error(transparent)]
     KeyValue(BlackboardError),
     /// A sub-tree reads a key that is never written.
-    #[error("port `{port}` reads {{{key}}}, which is neither written nor passed to the sub-tree")]
+    #[error("`{port}` reads {{{key}}}, which is neither written nor passed to the sub-tree")]
     NeverWritten {
-        /// The port.
+        /// The port or the script attribute.
         port: String,
         /// The key.
         key: String,
+    },
+    /// A script cannot be compiled, or its execution failed.
+    #[error("script `{attribute}`: {source}")]
+    Script {
+        /// The script attribute, or the port `code`.
+        attribute: String,
+        /// Cause, and the allowed form.
+        source: ScriptError,
     },
     /// The number of children is wrong.
     #[error("it has {found} children; allowed is {allowed}")]

@@ -1,54 +1,37 @@
 //! Checks a description node by node, and expands its sub-trees.
 
-use super::blackboard::{Blackboard, EntryId};
+use super::blackboard::EntryId;
+use super::bound_script::BoundScript;
 use super::builtin::Builtin;
-use super::checked_node::{CheckedNode, MAX_DEPTH, MAX_NODES, NodeImpl, TreeInput};
-use super::error::{TreeError, TreeErrorKind};
+use super::checked_node::{CheckedNode, MAX_DEPTH, MAX_NODES, NodeImpl};
+use super::conditions::Conditions;
+use super::error::{Place, TreeError, TreeErrorKind};
 use super::manifest::{NodeKind, NodeManifest, PortDirection, PortPresence, PortSpec, join_names};
 use super::ports::{PortBinding, Ports};
 use super::registry::Registry;
+use super::scopes::{Layout, Scopes};
+use super::script::{Script, ScriptError};
 use super::spec::{NodeSpec, TreeSpec};
 use super::value::Value;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// The port of `Script` and `ScriptCondition`.
+const CODE: &str = "code";
 
 /// State of a check.
 pub(crate) struct Expansion<'a, C> {
     spec: &'a TreeSpec,
     registry: &'a Registry<C>,
-    blackboard: Blackboard,
-    /// Use of each entry, by its index.
-    uses: Vec<Use>,
-    /// From the main tree down to the current tree.
-    scopes: Vec<Scope>,
+    scopes: Scopes,
+    /// Compiled scripts by text, conditions apart: a sub-tree may be used many times.
+    compiled: BTreeMap<(String, bool), Arc<Script>>,
     nodes: usize,
 }
 
-/// Use of an entry.
-#[derive(Default)]
-struct Use {
-    /// A node or a fixed value writes the entry.
-    is_written: bool,
-    /// Error to report if the entry is never written: a required port reads it.
-    missing_error: Option<TreeError>,
-    read: bool,
-}
-
-/// Keys of an instance of a tree.
-struct Scope {
-    tree: String,
-    autoremap: bool,
-    keys: BTreeMap<String, EntryId>,
-    used: BTreeSet<String>,
-}
-
-/// Result of [`Expansion::finish`]: the blackboard, the main tree's keys and its inputs.
-pub(crate) type Layout = (Blackboard, BTreeMap<String, EntryId>, Vec<TreeInput>);
-
 impl<'a, C> Expansion<'a, C> {
     pub(crate) fn new(spec: &'a TreeSpec, registry: &'a Registry<C>) -> Self {
-        let main = Scope::new(&spec.main, false);
-        let blackboard = Blackboard::default();
-        Expansion { spec, registry, blackboard, uses: Vec::new(), scopes: vec![main], nodes: 0 }
+        Expansion { spec, registry, scopes: Scopes::new(&spec.main), compiled: BTreeMap::new(), nodes: 0 }
     }
 
     pub(crate) fn main(&mut self, root: &NodeSpec) -> Result<CheckedNode<C>, TreeError> {
@@ -56,32 +39,8 @@ impl<'a, C> Expansion<'a, C> {
     }
 
     /// Performs the checks that need the whole tree.
-    pub(crate) fn finish(mut self) -> Result<Layout, TreeError> {
-        for index in 0..self.uses.len() {
-            self.blackboard.convert_to_entry_type(EntryId(index)).map_err(|error| TreeError {
-                source: self.spec.source.clone(),
-                line: None,
-                node: None,
-                kind: Box::new(TreeErrorKind::KeyValue(error)),
-            })?;
-        }
-        let keys = self.scopes.swap_remove(0).keys;
-        let given: BTreeSet<EntryId> = keys.values().copied().collect();
-        for (index, entry) in self.uses.iter_mut().enumerate() {
-            if !entry.is_written
-                && !given.contains(&EntryId(index))
-                && let Some(error) = entry.missing_error.take()
-            {
-                return Err(error);
-            }
-        }
-        let inputs =
-            keys.iter().filter(|(_, id)| self.uses[id.0].read && !self.uses[id.0].is_written).map(|(key, id)| {
-                let required = self.uses[id.0].missing_error.is_some();
-                TreeInput { key: key.clone(), port_type: self.blackboard.port_type(*id), required }
-            });
-        let inputs = inputs.collect();
-        Ok((self.blackboard, keys, inputs))
+    pub(crate) fn finish(self) -> Result<Layout, TreeError> {
+        self.scopes.finish(&Place { source: self.spec.source.clone(), line: None, node: None })
     }
 
     fn node(&mut self, node: &NodeSpec, depth: usize) -> Result<CheckedNode<C>, TreeError> {
@@ -111,12 +70,20 @@ impl<'a, C> Expansion<'a, C> {
             return Err(self.error(node, TreeErrorKind::WrongKind { id: node.id.clone(), written, is }));
         }
         let ports = self.ports(node, &manifest)?;
-        self.count_children(node, manifest.kind)?;
-        if builtin == Some(Builtin::Parallel) {
+        self.count_children(node, manifest.kind, builtin)?;
+        if builtin == Some(Builtin::Parallel) || builtin == Some(Builtin::ParallelAll) {
             self.check_counts(node, &ports)?;
         }
+        let code = match (builtin, node.ports.get(CODE)) {
+            (Some(Builtin::Script | Builtin::ScriptCondition), Some(text)) => {
+                let is_condition = builtin == Some(Builtin::ScriptCondition);
+                Some(Arc::new(self.script(node, CODE, text, is_condition)?))
+            }
+            _ => None,
+        };
+        let conditions = self.conditions(node)?;
         let children = node.children.iter().map(|child| self.node(child, depth + 1)).collect::<Result<_, _>>()?;
-        Ok(CheckedNode { name: node.label().to_owned(), implementation, ports, children })
+        Ok(CheckedNode { name: node.label().to_owned(), implementation, ports, code, conditions, children })
     }
 
     fn subtree(&mut self, node: &NodeSpec, depth: usize) -> Result<CheckedNode<C>, TreeError> {
@@ -124,53 +91,59 @@ impl<'a, C> Expansion<'a, C> {
             let known = join_names(self.spec.trees.keys().map(String::as_str));
             return Err(self.error(node, TreeErrorKind::UnknownTree { tree: node.id.clone(), known }));
         };
-        let path: Vec<&str> = self.scopes.iter().map(|scope| scope.tree.as_str()).chain([node.id.as_str()]).collect();
+        let path: Vec<&str> = self.scopes.path().chain([node.id.as_str()]).collect();
         if path[..path.len() - 1].contains(&node.id.as_str()) {
             return Err(self.error(node, TreeErrorKind::Recursion { path: path.join(" → ") }));
         }
-        self.count_children(node, NodeKind::SubTree)?;
-        let mut scope = Scope::new(&node.id, node.autoremap);
+        self.count_children(node, NodeKind::SubTree, None)?;
+        // The scripts of the node belong to the enclosing tree.
+        let conditions = self.conditions(node)?;
+        let mut keys = BTreeMap::new();
         for (port, text) in &node.ports {
             let id = match key_of(port, text) {
-                Some(key) => self.entry(self.scopes.len() - 1, key),
+                Some(key) => self.scopes.entry(key),
                 None => {
-                    let id = self.add_entry(format!("{}/{port}", node.id));
-                    self.uses[id.0].is_written = true;
-                    let written = self.blackboard.write(id, Value::Text(text.clone()));
-                    written.map_err(|error| self.error(node, TreeErrorKind::KeyValue(error)))?;
-                    id
+                    let fixed = self.scopes.fixed(format!("{}/{port}", node.id), text);
+                    fixed.map_err(|error| self.error(node, TreeErrorKind::KeyValue(error)))?
                 }
             };
-            scope.keys.insert(port.clone(), id);
+            keys.insert(port.clone(), id);
         }
-        self.scopes.push(scope);
-        let plan = self.node(root, depth + 1);
-        let scope = self.scopes.pop().expect("the scope was pushed above");
-        let plan = plan?;
-        match node.ports.keys().find(|port| !scope.used.contains(*port)) {
-            None => Ok(plan),
-            Some(port) => {
-                let allowed = join_names(scope.used.iter().map(String::as_str));
-                Err(self.error(node, TreeErrorKind::UnknownPort { port: port.clone(), allowed }))
-            }
+        self.scopes.enter(&node.id, node.autoremap, keys);
+        let root = self.node(root, depth + 1);
+        let used = self.scopes.leave();
+        let root = root?;
+        if let Some(port) = node.ports.keys().find(|port| !used.contains(*port)) {
+            let allowed = join_names(used.iter().map(String::as_str));
+            return Err(self.error(node, TreeErrorKind::UnknownPort { port: port.clone(), allowed }));
         }
+        if conditions.is_none() {
+            return Ok(root);
+        }
+        let (implementation, children) = (NodeImpl::SubTree, vec![root]);
+        let (ports, code) = (Ports::default(), None);
+        Ok(CheckedNode { name: node.label().to_owned(), implementation, ports, code, conditions, children })
     }
 
-    fn count_children(&self, node: &NodeSpec, kind: NodeKind) -> Result<(), TreeError> {
+    fn count_children(&self, node: &NodeSpec, kind: NodeKind, builtin: Option<Builtin>) -> Result<(), TreeError> {
         let found = node.children.len();
-        let allowed = match kind {
-            NodeKind::Action | NodeKind::Condition | NodeKind::SubTree if found != 0 => "none",
-            NodeKind::Decorator if found != 1 => "exactly 1",
-            NodeKind::Control if found == 0 => "1 or more",
+        let allowed = match (kind, builtin) {
+            (NodeKind::Action | NodeKind::Condition | NodeKind::SubTree, _) if found != 0 => "none".to_owned(),
+            (NodeKind::Decorator, _) if found != 1 => "exactly 1".to_owned(),
+            (_, Some(Builtin::IfThenElse | Builtin::WhileDoElse)) if found != 2 && found != 3 => "2 or 3".to_owned(),
+            (_, Some(Builtin::Switch(cases))) if found != usize::from(cases) + 1 => {
+                format!("exactly {}: one for each case, then the default", cases + 1)
+            }
+            (NodeKind::Control, _) if found == 0 => "1 or more".to_owned(),
             _ => return Ok(()),
         };
-        Err(self.error(node, TreeErrorKind::Children { found, allowed: allowed.to_owned() }))
+        Err(self.error(node, TreeErrorKind::Children { found, allowed }))
     }
 
-    /// A `Parallel` cannot require more children than it has.
+    /// A parallel node cannot require more children than it has.
     fn check_counts(&self, node: &NodeSpec, ports: &Ports) -> Result<(), TreeError> {
         let found = node.children.len();
-        for port in ["success_count", "failure_count"] {
+        for port in ["success_count", "failure_count", "max_failures"] {
             if let Some(PortBinding::Literal(Value::Integer(count))) = ports.bound.get(port)
                 && count.unsigned_abs() > found as u64
             {
@@ -213,65 +186,83 @@ impl<'a, C> Expansion<'a, C> {
 
     /// Binds a port to a key of the current tree.
     fn bind(&mut self, node: &NodeSpec, port: &PortSpec, key: &str) -> Result<EntryId, TreeError> {
-        let id = self.entry(self.scopes.len() - 1, key);
-        if let Err(is) = self.blackboard.restrict(id, port.port_type, &port.constraint) {
+        let id = self.scopes.entry(key);
+        if let Err((key, is)) = self.scopes.restrict(id, port.port_type, &port.constraint) {
             let (port, wanted) = (port.name.clone(), port.port_type);
-            let key = self.blackboard.key(id).to_owned();
             return Err(self.error(node, TreeErrorKind::KeyType { port, wanted, key, is }));
         }
-        let missing_error =
-            || self.error(node, TreeErrorKind::NeverWritten { port: port.name.clone(), key: key.to_owned() });
-        let missing_error =
-            (port.direction == PortDirection::Input && port.presence != PortPresence::Optional).then(missing_error);
-        let entry = &mut self.uses[id.0];
         match port.direction {
-            PortDirection::Input => entry.read = true,
-            PortDirection::Output => entry.is_written = true,
-        }
-        if entry.missing_error.is_none() {
-            entry.missing_error = missing_error;
+            PortDirection::Output => self.scopes.note_write(id),
+            PortDirection::Input => {
+                let required = port.presence != PortPresence::Optional;
+                let missing = required.then(|| self.never_written(node, &port.name, key));
+                self.scopes.note_read(id, missing);
+            }
         }
         Ok(id)
     }
 
-    /// Returns the entry of a key in the tree at `depth`.
-    fn entry(&mut self, depth: usize, key: &str) -> EntryId {
-        let scope = &mut self.scopes[depth];
-        scope.used.insert(key.to_owned());
-        if let Some(id) = scope.keys.get(key) {
-            return *id;
+    /// Compiles and binds the script attributes of a node.
+    fn conditions(&mut self, node: &NodeSpec) -> Result<Option<Arc<Conditions>>, TreeError> {
+        if node.scripts.is_empty() {
+            return Ok(None);
         }
-        // Keys that begin with `_` are private to their tree, as in BehaviorTree.CPP.
-        let shared = scope.autoremap && !key.starts_with('_');
-        let name = if depth == 0 { key.to_owned() } else { format!("{}/{key}", scope.tree) };
-        let id = if shared { self.entry(depth - 1, key) } else { self.add_entry(name) };
-        self.scopes[depth].keys.insert(key.to_owned(), id);
-        id
+        let scripts = node.scripts.iter().map(|(attribute, text)| {
+            Ok((*attribute, self.script(node, attribute.name(), text, attribute.is_condition())?))
+        });
+        Ok(Some(Arc::new(Conditions { scripts: scripts.collect::<Result<_, TreeError>>()? })))
     }
 
-    fn add_entry(&mut self, key: String) -> EntryId {
-        self.uses.push(Use::default());
-        self.blackboard.add(key)
+    /// Compiles a script, and binds its names to keys of the current tree.
+    fn script(
+        &mut self,
+        node: &NodeSpec,
+        attribute: &'static str,
+        text: &str,
+        is_condition: bool,
+    ) -> Result<BoundScript, TreeError> {
+        let place = self.place(node);
+        let reject =
+            |source: ScriptError| place.error(TreeErrorKind::Script { attribute: attribute.to_owned(), source });
+        let script = match self.compiled.get(&(text.to_owned(), is_condition)) {
+            Some(script) => script.clone(),
+            None => {
+                let compile = if is_condition { Script::compile_condition } else { Script::compile };
+                let script = Arc::new(compile(text).map_err(reject)?);
+                self.compiled.insert((text.to_owned(), is_condition), script.clone());
+                script
+            }
+        };
+        let mut entries = BTreeMap::new();
+        for key in script.reads() {
+            let id = self.scopes.entry(key);
+            let missing = self.never_written(node, attribute, key);
+            self.scopes.note_read(id, Some(missing));
+            entries.insert(key.to_owned(), id);
+        }
+        for key in script.declares() {
+            let id = self.scopes.entry(key);
+            self.scopes.note_write(id);
+            entries.insert(key.to_owned(), id);
+        }
+        Ok(BoundScript { script, attribute, entries: entries.into_iter().collect(), place })
     }
 
-    fn error(&self, node: &NodeSpec, problem: TreeErrorKind) -> TreeError {
-        let tree = self.scopes.last().map_or("", |scope| &scope.tree);
-        let implementation = match &node.name {
+    fn never_written(&self, node: &NodeSpec, port: &str, key: &str) -> TreeError {
+        self.error(node, TreeErrorKind::NeverWritten { port: port.to_owned(), key: key.to_owned() })
+    }
+
+    fn place(&self, node: &NodeSpec) -> Place {
+        let tree = self.scopes.tree();
+        let label = match &node.name {
             Some(name) => format!("{tree}/{} ({name})", node.id),
             None => format!("{tree}/{}", node.id),
         };
-        TreeError {
-            source: self.spec.source.clone(),
-            line: node.line,
-            node: Some(implementation),
-            kind: Box::new(problem),
-        }
+        Place { source: self.spec.source.clone(), line: node.line, node: Some(label) }
     }
-}
 
-impl Scope {
-    fn new(tree: &str, autoremap: bool) -> Scope {
-        Scope { tree: tree.to_owned(), autoremap, keys: BTreeMap::new(), used: BTreeSet::new() }
+    fn error(&self, node: &NodeSpec, problem: TreeErrorKind) -> TreeError {
+        self.place(node).error(problem)
     }
 }
 
@@ -280,7 +271,7 @@ impl Scope {
 fn key_of<'t>(port: &'t str, text: &'t str) -> Option<&'t str> {
     match text.trim().strip_prefix('{')?.strip_suffix('}')? {
         "=" => Some(port),
-        "" => None,
+        "" | "@" => None,
         key => Some(key),
     }
 }

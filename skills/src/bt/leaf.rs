@@ -1,11 +1,13 @@
 //! Leaves: the nodes that interact with the robot. Contains the trait for custom leaves, and the
 //! built-in leaves.
 
+use super::bound_script::BoundScript;
 use super::node::Node;
 use super::ports::Ports;
 use super::status::NodeStatus;
 use super::tick::{Cause, LeafContext, Tick};
 use consort_protocol::units::{Seconds, WorldTime};
+use std::sync::Arc;
 
 /// A custom leaf. It starts from the beginning at the first tick after it ended or was halted.
 pub trait Leaf: Send {
@@ -55,6 +57,41 @@ impl Node for LeafNode {
     fn halt(&mut self, tick: &mut Tick<'_>) {
         self.leaf.halt(&mut LeafContext { tick, ports: &self.ports });
     }
+}
+
+/// `Script` and `ScriptCondition`: execute their script, which takes no time.
+pub(crate) struct ScriptNode {
+    script: Arc<BoundScript>,
+    /// Name of a condition; `None` for an action, which succeeds.
+    condition: Option<String>,
+}
+
+impl ScriptNode {
+    pub(crate) fn action(script: Arc<BoundScript>) -> ScriptNode {
+        ScriptNode { script, condition: None }
+    }
+
+    pub(crate) fn condition(name: &str, script: Arc<BoundScript>) -> ScriptNode {
+        ScriptNode { script, condition: Some(name.to_owned()) }
+    }
+}
+
+impl Node for ScriptNode {
+    fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
+        let holds = match &self.condition {
+            None => self.script.run(tick),
+            Some(_) => self.script.holds(tick).unwrap_or(false),
+        };
+        if holds {
+            return NodeStatus::Success;
+        }
+        if let Some(name) = &self.condition {
+            tick.set_cause(name, Cause::new("the condition is false"));
+        }
+        NodeStatus::Failure
+    }
+
+    fn halt(&mut self, _: &mut Tick<'_>) {}
 }
 
 /// `AlwaysSuccess` and `AlwaysFailure`. The latter sets no cause: the cause of an earlier failure

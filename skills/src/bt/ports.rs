@@ -1,7 +1,8 @@
 //! Ports: inputs and outputs of a node, as bound in a tree.
 
 use super::blackboard::{Blackboard, BlackboardError, EntryId};
-use super::value::{PortValue, Value, ValueError};
+use super::port_value::PortValue;
+use super::value::{Value, ValueError};
 use std::collections::BTreeMap;
 
 /// The ports of a node as bound in its tree.

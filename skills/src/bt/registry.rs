@@ -96,7 +96,6 @@ impl<C> Registry<C> {
 
     /// All node names, as text.
     pub(crate) fn node_names(&self) -> String {
-        let builtin: Vec<String> = Builtin::ALL.iter().map(|builtin| builtin.manifest().id).collect();
-        join_names(builtin.iter().map(String::as_str).chain(self.leaves.keys().map(String::as_str)))
+        join_names(Builtin::ALL.map(Builtin::id).into_iter().chain(self.leaves.keys().map(String::as_str)))
     }
 }

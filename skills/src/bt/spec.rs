@@ -1,6 +1,7 @@
 //! Tree descriptions, read from a file or built in Rust. Not yet checked.
 
 use super::manifest::NodeKind;
+use super::script_attribute::ScriptAttribute;
 use std::collections::BTreeMap;
 
 /// A main tree and its sub-trees.
@@ -25,6 +26,8 @@ pub struct NodeSpec {
     pub name: Option<String>,
     /// Bindings of the ports: `{key}` is a key of the blackboard, any other text a fixed value.
     pub ports: BTreeMap<String, String>,
+    /// Scripts of the pre- and postconditions.
+    pub scripts: BTreeMap<ScriptAttribute, String>,
     /// For a sub-tree: true if keys that are not remapped refer to the same keys of the enclosing
     /// tree.
     pub autoremap: bool,
@@ -55,6 +58,7 @@ impl NodeSpec {
             kind: None,
             name: None,
             ports: BTreeMap::new(),
+            scripts: BTreeMap::new(),
             autoremap: false,
             children: Vec::new(),
             line: None,
@@ -71,6 +75,12 @@ impl NodeSpec {
     /// Binds a port to `{key}` or to a fixed value.
     pub fn port(mut self, port: &str, binding: &str) -> NodeSpec {
         self.ports.insert(port.to_owned(), binding.to_owned());
+        self
+    }
+
+    /// Sets the script of a pre- or postcondition.
+    pub fn script(mut self, attribute: ScriptAttribute, script: &str) -> NodeSpec {
+        self.scripts.insert(attribute, script.to_owned());
         self
     }
 

@@ -9,11 +9,14 @@ pub enum NodeStatus {
     Success,
     /// Complete, without success.
     Failure,
+    /// Not executed, because a precondition excludes it now. The parent continues as if the node
+    /// were absent.
+    Skipped,
 }
 
 impl NodeStatus {
-    /// Checks whether the node has ended and will start from the beginning at its next tick.
-    pub(crate) fn is_final(self) -> bool {
-        self != NodeStatus::Running
+    /// Checks whether the node was executed to its end: it succeeded or failed.
+    pub(crate) fn is_completed(self) -> bool {
+        matches!(self, NodeStatus::Success | NodeStatus::Failure)
     }
 }

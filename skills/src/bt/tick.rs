@@ -2,8 +2,9 @@
 //! caller.
 
 use super::blackboard::Blackboard;
+use super::port_value::PortValue;
 use super::ports::{PortError, Ports};
-use super::value::{PortValue, Value};
+use super::value::Value;
 use crate::actions::{ActionError, GoalId, RobotActions};
 use consort_protocol::units::WorldTime;
 use std::collections::BTreeSet;
@@ -28,6 +29,8 @@ pub(crate) struct Tick<'a> {
 pub(crate) struct TreeState {
     /// Cause of the latest failure of a leaf.
     pub(crate) cause: Option<Cause>,
+    /// A script has failed: the tree ends with `cause`.
+    pub(crate) aborted: bool,
     /// Canceled goals that the robot may not have ended yet.
     pub(crate) canceling: BTreeSet<GoalId>,
 }
@@ -52,7 +55,22 @@ impl Tick<'_> {
         true
     }
 
+    /// Ends the tree with a failure at the end of this tick. No further node is ticked.
+    pub(crate) fn abort(&mut self, text: String) {
+        if !self.state.aborted {
+            *self.state = TreeState { cause: Some(Cause::new(text)), aborted: true, ..std::mem::take(self.state) };
+        }
+    }
+
+    pub(crate) fn is_aborted(&self) -> bool {
+        self.state.aborted
+    }
+
+    /// Records the cause of a failure. The cause of an abortion remains.
     pub(crate) fn set_cause(&mut self, node: &str, cause: Cause) {
+        if self.state.aborted {
+            return;
+        }
         self.state.cause = Some(Cause { text: format!("{node}: {}", cause.text), error: cause.error });
     }
 }

@@ -3,10 +3,10 @@
 use super::blackboard::{Blackboard, BlackboardError, EntryId};
 use super::manifest::join_names;
 use super::node::ChildNode;
+#[cfg(test)]
+use super::port_value::PortValue;
 use super::status::NodeStatus;
 use super::tick::{Cause, MAX_LOOP_ITERATIONS_PER_TICK, Tick, TreeState};
-#[cfg(test)]
-use super::value::PortValue;
 use super::value::Value;
 use crate::actions::RobotActions;
 use consort_protocol::units::WorldTime;
@@ -22,20 +22,26 @@ pub(crate) struct Tree {
 }
 
 impl Tree {
-    /// Ticks the tree once, at world time `now`.
+    /// Ticks the tree once, at world time `now`. An error of a script halts the tree, which fails.
     pub(crate) fn tick(&mut self, actions: &mut dyn RobotActions, now: WorldTime) -> NodeStatus {
         if !self.root.is_running() {
-            self.state.cause = None;
+            (self.state.cause, self.state.aborted) = (None, false);
         }
-        let Tree { root, blackboard, state: notes, .. } = self;
-        root.tick(&mut Tick { actions, now, blackboard, state: notes, iterations_left: MAX_LOOP_ITERATIONS_PER_TICK })
+        let Tree { root, blackboard, state, .. } = self;
+        let tick = &mut Tick { actions, now, blackboard, state, iterations_left: MAX_LOOP_ITERATIONS_PER_TICK };
+        let status = root.tick(tick);
+        if tick.is_aborted() {
+            root.halt(tick);
+            return NodeStatus::Failure;
+        }
+        status
     }
 
     /// Halts every running node; the next tick starts from the beginning. The blackboard is
     /// unchanged.
     pub(crate) fn halt(&mut self, actions: &mut dyn RobotActions, now: WorldTime) {
-        let Tree { root, blackboard, state: notes, .. } = self;
-        root.halt(&mut Tick { actions, now, blackboard, state: notes, iterations_left: MAX_LOOP_ITERATIONS_PER_TICK });
+        let Tree { root, blackboard, state, .. } = self;
+        root.halt(&mut Tick { actions, now, blackboard, state, iterations_left: MAX_LOOP_ITERATIONS_PER_TICK });
     }
 
     /// Returns the cause of the latest failure of a leaf, in the current run or the last run that

@@ -57,6 +57,9 @@ pub enum PortType {
     List,
 }
 
+/// Greatest number up to which every whole number is exact: 2^53.
+const MAX_EXACT: f64 = 9_007_199_254_740_992.0;
+
 /// A value was rejected. Nothing was changed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ValueError {
@@ -184,7 +187,8 @@ impl Value {
     }
 
     /// Converts the value: text is parsed, every value can be printed as text, an integer is also a
-    /// number.
+    /// number, and a number is also an integer or a duration if it is a whole number or not
+    /// negative.
     ///
     /// # Errors
     /// [`ValueError`] if the value is of another type or its text does not parse.
@@ -196,6 +200,10 @@ impl Value {
             (value, PortType::Text) => Ok(Value::Text(value.to_string())),
             // Exact up to 2^53, far above any count in a tree.
             (Value::Integer(n), PortType::Number) => Ok(Value::Number(n as f64)),
+            (Value::Number(n), PortType::Integer) if n.fract() == 0.0 && n.abs() <= MAX_EXACT => {
+                Ok(Value::Integer(n as i64))
+            }
+            (Value::Number(n), PortType::Seconds) => PortType::Seconds.parse(&n.to_string()),
             (value, wanted) => {
                 let problem = format!("it is {}", value.port_type());
                 Err(ValueError::Type { value: value.to_string(), wanted, problem })
@@ -223,55 +231,6 @@ impl fmt::Display for Value {
                 Ok(())
             }
         }
-    }
-}
-
-/// A Rust type that a port can be read as.
-pub trait PortValue: Sized {
-    /// The corresponding port type.
-    const TYPE: PortType;
-
-    /// Extracts a value of type [`Self::TYPE`]; `None` for any other.
-    fn from_value(value: Value) -> Option<Self>;
-}
-
-macro_rules! port_values {
-    ($($rust:ty, $variant:ident;)*) => {$(
-        impl PortValue for $rust {
-            const TYPE: PortType = PortType::$variant;
-            fn from_value(value: Value) -> Option<Self> {
-                match value {
-                    Value::$variant(inner) => Some(inner),
-                    _ => None,
-                }
-            }
-        }
-
-        impl From<$rust> for Value {
-            fn from(inner: $rust) -> Value {
-                Value::$variant(inner)
-            }
-        }
-    )*};
-}
-
-port_values! {
-    String, Text;
-    f64, Number;
-    i64, Integer;
-    bool, Bool;
-    PlaceId, Place;
-    RobotId, Robot;
-    RoleId, Role;
-    Pose, Pose;
-    Seconds, Seconds;
-    Vec<Value>, List;
-}
-
-impl PortValue for Value {
-    const TYPE: PortType = PortType::Any;
-    fn from_value(value: Value) -> Option<Value> {
-        Some(value)
     }
 }
 

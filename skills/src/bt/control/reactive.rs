@@ -25,8 +25,13 @@ impl ReactiveControl {
 
 impl Node for ReactiveControl {
     fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
+        let mut all_skipped = true;
         for index in 0..self.children.len() {
             let status = self.children[index].tick(tick);
+            if status == NodeStatus::Skipped {
+                continue;
+            }
+            all_skipped = false;
             if status == self.continue_on {
                 continue;
             }
@@ -38,7 +43,7 @@ impl Node for ReactiveControl {
             return status;
         }
         halt_all(&mut self.children, tick);
-        self.continue_on
+        if all_skipped { NodeStatus::Skipped } else { self.continue_on }
     }
 
     fn halt(&mut self, tick: &mut Tick<'_>) {

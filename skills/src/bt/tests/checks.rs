@@ -9,7 +9,10 @@ fn main(root: NodeSpec) -> TreeSpec {
 #[test]
 fn an_unknown_node_is_reported_with_the_known_nodes() {
     let error = check_error(&main(sequence([NodeSpec::new("Pay")])));
-    assert!(error.starts_with("main: main/Pay: there is no node `Pay`; known are Sequence, Fallback, "), "{error}");
+    assert!(
+        error.starts_with("main: main/Pay: there is no node `Pay`; known are Sequence, AsyncSequence, "),
+        "{error}"
+    );
     assert!(error.ends_with("Copy, IsHome, Play"), "{error}");
 }
 

@@ -1,11 +1,14 @@
 //! Tests of the engine. A fake leaf returns a given list of statuses (as py_trees tests its
 //! composites), and records when it is ticked and halted.
 
+mod branches;
 mod builders;
 mod checks;
 mod composites;
+mod conditions;
 mod decorators;
 mod scopes;
+mod scripts;
 mod xml;
 
 use super::tick::MAX_LOOP_ITERATIONS_PER_TICK;
@@ -130,6 +133,7 @@ impl TreeFixture {
             NodeStatus::Running => 'R',
             NodeStatus::Success => 'S',
             NodeStatus::Failure => 'F',
+            NodeStatus::Skipped => '-',
         };
         (status, self.log.take())
     }

@@ -92,7 +92,7 @@ fn a_sub_tree_with_an_unset_input_is_rejected() {
     let spec = main(NodeSpec::subtree("sub")).with("sub", is_home("{where}"));
     assert_eq!(
         check_error(&spec),
-        "main: sub/IsHome: port `place` reads {where}, which is neither written nor passed to the sub-tree"
+        "main: sub/IsHome: `place` reads {where}, which is neither written nor passed to the sub-tree"
     );
 }
 

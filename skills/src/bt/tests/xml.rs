@@ -24,7 +24,8 @@ const BOTH_FORMS: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
       <Action ID="Copy" value="Home" to="{here}"/>
       <Condition ID="IsHome" place="{here}"/>
       <Decorator ID="Inverter"><Inverter><Play as="a" plays="RS" _uid="7"/></Inverter></Decorator>
-      <SubTree ID="sub" _autoremap="true" where="{here}"/>
+      <SubTree ID="sub" _autoremap="true" where="{here}" _skipIf="here != 'Home'" _onFailure="n := 1"/>
+      <Script code="n := 1 &lt; 2 &amp;&amp; true ? 1 : 0"/>
     </Control>
   </BehaviorTree>
   <BehaviorTree ID="sub"><IsHome place="{where}"/></BehaviorTree>
@@ -68,8 +69,14 @@ fn mistakes_name_file_line_and_node() {
         ("<AlwaysSuccess/><AlwaysSuccess/>", "t.xml:2: tree `main` has 2 root nodes; allowed is 1"),
         ("<Sequence>hello</Sequence>", "t.xml:3: <Sequence> contains the text \"hello\"; allowed are nodes only"),
         (
-            "<AlwaysSuccess _skipIf=\"x\"/>",
-            "t.xml:3: <AlwaysSuccess> has `_skipIf`: scripts and conditions in attributes are not supported",
+            "<AlwaysSuccess _skip=\"x\"/>",
+            "t.xml:3: <AlwaysSuccess> has no attribute `_skip`; allowed are its ports and _failureIf, _successIf, _skipIf, \
+             _while, _onSuccess, _onFailure, _onHalted, _post",
+        ),
+        (
+            "<AlwaysSuccess\n_skipIf=\"1 +\"/>",
+            "t.xml:3: main/AlwaysSuccess: script `_skipIf`: `1 +`: Syntax error: mismatched input '<EOF>' expecting \
+             {'[', '{', '(', '.', '-', '!', 'true', 'false', 'null', NUM_FLOAT, NUM_INT, NUM_UINT, STRING, BYTES, IDENTIFIER}",
         ),
         ("<SubTree ID=\"x\" _autoremap=\"maybe\"/>", "t.xml:3: _autoremap is \"maybe\"; allowed are true and false"),
     ] {

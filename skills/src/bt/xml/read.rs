@@ -6,6 +6,7 @@
 use crate::bt::checked_node::{MAX_DEPTH, MAX_NODES};
 use crate::bt::error::{TreeError, TreeErrorKind};
 use crate::bt::manifest::{NodeKind, join_names};
+use crate::bt::script_attribute::ScriptAttribute;
 use crate::bt::spec::{NodeSpec, TreeSpec};
 use crate::xml;
 use roxmltree::Node;
@@ -22,7 +23,7 @@ const EDITORS_OWN: [&str; 4] = ["_uid", "_fullpath", "_collapsed", "_description
 /// The reader accepts `<root BTCPP_format="4">` with `<BehaviorTree ID="…">` elements, and nodes in
 /// compact (`<Wait …/>`) or explicit form (`<Action ID="Wait" …/>`). `main_tree_to_execute` may be
 /// omitted if there is only a single tree. `<TreeNodesModel>` is for editors and is skipped.
-/// Includes, scripts, DTDs and files above `MAX_BYTES` are rejected.
+/// Includes, DTDs and files above `MAX_BYTES` are rejected.
 ///
 /// # Errors
 /// [`TreeError`] with the line.
@@ -125,8 +126,12 @@ impl Reader<'_> {
                 "_autoremap" if kind == Some(NodeKind::SubTree) => node.autoremap = self.yes_or_no(element, value)?,
                 _ if EDITORS_OWN.contains(&name) => {}
                 _ if name.starts_with('_') => {
-                    let text = format!("<{tag}> has `{name}`: scripts and conditions in attributes are not supported");
-                    return Err(self.reject(element, text));
+                    let Some(attribute) = ScriptAttribute::ALL.into_iter().find(|known| known.name() == name) else {
+                        let allowed = join_names(ScriptAttribute::ALL.map(ScriptAttribute::name));
+                        let text = format!("<{tag}> has no attribute `{name}`; allowed are its ports and {allowed}");
+                        return Err(self.reject(element, text));
+                    };
+                    node.scripts.insert(attribute, value.to_owned());
                 }
                 _ => {
                     node.ports.insert(name.to_owned(), value.to_owned());

@@ -36,6 +36,9 @@ fn node(xml: &mut String, depth: usize, node: &NodeSpec) {
     for (port, binding) in &node.ports {
         open += &attribute(port, binding);
     }
+    for (script_attribute, script) in &node.scripts {
+        open += &attribute(script_attribute.name(), script);
+    }
     if node.autoremap {
         open += &attribute("_autoremap", "true");
     }
