@@ -125,7 +125,7 @@ impl Builtin {
         Builtin::ALL.into_iter().find(|builtin| builtin.id() == id)
     }
 
-    fn kind(self) -> NodeKind {
+    pub(crate) fn kind(self) -> NodeKind {
         match self {
             Builtin::Sequence
             | Builtin::AsyncSequence

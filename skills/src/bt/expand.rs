@@ -59,7 +59,8 @@ impl<'a, C> Expansion<'a, C> {
             (Some(builtin), _) => (builtin.manifest(), NodeImpl::Builtin(builtin)),
             (None, Some(leaf)) => (leaf.manifest.clone(), NodeImpl::Leaf(leaf.make.clone())),
             (None, None) => {
-                let problem = TreeErrorKind::UnknownNode { id: node.id.clone(), known: self.registry.node_names() };
+                let problem =
+                    TreeErrorKind::UnknownNode { id: node.id.clone(), known: join_names(self.registry.node_ids()) };
                 return Err(self.error(node, problem));
             }
         };

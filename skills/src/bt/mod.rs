@@ -41,6 +41,7 @@ mod node;
 mod port_value;
 mod ports;
 mod registry;
+mod report;
 mod scopes;
 mod script;
 mod script_attribute;
@@ -64,6 +65,7 @@ pub use manifest::{NodeKind, NodeManifest, PortConstraint, PortDirection, PortPr
 pub use port_value::PortValue;
 pub use ports::PortError;
 pub use registry::{Registry, RegistryError};
+pub use report::{NodeOrigin, NodeReport, report_nodes};
 pub use script::ScriptError;
 pub use script_attribute::ScriptAttribute;
 pub use spec::{NodeSpec, TreeSpec, sequence, timeout};

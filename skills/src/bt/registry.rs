@@ -2,7 +2,7 @@
 
 use super::builtin::Builtin;
 use super::leaf::{Leaf, SyncLeaf};
-use super::manifest::{NodeKind, NodeManifest, PortSpec, join_names};
+use super::manifest::{NodeKind, NodeManifest, PortSpec};
 use super::tick::{Cause, LeafContext};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -94,8 +94,8 @@ impl<C> Registry<C> {
         self.leaves.get(id)
     }
 
-    /// All node names, as text.
-    pub(crate) fn node_names(&self) -> String {
-        join_names(Builtin::ALL.map(Builtin::id).into_iter().chain(self.leaves.keys().map(String::as_str)))
+    /// All node names: first those of the built-in nodes.
+    pub(crate) fn node_ids(&self) -> impl Iterator<Item = &str> {
+        Builtin::ALL.map(Builtin::id).into_iter().chain(self.leaves.keys().map(String::as_str))
     }
 }

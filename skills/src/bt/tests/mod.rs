@@ -7,6 +7,7 @@ mod checks;
 mod composites;
 mod conditions;
 mod decorators;
+mod report;
 mod scopes;
 mod scripts;
 mod xml;

@@ -88,6 +88,17 @@ fn an_explicit_remapping_goes_before_autoremap() {
 }
 
 #[test]
+fn a_key_with_an_at_sign_is_that_of_the_main_tree() {
+    let sub = sequence([is_home("{@here}"), copy("1", "{@out}"), copy("2", "{out}")]);
+    let spec = main(sequence([copy("Home", "{here}"), NodeSpec::subtree("middle")]))
+        .with("middle", NodeSpec::subtree("sub"))
+        .with("sub", sub);
+    let mut stage = TreeFixture::from_spec(&spec);
+    stage.expect(&[('S', "")]);
+    assert_eq!(stage.tree.get::<String>("out").unwrap().as_deref(), Some("1"));
+}
+
+#[test]
 fn a_sub_tree_with_an_unset_input_is_rejected() {
     let spec = main(NodeSpec::subtree("sub")).with("sub", is_home("{where}"));
     assert_eq!(

@@ -39,6 +39,30 @@ fn compact_and_explicit_forms_are_read() {
 }
 
 #[test]
+fn the_model_of_a_sub_tree_has_defaults_for_its_ports() {
+    let text = |ports| {
+        format!(
+            "<root BTCPP_format=\"4\" main_tree_to_execute=\"main\">
+            <TreeNodesModel><SubTree ID=\"sub\">
+                <input_port name=\"where\" default=\"Home\"/><output_port name=\"to\" default=\"{{copied}}\"/>
+            </SubTree></TreeNodesModel>
+            <BehaviorTree ID=\"main\"><Sequence><SubTree ID=\"sub\" {ports}/></Sequence></BehaviorTree>
+            <BehaviorTree ID=\"sub\"><Copy value=\"{{where}}\" to=\"{{to}}\"/></BehaviorTree></root>"
+        )
+    };
+    let copied = |ports, key| {
+        let mut stage = TreeFixture::from_spec(&read_xml("t.xml", &text(ports)).unwrap());
+        stage.expect(&[('S', "")]);
+        stage.tree.get::<String>(key).unwrap().unwrap()
+    };
+    assert_eq!(copied("", "copied"), "Home");
+    assert_eq!(copied("where=\"Away\"", "copied"), "Away");
+    assert_eq!(copied("to=\"{=}\"", "to"), "Home");
+    let autoremap = read_xml("t.xml", &text("_autoremap=\"1\"")).unwrap();
+    assert_eq!(registry().check(&autoremap).ok().unwrap().inputs()[0].key, "where");
+}
+
+#[test]
 fn a_written_tree_is_read_back() {
     fn without_lines(node: &mut NodeSpec) {
         node.line = None;

@@ -3,6 +3,7 @@
 //!
 //! [`Registry::check`]: crate::bt::Registry::check
 
+use super::model::SubTreeDefaults;
 use crate::bt::checked_node::{MAX_DEPTH, MAX_NODES};
 use crate::bt::error::{TreeError, TreeErrorKind};
 use crate::bt::manifest::{NodeKind, join_names};
@@ -22,7 +23,8 @@ const EDITORS_OWN: [&str; 4] = ["_uid", "_fullpath", "_collapsed", "_description
 ///
 /// The reader accepts `<root BTCPP_format="4">` with `<BehaviorTree ID="…">` elements, and nodes in
 /// compact (`<Wait …/>`) or explicit form (`<Action ID="Wait" …/>`). `main_tree_to_execute` may be
-/// omitted if there is only a single tree. `<TreeNodesModel>` is for editors and is skipped.
+/// omitted if there is only a single tree. `<TreeNodesModel>` is for editors, except for the
+/// defaults of sub-trees.
 /// Includes, DTDs and files above `MAX_BYTES` are rejected.
 ///
 /// # Errors
@@ -62,6 +64,7 @@ impl Reader<'_> {
             None => return Err(self.reject(root, "BTCPP_format is missing; supported is \"4\"".to_owned())),
         }
         let mut trees = BTreeMap::new();
+        let mut defaults = SubTreeDefaults::default();
         for element in root.children().filter(Node::is_element) {
             match element.tag_name().name() {
                 "BehaviorTree" => {
@@ -70,7 +73,7 @@ impl Reader<'_> {
                         return Err(self.reject(element, format!("there are two trees `{id}`")));
                     }
                 }
-                "TreeNodesModel" => {}
+                "TreeNodesModel" => defaults.read(element),
                 other => {
                     let text =
                         format!("<{other}> is not allowed in <root>; allowed are <BehaviorTree> and <TreeNodesModel>");
@@ -78,6 +81,7 @@ impl Reader<'_> {
                 }
             }
         }
+        trees.values_mut().for_each(|tree| defaults.apply(tree));
         let main = match (root.attribute("main_tree_to_execute"), trees.len()) {
             (Some(main), _) => main.to_owned(),
             (None, 1) => trees.keys().next().cloned().unwrap_or_default(),
