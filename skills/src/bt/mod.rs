@@ -6,11 +6,32 @@
 //!                                           reports every mistake         RobotActions
 //! ```
 //!
-//! Names and rules are those of BehaviorTree.CPP 4, so that trees can be drawn in Groot2. Scripts
-//! (`_skipIf` and similar attributes) are not supported and are rejected. Differences: loops that
-//! can iterate within a tick stop after `MAX_LOOP_ITERATIONS_PER_TICK` and continue at the next
-//! tick, and times are world time. See Colledanchise & Ögren, *Behavior Trees in Robotics and AI*
-//! (2018), for the theory.
+//! Names and rules are those of BehaviorTree.CPP 4, so that trees can be drawn in Groot2. See
+//! Colledanchise & Ögren, *Behavior Trees in Robotics and AI* (2018), for the theory.
+//!
+//! Every node takes the [script attributes](ScriptAttribute) of BehaviorTree.CPP: preconditions
+//! such as `_skipIf`, and postconditions such as `_onSuccess`. `Script` and `ScriptCondition`
+//! execute the script in their port `code`. The names in a script are keys of the tree that contains
+//! the node; those of a `SubTree` node belong to the enclosing tree. Scripts are compiled once, by
+//! [`Registry::check`]. A script whose execution fails ends the tree with a failure, whose cause
+//! names file, line and node.
+//!
+//! Differences from BehaviorTree.CPP:
+//! - Times are world time.
+//! - Loops that can iterate within a tick stop after `MAX_LOOP_ITERATIONS_PER_TICK` and continue at
+//!   the next tick. `LoopString` reads its list once.
+//! - A port of a `SubTree` that the sub-tree does not use is an error. So is a key that is read and
+//!   never written; in the main tree it is an input.
+//! - A `Parallel` that skips all children is skipped, also with a negative `success_count`. A
+//!   skipped condition of `IfThenElse` or `WhileDoElse` skips the node.
+//! - Scripts have no bit operators, no `..`, no enums and no `@`. A number is not a condition, and
+//!   a condition does not end with an assignment. The reserved words of CEL (`in`, `for`, `if` …)
+//!   are not names.
+//! - `<include>`, plugins and the remaining nodes (`SetBlackboard`, `UnsetBlackboard`, `Precondition`,
+//!   `EntryUpdated`, `LoopInt` …) are not supported.
+//!
+//! [`report_nodes`] lists the nodes of a tree for another program, such as Nav2's navigator, and
+//! names those that are unknown.
 //!
 //! ```
 //! use consort_skills::bt::Registry;

@@ -136,6 +136,44 @@ fn users_add_skills_of_custom_and_standard_leaves() {
     assert_eq!(driver.sent(), ["approach person nurse"]);
 }
 
+fn with_skill(nodes: &str) -> SkillLibrary {
+    let mut library = library();
+    let xml = format!("<root BTCPP_format=\"4\"><BehaviorTree ID=\"mine\">{nodes}</BehaviorTree></root>");
+    library.register_xml(task_type("mine"), "mine.xml", &xml).unwrap_or_else(|error| panic!("{error}"));
+    library
+}
+
+#[test]
+fn scripts_read_the_parameters_of_the_task() {
+    let library = with_skill(r#"<Wait seconds="1" _skipIf="urgent == true || count &gt; 3"/>"#);
+    let ended = |urgent: &str, count: &str| {
+        let task = task("mine", &[("urgent", urgent), ("count", count)]);
+        let mut skill = library.load(&task, &context()).unwrap_or_else(|error| panic!("{error}"));
+        let mut driver = ScriptedDriver::at("A");
+        let status = run(&mut skill, &mut driver);
+        (status, driver.sent().len())
+    };
+    assert_eq!(ended("false", "3"), (SkillStatus::Succeeded, 1));
+    assert_eq!(ended("true", "3"), (SkillStatus::Succeeded, 0), "a skipped tree is a success");
+    assert_eq!(ended("false", "4"), (SkillStatus::Succeeded, 0));
+    let (status, sent) = ended("maybe", "3");
+    let expected = "mine.xml:1: mine/Wait: script `_skipIf`: `urgent == true || count > 3`: \"maybe\" is not true or false: allowed are true and false";
+    assert_eq!((status, sent), (failed(expected), 0));
+    let error = library.load(&task("mine", &[("urgent", "1")]), &context()).err().unwrap().to_string();
+    assert_eq!(error, "mine needs the parameter `count` (any value); the task gives urgent");
+}
+
+#[test]
+fn an_error_of_a_script_cancels_the_goal() {
+    let nodes = r#"<Parallel><Wait seconds="9"/><Fallback><ScriptCondition code="'a' &lt; 1"/><Wait seconds="1"/></Fallback></Parallel>"#;
+    let mut skill = with_skill(nodes).load(&task("mine", &[]), &context()).unwrap_or_else(|error| panic!("{error}"));
+    let mut driver = ScriptedDriver::at("A");
+    let SkillStatus::Failed { cause } = skill.tick(&mut driver) else { panic!("it did not fail") };
+    assert!(cause.starts_with("mine.xml:1: mine/ScriptCondition: script `code`: `'a' < 1`: "), "{cause}");
+    assert_eq!(driver.sent().len(), 1, "the fallback does not continue");
+    assert!(driver.is_canceling());
+}
+
 #[test]
 fn a_panic_in_a_custom_leaf_unwinds_to_the_caller() {
     let mut skill =

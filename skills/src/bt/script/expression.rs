@@ -8,6 +8,10 @@ use cel::common::ast::{CallExpr, Expr, LiteralValue, operators};
 use cel::parser::Parser;
 use std::collections::BTreeSet;
 
+/// Greatest nesting depth of an expression. Evaluation recurses once per level, which the stack
+/// must hold.
+const MAX_DEPTH: usize = 64;
+
 /// Parses and translates an expression, and adds its names to `keys`.
 ///
 /// - A whole number becomes a double.
@@ -22,13 +26,15 @@ pub(super) fn compile(text: &str, keys: &mut BTreeSet<String>) -> Result<IdedExp
         let messages: Vec<String> = errors.errors.into_iter().map(|error| error.msg).collect();
         ScriptError::Syntax { expression: text.to_owned(), message: messages.join("; ") }
     })?;
-    translate(parsed, keys).map_err(|found| ScriptError::NotAllowed { expression: text.to_owned(), found })
+    let translated = translate(parsed, keys, MAX_DEPTH);
+    translated.map_err(|found| ScriptError::NotAllowed { expression: text.to_owned(), found })
 }
 
-/// `Err` describes a part of CEL that scripts do not have.
-fn translate(expression: IdedExpr, keys: &mut BTreeSet<String>) -> Result<IdedExpr, String> {
+/// `levels_left` bounds the depth. `Err` describes a part of CEL that scripts do not have.
+fn translate(expression: IdedExpr, keys: &mut BTreeSet<String>, levels_left: usize) -> Result<IdedExpr, String> {
     let IdedExpr { id, expr } = expression;
     let expr = match expr {
+        _ if levels_left == 0 => return Err(format!("a nesting of more than {MAX_DEPTH} operators")),
         Expr::Ident(name) => {
             keys.insert(name.clone());
             Expr::Ident(name)
@@ -40,8 +46,8 @@ fn translate(expression: IdedExpr, keys: &mut BTreeSet<String>) -> Result<IdedEx
             Expr::Literal(literal)
         }
         Expr::Call(CallExpr { func_name, target: None, args }) => {
-            let args = args.into_iter().map(|arg| translate(arg, keys)).collect::<Result<Vec<_>, _>>()?;
-            translate_call(func_name, args)?
+            let args = args.into_iter().map(|arg| translate(arg, keys, levels_left - 1));
+            translate_call(func_name, args.collect::<Result<_, _>>()?)?
         }
         Expr::Call(call) => return Err(format!("the call of `{}`", call.func_name)),
         Expr::Literal(LiteralValue::UInt(_)) => return Err("a number that ends with u".to_owned()),

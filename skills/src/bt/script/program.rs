@@ -28,6 +28,10 @@ struct CompiledStatement {
     reads: BTreeSet<String>,
 }
 
+/// Greatest length of a text that a statement computes, in bytes: a script of a few statements
+/// could otherwise double a text beyond the memory.
+const MAX_TEXT_BYTES: usize = 4096;
+
 /// The only function that expressions call.
 static FUNCTIONS: LazyLock<Context<'static, 'static>> = LazyLock::new(|| {
     let mut context = Context::with_env(Arc::new(Env::default()));
@@ -140,6 +144,9 @@ impl CompiledStatement {
         let message = match result {
             Ok(cel::Value::Bool(value)) => return Ok(Value::Bool(value)),
             Ok(cel::Value::Float(value)) if value.is_finite() => return Ok(Value::Number(value)),
+            Ok(cel::Value::String(value)) if value.len() > MAX_TEXT_BYTES => {
+                format!("it evaluates to a text of {} bytes; allowed are at most {MAX_TEXT_BYTES}", value.len())
+            }
             Ok(cel::Value::String(value)) => return Ok(Value::Text(Arc::unwrap_or_clone(value))),
             Ok(cel::Value::Float(value)) => format!("it evaluates to {value}; allowed is a finite number"),
             Ok(other) => format!("it evaluates to {other:?}; allowed are numbers, texts, true and false"),

@@ -134,8 +134,28 @@ fn syntax_errors_are_reported_when_the_tree_is_checked() {
     }
     let long = format!("x := {}1", "1 + ".repeat(1100));
     assert!(rejected(&long).ends_with("it has 4406 bytes; allowed are at most 4096"));
-    let deep = format!("x := {}1{}", "(".repeat(2000), ")".repeat(2000));
-    assert!(rejected(&deep).starts_with("main: main/Script: script `code`: "));
+}
+
+#[test]
+fn hostile_scripts_are_rejected() {
+    let enclosed =
+        |open: &str, close: &str, times: usize| script(&format!("x := {}1{}", open.repeat(times), close.repeat(times)));
+    for node in [
+        enclosed("(", ")", 2000),
+        enclosed("1 + ", "", 1000),
+        enclosed("1 ? ", " : 1", 500),
+        enclosed("1 < ", "", 1000),
+    ] {
+        let error = check_error(&main(node));
+        assert!(error.starts_with("main: main/Script: script `code`: `"), "{error}");
+    }
+    // The parser reduces repeated signs.
+    for node in [enclosed("- ", "", 2000), enclosed("!", "", 4000)] {
+        TreeFixture::from_root(node).tick();
+    }
+    assert_eq!(x_after(&format!("x := {}1", "1 + ".repeat(60))), Value::Number(61.0));
+    let cause = cause_of(&format!("x := 'a'; {}", "x += x; ".repeat(100)));
+    assert!(cause.ends_with("`x += x`: it evaluates to a text of 8192 bytes; allowed are at most 4096"), "{cause}");
 }
 
 #[test]
