@@ -16,8 +16,9 @@ const MAX_DEPTH: usize = 64;
 ///
 /// - A whole number becomes a double.
 /// - `a < b` becomes `compare(a, b) < 0.0`, and likewise for every comparison.
-/// - `a && b` becomes `a ? !!b : false`, and `a || b` becomes `a ? true : !!b`: CEL would drop an
-///   error of one operand if the other decides the result.
+/// - `!a` becomes `a ? false : true`, `a && b` becomes `a ? (b ? true : false) : false`, and
+///   `a || b` becomes `a ? true : (b ? true : false)`: CEL would drop an error of one operand if the
+///   other decides the result, and its `!` allocates an error before it needs one.
 ///
 /// # Errors
 /// [`ScriptError`] if the parser rejects the text, or it uses another part of CEL.
@@ -66,22 +67,28 @@ fn translate_call(operator: String, args: Vec<IdedExpr>) -> Result<Expr, String>
         Ok(pair) => return translate_pair(operator, pair),
         Err(args) => args,
     };
+    let args = match <[IdedExpr; 1]>::try_from(args) {
+        Ok([value]) if operator == operators::LOGICAL_NOT => {
+            return Ok(choose(value, boolean(false), boolean(true)).expr);
+        }
+        Ok(value) => Vec::from(value),
+        Err(args) => args,
+    };
     match operator.as_str() {
-        operators::NEGATE | operators::LOGICAL_NOT | operators::CONDITIONAL => Ok(call(&operator, args).expr),
+        operators::NEGATE | operators::CONDITIONAL => Ok(call(&operator, args).expr),
         other => Err(format!("the call of `{other}`")),
     }
 }
 
 fn translate_pair(operator: String, [left, right]: [IdedExpr; 2]) -> Result<Expr, String> {
-    let boolean = |value: bool| node(Expr::Literal(LiteralValue::Boolean(value.into())));
     // Fails unless the value is true or false.
-    let checked = |value| call(operators::LOGICAL_NOT, vec![call(operators::LOGICAL_NOT, vec![value])]);
+    let checked = |value| choose(value, boolean(true), boolean(false));
     let translated = match operator.as_str() {
         operators::ADD | operators::SUBSTRACT | operators::MULTIPLY | operators::DIVIDE => {
             call(&operator, vec![left, right])
         }
-        operators::LOGICAL_AND => call(operators::CONDITIONAL, vec![left, checked(right), boolean(false)]),
-        operators::LOGICAL_OR => call(operators::CONDITIONAL, vec![left, boolean(true), checked(right)]),
+        operators::LOGICAL_AND => choose(left, checked(right), boolean(false)),
+        operators::LOGICAL_OR => choose(left, boolean(true), checked(right)),
         operators::EQUALS
         | operators::NOT_EQUALS
         | operators::LESS
@@ -108,6 +115,15 @@ pub(super) fn combine(key: &str, operator: u8, expression: IdedExpr) -> IdedExpr
         _ => operators::DIVIDE,
     };
     call(operator, vec![node(Expr::Ident(key.to_owned())), expression])
+}
+
+/// `condition ? yes : no`.
+fn choose(condition: IdedExpr, yes: IdedExpr, no: IdedExpr) -> IdedExpr {
+    call(operators::CONDITIONAL, vec![condition, yes, no])
+}
+
+fn boolean(value: bool) -> IdedExpr {
+    node(Expr::Literal(LiteralValue::Boolean(value.into())))
 }
 
 fn call(operator: &str, args: Vec<IdedExpr>) -> IdedExpr {
