@@ -179,6 +179,9 @@ fn an_error_ends_the_tree_and_halts_what_runs() {
     let root = || NodeSpec::new("ForceSuccess").child(fallback([broken(), play("b", "S")]));
     let mut stage = TreeFixture::from_root(parallel(3, [play("c", "R"), root(), play("d", "R")]));
     stage.expect(&[('R', "c a d"), ('F', "c a c! d!"), ('F', "c a c!")]);
+    let broken = NodeSpec::new("ForceSuccess").child(condition("'text' > 1"));
+    let endless = NodeSpec::new("Repeat").port("num_cycles", "-1").child(broken);
+    TreeFixture::from_root(parallel(2, [play("a", "R"), endless])).expect(&[('F', "a a!")]);
 }
 
 #[test]
