@@ -40,7 +40,8 @@ impl RobotActions for IdleRobot {
 /// Returns the tree. Every second branch has a condition in a script, if `scripted`.
 fn tree(scripted: bool) -> String {
     let branch = |number: usize| {
-        let condition = if scripted && number % 2 == 0 { " _skipIf=\"battery &lt; 0.2 || !free\"" } else { "" };
+        let condition =
+            if scripted && number.is_multiple_of(2) { " _skipIf=\"battery &lt; 0.2 || !free\"" } else { "" };
         format!(
             "<Fallback><Inverter><HasCharge battery=\"{{battery}}\"/></Inverter>
              <ForceSuccess><AlwaysSuccess{condition}/></ForceSuccess></Fallback>"
