@@ -84,7 +84,7 @@ impl WireVersion {
     /// Adopts the versions that the beacons of this node's cluster contain. `judge` states what is
     /// known of a version. A single voter cannot end the other nodes by an invented version: a version
     /// that most voters cannot read is ignored, and a version that this program cannot read is adopted
-    /// only if 2 voters can read it, or if beacons repeat it for [`CONFIRMATION_TIME`] and no beacon
+    /// only if 2 voters can read it, or if beacons repeat it for 30 s and no beacon
     /// contains a version that this program reads.
     ///
     /// # Errors

@@ -10,7 +10,7 @@ use consort_protocol::ids::NodeId;
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
-use tokio::sync::{Notify, watch};
+use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
@@ -29,7 +29,10 @@ pub(super) struct Shared {
     finished: Mutex<Vec<QueryPart>>,
     wake: Arc<Notify>,
     /// Blocked nodes.
-    blocked: watch::Sender<BTreeSet<NodeIndex>>,
+    blocked: Mutex<BTreeSet<NodeIndex>>,
+    /// Notifies operations that a node is no longer blocked, in the order of their calls: a `watch` channel
+    /// wakes its receivers in a random order.
+    unblocked: Notify,
 }
 
 /// The task that waits for the next event.
@@ -54,7 +57,8 @@ impl Shared {
             driver: Mutex::new(Driver::default()),
             finished: Mutex::new(Vec::new()),
             wake: Arc::new(Notify::new()),
-            blocked: watch::Sender::default(),
+            blocked: Mutex::default(),
+            unblocked: Notify::new(),
         })
     }
 
@@ -73,19 +77,24 @@ impl Shared {
     /// Blocks or unblocks the operations of a node.
     pub(super) fn set_blocked(self: &Arc<Self>, node: &NodeId, blocked: bool) {
         let Some(index) = self.with(|network| network.index(node)) else { return };
-        self.blocked.send_modify(|nodes| {
-            match blocked {
-                true => nodes.insert(index),
-                false => nodes.remove(&index),
-            };
-        });
+        let mut nodes = lock(&self.blocked);
+        if blocked {
+            nodes.insert(index);
+        } else if nodes.remove(&index) {
+            self.unblocked.notify_waiters();
+        }
     }
 
     /// Waits until the operations of a node are not blocked.
     pub(super) async fn until_unblocked(&self, node: NodeIndex) {
-        let mut blocked = self.blocked.subscribe();
-        // The sender lives as long as the network.
-        let _ = blocked.wait_for(|nodes| !nodes.contains(&node)).await;
+        loop {
+            // A future of `notified` receives the notifications from its creation on.
+            let unblocked = self.unblocked.notified();
+            if !lock(&self.blocked).contains(&node) {
+                return;
+            }
+            unblocked.await;
+        }
     }
 
     /// Ensures that the driver task wakes at `due`.

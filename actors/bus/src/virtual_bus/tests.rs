@@ -382,3 +382,25 @@ async fn several_threads_share_a_network() {
     let counted = network.counters();
     assert_eq!(counted.sent, counted.delivered + counted.dropped);
 }
+
+/// Otherwise a seed would not determine a run.
+#[tokio::test(start_paused = true)]
+async fn operations_of_a_blocked_node_continue_in_the_order_of_their_calls() {
+    let network = network(LinkModel { latency_min: STEADY, latency_max: STEADY, ..LinkModel::LAN });
+    let (ada, bob) = (network.bus(node("ada")), network.bus(node("bob")));
+    let mut stream = bob.subscribe("**").await.unwrap();
+    network.block(&node("ada"));
+    let calls: Vec<_> = (0..50)
+        .map(|number| {
+            let ada = ada.clone();
+            tokio::spawn(async move { publish(&ada, "numbers", &number.to_string()).await })
+        })
+        .collect();
+    assert_eq!(received(&mut stream).await, [""; 0]);
+    network.unblock(&node("ada"));
+    let expected: Vec<String> = (0..50).map(|number| number.to_string()).collect();
+    assert_eq!(received(&mut stream).await, expected);
+    for call in calls {
+        call.await.unwrap();
+    }
+}
