@@ -11,7 +11,6 @@ const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="look_around">
 </BehaviorTree></root>"#;
 
 struct Price(TaskType);
-
 impl SkillDescriptor for Price {
     fn task_type(&self) -> &TaskType {
         &self.0
@@ -47,4 +46,5 @@ pub(crate) const EXTENSIONS: Extensions = Extensions {
         })?;
         Ok(library.register_xml(look_around(), "look_around.xml", TREE)?)
     },
+    domains: &[],
 };

@@ -151,6 +151,10 @@ names! {
     TaskId, "task", SLUG;
     /// Type of task (`navigation`, `operate_drawer`); also the name of the skill that executes it.
     TaskType, "task type", SLUG;
+    /// Name of an action that drivers of robots perform, such as `navigate_to_pose`.
+    ActionName, "action", SLUG;
+    /// Name of a domain: a file of actions and task types.
+    DomainId, "domain", SLUG;
     /// Item that is handed over in a mission (`sample`).
     ItemId, "item", SLUG;
     /// Ensemble, as named in the fleet file.

@@ -63,3 +63,4 @@ pub mod units;
 pub mod versions;
 pub mod view;
 mod word_enum;
+pub mod yaml;

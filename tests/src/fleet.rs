@@ -119,6 +119,7 @@ pub(crate) fn nurse_in(room: &str) -> PersonSetup {
         role: slug("nurse"),
         place: slug(room),
         samples: vec![format!("sample of {room}").as_str().into()],
+        endless_samples: false,
         spontaneous_actions: vec![],
     }
 }

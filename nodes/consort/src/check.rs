@@ -3,12 +3,15 @@
 use crate::config::{self, FleetConfig, RobotConfig, StationConfig, WorldConfig};
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::extensions::Extensions;
-use crate::{inputs, map_loader, wiring};
+use crate::{domains, inputs, map_loader, wiring};
 use consort_map_import::MapFormat;
 use consort_protocol::ids::TaskId;
 use consort_protocol::mission::{Domain, Format, IhtnOptions, Mission, MissionTemplate, TemplateKind, import_ihtn};
 use consort_protocol::plan::divide_and_check;
+use consort_skills::bt::xml::read_xml;
+use consort_skills::bt::{NodeOrigin, TreeError, report_nodes};
 use consort_skills::descriptor::Calibration;
+use consort_skills::environment::Environment;
 use consort_text::count;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -40,6 +43,10 @@ pub enum FileKind {
     Design,
     /// Corrections to robots' estimates, learned from experiments, in TOML.
     Calibration,
+    /// A domain: actions and task types, in YAML.
+    Domain,
+    /// A behavior tree, in the XML of BehaviorTree.CPP 4.
+    Tree,
 }
 
 impl fmt::Display for FileKind {
@@ -56,6 +63,8 @@ impl fmt::Display for FileKind {
             FileKind::Scenarios => "scenarios",
             FileKind::Design => "a design",
             FileKind::Calibration => "a calibration",
+            FileKind::Domain => "a domain",
+            FileKind::Tree => "a tree",
         })
     }
 }
@@ -116,7 +125,7 @@ fn check_kind(kind: FileKind, path: &Path, text: &str, extensions: Extensions) -
         }
         FileKind::World => {
             let world: WorldConfig = config::load(path, domain)?;
-            wiring::build_world(&world, &world.fleet.resolve(domain)?)?;
+            wiring::build_world(&world, &world.fleet.resolve(domain)?, extensions)?;
             let robots = count(world.robot.len(), "robot", "robots");
             Ok(format!("{robots}, {}", count(world.person.len(), "person", "people")))
         }
@@ -125,12 +134,39 @@ fn check_kind(kind: FileKind, path: &Path, text: &str, extensions: Extensions) -
         FileKind::Design => {
             Err(Diagnostic::for_file(file, "designs of evaluations are checked by consort-lab check").into())
         }
+        FileKind::Tree => tree(text, file, extensions),
+        FileKind::Domain => {
+            let domain = domains::parse(path, text, &[])?;
+            let (actions, tasks) = (domain.actions().count(), domain.task_types().count());
+            Ok(format!("{}, {}", count(actions, "action", "actions"), count(tasks, "task type", "task types")))
+        }
         FileKind::Calibration => {
             let learned: Calibration = config::load(path, domain)?;
             let skills = count(learned.skills.len(), "skill", "skills");
             Ok(format!("{skills}, {}", count(learned.legs.len(), "leg", "legs")))
         }
     }
+}
+
+/// Checks a tree. If no domain declares some of its nodes, as in a tree for another program, every such node
+/// is reported; otherwise the first mistake.
+fn tree(text: &str, file: &str, extensions: Extensions) -> Result<String, Diagnostics> {
+    let in_file = |problem: &TreeError| Diagnostics::from(Diagnostic::for_file("", problem));
+    let spec = read_xml(file, text).map_err(|problem| in_file(&problem))?;
+    let library = extensions.library(Environment::new())?;
+    let nodes = report_nodes(&spec, library.registry());
+    let unknown = nodes.iter().filter_map(|node| match &node.origin {
+        NodeOrigin::Unknown { nearest } => {
+            let hint = nearest.as_ref().map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
+            let position = node.line.map(|line| (usize::try_from(line).unwrap_or(usize::MAX), 1));
+            let message = format!("no domain declares the node `{}`{hint}", node.id);
+            Some(Diagnostic { file: file.to_owned(), position, message })
+        }
+        NodeOrigin::BuiltIn | NodeOrigin::Registered | NodeOrigin::Tree => None,
+    });
+    Diagnostics::into_result(unknown.collect())?;
+    library.registry().check(&spec).map_err(|problem| in_file(&problem))?;
+    Ok(format!("{}, {}", spec.main, count(nodes.len(), "node", "nodes")))
 }
 
 /// Checks a mission with its defaults. A parameter without a default gets a value of its kind.
@@ -185,6 +221,9 @@ fn detect(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
     if file.ends_with(".toml") {
         return detect_toml(text, file);
     }
+    if text.contains("BTCPP_format") {
+        return Ok(FileKind::Tree);
+    }
     if MapFormat::of(file).is_foreign() {
         return Ok(FileKind::Map);
     }
@@ -201,15 +240,23 @@ fn detect(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
                 Ok(FileKind::Mission)
             } else if has(&["places", "lanes"]) || (has(&["nodes"]) && has(&["edges"])) {
                 Ok(FileKind::Map)
+            } else if has(&["domain"]) {
+                Ok(FileKind::Domain)
             } else if has(&["worker"]) {
                 Ok(FileKind::Workers)
             } else if all_tasks(map) {
                 Ok(FileKind::Ihtn)
             } else {
-                Err(unknown_kind(file, "a mission has `mission` and `root`, a map `places` and `lanes`"))
+                Err(unknown_kind(
+                    file,
+                    "a mission has `mission` and `root`, a map `places` and `lanes`, a domain `domain`, a tree `BTCPP_format`",
+                ))
             }
         }
-        _ => Err(unknown_kind(file, "a mission has `mission` and `root`, a map `places` and `lanes`")),
+        _ => Err(unknown_kind(
+            file,
+            "a mission has `mission` and `root`, a map `places` and `lanes`, a domain `domain`, a tree `BTCPP_format`",
+        )),
     }
 }
 

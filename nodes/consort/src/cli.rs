@@ -5,10 +5,13 @@ use crate::command::{
     recover, replay, resolve, restore, robot, schema, station, submit, token, upgrade, watch, world,
 };
 use crate::demo;
+use crate::domains;
+use crate::exit::Failure;
 use crate::extensions::Extensions;
 use crate::output;
 use clap::{CommandFactory, Parser, Subcommand};
 use std::ffi::OsString;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Mission coordination for fleets of heterogeneous robots, without a single point of failure.
@@ -19,6 +22,10 @@ use std::process::ExitCode;
 #[derive(Debug, Parser)]
 #[command(name = "consort", version, max_term_width = 100, after_long_help = AFTER_HELP)]
 pub struct Cli {
+    /// A domain file: actions and task types in addition to the standard ones; may be repeated. All
+    /// nodes of a fleet need the same files
+    #[arg(long = "domain", global = true, value_name = "FILE", env = "CONSORT_DOMAIN", value_delimiter = ',')]
+    domains: Vec<PathBuf>,
     /// The command.
     #[command(subcommand)]
     command: Command,
@@ -89,9 +96,14 @@ pub fn run() -> ExitCode {
 
 /// Runs a program with additional skills. The first of `args` is the program's name.
 pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let cli = Cli::parse_from(args);
+    let extensions = match domains::load_all(&cli.domains) {
+        Ok(domains) => Extensions { domains, ..extensions },
+        Err(problems) => return output::exit_code("consort", Err(Failure::from(problems))),
+    };
     output::exit_code(
         "consort",
-        match Cli::parse_from(args).command {
+        match cli.command {
             Command::Demo(args) => demo::run(args, extensions),
             Command::Robot(args) => robot::run(args, extensions),
             Command::Station(args) => station::run(args, extensions),

@@ -1,15 +1,19 @@
-//! Extensions for programs with skills of their own.
+//! Extensions: domain files, and skills in Rust for programs of one's own.
 //!
-//! Such a program is `consort` itself, with all its commands, and with additional [`Extensions`]:
+//! A program with skills in Rust is `consort` itself, with all its commands, and with additional [`Extensions`]:
 //! see `docs/tutorials/skill.md`. All nodes of a fleet need the same extensions: the
 //! coordinator accepts only missions of its own task types.
 
 use crate::diagnostic::{Diagnostic, Diagnostics};
+use crate::domains::LoadedDomain;
+use consort_protocol::ids::{ActionName, TaskType};
 use consort_protocol::mission::Domain;
 use consort_skills::descriptor::DescriptorRegistry;
-use consort_skills::domain::hospital;
+use consort_skills::domain::{hospital, shipped_domain};
+use consort_skills::domain_file::{DomainFile, SimulatedAction};
 use consort_skills::environment::Environment;
 use consort_skills::library::SkillLibrary;
+use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 
 /// The three parts of a skill: its task type in missions, its cost, and its execution. Each
@@ -22,24 +26,45 @@ pub struct Extensions {
     pub descriptors: fn(DescriptorRegistry) -> DescriptorRegistry,
     /// Adds leaves and trees; an error is shown to the user unchanged.
     pub library: fn(&mut SkillLibrary) -> Result<(), Box<dyn Error>>,
+    /// The domain files, from `--domain`.
+    pub domains: &'static [LoadedDomain],
 }
 
 impl Default for Extensions {
     /// No extensions, as in `consort` itself.
     fn default() -> Extensions {
-        Extensions { domain: |domain| domain, descriptors: |descriptors| descriptors, library: |_| Ok(()) }
+        Extensions {
+            domain: |domain| domain,
+            descriptors: |descriptors| descriptors,
+            library: |_| Ok(()),
+            domains: &[],
+        }
     }
 }
 
 impl Extensions {
     /// Returns the task types for missions.
     pub fn domain(self) -> Domain {
-        (self.domain)(hospital())
+        let files = self.domains.iter().flat_map(|loaded| loaded.domain.task_types());
+        (self.domain)(hospital().with_types(files))
+    }
+
+    /// Returns what the simulator does with the declared actions.
+    pub(crate) fn simulated_actions(self) -> BTreeMap<ActionName, SimulatedAction> {
+        let files = self.domains.iter().map(|loaded| &loaded.domain);
+        [shipped_domain()].into_iter().chain(files).flat_map(DomainFile::simulated_actions).collect()
+    }
+
+    /// Returns the task types of the domain files.
+    pub(crate) fn declared_task_types(self) -> BTreeSet<TaskType> {
+        self.domains.iter().flat_map(|loaded| loaded.domain.task_types().map(|(name, _)| name)).collect()
     }
 
     /// Returns the cost descriptors of tasks: `shipped`, extended.
     pub(crate) fn descriptors(self, shipped: DescriptorRegistry) -> DescriptorRegistry {
-        (self.descriptors)(shipped)
+        let files = self.domains.iter();
+        let with_services = shipped_domain().extend_descriptors(shipped);
+        (self.descriptors)(files.fold(with_services, |all, loaded| loaded.domain.extend_descriptors(all)))
     }
 
     /// Returns the skill library for an environment.
@@ -48,6 +73,11 @@ impl Extensions {
     /// [`Diagnostics`] of the program's own extensions.
     pub(crate) fn library(self, environment: Environment) -> Result<SkillLibrary, Diagnostics> {
         let mut library = SkillLibrary::standard(environment);
+        let services = shipped_domain().extend_library(&mut library);
+        services.map_err(|problem| Diagnostic::for_file("the shipped domain", problem))?;
+        for LoadedDomain { path, domain } in self.domains {
+            domain.extend_library(&mut library).map_err(|problem| Diagnostic::for_file(path.display(), problem))?;
+        }
         (self.library)(&mut library).map_err(|problem| Diagnostic::for_file("this program's own skills", problem))?;
         Ok(library)
     }

@@ -8,6 +8,7 @@ use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::mission::{Format, MissionTemplate};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use consort_skills::descriptor::ESTIMATOR_VERSION;
 use consort_skills::missions::shipped;
 use schemars::{JsonSchema, Schema, schema_for};
 use serde::de::DeserializeOwned;
@@ -138,7 +139,7 @@ impl WorkerEntry {
             useful_charge: self.useful_charge,
             speed: self.speed_mps,
             availability: Availability::Free,
-            estimator: crate::wiring::ESTIMATOR_VERSION.to_owned(),
+            estimator: ESTIMATOR_VERSION.to_owned(),
         }
     }
 }

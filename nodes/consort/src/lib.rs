@@ -13,6 +13,7 @@ pub mod config;
 pub mod demo;
 pub mod diagnostic;
 pub(crate) mod doctor;
+pub mod domains;
 pub(crate) mod dry_run;
 pub mod exit;
 pub mod extensions;

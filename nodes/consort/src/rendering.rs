@@ -58,11 +58,14 @@ pub(crate) fn finish_recording(world: &SharedWorld, mut report: impl FnMut(&str)
 mod tests {
     use super::*;
     use crate::config::{FleetConfig, WorldConfig};
+    use crate::extensions::Extensions;
     use crate::wiring::build_world;
 
     #[test]
     fn a_world_without_the_options_has_no_recorder() {
-        let world = SharedWorld::new(build_world(&WorldConfig::default(), &FleetConfig::default()).unwrap());
+        let world = SharedWorld::new(
+            build_world(&WorldConfig::default(), &FleetConfig::default(), Extensions::default()).unwrap(),
+        );
         let none = RenderFlags::default();
         none.start_recording(&world).unwrap();
         assert!(!none.is_enabled() && !world.is_recorded());
@@ -71,7 +74,9 @@ mod tests {
 
     #[test]
     fn an_unwritable_file_is_reported_before_anything_starts() {
-        let world = SharedWorld::new(build_world(&WorldConfig::default(), &FleetConfig::default()).unwrap());
+        let world = SharedWorld::new(
+            build_world(&WorldConfig::default(), &FleetConfig::default(), Extensions::default()).unwrap(),
+        );
         let nowhere = RenderFlags { record: None, svg: Some("/no/such/folder/out.svg".into()) };
         let problem = nowhere.start_recording(&world).unwrap_err().to_string();
         assert!(problem.contains("/no/such/folder/out.svg: the recording cannot be written"), "{problem}");

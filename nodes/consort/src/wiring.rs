@@ -23,7 +23,7 @@ use consort_protocol::versions::VersionRange;
 use consort_protocol::view::MapView;
 use consort_raft::StoreIdentity;
 use consort_raft::store::{DurableStore, NodeStore, Quarantine, StoreOwner};
-use consort_skills::descriptor::{Calibration, DescriptorRegistry, Estimator};
+use consort_skills::descriptor::{Calibration, DescriptorRegistry, ESTIMATOR_VERSION, Estimator};
 use consort_skills::environment::{Environment, Passages, Routes};
 use consort_skills::library::SkillLibrary;
 use consort_text::AllowedNames;
@@ -38,10 +38,6 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::{error, warn};
-
-/// Version of this program's estimators, as nodes publish it. It changes with the estimators'
-/// results, and not with each release: bids of two releases in a fleet must be comparable.
-pub(crate) const ESTIMATOR_VERSION: &str = "standard-1";
 
 /// Values of a single incarnation of a node.
 #[derive(Clone)]
@@ -273,7 +269,7 @@ pub(crate) fn world_node(
     incarnation: NodeIncarnation,
     extensions: Extensions,
 ) -> Result<(NodeSettings, SharedWorld), Diagnostics> {
-    let shared = SharedWorld::new(build_world(world, fleet)?);
+    let shared = SharedWorld::new(build_world(world, fleet, extensions)?);
     let host = DriverServerPart { world: Box::new(shared.clone()), speed: world.speed };
     let bare = bare_node(world.name.clone(), fleet, incarnation, world.may_vote, extensions)?;
     Ok((NodeSettings { stationary: true, mains_powered: true, driver_server: Some(host), ..bare }, shared))
@@ -283,7 +279,11 @@ pub(crate) fn world_node(
 ///
 /// # Errors
 /// [`Diagnostics`] of the map, or of objects on it.
-pub(crate) fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Diagnostics> {
+pub(crate) fn build_world(
+    world: &WorldConfig,
+    fleet: &FleetConfig,
+    extensions: Extensions,
+) -> Result<World, Diagnostics> {
     let name = world.map.as_ref().unwrap_or(&fleet.map);
     let LoadedMap { map: Some(map), .. } = map_loader::load(name)? else {
         let what = "a map of the published format has no floor plan; a world needs a map in Consort's own format";
@@ -298,6 +298,7 @@ pub(crate) fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<Wo
         obstacles: world.obstacle.clone(),
         seed: world.seed,
         durations: world.durations,
+        actions: extensions.simulated_actions(),
         limits: world.limits,
         systems: world.systems.clone(),
         step_s: world.step_s,

@@ -14,7 +14,7 @@ use std::fmt;
 use std::sync::Arc;
 
 /// Task types and places that missions may use.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Domain {
     types: BTreeMap<TaskType, TaskSchema>,
@@ -24,7 +24,7 @@ pub struct Domain {
 }
 
 /// Parameters of a task type.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TaskSchema {
     /// Parameters, by name.
@@ -33,7 +33,7 @@ pub struct TaskSchema {
 }
 
 /// Schema of a parameter.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ParameterSchema {
     /// Kind of value.
@@ -44,7 +44,7 @@ pub struct ParameterSchema {
 }
 
 /// Kind of a value. Values are text; the kind defines the valid texts.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ValueKind {
     /// Place on the map.
@@ -53,10 +53,45 @@ pub enum ValueKind {
     Role,
     /// Duration in seconds, 0 or more, with or without decimals.
     Seconds,
+    /// Finite number within a range.
+    Number(NumberRange),
+    /// Whole number within a range.
+    Integer(NumberRange),
+    /// `true` or `false`.
+    Bool,
     /// Any text.
     Text,
     /// A word from this set.
     OneOf(BTreeSet<String>),
+}
+
+/// Range of a number, both ends included.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct NumberRange {
+    /// Least value; `None` for no limit.
+    pub minimum: Option<f64>,
+    /// Greatest value; `None` for no limit.
+    pub maximum: Option<f64>,
+}
+
+impl NumberRange {
+    /// Checks whether a number is finite and within the range.
+    pub fn contains(self, number: f64) -> bool {
+        number.is_finite()
+            && self.minimum.is_none_or(|minimum| minimum <= number)
+            && self.maximum.is_none_or(|maximum| number <= maximum)
+    }
+}
+
+impl fmt::Display for NumberRange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.minimum, self.maximum) {
+            (None, None) => Ok(()),
+            (Some(minimum), None) => write!(f, ", {minimum} or more"),
+            (None, Some(maximum)) => write!(f, ", {maximum} or less"),
+            (Some(minimum), Some(maximum)) => write!(f, " from {minimum} to {maximum}"),
+        }
+    }
 }
 
 impl fmt::Display for ValueKind {
@@ -65,6 +100,9 @@ impl fmt::Display for ValueKind {
             ValueKind::Place => f.write_str("a place"),
             ValueKind::Role => f.write_str("a role of the mission"),
             ValueKind::Seconds => f.write_str("a number of seconds, zero or more"),
+            ValueKind::Number(range) => write!(f, "a number{range}"),
+            ValueKind::Integer(range) => write!(f, "a whole number{range}"),
+            ValueKind::Bool => f.write_str("true or false"),
             ValueKind::Text => f.write_str("a text"),
             ValueKind::OneOf(words) => {
                 let words: Vec<&str> = words.iter().map(String::as_str).collect();
@@ -82,6 +120,9 @@ impl ValueKind {
             ValueKind::Place => PlaceId::new(text).is_ok(),
             ValueKind::Role => crate::ids::RoleId::new(text).is_ok(),
             ValueKind::Seconds => text.parse::<f64>().is_ok_and(|seconds| seconds.is_finite() && seconds >= 0.0),
+            ValueKind::Number(range) => text.parse::<f64>().is_ok_and(|number| range.contains(number)),
+            ValueKind::Integer(range) => text.parse::<i64>().is_ok_and(|number| range.contains(number as f64)),
+            ValueKind::Bool => matches!(text, "true" | "false"),
             ValueKind::Text => !text.is_empty() && !text.chars().any(char::is_control),
             ValueKind::OneOf(words) => words.contains(text),
         }
@@ -108,6 +149,13 @@ impl TaskSchema {
 }
 
 impl Domain {
+    /// Adds the task types of another domain; replaces existing types of the same names.
+    #[must_use]
+    pub fn with_types(mut self, types: impl IntoIterator<Item = (TaskType, TaskSchema)>) -> Self {
+        self.types.extend(types);
+        self
+    }
+
     /// Adds a task type; replaces an existing type of the same name.
     #[must_use]
     pub fn with(mut self, task_type: TaskType, schema: TaskSchema) -> Self {

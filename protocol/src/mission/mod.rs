@@ -31,7 +31,7 @@ mod validate;
 
 pub(crate) use bits::Bits;
 pub use diagnostic::{IhtnError, MissionDiagnostic, MissionErrorKind, MissionErrors};
-pub use domain::{Domain, ParameterSchema, TaskSchema, ValueKind};
+pub use domain::{Domain, NumberRange, ParameterSchema, TaskSchema, ValueKind};
 pub use file::{Format, MissionFileError, MissionTemplate, TemplateKind, TemplateParameter};
 pub use ihtn::{IhtnOptions, import_ihtn};
 pub use limits::FILE_BYTES_MAX;

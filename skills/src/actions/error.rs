@@ -39,6 +39,8 @@ pub enum ErrorCode {
     TimedOut,
     /// The place is not a charger, or the charger does not work.
     Charger,
+    /// The action was performed without success.
+    Failed,
 }
 
 impl std::fmt::Display for ErrorCode {
@@ -55,6 +57,7 @@ impl std::fmt::Display for ErrorCode {
             ErrorCode::Busy => "busy",
             ErrorCode::TimedOut => "timed out",
             ErrorCode::Charger => "charger",
+            ErrorCode::Failed => "failed",
         })
     }
 }

@@ -1,10 +1,10 @@
 //! Goals of robots, their status and feedback.
 
 use super::error::ActionError;
-use consort_protocol::ids::{PlaceId, RobotId, RoleId};
+use consort_protocol::ids::{ActionName, PlaceId, RobotId, RoleId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{Metres, Seconds};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de, ser};
 
 /// Default time for which an absent person is waited for, in seconds of world time. The task
 /// parameter `timeout_s` overrides it. A larger value saves missions of a nurse called away
@@ -19,8 +19,13 @@ pub const PERSON_TIMEOUT_PARAMETER: &str = "timeout_s";
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct GoalId(pub u64);
 
-/// A goal for a robot.
+/// A goal for a robot: an action of its driver, with parameters.
+///
+/// In JSON it is `{"action": "wait", "parameters": {"time": 5.0}}`, and messages between nodes contain
+/// that text, so a goal of any action can be sent. The variants before the last are the actions that
+/// the simulator and the adapter to ROS 2 know in detail.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(remote = "Self", tag = "action", content = "parameters", rename_all = "snake_case")]
 pub enum Goal {
     /// Drive to a pose in a straight line along a leg of a route.
     NavigateToPose {
@@ -88,6 +93,68 @@ pub enum Goal {
     },
     /// Disconnect from the charger. A robot that drives off disconnects too.
     Undock,
+    /// An action that a domain file declares.
+    #[serde(untagged)]
+    Declared(DeclaredGoal),
+}
+
+/// Goal of a declared action.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeclaredGoal {
+    /// The action.
+    pub action: ActionName,
+    /// Parameters, by name.
+    #[serde(default)]
+    pub parameters: JsonObject,
+    /// True if a repetition has no further effect.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub repeatable: bool,
+}
+
+/// Parameters, feedback or result of an action: a JSON object.
+pub type JsonObject = serde_json::Map<String, serde_json::Value>;
+
+/// Names of the actions that are variants of [`Goal`].
+const STANDARD_ACTIONS: [&str; 13] = [
+    "navigate_to_pose",
+    "approach_person",
+    "authenticate_person",
+    "operate_drawer",
+    "approach_robot",
+    "pick_up",
+    "grasp",
+    "deposit",
+    "wait",
+    "follow_waypoints",
+    "spin",
+    "dock",
+    "undock",
+];
+
+impl Serialize for Goal {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        if serializer.is_human_readable() {
+            return Goal::serialize(self, serializer);
+        }
+        let text = serde_json::to_string(self).map_err(ser::Error::custom)?;
+        text.serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Goal {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Goal, D::Error> {
+        if !deserializer.is_human_readable() {
+            let text = String::deserialize(deserializer)?;
+            return serde_json::from_str(&text).map_err(de::Error::custom);
+        }
+        match Goal::deserialize(deserializer)? {
+            Goal::Declared(DeclaredGoal { action, .. }) if STANDARD_ACTIONS.contains(&action.as_str()) => {
+                Err(de::Error::custom(format_args!("the parameters do not fit the action {action}")))
+            }
+            goal => Ok(goal),
+        }
+    }
 }
 
 /// A pose on the way.
@@ -100,6 +167,26 @@ pub struct Waypoint {
 }
 
 impl Goal {
+    /// Returns the name of the action.
+    pub fn action(&self) -> &str {
+        match self {
+            Goal::NavigateToPose { .. } => "navigate_to_pose",
+            Goal::ApproachPerson { .. } => "approach_person",
+            Goal::AuthenticatePerson { .. } => "authenticate_person",
+            Goal::OperateDrawer { .. } => "operate_drawer",
+            Goal::ApproachRobot { .. } => "approach_robot",
+            Goal::PickUp { .. } => "pick_up",
+            Goal::Grasp { .. } => "grasp",
+            Goal::Deposit { .. } => "deposit",
+            Goal::Wait { .. } => "wait",
+            Goal::FollowWaypoints { .. } => "follow_waypoints",
+            Goal::Spin { .. } => "spin",
+            Goal::Dock { .. } => "dock",
+            Goal::Undock => "undock",
+            Goal::Declared(goal) => goal.action.as_str(),
+        }
+    }
+
     /// Checks whether repeating the goal has no further effect: an open drawer is opened, a reached
     /// place is driven to. A goal that transfers an object is done once, and fails the second time.
     pub fn is_repeatable(&self) -> bool {
@@ -116,6 +203,7 @@ impl Goal {
             // A repeated spin ends at a different heading.
             Goal::Spin { .. } => false,
             Goal::PickUp { .. } | Goal::Grasp { .. } | Goal::Deposit { .. } => false,
+            Goal::Declared(goal) => goal.repeatable,
         }
     }
 }
@@ -172,4 +260,66 @@ pub enum GoalProgress {
     Turned(f64),
     /// Time that [`Goal::Dock`] or [`Goal::Undock`] has taken so far (`docking_time`).
     Docking(Seconds),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::codec;
+    use serde_json::json;
+
+    fn goals() -> Vec<(Goal, serde_json::Value)> {
+        let pose = Pose::new(0.1, -2.0, std::f64::consts::PI / 7.0);
+        let declared = DeclaredGoal {
+            action: "water".parse().unwrap(),
+            parameters: JsonObject::from_iter([("litres".to_owned(), json!(0.5))]),
+            repeatable: true,
+        };
+        vec![
+            (
+                Goal::NavigateToPose { pose, place: Some("Lab".parse().unwrap()) },
+                json!({ "action": "navigate_to_pose", "parameters": { "pose": pose, "place": "Lab" } }),
+            ),
+            (
+                Goal::Wait { time: Seconds::new(2.5).unwrap() },
+                json!({ "action": "wait", "parameters": { "time": 2.5 } }),
+            ),
+            (Goal::Undock, json!({ "action": "undock" })),
+            (
+                Goal::Declared(declared),
+                json!({ "action": "water", "parameters": { "litres": 0.5 }, "repeatable": true }),
+            ),
+        ]
+    }
+
+    #[test]
+    fn a_goal_of_any_action_has_the_same_form() {
+        for (goal, expected) in goals() {
+            assert_eq!(serde_json::to_value(&goal).unwrap(), expected);
+            assert_eq!(serde_json::from_value::<Goal>(expected).unwrap(), goal);
+            let bytes = codec::encode(&goal).unwrap();
+            assert_eq!(codec::decode::<Goal>(&bytes).unwrap(), goal, "to the bit");
+            assert_eq!(goal.action(), serde_json::to_value(&goal).unwrap()["action"]);
+        }
+    }
+
+    #[test]
+    fn wrong_parameters_of_a_standard_action_are_rejected() {
+        for wrong in [json!({ "action": "wait", "parameters": { "time": "soon" } }), json!({ "action": "wait" })] {
+            let error = serde_json::from_value::<Goal>(wrong).unwrap_err().to_string();
+            assert_eq!(error, "the parameters do not fit the action wait");
+        }
+        let unnamed = serde_json::from_value::<Goal>(json!({ "action": "a/b" }));
+        assert!(unnamed.is_err(), "{unnamed:?}");
+    }
+
+    #[test]
+    fn every_standard_action_is_listed() {
+        let unknown = STANDARD_ACTIONS.iter().filter(|action| {
+            let with =
+                |parameters| serde_json::from_value::<Goal>(json!({ "action": action, "parameters": parameters }));
+            matches!(with(json!({ "x": 1 })), Ok(Goal::Declared(_)))
+        });
+        assert_eq!(unknown.count(), 0);
+    }
 }

@@ -19,6 +19,7 @@ mod robot;
 pub use backend::{BackendEvent, PersonRequest, RobotBackend};
 pub use error::{ActionError, ErrorCode};
 pub use goal::{
-    Feedback, Goal, GoalId, GoalProgress, GoalStatus, PERSON_TIMEOUT_PARAMETER, PERSON_TIMEOUT_S, Waypoint,
+    DeclaredGoal, Feedback, Goal, GoalId, GoalProgress, GoalStatus, JsonObject, PERSON_TIMEOUT_PARAMETER,
+    PERSON_TIMEOUT_S, Waypoint,
 };
 pub use robot::{RobotActions, Telemetry};

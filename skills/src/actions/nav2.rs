@@ -30,7 +30,8 @@ impl Goal {
                 | Goal::ApproachRobot { .. }
                 | Goal::PickUp { .. }
                 | Goal::Grasp { .. }
-                | Goal::Deposit { .. },
+                | Goal::Deposit { .. }
+                | Goal::Declared(_),
                 _,
             ) => return None,
         })

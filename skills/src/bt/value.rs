@@ -212,6 +212,24 @@ impl Value {
     }
 }
 
+impl Value {
+    /// Returns the value as JSON: names are texts, a duration is its number of seconds.
+    pub fn to_json(&self) -> serde_json::Value {
+        match self {
+            Value::Text(text) => text.as_str().into(),
+            Value::Number(number) => (*number).into(),
+            Value::Integer(number) => (*number).into(),
+            Value::Bool(yes) => (*yes).into(),
+            Value::Place(place) => place.as_str().into(),
+            Value::Robot(robot) => robot.as_str().into(),
+            Value::Role(role) => role.as_str().into(),
+            Value::Pose(pose) => serde_json::json!({ "x": pose.x, "y": pose.y, "yaw": pose.yaw }),
+            Value::Seconds(time) => time.get().into(),
+            Value::List(values) => values.iter().map(Value::to_json).collect(),
+        }
+    }
+}
+
 impl fmt::Display for Value {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

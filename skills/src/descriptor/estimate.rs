@@ -64,6 +64,14 @@ pub enum EstimateError {
         /// Cause.
         problem: String,
     },
+    /// An expression of a domain file has no valid value.
+    #[error("the estimate of {task_type}: {problem}")]
+    Expression {
+        /// The type of the task.
+        task_type: TaskType,
+        /// Cause.
+        problem: String,
+    },
     /// There is no route to the place of the task.
     #[error(transparent)]
     Route(#[from] RouteError),

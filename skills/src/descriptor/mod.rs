@@ -39,7 +39,9 @@ mod registry;
 pub use calibration::{Calibration, LegFactor, TimeFactor};
 pub use estimate::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
 pub use fixed::FixedDuration;
-pub use registry::{DescriptorRegistry, Estimator, MissingRequirement, PlanBudget, PriceError, ResolveError};
+pub use registry::{
+    DescriptorRegistry, ESTIMATOR_VERSION, Estimator, MissingRequirement, PlanBudget, PriceError, ResolveError,
+};
 
 #[cfg(test)]
 mod tests;

@@ -80,6 +80,10 @@ pub struct PriceError {
     pub source: EstimateError,
 }
 
+/// Version of this program's estimators, as nodes publish it. It changes with the estimators'
+/// results, and not with each release: bids of two releases in a fleet must be comparable.
+pub const ESTIMATOR_VERSION: &str = "standard-1";
+
 const SEND: &str = "send_message";
 const WAIT: &str = "wait_message";
 

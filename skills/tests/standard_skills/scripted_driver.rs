@@ -65,6 +65,7 @@ impl ScriptedDriver {
             Goal::Spin { angle_rad } => format!("spin {angle_rad}"),
             Goal::Dock { .. } => "dock".to_owned(),
             Goal::Undock => "undock".to_owned(),
+            Goal::Declared(goal) => goal.action.to_string(),
         };
         self.goals.iter().map(shown).collect()
     }

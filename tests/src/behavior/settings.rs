@@ -168,6 +168,7 @@ fn people_table() -> SettingStep {
                     .iter()
                     .map(|s| s.as_str().into())
                     .collect(),
+                endless_samples: false,
                 spontaneous_actions: vec![],
             });
         }

@@ -469,6 +469,7 @@ fn world(setup: &ExperimentSetup, scenario: &Scenario, seed: u64) -> SharedWorld
             role: person.role.clone(),
             place: scenario.place(&person.place).expect(checked),
             samples: person.items.iter().map(|item| item.as_str().into()).collect(),
+            endless_samples: false,
             spontaneous_actions: vec![],
         });
     }

@@ -33,7 +33,7 @@ impl Fleet {
     /// Starts the fleet and waits until a coordinator has as many voters as possible.
     pub(crate) async fn start(scenario: &DemoScenario) -> Result<Fleet, BenchError> {
         let program = Path::new(env!("CARGO_BIN_EXE_consort"));
-        let processes = ProcessFleet::start(scenario, program, None).await.map_err(|error| error.to_string())?;
+        let processes = ProcessFleet::start(scenario, program, &[], None).await.map_err(|error| error.to_string())?;
         let keys = Keys::new(&scenario.fleet.name);
         let events = processes.bus().subscribe(&keys.any_events()).await.map_err(|error| error.to_string())?;
         let mut fleet = Fleet { processes, keys, events };

@@ -8,7 +8,7 @@ use crate::{lab_program, output};
 use consort_text::count;
 use std::path::{Path, PathBuf};
 
-/// Check mission, map, fleet, robot, station, world and workers files
+/// Check mission, domain, tree, map, fleet, robot, station, world and workers files
 ///
 /// Detects the kind of each file by its content, and prints `ok` or every problem with file and
 /// position. Referenced files are read too: a robot's place must be on its fleet's map.
@@ -17,6 +17,8 @@ use std::path::{Path, PathBuf};
 Examples:
   consort check examples/*.toml
   consort check my-mission.yaml my-map.yaml
+  consort check my-domain.yaml my-tree.xml
+  consort check my-mission.yaml --domain my-domain.yaml
   consort check --kind station node.toml")]
 pub struct Args {
     /// The files

@@ -61,6 +61,7 @@ fn person(DrawnPerson { item, role }: &DrawnPerson) -> Option<PersonSetup> {
         role,
         place,
         samples: vec![],
+        endless_samples: false,
         spontaneous_actions: vec![],
     })
 }

@@ -6,6 +6,7 @@ use crate::exit::Failure;
 use crate::{inputs, lab_program, output};
 use consort_protocol::mission::MissionTemplate;
 use consort_skills::descriptor::Calibration;
+use consort_skills::domain_file::DomainForm;
 use consort_world::map::MapFile;
 use schemars::{Schema, schema_for};
 
@@ -40,7 +41,8 @@ pub fn schema(kind: FileKind) -> Option<Schema> {
         FileKind::World => schema_for!(WorldConfig),
         FileKind::Workers => inputs::workers_schema(),
         FileKind::Calibration => schema_for!(Calibration),
-        FileKind::Design | FileKind::Ihtn | FileKind::Scenarios => return None,
+        FileKind::Domain => schema_for!(DomainForm),
+        FileKind::Design | FileKind::Ihtn | FileKind::Scenarios | FileKind::Tree => return None,
     })
 }
 
@@ -53,7 +55,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         return Err(lab_program::replace_process(["schema"]));
     }
     let Some(schema) = schema(args.kind) else {
-        let what = format!("{} has the format of the published evaluation, which has no schema here", args.kind);
+        let of = if args.kind == FileKind::Tree { "BehaviorTree.CPP" } else { "the published evaluation" };
+        let what = format!("{} has the format of {of}, which has no schema here", args.kind);
         return Err(Failure::Usage(what));
     };
     output::line(serde_json::to_string_pretty(&schema).expect("a schema is JSON"))

@@ -49,9 +49,10 @@ Examples:
   consort demo --virtual --seed 7       the same fleet on virtual time: the same seed gives the same run
   consort demo --virtual --record run.mcap --svg paths.svg    record it for Foxglove and as an image
   consort demo --json | jq .event       every event as a line of JSON
+  consort demo --domain examples/plants/domain.yaml --mission examples/plants/rounds.yaml    another domain
   consort demo --keep-running           leave the fleet running afterwards (Ctrl-C ends it)
 
-Exit codes: 0 all samples are in the laboratory; 1 they are not; 2 the flags are wrong; 130 interrupted.")]
+Exit codes: 0 all missions are completed, and all samples are in the laboratory; 1 they are not; 2 the flags are wrong; 130 interrupted.")]
 pub struct Args {
     /// Number of mobile robots
     #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u16).range(1..=100))]
@@ -106,16 +107,17 @@ impl Args {
 /// Runs the demo.
 ///
 /// # Errors
-/// [`Failure`] if it does not end with every sample in the laboratory.
+/// [`Failure`] if it does not end with every mission completed, and every sample in the laboratory.
 pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
-    let mission = runner::mission_request(&args.mission, &extensions.domain())?;
+    let (mission, has_room) = runner::mission_request(&args.mission, &extensions.domain())?;
     if args.render.is_enabled() && !args.virtual_time {
         let what = "--record and --svg go with --virtual; of a fleet of processes, `consort world` records its world";
         return Err(Failure::Usage(what.to_owned()));
     }
-    let scenario = DemoScenario::new(usize::from(args.robots), usize::from(args.missions), args.speed(), args.seed);
+    let scenario = DemoScenario::new(usize::from(args.robots), usize::from(args.missions), args.speed(), args.seed)
+        .with_skills(&extensions.declared_task_types());
     let reporter = DemoReporter::new(args.json, &scenario);
-    let options = DemoOptions { kill: !args.no_kill, keep_running: args.keep_running, mission };
+    let options = DemoOptions { kill: !args.no_kill, keep_running: args.keep_running, mission, has_room };
     if args.virtual_time {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
         let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;
@@ -135,7 +137,7 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
             let address = args.dashboard.unwrap_or(SocketAddr::from(([127, 0, 0, 1], 0)));
             let address = BoundAddress::bind("--dashboard", address).await?;
             let floor_plan = FloorPlan::new(&map_loader::load(&scenario.fleet.map)?);
-            let fleet = ProcessFleet::start(&scenario, &program, args.port).await?;
+            let fleet = ProcessFleet::start(&scenario, &program, extensions.domains, args.port).await?;
             let dashboard =
                 Dashboard::open(address, Admission::open(), fleet.bus(), &scenario.fleet.name, "demo", floor_plan);
             DemoRunner::new(options, scenario, fleet, reporter, Some(dashboard)).run().await

@@ -7,6 +7,7 @@
 use super::fleet::DemoFleet;
 use super::scenario::DemoScenario;
 use crate::config::{BusConfig, RobotConfig, StationConfig, WorldConfig, to_toml};
+use crate::domains::LoadedDomain;
 use crate::exit::Failure;
 use crate::shutdown_signals::ShutdownSignals;
 use consort_bus::zenoh_bus::Mode;
@@ -30,6 +31,7 @@ const CONNECT_LIMIT: Duration = Duration::from_secs(20);
 pub struct ProcessFleet {
     folder: Folder,
     program: PathBuf,
+    domains: &'static [LoadedDomain],
     kinds: BTreeMap<NodeId, &'static str>,
     children: BTreeMap<NodeId, Child>,
     bus: Arc<ZenohBus>,
@@ -54,7 +56,7 @@ fn failed(what: impl std::fmt::Display) -> impl FnOnce(std::io::Error) -> Failur
 }
 
 impl ProcessFleet {
-    /// Starts every node of the scenario as a process of `program`, listening on ports from
+    /// Starts every node of the scenario as a process of `program` with these domain files, listening on ports from
     /// `first_port` up, or on free ports.
     ///
     /// # Errors
@@ -63,6 +65,7 @@ impl ProcessFleet {
     pub async fn start(
         scenario: &DemoScenario,
         program: &Path,
+        domains: &'static [LoadedDomain],
         first_port: Option<u16>,
     ) -> Result<ProcessFleet, Failure> {
         let started = Instant::now();
@@ -76,7 +79,7 @@ impl ProcessFleet {
         let endpoint = endpoint(0);
         let mut children = BTreeMap::new();
         for (node, kind) in &kinds {
-            children.insert(node.clone(), spawn(program, &folder.0, node, kind)?);
+            children.insert(node.clone(), spawn(program, domains, &folder.0, node, kind)?);
         }
         let connected = tokio::select! {
             biased;
@@ -93,7 +96,18 @@ impl ProcessFleet {
         };
         let speed = scenario.world.speed;
         let program = program.to_owned();
-        Ok(ProcessFleet { folder, program, kinds, children, bus: Arc::new(bus), endpoint, speed, started, signals })
+        Ok(ProcessFleet {
+            folder,
+            program,
+            domains,
+            kinds,
+            children,
+            bus: Arc::new(bus),
+            endpoint,
+            speed,
+            started,
+            signals,
+        })
     }
 }
 
@@ -186,7 +200,7 @@ impl DemoFleet for ProcessFleet {
 
     async fn restart(&mut self, node: &NodeId) -> Result<(), Failure> {
         let Some(kind) = self.kinds.get(node) else { return Ok(()) };
-        let child = spawn(&self.program, &self.folder.0, node, kind)?;
+        let child = spawn(&self.program, self.domains, &self.folder.0, node, kind)?;
         self.children.insert(node.clone(), child);
         Ok(())
     }
@@ -257,7 +271,7 @@ fn ports(count: usize, first: Option<u16>) -> Result<Vec<u16>, Failure> {
     }
 }
 
-fn spawn(program: &Path, folder: &Path, node: &NodeId, kind: &str) -> Result<Child, Failure> {
+fn spawn(program: &Path, domains: &[LoadedDomain], folder: &Path, node: &NodeId, kind: &str) -> Result<Child, Failure> {
     let log = folder.join(format!("{node}.log"));
     let log =
         File::options().create(true).append(true).open(&log).map_err(failed(format_args!("{}", log.display())))?;
@@ -266,6 +280,7 @@ fn spawn(program: &Path, folder: &Path, node: &NodeId, kind: &str) -> Result<Chi
         .arg("--config")
         .arg(folder.join(format!("{node}.toml")))
         .arg("--until-stdin-closes")
+        .args(domains.iter().flat_map(|loaded| ["--domain".as_ref(), loaded.path.as_os_str()]))
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
         .stderr(log)

@@ -42,6 +42,8 @@ pub(super) struct DemoOptions {
     pub(super) keep_running: bool,
     /// The mission to submit, in the format of the API: a name, or a whole file.
     pub(super) mission: MissionSource,
+    /// True if each mission gets a room with a nurse. Every sample must then end up in the laboratory.
+    pub(super) has_room: bool,
 }
 
 /// Runs a demo on a fleet.
@@ -72,20 +74,17 @@ struct MissionProgress {
     end: Option<(Duration, MissionState)>,
 }
 
-/// Returns the mission of a flag, in the format of the API: checked before anything is started.
+/// Returns the mission of a flag, in the format of the API, and whether it has a parameter `room`:
+/// checked before anything is started.
 ///
 /// # Errors
 /// [`Failure::Usage`] with the problem, or with the bundled missions.
-pub(super) fn mission_request(text: &str, domain: &Domain) -> Result<MissionSource, Failure> {
+pub(super) fn mission_request(text: &str, domain: &Domain) -> Result<(MissionSource, bool), Failure> {
     let template = inputs::mission(text).map_err(|problems| Failure::Usage(format!("--mission {problems}")))?;
-    if !template.parameters().contains_key("room") {
-        return Err(Failure::Usage(format!(
-            "--mission {text}: it has no parameter `room`, which the demo gives each mission"
-        )));
-    }
-    let room = BTreeMap::from([("room".to_owned(), "IC Room 6".to_owned())]);
+    let has_room = template.parameters().contains_key("room");
+    let room = has_room.then(|| ("room".to_owned(), "IC Room 6".to_owned())).into_iter().collect();
     template.instantiate(&room, domain).map_err(|problem| Failure::Usage(format!("--mission {text}: {problem}")))?;
-    Ok(inputs::mission_request(text)?)
+    Ok((inputs::mission_request(text)?, has_room))
 }
 
 impl<S: DemoFleet> DemoRunner<S> {
@@ -165,7 +164,10 @@ impl<S: DemoFleet> DemoRunner<S> {
         for request in self.scenario.requests.clone() {
             let submission = SubmitRequest {
                 mission: self.options.mission.clone(),
-                parameters: [("room".to_owned(), request.room.to_string())].into(),
+                parameters: match self.options.has_room {
+                    true => [("room".to_owned(), request.room.to_string())].into(),
+                    false => BTreeMap::new(),
+                },
                 request: Some(request.request.clone()),
                 priority: 0,
                 deadline_s: None,
@@ -186,7 +188,8 @@ impl<S: DemoFleet> DemoRunner<S> {
                 }
                 self.listen(events, Duration::from_millis(200)).await?;
             };
-            let (submitted, room) = (self.fleet.elapsed(), request.room.to_string());
+            let room = if self.options.has_room { request.room.to_string() } else { "-".to_owned() };
+            let submitted = self.fleet.elapsed();
             let progress =
                 MissionProgress { room, submitted, award_ms: None, holders: String::new(), auctions: 0, end: None };
             self.missions.entry(mission).or_insert(progress);
@@ -327,10 +330,11 @@ impl<S: DemoFleet> DemoRunner<S> {
             .count();
         let all = self.missions.len();
         let mut words: Vec<String> = self.takeover_in_words().into_iter().collect();
-        words.push(format!(
-            "{completed} of {all} missions completed; {delivered} of {} samples in the laboratory",
-            samples.len()
-        ));
+        let in_laboratory = match self.options.has_room {
+            true => format!("; {delivered} of {} samples in the laboratory", samples.len()),
+            false => String::new(),
+        };
+        words.push(format!("{completed} of {all} missions completed{in_laboratory}"));
         let summary = DemoSummary {
             missions,
             completed,
@@ -341,7 +345,8 @@ impl<S: DemoFleet> DemoRunner<S> {
         };
         self.reporter.summary(&rows, &words, DemoEvent::Summary(summary))?;
         let no_takeover = self.killed.is_some() && self.takeover.is_none();
-        if completed == all && delivered == samples.len() && !no_takeover {
+        let all_delivered = !self.options.has_room || delivered == samples.len();
+        if completed == all && all_delivered && !no_takeover {
             return Ok(());
         }
         Err(Failure::Unsuccessful("the demo did not end as expected".to_owned()))

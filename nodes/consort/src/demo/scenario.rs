@@ -36,6 +36,9 @@ const NAMES: [&str; 26] = [
 
 const CARRIER: [&str; 5] = ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
 
+/// Skills that every mobile robot has.
+const SERVICES: [&str; 4] = ["wait", "carry", "disinfect", "operate_door"];
+
 /// A kind of robot: its differences from the other kinds.
 struct Kind {
     lacks: Option<&'static str>,
@@ -96,7 +99,8 @@ fn carriers(robots: usize, rng: &mut ChaCha8Rng, simulated: &mut Vec<RobotSetup>
         let speed = MetresPerSecond::new(kind.speed_mps * jitter).expect("a speed");
         let battery = BatteryShare::new(kind.battery).expect("a share");
         let discharge = SharePerSecond::new(kind.discharge).expect("a rate");
-        let skills = CARRIER.into_iter().filter(|skill| Some(*skill) != kind.lacks).map(slug).collect();
+        let own = CARRIER.into_iter().filter(|skill| Some(*skill) != kind.lacks);
+        let skills = own.chain(SERVICES).map(slug).collect();
         let id: RobotId = slug(&name);
         simulated.push(RobotSetup::carrier(id.clone(), place.clone(), speed, battery, discharge));
         RobotConfig {
@@ -120,20 +124,21 @@ fn arms(arms: usize, simulated: &mut Vec<RobotSetup>) -> impl Iterator<Item = Ro
     })
 }
 
-/// Creates the nurses of the missions' rooms, each with a sample for each of them.
+/// Creates a nurse in every room, with a sample for each mission of the demo, and further samples for all
+/// other requests.
 fn nurses(missions: usize) -> Vec<PersonSetup> {
     let nurse = |(index, room): (usize, &str)| {
         let samples = (index..missions).step_by(ROOMS.len()).map(|mission| format!("sample-{}", mission + 1));
-        let samples: Vec<_> = samples.map(|sample| sample.as_str().into()).collect();
-        (!samples.is_empty()).then(|| PersonSetup {
+        PersonSetup {
             name: format!("nurse of {room}").as_str().into(),
             role: slug::<RoleId>("nurse"),
             place: slug(room),
-            samples,
+            samples: samples.map(|sample| sample.as_str().into()).collect(),
+            endless_samples: true,
             spontaneous_actions: vec![],
-        })
+        }
     };
-    ROOMS.into_iter().enumerate().filter_map(nurse).collect()
+    ROOMS.into_iter().enumerate().map(nurse).collect()
 }
 
 impl DemoScenario {
@@ -171,6 +176,13 @@ impl DemoScenario {
         scenario.robots.iter_mut().for_each(|robot| robot.fleet = reference.clone());
         scenario.stations.iter_mut().for_each(|station| station.fleet = reference.clone());
         scenario
+    }
+
+    /// Adds skills to all robots.
+    #[must_use]
+    pub fn with_skills(mut self, skills: &BTreeSet<TaskType>) -> DemoScenario {
+        self.robots.iter_mut().for_each(|robot| robot.skills.extend(skills.iter().cloned()));
+        self
     }
 
     /// Returns all nodes that may vote, by name.

@@ -3,6 +3,7 @@
 mod binary;
 mod certs;
 mod deploy;
+mod domains;
 mod dry_run;
 mod files;
 #[path = "../../../../tests/support/free_port.rs"]

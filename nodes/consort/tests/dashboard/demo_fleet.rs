@@ -117,7 +117,7 @@ fn the_demo_is_usable_without_a_mouse() {
     browser.wait_until("eight robots", "document.querySelectorAll('#robots tbody tr').length >= 8");
     browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
     browser.wait_until("missions", "document.querySelectorAll('#missions tbody tr').length === 2");
-    browser.wait_until("nurses", "document.querySelectorAll('#people tbody tr').length === 2");
+    browser.wait_until("nurses", "document.querySelectorAll('#people tbody tr').length === 14");
     browser.wait_until(
         "a way ahead",
         "Object.values(consort.connection.model.robots).some((robot) => robot.route.length)",

@@ -17,7 +17,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-const KINDS: [(&str, FileKind); 9] = [
+const KINDS: [(&str, FileKind); 10] = [
     ("mission", FileKind::Mission),
     ("map", FileKind::Map),
     ("fleet", FileKind::Fleet),
@@ -27,6 +27,7 @@ const KINDS: [(&str, FileKind); 9] = [
     ("workers", FileKind::Workers),
     ("design", FileKind::Design),
     ("calibration", FileKind::Calibration),
+    ("domain", FileKind::Domain),
 ];
 
 /// Returns the schemas of all views, by name.

@@ -93,6 +93,11 @@ fn the_operations_tutorial_works() {
 }
 
 #[test]
+fn the_domain_tutorial_works() {
+    run_page(&tutorial("domain"), &[]);
+}
+
+#[test]
 fn the_mission_tutorial_works() {
     run_page(&tutorial("mission"), &[]);
 }

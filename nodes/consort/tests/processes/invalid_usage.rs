@@ -46,7 +46,9 @@ fn an_unknown_or_invalid_mission_is_rejected_before_the_start() {
             assert!(error.contains(word), "{word:?} in {error}");
         }
     }
-    // A mission without the parameter that the demo sets.
-    let error = refused(&folder, &["--mission", "bed-transfer"]);
-    assert!(error.contains("it has no parameter `room`"), "{error}");
+    // A parameter without a default that the demo does not set.
+    let needs = shipped.replace("laboratory: { kind: place, default: Laboratory,", "laboratory: { kind: place,");
+    let file = folder.write("needs.yaml", &needs).display().to_string();
+    let error = refused(&folder, &["--mission", &file]);
+    assert!(error.contains("laboratory"), "{error}");
 }

@@ -69,6 +69,7 @@ use super::limits::FILE_BYTES_MAX;
 use super::lost_item;
 use super::model::Mission;
 use crate::ids::{NameError, TaskId};
+use crate::yaml;
 use schemars::{Schema, schema_for};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -135,22 +136,6 @@ pub struct MissionTemplate {
     file: MissionFile,
 }
 
-fn yaml_options() -> serde_saphyr::Options {
-    serde_saphyr::options! {
-        budget: serde_saphyr::budget! {
-            max_aliases: 0,
-            max_anchors: 0,
-            max_depth: 128,
-            flow_nesting_limit: 128,
-            max_documents: 1,
-            max_nodes: 50_000,
-            max_events: 100_000,
-            max_merge_keys: 0,
-        },
-        merge_keys: serde_saphyr::options::MergeKeyPolicy::Error,
-    }
-}
-
 impl MissionTemplate {
     /// Parses a mission file. Tasks, roles and parameters are checked by
     /// [`MissionTemplate::instantiate`].
@@ -178,9 +163,7 @@ impl MissionTemplate {
         let syntax = |message: String| MissionFileError::Syntax { format, message };
         let file: MissionFile = match format {
             Format::Json => serde_json::from_str(text).map_err(|error| syntax(error.to_string()))?,
-            Format::Yaml => {
-                serde_saphyr::from_str_with_options(text, yaml_options()).map_err(|error| syntax(error.to_string()))?
-            }
+            Format::Yaml => yaml::parse(text).map_err(syntax)?,
         };
         Ok(Self { name: TaskId::new(&*file.mission)?, file })
     }
@@ -197,7 +180,7 @@ impl MissionTemplate {
         let text = text.trim_start_matches('\u{feff}');
         let value: Value = match format {
             Format::Json => serde_json::from_str(text).map_err(|problem| syntax(problem.to_string()))?,
-            Format::Yaml => serde_saphyr::from_str(text).map_err(|problem| syntax(problem.to_string()))?,
+            Format::Yaml => yaml::parse(text).map_err(syntax)?,
         };
         Ok(scalars_as_text(value))
     }

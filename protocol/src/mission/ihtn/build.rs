@@ -128,7 +128,13 @@ impl<'a> Builder<'a> {
             let schema = self.domain.get(&task_type)?;
             let mut choices = schema.parameters.iter().filter(|(_, parameter)| match &parameter.kind {
                 ValueKind::OneOf(words) => words.contains(suffix),
-                ValueKind::Place | ValueKind::Role | ValueKind::Seconds | ValueKind::Text => false,
+                ValueKind::Place
+                | ValueKind::Role
+                | ValueKind::Seconds
+                | ValueKind::Number(_)
+                | ValueKind::Integer(_)
+                | ValueKind::Bool
+                | ValueKind::Text => false,
             });
             match (choices.next(), choices.next()) {
                 (Some((parameter, _)), None) => Some((task_type, [(parameter.clone(), suffix.to_owned())].into())),

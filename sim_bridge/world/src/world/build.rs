@@ -11,7 +11,7 @@ use super::simulation::World;
 use super::systems;
 use crate::map::Map;
 use consort_protocol::ids::PlaceId;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
 const SPEED_MPS: RangeInclusive<f64> = 0.001..=100.0;
@@ -25,8 +25,8 @@ impl WorldSetup {
         let systems = systems::system_names().map(str::to_owned).collect();
         let (robots, people, objects) = (Vec::new(), Vec::new(), Vec::new());
         let (doors, obstacles) = (Vec::new(), Vec::new());
-        let (step_s, wind) = (default_step_s(), None);
-        Self { map, robots, people, objects, doors, obstacles, seed, durations, limits, systems, step_s, wind }
+        let (step_s, wind, actions) = (default_step_s(), None, BTreeMap::new());
+        Self { map, robots, people, objects, doors, obstacles, seed, durations, actions, limits, systems, step_s, wind }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::event::WorldEvent;
 use super::goal_history::{ActiveGoal, EndedGoal, GoalHistory};
-use super::preconditions::{action_error, goal_name};
+use super::preconditions::action_error;
 use super::sim_state::{ScheduledEvent, SimState};
 use super::simulation::World;
 use super::system_access::SystemIndex;
@@ -34,12 +34,8 @@ impl World {
     /// Returns the system that executes the goal and the end time, if the goal may start.
     fn try_begin(&mut self, robot: Entity, goal: &Goal) -> Result<(SystemIndex, f64), ActionError> {
         if let Some(active) = &self.state.get::<GoalHistory>(robot).active {
-            let message = format!(
-                "{} is executing {} (goal {})",
-                self.state.robot_id(robot),
-                goal_name(&active.goal),
-                active.id.0
-            );
+            let message =
+                format!("{} is executing {} (goal {})", self.state.robot_id(robot), active.goal.action(), active.id.0);
             return Err(action_error(ErrorCode::Busy, message));
         }
         for index in self.system_indices() {
@@ -50,7 +46,7 @@ impl World {
                 return result.map(|ends| (index, ends));
             }
         }
-        Err(action_error(ErrorCode::Unknown, format!("no system of this world executes {}", goal_name(goal))))
+        Err(action_error(ErrorCode::Unknown, format!("no system of this world executes {}", goal.action())))
     }
 
     /// Ends the active goal and applies its effect, if that is still possible.

@@ -82,7 +82,6 @@ mod tests;
 pub use event::{LoggedEvent, SampleHolder, WorldEvent};
 pub(crate) use motion_state::{MotionState, MotionSummary};
 pub use names::{PersonName, SampleId};
-pub(crate) use preconditions::goal_name;
 pub use report::{DoorReport, PersonReport, RobotReport, WorldReport};
 pub use samples::SampleReport;
 pub use sensing::{DetectedObject, Detection, SensorReading};

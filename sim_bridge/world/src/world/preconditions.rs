@@ -7,31 +7,12 @@ use super::sim_state::SimState;
 use crate::map::PlaceIndex;
 use crate::suggest::did_you_mean;
 use consort_protocol::ids::RobotId;
-use consort_skills::actions::{ActionError, ErrorCode, Goal};
+use consort_skills::actions::{ActionError, ErrorCode};
 use hecs::Entity;
 
 /// Builds the error of a goal.
 pub(crate) fn action_error(code: ErrorCode, message: String) -> ActionError {
     ActionError { code, message }
-}
-
-/// Name of a goal type, for messages.
-pub(crate) fn goal_name(goal: &Goal) -> &'static str {
-    match goal {
-        Goal::NavigateToPose { .. } => "navigate_to_pose",
-        Goal::ApproachPerson { .. } => "approach_person",
-        Goal::AuthenticatePerson { .. } => "authenticate_person",
-        Goal::OperateDrawer { .. } => "operate_drawer",
-        Goal::ApproachRobot { .. } => "approach_robot",
-        Goal::PickUp { .. } => "pick_up",
-        Goal::Grasp { .. } => "grasp",
-        Goal::Deposit { .. } => "deposit",
-        Goal::Wait { .. } => "wait",
-        Goal::FollowWaypoints { .. } => "follow_waypoints",
-        Goal::Spin { .. } => "spin",
-        Goal::Dock { .. } => "dock",
-        Goal::Undock => "undock",
-    }
 }
 
 impl SimState {

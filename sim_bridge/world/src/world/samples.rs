@@ -118,6 +118,12 @@ impl SimState {
         held.into_iter().map(|(_, sample)| sample).collect()
     }
 
+    /// Returns the first of these samples that lies on a table.
+    pub(crate) fn first_on_a_table(&self, samples: &[Entity]) -> Option<Entity> {
+        let on_a_table = |sample: &Entity| matches!(self.get::<Custody>(*sample).holder, HolderEntity::Table(_));
+        samples.iter().copied().find(on_a_table)
+    }
+
     /// Returns the labels of a holder's samples.
     pub(crate) fn held_labels(&self, holder: HolderEntity) -> Vec<SampleId> {
         self.held(holder).into_iter().map(|sample| self.get::<SampleLabel>(sample).0.clone()).collect()

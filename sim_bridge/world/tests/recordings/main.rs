@@ -58,6 +58,7 @@ pub(crate) fn hall() -> SharedWorld {
         role: "nurse".parse().unwrap(),
         place: place("B"),
         samples: vec!["blood".into()],
+        endless_samples: false,
         spontaneous_actions: vec![],
     };
     let setup = setup.robot(carrier("ada", "A")).robot(carrier("bob", "C")).person(nia);

@@ -187,6 +187,7 @@ impl Nav2Driver {
             Goal::Deposit { .. } => reject("deposit anything"),
             Goal::Spin { .. } => reject("spin"),
             Goal::Dock { .. } | Goal::Undock => reject("dock"),
+            Goal::Declared(goal) => reject(goal.action.as_str()),
         }
     }
 

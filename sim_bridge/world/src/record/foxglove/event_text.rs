@@ -1,6 +1,6 @@
 //! Text for world events.
 
-use crate::world::{SampleHolder, WorldEvent, goal_name};
+use crate::world::{SampleHolder, WorldEvent};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_skills::actions::{Goal, GoalStatus};
 
@@ -97,9 +97,9 @@ pub(super) fn changes_state_of(event: &WorldEvent, of: &RobotId) -> bool {
 
 fn goal_text(goal: &Goal) -> String {
     match goal {
-        Goal::NavigateToPose { place: Some(place), .. } => format!("{} to {place}", goal_name(goal)),
-        Goal::FollowWaypoints { waypoints } => format!("{} over {}", goal_name(goal), waypoints.len()),
-        _ => goal_name(goal).to_owned(),
+        Goal::NavigateToPose { place: Some(place), .. } => format!("{} to {place}", goal.action()),
+        Goal::FollowWaypoints { waypoints } => format!("{} over {}", goal.action(), waypoints.len()),
+        _ => goal.action().to_owned(),
     }
 }
 

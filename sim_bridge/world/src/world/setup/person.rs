@@ -19,6 +19,9 @@ pub struct PersonSetup {
     /// Samples to hand over, in order.
     #[serde(default)]
     pub samples: Vec<SampleId>,
+    /// True if the person, once these are handed over, has a new sample for every request. Default: false.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub endless_samples: bool,
     /// Unrequested actions of the person. Default: none, so the person waits and does every
     /// requested task.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

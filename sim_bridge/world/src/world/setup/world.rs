@@ -5,8 +5,11 @@ use super::limits::{Durations, WorldLimits};
 use super::person::PersonSetup;
 use super::robot::RobotSetup;
 use crate::map::Map;
+use consort_protocol::ids::ActionName;
+use consort_skills::domain_file::SimulatedAction;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Initial state of a world. Equal setups run alike.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,6 +30,8 @@ pub struct WorldSetup {
     pub seed: u64,
     /// Durations of actions.
     pub durations: Durations,
+    /// Actions that domain files declare.
+    pub actions: BTreeMap<ActionName, SimulatedAction>,
     /// Limits of memory and numbers.
     pub limits: WorldLimits,
     /// Names of the systems, in the order in which they receive events.

@@ -3,6 +3,7 @@
 mod arm;
 mod co_presence;
 mod collisions;
+mod declared_actions;
 pub(crate) mod docking;
 pub(crate) mod doors;
 mod drawer;
@@ -20,7 +21,7 @@ mod wind;
 use super::system::System;
 
 /// All systems, in the order in which they receive events.
-static ALL: [&dyn System; 16] = [
+static ALL: [&dyn System; 17] = [
     &steering::Steering,
     &driving::Driving,
     &doors::Doors,
@@ -28,6 +29,7 @@ static ALL: [&dyn System; 16] = [
     &obstacles::Obstacles,
     &turning::Turning,
     &waiting::Waiting,
+    &declared_actions::DeclaredActions,
     &co_presence::CoPresenceSystem,
     &drawer::Drawer,
     &arm::Arm,

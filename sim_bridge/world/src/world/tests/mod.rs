@@ -56,6 +56,7 @@ fn nurse(name: &str, at: &str, sample: &str) -> PersonSetup {
         role: role("nurse"),
         place: place(at),
         samples: vec![sample.into()],
+        endless_samples: false,
         spontaneous_actions: vec![],
     }
 }

@@ -102,15 +102,11 @@ fn a_request_canceled_before_its_arrival_is_not_served() {
 fn an_impossible_request_ends_with_its_reason() {
     let error = |code, message: &str| Err(ActionError { code, message: message.to_owned() });
     let mut world = ready();
-    let mut dance = deposit("r1");
-    dance.task.task_type = TaskType::new("dance").unwrap();
-    world.request_person(GoalId(1), dance);
     world.request_person(GoalId(2), PersonRequest { role: role("doctor"), ..deposit("r1") });
     world.request_person(GoalId(3), deposit("r9"));
     assert_eq!(
         world.advance(at(4.0)),
         [
-            answer(1, error(ErrorCode::Unknown, "a nurse cannot dance; supported tasks: deposit")),
             answer(2, error(ErrorCode::Unknown, "no doctor is here; roles present: nurse")),
             answer(3, error(ErrorCode::Unknown, "no robot here that has a drawer holds role r1")),
         ]
@@ -119,6 +115,45 @@ fn an_impossible_request_ends_with_its_reason() {
     world.request_person(GoalId(5), deposit("r1"));
     let full = error(ErrorCode::DrawerState, "the drawer of r1 is full: it holds s2");
     assert_eq!(world.advance(at(99.0)), [answer(4, Ok(())), answer(5, full)]);
+}
+
+/// A task that is no handover needs no robot, but a free person.
+#[test]
+fn a_person_does_any_task_in_its_time() {
+    let mut world = ready();
+    let mut dance = deposit("r1");
+    dance.task.task_type = TaskType::new("dance").unwrap();
+    dance.task.parameters.insert("seconds".to_owned(), "30".to_owned());
+    for id in [1, 2, 3] {
+        world.request_person(GoalId(id), dance.clone());
+    }
+    assert_eq!(world.advance(at(33.9)), []);
+    assert_eq!(world.advance(at(34.1)), [answer(1, Ok(())), answer(2, Ok(()))], "two nurses");
+    assert_eq!(world.advance(at(64.1)), [answer(3, Ok(()))]);
+    dance.task.parameters.clear();
+    world.request_person(GoalId(4), dance);
+    assert_eq!(world.advance(at(69.0)), [answer(4, Ok(()))], "as long as a handover");
+}
+
+#[test]
+fn a_person_with_endless_samples_serves_any_number_of_requests() {
+    let bea = PersonSetup { endless_samples: true, ..nurse("Bea", "PC Room 2", "s2") };
+    let setup = hospital(3)
+        .robot(carrier("r1", "PC Room 2"))
+        .robot(RobotSetup { has_arm: true, ..carrier("porter", "PC Room 2") })
+        .person(bea);
+    let mut world = World::new(setup).unwrap();
+    run_to_success(&mut world, "r1", 1, approach());
+    run_to_success(&mut world, "r1", 2, open());
+    run_to_success(&mut world, "porter", 1, Goal::ApproachRobot { robot: robot("r1") });
+    for number in 1..60 {
+        world.request_person(GoalId(number), deposit("r1"));
+        let until = at(world.now().as_secs() + 9.0);
+        assert_eq!(world.advance(until), [answer(number, Ok(()))]);
+        run_to_success(&mut world, "porter", 2 * number, Goal::PickUp { from: robot("r1") });
+        run_to_success(&mut world, "porter", 2 * number + 1, Goal::Deposit { into: None });
+    }
+    assert_eq!(world.samples().len(), 21, "used samples are taken again");
 }
 
 #[test]

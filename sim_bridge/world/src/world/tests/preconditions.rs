@@ -96,6 +96,7 @@ fn the_wrong_person_is_not_authenticated() {
         role: role("visitor"),
         place: place("PC Room 1"),
         samples: vec![],
+        endless_samples: false,
         spontaneous_actions: vec![],
     });
     let mut world = World::new(setup).unwrap();

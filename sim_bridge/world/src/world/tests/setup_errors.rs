@@ -22,7 +22,7 @@ fn all_mistakes_are_reported() {
         [
             "durations: pick_up_s is NaN, allowed is a number of seconds from 0 to 86400",
             "limits: drawer_slots is 0, allowed is 1 or more",
-            "there is no system \"powr\"; did you mean \"power\"?; there are: steering, driving, doors, lifts, obstacles, turning, waiting, co_presence, drawer, arm, docking, power, spontaneous_actions, people, collisions, wind",
+            "there is no system \"powr\"; did you mean \"power\"?; there are: steering, driving, doors, lifts, obstacles, turning, waiting, declared_actions, co_presence, drawer, arm, docking, power, spontaneous_actions, people, collisions, wind",
             "system arm is defined more than once",
             "robot r1: there is no place \"PC Rom 3\" on map hospital; did you mean \"PC Room 3\"?",
             "robot r1 is defined more than once",

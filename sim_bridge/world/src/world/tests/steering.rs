@@ -213,7 +213,7 @@ fn invalid_kinematics_are_rejected() {
             "robot r1: radius_m is -1, allowed is a number of metres from 0.01 to 10",
             "robot r1, kinematics: turning_radius_m is 0, allowed is a number from 0.001 to 1000",
             "robot r1 has kinematics, so the systems must include driving and steering; they are: driving, doors, lifts, \
-             obstacles, turning, waiting, co_presence, drawer, arm, docking, power, spontaneous_actions, people, collisions, wind",
+             obstacles, turning, waiting, declared_actions, co_presence, drawer, arm, docking, power, spontaneous_actions, people, collisions, wind",
         ]
     );
 }

@@ -1,9 +1,10 @@
 //! People, and the tasks requested of them.
 //!
-//! A request waits until a robot that holds a role of the mission has approached a person in the
-//! requested role and stands there with an open drawer. The approached person hands over: of
+//! A request for a handover waits until a robot that holds a role of the mission has approached a person
+//! in the requested role and stands there with an open drawer. The approached person hands over: of
 //! several nurses, the nurse at the robot's place. A handover takes time. If the robot leaves or
-//! closes its drawer meanwhile, the person keeps the sample and the request waits on.
+//! closes its drawer meanwhile, the person keeps the sample and the request waits on. Any other task is
+//! done by a free person in the role, in the time of the parameter `seconds`, or else of a handover.
 //!
 //! While every person in the role is away, a request waits for a return: for the seconds of the
 //! task's parameter `timeout_s`, or two minutes. A robot that has stayed at the place is next
@@ -17,7 +18,7 @@ use crate::world::components::{CoPresence, DrawerOpen, HandoverRng, HandsBusy, P
 use crate::world::event::WorldEvent;
 use crate::world::event_queue::TimerId;
 use crate::world::location::RobotLocation;
-use crate::world::names::PersonName;
+use crate::world::names::{PersonName, SampleId};
 use crate::world::preconditions::action_error;
 use crate::world::samples::{Custody, HandoverCount, HolderEntity, PayloadData};
 use crate::world::setup::environment::sample_kg;
@@ -34,11 +35,14 @@ use hecs::Entity;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use requests::{Handover, Request, RequestNumber};
+use requests::{Handover, Request, RequestNumber, Work};
 use std::collections::BTreeSet;
 
-/// Tasks that people can do, by task type.
-const TASK_TYPES: &[&str] = &["deposit"];
+/// Task type of a handover.
+const HANDOVER: &str = "deposit";
+
+/// Task parameter with the duration of a task that is no handover, in seconds.
+const SECONDS: &str = "seconds";
 
 /// Task parameter with the role of the robot that receives the sample. Without it, any robot of the
 /// mission may come.
@@ -46,6 +50,24 @@ const INTO_ROLE: &str = "into_role";
 
 /// Bit in the number of a timer that distinguishes a timeout from the end of a handover.
 const TIMEOUT_FLAG: u64 = 1 << 63;
+
+/// Number of samples of a person with endless samples from which on used samples are taken again.
+const SUPPLY_MAX: usize = 20;
+
+/// Samples that a person without a sample makes, as a component.
+pub(crate) struct SampleSupply {
+    endless: bool,
+    made: Vec<Entity>,
+}
+
+/// A person who can do a request now.
+struct Ready {
+    person: Entity,
+    /// The robot of a handover.
+    robot: Option<Entity>,
+    /// Duration in seconds, if the request contains it.
+    seconds: Option<f64>,
+}
 
 /// See the [module](self).
 pub(crate) struct People;
@@ -68,7 +90,8 @@ impl System for People {
             SampleLabel,
             PayloadData,
             HandoverRng,
-            PersonInfo
+            PersonInfo,
+            SampleSupply
         ]
     }
 
@@ -132,6 +155,7 @@ impl SimState {
         self.insert(entity, PersonInfo { name: person.name.clone(), role: person.role.clone(), place });
         self.insert(entity, HandsBusy(false));
         self.insert(entity, HandoverRng(rng));
+        self.insert(entity, SampleSupply { endless: person.endless_samples, made: vec![] });
         self.people.insert(person.name.clone(), entity);
         for sample in &person.samples {
             let load = PayloadData { weight_kg: sample_kg(), distance_m: 0.0 };
@@ -145,8 +169,8 @@ impl SimState {
         if self.resource::<PersonRequests>().is_known(id) {
             return;
         }
-        match self.accepting_robots(request) {
-            Ok(into) => {
+        match self.requested_work(request) {
+            Ok(work) => {
                 let timeout =
                     request.task.parameters.get(PERSON_TIMEOUT_PARAMETER).and_then(|seconds| seconds.parse().ok());
                 let timeout_s =
@@ -155,7 +179,7 @@ impl SimState {
                 self.resource_mut::<PersonRequests>().open(Request {
                     id,
                     role,
-                    into,
+                    work,
                     under_way: None,
                     timeout_s,
                     timeout_timer: None,
@@ -184,8 +208,8 @@ impl SimState {
         self.serve_requests();
     }
 
-    /// Returns the robots with an acceptable drawer.
-    fn accepting_robots(&self, request: &PersonRequest) -> Result<BTreeSet<Entity>, ActionError> {
+    /// Returns the requested work: for a handover, with the robots that have an acceptable drawer.
+    fn requested_work(&self, request: &PersonRequest) -> Result<Work, ActionError> {
         let roles: BTreeSet<RoleId> =
             self.people.values().map(|person| self.get::<PersonInfo>(*person).role.clone()).collect();
         let unknown = |message| Err(action_error(ErrorCode::Unknown, message));
@@ -194,18 +218,14 @@ impl SimState {
             let known = if known.is_empty() { "none".to_owned() } else { known };
             return unknown(format!("no {} is here; roles present: {known}", request.role));
         }
-        if !TASK_TYPES.contains(&request.task.task_type.as_str()) {
-            return unknown(format!(
-                "a {} cannot {}; supported tasks: {}",
-                request.role,
-                request.task.task_type,
-                TASK_TYPES.join(", ")
-            ));
-        }
         let waiting = self.resource::<PersonRequests>().open.len();
         if waiting >= self.limits.person_requests_max {
             let message = format!("{waiting} person requests are open already");
             return Err(action_error(ErrorCode::Busy, message));
+        }
+        if request.task.task_type.as_str() != HANDOVER {
+            let seconds = request.task.parameters.get(SECONDS).and_then(|text| text.parse().ok());
+            return Ok(Work::Task { seconds: seconds.filter(|seconds| (0.0..=f64::MAX).contains(seconds)) });
         }
         let wanted = request.task.parameters.get(INTO_ROLE);
         let holders = request.holders.iter().filter(|(role, _)| wanted.is_none_or(|wanted| role.as_str() == wanted));
@@ -214,7 +234,7 @@ impl SimState {
             .filter(|robot| self.get::<SimRobot>(*robot).0.has_drawer)
             .collect();
         match (into.is_empty(), wanted) {
-            (false, _) => Ok(into),
+            (false, _) => Ok(Work::Handover { into }),
             (true, Some(role)) => unknown(format!("no robot here that has a drawer holds role {role}")),
             (true, None) => unknown("no robot here that has a drawer holds a role".to_owned()),
         }
@@ -224,29 +244,47 @@ impl SimState {
     fn serve_requests(&mut self) {
         let waiting = self.resource::<PersonRequests>().waiting();
         for number in waiting {
-            let ready_pair =
-                self.resource::<PersonRequests>().open.get(&number).and_then(|request| self.ready_pair(request));
-            let Some((person, robot)) = ready_pair else { continue };
+            let ready = self.resource::<PersonRequests>().open.get(&number).and_then(|request| self.ready(request));
+            let Some(Ready { person, robot, seconds }) = ready else { continue };
             let (min_s, max_s) = (self.durations.person_min_s, self.durations.person_max_s);
-            let duration_s = self.get_mut::<HandoverRng>(person).0.random_range(min_s..=max_s);
+            let duration_s = match seconds {
+                Some(seconds) => seconds,
+                None => self.get_mut::<HandoverRng>(person).0.random_range(min_s..=max_s),
+            };
             let ends = self.schedule(self.now + duration_s, person, number.0);
             self.get_mut::<HandsBusy>(person).0 = true;
-            let name = self.get::<PersonInfo>(person).name.clone();
-            self.log_event(WorldEvent::HandoverStarted { person: name, robot: self.robot_id(robot) });
+            if let Some(robot) = robot {
+                let name = self.get::<PersonInfo>(person).name.clone();
+                self.log_event(WorldEvent::HandoverStarted { person: name, robot: self.robot_id(robot) });
+            }
             if let Some(request) = self.resource_mut::<PersonRequests>().open.get_mut(&number) {
                 request.under_way = Some(Handover { person, robot, ends });
             }
         }
     }
 
-    /// Returns a free person for the request, and the robot with an open drawer that has approached
-    /// them.
-    fn ready_pair(&self, request: &Request) -> Option<(Entity, Entity)> {
-        let with = |robot: Entity| {
-            self.person_ready_at(robot).filter(|person| self.get::<PersonInfo>(*person).role == request.role)
-        };
-        let mut pairs = request.into.iter().filter_map(|robot| Some((with(*robot)?, *robot)));
-        pairs.find(|(person, _)| !self.get::<HandsBusy>(*person).0)
+    /// Returns a free person for the request, and for a handover the robot with an open drawer that has
+    /// approached them.
+    fn ready(&self, request: &Request) -> Option<Ready> {
+        let is_free = |person: Entity| !self.get::<HandsBusy>(person).0;
+        match &request.work {
+            Work::Handover { into } => {
+                let with = |robot: Entity| {
+                    self.person_ready_at(robot).filter(|person| self.get::<PersonInfo>(*person).role == request.role)
+                };
+                let mut pairs = into.iter().filter_map(|robot| Some((with(*robot)?, *robot)));
+                let (person, robot) = pairs.find(|(person, _)| is_free(*person))?;
+                Some(Ready { person, robot: Some(robot), seconds: None })
+            }
+            Work::Task { seconds } => {
+                let can_do = |person: &Entity| {
+                    let info = self.get::<PersonInfo>(*person);
+                    info.role == request.role && self.is_present(&info.name)
+                };
+                let person = self.people.values().copied().find(|person| can_do(person) && is_free(*person))?;
+                Some(Ready { person, robot: None, seconds: *seconds })
+            }
+        }
     }
 
     /// Returns the person next to a robot with an open drawer.
@@ -269,9 +307,13 @@ impl SimState {
             .and_then(|request| Some((request.id, request.under_way.take()?)));
         let Some((id, handover)) = done else { return };
         self.get_mut::<HandsBusy>(handover.person).0 = false;
-        if self.person_ready_at(handover.robot) == Some(handover.person) {
-            let result = self.transfer_to_drawer(handover);
-            self.end_request(id, result);
+        match handover.robot {
+            Some(robot) if self.person_ready_at(robot) == Some(handover.person) => {
+                let result = self.transfer_to_drawer(handover.person, robot);
+                self.end_request(id, result);
+            }
+            Some(_) => {}
+            None => self.end_request(id, Ok(())),
         }
         self.serve_requests();
     }
@@ -282,8 +324,9 @@ impl SimState {
         let robot = robot.and_then(|robot| self.robots.get(robot).copied());
         let (id, handover) = {
             let mut requests = self.resource_mut::<PersonRequests>();
-            let matches =
-                |handover: &Handover| handover.person == person && robot.is_none_or(|robot| robot == handover.robot);
+            let matches = |handover: &Handover| {
+                handover.person == person && robot.is_none_or(|robot| handover.robot == Some(robot))
+            };
             let request = requests.open.values_mut().find(|request| request.under_way.as_ref().is_some_and(matches))?;
             (request.id, request.under_way.take()?)
         };
@@ -336,15 +379,40 @@ impl SimState {
         self.end_request(id, Err(action_error(ErrorCode::OutOfReach, message)));
     }
 
-    fn transfer_to_drawer(&mut self, handover: Handover) -> Result<(), ActionError> {
-        self.check_drawer_space(handover.robot)?;
-        let Some(sample) = self.held(HolderEntity::Hands(handover.person)).first().copied() else {
-            let info = self.get::<PersonInfo>(handover.person);
+    fn transfer_to_drawer(&mut self, person: Entity, robot: Entity) -> Result<(), ActionError> {
+        self.check_drawer_space(robot)?;
+        let held = self.held(HolderEntity::Hands(person)).first().copied();
+        let Some(sample) = held.or_else(|| self.supplied_sample(person)) else {
+            let info = self.get::<PersonInfo>(person);
             let message = format!("{} {} has no sample to hand over", info.role, info.name);
             return Err(action_error(ErrorCode::DrawerState, message));
         };
-        self.transfer_sample(sample, HolderEntity::Drawer(handover.robot));
+        self.transfer_sample(sample, HolderEntity::Drawer(robot));
         Ok(())
+    }
+
+    /// Returns a new sample of a person with endless samples: one that has ended up on a table, once there
+    /// are [`SUPPLY_MAX`], so that their number stays bounded.
+    fn supplied_sample(&mut self, person: Entity) -> Option<Entity> {
+        let made = {
+            let supply = self.get::<SampleSupply>(person);
+            if !supply.endless {
+                return None;
+            }
+            supply.made.clone()
+        };
+        if made.len() >= SUPPLY_MAX
+            && let Some(used) = self.first_on_a_table(&made)
+        {
+            self.transfer_sample(used, HolderEntity::Hands(person));
+            return Some(used);
+        }
+        let id = SampleId::from(format!("{} {}", self.get::<PersonInfo>(person).name, made.len() + 1).as_str());
+        let load = PayloadData { weight_kg: sample_kg(), distance_m: 0.0 };
+        self.spawn_sample(id.clone(), HolderEntity::Hands(person), load);
+        let sample = self.samples.get(&id).copied()?;
+        self.get_mut::<SampleSupply>(person).made.push(sample);
+        Some(sample)
     }
 
     fn end_request(&mut self, id: GoalId, result: Result<(), ActionError>) {

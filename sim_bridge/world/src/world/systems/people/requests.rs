@@ -26,8 +26,7 @@ pub(crate) struct PersonRequests {
 pub(super) struct Request {
     pub(super) id: GoalId,
     pub(super) role: RoleId,
-    /// Robots with an acceptable drawer.
-    pub(super) into: BTreeSet<Entity>,
+    pub(super) work: Work,
     pub(super) under_way: Option<Handover>,
     /// Time for which the request waits for an absent person, in seconds.
     pub(super) timeout_s: f64,
@@ -35,11 +34,20 @@ pub(super) struct Request {
     pub(super) timeout_timer: Option<TimerId>,
 }
 
-/// A handover under way.
+/// What is requested of a person.
+pub(super) enum Work {
+    /// Hand a sample over to one of these robots.
+    Handover { into: BTreeSet<Entity> },
+    /// Any other task, with its duration in seconds if the request contains it.
+    Task { seconds: Option<f64> },
+}
+
+/// A handover or another task under way.
 #[derive(Clone, Copy)]
 pub(super) struct Handover {
     pub(super) person: Entity,
-    pub(super) robot: Entity,
+    /// The robot of a handover.
+    pub(super) robot: Option<Entity>,
     pub(super) ends: TimerId,
 }
 

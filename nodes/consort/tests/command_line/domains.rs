@@ -1,0 +1,94 @@
+//! Domain files: actions and task types as data.
+
+use super::support::{crate_file, run, test_file};
+use serde_json::Value;
+
+fn plants(name: &str) -> String {
+    crate_file(&format!("../../examples/plants/{name}"))
+}
+
+#[test]
+fn the_example_domain_and_its_mission_are_valid() {
+    let (domain, mission) = (plants("domain.yaml"), plants("rounds.yaml"));
+    let ran = run(&["check", &domain, &mission, "--domain", &domain]);
+    let expected = format!(
+        "{domain}: ok, a domain: 2 actions, 1 task type\n{mission}: ok, a mission: water-plants, 1 role, 2 steps\n"
+    );
+    assert_eq!((ran.code, ran.out), (Some(0), expected), "{}", ran.err);
+    // Without the domain its task type is unknown.
+    let ran = run(&["check", &mission]);
+    assert!(ran.code == Some(1) && ran.out.contains("unknown task type `water_plant`"), "{}", ran.out);
+}
+
+/// Robots and a simulated world that know nothing of plants water them, and a robot takes over from a
+/// killed coordinator.
+#[test]
+fn a_mission_of_a_new_domain_runs_in_the_demo() {
+    let (domain, mission) = (plants("domain.yaml"), plants("rounds.yaml"));
+    let ran = run(&["demo", "--virtual", "--json", "--missions", "3", "--domain", &domain, "--mission", &mission]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let events: Vec<Value> = ran.out.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    let summary = events.last().expect("a summary");
+    assert_eq!(summary["completed"], 3, "{summary}");
+}
+
+/// The robots, people and simulated actions of the plain demo suffice for the shipped missions. (One needs
+/// a mobile robot with an arm, which would also bid for the part of the arm in the laboratory.)
+#[test]
+fn shipped_missions_run_in_the_demo() {
+    for mission in ["lab-samples", "lab-samples-watched", "bed-transfer", "ward-disinfection", "vital-signs"] {
+        let ran = run(&["demo", "--virtual", "--mission", mission]);
+        assert_eq!(ran.code, Some(0), "{mission}\n{}\n{}", ran.out, ran.err);
+    }
+}
+
+#[test]
+fn trees_are_checked_node_by_node() {
+    let (domain, tree) = (plants("domain.yaml"), plants("water_plant.xml"));
+    let ran = run(&["check", &tree, "--domain", &domain]);
+    assert_eq!((ran.code, ran.out), (Some(0), format!("{tree}: ok, a tree: water_plant, 6 nodes\n")), "{}", ran.err);
+    // The actions of the domain are unknown without it.
+    let ran = run(&["check", &tree]);
+    let [looks, waters] = [9, 10].map(|line| format!("{tree}:{line}:1: no domain declares the node "));
+    assert_eq!((ran.code, ran.out), (Some(1), format!("{looks}`inspect_plant`\n{waters}`water`\n")), "{}", ran.err);
+    let navigator = test_file(
+        "navigator.xml",
+        "<root BTCPP_format=\"4\"><BehaviorTree ID=\"go\">\n<RecoveryNode number_of_retries=\"6\">\n<FollowPath path=\"{path}\"/>\n<Wayt seconds=\"1\"/>\n</RecoveryNode></BehaviorTree></root>",
+    );
+    let ran = run(&["check", &navigator]);
+    for expected in [
+        ":2:1: no domain declares the node `RecoveryNode`",
+        ":3:1: ",
+        ":4:1: no domain declares the node `Wayt`; did you mean `Wait`?",
+    ] {
+        assert!(ran.out.contains(&format!("{navigator}{expected}")), "{expected}\n{}", ran.out);
+    }
+}
+
+#[test]
+fn mistakes_in_a_domain_are_reported_with_file_and_place() {
+    let tree =
+        test_file("sprinkle.xml", "<root BTCPP_format=\"4\"><BehaviorTree ID=\"s\">\n<watr/></BehaviorTree></root>");
+    let domain = test_file(
+        "wrong_domain.yaml",
+        "domain: plants\nactions:\n  water: { simulate: { failure_rate: 2 } }\ntasks:\n  sprinkle: { tree: sprinkle.xml, estimate: { time_s: \"1.0\" } }\n  spray: { action: watr }\n",
+    );
+    let typing = test_file("typing_domain.yaml", "domain: plants\nactoins: {}\n");
+    let ran = run(&["check", &domain, &typing]);
+    assert_eq!(ran.code, Some(1), "{}", ran.out);
+    for expected in [
+        format!("{domain}: actions.water.simulate.failure_rate: allowed is a share from 0 to 1"),
+        format!(
+            "{domain}: tasks.spray.action: the domain declares no action watr; allowed: water; did you mean `water`?"
+        ),
+        "sprinkle.xml:2: ".to_owned(),
+        "actoins".to_owned(),
+    ] {
+        assert!(ran.out.contains(&expected), "{expected:?} is missing in\n{}\n({tree})", ran.out);
+    }
+    let ran = run(&["demo", "--virtual", "--domain", &domain]);
+    assert_eq!(ran.code, Some(2), "nothing starts with a wrong domain");
+    let example = plants("domain.yaml");
+    let twice = run(&["check", &example, "--domain", &example, "--domain", &example]);
+    assert!(twice.code == Some(2) && twice.err.contains("`inspect_plant` is already registered"), "{}", twice.err);
+}

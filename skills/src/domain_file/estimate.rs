@@ -1,0 +1,173 @@
+//! Estimates in CEL.
+
+use super::form::{EstimateForm, ParameterForm, ParameterKind, TaskForm};
+use crate::descriptor::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
+use crate::environment::{Environment, EnvironmentDescriptor, Routes};
+use cel::{Context, Env, Program};
+use consort_protocol::ids::{PlaceId, TaskType};
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::units::Seconds;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+
+/// Maximum length of an expression, in bytes.
+const EXPRESSION_BYTES_MAX: usize = 1024;
+
+/// The estimate of a task type of a domain file.
+pub(super) struct DeclaredEstimate {
+    task_type: TaskType,
+    parameters: BTreeMap<String, ParameterForm>,
+    time_s: Expression,
+    energy: Option<Expression>,
+    ends_at: Option<String>,
+    /// Standard functions of CEL. Their setup takes longer than an evaluation.
+    functions: Arc<Env>,
+}
+
+struct Expression {
+    text: String,
+    program: Program,
+}
+
+impl Expression {
+    fn compile(text: &str) -> Result<Expression, String> {
+        if text.len() > EXPRESSION_BYTES_MAX {
+            return Err(format!("it has {} bytes; at most {EXPRESSION_BYTES_MAX} are allowed", text.len()));
+        }
+        let program = Program::compile(text).map_err(|problem| problem.to_string())?;
+        Ok(Expression { text: text.to_owned(), program })
+    }
+
+    /// Evaluates the expression to a finite number of 0 or more.
+    fn number(&self, variables: &Context<'static, 'static>) -> Result<f64, String> {
+        let number = match self.program.execute(variables) {
+            Ok(cel::Value::Float(number)) => number,
+            Ok(cel::Value::Int(number)) => number as f64,
+            Ok(cel::Value::UInt(number)) => number as f64,
+            Ok(other) => return Err(format!("`{}` is {other:?}; allowed is a number", self.text)),
+            Err(problem) => {
+                return Err(format!("`{}`: {problem}; numbers are written with a decimal point, as in 2.0", self.text));
+            }
+        };
+        match number.is_finite() && number >= 0.0 {
+            true => Ok(number),
+            false => Err(format!("`{}` is {number}; allowed are finite numbers of 0 or more", self.text)),
+        }
+    }
+}
+
+impl DeclaredEstimate {
+    /// Compiles the estimate of a task type, and evaluates it once with example values.
+    pub(super) fn compile(
+        task_type: &TaskType,
+        task: &TaskForm,
+        form: &EstimateForm,
+    ) -> Result<DeclaredEstimate, (&'static str, String)> {
+        let at = |key| move |problem| (key, problem);
+        let time_s = Expression::compile(&form.time_s).map_err(at("time_s"))?;
+        let energy = form.energy.as_deref().map(Expression::compile).transpose().map_err(at("energy"))?;
+        if let Some(name) = &form.ends_at
+            && task.parameters.get(name).is_none_or(|parameter| parameter.kind != ParameterKind::Place)
+        {
+            return Err(("ends_at", format!("{name} is no parameter of type place")));
+        }
+        let (parameters, ends_at) = (task.parameters.clone(), form.ends_at.clone());
+        let functions = Arc::new(Env::stdlib());
+        let estimate =
+            DeclaredEstimate { task_type: task_type.clone(), parameters, time_s, energy, ends_at, functions };
+        let variables = estimate.example();
+        estimate.time_s.number(&variables).map_err(at("time_s"))?;
+        estimate.energy.as_ref().map(|energy| energy.number(&variables)).transpose().map_err(at("energy"))?;
+        Ok(estimate)
+    }
+
+    /// Returns variables with a value of each type.
+    fn example(&self) -> Context<'static, 'static> {
+        let example = |parameter: &ParameterForm| match parameter.kind {
+            ParameterKind::Seconds | ParameterKind::Number | ParameterKind::Integer => {
+                parameter.minimum.or(parameter.maximum).unwrap_or(1.0).to_string()
+            }
+            ParameterKind::Bool => "true".to_owned(),
+            ParameterKind::Place | ParameterKind::Role | ParameterKind::Text => {
+                parameter.one_of.first().cloned().unwrap_or_else(|| "example".to_owned())
+            }
+        };
+        let texts = self.parameters.iter().map(|(name, parameter)| (name.clone(), example(parameter))).collect();
+        self.variables(&texts, 1.0, 0.001, |_| Ok::<f64, EstimateError>(1.0)).expect("examples are valid")
+    }
+
+    fn variables<E>(
+        &self,
+        texts: &BTreeMap<String, String>,
+        speed: f64,
+        discharge: f64,
+        distance: impl Fn(&str) -> Result<f64, E>,
+    ) -> Result<Context<'static, 'static>, E> {
+        let mut context = Context::with_env(Arc::clone(&self.functions));
+        let mut distances = HashMap::new();
+        for (name, parameter) in &self.parameters {
+            let Some(text) = texts.get(name) else { continue };
+            let value = match parameter.kind {
+                ParameterKind::Seconds | ParameterKind::Number | ParameterKind::Integer => {
+                    cel::Value::Float(text.parse().unwrap_or(f64::NAN))
+                }
+                ParameterKind::Bool => cel::Value::Bool(text == "true"),
+                ParameterKind::Place => {
+                    distances.insert(name.clone(), cel::Value::Float(distance(text)?));
+                    cel::Value::from(text.clone())
+                }
+                ParameterKind::Role | ParameterKind::Text => cel::Value::from(text.clone()),
+            };
+            context.add_variable_from_value(name.clone(), value);
+        }
+        context.add_variable_from_value("distance", cel::Value::from(distances));
+        context.add_variable_from_value("speed", cel::Value::Float(speed));
+        context.add_variable_from_value("discharge", cel::Value::Float(discharge));
+        Ok(context)
+    }
+}
+
+impl SkillDescriptor for DeclaredEstimate {
+    fn task_type(&self) -> &TaskType {
+        &self.task_type
+    }
+
+    fn required_descriptors(&self) -> Vec<&'static str> {
+        let travels = self.parameters.values().any(|parameter| parameter.kind == ParameterKind::Place);
+        if travels { vec![Routes::KIND] } else { vec![] }
+    }
+
+    fn estimate(
+        &self,
+        task: &TaskSpec,
+        context: &EstimateContext,
+        environment: &Environment,
+    ) -> Result<Estimate, EstimateError> {
+        let place = |text: &str| {
+            text.parse::<PlaceId>().map_err(|problem| EstimateError::Expression {
+                task_type: self.task_type.clone(),
+                problem: problem.to_string(),
+            })
+        };
+        let distance = |text: &str| {
+            let (to, routes) = (place(text)?, environment.get::<Routes>()?.without_closed(&context.closed));
+            Ok::<f64, EstimateError>(match context.pose {
+                Some(pose) => routes.distance_left(&context.place, pose, &to)?.get(),
+                None => routes.distance(&context.place, &to)?.get(),
+            })
+        };
+        let variables = self.variables(&task.parameters, context.speed.get(), context.discharge.get(), distance)?;
+        let failed = |problem| EstimateError::Expression { task_type: self.task_type.clone(), problem };
+        let time_s = self.time_s.number(&variables).map_err(failed)?;
+        let time = Seconds::new(time_s).map_err(|problem| failed(problem.to_string()))?;
+        let ends_at = match self.ends_at.as_ref().and_then(|name| task.parameters.get(name)) {
+            Some(text) => place(text)?,
+            None => context.place.clone(),
+        };
+        let mut estimate = Estimate::of_duration(time, context, ends_at);
+        if let Some(energy) = &self.energy {
+            estimate.energy = energy.number(&variables).map_err(failed)?;
+        }
+        Ok(estimate)
+    }
+}

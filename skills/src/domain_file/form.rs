@@ -1,0 +1,179 @@
+//! The form of a domain file.
+
+use consort_protocol::ids::{ActionName, DomainId, TaskType};
+use consort_protocol::mission::{NumberRange, ParameterSchema, TaskSchema, ValueKind};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// A domain: actions that drivers perform, and task types that use them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DomainForm {
+    /// Name of the domain.
+    pub domain: DomainId,
+    /// Description for people.
+    #[serde(default)]
+    pub description: String,
+    /// Actions, by name.
+    #[serde(default)]
+    pub actions: BTreeMap<ActionName, ActionForm>,
+    /// Task types, by name.
+    #[serde(default)]
+    pub tasks: BTreeMap<TaskType, TaskForm>,
+}
+
+/// An action that a driver performs.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ActionForm {
+    /// Description for people.
+    pub description: String,
+    /// Parameters, by name.
+    pub parameters: BTreeMap<String, ParameterForm>,
+    /// True if a repetition of a completed goal has no further effect. Default false: a completed goal is
+    /// never sent again.
+    pub repeatable: bool,
+    /// What the simulator does with a goal of the action.
+    pub simulate: SimulatedAction,
+}
+
+/// A parameter of an action or a task type.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ParameterForm {
+    /// Type of the value.
+    #[serde(rename = "type")]
+    pub kind: ParameterKind,
+    /// Unit, for people.
+    #[serde(default)]
+    pub unit: String,
+    /// Description for people.
+    #[serde(default)]
+    pub description: String,
+    /// Least number.
+    #[serde(default)]
+    pub minimum: Option<f64>,
+    /// Greatest number.
+    #[serde(default)]
+    pub maximum: Option<f64>,
+    /// The allowed texts; for texts only. Without it every text is allowed.
+    #[serde(default)]
+    pub one_of: BTreeSet<String>,
+    /// True if the value may be omitted.
+    #[serde(default)]
+    pub optional: bool,
+}
+
+/// Type of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ParameterKind {
+    /// Place on the map.
+    Place,
+    /// Role of the mission.
+    Role,
+    /// Duration in seconds, 0 or more.
+    Seconds,
+    /// Finite number.
+    Number,
+    /// Whole number.
+    Integer,
+    /// `true` or `false`.
+    Bool,
+    /// Text.
+    Text,
+}
+
+/// A task type.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TaskForm {
+    /// Description for people.
+    #[serde(default)]
+    pub description: String,
+    /// Parameters, by name.
+    #[serde(default)]
+    pub parameters: BTreeMap<String, ParameterForm>,
+    /// The action that performs the task; its parameters are those of the task with the same names.
+    /// Either this or `tree`.
+    #[serde(default)]
+    pub action: Option<ActionName>,
+    /// Name of the file of the behavior tree that performs the task (BehaviorTree.CPP 4), relative to the
+    /// domain file. Either this or `action`.
+    #[serde(default)]
+    pub tree: Option<String>,
+    /// Estimate of the cost. Default for a task with an `action`: the mean time that the simulator needs.
+    #[serde(default)]
+    pub estimate: Option<EstimateForm>,
+}
+
+/// Estimate of the cost of a task. Expressions are in CEL. Their variables are the parameters of the task,
+/// `speed` (m/s) and `discharge` (share of the battery per second) of the robot, and for each parameter of
+/// type `place` the length of the route to it in `distance` (m): `distance.at / speed + 8.0`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EstimateForm {
+    /// Duration in seconds, as an expression.
+    pub time_s: String,
+    /// Energy as a share of a full battery, as an expression. Default: the time at the robot's discharge
+    /// rate.
+    #[serde(default)]
+    pub energy: Option<String>,
+    /// Parameter with the place at which the task ends. Default: where it begins.
+    #[serde(default)]
+    pub ends_at: Option<String>,
+}
+
+/// What the simulator does with a goal: it takes a time, and succeeds or fails.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct SimulatedAction {
+    /// Least and greatest duration in seconds; uniformly distributed. Default 2 to 2 s.
+    pub duration_s: (f64, f64),
+    /// Share of the goals that fail at their end, from 0 to 1. Default 0.
+    pub failure_rate: f64,
+}
+
+impl Default for SimulatedAction {
+    fn default() -> Self {
+        SimulatedAction { duration_s: (2.0, 2.0), failure_rate: 0.0 }
+    }
+}
+
+impl SimulatedAction {
+    /// Returns the mean duration in seconds.
+    pub fn mean_s(&self) -> f64 {
+        f64::midpoint(self.duration_s.0, self.duration_s.1)
+    }
+}
+
+impl ParameterForm {
+    fn range(&self) -> NumberRange {
+        NumberRange { minimum: self.minimum, maximum: self.maximum }
+    }
+
+    /// Returns the kind of value that a mission may contain.
+    fn value_kind(&self) -> ValueKind {
+        match self.kind {
+            ParameterKind::Place => ValueKind::Place,
+            ParameterKind::Role => ValueKind::Role,
+            ParameterKind::Seconds => ValueKind::Seconds,
+            ParameterKind::Number => ValueKind::Number(self.range()),
+            ParameterKind::Integer => ValueKind::Integer(self.range()),
+            ParameterKind::Bool => ValueKind::Bool,
+            ParameterKind::Text if self.one_of.is_empty() => ValueKind::Text,
+            ParameterKind::Text => ValueKind::OneOf(self.one_of.clone()),
+        }
+    }
+}
+
+impl TaskForm {
+    /// Returns the parameters for missions.
+    pub(super) fn schema(&self) -> TaskSchema {
+        let schema = |(name, parameter): (&String, &ParameterForm)| {
+            (name.clone(), ParameterSchema { kind: parameter.value_kind(), required: !parameter.optional })
+        };
+        TaskSchema { parameters: self.parameters.iter().map(schema).collect() }
+    }
+}

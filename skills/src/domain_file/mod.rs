@@ -1,0 +1,279 @@
+//! Domain files: actions and task types as data.
+//!
+//! ```yaml
+//! domain: plants
+//! actions:                                     # what a driver performs
+//!   water:
+//!     description: waters the plant at the robot's place
+//!     parameters: { litres: { type: number, unit: l, minimum: 0, maximum: 5 } }
+//!     simulate: { duration_s: [6, 10], failure_rate: 0.02 }
+//! tasks:                                       # what a mission contains
+//!   water_plant:
+//!     parameters: { litres: { type: number, unit: l, minimum: 0, maximum: 5 } }
+//!     action: water                            # or `tree: water_plant.xml`
+//!     estimate: { time_s: "4.0 + 2.0 * litres" }
+//! ```
+//!
+//! The leaf of an action in a behavior tree has its name, and its parameters as ports:
+//! `<water litres="{litres}"/>`. A domain adds to the standard domain; it does not replace its actions
+//! and task types.
+
+mod action_leaf;
+mod estimate;
+mod form;
+
+pub use form::{ActionForm, DomainForm, EstimateForm, ParameterForm, ParameterKind, SimulatedAction, TaskForm};
+
+use crate::bt::xml::read_xml;
+use crate::bt::{NodeSpec, TreeSpec};
+use crate::descriptor::DescriptorRegistry;
+use crate::environment::Environment;
+use crate::library::SkillLibrary;
+use crate::standard_types::standard_types;
+use consort_protocol::ids::{ActionName, DomainId, TaskType};
+use consort_protocol::mission::TaskSchema;
+use consort_text::AllowedNames;
+use estimate::DeclaredEstimate;
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// A checked domain file.
+#[derive(Debug, Clone)]
+pub struct DomainFile {
+    form: DomainForm,
+    /// The behavior trees of the task types.
+    trees: BTreeMap<TaskType, TreeSpec>,
+}
+
+/// A problem of a domain file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DomainProblem {
+    /// The place in the file, as keys: `tasks.water_plant.action`; empty for a problem of a tree, which
+    /// names its own file.
+    pub place: String,
+    /// The problem, and what is allowed.
+    pub problem: String,
+}
+
+impl fmt::Display for DomainProblem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.place.as_str() {
+            "" => f.write_str(&self.problem),
+            place => write!(f, "{place}: {}", self.problem),
+        }
+    }
+}
+
+fn problem(place: impl Into<String>, problem: impl Into<String>) -> DomainProblem {
+    DomainProblem { place: place.into(), problem: problem.into() }
+}
+
+impl DomainForm {
+    /// Returns the names of the tree files, relative to the domain file.
+    pub fn tree_files(&self) -> impl Iterator<Item = &str> {
+        self.tasks.values().filter_map(|task| task.tree.as_deref())
+    }
+}
+
+impl DomainFile {
+    /// Checks a domain that is used with the `known` domains. `trees` contains the texts of the [tree
+    /// files](DomainForm::tree_files), by name.
+    ///
+    /// # Errors
+    /// Every problem, in the order of the file.
+    pub fn check(
+        form: DomainForm,
+        trees: &BTreeMap<String, String>,
+        known: &[&DomainFile],
+    ) -> Result<DomainFile, Vec<DomainProblem>> {
+        let mut problems = vec![];
+        let mut library = SkillLibrary::standard(Environment::new());
+        for domain in known {
+            domain.extend_library(&mut library).map_err(|problem| vec![problem])?;
+        }
+        for (name, action) in &form.actions {
+            problems.extend(action_problems(name, action));
+            if let Err(error) = library.extend(|registry| action_leaf::register(registry, name, action)) {
+                problems.push(problem(format!("actions.{name}"), error.to_string()));
+            }
+        }
+        let mut checked = BTreeMap::new();
+        for (name, task) in &form.tasks {
+            problems.extend(task_problems(&form, name, task));
+            let declares = |domain: &&&DomainFile| domain.form.tasks.contains_key(name);
+            if let Some(domain) = known.iter().find(declares) {
+                problems.push(problem(
+                    format!("tasks.{name}"),
+                    format!("the domain {} has a task type of this name", domain.name()),
+                ));
+            }
+            match tree_of(&form, name, task, trees) {
+                Ok(Some(tree)) => match library.register(name.clone(), &tree) {
+                    Ok(()) => {
+                        checked.insert(name.clone(), tree);
+                    }
+                    Err(error) => problems.push(problem("", error.to_string())),
+                },
+                Ok(None) => {}
+                Err(found) => problems.push(found),
+            }
+        }
+        if problems.is_empty() { Ok(DomainFile { form, trees: checked }) } else { Err(problems) }
+    }
+
+    /// Returns the name of the domain.
+    pub fn name(&self) -> &DomainId {
+        &self.form.domain
+    }
+
+    /// Returns the task types with their parameters.
+    pub fn task_types(&self) -> impl Iterator<Item = (TaskType, TaskSchema)> {
+        self.form.tasks.iter().map(|(name, task)| (name.clone(), task.schema()))
+    }
+
+    /// Returns the names of the actions.
+    pub fn actions(&self) -> impl Iterator<Item = &ActionName> {
+        self.form.actions.keys()
+    }
+
+    /// Returns what the simulator does with the actions.
+    pub fn simulated_actions(&self) -> impl Iterator<Item = (ActionName, SimulatedAction)> {
+        self.form.actions.iter().map(|(name, action)| (name.clone(), action.simulate))
+    }
+
+    /// Adds the leaves of the actions and the trees of the task types to a library.
+    ///
+    /// # Errors
+    /// The first problem: another domain has a leaf or a node of the same name.
+    pub fn extend_library(&self, library: &mut SkillLibrary) -> Result<(), DomainProblem> {
+        for (name, action) in &self.form.actions {
+            let added = library.extend(|registry| action_leaf::register(registry, name, action));
+            added.map_err(|error| problem(format!("actions.{name}"), error.to_string()))?;
+        }
+        for (name, tree) in &self.trees {
+            library.register(name.clone(), tree).map_err(|error| problem("", error.to_string()))?;
+        }
+        Ok(())
+    }
+
+    /// Adds the estimates of the task types.
+    #[must_use]
+    pub fn extend_descriptors(&self, descriptors: DescriptorRegistry) -> DescriptorRegistry {
+        self.form.tasks.iter().fold(descriptors, |descriptors, (name, task)| {
+            match estimate_of(&self.form, name, task) {
+                Ok(estimate) => descriptors.with(estimate),
+                Err(_) => descriptors, // a checked domain has none
+            }
+        })
+    }
+}
+
+fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem> {
+    let mut problems = parameter_problems(&format!("actions.{name}"), &action.parameters);
+    let SimulatedAction { duration_s: (least, greatest), failure_rate } = action.simulate;
+    if !(0.0..=greatest).contains(&least) || !greatest.is_finite() {
+        let allowed = "allowed are two numbers of seconds, the second not less than the first";
+        problems.push(problem(format!("actions.{name}.simulate.duration_s"), allowed));
+    }
+    if !(0.0..=1.0).contains(&failure_rate) {
+        problems.push(problem(format!("actions.{name}.simulate.failure_rate"), "allowed is a share from 0 to 1"));
+    }
+    problems
+}
+
+fn parameter_problems(place: &str, parameters: &BTreeMap<String, ParameterForm>) -> Vec<DomainProblem> {
+    let mut problems = vec![];
+    for (name, parameter) in parameters {
+        let place = format!("{place}.parameters.{name}");
+        let is_number = matches!(parameter.kind, ParameterKind::Number | ParameterKind::Integer);
+        let has_range = parameter.minimum.is_some() || parameter.maximum.is_some();
+        if has_range && !is_number {
+            problems.push(problem(&place, "only numbers and integers have a minimum or a maximum"));
+        }
+        if !parameter.one_of.is_empty() && parameter.kind != ParameterKind::Text {
+            problems.push(problem(&place, "only texts have `one_of`"));
+        }
+        if parameter.minimum > parameter.maximum && parameter.maximum.is_some() {
+            problems.push(problem(&place, "the minimum exceeds the maximum"));
+        }
+        let mut letters = name.chars();
+        let is_name = letters.next().is_some_and(|first| first.is_ascii_alphabetic())
+            && letters.all(|letter| letter.is_ascii_alphanumeric() || letter == '_');
+        if !is_name {
+            problems.push(problem(&place, "allowed is a letter, followed by letters, digits and `_`"));
+        }
+    }
+    problems
+}
+
+fn task_problems(form: &DomainForm, name: &TaskType, task: &TaskForm) -> Vec<DomainProblem> {
+    let place = format!("tasks.{name}");
+    let mut problems = parameter_problems(&place, &task.parameters);
+    if standard_types().get(name).is_some() {
+        problems.push(problem(&place, "the standard domain has a task type of this name"));
+    }
+    if task.action.is_some() == task.tree.is_some() {
+        problems.push(problem(&place, "a task has either an `action` or a `tree`"));
+    }
+    if let Some(action) = &task.action {
+        let at = format!("{place}.action");
+        match form.actions.get(action) {
+            None => {
+                let known = AllowedNames::suggest_for(action.as_str(), form.actions.keys());
+                problems.push(problem(at, format!("the domain declares no action {action}; {known}")));
+            }
+            Some(declared) => {
+                let missing = declared.parameters.iter().filter(|(name, parameter)| {
+                    !parameter.optional && task.parameters.get(*name).is_none_or(|own| own.optional)
+                });
+                for (parameter, _) in missing {
+                    problems.push(problem(&at, format!("{action} needs the parameter `{parameter}` of the task")));
+                }
+            }
+        }
+    }
+    if let Err(found) = estimate_of(form, name, task) {
+        problems.push(found);
+    }
+    problems
+}
+
+/// Returns the estimate of a task, or else the mean time of its action in the simulator.
+fn estimate_of(form: &DomainForm, name: &TaskType, task: &TaskForm) -> Result<DeclaredEstimate, DomainProblem> {
+    let of_action = || {
+        let action = form.actions.get(task.action.as_ref()?)?;
+        Some(EstimateForm { time_s: format!("{:?}", action.simulate.mean_s()), energy: None, ends_at: None })
+    };
+    let Some(estimate) = task.estimate.clone().or_else(of_action) else {
+        return Err(problem(format!("tasks.{name}.estimate"), "a task with a tree needs an estimate"));
+    };
+    DeclaredEstimate::compile(name, task, &estimate)
+        .map_err(|(key, found)| problem(format!("tasks.{name}.estimate.{key}"), found))
+}
+
+/// Returns the tree of a task; `None` if it has neither an action nor a tree.
+fn tree_of(
+    form: &DomainForm,
+    name: &TaskType,
+    task: &TaskForm,
+    trees: &BTreeMap<String, String>,
+) -> Result<Option<TreeSpec>, DomainProblem> {
+    match (&task.action, &task.tree) {
+        (Some(action), None) => {
+            let parameters = form.actions.get(action).map(|declared| &declared.parameters);
+            let shared = task.parameters.keys().filter(|name| parameters.is_some_and(|own| own.contains_key(*name)));
+            let leaf =
+                shared.fold(NodeSpec::new(action.as_str()), |leaf, name| leaf.port(name, &format!("{{{name}}}")));
+            Ok(Some(TreeSpec::single(name.as_str(), leaf)))
+        }
+        (None, Some(file)) => {
+            let text =
+                trees.get(file).ok_or_else(|| problem(format!("tasks.{name}.tree"), format!("{file} is missing")))?;
+            read_xml(file, text).map(Some).map_err(|error| problem("", error.to_string()))
+        }
+        (Some(_), Some(_)) | (None, None) => Ok(None),
+    }
+}
+
+#[cfg(test)]
+mod tests;
