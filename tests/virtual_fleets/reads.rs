@@ -1,7 +1,7 @@
 //! Reads of clients: linearizable, or from the copy of any node with its age.
 
 use consort_protocol::ids::NodeId;
-use consort_protocol::keys::ApiCall;
+use consort_protocol::keys::{ApiCall, Key};
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::time::Duration;
@@ -117,5 +117,30 @@ fn a_read_from_an_isolated_node_states_its_age() {
         assert!(isolated.abs_diff(elapsed) < Duration::from_secs(1), "seed {seed}: {isolated:?} after {elapsed:?}");
         let reply = fleet.request_answered(ApiCall::List, &linearizable()).await;
         assert!(reply["retry_after_ms"].is_u64(), "seed {seed}: {reply}");
+    });
+}
+
+/// The links of a node without a ledger return between 2 of its lookups: it reaches a voter, and its
+/// lookup of the mission got no reply.
+#[test]
+fn a_mission_that_no_voter_was_asked_for_is_not_unknown() {
+    for_each_seed(SEEDS, async |seed| {
+        let fleet = fleet(seed).await;
+        let mission = fleet.submit("before", ROOM).await;
+        for node in fleet.running() {
+            let node: NodeId = slug(&node);
+            let lookup = Key::Seen(node.clone(), Box::new(Key::ViewMission(slug(mission.as_str()))));
+            fleet.network.block_queries(node, &fleet.keys().write(&lookup));
+        }
+        let replies = fleet.read_everywhere(ApiCall::Get, &json!({ "mission": mission })).await;
+        let world = replies.iter().find(|reply| reply["seen_by"] == "world").expect("a reply of the world");
+        assert!(world["retry_after_ms"].is_u64(), "seed {seed}: {world}");
+
+        let replies = fleet.read_everywhere(ApiCall::Get, &json!({ "mission": "lab-samples-9" })).await;
+        for reply in &replies {
+            let error = reply["error"].as_str().unwrap_or_default();
+            assert!(error.starts_with("no mission lab-samples-9 is known at "), "seed {seed}: {reply}");
+            assert_eq!(reply.get("retry_after_ms"), None, "seed {seed}: {reply}");
+        }
     });
 }

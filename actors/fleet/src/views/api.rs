@@ -2,6 +2,7 @@
 
 use super::ViewService;
 use super::draw::json;
+use super::linearizable::retry;
 use crate::api_help;
 use consort_protocol::api::{
     ErrorReply, ExplainReply, MissionQuery, ReadOptions, UninvitedRobot, parse_read_options, parse_request,
@@ -59,8 +60,8 @@ impl ViewService {
         all.pop().map(|(_, value)| value)
     }
 
-    /// Returns a mission, or an error. If no voter is reachable, the mission may exist all the
-    /// same, and the error allows a retry.
+    /// Returns a mission, or an error. An error is final only if a node with a copy of the ledger
+    /// has answered that it lacks the mission, and a coordinator is known.
     async fn mission(&self, MissionQuery { mission, linearizable }: &MissionQuery) -> Result<Value, Value> {
         let key = Key::ViewMission(mission.clone());
         if *linearizable {
@@ -68,16 +69,17 @@ impl ViewService {
         }
         let deadline = Instant::now() + MISSION_WAIT;
         loop {
-            if let Some(found) = self.view(&key).await {
-                return Ok(found);
-            }
-            let status = self.context().await.status;
+            let view = self.view(&key).await;
+            let error = match view {
+                Some(view) if view.get("retry_after_ms").is_none() => return Ok(view),
+                unavailable => unavailable,
+            };
+            let coordinator = self.context().await.status.coordinator;
             // The coordinator has all missions.
-            if status.coordinator.as_ref() == Some(&self.views.node) || Instant::now() >= deadline {
-                let missions = self.view(&Key::ViewMissions).await;
-                let unavailable = missions.filter(|view| view.get("retry_after_ms").is_some());
-                return Err(unavailable.unwrap_or_else(|| {
-                    error_reply(format!("no mission {mission} is known at {}; see api/list", self.views.node))
+            if coordinator.as_ref() == Some(&self.views.node) || Instant::now() >= deadline {
+                return Err(error.unwrap_or_else(|| match coordinator {
+                    Some(_) => unknown_mission(mission, &self.views.node),
+                    None => retry("no coordinator yet"),
                 }));
             }
             tokio::time::sleep(POLL_INTERVAL).await;
@@ -126,6 +128,11 @@ impl ViewService {
         };
         robots.into_iter().map(uninvited).collect()
     }
+}
+
+/// Returns the error of a node whose copy of the ledger lacks the mission.
+pub(super) fn unknown_mission(mission: &MissionId, node: &NodeId) -> Value {
+    error_reply(format!("no mission {mission} is known at {node}; see api/list"))
 }
 
 fn error_reply(problem: impl Into<String>) -> Value {

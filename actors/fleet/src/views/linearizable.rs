@@ -68,6 +68,6 @@ impl ViewService {
     }
 }
 
-fn retry(problem: &str) -> Value {
+pub(super) fn retry(problem: &str) -> Value {
     json(ErrorReply::retry_after(format!("{problem}; the same request may be sent again"), RETRY_AFTER_MS))
 }

@@ -28,6 +28,7 @@ mod mission;
 use crate::api_help::call_help;
 use crate::coordinator::{CoordinatorMessage, CoordinatorStatus};
 use crate::followed_coordinator::FollowedCoordinator;
+use api::unknown_mission;
 use bytes::Bytes;
 use cluster_status::ClusterStatus;
 use consort_bus::clock::Clock;
@@ -197,7 +198,15 @@ impl ViewService {
             return vec![(Key::Seen(node, key), view.unwrap_or_else(|error| error))];
         }
         let wanted = |key: &Key| self.is_requested(requested, &seen(key));
-        let own_views = self.context().await.draw(&wanted, self.named_mission(requested).as_ref());
+        let (context, named) = (self.context().await, self.named_mission(requested));
+        let mut own_views = context.draw(&wanted, named.as_ref());
+        if let Some(mission) = named
+            && own_views.is_empty()
+            && context.status.has_ledger
+        {
+            let error = unknown_mission(&mission, &self.views.node);
+            own_views.push((Key::ViewMission(mission), error));
+        }
         own_views.into_iter().map(|(key, value)| (seen(&key), value)).collect()
     }
 
@@ -205,7 +214,8 @@ impl ViewService {
     async fn requested_views(&self, requested: &keyexpr) -> Vec<(Key, Value)> {
         let wanted = |key: &Key| self.is_requested(requested, key);
         let context = self.context().await;
-        let mut views = context.draw(&wanted, self.named_mission(requested).as_ref());
+        let named = self.named_mission(requested);
+        let mut views = context.draw(&wanted, named.as_ref());
         let missions = self.views.keys.write(&Key::ViewMissions).replace("/missions", "/mission/*");
         let needs_ledger = wanted(&Key::ViewMissions)
             || wanted(&Key::ViewAuctions)
@@ -214,14 +224,17 @@ impl ViewService {
         if needs_ledger && !context.status.has_ledger {
             match self.query_voter(requested, &context.status).await {
                 Some(voter_views) => {
-                    for (key, value) in voter_views.into_iter().filter(|(key, _)| is_of_ledger(key) && wanted(key)) {
+                    let contributes =
+                        |(key, value): &(Key, Value)| is_of_ledger(key) && wanted(key) && value.get("error").is_none();
+                    for (key, value) in voter_views.into_iter().filter(contributes) {
                         views.retain(|(own, _)| *own != key);
                         views.push((key, value));
                     }
                 }
                 None => {
                     let error = ErrorReply::retry_after("no voter of the ledger replies", RETRY_AFTER_MS);
-                    for key in [Key::ViewMissions, Key::ViewAuctions].into_iter().filter(&wanted) {
+                    let named = named.map(Key::ViewMission);
+                    for key in [Key::ViewMissions, Key::ViewAuctions].into_iter().chain(named).filter(&wanted) {
                         views.push((key, context.with_provenance(&error)));
                     }
                 }
