@@ -105,7 +105,7 @@ pub(super) struct LeadershipMonitor {
     pub(super) resigned_term: Arc<ResignedTerm>,
     pub(super) quorum_ack: watch::Sender<Option<BootInstant>>,
     pub(super) appends_suspended: Arc<AtomicBool>,
-    pub(super) quorum_lost: Arc<AtomicBool>,
+    pub(super) quorum_confirmed: Arc<AtomicBool>,
     /// Last entry in the log of this node when it was started.
     pub(super) last_at_start: Option<LogId>,
     /// Term in which this node was elected and the time at which this was noticed, while it is the
@@ -159,28 +159,29 @@ impl LeadershipMonitor {
         // A new leader has not been acknowledged yet. For the duration of the timeout this does not
         // count as a lost quorum.
         let Some(timeout_at) = ack_at.or(elected_at).map(|at| at + self.check_quorum_timeout) else {
-            self.resume_appends();
+            self.resume_appends(Quorum::Unknown);
             self.publish(latest, Quorum::Unknown);
             return self.next_change(latest, feed).await;
         };
         if timeout_at > BootInstant::now() {
-            self.resume_appends();
-            self.publish(latest, if ack_at.is_some() { Quorum::Confirmed } else { Quorum::Unknown });
+            let quorum = if ack_at.is_some() { Quorum::Confirmed } else { Quorum::Unknown };
+            self.resume_appends(quorum);
+            self.publish(latest, quorum);
             tokio::select! {
                 biased;
                 changed = self.next_change(latest, feed) => return changed,
                 () = tokio::time::sleep_until(timeout_at.to_tokio()) => {}
             }
         }
-        self.quorum_lost.store(true, Ordering::Relaxed);
+        self.quorum_confirmed.store(false, Ordering::Relaxed);
         // Metrics are sent with each heartbeat, so this is evaluated often enough.
         self.appends_suspended.store(self.suspends_appends(timeout_at.elapsed()), Ordering::Relaxed);
         self.publish(latest, Quorum::Lost);
         self.next_change(latest, feed).await
     }
 
-    fn resume_appends(&self) {
-        self.quorum_lost.store(false, Ordering::Relaxed);
+    fn resume_appends(&self, quorum: Quorum) {
+        self.quorum_confirmed.store(quorum == Quorum::Confirmed, Ordering::Relaxed);
         self.appends_suspended.store(false, Ordering::Relaxed);
     }
 

@@ -52,10 +52,10 @@ pub(super) struct RaftClient {
     pub(super) retry_interval: Duration,
     /// This node does not send its appends and heartbeats (check-quorum); see `election`.
     pub(super) appends_suspended: Arc<AtomicBool>,
-    /// No majority has replied to this node as leader within the check-quorum timeout. Another leader may
-    /// have committed more, so the appends that are still sent announce no commit: a follower would count
-    /// its state as recent.
-    pub(super) quorum_lost: Arc<AtomicBool>,
+    /// A majority has replied to this node as leader within the check-quorum timeout. Without that,
+    /// another leader may have committed more: a leader that restarts goes on in its old term. So its
+    /// appends announce no commit, because a follower would count its state as recent.
+    pub(super) quorum_confirmed: Arc<AtomicBool>,
 }
 
 impl RaftClient {
@@ -259,7 +259,7 @@ impl<S: StateMachine> RaftNetwork<TypeConfig<S>> for PeerClient {
         mut request: AppendEntriesRequest<TypeConfig<S>>,
         option: RPCOption,
     ) -> Result<AppendEntriesResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
-        if self.client.quorum_lost.load(Ordering::Relaxed) {
+        if !self.client.quorum_confirmed.load(Ordering::Relaxed) {
             request.leader_commit = None;
         }
         // openraft read as many entries as fit: the log storage returns no more at once.

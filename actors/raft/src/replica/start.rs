@@ -66,7 +66,7 @@ impl<S: StateMachine> Replica<S> {
         let last_contacts = Arc::<LastContacts>::default();
         let acks = Arc::new(watch::Sender::new(LeaderAcks::default()));
         let leadership = watch::Sender::new(LeadershipView::default());
-        let (appends_suspended, quorum_lost) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
+        let (appends_suspended, quorum_confirmed) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
         let client = RaftClient {
             bus,
             keys: keys.clone(),
@@ -76,7 +76,7 @@ impl<S: StateMachine> Replica<S> {
             acks: Arc::clone(&acks),
             retry_interval: settings.heartbeat,
             appends_suspended: Arc::clone(&appends_suspended),
-            quorum_lost: Arc::clone(&quorum_lost),
+            quorum_confirmed: Arc::clone(&quorum_confirmed),
             leadership: leadership.subscribe(),
         };
 
@@ -94,7 +94,7 @@ impl<S: StateMachine> Replica<S> {
             resigned_term: Arc::clone(&resigned_term),
             quorum_ack: quorum_ack_sender,
             appends_suspended,
-            quorum_lost,
+            quorum_confirmed,
             last_at_start,
             election: None,
             me: id,

@@ -107,6 +107,37 @@ fn each_seed_gives_a_reproducible_run_of_its_own() {
     assert_eq!(runs.iter().collect::<BTreeSet<_>>().len(), runs.len());
 }
 
+/// A restarted leader goes on in its old term until it learns of another. It must not tell a follower
+/// in its minority that there is nothing newer. Found by chaos, seed 4012.
+#[test]
+fn a_leader_that_restarts_in_the_minority_makes_no_copy_recent() {
+    for seed in 0..20 {
+        on_virtual_time(async {
+            let mut fleet = Fleet::bootstrapped(seed, 5, default_settings).await;
+            fleet.write(1).await;
+            fleet.until_all_hold(1).await;
+            let old = fleet.leader().await;
+            let follower = fleet.replicas.keys().find(|name| **name != old).expect("five nodes").clone();
+            let majority = fleet.replicas.keys().filter(|name| ![&old, &follower].contains(name)).cloned().collect();
+            fleet.network.partition([vec![old.clone(), follower.clone()], majority]);
+            fleet.until("the leader has stepped down", |fleet| !fleet.view(&old).is_leader).await;
+            fleet.write(2).await;
+            let committed_at = Instant::now();
+            fleet.kill(&old);
+            fleet.start(old.as_str()).await;
+            for _ in 0..200 {
+                tokio::time::sleep(Duration::from_millis(10)).await;
+                let replica = &fleet.replicas[&follower];
+                let age = replica.staleness().expect("it has followed a leader");
+                assert_eq!(replica.read(|list| list.written.len()), 1, "seed {seed}");
+                assert!(age >= committed_at.elapsed(), "{age:?} old, seed {seed}");
+            }
+            fleet.network.heal();
+            fleet.until_all_hold(2).await;
+        });
+    }
+}
+
 #[test]
 fn a_leader_in_the_minority_steps_down_and_rejects_proposals() {
     for seed in 0..20 {
