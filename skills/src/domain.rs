@@ -4,14 +4,26 @@
 
 use crate::domain_file::{DomainFile, DomainForm};
 use crate::standard_types::standard_types;
-use consort_protocol::mission::Domain;
+use consort_protocol::ids::{RoleId, TaskType};
+use consort_protocol::mission::{Domain, IhtnNames};
 use consort_protocol::yaml;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
 
 /// Returns the task types of the standard domain.
 pub fn hospital() -> Domain {
-    standard_types().with_types(shipped_domain().task_types())
+    standard_types().with_types(shipped_domain().task_types()).with_ihtn_names(ihtn_names())
+}
+
+/// Returns the meaning of the names in the published flat iHTNs.
+fn ihtn_names() -> IhtnNames {
+    let navigation = || TaskType::new("navigation").expect("a slug");
+    IhtnNames {
+        people: BTreeSet::from([RoleId::new("nurse").expect("a slug")]),
+        actions: BTreeMap::from([("navto".to_owned(), navigation())]),
+        reaching: BTreeSet::from([navigation()]),
+        ..IhtnNames::default()
+    }
 }
 
 /// Returns the shipped domain file: services that are declared as data.

@@ -3,13 +3,13 @@
 //! `tests/fuzz_targets/` feeds arbitrary bytes to these functions; nothing else uses them. Each
 //! function calls the decoder that the actors use, and returns the decoded value encoded again.
 
-use crate::coordinator::submission::{SubmitError, template};
+use crate::coordinator::submission::{SubmitError, document};
 use consort_protocol::api::{
     MissionChangeRequest, MissionQuery, SubmitRequest, UpgradeRequest, parse_read_options, parse_request,
 };
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
-use consort_protocol::mission::MissionTemplate;
+use consort_protocol::mission::MissionDocument;
 use consort_raft::{StateMachine, fuzz_api};
 use std::io;
 
@@ -48,8 +48,8 @@ pub fn snapshot<S: StateMachine>(bytes: &[u8]) -> io::Result<Vec<u8>> {
 /// A decoded client request.
 #[derive(Debug)]
 pub enum ApiRequest {
-    /// Submits a mission, with this file.
-    Submit(Box<MissionTemplate>),
+    /// Submits this mission.
+    Submit(Box<MissionDocument>),
     /// Any other request.
     Other,
 }
@@ -61,8 +61,8 @@ pub enum ApiRequest {
 pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, impl std::error::Error + use<>> {
     match call {
         ApiCall::Submit => {
-            let SubmitRequest { mission, .. } = parse_request(call, payload)?;
-            return Ok::<_, SubmitError>(ApiRequest::Submit(Box::new(template(&mission)?)));
+            let request: SubmitRequest = parse_request(call, payload)?;
+            return Ok::<_, SubmitError>(ApiRequest::Submit(Box::new(document(&request)?)));
         }
         ApiCall::Cancel | ApiCall::Resolve => drop(parse_request::<MissionChangeRequest>(call, payload)?),
         ApiCall::Get | ApiCall::Explain => drop(parse_request::<MissionQuery>(call, payload)?),

@@ -5,8 +5,10 @@ use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::extensions::Extensions;
 use crate::{domains, inputs, map_loader, wiring};
 use consort_map_import::MapFormat;
-use consort_protocol::ids::TaskId;
-use consort_protocol::mission::{Domain, Format, IhtnOptions, Mission, MissionTemplate, TemplateKind, import_ihtn};
+use consort_protocol::ids::RoleId;
+use consort_protocol::mission::{
+    Domain, Format, IhtnOptions, Mission, MissionTemplate, TemplateKind, import_ihtn, is_flat_ihtn,
+};
 use consort_protocol::plan::divide_and_check;
 use consort_skills::bt::xml::read_xml;
 use consort_skills::bt::{NodeOrigin, TreeError, report_nodes};
@@ -14,7 +16,7 @@ use consort_skills::descriptor::Calibration;
 use consort_skills::environment::Environment;
 use consort_text::count;
 use serde_json::Value;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 
@@ -69,11 +71,16 @@ impl fmt::Display for FileKind {
     }
 }
 
-/// Checks a file and returns a short description of its content.
+/// Checks a file and returns a short description of its content. `people` are agents of a flat iHTN.
 ///
 /// # Errors
 /// [`Diagnostics`] with all problems found.
-pub fn check_file(path: &Path, kind: Option<FileKind>, extensions: Extensions) -> Result<String, Diagnostics> {
+pub fn check_file(
+    path: &Path,
+    kind: Option<FileKind>,
+    people: &[RoleId],
+    extensions: Extensions,
+) -> Result<String, Diagnostics> {
     let file = path.display().to_string();
     let text = inputs::read_text(path)?;
     let kind = match kind {
@@ -81,7 +88,7 @@ pub fn check_file(path: &Path, kind: Option<FileKind>, extensions: Extensions) -
         None => detect(&text, &file)?,
     };
     // Problems of a referenced object come without a file name.
-    check_kind(kind, path, &text, extensions)
+    check_kind(kind, path, &text, people, extensions)
         .map(|what| format!("{kind}: {what}"))
         .map_err(|problems| problems.with_file(&file))
 }
@@ -94,12 +101,18 @@ pub fn detect_kind(path: &Path) -> Result<FileKind, Diagnostics> {
     detect(&inputs::read_text(path)?, &path.display().to_string())
 }
 
-fn check_kind(kind: FileKind, path: &Path, text: &str, extensions: Extensions) -> Result<String, Diagnostics> {
+fn check_kind(
+    kind: FileKind,
+    path: &Path,
+    text: &str,
+    people: &[RoleId],
+    extensions: Extensions,
+) -> Result<String, Diagnostics> {
     let file = &*path.display().to_string();
     let domain = &extensions.domain();
     match kind {
         FileKind::Mission => mission(text, path, domain),
-        FileKind::Ihtn => ihtn(text, path, domain),
+        FileKind::Ihtn => ihtn(text, path, people, domain),
         FileKind::Map => {
             let floor = map_loader::parse(text, file)?;
             wiring::skill_resources(&floor, extensions)?;
@@ -182,29 +195,19 @@ fn mission(text: &str, path: &Path, domain: &Domain) -> Result<String, Diagnosti
     };
     let given: BTreeMap<String, String> =
         open.map(|(name, parameter)| (name.clone(), sample(parameter.kind).to_owned())).collect();
-    let (mission, recovery) = template.instantiate_with_recovery(&given, domain).map_err(|errors| {
-        Diagnostics(errors.diagnostics.iter().map(|problem| Diagnostic::for_file(file, problem)).collect())
-    })?;
+    let (mission, recovery) = template
+        .instantiate_with_recovery(&given, domain)
+        .map_err(|errors| inputs::mission_diagnostics(file, &errors))?;
     let recovery = recovery.map(|recovery| size(&recovery, file)).transpose()?;
     let of_recovery = recovery.map(|size| format!(", recovery with {size}"));
     Ok(format!("{}, {}{}", template.name(), size(&mission, file)?, of_recovery.unwrap_or_default()))
 }
 
-/// Checks a flat iHTN. The format does not mark human roles: `nurse` is taken as a person.
-fn ihtn(text: &str, path: &Path, domain: &Domain) -> Result<String, Diagnostics> {
+/// Checks a flat iHTN with these people and those of the domain.
+fn ihtn(text: &str, path: &Path, people: &[RoleId], domain: &Domain) -> Result<String, Diagnostics> {
     let file = &*path.display().to_string();
-    let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-    let name = TaskId::new(stem).or_else(|_| TaskId::new("mission")).expect("a slug");
-    let slug = |text: &str| text.parse().expect("a slug");
-    let reading = IhtnOptions {
-        name,
-        unmanaged: BTreeSet::from(["nurse".parse().expect("a slug")]),
-        aliases: BTreeMap::from([("navto".to_owned(), slug("navigation"))]),
-        reaching: BTreeSet::from([slug("navigation")]),
-    };
-    let mission = import_ihtn(text, &reading, domain).map_err(|errors| {
-        Diagnostics(errors.diagnostics.iter().map(|problem| Diagnostic::for_file(file, problem)).collect())
-    })?;
+    let options = IhtnOptions { name: inputs::ihtn_name(path), people: people.iter().cloned().collect() };
+    let mission = import_ihtn(text, &options, domain).map_err(|errors| inputs::mission_diagnostics(file, &errors))?;
     size(&mission, file)
 }
 
@@ -228,9 +231,6 @@ fn detect(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
         return Ok(FileKind::Map);
     }
     let value: Value = inputs::parse_any_format(text, file)?;
-    let all_tasks = |map: &serde_json::Map<String, Value>| {
-        !map.is_empty() && map.values().all(|node| node.get("parent").is_some() && node.get("type").is_some())
-    };
     match &value {
         Value::Array(list) if list.iter().any(|entry| entry.get("robots").is_some()) => Ok(FileKind::Scenarios),
         Value::Array(list) if list.iter().any(|entry| entry.get("skills").is_some()) => Ok(FileKind::Workers),
@@ -244,7 +244,7 @@ fn detect(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
                 Ok(FileKind::Domain)
             } else if has(&["worker"]) {
                 Ok(FileKind::Workers)
-            } else if all_tasks(map) {
+            } else if is_flat_ihtn(&value) {
                 Ok(FileKind::Ihtn)
             } else {
                 Err(unknown_kind(

@@ -1,8 +1,8 @@
 //! The command line.
 
 use crate::command::{
-    backup, cancel, cert, check, completions, doctor, dry_run, explain, fleet, keys, lab, leave, map, missions, record,
-    recover, replay, resolve, restore, robot, schema, station, submit, token, upgrade, watch, world,
+    backup, cancel, cert, check, completions, doctor, domain, dry_run, explain, fleet, keys, lab, leave, map, missions,
+    record, recover, replay, resolve, restore, robot, schema, station, submit, token, upgrade, watch, world,
 };
 use crate::demo;
 use crate::domains;
@@ -74,6 +74,7 @@ enum Command {
     Schema(schema::Args),
     Doctor(doctor::Args),
     Map(map::Args),
+    Domain(domain::Args),
     DryRun(dry_run::Args),
     Backup(backup::Args),
     Restore(restore::Args),
@@ -120,6 +121,7 @@ pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>
             Command::Schema(args) => schema::run(&args),
             Command::Doctor(args) => doctor::run(args, extensions),
             Command::Map(args) => map::run(args),
+            Command::Domain(args) => domain::run(args, extensions),
             Command::DryRun(args) => dry_run::run(args, extensions),
             Command::Backup(args) => backup::run(args),
             Command::Restore(args) => restore::run(args),

@@ -45,8 +45,10 @@ impl Default for Extensions {
 impl Extensions {
     /// Returns the task types for missions.
     pub fn domain(self) -> Domain {
-        let files = self.domains.iter().flat_map(|loaded| loaded.domain.task_types());
-        (self.domain)(hospital().with_types(files))
+        let files = self.domains.iter().map(|loaded| &loaded.domain);
+        let declared =
+            files.fold(hospital(), |all, file| all.with_types(file.task_types()).with_ihtn_names(file.ihtn_names()));
+        (self.domain)(declared)
     }
 
     /// Returns what the simulator does with the declared actions.

@@ -2,10 +2,10 @@
 
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::file::{self, BYTES_MAX};
-use consort_protocol::api::MissionSource;
-use consort_protocol::ids::{PlaceId, RobotId, TaskType};
+use consort_protocol::api::{MissionSource, SubmitRequest};
+use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskId, TaskType};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
-use consort_protocol::mission::{Format, MissionTemplate};
+use consort_protocol::mission::{Format, IhtnFields, MissionDocument, MissionErrors, MissionFileError, is_flat_ihtn};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_skills::descriptor::ESTIMATOR_VERSION;
@@ -25,33 +25,61 @@ pub fn read_text(path: &Path) -> Result<String, Diagnostics> {
     file::read_text(path, BYTES_MAX).map_err(|problem| Diagnostic::for_file(path.display(), problem).into())
 }
 
-/// Loads a bundled mission by name, or else from a file.
+/// Loads a bundled mission by name, or else from a file. `people` are agents of a flat iHTN.
 ///
 /// # Errors
 /// [`Diagnostics`] of the file; if it does not exist, with the bundled missions.
-pub fn mission(name: &str) -> Result<MissionTemplate, Diagnostics> {
+pub fn mission(name: &str, people: &[RoleId]) -> Result<MissionDocument, Diagnostics> {
+    let fields = ihtn_fields(people);
     if let Some(template) = shipped().get(name) {
-        return Ok(template.clone());
+        return MissionDocument::of_template(template.clone(), &fields).map_err(|error| in_mission(name, error));
     }
-    let path = Path::new(name);
     let text = mission_text(name)?;
-    MissionTemplate::parse(&text, Format::of(Some(path), &text))
-        .map_err(|error| Diagnostic::for_file(name, error).into())
+    let document = MissionDocument::parse(&text, Format::of(Some(Path::new(name)), &text), fields)
+        .map_err(|error| in_mission(name, error))?;
+    Ok(document.named(ihtn_name(Path::new(name))))
 }
 
-/// Returns a mission as in a request to the coordinator: the name of a bundled mission, or a whole
-/// file as JSON.
+/// Returns a request to the coordinator for a mission: the name of a bundled mission, or a whole
+/// file as JSON, with the people of a flat iHTN.
 ///
 /// # Errors
 /// See [`mission`].
-pub(crate) fn mission_request(name: &str) -> Result<MissionSource, Diagnostics> {
+pub(crate) fn mission_request(name: &str, people: &[RoleId]) -> Result<SubmitRequest, Diagnostics> {
     if shipped().contains_key(name) {
-        return Ok(MissionSource::Shipped(name.to_owned()));
+        mission(name, people)?;
+        return Ok(SubmitRequest::of(MissionSource::Shipped(name.to_owned())));
     }
     let text = mission_text(name)?;
-    let format = Format::of(Some(Path::new(name)), &text);
-    let file = MissionTemplate::request(&text, format).map_err(|error| Diagnostic::for_file(name, error))?;
-    serde_json::from_value(file).map_err(|error| Diagnostic::for_file(name, error).into())
+    let (path, fields) = (Path::new(name), ihtn_fields(people));
+    let file = MissionDocument::request(&text, Format::of(Some(path), &text), fields.clone())
+        .map_err(|error| in_mission(name, error))?;
+    let own_name = is_flat_ihtn(&file).then(|| ihtn_name(path));
+    let source = serde_json::from_value(file).map_err(|error| Diagnostic::for_file(name, error))?;
+    Ok(SubmitRequest { name: own_name, people: fields.people, ..SubmitRequest::of(source) })
+}
+
+fn ihtn_fields(people: &[RoleId]) -> IhtnFields {
+    IhtnFields { name: None, people: people.iter().cloned().collect() }
+}
+
+/// Returns the name of the mission of a flat iHTN, which has none: the name of its file.
+pub(crate) fn ihtn_name(path: &Path) -> TaskId {
+    let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    TaskId::new(stem).or_else(|_| TaskId::new("mission")).expect("a slug")
+}
+
+/// Returns the diagnostics of a mission, one for each problem of a flat iHTN.
+fn in_mission(file: &str, error: MissionFileError) -> Diagnostics {
+    match error {
+        MissionFileError::Ihtn(errors) => mission_diagnostics(file, &errors),
+        other => Diagnostic::for_file(file, other).into(),
+    }
+}
+
+/// Returns a diagnostic for each problem of a mission.
+pub(crate) fn mission_diagnostics(file: &str, errors: &MissionErrors) -> Diagnostics {
+    Diagnostics(errors.diagnostics.iter().map(|problem| Diagnostic::for_file(file, problem)).collect())
 }
 
 fn mission_text(name: &str) -> Result<String, Diagnostics> {

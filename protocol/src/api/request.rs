@@ -1,18 +1,26 @@
 //! Payloads of requests.
 
-use crate::ids::{MissionId, RequestId};
+use crate::ids::{MissionId, RequestId, RoleId, TaskId};
+use crate::mission::IhtnFields;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Submits a mission.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SubmitRequest {
-    /// The name of a shipped mission, or a whole mission file as an object.
+    /// The name of a shipped mission; or a whole mission file, or a mission in the flat iHTN form, as an object.
     pub mission: MissionSource,
+    /// For a mission in the flat iHTN form: the agents that are people, in addition to those of the domain.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub people: BTreeSet<RoleId>,
+    /// For a mission in the flat iHTN form: the name of the mission. Default: the name of the root.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<String>")]
+    pub name: Option<TaskId>,
     /// The values of the mission's parameters, by name.
     #[serde(default)]
     pub parameters: BTreeMap<String, String>,
@@ -30,13 +38,33 @@ pub struct SubmitRequest {
     pub deadline_s: Option<f64>,
 }
 
+impl SubmitRequest {
+    /// Creates a request for a mission, with the default of each other field.
+    pub fn of(mission: MissionSource) -> SubmitRequest {
+        SubmitRequest {
+            mission,
+            people: BTreeSet::new(),
+            name: None,
+            parameters: BTreeMap::new(),
+            request: None,
+            priority: 0,
+            deadline_s: None,
+        }
+    }
+
+    /// Returns the fields that a flat iHTN lacks.
+    pub fn ihtn_fields(&self) -> IhtnFields {
+        IhtnFields { name: self.name.clone(), people: self.people.clone() }
+    }
+}
+
 /// The mission of a request.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum MissionSource {
     /// Name of a shipped mission.
     Shipped(String),
-    /// A whole mission file.
+    /// A whole mission file, or a flat iHTN.
     File(Map<String, Value>),
 }
 

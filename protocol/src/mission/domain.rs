@@ -6,6 +6,7 @@
 //! information.
 
 use super::diagnostic::MissionErrorKind;
+use super::ihtn::IhtnNames;
 use crate::ids::{PlaceId, TaskType};
 use consort_text::AllowedNames;
 use serde::{Deserialize, Serialize};
@@ -21,6 +22,9 @@ pub struct Domain {
     /// Places of the fleet's map; `None` without a map, and then every name is accepted.
     #[serde(skip)]
     places: Option<Arc<BTreeSet<PlaceId>>>,
+    /// Meaning of names in missions in the flat iHTN form.
+    #[serde(skip)]
+    ihtn: IhtnNames,
 }
 
 /// Parameters of a task type.
@@ -172,6 +176,18 @@ impl Domain {
     /// Returns the places of the fleet's map, if it is known.
     pub fn places(&self) -> Option<&BTreeSet<PlaceId>> {
         self.places.as_deref()
+    }
+
+    /// Adds the meaning of names in flat iHTNs; replaces earlier meanings of the same names.
+    #[must_use]
+    pub fn with_ihtn_names(mut self, names: IhtnNames) -> Self {
+        self.ihtn.extend(names);
+        self
+    }
+
+    /// Returns the meaning of names in flat iHTNs.
+    pub fn ihtn_names(&self) -> &IhtnNames {
+        &self.ihtn
     }
 
     /// Returns the problem of a well-formed value of this kind: a place that is not on the map.

@@ -14,9 +14,12 @@
 //! flat iHTN ────────────────────────── import_ihtn ───────▲
 //! network ─────────────────────── Mission::check ─────────┘
 //! ```
+//!
+//! [`MissionDocument`] is either of the first two, for every program that takes a mission.
 
 mod bits;
 mod diagnostic;
+mod document;
 mod domain;
 mod file;
 mod ihtn;
@@ -31,9 +34,10 @@ mod validate;
 
 pub(crate) use bits::Bits;
 pub use diagnostic::{IhtnError, MissionDiagnostic, MissionErrorKind, MissionErrors};
+pub use document::{IhtnFields, MissionDocument};
 pub use domain::{Domain, NumberRange, ParameterSchema, TaskSchema, ValueKind};
 pub use file::{Format, MissionFileError, MissionTemplate, TemplateKind, TemplateParameter};
-pub use ihtn::{IhtnOptions, import_ihtn};
+pub use ihtn::{ActionUse, IhtnNames, IhtnOptions, UndeclaredActions, import_ihtn, is_flat_ihtn, undeclared_actions};
 pub use limits::FILE_BYTES_MAX;
 pub(crate) use limits::ROLES_MAX;
 pub(crate) use lost_item::LostItem;

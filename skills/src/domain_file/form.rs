@@ -1,7 +1,7 @@
 //! The form of a domain file.
 
-use consort_protocol::ids::{ActionName, DomainId, TaskType};
-use consort_protocol::mission::{NumberRange, ParameterSchema, TaskSchema, ValueKind};
+use consort_protocol::ids::{ActionName, DomainId, PlaceId, RoleId, TaskType};
+use consort_protocol::mission::{IhtnNames, NumberRange, ParameterSchema, TaskSchema, ValueKind};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -21,6 +21,29 @@ pub struct DomainForm {
     /// Task types, by name.
     #[serde(default)]
     pub tasks: BTreeMap<TaskType, TaskForm>,
+    /// Meaning of names in missions in the flat iHTN form.
+    #[serde(default)]
+    pub ihtn: IhtnForm,
+}
+
+/// Meaning of names in missions in the flat iHTN form, which has only names.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct IhtnForm {
+    /// Agents that are people. All other agents are robots, except for the objects.
+    pub people: BTreeSet<RoleId>,
+    /// Agents that are things: they have no role, and become the parameter `object` of the action.
+    pub objects: BTreeSet<String>,
+    /// Places of the map, by locations that the map lacks.
+    pub places: BTreeMap<String, PlaceId>,
+    /// Task types, by names of actions that differ from them.
+    pub actions: BTreeMap<String, TaskType>,
+}
+
+impl From<IhtnForm> for IhtnNames {
+    fn from(IhtnForm { people, objects, places, actions }: IhtnForm) -> Self {
+        IhtnNames { people, objects, places, actions, reaching: BTreeSet::new() }
+    }
 }
 
 /// An action that a driver performs.

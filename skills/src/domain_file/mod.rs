@@ -15,14 +15,19 @@
 //! ```
 //!
 //! The leaf of an action in a behavior tree has its name, and its parameters as ports:
-//! `<water litres="{litres}"/>`. A domain adds to the standard domain; it does not replace its actions
+//! `<water litres="{litres}"/>`. Missions in the flat iHTN form have only names; `ihtn` declares
+//! which of them are people, objects, places and task types of other names. A domain adds to the standard domain; it does not replace its actions
 //! and task types.
 
 mod action_leaf;
 mod estimate;
 mod form;
+mod scaffold;
 
-pub use form::{ActionForm, DomainForm, EstimateForm, ParameterForm, ParameterKind, SimulatedAction, TaskForm};
+pub use form::{
+    ActionForm, DomainForm, EstimateForm, IhtnForm, ParameterForm, ParameterKind, SimulatedAction, TaskForm,
+};
+pub use scaffold::{scaffold, scaffold_yaml};
 
 use crate::bt::xml::read_xml;
 use crate::bt::{NodeSpec, TreeSpec};
@@ -31,10 +36,10 @@ use crate::environment::Environment;
 use crate::library::SkillLibrary;
 use crate::standard_types::standard_types;
 use consort_protocol::ids::{ActionName, DomainId, TaskType};
-use consort_protocol::mission::TaskSchema;
+use consort_protocol::mission::{IhtnNames, TaskSchema};
 use consort_text::AllowedNames;
 use estimate::DeclaredEstimate;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 /// A checked domain file.
@@ -118,6 +123,7 @@ impl DomainFile {
                 Err(found) => problems.push(found),
             }
         }
+        problems.extend(ihtn_problems(&form, known));
         if problems.is_empty() { Ok(DomainFile { form, trees: checked }) } else { Err(problems) }
     }
 
@@ -129,6 +135,11 @@ impl DomainFile {
     /// Returns the task types with their parameters.
     pub fn task_types(&self) -> impl Iterator<Item = (TaskType, TaskSchema)> {
         self.form.tasks.iter().map(|(name, task)| (name.clone(), task.schema()))
+    }
+
+    /// Returns the meaning of names in flat iHTNs.
+    pub fn ihtn_names(&self) -> IhtnNames {
+        self.form.ihtn.clone().into()
     }
 
     /// Returns the names of the actions.
@@ -166,6 +177,24 @@ impl DomainFile {
             }
         })
     }
+}
+
+fn ihtn_problems(form: &DomainForm, known: &[&DomainFile]) -> Vec<DomainProblem> {
+    let mut problems = vec![];
+    for agent in form.ihtn.people.iter().filter(|agent| form.ihtn.objects.contains(agent.as_str())) {
+        problems.push(problem(format!("ihtn.people.{agent}"), "an agent is either a person or an object"));
+    }
+    let standard = standard_types();
+    let task_types: BTreeSet<&TaskType> = standard
+        .task_types()
+        .chain(known.iter().flat_map(|domain| domain.form.tasks.keys()))
+        .chain(form.tasks.keys())
+        .collect();
+    for (name, task_type) in form.ihtn.actions.iter().filter(|(_, task_type)| !task_types.contains(task_type)) {
+        let allowed = AllowedNames::suggest_for(task_type.as_str(), task_types.iter().copied());
+        problems.push(problem(format!("ihtn.actions.{name}"), format!("unknown task type {task_type}; {allowed}")));
+    }
+    problems
 }
 
 fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem> {

@@ -21,19 +21,14 @@ fn published(file: &str) -> Option<String> {
     text
 }
 
-fn options(unmanaged: &[&str], aliases: &[(&str, &str)]) -> IhtnOptions {
-    IhtnOptions {
-        name: TaskId::new("published").unwrap(),
-        unmanaged: unmanaged.iter().map(|name| role(name)).collect(),
-        aliases: aliases.iter().map(|(k, v)| ((*k).to_owned(), TaskType::new(*v).unwrap())).collect(),
-        reaching: [TaskType::new("navigation").unwrap()].into(),
-    }
+fn options(people: &[&str]) -> IhtnOptions {
+    IhtnOptions { name: TaskId::new("published").unwrap(), people: people.iter().map(|name| role(name)).collect() }
 }
 
 #[test]
 fn the_published_lab_samples_give_the_robot_the_same_plan_as_ours() {
     let Some(text) = published("ihtn_lsl.json") else { return };
-    let theirs = import_ihtn(&text, &options(&["nurse"], &[]), &hospital()).unwrap();
+    let theirs = import_ihtn(&text, &options(&["nurse"]), &hospital()).unwrap();
     let ours = instance("lab-samples", &[("room", "PC Room 2")]);
     let plan = |mission: &Mission| -> Vec<String> {
         let types: BTreeMap<String, String> =
@@ -67,7 +62,7 @@ fn the_other_published_missions_can_be_divided() {
     let people: &[&[&str]] = &[&["Delivery1", "Patient1"], &["Patient1"]];
     for (file, people) in ["ihtn_fld.json", "ihtn_flp.json"].into_iter().zip(people) {
         let Some(text) = published(file) else { return };
-        let options = options(people, &[("navto", "navigation")]);
+        let options = options(people);
         let mission = import_ihtn(&text, &options, &domain).unwrap_or_else(|error| panic!("{file}: {error}"));
         let division = divide_and_check(&mission).unwrap();
         if file == "ihtn_flp.json" {

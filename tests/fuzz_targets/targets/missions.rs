@@ -4,7 +4,9 @@ use super::frames::text;
 use consort_fleet::fuzz_api::{ApiRequest, request as parse_request};
 use consort_protocol::codec;
 use consort_protocol::keys::ApiCall;
-use consort_protocol::mission::{Domain, Format, IhtnOptions, Mission, MissionTemplate, TemplateKind, import_ihtn};
+use consort_protocol::mission::{
+    Domain, Format, IhtnFields, IhtnOptions, Mission, MissionDocument, TemplateKind, import_ihtn,
+};
 use consort_protocol::plan::{check_division, divide_and_check};
 use consort_skills::domain::hospital;
 use std::collections::{BTreeMap, BTreeSet};
@@ -21,7 +23,7 @@ fn check_mission(mission: &Mission, domain: &Domain) {
     }
 }
 
-fn instantiated(template: &MissionTemplate) {
+fn instantiated(template: &MissionDocument) {
     let domain = hospital();
     let open = template.parameters().iter().filter(|(_, parameter)| parameter.default.is_none());
     let value = |kind: TemplateKind| match kind {
@@ -39,12 +41,15 @@ fn instantiated(template: &MissionTemplate) {
 
 fn read(bytes: &[u8], format: Format) -> bool {
     let Some(text) = text(bytes) else { return false };
-    match MissionTemplate::parse(text, format) {
+    let no_fields = IhtnFields::default;
+    match MissionDocument::parse(text, format, no_fields()) {
         Ok(template) => {
             instantiated(&template);
-            let request =
-                MissionTemplate::request(text, format).expect("a readable mission can be requested").to_string();
-            let again = MissionTemplate::parse(&request, Format::Json).expect("a requested mission can be read");
+            let request = MissionDocument::request(text, format, no_fields())
+                .expect("a readable mission can be requested")
+                .to_string();
+            let again =
+                MissionDocument::parse(&request, Format::Json, no_fields()).expect("a requested mission can be read");
             assert_eq!((again.name(), again.parameters()), (template.name(), template.parameters()));
             true
         }
@@ -65,13 +70,7 @@ pub(super) fn json(bytes: &[u8]) -> bool {
 
 pub(super) fn ihtn(bytes: &[u8]) -> bool {
     let Some(text) = text(bytes) else { return false };
-    let slug = |text: &str| text.parse().expect("a slug");
-    let reading = IhtnOptions {
-        name: "mission".parse().expect("a slug"),
-        unmanaged: BTreeSet::from(["nurse".parse().expect("a slug")]),
-        aliases: BTreeMap::from([("navto".to_owned(), slug("navigation"))]),
-        reaching: BTreeSet::from([slug("navigation")]),
-    };
+    let reading = IhtnOptions { name: "mission".parse().expect("a slug"), people: BTreeSet::new() };
     let domain = hospital();
     match import_ihtn(text, &reading, &domain) {
         Ok(mission) => {

@@ -6,7 +6,7 @@ use consort_protocol::ids::{NameError, RequestId};
 use consort_protocol::ledger::{
     DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, time_until_deadline,
 };
-use consort_protocol::mission::{Domain, Format, MissionErrors, MissionFileError, MissionTemplate};
+use consort_protocol::mission::{Domain, Format, MissionDocument, MissionErrors, MissionFileError};
 use consort_protocol::plan::{DivisionError, divide_and_check};
 use consort_skills::missions::shipped;
 
@@ -63,16 +63,18 @@ fn shipped_names() -> String {
     shipped().keys().map(String::as_str).collect::<Vec<_>>().join(", ")
 }
 
-/// Returns the template of a requested mission.
+/// Returns the requested mission as given.
 ///
 /// # Errors
 /// The mission is unknown, or its file is invalid.
-pub(crate) fn template(source: &MissionSource) -> Result<MissionTemplate, SubmitError> {
-    match source {
+pub(crate) fn document(request: &SubmitRequest) -> Result<MissionDocument, SubmitError> {
+    let fields = request.ihtn_fields();
+    match &request.mission {
         MissionSource::Shipped(name) => {
-            shipped().get(name).cloned().ok_or_else(|| SubmitError::UnknownMission(name.clone()))
+            let template = shipped().get(name).ok_or_else(|| SubmitError::UnknownMission(name.clone()))?;
+            Ok(MissionDocument::of_template(template.clone(), &fields)?)
         }
-        MissionSource::File(file) => Ok(MissionTemplate::parse(&serde_json::to_string(file)?, Format::Json)?),
+        MissionSource::File(file) => Ok(MissionDocument::parse(&serde_json::to_string(file)?, Format::Json, fields)?),
     }
 }
 
@@ -87,8 +89,8 @@ pub(super) fn prepare(
     at_ms: u64,
     default_id: String,
 ) -> Result<Submission, SubmitError> {
-    let template = template(&request_fields.mission)?;
-    let (mission, recovery) = template.instantiate_with_recovery(&request_fields.parameters, domain)?;
+    let document = document(&request_fields)?;
+    let (mission, recovery) = document.instantiate_with_recovery(&request_fields.parameters, domain)?;
     let division = divide_and_check(&mission)?;
     let recovery = match recovery {
         None => None,

@@ -1,5 +1,6 @@
 //! `consort check`: checks files.
 
+use super::flags::PeopleFlags;
 use crate::check::{FileKind, check_file, detect_kind};
 use crate::diagnostic::Diagnostics;
 use crate::exit::Failure;
@@ -19,6 +20,7 @@ Examples:
   consort check my-mission.yaml my-map.yaml
   consort check my-domain.yaml my-tree.xml
   consort check my-mission.yaml --domain my-domain.yaml
+  consort check my-ihtn.json --domain my-domain.yaml --person nurse
   consort check --kind station node.toml")]
 pub struct Args {
     /// The files
@@ -27,6 +29,8 @@ pub struct Args {
     /// The kind of the files, instead of detecting it
     #[arg(long, value_enum)]
     kind: Option<FileKind>,
+    #[command(flatten)]
+    people: PeopleFlags,
 }
 
 /// Runs the command.
@@ -36,7 +40,7 @@ pub struct Args {
 pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     let is_design = |path: &PathBuf| args.kind.or_else(|| detect_kind(path).ok()) == Some(FileKind::Design);
     let (designs, others): (Vec<PathBuf>, Vec<PathBuf>) = args.files.iter().cloned().partition(is_design);
-    let checked = check_each(&others, |path| check_file(path, args.kind, extensions));
+    let checked = check_each(&others, |path| check_file(path, args.kind, &args.people.people, extensions));
     if designs.is_empty() {
         return checked;
     }

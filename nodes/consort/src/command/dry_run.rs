@@ -1,6 +1,7 @@
 //! `consort dry-run`: computes the result of a mission's auction.
 
 use super::flag_values::key_value;
+use super::flags::PeopleFlags;
 use crate::dry_run::{DryRunOutcome, WorkerBid, simulate_auction};
 use crate::exit::Failure;
 use crate::extensions::Extensions;
@@ -8,7 +9,7 @@ use crate::wiring::{SkillResources, skill_resources};
 use crate::{inputs, map_loader, output};
 use consort_protocol::auction::{BidLimits, BidPart};
 use consort_protocol::ids::{RobotId, RoleId};
-use consort_protocol::mission::{Mission, MissionTemplate};
+use consort_protocol::mission::{Mission, MissionDocument};
 use consort_protocol::plan::{Division, divide_and_check};
 use consort_protocol::units::{BatteryShare, Seconds};
 use serde::Serialize;
@@ -25,6 +26,7 @@ use std::path::PathBuf;
 Examples:
   consort dry-run lab-samples --workers examples/workers.toml --set room='PC Room 3'
   consort dry-run my-mission.yaml --map my-map.yaml --workers workers.json --json
+  consort dry-run my-ihtn.json --domain my-domain.yaml --person nurse --workers workers.toml
   consort dry-run lab-samples --map hospital_map.json --scenarios scenarios_81.json --json
 
 A workers file, in TOML (in JSON and YAML: a list of the same):
@@ -37,8 +39,11 @@ A workers file, in TOML (in JSON and YAML: a list of the same):
   discharge_share_per_s = 0.0004   # default 0
   useful_charge = 0.08             # the default")]
 pub(crate) struct Args {
-    /// The mission: the name of a bundled mission (lab-samples, …) or a file
+    /// The mission: the name of a bundled mission (lab-samples, …), a mission file, or a file in the flat
+    /// iHTN form (JSON)
     mission: String,
+    #[command(flatten)]
+    people: PeopleFlags,
     /// The map: the name of a bundled map (hospital), or a file in Consort's format or that of the
     /// published evaluation
     #[arg(long, env = "CONSORT_MAP", default_value = "hospital")]
@@ -109,7 +114,7 @@ pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
         time: args.time_limit_s.map(Seconds::new).transpose().map_err(|e| Failure::Usage(e.to_string()))?,
         charge_min: BatteryShare::new(args.charge_min).map_err(|e| Failure::Usage(e.to_string()))?,
     };
-    let template = inputs::mission(&args.mission)?;
+    let template = inputs::mission(&args.mission, &args.people.people)?;
     let equipment = skill_resources(&map_loader::load(&args.map)?, extensions)?;
     let given: BTreeMap<String, String> = args.parameters.iter().cloned().collect();
     match (&args.scenarios, &args.workers) {
@@ -122,7 +127,7 @@ pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
 fn mission(
     args: &Args,
     path: &std::path::Path,
-    template: &MissionTemplate,
+    template: &MissionDocument,
     equipment: &SkillResources,
     limits: &BidLimits,
     given: &BTreeMap<String, String>,
@@ -158,7 +163,7 @@ fn mission(
 fn scenarios(
     args: &Args,
     path: &std::path::Path,
-    template: &MissionTemplate,
+    template: &MissionDocument,
     equipment: &SkillResources,
     limits: &BidLimits,
     given: &BTreeMap<String, String>,
@@ -183,7 +188,7 @@ fn scenarios(
 }
 
 fn divide(
-    template: &MissionTemplate,
+    template: &MissionDocument,
     equipment: &SkillResources,
     given: &BTreeMap<String, String>,
 ) -> Result<(Mission, Division), Failure> {

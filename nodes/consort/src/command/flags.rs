@@ -10,7 +10,7 @@ use crate::extensions::Extensions;
 use crate::wiring::NodeIncarnation;
 use crate::{node_runtime, output};
 use consort_fleet::node::NodeSettings;
-use consort_protocol::ids::FleetId;
+use consort_protocol::ids::{FleetId, RoleId};
 use consort_protocol::mission::Domain;
 use consort_protocol::timing::Timing;
 use consort_protocol::units::{BatteryShare, Seconds};
@@ -139,6 +139,15 @@ impl NodeFlags {
             Ok(NodeSettings { supported_versions, ..settings })
         })
     }
+}
+
+/// Flag of missions in the flat iHTN form.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct PeopleFlags {
+    /// For a mission in the flat iHTN form (JSON): an agent that is a person, in addition to those of
+    /// the domain; may be repeated. All other agents are robots
+    #[arg(long = "person", value_name = "NAME")]
+    pub(crate) people: Vec<RoleId>,
 }
 
 /// Flags of the dashboard.

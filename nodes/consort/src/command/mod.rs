@@ -6,6 +6,7 @@ pub(crate) mod cert;
 pub mod check;
 pub(crate) mod completions;
 pub(crate) mod doctor;
+pub(crate) mod domain;
 mod drawn_world;
 pub(crate) mod dry_run;
 pub(crate) mod explain;

@@ -1,6 +1,7 @@
 //! `consort submit`: submits a mission.
 
 use super::flag_values::{InvalidValue, key_value};
+use super::flags::PeopleFlags;
 use crate::client::{Client, ClientFlags, read_answer};
 use crate::exit::Failure;
 use crate::{inputs, node_runtime, output};
@@ -30,9 +31,11 @@ Examples:
   consort submit lab-samples --set room='IC Room 6'
   consort submit lab-samples --set room='PC Room 3' --request order-7 --wait
   consort submit lab-samples --priority 10 --deadline 900
-  consort submit my-mission.yaml --connect tcp/192.0.2.7:7447")]
+  consort submit my-mission.yaml --connect tcp/192.0.2.7:7447
+  consort submit my-ihtn.json --person nurse")]
 pub(crate) struct Args {
-    /// The mission: the name of a bundled mission (lab-samples, …) or a file
+    /// The mission: the name of a bundled mission (lab-samples, …), a mission file, or a file in the flat
+    /// iHTN form (JSON)
     #[arg(value_name = "FILE|NAME")]
     mission: String,
     /// A parameter of the mission; may be repeated
@@ -55,6 +58,8 @@ pub(crate) struct Args {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
+    people: PeopleFlags,
+    #[command(flatten)]
     client: ClientFlags,
 }
 
@@ -68,14 +73,13 @@ const LOOK: Duration = Duration::from_millis(500);
 /// [`Failure::Unsuccessful`] if the command waits for the mission and the mission does not
 /// complete.
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
-    let mission = inputs::mission_request(&args.mission)?;
     let name = args.request.clone().unwrap_or_else(new_request_id);
     let request = SubmitRequest {
-        mission,
         parameters: args.parameters.iter().cloned().collect(),
         request: Some(name.clone()),
         priority: args.priority.get().into(),
         deadline_s: args.deadline,
+        ..inputs::mission_request(&args.mission, &args.people.people)?
     };
     node_runtime::build_runtime()?.block_on(async {
         let mut client = Client::open(&args.client).await?;

@@ -23,6 +23,7 @@ pub use process_fleet::ProcessFleet;
 pub use scenario::{DemoScenario, MissionRequest};
 
 use crate::command::flag_values::InvalidValue;
+use crate::command::flags::PeopleFlags;
 use crate::exit::Failure;
 use crate::extensions::Extensions;
 use crate::rendering::{self, RenderFlags};
@@ -50,6 +51,7 @@ Examples:
   consort demo --virtual --record run.mcap --svg paths.svg    record it for Foxglove and as an image
   consort demo --json | jq .event       every event as a line of JSON
   consort demo --domain examples/plants/domain.yaml --mission examples/plants/rounds.yaml    another domain
+  consort demo --virtual --domain domain.yaml --mission ihtn.json --person nurse    a mission in the flat iHTN form
   consort demo --keep-running           leave the fleet running afterwards (Ctrl-C ends it)
 
 Exit codes: 0 all missions are completed, and all samples are in the laboratory; 1 they are not; 2 the flags are wrong; 130 interrupted.")]
@@ -84,9 +86,12 @@ pub struct Args {
     /// Address of the dashboard [default: any free port on loopback]
     #[arg(long, value_name = "HOST:PORT", conflicts_with = "virtual_time")]
     dashboard: Option<SocketAddr>,
-    /// Mission to submit: the name of a bundled mission, or a file
+    /// Mission to submit: the name of a bundled mission, a mission file, or a file in the flat iHTN form
+    /// (JSON)
     #[arg(long, default_value = "lab-samples", value_name = "NAME|FILE")]
     mission: String,
+    #[command(flatten)]
+    people: PeopleFlags,
     #[command(flatten)]
     render: RenderFlags,
 }
@@ -109,15 +114,18 @@ impl Args {
 /// # Errors
 /// [`Failure`] if it does not end with every mission completed, and every sample in the laboratory.
 pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
-    let (mission, has_room) = runner::mission_request(&args.mission, &extensions.domain())?;
     if args.render.is_enabled() && !args.virtual_time {
         let what = "--record and --svg go with --virtual; of a fleet of processes, `consort world` records its world";
         return Err(Failure::Usage(what.to_owned()));
     }
     let scenario = DemoScenario::new(usize::from(args.robots), usize::from(args.missions), args.speed(), args.seed)
         .with_skills(&extensions.declared_task_types());
+    let places = map_loader::load(&scenario.fleet.map)?.topology.places;
+    let domain = extensions.domain().with_places(places.into_keys());
+    let requested = runner::request_mission(&args.mission, &args.people.people, &domain)?;
+    let scenario = scenario.with_people(&requested.mission, &domain);
     let reporter = DemoReporter::new(args.json, &scenario);
-    let options = DemoOptions { kill: !args.no_kill, keep_running: args.keep_running, mission, has_room };
+    let options = DemoOptions { kill: !args.no_kill, keep_running: args.keep_running, requested };
     if args.virtual_time {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
         let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;

@@ -10,12 +10,12 @@ use crate::inputs;
 use consort_bus::{Sample, Stream};
 use consort_dashboard::query::{QueryError, QueryTarget, query_once};
 use consort_dashboard::server::Dashboard;
-use consort_protocol::api::{MissionSource, SubmitReply, SubmitRequest};
+use consort_protocol::api::{SubmitReply, SubmitRequest};
 use consort_protocol::event::{Event, EventKind};
-use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::MissionState;
-use consort_protocol::mission::Domain;
+use consort_protocol::mission::{Domain, Mission};
 use consort_protocol::view::{CoordinatorView, MissionsView};
 use consort_text::count;
 use consort_world::world::WorldReport;
@@ -40,10 +40,8 @@ pub(super) struct DemoOptions {
     pub(super) kill: bool,
     /// True if the fleet stays up after the summary.
     pub(super) keep_running: bool,
-    /// The mission to submit, in the format of the API: a name, or a whole file.
-    pub(super) mission: MissionSource,
-    /// True if each mission gets a room with a nurse. Every sample must then end up in the laboratory.
-    pub(super) has_room: bool,
+    /// The mission to submit.
+    pub(super) requested: RequestedMission,
 }
 
 /// Runs a demo on a fleet.
@@ -74,17 +72,29 @@ struct MissionProgress {
     end: Option<(Duration, MissionState)>,
 }
 
-/// Returns the mission of a flag, in the format of the API, and whether it has a parameter `room`:
-/// checked before anything is started.
+/// Mission that the demo submits.
+pub(super) struct RequestedMission {
+    /// Request in the format of the API, without an id.
+    request: SubmitRequest,
+    /// True if each mission gets a room with a nurse. Every sample must then end up in the laboratory.
+    has_room: bool,
+    /// The mission, in a room with a nurse.
+    pub(super) mission: Mission,
+}
+
+/// Returns the mission of a flag, checked before anything is started. `people` are agents of a flat
+/// iHTN.
 ///
 /// # Errors
 /// [`Failure::Usage`] with the problem, or with the bundled missions.
-pub(super) fn mission_request(text: &str, domain: &Domain) -> Result<(MissionSource, bool), Failure> {
-    let template = inputs::mission(text).map_err(|problems| Failure::Usage(format!("--mission {problems}")))?;
-    let has_room = template.parameters().contains_key("room");
+pub(super) fn request_mission(text: &str, people: &[RoleId], domain: &Domain) -> Result<RequestedMission, Failure> {
+    let document = inputs::mission(text, people).map_err(|problems| Failure::Usage(format!("--mission {problems}")))?;
+    let has_room = document.parameters().contains_key("room");
     let room = has_room.then(|| ("room".to_owned(), "IC Room 6".to_owned())).into_iter().collect();
-    template.instantiate(&room, domain).map_err(|problem| Failure::Usage(format!("--mission {text}: {problem}")))?;
-    Ok((inputs::mission_request(text)?, has_room))
+    let mission = document
+        .instantiate(&room, domain)
+        .map_err(|problem| Failure::Usage(format!("--mission {text}: {problem}")))?;
+    Ok(RequestedMission { request: inputs::mission_request(text, people)?, has_room, mission })
 }
 
 impl<S: DemoFleet> DemoRunner<S> {
@@ -163,14 +173,12 @@ impl<S: DemoFleet> DemoRunner<S> {
     async fn submit_all(&mut self, events: &mut Stream<Sample>) -> Result<(), Failure> {
         for request in self.scenario.requests.clone() {
             let submission = SubmitRequest {
-                mission: self.options.mission.clone(),
-                parameters: match self.options.has_room {
+                parameters: match self.options.requested.has_room {
                     true => [("room".to_owned(), request.room.to_string())].into(),
                     false => BTreeMap::new(),
                 },
                 request: Some(request.request.clone()),
-                priority: 0,
-                deadline_s: None,
+                ..self.options.requested.request.clone()
             };
             let payload = serde_json::to_string(&submission).expect("a request serializes to JSON");
             let deadline = self.fleet.elapsed() + ELECTION_LIMIT;
@@ -188,7 +196,7 @@ impl<S: DemoFleet> DemoRunner<S> {
                 }
                 self.listen(events, Duration::from_millis(200)).await?;
             };
-            let room = if self.options.has_room { request.room.to_string() } else { "-".to_owned() };
+            let room = if self.options.requested.has_room { request.room.to_string() } else { "-".to_owned() };
             let submitted = self.fleet.elapsed();
             let progress =
                 MissionProgress { room, submitted, award_ms: None, holders: String::new(), auctions: 0, end: None };
@@ -330,7 +338,7 @@ impl<S: DemoFleet> DemoRunner<S> {
             .count();
         let all = self.missions.len();
         let mut words: Vec<String> = self.takeover_in_words().into_iter().collect();
-        let in_laboratory = match self.options.has_room {
+        let in_laboratory = match self.options.requested.has_room {
             true => format!("; {delivered} of {} samples in the laboratory", samples.len()),
             false => String::new(),
         };
@@ -345,7 +353,7 @@ impl<S: DemoFleet> DemoRunner<S> {
         };
         self.reporter.summary(&rows, &words, DemoEvent::Summary(summary))?;
         let no_takeover = self.killed.is_some() && self.takeover.is_none();
-        let all_delivered = !self.options.has_room || delivered == samples.len();
+        let all_delivered = !self.options.requested.has_room || delivered == samples.len();
         if completed == all && all_delivered && !no_takeover {
             return Ok(());
         }

@@ -3,6 +3,7 @@
 use crate::config::{FleetConfig, FleetRef, RobotConfig, StationConfig, WorldConfig};
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::ids::{EnsembleId, FleetId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskType};
+use consort_protocol::mission::{Domain, Mission, RoleKind, ValueKind};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_world::world::{PersonSetup, RobotSetup};
 use rand::seq::SliceRandom;
@@ -80,6 +81,24 @@ pub struct MissionRequest {
     pub request: RequestId,
     /// The nurse's room.
     pub room: PlaceId,
+}
+
+/// Returns the place of a role's first task, or else the last place before that task.
+fn place_of_role(mission: &Mission, role: &RoleId, domain: &Domain) -> Option<PlaceId> {
+    let mut place = None;
+    for (_, spec) in mission.elementary() {
+        let schema = domain.get(&spec.task_type);
+        let is_place = |name: &str| {
+            let parameter = schema.and_then(|schema| schema.parameters.get(name));
+            parameter.is_some_and(|parameter| parameter.kind == ValueKind::Place)
+        };
+        let own = spec.parameters.iter().filter(|(name, _)| is_place(name)).find_map(|(_, value)| value.parse().ok());
+        place = own.or(place);
+        if spec.roles.contains(role) {
+            break;
+        }
+    }
+    place
 }
 
 fn slug<T: std::str::FromStr<Err: std::fmt::Debug>>(text: &str) -> T {
@@ -182,6 +201,26 @@ impl DemoScenario {
     #[must_use]
     pub fn with_skills(mut self, skills: &BTreeSet<TaskType>) -> DemoScenario {
         self.robots.iter_mut().for_each(|robot| robot.skills.extend(skills.iter().cloned()));
+        self
+    }
+
+    /// Adds a person for each unmanaged role that nobody in the world has.
+    #[must_use]
+    pub fn with_people(mut self, mission: &Mission, domain: &Domain) -> DemoScenario {
+        let unmanaged = mission.roles.iter().filter(|(_, role)| role.kind == RoleKind::Unmanaged);
+        for (role, _) in unmanaged {
+            if self.world.person.iter().any(|person| person.role == *role) {
+                continue;
+            }
+            self.world.person.push(PersonSetup {
+                name: role.as_str().into(),
+                role: role.clone(),
+                place: place_of_role(mission, role, domain).unwrap_or_else(|| slug(ROOMS[0])),
+                samples: vec![],
+                endless_samples: true,
+                spontaneous_actions: vec![],
+            });
+        }
         self
     }
 

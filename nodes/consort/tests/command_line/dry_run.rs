@@ -77,7 +77,7 @@ fn a_mission_without_viable_bids_fails_with_the_reason() {
 }
 
 /// Returns the folder of the published evaluation; skips the test if it is not installed.
-fn reference() -> Option<PathBuf> {
+pub(crate) fn reference() -> Option<PathBuf> {
     let folder = std::env::var_os("CONSORT_REFERENCE")
         .map_or_else(|| crate_file("../../../shared/reference").into(), PathBuf::from);
     let folder = folder.join("mission_control");

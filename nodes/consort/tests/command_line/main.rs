@@ -9,6 +9,7 @@ mod files;
 #[path = "../../../../tests/support/free_port.rs"]
 mod free_port;
 mod help;
+mod ihtn;
 mod map;
 mod network;
 mod recordings;

@@ -200,7 +200,7 @@ fn schemas_and_program_accept_the_same_forms() {
     for (kind, file, text, taken) in &cases {
         let path = folder.join(file);
         std::fs::write(&path, text).expect("cargo's own folder");
-        let program = check::check_file(&path, Some(*kind), Extensions::default());
+        let program = check::check_file(&path, Some(*kind), &[], Extensions::default());
         assert_eq!(program.is_ok(), *taken, "{text}\n{program:?}");
         values.push((*kind, value(text, &path)));
     }

@@ -88,7 +88,7 @@ fn a_calibration_is_learned_written_and_used() {
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
     // A fleet file may refer to a calibration too, and its errors are reported.
     let fleet = test_file("fleet-that-learned.toml", &format!("calibration = {learned:?}\n"));
-    let check = |file: &str| check_file(Path::new(file), Some(FileKind::Fleet), Extensions::default());
+    let check = |file: &str| check_file(Path::new(file), Some(FileKind::Fleet), &[], Extensions::default());
     check(&fleet).unwrap();
     let wrong =
         test_file("wrong-calibration.toml", &std::fs::read_to_string(&learned).unwrap().replace("mean = ", "mean = -"));

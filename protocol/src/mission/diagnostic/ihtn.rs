@@ -96,12 +96,30 @@ pub enum IhtnError {
         /// Agent.
         agent: String,
     },
-    /// An action has several locations.
-    #[error("has {found} locations; an action has at most 1")]
-    SeveralLocations {
-        /// Number found.
-        found: usize,
+    /// A node has wrong fields.
+    #[error("{message}")]
+    Node {
+        /// Message of the parser.
+        message: String,
     },
+    /// An action has no agent that is a robot or a person.
+    #[error("has no agent that is a robot or a person; an action needs at least 1")]
+    NoAgent,
+    /// The task type has no parameter for one of several locations, or for an object.
+    #[error("has {value:?}, which becomes the parameter `{name}`, but its task type has no such {kind}; {allowed}")]
+    Unnumbered {
+        /// Location or object.
+        value: String,
+        /// Missing parameter.
+        name: String,
+        /// Required kind of parameter.
+        kind: &'static str,
+        /// Parameters of the type with this kind.
+        allowed: AllowedNames,
+    },
+    /// A request has a parameter.
+    #[error("is given, but a mission in the flat iHTN form has no parameters")]
+    Parameter,
     /// The task type has no parameter for the location.
     #[error("has the location {location:?}, but `{task_type}` has no parameter for a place")]
     UnusedLocation {
@@ -110,9 +128,8 @@ pub enum IhtnError {
         /// Task type.
         task_type: String,
     },
-    /// An agent of [`IhtnOptions::unmanaged`](crate::mission::IhtnOptions::unmanaged) has no
-    /// action.
-    #[error("is listed as unmanaged, but has no action in the file; {allowed}")]
+    /// An agent of [`IhtnOptions::people`](crate::mission::IhtnOptions::people) has no action.
+    #[error("is named as a person, but is no agent of an action; {allowed}")]
     NoSuchAgent {
         /// Agents with actions.
         allowed: AllowedNames,

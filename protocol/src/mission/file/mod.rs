@@ -127,6 +127,18 @@ pub enum MissionFileError {
     /// The name of the mission is invalid.
     #[error(transparent)]
     Name(#[from] NameError),
+    /// A request contains a field that only a flat iHTN needs.
+    #[error(
+        "`{field}` belongs to a mission in the flat iHTN form; a mission file has its own name, and its people are \
+         the roles with `kind: unmanaged`"
+    )]
+    OnlyIhtn {
+        /// The field.
+        field: &'static str,
+    },
+    /// A flat iHTN has syntax errors or wrong fields.
+    #[error(transparent)]
+    Ihtn(#[from] MissionErrors),
 }
 
 /// Parsed mission file: a template that gives a mission for each choice of its parameters.

@@ -25,7 +25,7 @@ impl NodeType {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct FlatNode {
+pub(in crate::mission) struct FlatNode {
     pub(super) name: String,
     #[serde(rename = "type")]
     pub(super) node_type: NodeType,

@@ -36,7 +36,7 @@ impl Mission {
 }
 
 /// Checks the type and the parameters of a task.
-fn check_task(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<MissionErrorKind> {
+pub(super) fn check_task(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<MissionErrorKind> {
     let Some(schema) = domain.get(&spec.task_type) else {
         let allowed = AllowedNames::suggest_for(spec.task_type.as_str(), domain.task_types());
         return vec![MissionErrorKind::UnknownType { task_type: spec.task_type.to_string(), allowed }];
