@@ -9,9 +9,10 @@
 //!
 //! `DriverSession` makes every decision: it takes messages of the driver and the time, and returns
 //! actions. [`ProcessDriver`] is the backend of the driver server; the process module performs the
-//! actions.
+//! actions. `conformance` tries a driver without a fleet.
 
 mod backend;
+pub mod conformance;
 mod contract;
 mod line;
 mod messages;

@@ -7,6 +7,7 @@ pub mod check;
 pub(crate) mod completions;
 pub(crate) mod doctor;
 mod drawn_world;
+pub mod driver;
 pub(crate) mod dry_run;
 pub(crate) mod explain;
 pub mod flag_values;
