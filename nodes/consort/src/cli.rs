@@ -1,8 +1,8 @@
 //! The command line.
 
 use crate::command::{
-    backup, cancel, cert, check, completions, doctor, domain, dry_run, explain, fleet, keys, lab, leave, map, missions,
-    record, recover, replay, resolve, restore, robot, schema, station, submit, token, upgrade, watch, world,
+    backup, cancel, cert, check, completions, doctor, domain, driver, dry_run, explain, fleet, keys, lab, leave, map,
+    missions, record, recover, replay, resolve, restore, robot, schema, station, submit, token, upgrade, watch, world,
 };
 use crate::demo;
 use crate::domains;
@@ -73,6 +73,7 @@ enum Command {
     Check(check::Args),
     Schema(schema::Args),
     Doctor(doctor::Args),
+    Driver(driver::Args),
     Map(map::Args),
     Domain(domain::Args),
     DryRun(dry_run::Args),
@@ -120,6 +121,7 @@ pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>
             Command::Check(args) => check::run(args, extensions),
             Command::Schema(args) => schema::run(&args),
             Command::Doctor(args) => doctor::run(args, extensions),
+            Command::Driver(args) => driver::run(args, extensions),
             Command::Map(args) => map::run(args),
             Command::Domain(args) => domain::run(args, extensions),
             Command::DryRun(args) => dry_run::run(args, extensions),

@@ -6,6 +6,7 @@
 
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::domains::LoadedDomain;
+use consort_driver::Contract;
 use consort_protocol::ids::{ActionName, TaskType};
 use consort_protocol::mission::Domain;
 use consort_skills::descriptor::DescriptorRegistry;
@@ -55,6 +56,12 @@ impl Extensions {
     pub(crate) fn simulated_actions(self) -> BTreeMap<ActionName, SimulatedAction> {
         let files = self.domains.iter().map(|loaded| &loaded.domain);
         [shipped_domain()].into_iter().chain(files).flat_map(DomainFile::simulated_actions).collect()
+    }
+
+    /// Returns the actions that drivers may offer.
+    pub(crate) fn driver_contract(self) -> Contract {
+        let files = self.domains.iter().map(|loaded| &loaded.domain);
+        Contract::new([shipped_domain()].into_iter().chain(files))
     }
 
     /// Returns the task types of the domain files.

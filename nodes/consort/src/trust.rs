@@ -115,7 +115,7 @@ fn needed_roles(node: &NodeSettings) -> Vec<(NodeRole, &'static str)> {
     let all = [
         (node.robot.is_some(), NodeRole::Robot, "the node has a robot"),
         (node.may_vote, NodeRole::Voter, "may_vote is true"),
-        (node.driver_server.is_some(), NodeRole::Host, "the node hosts a world"),
+        (node.driver_server.is_some(), NodeRole::Host, "the node serves drivers of robots"),
     ];
     all.into_iter().filter(|(needed, ..)| *needed).map(|(_, role, why)| (role, why)).collect()
 }

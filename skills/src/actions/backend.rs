@@ -8,6 +8,7 @@ use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::WorldTime;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 /// A task for a person with an unmanaged role, requested by the messages of the mission's plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -71,6 +72,13 @@ pub trait RobotBackend: Send + Sync {
     /// `advance`. A goal that arrives while another is active is rejected with
     /// [`ErrorCode::Busy`](super::ErrorCode::Busy). A repeated id changes nothing.
     fn start(&mut self, robot: &RobotId, id: GoalId, goal: Goal);
+
+    /// Permits a goal for this time from now on, and replaces the permission before. Called before
+    /// the start of the goal, and whenever its client renews the permission. The caller cancels the
+    /// goal at the end, so only a backend that forwards goals to another process needs it.
+    fn permit(&mut self, robot: &RobotId, id: GoalId, keep_for: Duration) {
+        let _ = (robot, id, keep_for);
+    }
 
     /// Cancels a goal. Without effect if it is not active.
     fn cancel(&mut self, robot: &RobotId, id: GoalId);

@@ -116,7 +116,7 @@ pub struct DeclaredGoal {
 pub type JsonObject = serde_json::Map<String, serde_json::Value>;
 
 /// Names of the actions that are variants of [`Goal`].
-const STANDARD_ACTIONS: [&str; 13] = [
+pub const STANDARD_ACTIONS: [&str; 13] = [
     "navigate_to_pose",
     "approach_person",
     "authenticate_person",

@@ -147,6 +147,11 @@ impl DomainFile {
         self.form.actions.keys()
     }
 
+    /// Returns the actions with their parameters.
+    pub fn action_forms(&self) -> impl Iterator<Item = (&ActionName, &ActionForm)> {
+        self.form.actions.iter()
+    }
+
     /// Returns what the simulator does with the actions.
     pub fn simulated_actions(&self) -> impl Iterator<Item = (ActionName, SimulatedAction)> {
         self.form.actions.iter().map(|(name, action)| (name.clone(), action.simulate))

@@ -338,7 +338,7 @@ impl Assembly {
         Ok(views.serve(&mut self.tasks).await?)
     }
 
-    /// Starts the driver server and the human task proxy.
+    /// Starts the driver server and, for a world with people, the human task proxy.
     async fn start_driver_server(&self, part: DriverServerPart, boot: u64) -> Result<(), NodeError> {
         let server = DriverServerSettings {
             boot,
@@ -349,7 +349,11 @@ impl Assembly {
             publish_interval: Duration::from_millis(500),
             client_timeout: CLIENT_TIMEOUT,
         };
+        let serves_people = part.world.serves_people();
         Actor::spawn_linked(None, DriverServer, (server, part.world), self.root.get_cell()).await?;
+        if !serves_people {
+            return Ok(());
+        }
         let proxy = HumanTaskProxySettings {
             node: self.node.clone(),
             keys: self.keys.clone(),

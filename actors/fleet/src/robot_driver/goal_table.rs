@@ -81,7 +81,6 @@ impl GoalTable {
     }
 
     /// Returns the goals of a robot with the times at which the robot stops.
-    #[cfg(test)]
     pub(super) fn stop_times(&self, robot: &RobotId) -> impl Iterator<Item = (GoalId, Option<NodeTime>)> {
         self.robots.get(robot).into_iter().flatten().map(|goal| (goal.id, goal.stop_at))
     }

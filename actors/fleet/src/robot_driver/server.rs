@@ -200,11 +200,20 @@ impl DriverServerState {
             return reply::refuse(&query, "not a command to a driver").await;
         };
         let Some(command) = reply::decode_or_refuse::<DriverCommand>(&query).await else { return };
-        match self.goals.receive(&robot, command, self.settings.clock.now()) {
-            Ok(CommandEffect::Start(id, goal)) => self.world.start(&robot, id, goal),
-            Ok(CommandEffect::Cancel(id)) => self.world.cancel(&robot, id),
-            Ok(CommandEffect::None) => {}
+        let now = self.settings.clock.now();
+        let effect = match self.goals.receive(&robot, command, now) {
+            Ok(effect) => effect,
             Err(problem) => return reply::refuse(&query, &problem.to_string()).await,
+        };
+        for (id, stop_at) in self.goals.stop_times(&robot) {
+            if let Some(stop_at) = stop_at {
+                self.world.permit(&robot, id, stop_at.since(now));
+            }
+        }
+        match effect {
+            CommandEffect::Start(id, goal) => self.world.start(&robot, id, goal),
+            CommandEffect::Cancel(id) => self.world.cancel(&robot, id),
+            CommandEffect::None => {}
         }
         // Rejections and cancellations take effect at once.
         let events = self.advance();

@@ -8,6 +8,7 @@ pub(crate) mod completions;
 pub(crate) mod doctor;
 pub(crate) mod domain;
 mod drawn_world;
+pub mod driver;
 pub(crate) mod dry_run;
 pub(crate) mod explain;
 pub mod flag_values;

@@ -3,6 +3,7 @@
 use super::fleet::unknown_skill;
 use super::node::validate_common;
 use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
+use consort_driver::DriverProgram;
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
 use consort_protocol::mission::Domain;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
@@ -44,6 +45,11 @@ pub struct RobotConfig {
     /// True if the node may keep a copy of the ledger, and coordinate. Default: true.
     #[serde(default = "yes")]
     pub may_vote: bool,
+    /// Command line of the robot's driver, as `["python3", "driver.py"]`: the node starts the program and
+    /// exchanges JSON lines with it. A program with a `/` and arguments that name files are relative to
+    /// this file. Default: none, and the driver is elsewhere on the bus.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub driver: Option<Vec<String>>,
     /// Directory of the node's store. Default: none, and all state is lost when the node ends.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub data_dir: Option<PathBuf>,
@@ -90,6 +96,7 @@ impl RobotConfig {
             stationary: false,
             mains_powered: false,
             may_vote: true,
+            driver: None,
             data_dir: None,
             dashboard: None,
             fleet: FleetRef::default(),
@@ -103,6 +110,9 @@ impl ConfigFile for RobotConfig {
     const KIND: &'static str = "robot";
 
     fn resolve_paths(&mut self, folder: &Path) {
+        if let Some(words) = &mut self.driver {
+            DriverProgram::resolve(words, folder);
+        }
         self.common_mut().resolve_paths(folder);
     }
 
@@ -115,6 +125,9 @@ impl ConfigFile for RobotConfig {
         }
         if self.skills.iter().any(|skill| skill.as_str() == "navigation") && self.speed_mps.is_none() {
             validate.push("speed_mps: is missing, and the robot has the skill `navigation`".to_owned());
+        }
+        if let Some(Err(problem)) = self.driver.clone().map(DriverProgram::new) {
+            validate.push(format!("driver: {problem}"));
         }
         validate.extend(validate_common(&self.fleet, &self.bus, &self.telemetry, domain));
         validate

@@ -1,6 +1,6 @@
 use super::support::run;
 
-const COMMANDS: [&str; 21] = [
+const COMMANDS: [&str; 22] = [
     "robot",
     "station",
     "world",
@@ -14,6 +14,7 @@ const COMMANDS: [&str; 21] = [
     "schema",
     "cert",
     "doctor",
+    "driver",
     "completions",
     "man",
     "dry-run",

@@ -4,6 +4,7 @@ mod binary;
 mod certs;
 mod deploy;
 mod domains;
+mod drivers;
 mod dry_run;
 mod files;
 #[path = "../../../../tests/support/free_port.rs"]

@@ -39,10 +39,21 @@ pub(crate) fn published_views() -> Vec<(String, Schema)> {
 
 #[test]
 fn the_schemas_of_views_and_events_match_the_code() {
-    let folder = repository().join("docs/schemas/published");
-    let views = published_views().into_iter().map(|(name, schema)| (format!("view-{name}"), schema));
+    let views = published_views().into_iter().map(|(name, schema)| (format!("view-{name}"), schema.to_value()));
+    let events = [("event".to_owned(), schema_of::<Event>().to_value())];
+    check_folder("docs/schemas/published", views.chain(events).collect());
+}
+
+#[test]
+fn the_schemas_of_driver_messages_match_the_code() {
+    check_folder("docs/schemas/driver", consort_driver::message_schemas());
+}
+
+/// Checks that a folder contains these schemas, and no others.
+fn check_folder(folder: &str, schemas: Vec<(String, Value)>) {
+    let folder = repository().join(folder);
     let mut names = vec![];
-    for (name, schema) in views.chain([("event".to_owned(), schema_of::<Event>())]) {
+    for (name, schema) in schemas {
         let name = format!("{name}.json");
         let text = serde_json::to_string_pretty(&schema).expect("JSON") + "\n";
         check_shipped(&folder.join(&name), &text);
@@ -122,6 +133,7 @@ const NO_JSONSCHEMA: &str = "python3 has no jsonschema (apt-get install python3-
 #[test]
 fn shipped_files_satisfy_their_schemas() {
     let mut paths = files("examples", &[".toml", ".yaml"]);
+    paths.extend(files("examples/vacuum", &[".toml", ".yaml"]));
     paths.extend(files("skills/missions", &[".yaml"]));
     paths.extend(files("tests/features/missions", &[".yaml"]));
     paths.extend(files("tests/features/maps", &[".yaml"]));

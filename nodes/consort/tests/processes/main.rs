@@ -11,6 +11,7 @@ mod decommission;
 mod demo;
 mod demo_on_virtual_time;
 mod demo_shutdown;
+mod driver_process;
 mod example_fleet;
 mod foreign_clients;
 mod full_disk;

@@ -1,0 +1,108 @@
+//! A robot whose driver is a Python program that the node starts.
+
+use crate::support::{Client, Fleet, LONG, Program, until};
+use std::fs;
+use std::process::Command;
+use toml::Table;
+
+/// Returns an example file of the vacuum cleaner.
+fn example(name: &str) -> String {
+    let path = format!("{}/../../examples/vacuum/{name}", env!("CARGO_MANIFEST_DIR"));
+    fs::read_to_string(&path).unwrap_or_else(|problem| panic!("{path}: {problem}"))
+}
+
+/// Starts the robot of the example, in the folder of a fleet of its own.
+fn start(fleet_name: &str) -> Fleet {
+    let mut robot: Table = example("robot.toml").parse().expect("TOML");
+    robot["fleet"].as_table_mut().expect("a table").insert("name".to_owned(), fleet_name.into());
+    let mut fleet = Fleet::new(robot["fleet"].as_table().expect("a table"));
+    // A fast robot shortens the test.
+    robot.insert("driver".to_owned(), vec!["python3", "driver.py", "20"].into());
+    for name in ["driver.py", "domain.yaml", "clean_room.xml"] {
+        fs::write(fleet.path(name), example(name)).expect("the folder can be written to");
+    }
+    let domain = format!("CONSORT_DOMAIN={}", fleet.path("domain.yaml").display());
+    fleet.start_by(&["env", &domain], "robot", robot, &[]);
+    fleet
+}
+
+/// Returns the process of the driver.
+fn driver_process(fleet: &Fleet) -> Option<String> {
+    let script = fleet.path("driver.py").display().to_string();
+    let pids = fs::read_dir("/proc").expect("Linux lists its processes").flatten();
+    let mut pids = pids.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    pids.find(|pid| {
+        let line = fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        // `python3` may be a script that starts the interpreter.
+        let program = line.split('\0').next().and_then(|path| path.rsplit('/').next()).unwrap_or_default();
+        program.starts_with("python") && line.contains(&script)
+    })
+}
+
+fn kill(pid: &str) {
+    let killed = Command::new("kill").args(["-KILL", pid]).status().expect("there is a program `kill`");
+    assert!(killed.success(), "{pid} has ended already");
+}
+
+/// Submits the mission of the example, with more passes in the first room.
+fn submit(fleet: &mut Fleet) -> Program {
+    let mission = fleet.path("mission.yaml");
+    fs::write(&mission, example("mission.yaml").replace(r#"passes: "1""#, r#"passes: "4""#)).expect("a folder");
+    fleet.begin(&["submit", &mission.display().to_string(), "--wait"], "cleaner")
+}
+
+fn place(client: &Client) -> Option<String> {
+    let (_, view) = client.all("view/fleet", "").into_iter().next()?;
+    let nodes = view["nodes"].as_array()?;
+    let cleaner = nodes.iter().find(|node| node["node"] == "cleaner")?;
+    Some(cleaner["robot"]["place"].as_str()?.to_owned())
+}
+
+#[test]
+fn a_driver_in_python_performs_a_mission_and_survives_its_death() {
+    let mut fleet = start("cleaning-1");
+    let waiting = submit(&mut fleet);
+    let client = Client::open(&fleet.address("cleaner"), "cleaning-1");
+    // It cleans the first room for 8 s.
+    until("the robot is in the first room", LONG, || (place(&client)? == "IC Room 6").then_some(()));
+    let first = driver_process(&fleet).expect("the driver runs");
+    kill(&first);
+    let second = until("the driver runs again", LONG, || driver_process(&fleet).filter(|pid| *pid != first));
+    let ended = waiting.end(LONG).expect(0);
+    assert!(ended.stdout.ends_with("clean-rooms-1 completed\n"), "{}", ended.stdout);
+    assert_eq!(place(&client).as_deref(), Some("PC Room 3"));
+    assert_eq!(driver_process(&fleet), Some(second), "the second process has performed the rest");
+    let log = fleet.node("cleaner").stderr();
+    assert!(log.contains("the driver has ended: signal: 9 (SIGKILL)"), "{log}");
+    assert_eq!(log.matches("is ready, with the actions").count(), 2, "{log}");
+    drop(client);
+    // Its driver ends with the node.
+    fleet.stop();
+}
+
+#[test]
+fn a_driver_ends_with_its_killed_node() {
+    let mut fleet = start("cleaning-2");
+    until("the driver runs", LONG, || driver_process(&fleet));
+    fleet.address("cleaner");
+    fleet.kill("cleaner");
+    until("the driver has ended", LONG, || driver_process(&fleet).is_none().then_some(()));
+}
+
+#[test]
+fn a_driver_that_offers_an_undeclared_action_is_not_used() {
+    let mut fleet = start("cleaning-3");
+    fleet.kill("cleaner");
+    let wrong = example("driver.py").replace(r#""vacuum": VACUUM"#, r#""vacum": VACUUM"#);
+    fs::write(fleet.path("driver.py"), wrong).expect("the folder can be written to");
+    fleet.start_again("cleaner");
+    until("the node logs the wrong hello", LONG, || {
+        let log = fleet.node("cleaner").stderr();
+        log.contains("hello: actions.vacum: no domain declares this action; allowed: ").then_some(())
+    });
+    let client = Client::open(&fleet.address("cleaner"), "cleaning-3");
+    until("the robot is out of service", LONG, || {
+        let (_, view) = client.all("view/fleet", "").into_iter().next()?;
+        view.to_string().contains("its driver does not reply").then_some(())
+    });
+}

@@ -1,0 +1,145 @@
+//! The actions that a driver may offer, and the check of its hello.
+
+use crate::messages::{OfferedAction, PROTOCOL_VERSION};
+use consort_protocol::ids::ActionName;
+use consort_skills::actions::STANDARD_ACTIONS;
+use consort_skills::domain_file::{ActionForm, DomainFile, ParameterForm};
+use consort_text::AllowedNames;
+use std::collections::BTreeMap;
+
+/// The actions that exist: the standard ones, and those that domain files declare.
+#[derive(Debug, Clone, Default)]
+pub struct Contract {
+    declared: BTreeMap<ActionName, ActionForm>,
+}
+
+/// The hello of a driver was rejected: its goals are not started.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ContractError {
+    /// The driver has another version of the messages.
+    #[error("hello: protocol: {0} is not supported; allowed: {PROTOCOL_VERSION}")]
+    Protocol(u32),
+    /// The driver offers nothing.
+    #[error("hello: actions: the list is empty; allowed are standard actions and those of the files of --domain")]
+    NoActions,
+    /// No domain declares an action.
+    #[error("hello: actions.{action}: no domain declares this action; {allowed}")]
+    Undeclared {
+        /// The action.
+        action: ActionName,
+        /// The allowed names, with the nearest.
+        allowed: String,
+    },
+    /// A parameter differs from the declaration.
+    #[error("hello: actions.{action}.parameters.{parameter}: {problem}")]
+    Parameter {
+        /// The action.
+        action: ActionName,
+        /// The parameter.
+        parameter: String,
+        /// The problem, and what is allowed.
+        problem: String,
+    },
+}
+
+impl Contract {
+    /// Returns the contract of the standard actions and the actions of these domains.
+    pub fn new<'a>(domains: impl IntoIterator<Item = &'a DomainFile>) -> Contract {
+        let forms = domains.into_iter().flat_map(DomainFile::action_forms);
+        Contract { declared: forms.map(|(name, form)| (name.clone(), form.clone())).collect() }
+    }
+
+    /// Checks the content of a hello.
+    ///
+    /// # Errors
+    /// The first difference from the declarations.
+    pub fn check(&self, protocol: u32, actions: &BTreeMap<ActionName, OfferedAction>) -> Result<(), ContractError> {
+        if protocol != PROTOCOL_VERSION {
+            return Err(ContractError::Protocol(protocol));
+        }
+        if actions.is_empty() {
+            return Err(ContractError::NoActions);
+        }
+        for (name, offered) in actions {
+            if STANDARD_ACTIONS.contains(&name.as_str()) {
+                continue;
+            }
+            let Some(declared) = self.declared.get(name) else {
+                let known = self.declared.keys().map(ActionName::as_str).chain(STANDARD_ACTIONS);
+                let allowed = AllowedNames::suggest_for(name.as_str(), known).to_string();
+                return Err(ContractError::Undeclared { action: name.clone(), allowed });
+            };
+            check_parameters(&declared.parameters, &offered.parameters).map_err(|(parameter, problem)| {
+                ContractError::Parameter { action: name.clone(), parameter, problem }
+            })?;
+        }
+        Ok(())
+    }
+}
+
+/// Compares the parameters of an action: every declared one is offered, with the same type.
+fn check_parameters(
+    declared: &BTreeMap<String, ParameterForm>,
+    offered: &BTreeMap<String, ParameterForm>,
+) -> Result<(), (String, String)> {
+    for (name, parameter) in offered {
+        let Some(form) = declared.get(name) else {
+            let allowed = AllowedNames::suggest_for(name, declared.keys());
+            return Err((name.clone(), format!("the domain declares no such parameter; {allowed}")));
+        };
+        if form.kind != parameter.kind {
+            let kind = serde_json::to_value(form.kind).unwrap_or_default();
+            return Err((name.clone(), format!("type: the domain declares {kind}")));
+        }
+    }
+    match declared.keys().find(|name| !offered.contains_key(*name)) {
+        Some(missing) => Err((missing.clone(), "is missing; the domain declares it".to_owned())),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::{Value, json};
+
+    fn contract() -> Contract {
+        let form = serde_json::from_value(json!({
+            "domain": "cleaning",
+            "actions": { "vacuum": { "parameters": { "passes": { "type": "integer" } } } },
+        }));
+        let domain = DomainFile::check(form.unwrap(), &BTreeMap::new(), &[]).unwrap();
+        Contract::new([&domain])
+    }
+
+    fn check(actions: Value) -> Result<(), String> {
+        let actions = serde_json::from_value(actions).unwrap();
+        contract().check(1, &actions).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn declared_and_standard_actions_are_accepted() {
+        let vacuum = json!({ "parameters": { "passes": { "type": "integer" } } });
+        assert_eq!(check(json!({ "wait": {}, "vacuum": vacuum })), Ok(()));
+    }
+
+    #[test]
+    fn a_hello_that_differs_from_the_domain_is_rejected_with_its_place() {
+        let of = |parameters: Value| check(json!({ "vacuum": { "parameters": parameters } })).unwrap_err();
+        assert_eq!(of(json!({})), "hello: actions.vacuum.parameters.passes: is missing; the domain declares it");
+        assert_eq!(
+            of(json!({ "passes": { "type": "text" } })),
+            "hello: actions.vacuum.parameters.passes: type: the domain declares \"integer\""
+        );
+        assert_eq!(
+            of(json!({ "pases": { "type": "integer" } })),
+            "hello: actions.vacuum.parameters.pases: the domain declares no such parameter; allowed: passes; did you \
+             mean `passes`?"
+        );
+        let undeclared = check(json!({ "vacum": {} })).unwrap_err();
+        assert!(undeclared.starts_with("hello: actions.vacum: no domain declares this action; allowed: vacuum, "));
+        assert!(undeclared.ends_with("did you mean `vacuum`?"), "{undeclared}");
+        assert_eq!(contract().check(2, &BTreeMap::new()), Err(ContractError::Protocol(2)));
+        assert_eq!(contract().check(1, &BTreeMap::new()), Err(ContractError::NoActions));
+    }
+}

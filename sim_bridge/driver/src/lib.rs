@@ -1,0 +1,29 @@
+//! Drivers of robots in any language: a child process that exchanges JSON lines over its standard
+//! streams (`docs/reference/driver.md`).
+//!
+//! ```text
+//!  robot's node                                                        child process
+//!  DriverServer ─▶ ProcessDriver ─▶ DriverSession ─▶ process ── start, goal, keep, cancel ──▶ driver.py
+//!   (RobotBackend)                (state machine)   (I/O)   ◀─ hello, feedback, result, pose ──
+//! ```
+//!
+//! `DriverSession` makes every decision: it takes messages of the driver and the time, and returns
+//! actions. [`ProcessDriver`] is the backend of the driver server; the process module performs the
+//! actions. `conformance` tries a driver without a fleet.
+
+mod backend;
+pub mod conformance;
+mod contract;
+mod line;
+mod messages;
+mod process;
+mod session;
+mod throttle;
+
+pub use backend::{ProcessDriver, RobotStart};
+pub use contract::{Contract, ContractError};
+pub use line::LINE_BYTES_MAX;
+pub use messages::{
+    DriverMessage, NodeMessage, OfferedAction, PROTOCOL_VERSION, Reading, ResultStatus, message_schemas,
+};
+pub use process::{DriverProgram, ProgramError};
