@@ -6,7 +6,7 @@
 //! information.
 
 use super::diagnostic::MissionErrorKind;
-use super::ihtn::IhtnNames;
+use super::ihtn_names::IhtnNames;
 use crate::ids::{PlaceId, TaskType};
 use consort_text::AllowedNames;
 use serde::{Deserialize, Serialize};

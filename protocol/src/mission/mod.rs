@@ -23,6 +23,7 @@ mod document;
 mod domain;
 mod file;
 mod ihtn;
+mod ihtn_names;
 mod limits;
 mod lost_item;
 mod model;
@@ -37,7 +38,8 @@ pub use diagnostic::{IhtnError, MissionDiagnostic, MissionErrorKind, MissionErro
 pub use document::{IhtnFields, MissionDocument};
 pub use domain::{Domain, NumberRange, ParameterSchema, TaskSchema, ValueKind};
 pub use file::{Format, MissionFileError, MissionTemplate, TemplateKind, TemplateParameter};
-pub use ihtn::{ActionUse, IhtnNames, IhtnOptions, UndeclaredActions, import_ihtn, is_flat_ihtn, undeclared_actions};
+pub use ihtn::{ActionUse, IhtnOptions, UndeclaredActions, import_ihtn, is_flat_ihtn, undeclared_actions};
+pub use ihtn_names::IhtnNames;
 pub use limits::FILE_BYTES_MAX;
 pub(crate) use limits::ROLES_MAX;
 pub(crate) use lost_item::LostItem;

@@ -26,11 +26,10 @@
 
 mod build;
 mod form;
-mod names;
 mod tree;
 mod undeclared;
 
-pub use names::IhtnNames;
+use super::ihtn_names::IhtnNames;
 pub use undeclared::{ActionUse, UndeclaredActions, undeclared_actions};
 
 use self::form::{FlatFile, FlatNode, NO_PARENT};
