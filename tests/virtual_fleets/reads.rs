@@ -120,10 +120,10 @@ fn a_read_from_an_isolated_node_states_its_age() {
     });
 }
 
-/// The links of a node without a ledger return between 2 of its lookups: it reaches a voter, and its
-/// lookup of the mission got no reply.
+/// The lookups of the mission get no reply, while those of the list of missions do: the links of a node
+/// without a ledger have returned in between.
 #[test]
-fn a_mission_that_no_voter_was_asked_for_is_not_unknown() {
+fn a_mission_is_not_called_unknown_before_a_voter_has_replied() {
     for_each_seed(SEEDS, async |seed| {
         let fleet = fleet(seed).await;
         let mission = fleet.submit("before", ROOM).await;

@@ -159,30 +159,23 @@ impl LeadershipMonitor {
         // A new leader has not been acknowledged yet. For the duration of the timeout this does not
         // count as a lost quorum.
         let Some(timeout_at) = ack_at.or(elected_at).map(|at| at + self.check_quorum_timeout) else {
-            self.resume_appends(Quorum::Unknown);
+            self.appends_suspended.store(false, Ordering::Relaxed);
             self.publish(latest, Quorum::Unknown);
             return self.next_change(latest, feed).await;
         };
         if timeout_at > BootInstant::now() {
-            let quorum = if ack_at.is_some() { Quorum::Confirmed } else { Quorum::Unknown };
-            self.resume_appends(quorum);
-            self.publish(latest, quorum);
+            self.appends_suspended.store(false, Ordering::Relaxed);
+            self.publish(latest, if ack_at.is_some() { Quorum::Confirmed } else { Quorum::Unknown });
             tokio::select! {
                 biased;
                 changed = self.next_change(latest, feed) => return changed,
                 () = tokio::time::sleep_until(timeout_at.to_tokio()) => {}
             }
         }
-        self.quorum_confirmed.store(false, Ordering::Relaxed);
         // Metrics are sent with each heartbeat, so this is evaluated often enough.
         self.appends_suspended.store(self.suspends_appends(timeout_at.elapsed()), Ordering::Relaxed);
         self.publish(latest, Quorum::Lost);
         self.next_change(latest, feed).await
-    }
-
-    fn resume_appends(&self, quorum: Quorum) {
-        self.quorum_confirmed.store(quorum == Quorum::Confirmed, Ordering::Relaxed);
-        self.appends_suspended.store(false, Ordering::Relaxed);
     }
 
     /// Waits for new metrics of openraft, or for an acknowledgement outside openraft.
@@ -203,6 +196,7 @@ impl LeadershipMonitor {
     }
 
     fn publish(&mut self, metrics: &Metrics, quorum: Quorum) {
+        self.quorum_confirmed.store(quorum == Quorum::Confirmed, Ordering::Relaxed);
         let resigned = self.resigned_term.covers(metrics.current_term);
         let inputs = ViewInputs::of(metrics, quorum, self.last_at_start, resigned);
         // Metrics are sent with every message, and rarely change the view.

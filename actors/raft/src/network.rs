@@ -52,9 +52,9 @@ pub(super) struct RaftClient {
     pub(super) retry_interval: Duration,
     /// This node does not send its appends and heartbeats (check-quorum); see `election`.
     pub(super) appends_suspended: Arc<AtomicBool>,
-    /// A majority has replied to this node as leader within the check-quorum timeout. Without that,
-    /// another leader may have committed more: a leader that restarts goes on in its old term. So its
-    /// appends announce no commit, because a follower would count its state as recent.
+    /// A majority has replied to this node as leader within the check-quorum timeout. Otherwise its
+    /// appends announce no commit: another leader may have committed more, and a follower would count
+    /// its state as recent. A leader that restarts continues in its old term without such a reply.
     pub(super) quorum_confirmed: Arc<AtomicBool>,
 }
 

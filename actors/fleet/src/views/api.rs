@@ -60,8 +60,8 @@ impl ViewService {
         all.pop().map(|(_, value)| value)
     }
 
-    /// Returns a mission, or an error. An error is final only if a node with a copy of the ledger
-    /// has answered that it lacks the mission, and a coordinator is known.
+    /// Returns a mission, or an error. The error allows a retry unless a node with a copy of the ledger
+    /// lacks the mission and a coordinator is known.
     async fn mission(&self, MissionQuery { mission, linearizable }: &MissionQuery) -> Result<Value, Value> {
         let key = Key::ViewMission(mission.clone());
         if *linearizable {
@@ -69,15 +69,14 @@ impl ViewService {
         }
         let deadline = Instant::now() + MISSION_WAIT;
         loop {
-            let view = self.view(&key).await;
-            let error = match view {
+            let unavailable = match self.view(&key).await {
                 Some(view) if view.get("retry_after_ms").is_none() => return Ok(view),
                 unavailable => unavailable,
             };
             let coordinator = self.context().await.status.coordinator;
             // The coordinator has all missions.
             if coordinator.as_ref() == Some(&self.views.node) || Instant::now() >= deadline {
-                return Err(error.unwrap_or_else(|| match coordinator {
+                return Err(unavailable.unwrap_or_else(|| match coordinator {
                     Some(_) => unknown_mission(mission, &self.views.node),
                     None => retry("no coordinator yet"),
                 }));

@@ -13,7 +13,7 @@
 //! queries in addition replies too; the client then gets the replies of only 1 of these nodes: see
 //! `bus`. `seen/{node}/**` serves the same views, computed by that node alone. With the payload
 //! `{"linearizable": true}` it serves a single view of the ledger, after a majority has confirmed that
-//! the node leads.
+//! the node leads. For a mission that its copy of the ledger lacks, it replies with an error.
 //!
 //! Views are computed on request and cost nothing otherwise. The read-only requests (`get`, `list`,
 //! `explain` and `help`) are also served here.
