@@ -6,7 +6,6 @@ use crate::session::SessionEvent;
 use crate::throttle::Throttle;
 use consort_protocol::ids::RobotId;
 use rustix::process::{Pid, Signal, kill_process_group};
-use std::ffi::OsString;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
@@ -74,7 +73,7 @@ impl DriverProgram {
     /// [`ProgramError::NotFound`].
     pub fn check_exists(&self) -> Result<(), ProgramError> {
         let program = Path::new(&self.words[0]);
-        let path = std::env::var_os("PATH").unwrap_or_else(OsString::new);
+        let path = std::env::var_os("PATH").unwrap_or_default();
         let is_found = match self.words[0].contains('/') {
             true => program.is_file(),
             false => std::env::split_paths(&path).any(|folder| folder.join(program).is_file()),

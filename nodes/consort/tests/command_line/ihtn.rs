@@ -73,7 +73,8 @@ fn a_dry_run_auctions_the_robots_of_an_ihtn() {
     let args = ["dry-run", &mission, "--domain", &domain, "--workers", &workers];
     let ran = run(&[&args[..], &["--person", "resident"]].concat());
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
-    assert!(ran.out.contains("  assignment: r1 = ") && !ran.out.contains("resident"), "{}", ran.out);
+    let auctioned = ran.out.contains("\n  r2\n") && !ran.out.contains("\n  resident\n");
+    assert!(ran.out.contains("  assignment: r1 = ") && auctioned, "{}", ran.out);
     // Without the flag the resident is a robot.
     let ran = run(&args);
     assert!(ran.code == Some(1) && ran.err.contains("no viable bid for resident"), "{}{}", ran.out, ran.err);

@@ -23,13 +23,17 @@
 //! - A parameter of kind role takes the agent of the action's method that is not the action's own,
 //!   if there is exactly 1 such agent: in a method of `r1` and `lab_arm`, `r1` approaches
 //!   `lab_arm`.
+//!
+//! [`IhtnNames`]: super::IhtnNames
+//! [`IhtnNames::actions`]: super::IhtnNames::actions
+//! [`IhtnNames::places`]: super::IhtnNames::places
+//! [`IhtnNames::reaching`]: super::IhtnNames::reaching
 
 mod build;
 mod form;
 mod tree;
 mod undeclared;
 
-use super::ihtn_names::IhtnNames;
 pub use undeclared::{ActionUse, UndeclaredActions, undeclared_actions};
 
 use self::form::{FlatFile, FlatNode, NO_PARENT};

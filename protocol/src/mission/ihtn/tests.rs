@@ -1,7 +1,7 @@
 use super::*;
 use crate::ids::{PlaceId, TaskType};
 use crate::mission::test_data::domain;
-use crate::mission::{Format, IhtnFields, MissionDocument, RoleKind, TaskSchema, ValueKind};
+use crate::mission::{Format, IhtnFields, IhtnNames, MissionDocument, RoleKind, TaskSchema, ValueKind};
 
 fn options() -> IhtnOptions {
     IhtnOptions { name: TaskId::new("trial").unwrap(), people: [RoleId::new("ann").unwrap()].into() }
