@@ -335,9 +335,9 @@ impl Fleet {
         self.followers.insert(name.to_owned(), follower.abort_handle());
     }
 
-    /// Checks whether a node has ended by itself.
-    pub(crate) fn has_ended(&self, node: &NodeId) -> bool {
-        self.nodes.get(node.as_str()).is_some_and(NodeHandle::has_ended)
+    /// Returns the nodes that have ended by themselves.
+    pub(crate) fn ended_nodes(&self) -> impl Iterator<Item = NodeId> {
+        self.nodes.iter().filter(|(_, node)| node.has_ended()).map(|(name, _)| slug(name))
     }
 
     /// Checks whether a node belongs to a robot.

@@ -21,7 +21,7 @@ use consort_protocol::ledger::{Ledger, MissionState, RoleEntry};
 use consort_world::world::World;
 use serde::Serialize;
 use std::any::Any;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{DefaultHasher, Hasher};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
@@ -370,6 +370,8 @@ struct Checker {
     invariants: Vec<Box<dyn Invariant>>,
     /// Number of checked entries of the event log.
     seen: usize,
+    /// Running nodes that have ended by themselves and are in the log as such.
+    ended: BTreeSet<NodeId>,
     grown: tokio::sync::watch::Receiver<usize>,
     actions: Vec<(Duration, String)>,
     counters: RunCounters,
@@ -381,7 +383,7 @@ const EVENT_LINES_MAX: usize = 80;
 impl Checker {
     fn new() -> Checker {
         let grown = tokio::sync::watch::Sender::new(0).subscribe();
-        Checker { invariants: invariants::all(), seen: 0, grown, actions: vec![], counters: RunCounters::default() }
+        Checker { invariants: invariants::all(), seen: 0, ended: BTreeSet::new(), grown, actions: vec![], counters: RunCounters::default() }
     }
 
     /// Logs an action of the schedule for the report of a violation.
@@ -398,11 +400,20 @@ impl Checker {
         for (at, entry) in fleet.event_log.since(self.seen) {
             self.seen += 1;
             self.counters.observe(at, &entry);
+            if let Observation::TestAction { node, action: "killed" } = &entry {
+                self.ended.remove(node);
+            }
             for invariant in &mut self.invariants {
                 if let Err(InvariantViolation(reason)) = invariant.observe(at, &entry, fleet) {
                     let name = invariant.name();
                     return Err(self.violation(name, reason, fleet));
                 }
+            }
+        }
+        // After everything that the node published before.
+        for node in fleet.ended_nodes() {
+            if self.ended.insert(node.clone()) {
+                fleet.event_log.add(Observation::TestAction { node, action: "ended" });
             }
         }
         let now = fleet.elapsed();

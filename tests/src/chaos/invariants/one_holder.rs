@@ -40,10 +40,9 @@ impl Invariant for OneHolder {
         "one_holder"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
         let node = entry.node();
-        self.active.retain(|_, who| !fleet.has_ended(who));
-        if let Observation::TestAction { action: "killed", .. } = entry {
+        if let Observation::TestAction { action: "killed" | "ended", .. } = entry {
             self.active.retain(|_, who| who != node);
         }
         match entry.event_kind() {

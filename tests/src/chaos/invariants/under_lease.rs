@@ -60,8 +60,7 @@ impl Invariant for UnderLease {
 
     fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
         let node = entry.node();
-        self.active.retain(|(who, _)| !fleet.has_ended(who));
-        if let Observation::TestAction { action: "killed", .. } = entry {
+        if let Observation::TestAction { action: "killed" | "ended", .. } = entry {
             self.active.retain(|(who, _)| who != node);
         }
         match entry.event_kind() {
