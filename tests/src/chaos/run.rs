@@ -383,7 +383,14 @@ const EVENT_LINES_MAX: usize = 80;
 impl Checker {
     fn new() -> Checker {
         let grown = tokio::sync::watch::Sender::new(0).subscribe();
-        Checker { invariants: invariants::all(), seen: 0, ended: BTreeSet::new(), grown, actions: vec![], counters: RunCounters::default() }
+        Checker {
+            invariants: invariants::all(),
+            seen: 0,
+            ended: BTreeSet::new(),
+            grown,
+            actions: vec![],
+            counters: RunCounters::default(),
+        }
     }
 
     /// Logs an action of the schedule for the report of a violation.
