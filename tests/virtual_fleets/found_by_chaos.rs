@@ -174,3 +174,18 @@ fn missions_that_wait_for_each_other_end_after_a_robot_has_failed() {
         ]}"#,
     );
 }
+
+/// The bus of the driver server's node was blocked. The server waited for it, and did not notice that the
+/// permission of a goal had run out, so the body moved on after the role had passed to another robot.
+#[test]
+fn a_body_stops_in_time_although_the_bus_of_its_driver_is_blocked() {
+    holds(
+        3021,
+        2.0,
+        r#"{"steps": [
+            {"at_ms": 18376, "action": "submit", "request": "r1", "mission": "lab-samples", "room": "PC Room 1", "priority": 0},
+            {"at_ms": 19978, "action": "block", "node": "world", "for_ms": 8078},
+            {"at_ms": 22313, "action": "crash", "node": "carrier of r1", "disk": "kept", "for_ms": 5427}
+        ]}"#,
+    );
+}

@@ -48,12 +48,17 @@ pub fn wire_in<T: Serialize + Send + Sync + 'static>(tasks: &mut Tasks, query: Q
     tasks.spawn(async move { wire(&query, &key, &message).await });
 }
 
+/// Refuses like [`refuse`], in the background.
+pub fn refuse_in(tasks: &mut Tasks, query: Query, reason: String) {
+    tasks.spawn(async move { refuse(&query, &reason).await });
+}
+
 /// Decodes a query's payload. Refuses a malformed query in the background and returns `None`.
 pub fn decode_or_refuse_in<T: DeserializeOwned>(tasks: &mut Tasks, query: Query) -> Option<(Query, T)> {
     match codec::decode(&query.payload) {
         Ok(message) => Some((query, message)),
         Err(problem) => {
-            tasks.spawn(async move { refuse(&query, &problem.to_string()).await });
+            refuse_in(tasks, query, problem.to_string());
             None
         }
     }

@@ -2,19 +2,17 @@
 
 use super::goal_table::{CommandEffect, GoalTable};
 use super::messages::{DriverCommand, DriverState, PersonCommand, PersonEvent, PersonRequestState};
+use super::publisher::Publisher;
 use super::state_order::StateStamp;
-use bytes::Bytes;
 use consort_bus::clock::Clock;
 use consort_bus::reply;
 use consort_bus::tasks::Tasks;
-use consort_bus::{Delivery, Encoding, Query, SharedBus};
-use consort_protocol::codec;
+use consort_bus::{Query, SharedBus};
 use consort_protocol::ids::RobotId;
 use consort_protocol::keys::{DriverCall, Key, Keys, PeopleCall};
 use consort_protocol::units::{NodeTime, WorldTime};
 use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, GoalId, GoalStatus, RobotBackend};
 use ractor::{Actor, ActorProcessingErr, ActorRef};
-use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -82,6 +80,7 @@ pub struct DriverServerState {
     stamp: StateStamp,
     /// World time of the earliest scheduled wake-up.
     next_wake: Option<WorldTime>,
+    publisher: Publisher,
     tasks: Tasks,
 }
 
@@ -107,6 +106,7 @@ impl Actor for DriverServer {
         (settings, world): Self::Arguments,
     ) -> Result<Self::State, ActorProcessingErr> {
         let mut tasks = Tasks::default();
+        let publisher = Publisher::start(settings.bus.clone(), &mut tasks);
         tasks.forward(
             settings.bus.serve(&settings.keys.any_driver_command()).await?,
             &myself,
@@ -139,6 +139,7 @@ impl Actor for DriverServer {
             repeated_events: vec![],
             stamp,
             next_wake: None,
+            publisher,
             tasks,
         })
     }
@@ -152,22 +153,22 @@ impl Actor for DriverServer {
         let changed = state.advance();
         state.stop_unpermitted_goals();
         match message {
-            DriverServerMessage::Command(query) => state.handle_command(query).await,
-            DriverServerMessage::PersonRequest(query) => state.handle_person_command(query).await,
+            DriverServerMessage::Command(query) => state.handle_command(query),
+            DriverServerMessage::PersonRequest(query) => state.handle_person_command(query),
             DriverServerMessage::WorldView(query) => {
-                let report = state.world.report();
-                reply::json(&query, &state.settings.keys.write(&Key::World), &report).await;
+                let (report, key) = (state.world.report(), state.settings.keys.write(&Key::World));
+                state.tasks.spawn(async move { reply::json(&query, &key, &report).await });
             }
             DriverServerMessage::WorldEventDue => state.next_wake = None,
             DriverServerMessage::StopDue => {}
             DriverServerMessage::Tick => {
                 state.cancel_unrepeated_requests();
-                state.publish_all().await;
+                state.publish_all();
             }
         }
-        state.publish_events(changed).await;
+        state.publish_events(changed);
         let after = state.advance();
-        state.publish_events(after).await;
+        state.publish_events(after);
         state.wake_when_due(&myself);
         state.wake_for_next_stop(&myself);
         Ok(())
@@ -195,15 +196,17 @@ impl DriverServerState {
         self.next_wake = Some(due);
     }
 
-    async fn handle_command(&mut self, query: Query) {
+    fn handle_command(&mut self, query: Query) {
         let Some(Key::Driver(robot, DriverCall::Command)) = self.settings.keys.read(&query.key) else {
-            return reply::refuse(&query, "not a command to a driver").await;
+            return reply::refuse_in(&mut self.tasks, query, "not a command to a driver".to_owned());
         };
-        let Some(command) = reply::decode_or_refuse::<DriverCommand>(&query).await else { return };
+        let Some((query, command)) = reply::decode_or_refuse_in::<DriverCommand>(&mut self.tasks, query) else {
+            return;
+        };
         let now = self.settings.clock.now();
         let effect = match self.goals.receive(&robot, command, now) {
             Ok(effect) => effect,
-            Err(problem) => return reply::refuse(&query, &problem.to_string()).await,
+            Err(problem) => return reply::refuse_in(&mut self.tasks, query, problem.to_string()),
         };
         for (id, stop_at) in self.goals.stop_times(&robot) {
             if let Some(stop_at) = stop_at {
@@ -218,13 +221,16 @@ impl DriverServerState {
         // Rejections and cancellations take effect at once.
         let events = self.advance();
         if let Some(state) = self.state_of(&robot) {
-            reply::wire(&query, &query.key, &state).await;
+            let key = query.key.clone();
+            reply::wire_in(&mut self.tasks, query, key, state);
         }
-        self.publish_events(events).await;
+        self.publish_events(events);
     }
 
-    async fn handle_person_command(&mut self, query: Query) {
-        let Some(command) = reply::decode_or_refuse::<PersonCommand>(&query).await else { return };
+    fn handle_person_command(&mut self, query: Query) {
+        let Some((query, command)) = reply::decode_or_refuse_in::<PersonCommand>(&mut self.tasks, query) else {
+            return;
+        };
         match command.request {
             Some(request) => {
                 self.world.request_person(command.id, request);
@@ -233,14 +239,15 @@ impl DriverServerState {
             None => self.world.cancel_person_request(command.id),
         }
         let events = self.advance();
-        self.publish_events(events).await;
+        self.publish_events(events);
         // The world also contains the results that a previous server returned.
         let reply = match self.world.person_result(command.id) {
             Some(result) => PersonRequestState::Ended(result),
             None if self.world.was_person_request_canceled(command.id) => PersonRequestState::Canceled,
             None => PersonRequestState::Requested,
         };
-        reply::wire(&query, &query.key, &reply).await;
+        let key = query.key.clone();
+        reply::wire_in(&mut self.tasks, query, key, reply);
     }
 
     /// Cancels the goals that are no longer permitted: their robots stop.
@@ -275,7 +282,7 @@ impl DriverServerState {
         }
     }
 
-    async fn publish_events(&mut self, events: Vec<BackendEvent>) {
+    fn publish_events(&mut self, events: Vec<BackendEvent>) {
         let mut changed_robots: Vec<RobotId> = vec![];
         for event in events {
             match event {
@@ -291,49 +298,42 @@ impl DriverServerState {
                     info!(by, %robot, "a person cancels the mission");
                     let at_ms = (self.world.now().as_secs() * 1000.0) as u64;
                     let event = PersonEvent::CancelMission { by, role, robot, at_ms };
-                    self.publish_person_event(&event).await;
+                    self.publish_person_event(&event);
                     self.repeated_events.push((event, EVENT_REPETITIONS));
                 }
                 BackendEvent::PersonRequestEnded { request: ask, result } => {
-                    self.publish_person_event(&PersonEvent::RequestEnded { id: ask, result }).await;
+                    self.publish_person_event(&PersonEvent::RequestEnded { id: ask, result });
                 }
             }
         }
         changed_robots.dedup();
         for robot in changed_robots {
-            self.publish_state(&robot).await;
+            self.publish_state(&robot);
         }
     }
 
     /// Publishes the event of a person.
-    async fn publish_person_event(&self, event: &PersonEvent) {
+    fn publish_person_event(&self, event: &PersonEvent) {
         let key = self.settings.keys.write(&Key::People(PeopleCall::Done));
-        self.publish(&key, event).await;
+        self.publisher.publish(key, event);
     }
 
-    async fn publish_all(&mut self) {
+    fn publish_all(&mut self) {
         for (event, left) in std::mem::take(&mut self.repeated_events) {
-            self.publish_person_event(&event).await;
+            self.publish_person_event(&event);
             if left > 1 {
                 self.repeated_events.push((event, left - 1));
             }
         }
         for robot in self.goals.robots().cloned().collect::<Vec<_>>() {
-            self.publish_state(&robot).await;
+            self.publish_state(&robot);
         }
     }
 
-    async fn publish_state(&mut self, robot: &RobotId) {
+    fn publish_state(&mut self, robot: &RobotId) {
         if let Some(state) = self.state_of(robot) {
             let key = self.settings.keys.write(&Key::Driver(robot.clone(), DriverCall::State));
-            self.publish(&key, &state).await;
-        }
-    }
-
-    async fn publish<T: Serialize>(&self, key: &str, message: &T) {
-        let bytes = Bytes::from(codec::encode(message).expect("a state fits a message"));
-        if let Err(problem) = self.settings.bus.publish(key, bytes, Encoding::Wire, Delivery::Drop).await {
-            warn!(%problem, "a state was not published");
+            self.publisher.publish(key, &state);
         }
     }
 
