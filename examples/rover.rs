@@ -97,7 +97,7 @@ impl RobotBackend for Rover {
                 self.pose = *pose;
                 self.place = place.clone().unwrap_or(self.place.clone());
             }
-            self.end(work.id, work.goal, GoalStatus::Succeeded);
+            self.end(work.id, work.goal, GoalStatus::succeeded());
         }
         std::mem::take(&mut self.news)
     }

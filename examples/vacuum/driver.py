@@ -3,7 +3,8 @@
 import json, math, os, select, sys, time
 
 SPEED_MPS = float(sys.argv[1]) if len(sys.argv) > 1 else 0.5
-VACUUM = {"description": "cleans the room", "parameters": {"passes": {"type": "integer"}}, "example": {"passes": 1}}
+VACUUM = {"description": "cleans the room", "parameters": {"passes": {"type": "integer"}},
+          "results": {"dust_g": {"type": "number"}}, "example": {"passes": 1}}
 ACTIONS = {"navigate_to_pose": {"description": "drives in a straight line"}, "vacuum": VACUUM}
 
 def send(kind, **fields):
@@ -40,12 +41,12 @@ class Vacuum:
         try:
             pose = parameters["pose"] if action == "navigate_to_pose" else {"x_m": self.at[0], "y_m": self.at[1]}
             work_s = {"navigate_to_pose": lambda: 0.0, "vacuum": lambda: 2.0 * int(parameters["passes"])}[action]()
-            self.goal, self.target, self.work_s = id, (float(pose["x_m"]), float(pose["y_m"])), work_s
+            self.target, self.work_s, self.goal, self.before = (float(pose["x_m"]), float(pose["y_m"])), work_s, id, self.dust
         except (ValueError, KeyError, TypeError) as problem:
             send("result", id=id, status="aborted", code="unknown", message=f"{action}: {problem!r}")
 
-    def end(self, status):
-        self.last, self.goal = {"id": self.goal, "status": status}, None
+    def end(self, status, **results):
+        self.last, self.goal = {"id": self.goal, "status": status, "results": results}, None
         self.report()
         send("result", **self.last)
 
@@ -65,8 +66,7 @@ class Vacuum:
             part = 1.0 if left <= drive else drive / left
             self.at = tuple(own + part * (to - own) for own, to in zip(self.at, self.target))
             self.work_s, self.charge, self.dust = self.work_s - elapsed, self.charge - 1e-4 * elapsed, self.dust + elapsed
-            if part == 1.0 and self.work_s <= 0:
-                self.end("succeeded")
+            if part == 1.0 and self.work_s <= 0: self.end("succeeded", dust_g=round(self.dust - self.before, 2))
         if now - self.reported >= 0.5: self.report()
 
 vacuum, rest, data = Vacuum(), b"", b"\n"

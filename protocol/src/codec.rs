@@ -24,6 +24,10 @@ use serde::de::DeserializeOwned;
 /// ([`versions`](crate::versions)).
 pub const FIRST_VERSION: u8 = 1;
 
+/// First byte of every stored record. Version 2 adds the results of tasks; a store of releases up to 0.2.0
+/// has version 1 and is not read.
+pub const RECORD_VERSION: u8 = 2;
+
 /// Message with a layout that has changed. The first byte is the wire version in which its layout
 /// was introduced. While a fleet writes an earlier version, the message is written in the earlier
 /// layout.
@@ -140,7 +144,7 @@ pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
 /// # Errors
 /// Same as [`encode`], beyond [`RECORD_BYTES_MAX`].
 pub fn encode_record<T: Serialize>(record: &T) -> Result<Vec<u8>, CodecError> {
-    encode_within(FIRST_VERSION, record, RECORD_BYTES_MAX)
+    encode_within(RECORD_VERSION, record, RECORD_BYTES_MAX)
 }
 
 /// Decodes a stored record; all bytes must be used.
@@ -154,25 +158,25 @@ pub fn decode_record<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError>
     const MANY: usize = 16 << 20;
     match bytes.len() {
         size if size <= MESSAGE_BYTES_MAX => decode_within(
-            FIRST_VERSION,
+            RECORD_VERSION,
             bytes,
             RECORD_BYTES_MAX,
             config::standard().with_limit::<{ MESSAGE_BYTES_MAX * WIDENING }>(),
         ),
         size if size <= SOME => decode_within(
-            FIRST_VERSION,
+            RECORD_VERSION,
             bytes,
             RECORD_BYTES_MAX,
             config::standard().with_limit::<{ SOME * WIDENING }>(),
         ),
         size if size <= MANY => decode_within(
-            FIRST_VERSION,
+            RECORD_VERSION,
             bytes,
             RECORD_BYTES_MAX,
             config::standard().with_limit::<{ MANY * WIDENING }>(),
         ),
         _ => decode_within(
-            FIRST_VERSION,
+            RECORD_VERSION,
             bytes,
             RECORD_BYTES_MAX,
             config::standard().with_limit::<{ RECORD_BYTES_MAX.saturating_mul(WIDENING) }>(),
@@ -243,7 +247,7 @@ mod tests {
     fn a_false_length_in_a_short_record_is_bounded_like_a_message() {
         // Texts with a stated length of 2 MiB and of 1 GiB: neither is allocated.
         for false_length in [2_u64 << 20, 1 << 30] {
-            let mut bytes = vec![FIRST_VERSION, 253];
+            let mut bytes = vec![RECORD_VERSION, 253];
             bytes.extend(false_length.to_le_bytes());
             let error = decode_record::<String>(&bytes).unwrap_err().to_string();
             assert!(error.contains("LimitExceeded"), "{error}");

@@ -172,6 +172,15 @@ pub enum EventKind {
         /// The task.
         task: TaskId,
     },
+    /// A task was skipped: its condition does not hold.
+    TaskSkipped {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// The task.
+        task: TaskId,
+    },
     /// A task failed permanently.
     TaskFailed {
         /// The mission.
@@ -308,6 +317,7 @@ impl EventKind {
             EventKind::Started { .. } => "started",
             EventKind::TaskBegan { .. } => "task_began",
             EventKind::TaskEnded { .. } => "task_ended",
+            EventKind::TaskSkipped { .. } => "task_skipped",
             EventKind::TaskFailed { .. } => "task_failed",
             EventKind::Sent { .. } => "sent",
             EventKind::Received { .. } => "received",
@@ -336,6 +346,7 @@ impl EventKind {
             | EventKind::Started { mission, .. }
             | EventKind::TaskBegan { mission, .. }
             | EventKind::TaskEnded { mission, .. }
+            | EventKind::TaskSkipped { mission, .. }
             | EventKind::TaskFailed { mission, .. }
             | EventKind::Sent { mission, .. }
             | EventKind::Received { mission, .. }

@@ -52,6 +52,7 @@ pub mod keys;
 pub mod knowledge;
 pub mod lease;
 pub mod ledger;
+mod loop_depth;
 pub mod message;
 pub mod mission;
 pub mod plan;

@@ -2,7 +2,10 @@
 //! skills in [`library`](crate::library) and the [services](shipped_domain) execute these tasks, and
 //! the missions in [`missions`](crate::missions) use them.
 
+use crate::descriptor::DescriptorRegistry;
 use crate::domain_file::{DomainFile, DomainForm};
+use crate::environment::Environment;
+use crate::library::SkillLibrary;
 use crate::standard_types::standard_types;
 use consort_protocol::ids::{RoleId, TaskType};
 use consort_protocol::mission::{Domain, IhtnNames};
@@ -24,6 +27,18 @@ fn ihtn_names() -> IhtnNames {
         reaching: BTreeSet::from([navigation()]),
         ..IhtnNames::default()
     }
+}
+
+/// Returns the skills of the standard domain, in this environment.
+pub fn standard_library(environment: Environment) -> SkillLibrary {
+    let mut library = SkillLibrary::standard(environment);
+    shipped_domain().extend_library(&mut library).expect("its names are unique");
+    library
+}
+
+/// Returns the estimates of the standard domain.
+pub fn standard_descriptors() -> DescriptorRegistry {
+    shipped_domain().extend_descriptors(DescriptorRegistry::standard())
 }
 
 /// Returns the shipped domain file: services that are declared as data.

@@ -18,7 +18,7 @@
 //!         GoalId(self.0.len() as u64)
 //!     }
 //!     fn status(&self, _: GoalId) -> Option<GoalStatus> {
-//!         Some(GoalStatus::Succeeded)
+//!         Some(GoalStatus::succeeded())
 //!     }
 //!     fn cancel(&mut self, _: GoalId) {}
 //!     fn telemetry(&self) -> Option<&Telemetry> {
@@ -48,20 +48,39 @@ use crate::bt::{
 use crate::environment::Environment;
 use crate::skill::{STANDARD_SKILLS, SkillContext, StandardSkill, TaskContext, register_shared_leaves};
 use consort_protocol::ids::TaskType;
-use consort_protocol::mission::TaskSpec;
+use consort_protocol::mission::{DomainReference, OtherDomain, ResultValue, TaskSpec};
 use consort_protocol::units::WorldTime;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Skills by task type. Built once when a node starts, then shared.
 pub struct SkillLibrary {
     environment: Environment,
     registry: Registry<TaskContext>,
-    skills: BTreeMap<TaskType, Blueprint<TaskContext>>,
+    skills: BTreeMap<TaskType, Skill>,
+}
+
+/// A skill.
+struct Skill {
+    blueprint: Blueprint<TaskContext>,
+    declared: DeclaredBy,
+}
+
+/// What a domain file declares about a skill besides its tree.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct DeclaredBy {
+    /// Results of the task: the values of the keys of the main tree with these names, when the tree has
+    /// succeeded.
+    pub(crate) results: BTreeSet<String>,
+    /// The domain; `None` for a skill without a file.
+    pub(crate) domain: Option<DomainReference>,
 }
 
 /// A skill cannot be started. No goal was sent to the robot.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SkillError {
+    /// The task was made with another content of the domain file.
+    #[error(transparent)]
+    OtherDomain(#[from] OtherDomain),
     /// No skill exists for the task type.
     #[error("there is no skill for {task_type}; skills exist for {known}")]
     NoSkill {
@@ -128,8 +147,18 @@ impl SkillLibrary {
     /// # Errors
     /// [`TreeError`] if the tree has a mistake. The library is unchanged.
     pub fn register(&mut self, task_type: TaskType, tree: &TreeSpec) -> Result<(), TreeError> {
+        self.register_declared(task_type, tree, DeclaredBy::default())
+    }
+
+    /// Same as [`register`](Self::register), for a task type of a domain file.
+    pub(crate) fn register_declared(
+        &mut self,
+        task_type: TaskType,
+        tree: &TreeSpec,
+        declared: DeclaredBy,
+    ) -> Result<(), TreeError> {
         let blueprint = self.registry.check(tree)?;
-        self.skills.insert(task_type, blueprint);
+        self.skills.insert(task_type, Skill { blueprint, declared });
         Ok(())
     }
 
@@ -165,7 +194,7 @@ impl SkillLibrary {
 
     /// Returns the required and optional parameters of a task type; `None` without a skill for it.
     pub fn parameters(&self, task_type: &TaskType) -> Option<&[TreeInput]> {
-        self.skills.get(task_type).map(Blueprint::inputs)
+        self.skills.get(task_type).map(|skill| skill.blueprint.inputs())
     }
 
     /// Prepares a skill for a task. Parameters that its tree does not use are ignored: they are for
@@ -175,10 +204,11 @@ impl SkillLibrary {
     /// [`SkillError`] if there is no such skill, or the task's parameters do not fit.
     pub fn load(&self, task: &TaskSpec, context: &SkillContext) -> Result<ActiveSkill, SkillError> {
         let task_type = &task.task_type;
-        let Some(blueprint) = self.skills.get(task_type) else {
+        let Some(Skill { blueprint, declared: DeclaredBy { results, domain } }) = self.skills.get(task_type) else {
             let known = join_names(self.task_types().map(TaskType::as_str));
             return Err(SkillError::NoSkill { task_type: task_type.clone(), known });
         };
+        task.check_domain(domain.as_ref())?;
         let context = TaskContext { task: task.clone(), skill: context.clone(), environment: self.environment.clone() };
         let mut tree = blueprint.instantiate(&context);
         for input in blueprint.inputs() {
@@ -197,17 +227,17 @@ impl SkillLibrary {
                 None => {}
             }
         }
-        Ok(ActiveSkill { tree, now: WorldTime::ZERO, ended: None })
+        Ok(ActiveSkill { tree, results: results.clone(), now: WorldTime::ZERO, ended: None })
     }
 }
 
 /// Status of a skill.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum SkillStatus {
     /// Tick again when the robot reports an event, and at an interval.
     Running,
-    /// The task is complete.
-    Succeeded,
+    /// The task is complete, with its results. A result that the tree has not set is missing.
+    Succeeded(BTreeMap<String, ResultValue>),
     /// The task is not complete, and will not be.
     Failed {
         /// Cause for people: the leaf that failed last, with the robot's own message, if any.
@@ -218,6 +248,7 @@ pub enum SkillStatus {
 /// A skill that executes a task.
 pub struct ActiveSkill {
     tree: Tree,
+    results: BTreeSet<String>,
     /// Latest time reported by the robot.
     now: WorldTime,
     ended: Option<SkillStatus>,
@@ -233,7 +264,7 @@ impl ActiveSkill {
         self.update_time(actions);
         let status = match self.tree.tick(actions, self.now) {
             NodeStatus::Running => return SkillStatus::Running,
-            NodeStatus::Success | NodeStatus::Skipped => SkillStatus::Succeeded,
+            NodeStatus::Success | NodeStatus::Skipped => SkillStatus::Succeeded(self.results()),
             NodeStatus::Failure => {
                 let cause =
                     self.tree.cause().map_or("the skill failed without a cause".to_owned(), ToString::to_string);
@@ -242,6 +273,11 @@ impl ActiveSkill {
         };
         self.ended = Some(status.clone());
         status
+    }
+
+    fn results(&self) -> BTreeMap<String, ResultValue> {
+        let value = |name: &String| Some((name.clone(), ResultValue::from(self.tree.value(name)?)));
+        self.results.iter().filter_map(value).collect()
     }
 
     /// Halts the skill: its goal is canceled. A later tick starts the skill from the beginning, at

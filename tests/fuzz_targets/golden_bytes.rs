@@ -1,22 +1,19 @@
-//! Golden bytes of the previous release: this version reads them, and writes the same bytes as long
-//! as the fleet uses that wire version.
+//! Golden bytes: this version writes the same bytes as long as the fleet uses the first wire version, and
+//! reads them.
 //!
-//! `golden_bytes/1/` contains the messages and records of release 0.1.0: the seeds of some targets,
-//! written by that release with `CONSORT_FUZZ_SEEDS=DIR`. Only a new wire version adds a folder. The
-//! command and the state of drivers (`wire/seed-17` and `seed-18`) are those of this release: earlier
-//! releases use other keys for them.
+//! `golden_bytes/2/` contains messages and records, the seeds of some targets. Only a new version adds a
+//! folder. Records of releases up to 0.2.0 have version 1 and are refused.
 
 use super::{seeds, target};
+use consort_protocol::codec::{self, CodecError};
+use consort_protocol::ledger::Ledger;
 use std::fs;
 use std::path::Path;
 
 #[test]
-fn the_golden_bytes_of_the_first_release_are_unchanged() {
-    // The folder of the first release has the old name of the target.
-    for (name, folder) in
-        [("wire", "wire"), ("raft", "raft"), ("award", "award"), ("checkpoint", "notebook"), ("ledger", "ledger")]
-    {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fuzz_targets/golden_bytes/1").join(folder);
+fn the_golden_bytes_are_unchanged() {
+    for name in ["wire", "raft", "award", "checkpoint", "ledger"] {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fuzz_targets/golden_bytes/2").join(name);
         let written = seeds::at_version(1, name);
         assert_eq!(fs::read_dir(&folder).expect("a folder").count(), written.len(), "{name}");
         for (nth, now) in written.iter().enumerate() {
@@ -25,4 +22,13 @@ fn the_golden_bytes_of_the_first_release_are_unchanged() {
             assert!((target(name).run)(&then), "{name}, seed {nth}");
         }
     }
+}
+
+/// A store of a release up to 0.2.0 is no damaged store: its version is named.
+#[test]
+fn records_of_earlier_releases_are_refused_by_their_version() {
+    let mut record = codec::encode_record(&Ledger::default()).expect("an empty ledger");
+    record[0] = 1;
+    let refused = codec::decode_record::<Ledger>(&record);
+    assert!(matches!(refused, Err(CodecError::Version { found: 1, known: codec::RECORD_VERSION })));
 }

@@ -15,9 +15,7 @@ use consort_protocol::keys::Keys;
 use consort_protocol::trust::AccessScope;
 use consort_protocol::versions::VersionRange;
 use consort_raft::store::NodeStore;
-use consort_skills::descriptor::DescriptorRegistry;
-use consort_skills::domain::hospital;
-use consort_skills::library::SkillLibrary;
+use consort_skills::domain::{hospital, standard_descriptors, standard_library};
 use consort_world::SharedWorld;
 use consort_world::map;
 use consort_world::world::{LoggedEvent, PersonSetup, World, WorldSetup};
@@ -258,13 +256,13 @@ impl Fleet {
         let robot = self.world.with(|world| {
             let map = world.map();
             let environment = map.environment().expect("the shipped map is sound");
-            let mut library = SkillLibrary::standard(environment.clone());
+            let mut library = standard_library(environment.clone());
             if let Some(train) = member.customize_library {
                 train(&mut library);
             }
             RobotPart {
                 worker: member.worker(map),
-                estimator: Arc::new(DescriptorRegistry::standard().resolve(environment).expect("routes are there")),
+                estimator: Arc::new(standard_descriptors().resolve(environment).expect("routes are there")),
                 library: Arc::new(library),
             }
         });

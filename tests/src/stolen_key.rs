@@ -59,6 +59,7 @@ pub fn report_of_all_steps(robot: RobotId, entry: &MissionEntry, role: &RoleId) 
         epoch: holder.map(|holder| holder.epoch).unwrap_or_default(),
         branch: entry.branch,
         ended: (0..).take(plan.steps.len()).collect(),
+        outcomes: Default::default(),
         current_task: None,
         place: None,
         from_checkpoint: false,

@@ -24,6 +24,7 @@ mod refusals;
 mod repeated_missions;
 mod requests;
 mod restart;
+mod results;
 mod stalls;
 mod supervision;
 mod support;

@@ -105,6 +105,7 @@ fn an_old_report_does_not_count_in_the_recovery_branch() {
             epoch: Epoch::default(),
             branch: Branch::Main,
             ended: BTreeSet::from([0, 1, 2]),
+            outcomes: Default::default(),
             current_task: None,
             place: None,
             from_checkpoint: false,

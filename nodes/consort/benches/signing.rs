@@ -79,6 +79,7 @@ fn measure() -> Value {
             epoch: Default::default(),
             branch: Default::default(),
             ended: (0..4).collect(),
+            outcomes: Default::default(),
         };
         (0..count).map(|index| (7, index, progress())).collect()
     };

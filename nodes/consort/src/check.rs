@@ -1,6 +1,6 @@
 //! Checks files, each by its kind.
 
-use crate::config::{self, FleetConfig, RobotConfig, StationConfig, WorldConfig};
+use crate::config::{self, FleetConfig, NodeFile, RobotConfig, StationConfig, WorldConfig, load_unchecked};
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::extensions::Extensions;
 use crate::{domains, inputs, map_loader, wiring};
@@ -120,25 +120,26 @@ fn check_kind(
             Ok(format!("{}, {}", count(places, "place", "places"), count(ways, "way", "ways")))
         }
         FileKind::Fleet => {
-            let fleet: FleetConfig = config::load(path, domain)?;
+            let extensions = extensions.with_domains(&load_unchecked::<FleetConfig>(path)?.domains)?;
+            let fleet: FleetConfig = config::load(path, &extensions.domain())?;
             wiring::fleet_settings(&fleet, extensions)?;
             wiring::fleet_skill_resources(&fleet, extensions)?;
             Ok(fleet.name.to_string())
         }
         FileKind::Robot => {
-            let robot: RobotConfig = config::load(path, domain)?;
-            let equipment = wiring::fleet_skill_resources(&robot.fleet.resolve(domain)?, extensions)?;
+            let (robot, fleet, extensions): (RobotConfig, _, _) = node_file(path, extensions)?;
+            let equipment = wiring::fleet_skill_resources(&fleet, extensions)?;
             wiring::worker(&robot, &equipment.places)?;
             Ok(robot.name.to_string())
         }
         FileKind::Station => {
-            let station: StationConfig = config::load(path, domain)?;
-            wiring::fleet_settings(&station.fleet.resolve(domain)?, extensions)?;
+            let (station, fleet, extensions): (StationConfig, _, _) = node_file(path, extensions)?;
+            wiring::fleet_settings(&fleet, extensions)?;
             Ok(station.name.to_string())
         }
         FileKind::World => {
-            let world: WorldConfig = config::load(path, domain)?;
-            wiring::build_world(&world, &world.fleet.resolve(domain)?, extensions)?;
+            let (world, fleet, extensions): (WorldConfig, _, _) = node_file(path, extensions)?;
+            wiring::build_world(&world, &fleet, extensions)?;
             let robots = count(world.robot.len(), "robot", "robots");
             Ok(format!("{robots}, {}", count(world.person.len(), "person", "people")))
         }
@@ -151,7 +152,8 @@ fn check_kind(
         FileKind::Domain => {
             let domain = domains::parse(path, text, &[])?;
             let (actions, tasks) = (domain.actions().count(), domain.task_types().count());
-            Ok(format!("{}, {}", count(actions, "action", "actions"), count(tasks, "task type", "task types")))
+            let (actions, tasks) = (count(actions, "action", "actions"), count(tasks, "task type", "task types"));
+            Ok(format!("{actions}, {tasks}, content {}", domain.reference().hash))
         }
         FileKind::Calibration => {
             let learned: Calibration = config::load(path, domain)?;
@@ -159,6 +161,23 @@ fn check_kind(
             Ok(format!("{skills}, {}", count(learned.legs.len(), "leg", "legs")))
         }
     }
+}
+
+/// Reads the file of a node and the fleet that it names. Returns them with the fleet's domains.
+///
+/// # Errors
+/// [`Diagnostics`] of the files.
+pub(crate) fn node_file<C: NodeFile>(
+    path: &Path,
+    extensions: Extensions,
+) -> Result<(C, FleetConfig, Extensions), Diagnostics> {
+    let mut unchecked: C = load_unchecked(path)?;
+    let fleet = unchecked.common_mut().fleet.resolve_unchecked()?;
+    let extensions = extensions.with_domains(&fleet.domains)?;
+    let domain = extensions.domain();
+    let mut node: C = config::load(path, &domain)?;
+    let fleet = node.common_mut().fleet.resolve(&domain)?;
+    Ok((node, fleet, extensions))
 }
 
 /// Checks a tree. If no domain declares some of its nodes, as in a tree for another program, every such node
@@ -189,9 +208,9 @@ fn mission(text: &str, path: &Path, domain: &Domain) -> Result<String, Diagnosti
         .map_err(|error| Diagnostics::from(Diagnostic::for_file(file, error)))?;
     let open = template.parameters().iter().filter(|(_, parameter)| parameter.default.is_none());
     let sample = |kind: TemplateKind| match kind {
-        TemplateKind::Place => "Some Place",
-        TemplateKind::Seconds => "1",
-        TemplateKind::Text => "some text",
+        TemplateKind::Place | TemplateKind::Places => "Some Place",
+        TemplateKind::Seconds | TemplateKind::Number => "1",
+        TemplateKind::Text | TemplateKind::Texts => "some text",
     };
     let given: BTreeMap<String, String> =
         open.map(|(name, parameter)| (name.clone(), sample(parameter.kind).to_owned())).collect();

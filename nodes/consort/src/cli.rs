@@ -5,7 +5,6 @@ use crate::command::{
     missions, record, recover, replay, resolve, restore, robot, schema, station, submit, token, upgrade, watch, world,
 };
 use crate::demo;
-use crate::domains;
 use crate::exit::Failure;
 use crate::extensions::Extensions;
 use crate::output;
@@ -99,8 +98,8 @@ pub fn run() -> ExitCode {
 /// Runs a program with additional skills. The first of `args` is the program's name.
 pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let cli = Cli::parse_from(args);
-    let extensions = match domains::load_all(&cli.domains) {
-        Ok(domains) => Extensions { domains, ..extensions },
+    let extensions = match extensions.with_domains(&cli.domains) {
+        Ok(extensions) => extensions,
         Err(problems) => return output::exit_code("consort", Err(Failure::from(problems))),
     };
     output::exit_code(

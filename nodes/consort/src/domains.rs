@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// A domain with its file.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct LoadedDomain {
     /// The file.
     pub path: PathBuf,
@@ -47,14 +47,21 @@ pub(crate) fn parse(path: &Path, text: &str, known: &[&DomainFile]) -> Result<Do
         .map_err(|problems| Diagnostics(problems.iter().map(|problem| Diagnostic::for_file(&file, problem)).collect()))
 }
 
-/// Reads all domain files of a program. They are kept until it ends.
+/// Reads domain files in addition to those already read, unless they are among them. They are kept until
+/// the program ends.
 ///
 /// # Errors
 /// [`Diagnostics`] of the files.
-pub(crate) fn load_all(paths: &[PathBuf]) -> Result<&'static [LoadedDomain], Diagnostics> {
-    let mut loaded = vec![];
+pub(crate) fn load_more(
+    already: &'static [LoadedDomain],
+    paths: &[PathBuf],
+) -> Result<&'static [LoadedDomain], Diagnostics> {
+    let mut loaded = already.to_vec();
     for path in paths {
-        loaded.push(load(path, &loaded)?);
+        let file = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        if !loaded.iter().any(|other| file(&other.path) == file(path)) {
+            loaded.push(load(path, &loaded)?);
+        }
     }
     Ok(loaded.leak())
 }

@@ -5,17 +5,18 @@
 //! coordinator accepts only missions of its own task types.
 
 use crate::diagnostic::{Diagnostic, Diagnostics};
-use crate::domains::LoadedDomain;
+use crate::domains::{self, LoadedDomain};
 use consort_driver::Contract;
 use consort_protocol::ids::{ActionName, TaskType};
 use consort_protocol::mission::Domain;
 use consort_skills::descriptor::DescriptorRegistry;
-use consort_skills::domain::{hospital, shipped_domain};
+use consort_skills::domain::{hospital, shipped_domain, standard_library};
 use consort_skills::domain_file::{DomainFile, SimulatedAction};
 use consort_skills::environment::Environment;
 use consort_skills::library::SkillLibrary;
 use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
+use std::path::PathBuf;
 
 /// The three parts of a skill: its task type in missions, its cost, and its execution. Each
 /// function receives Consort's own definitions, and extends them.
@@ -27,7 +28,7 @@ pub struct Extensions {
     pub descriptors: fn(DescriptorRegistry) -> DescriptorRegistry,
     /// Adds leaves and trees; an error is shown to the user unchanged.
     pub library: fn(&mut SkillLibrary) -> Result<(), Box<dyn Error>>,
-    /// The domain files, from `--domain`.
+    /// The domain files, from `--domain` and the fleet file.
     pub domains: &'static [LoadedDomain],
 }
 
@@ -44,6 +45,14 @@ impl Default for Extensions {
 }
 
 impl Extensions {
+    /// Returns the extensions with more domain files.
+    ///
+    /// # Errors
+    /// [`Diagnostics`] of the files.
+    pub(crate) fn with_domains(self, paths: &[PathBuf]) -> Result<Extensions, Diagnostics> {
+        Ok(Extensions { domains: domains::load_more(self.domains, paths)?, ..self })
+    }
+
     /// Returns the task types for missions.
     pub fn domain(self) -> Domain {
         let files = self.domains.iter().map(|loaded| &loaded.domain);
@@ -81,9 +90,7 @@ impl Extensions {
     /// # Errors
     /// [`Diagnostics`] of the program's own extensions.
     pub(crate) fn library(self, environment: Environment) -> Result<SkillLibrary, Diagnostics> {
-        let mut library = SkillLibrary::standard(environment);
-        let services = shipped_domain().extend_library(&mut library);
-        services.map_err(|problem| Diagnostic::for_file("the shipped domain", problem))?;
+        let mut library = standard_library(environment);
         for LoadedDomain { path, domain } in self.domains {
             domain.extend_library(&mut library).map_err(|problem| Diagnostic::for_file(path.display(), problem))?;
         }

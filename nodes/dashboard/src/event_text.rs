@@ -96,6 +96,9 @@ pub fn describe_event(event: &Event) -> EventText {
         EventKind::TaskEnded { mission, role, task } => {
             normal("task done", format!("{task}: {node} as {role} of {mission}"))
         }
+        EventKind::TaskSkipped { mission, role, task } => {
+            normal("task skipped", format!("{task}: {node} as {role} of {mission}"))
+        }
         EventKind::TaskFailed { mission, role, task, cause } => {
             alarm("task failed", format!("{task}: {node} as {role} of {mission}: {cause}"))
         }

@@ -1,8 +1,8 @@
 //! Conditions of ensembles: compilation and evaluation.
 
-use super::bounds::{LOOP_DEPTH_MAX, loop_depth};
 use super::spec::EnsembleSpec;
 use crate::ids::EnsembleId;
+use crate::loop_depth::{LOOP_DEPTH_MAX, loop_depth};
 use cel::{Context, Program, Value};
 
 /// Error: a condition cannot be used.

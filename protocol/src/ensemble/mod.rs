@@ -12,7 +12,6 @@
 //! All conditions of a list must hold. The evaluated membership is local and has an age: it depends
 //! on the records that the evaluating node has received.
 
-mod bounds;
 mod condition;
 mod facts;
 mod spec;

@@ -6,6 +6,7 @@ use super::submission::Submission;
 use crate::auction::AuctionRecord;
 use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use crate::lease::Epoch;
+use crate::mission::TaskOutcomes;
 use crate::plan::StepIndex;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -66,6 +67,8 @@ pub enum Command {
         branch: Branch,
         /// All steps that have ended so far.
         ended: BTreeSet<StepIndex>,
+        /// Outcomes of tasks that the ledger may lack.
+        outcomes: TaskOutcomes,
     },
     /// Releases a role from its holder.
     Release {

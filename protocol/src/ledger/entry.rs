@@ -2,9 +2,9 @@
 
 use super::submission::{Priority, Submission};
 use crate::auction::AuctionRecord;
-use crate::ids::{ItemId, MissionId, PlaceId, RobotId, RoleId};
+use crate::ids::{ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId};
 use crate::lease::{Epoch, RoleHolder};
-use crate::mission::{LostItem, Mission, RoleKind};
+use crate::mission::{LostItem, Mission, ResultValue, RoleKind, TaskOutcome, TaskOutcomes};
 use crate::plan::{Division, LocalPlan, Signal, StepAction, StepIndex};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -53,6 +53,8 @@ pub struct MissionEntry {
     pub releases: Vec<RoleRelease>,
     /// Total number of releases.
     pub release_count: u32,
+    /// Outcomes of tasks. The first outcome of a task is kept: others may have acted on it.
+    pub outcomes: TaskOutcomes,
 }
 
 /// Maximum number of releases kept for display.
@@ -254,6 +256,43 @@ impl MissionEntry {
             StepAction::Task { .. } | StepAction::Wait(_) => None,
         });
         sent.filter(|signal| signal.to == *receiver).cloned().collect()
+    }
+
+    /// Returns the known outcomes of the tasks whose results the plan of a role uses. A task that has
+    /// ended in all its roles without a result has an outcome, too.
+    pub fn outcomes_for(&self, role: &RoleId) -> TaskOutcomes {
+        let used = self.plan(role).map(LocalPlan::tasks_used).unwrap_or_default();
+        let outcome = |task: TaskId| {
+            let known = self.outcomes.get(&task).cloned();
+            let outcome = known.or_else(|| self.has_ended(&task).then(|| TaskOutcome::Done(BTreeMap::new())))?;
+            Some((task, outcome))
+        };
+        used.into_iter().filter_map(outcome).collect()
+    }
+
+    /// Checks whether a task of the role's plan has no outcome.
+    pub fn lacks_outcome(&self, role: &RoleId, task: &TaskId) -> bool {
+        !self.outcomes.contains_key(task) && self.plan(role).is_some_and(|plan| plan.step_of(task).is_some())
+    }
+
+    /// Adds the outcomes of tasks of a role.
+    pub(super) fn add_outcomes(&mut self, role: &RoleId, outcomes: TaskOutcomes) {
+        for (task, outcome) in outcomes {
+            if self.lacks_outcome(role, &task) {
+                self.outcomes.insert(task, outcome.limited());
+            }
+        }
+    }
+
+    /// Checks whether a task has ended in all its roles.
+    fn has_ended(&self, task: &TaskId) -> bool {
+        let steps = self.roles.iter().filter_map(|(id, role)| Some((role, self.plan(id)?.step_of(task)?)));
+        steps.clone().next().is_some() && steps.into_iter().all(|(role, step)| role.ended.contains(&step))
+    }
+
+    /// Returns the results of the mission that are known.
+    pub fn results(&self) -> BTreeMap<String, ResultValue> {
+        self.mission().known_results(&self.outcomes)
     }
 
     /// Returns the local plan of a role.

@@ -25,6 +25,7 @@ use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
 use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
 use crate::ledger::Branch;
 use crate::mission::ROLES_MAX;
+use crate::mission::TaskOutcomes;
 use crate::plan::{Signal, StepIndex};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -181,7 +182,7 @@ pub enum AwardReply {
 }
 
 /// Report of a robot about a role that it holds; also its request to renew the lease.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// Robot that reports.
     pub robot: RobotId,
@@ -199,6 +200,9 @@ pub struct Report {
     /// All steps that have ended so far.
     #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
     pub ended: BTreeSet<StepIndex>,
+    /// Outcomes of tasks that the ledger may lack.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
+    pub outcomes: TaskOutcomes,
     /// Task in progress, for display.
     pub current_task: Option<TaskId>,
     /// Place of the robot, if known: the place to look for the item that it carries if the robot is
@@ -244,11 +248,14 @@ pub enum FailureKind {
     Checkpoint,
     /// Another mission waits for the robot, which has not acted in the role.
     GaveWay,
+    /// The condition or a parameter of the task uses a result that is unknown. No other robot could do
+    /// better, so the mission fails.
+    UnknownResult,
 }
 
 /// Reply of the coordinator to a report. The content of the report is in the ledger before any
 /// reply other than `NotCoordinator` is sent.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ReportReply {
     /// The lease is renewed, counted from the time at which the report was sent.
     Renewed {
@@ -264,6 +271,9 @@ pub enum ReportReply {
         /// before the signal is received.
         #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
         signals: BTreeSet<Signal>,
+        /// Known outcomes of the tasks whose results the role uses.
+        #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
+        outcomes: TaskOutcomes,
     },
     /// The reporter no longer holds the role, or the role is completed.
     Ended {

@@ -6,6 +6,7 @@
 //! information.
 
 use super::diagnostic::MissionErrorKind;
+use super::domain_reference::DomainReference;
 use super::ihtn_names::IhtnNames;
 use crate::ids::{PlaceId, TaskType};
 use consort_text::AllowedNames;
@@ -34,6 +35,12 @@ pub struct TaskSchema {
     /// Parameters, by name.
     #[serde(default)]
     pub parameters: BTreeMap<String, ParameterSchema>,
+    /// Results, by name.
+    #[serde(default)]
+    pub results: BTreeMap<String, ValueKind>,
+    /// Domain file that declares the task type; `None` for a type without a file.
+    #[serde(default)]
+    pub domain: Option<DomainReference>,
 }
 
 /// Schema of a parameter.
@@ -117,6 +124,34 @@ impl fmt::Display for ValueKind {
 }
 
 impl ValueKind {
+    /// Checks whether a result of this kind may be the value of a parameter of the kind `parameter`.
+    /// Places and roles are known before a mission begins, so they are never results.
+    pub(super) fn may_become(&self, parameter: &ValueKind) -> bool {
+        use ValueKind::{Bool, Integer, Number, OneOf, Place, Role, Seconds, Text};
+        match (self, parameter) {
+            (_, Place | Role) => false,
+            (_, Text) | (Bool, Bool) | (Integer(_), Integer(_)) | (Text | OneOf(_), OneOf(_)) => true,
+            (Seconds | Number(_) | Integer(_), Seconds | Number(_)) => true,
+            (_, Seconds | Number(_) | Integer(_) | Bool | OneOf(_)) => false,
+        }
+    }
+
+    /// Returns a typical value, for estimates.
+    pub(super) fn typical(&self) -> String {
+        let number = |range: &NumberRange| match (range.minimum, range.maximum) {
+            (Some(minimum), Some(maximum)) => f64::midpoint(minimum, maximum),
+            (minimum, maximum) => minimum.or(maximum).unwrap_or(1.0),
+        };
+        match self {
+            ValueKind::Seconds => "1".to_owned(),
+            ValueKind::Number(range) => number(range).to_string(),
+            ValueKind::Integer(range) => (number(range).round() as i64).to_string(),
+            ValueKind::Bool => "true".to_owned(),
+            ValueKind::OneOf(words) => words.first().cloned().unwrap_or_default(),
+            ValueKind::Place | ValueKind::Role | ValueKind::Text => "unknown".to_owned(),
+        }
+    }
+
     /// Checks whether `text` is a value of this kind. The existence of a role in the mission is
     /// checked elsewhere.
     pub(crate) fn admits(&self, text: &str) -> bool {
@@ -144,6 +179,13 @@ impl TaskSchema {
     #[must_use]
     pub fn optional(self, name: &str, kind: ValueKind) -> Self {
         self.with(name, kind, false)
+    }
+
+    /// Adds a result.
+    #[must_use]
+    pub fn returning(mut self, name: &str, kind: ValueKind) -> Self {
+        self.results.insert(name.to_owned(), kind);
+        self
     }
 
     fn with(mut self, name: &str, kind: ValueKind, required: bool) -> Self {

@@ -10,6 +10,8 @@ pub(crate) const DEPTH_MAX: usize = 32;
 /// Maximum number of roles of a joint task: each role signals to each other role, so the number of
 /// messages grows quadratically.
 pub(crate) const JOINT_MAX: usize = 8;
+/// Maximum number of conditions of a task.
+pub(crate) const CONDITIONS_MAX: usize = 16;
 /// Maximum number of parameters, and of reached states, of a task.
 pub(crate) const ENTRIES_MAX: usize = 32;
 /// Maximum length of a name or value of a parameter or of a reached state, in characters.

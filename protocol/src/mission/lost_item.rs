@@ -28,6 +28,9 @@ pub(super) const PLACE: &str = "\u{1a}place\u{1a}";
 /// Names by which a recovery branch refers to the loss, and the text of each variable.
 pub(super) const VARIABLES: [(&str, &str); 3] = [("lost.item", ITEM), ("lost.robot", ROBOT), ("lost.place", PLACE)];
 
+/// Prefix of the names of the values. A task with this name has no results for others.
+pub(super) const LOST: &str = "lost";
+
 impl LostItem {
     /// Returns example values, to check a branch before any loss.
     pub(super) fn example(domain: &Domain) -> LostItem {

@@ -18,9 +18,11 @@
 //! [`MissionDocument`] is either of the first two, for every program that takes a mission.
 
 mod bits;
+mod condition;
 mod diagnostic;
 mod document;
 mod domain;
+mod domain_reference;
 mod file;
 mod ihtn;
 mod ihtn_names;
@@ -28,6 +30,8 @@ mod limits;
 mod lost_item;
 mod model;
 mod order;
+mod outcome;
+mod references;
 mod structure;
 #[cfg(test)]
 pub(crate) mod test_data;
@@ -37,6 +41,7 @@ pub(crate) use bits::Bits;
 pub use diagnostic::{IhtnError, MissionDiagnostic, MissionErrorKind, MissionErrors};
 pub use document::{IhtnFields, MissionDocument};
 pub use domain::{Domain, NumberRange, ParameterSchema, TaskSchema, ValueKind};
+pub use domain_reference::{DomainHash, DomainReference, OtherDomain};
 pub use file::{Format, MissionFileError, MissionTemplate, TemplateKind, TemplateParameter};
 pub use ihtn::{ActionUse, IhtnOptions, UndeclaredActions, import_ihtn, is_flat_ihtn, undeclared_actions};
 pub use ihtn_names::IhtnNames;
@@ -44,6 +49,8 @@ pub use limits::FILE_BYTES_MAX;
 pub(crate) use limits::ROLES_MAX;
 pub(crate) use lost_item::LostItem;
 pub use model::{
-    AlternativeMethod, Method, Mission, OnLoss, Role, RoleKind, TaskBody, TaskIndex, TaskNode, TaskOrder, TaskSpec,
+    AlternativeMethod, Method, Mission, OnLoss, ResultReference, Role, RoleKind, TaskBody, TaskIndex, TaskNode,
+    TaskOrder, TaskSpec,
 };
 pub use order::GlobalOrder;
+pub use outcome::{RESULT_BYTES_MAX, RESULTS_MAX, ResultValue, TaskOutcome, TaskOutcomes};

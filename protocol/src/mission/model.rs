@@ -1,5 +1,9 @@
 //! Mission tree as a value.
 
+use super::condition;
+use super::domain::{Domain, ValueKind};
+use super::domain_reference::{DomainReference, OtherDomain};
+use super::outcome::{ResultValue, TaskOutcome, TaskOutcomes};
 use crate::ids::{ItemId, RoleId, TaskId, TaskType};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -18,6 +22,9 @@ pub struct Mission {
     pub roles: BTreeMap<RoleId, Role>,
     /// Tasks of the tree: parents before children, siblings in the order of the file.
     pub tasks: Vec<TaskNode>,
+    /// Results of the mission, by name: expressions over the results of its tasks.
+    #[serde(default)]
+    pub results: BTreeMap<String, String>,
 }
 
 /// Role in a mission.
@@ -136,6 +143,26 @@ pub struct TaskSpec {
     /// Default 2 (a guess).
     #[serde(default = "attempts")]
     pub attempts: u8,
+    /// Parameters that are results of earlier tasks. Until these are known, `parameters` contains a
+    /// typical value, for estimates.
+    #[serde(default)]
+    pub inputs: BTreeMap<String, ResultReference>,
+    /// Conditions over the results of earlier tasks. The task is skipped unless all of them hold.
+    #[serde(default)]
+    pub conditions: Vec<String>,
+    /// Domain file that declares the type, as known to the coordinator that took the mission. A robot
+    /// with another content of that file cannot do the task.
+    #[serde(default)]
+    pub domain: Option<DomainReference>,
+}
+
+/// Result of a task of the same mission.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+pub struct ResultReference {
+    /// The task.
+    pub task: TaskId,
+    /// Name of the result.
+    pub result: String,
 }
 
 /// Default number of attempts.
@@ -165,7 +192,66 @@ impl TaskSpec {
             acquires: BTreeMap::new(),
             releases: BTreeSet::new(),
             attempts: ATTEMPTS,
+            inputs: BTreeMap::new(),
+            conditions: vec![],
+            domain: None,
         }
+    }
+
+    /// Checks that the task was made with the domain that this node has for its type. `None`: the type
+    /// is of no file here.
+    ///
+    /// # Errors
+    /// [`OtherDomain`] if both are known and differ.
+    pub fn check_domain(&self, own: Option<&DomainReference>) -> Result<(), OtherDomain> {
+        match (own, &self.domain) {
+            (Some(own), Some(other)) if own != other => {
+                Err(OtherDomain { task_type: self.task_type.clone(), own: own.clone(), other: other.clone() })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Returns the tasks whose results the task uses.
+    ///
+    /// # Errors
+    /// Description of the first invalid condition.
+    pub fn tasks_used(&self) -> Result<BTreeSet<TaskId>, String> {
+        let mut used: BTreeSet<TaskId> = self.inputs.values().map(|input| input.task.clone()).collect();
+        for condition in &self.conditions {
+            used.extend(condition::tasks_used(condition).map_err(|problem| format!("`{condition}`: {problem}"))?);
+        }
+        Ok(used)
+    }
+
+    /// Checks whether all conditions hold.
+    ///
+    /// # Errors
+    /// Description of the problem: a result is unknown, or a condition is neither true nor false.
+    pub fn conditions_hold(&self, outcomes: &TaskOutcomes) -> Result<bool, String> {
+        for text in &self.conditions {
+            if !condition::holds(text, outcomes)? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Sets the parameters that are results of earlier tasks.
+    ///
+    /// # Errors
+    /// Description of the problem: a result is unknown.
+    pub fn set_inputs(&mut self, outcomes: &TaskOutcomes) -> Result<(), String> {
+        for (name, ResultReference { task, result }) in &self.inputs {
+            let value = match outcomes.get(task) {
+                Some(TaskOutcome::Done(results)) => results.get(result).ok_or("the task did not return it"),
+                Some(TaskOutcome::Skipped) => Err("the task was skipped"),
+                None => Err("the task has not ended"),
+            };
+            let value = value.map_err(|problem| format!("`{name}` is unknown: ${{{task}.{result}}}: {problem}"))?;
+            self.parameters.insert(name.clone(), value.to_string());
+        }
+        Ok(())
     }
 
     /// Returns the items that the task moves.
@@ -180,6 +266,36 @@ impl TaskSpec {
 }
 
 impl Mission {
+    /// Sets the domains of all tasks.
+    pub(super) fn set_domains(&mut self, domain: &Domain) {
+        let set = |spec: &mut TaskSpec| {
+            spec.domain = domain.get(&spec.task_type).and_then(|schema| schema.domain.clone());
+        };
+        for node in &mut self.tasks {
+            match &mut node.body {
+                TaskBody::Elementary(spec) => set(spec),
+                TaskBody::Abstract(method) => {
+                    method.alternatives.iter_mut().flat_map(|other| &mut other.tasks).for_each(|(_, spec)| set(spec));
+                }
+            }
+        }
+    }
+
+    /// Sets parameters that are results of earlier tasks to typical values, for estimates.
+    pub(super) fn set_typical_inputs(&mut self, domain: &Domain) {
+        let specs = self.tasks.iter_mut().filter_map(|node| match &mut node.body {
+            TaskBody::Elementary(spec) => Some(spec),
+            TaskBody::Abstract(_) => None,
+        });
+        for spec in specs {
+            let parameters = domain.get(&spec.task_type).map(|schema| &schema.parameters);
+            for name in spec.inputs.keys() {
+                let kind = parameters.and_then(|parameters| parameters.get(name)).map(|parameter| &parameter.kind);
+                spec.parameters.insert(name.clone(), kind.unwrap_or(&ValueKind::Text).typical());
+            }
+        }
+    }
+
     /// Returns the elementary tasks, depth first and in the order of the file, without those of
     /// alternatives. Terminates for an unchecked mission, too: each task is visited at most once.
     pub fn elementary(&self) -> Vec<(&TaskId, &TaskSpec)> {
@@ -214,6 +330,12 @@ impl Mission {
             let others = others.iter().flat_map(|other| other.tasks.iter().map(|(id, _)| id));
             std::iter::once(&node.id).chain(others)
         })
+    }
+
+    /// Returns the results of the mission that are known.
+    pub(crate) fn known_results(&self, outcomes: &TaskOutcomes) -> BTreeMap<String, ResultValue> {
+        let known = |(name, text): (&String, &String)| Some((name.clone(), condition::value(text, outcomes).ok()?));
+        self.results.iter().filter_map(known).collect()
     }
 
     /// Returns the roles that robots fill, in the order of their names.

@@ -112,6 +112,18 @@ impl LocalPlan {
         LocalPlan { role, steps, alternatives: vec![], guarded: BTreeSet::new() }
     }
 
+    /// Returns the step of a task.
+    pub fn step_of(&self, task: &TaskId) -> Option<StepIndex> {
+        let is_it = |step: &Step| matches!(&step.action, StepAction::Task { id, .. } if id == task);
+        self.steps.iter().position(is_it).map(|index| index as StepIndex)
+    }
+
+    /// Returns the tasks whose results the plan uses. An invalid condition uses none; the task with it
+    /// fails.
+    pub fn tasks_used(&self) -> BTreeSet<TaskId> {
+        self.tasks().flat_map(|(_, spec)| spec.tasks_used().unwrap_or_default()).collect()
+    }
+
     /// Returns the tasks of the plan, in order. Signals are steps that take time, too, but are not
     /// included.
     pub fn tasks(&self) -> impl Iterator<Item = (&TaskId, &TaskSpec)> {

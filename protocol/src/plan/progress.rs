@@ -222,7 +222,12 @@ impl PlanProgress {
     /// Returns the same as [`next`](Self::next), restricted to steps with a [met
     /// guard](Self::is_guard_met). While a guarded step is blocked, other steps may proceed.
     pub fn next_guarded(&self, known: &BTreeSet<StepIndex>) -> Option<(StepIndex, &Step)> {
-        self.first_of(self.permitted().into_iter().filter(|step| self.is_guard_met(*step, known)))
+        self.next_where(|step| self.is_guard_met(step, known))
+    }
+
+    /// Returns the same as [`next`](Self::next), restricted to steps that `may_begin`.
+    pub fn next_where(&self, may_begin: impl Fn(StepIndex) -> bool) -> Option<(StepIndex, &Step)> {
+        self.first_of(self.permitted().into_iter().filter(|step| may_begin(*step)))
     }
 
     /// Returns the alternatives, with their numbers, that can be tried when the task of this step

@@ -4,7 +4,7 @@ use super::{readable, readable_or_default};
 use crate::auction::{AuctionRecord, Explanation};
 use crate::ids::{MissionId, RequestId, RobotId, RoleId, TaskId, TaskType};
 use crate::ledger::{Branch, HeldItem, MissionState, Priority, RolePhase, RoleRelease};
-use crate::mission::{RoleKind, TaskNode, TaskOrder};
+use crate::mission::{ResultValue, RoleKind, TaskNode, TaskOrder};
 use crate::plan::StepIndex;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -47,6 +47,9 @@ pub struct MissionBrief {
     /// Progress of the roles.
     #[serde(flatten)]
     pub progress: MissionProgress,
+    /// Results of the mission that are known, by name.
+    #[serde(default)]
+    pub result: BTreeMap<String, ResultValue>,
 }
 
 /// State of a mission.
@@ -203,7 +206,7 @@ pub struct StepView {
 }
 
 /// A task of a mission.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum TaskView {
     /// A task with subtasks.
@@ -230,6 +233,9 @@ pub enum TaskView {
         state: TaskProgress,
         /// Roles that execute it.
         roles: Vec<TaskParticipant>,
+        /// Its results, by name.
+        #[serde(default)]
+        results: BTreeMap<String, ResultValue>,
     },
 }
 
@@ -254,13 +260,21 @@ pub enum TaskProgress {
     UnderWay,
     /// It has ended.
     Done,
+    /// It has ended without being executed: its condition does not hold.
+    Skipped,
 }
 
 impl TaskProgress {
+    /// Checks whether the task has ended.
+    pub fn has_ended(self) -> bool {
+        matches!(self, TaskProgress::Done | TaskProgress::Skipped)
+    }
+
     /// Returns the progress of an abstract task from the progress of its parts.
     pub fn of_all(parts: &[TaskProgress]) -> TaskProgress {
         match parts {
-            _ if parts.iter().all(|part| *part == TaskProgress::Done) => TaskProgress::Done,
+            [_, ..] if parts.iter().all(|part| *part == TaskProgress::Skipped) => TaskProgress::Skipped,
+            _ if parts.iter().all(|part| part.has_ended()) => TaskProgress::Done,
             _ if parts.iter().all(|part| *part == TaskProgress::Waiting) => TaskProgress::Waiting,
             _ => TaskProgress::UnderWay,
         }

@@ -114,7 +114,7 @@ proptest! {
                 let epoch = if mission.roles[&role].kind == RoleKind::Managed { AWARD } else { Epoch::default() };
                 let ended = team.known(robot).clone();
                 let (mission, branch) = (id.clone(), Branch::Main);
-                ledger.apply(AWARD, Command::Progress { mission, role, epoch, branch, ended });
+                ledger.apply(AWARD, Command::Progress { mission, role, epoch, branch, ended, outcomes: Default::default() });
             }
             let entry = ledger.mission(&id).unwrap();
             if entry.state.is_final() {

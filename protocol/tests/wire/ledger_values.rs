@@ -124,8 +124,9 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
         (held(), any::<u64>(), any::<bool>()).prop_map(|((mission, role, epoch), incarnation, resumes)| {
             Command::Accept { mission, role, epoch, incarnation, from_checkpoint: resumes }
         }),
-        (held(), branch(), btree_set(any::<u32>(), 0..5)).prop_map(|((mission, role, epoch), branch, ended)| {
-            Command::Progress { mission, role, epoch, branch, ended }
+        (held(), branch(), btree_set(any::<u32>(), 0..5), outcomes()).prop_map(|(held, branch, ended, outcomes)| {
+            let (mission, role, epoch) = held;
+            Command::Progress { mission, role, epoch, branch, ended, outcomes }
         }),
         (held(), text(), any::<bool>(), option::of(place())).prop_map(
             |((mission, role, epoch), cause, blamed, place)| Command::Release {

@@ -53,12 +53,13 @@ pub(crate) fn report() -> impl Strategy<Value = Report> {
         Just(FailureKind::Leaving),
         Just(FailureKind::Plan),
         Just(FailureKind::GaveWay),
+        Just(FailureKind::UnknownResult),
     ];
     let failure = (option::of(name()), text(), kind).prop_map(|(task, cause, kind)| TaskFailure { task, cause, kind });
     let who = (name::<RobotId>(), any::<u64>(), name(), name(), epoch(), branch());
     let how = (option::of(place()), any::<bool>(), option::of(failure));
-    (who, btree_set(any::<u32>(), 0..5), option::of(name::<TaskId>()), how).prop_map(
-        |((robot, incarnation, mission, role, epoch, branch), ended, at, (place, resumes, failure))| Report {
+    (who, btree_set(any::<u32>(), 0..5), outcomes(), option::of(name::<TaskId>()), how).prop_map(
+        |((robot, incarnation, mission, role, epoch, branch), ended, outcomes, at, (place, resumes, failure))| Report {
             robot,
             incarnation,
             mission,
@@ -66,6 +67,7 @@ pub(crate) fn report() -> impl Strategy<Value = Report> {
             epoch,
             branch,
             ended,
+            outcomes,
             current_task: at,
             place,
             from_checkpoint: resumes,
@@ -76,8 +78,15 @@ pub(crate) fn report() -> impl Strategy<Value = Report> {
 
 pub(crate) fn report_answer() -> impl Strategy<Value = ReportReply> {
     prop_oneof![
-        (epoch(), btree_set(any::<u32>(), 0..5), holders(), btree_set(signal(), 0..4))
-            .prop_map(|(epoch, ended, holders, signals)| ReportReply::Renewed { epoch, ended, holders, signals }),
+        (epoch(), btree_set(any::<u32>(), 0..5), holders(), btree_set(signal(), 0..4), outcomes()).prop_map(
+            |(epoch, ended, holders, signals, outcomes)| ReportReply::Renewed {
+                epoch,
+                ended,
+                holders,
+                signals,
+                outcomes
+            }
+        ),
         (epoch(), ending(), option::of(epoch())).prop_map(|(epoch, reason, current)| ReportReply::Ended {
             epoch,
             reason,

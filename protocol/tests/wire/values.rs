@@ -4,7 +4,8 @@ use consort_protocol::ids::{ClusterId, PlaceId, TaskType};
 use consort_protocol::knowledge::{Availability, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
 use consort_protocol::lease::Epoch;
 use consort_protocol::mission::{
-    AlternativeMethod, Method, Mission, OnLoss, Role, RoleKind, TaskBody, TaskNode, TaskOrder, TaskSpec,
+    AlternativeMethod, DomainHash, DomainReference, Method, Mission, OnLoss, ResultReference, ResultValue, Role,
+    RoleKind, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskOutcomes, TaskSpec,
 };
 use consort_protocol::plan::{Alternative, LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::pose::Pose;
@@ -46,17 +47,27 @@ pub(crate) fn seconds() -> impl Strategy<Value = Seconds> {
 
 pub(crate) fn spec() -> impl Strategy<Value = TaskSpec> {
     let items = (btree_map(name(), name(), 0..2), btree_set(name(), 0..2), any::<u8>());
-    (name(), vec(name(), 1..3), btree_map(text(), text(), 0..3), btree_map(text(), text(), 0..2), items).prop_map(
-        |(task_type, roles, parameters, reaches, (acquires, releases, attempts))| TaskSpec {
-            task_type,
-            roles,
-            parameters,
-            reaches,
-            acquires,
-            releases,
-            attempts,
+    let input = (name(), text()).prop_map(|(task, result)| ResultReference { task, result });
+    let hash = any::<u64>().prop_map(DomainHash);
+    let domain = option::of((name(), hash).prop_map(|(name, hash)| DomainReference { name, hash }));
+    let used = (btree_map(text(), input, 0..2), vec(text(), 0..2), domain);
+    let entries = (btree_map(text(), text(), 0..3), btree_map(text(), text(), 0..2));
+    (name(), vec(name(), 1..3), entries, items, used).prop_map(
+        |(task_type, roles, (parameters, reaches), (acquires, releases, attempts), (inputs, conditions, domain))| {
+            TaskSpec { task_type, roles, parameters, reaches, acquires, releases, attempts, inputs, conditions, domain }
         },
     )
+}
+
+pub(crate) fn outcomes() -> impl Strategy<Value = TaskOutcomes> {
+    let value = prop_oneof![
+        any::<bool>().prop_map(ResultValue::Bool),
+        any::<i64>().prop_map(ResultValue::Integer),
+        (-1e9..1e9).prop_map(ResultValue::Number),
+        text().prop_map(ResultValue::Text),
+    ];
+    let done = btree_map(text(), value, 0..3).prop_map(TaskOutcome::Done);
+    btree_map(name(), prop_oneof![Just(TaskOutcome::Skipped), done], 0..3)
 }
 
 pub(crate) fn signal() -> impl Strategy<Value = Signal> {
@@ -95,8 +106,9 @@ pub(crate) fn mission() -> impl Strategy<Value = Mission> {
         name(),
         btree_map(name(), (kind, on_loss).prop_map(|(kind, on_loss)| Role { kind, on_loss }), 0..4),
         vec(node, 0..6),
+        btree_map(text(), text(), 0..2),
     )
-        .prop_map(|(name, roles, tasks)| Mission { name, roles, tasks })
+        .prop_map(|(name, roles, tasks, results)| Mission { name, roles, tasks, results })
 }
 
 pub(crate) fn availability() -> impl Strategy<Value = Availability> {

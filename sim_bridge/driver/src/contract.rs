@@ -30,13 +30,13 @@ pub enum ContractError {
         /// The allowed names, with the nearest.
         allowed: String,
     },
-    /// A parameter differs from the declaration.
-    #[error("hello: actions.{action}.parameters.{parameter}: {problem}")]
-    Parameter {
+    /// A parameter or a result differs from the declaration.
+    #[error("hello: actions.{action}.{place}: {problem}")]
+    Value {
         /// The action.
         action: ActionName,
-        /// The parameter.
-        parameter: String,
+        /// `parameters.NAME` or `results.NAME`.
+        place: String,
         /// The problem, and what is allowed.
         problem: String,
     },
@@ -69,31 +69,34 @@ impl Contract {
                 let allowed = AllowedNames::suggest_for(name.as_str(), known).to_string();
                 return Err(ContractError::Undeclared { action: name.clone(), allowed });
             };
-            check_parameters(&declared.parameters, &offered.parameters).map_err(|(parameter, problem)| {
-                ContractError::Parameter { action: name.clone(), parameter, problem }
-            })?;
+            check_values("parameter", &declared.parameters, &offered.parameters)
+                .and_then(|()| check_values("result", &declared.results, &offered.results))
+                .map_err(|(place, problem)| ContractError::Value { action: name.clone(), place, problem })?;
         }
         Ok(())
     }
 }
 
-/// Compares the parameters of an action: every declared one is offered, with the same type.
-fn check_parameters(
+/// Compares the parameters or the results of an action: every declared one is offered, with the same
+/// type. An error is the place and the problem.
+fn check_values(
+    what: &str,
     declared: &BTreeMap<String, ParameterForm>,
     offered: &BTreeMap<String, ParameterForm>,
 ) -> Result<(), (String, String)> {
+    let place = |name: &String| format!("{what}s.{name}");
     for (name, parameter) in offered {
         let Some(form) = declared.get(name) else {
             let allowed = AllowedNames::suggest_for(name, declared.keys());
-            return Err((name.clone(), format!("the domain declares no such parameter; {allowed}")));
+            return Err((place(name), format!("the domain declares no such {what}; {allowed}")));
         };
         if form.kind != parameter.kind {
             let kind = serde_json::to_value(form.kind).unwrap_or_default();
-            return Err((name.clone(), format!("type: the domain declares {kind}")));
+            return Err((place(name), format!("type: the domain declares {kind}")));
         }
     }
     match declared.keys().find(|name| !offered.contains_key(*name)) {
-        Some(missing) => Err((missing.clone(), "is missing; the domain declares it".to_owned())),
+        Some(missing) => Err((place(missing), "is missing; the domain declares it".to_owned())),
         None => Ok(()),
     }
 }
@@ -106,7 +109,12 @@ mod tests {
     fn contract() -> Contract {
         let form = serde_json::from_value(json!({
             "domain": "cleaning",
-            "actions": { "vacuum": { "parameters": { "passes": { "type": "integer" } } } },
+            "actions": {
+                "vacuum": {
+                    "parameters": { "passes": { "type": "integer" } },
+                    "results": { "dust_g": { "type": "number" } },
+                },
+            },
         }));
         let domain = DomainFile::check(form.unwrap(), &BTreeMap::new(), &[]).unwrap();
         Contract::new([&domain])
@@ -119,7 +127,10 @@ mod tests {
 
     #[test]
     fn declared_and_standard_actions_are_accepted() {
-        let vacuum = json!({ "parameters": { "passes": { "type": "integer" } } });
+        let vacuum = json!({
+            "parameters": { "passes": { "type": "integer" } },
+            "results": { "dust_g": { "type": "number" } },
+        });
         assert_eq!(check(json!({ "wait": {}, "vacuum": vacuum })), Ok(()));
     }
 
@@ -136,6 +147,8 @@ mod tests {
             "hello: actions.vacuum.parameters.pases: the domain declares no such parameter; allowed: passes; did you \
              mean `passes`?"
         );
+        let without_result = of(json!({ "passes": { "type": "integer" } }));
+        assert_eq!(without_result, "hello: actions.vacuum.results.dust_g: is missing; the domain declares it");
         let undeclared = check(json!({ "vacum": {} })).unwrap_err();
         assert!(undeclared.starts_with("hello: actions.vacum: no domain declares this action; allowed: vacuum, "));
         assert!(undeclared.ends_with("did you mean `vacuum`?"), "{undeclared}");

@@ -121,6 +121,9 @@ pub enum DriverMessage {
         /// Cause of the failure, for people.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         message: Option<String>,
+        /// Results of a completed goal, by name: the values that its action declares.
+        #[serde(default, skip_serializing_if = "JsonObject::is_empty")]
+        results: JsonObject,
     },
     /// Pose of the robot, about once a second and after each drive.
     Pose {
@@ -171,6 +174,9 @@ pub struct OfferedAction {
     /// none here.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub parameters: BTreeMap<String, ParameterForm>,
+    /// Results of an action of a domain file, in the form of that file.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub results: BTreeMap<String, ParameterForm>,
     /// Parameters with which `consort driver check` tries the action: a goal of about 2 s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub example: Option<JsonObject>,
@@ -304,7 +310,8 @@ mod tests {
                 id: GoalId(7),
                 status: ResultStatus::Aborted,
                 code: Some(ErrorCode::Blocked),
-                message: Some("a chair".to_owned())
+                message: Some("a chair".to_owned()),
+                results: JsonObject::new(),
             }
         );
     }

@@ -60,7 +60,7 @@ fn drive_s(map: &Map, from: &str, to: &str, speed: f64) -> f64 {
             let due = world.next_due().expect("something is under way");
             world.advance(due);
         }
-        assert_eq!(world.status(&ada(), GoalId(number)), Some(GoalStatus::Succeeded));
+        assert_eq!(world.status(&ada(), GoalId(number)), Some(GoalStatus::succeeded()));
     }
     world.now().as_secs()
 }

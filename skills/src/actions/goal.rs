@@ -115,6 +115,30 @@ pub struct DeclaredGoal {
 /// Parameters, feedback or result of an action: a JSON object.
 pub type JsonObject = serde_json::Map<String, serde_json::Value>;
 
+/// Result of a completed goal: values by name; empty for most actions.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct GoalResult(pub JsonObject);
+
+impl Serialize for GoalResult {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        if serializer.is_human_readable() {
+            return self.0.serialize(serializer);
+        }
+        let text = serde_json::to_string(&self.0).map_err(ser::Error::custom)?;
+        text.serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for GoalResult {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<GoalResult, D::Error> {
+        if deserializer.is_human_readable() {
+            return JsonObject::deserialize(deserializer).map(GoalResult);
+        }
+        let text = String::deserialize(deserializer)?;
+        serde_json::from_str(&text).map(GoalResult).map_err(de::Error::custom)
+    }
+}
+
 /// Names of the actions that are variants of [`Goal`].
 pub const STANDARD_ACTIONS: [&str; 13] = [
     "navigate_to_pose",
@@ -216,7 +240,7 @@ pub enum GoalStatus {
     /// Accepted and active.
     Executing(Feedback),
     /// Completed successfully.
-    Succeeded,
+    Succeeded(GoalResult),
     /// Ended by a cancel request. The robot stands still.
     Canceled,
     /// Rejected, or ended without success.
@@ -224,9 +248,14 @@ pub enum GoalStatus {
 }
 
 impl GoalStatus {
+    /// Returns the status of a goal that succeeded without a result.
+    pub fn succeeded() -> GoalStatus {
+        GoalStatus::Succeeded(GoalResult::default())
+    }
+
     /// Checks whether the goal has ended.
     pub fn is_final(&self) -> bool {
-        matches!(self, GoalStatus::Succeeded | GoalStatus::Canceled | GoalStatus::Aborted(_))
+        matches!(self, GoalStatus::Succeeded(_) | GoalStatus::Canceled | GoalStatus::Aborted(_))
     }
 }
 
@@ -301,6 +330,14 @@ mod tests {
             assert_eq!(codec::decode::<Goal>(&bytes).unwrap(), goal, "to the bit");
             assert_eq!(goal.action(), serde_json::to_value(&goal).unwrap()["action"]);
         }
+    }
+
+    #[test]
+    fn a_result_keeps_the_types_of_its_values() {
+        let json = json!({ "litres": 0.1, "plants": 3, "dry": true, "kind": "fern" });
+        let result: GoalResult = serde_json::from_value(json.clone()).unwrap();
+        assert_eq!(codec::decode::<GoalResult>(&codec::encode(&result).unwrap()).unwrap(), result);
+        assert_eq!(serde_json::to_value(&result).unwrap(), json);
     }
 
     #[test]

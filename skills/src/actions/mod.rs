@@ -19,7 +19,7 @@ mod robot;
 pub use backend::{BackendEvent, PersonRequest, RobotBackend};
 pub use error::{ActionError, ErrorCode};
 pub use goal::{
-    DeclaredGoal, Feedback, Goal, GoalId, GoalProgress, GoalStatus, JsonObject, PERSON_TIMEOUT_PARAMETER,
+    DeclaredGoal, Feedback, Goal, GoalId, GoalProgress, GoalResult, GoalStatus, JsonObject, PERSON_TIMEOUT_PARAMETER,
     PERSON_TIMEOUT_S, STANDARD_ACTIONS, Waypoint,
 };
 pub use robot::{RobotActions, Telemetry};

@@ -1,6 +1,6 @@
 //! The side of the skills: telemetry and actions of a robot.
 
-use super::goal::{Goal, GoalId, GoalStatus};
+use super::goal::{Goal, GoalId, GoalResult, GoalStatus};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, WorldTime};
@@ -44,10 +44,10 @@ pub trait RobotActions {
 
     /// Consumes a completion of this goal by an earlier attempt at the same task: an attempt that
     /// was interrupted, or ended by a crash of the robot program without receiving the result.
-    /// Returns true once for each completion, otherwise false. Called for goals that are not
-    /// [repeatable](Goal::is_repeatable). An implementation without memory returns false.
-    fn take_completed(&mut self, goal: &Goal) -> bool {
+    /// Returns its result once for each completion, otherwise `None`. Called for goals that are not
+    /// [repeatable](Goal::is_repeatable). An implementation without memory returns `None`.
+    fn take_completed(&mut self, goal: &Goal) -> Option<GoalResult> {
         let _ = goal;
-        false
+        None
     }
 }

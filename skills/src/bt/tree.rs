@@ -68,6 +68,11 @@ impl Tree {
         self.blackboard.read(self.entry(key)?)
     }
 
+    /// Returns the value of a key of the main tree; `None` if no port uses the key, or while it is empty.
+    pub(crate) fn value(&self, key: &str) -> Option<&Value> {
+        self.blackboard.value(*self.keys.get(key)?)
+    }
+
     /// Checks whether the robot has ended every goal that this tree canceled.
     pub(crate) fn cancels_complete(&self, actions: &dyn RobotActions) -> bool {
         let held = |goal| actions.status(goal).is_some_and(|status| !status.is_final());

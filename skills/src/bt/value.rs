@@ -1,6 +1,7 @@
 //! Values on the blackboard, their types, and conversion from text.
 
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
+use consort_protocol::mission::ResultValue;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Seconds;
 use std::fmt;
@@ -209,6 +210,24 @@ impl Value {
                 Err(ValueError::Type { value: value.to_string(), wanted, problem })
             }
         }
+    }
+}
+
+impl From<ResultValue> for Value {
+    fn from(value: ResultValue) -> Value {
+        match value {
+            ResultValue::Bool(value) => Value::Bool(value),
+            ResultValue::Integer(number) => Value::Integer(number),
+            ResultValue::Number(number) => Value::Number(number),
+            ResultValue::Text(text) => Value::Text(text),
+        }
+    }
+}
+
+impl From<&Value> for ResultValue {
+    /// Names, poses and lists become texts, durations numbers.
+    fn from(value: &Value) -> ResultValue {
+        ResultValue::from_json(&value.to_json()).unwrap_or_else(|| ResultValue::Text(value.to_string()))
     }
 }
 

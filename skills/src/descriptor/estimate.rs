@@ -2,7 +2,7 @@
 
 use crate::environment::{Environment, MissingDescriptor, RouteError};
 use consort_protocol::ids::{PlaceId, TaskType};
-use consort_protocol::mission::TaskSpec;
+use consort_protocol::mission::{OtherDomain, TaskSpec};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{MetresPerSecond, Seconds, SharePerSecond};
 
@@ -72,6 +72,9 @@ pub enum EstimateError {
         /// Cause.
         problem: String,
     },
+    /// The task was made with another content of the domain file.
+    #[error(transparent)]
+    OtherDomain(#[from] OtherDomain),
     /// There is no route to the place of the task.
     #[error(transparent)]
     Route(#[from] RouteError),

@@ -15,7 +15,8 @@ pub(super) fn register(
     let ports = form.parameters.iter().map(|(name, parameter)| port(name, parameter));
     let (action, form) = (action.clone(), form.clone());
     let id = action.to_string();
-    GoalLeaf::register(registry, &id, ports.collect::<Vec<_>>(), move |_: &TaskContext, leaf| {
+    let results = form.results.iter().map(|(name, result)| (name.clone(), port_type(result.kind))).collect::<Vec<_>>();
+    GoalLeaf::register_with_results(registry, &id, ports.collect::<Vec<_>>(), results, move |_: &TaskContext, leaf| {
         let parameters = parameters(&form, leaf)?;
         Ok(Goal::Declared(DeclaredGoal { action: action.clone(), parameters, repeatable: form.repeatable }))
     })

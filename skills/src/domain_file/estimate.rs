@@ -5,7 +5,7 @@ use crate::descriptor::{Estimate, EstimateContext, EstimateError, SkillDescripto
 use crate::environment::{Environment, EnvironmentDescriptor, Routes};
 use cel::{Context, Env, Program};
 use consort_protocol::ids::{PlaceId, TaskType};
-use consort_protocol::mission::TaskSpec;
+use consort_protocol::mission::{DomainReference, TaskSpec};
 use consort_protocol::units::Seconds;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -20,6 +20,7 @@ pub(super) struct DeclaredEstimate {
     time_s: Expression,
     energy: Option<Expression>,
     ends_at: Option<String>,
+    domain: Option<DomainReference>,
     /// Standard functions of CEL. Their setup takes longer than an evaluation.
     functions: Arc<Env>,
 }
@@ -73,12 +74,24 @@ impl DeclaredEstimate {
         }
         let (parameters, ends_at) = (task.parameters.clone(), form.ends_at.clone());
         let functions = Arc::new(Env::stdlib());
-        let estimate =
-            DeclaredEstimate { task_type: task_type.clone(), parameters, time_s, energy, ends_at, functions };
+        let estimate = DeclaredEstimate {
+            task_type: task_type.clone(),
+            parameters,
+            time_s,
+            energy,
+            ends_at,
+            domain: None,
+            functions,
+        };
         let variables = estimate.example();
         estimate.time_s.number(&variables).map_err(at("time_s"))?;
         estimate.energy.as_ref().map(|energy| energy.number(&variables)).transpose().map_err(at("energy"))?;
         Ok(estimate)
+    }
+
+    /// Returns the estimate for tasks of this domain only.
+    pub(super) fn of_domain(self, domain: DomainReference) -> DeclaredEstimate {
+        DeclaredEstimate { domain: Some(domain), ..self }
     }
 
     /// Returns variables with a value of each type.
@@ -143,6 +156,7 @@ impl SkillDescriptor for DeclaredEstimate {
         context: &EstimateContext,
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
+        task.check_domain(self.domain.as_ref())?;
         let place = |text: &str| {
             text.parse::<PlaceId>().map_err(|problem| EstimateError::Expression {
                 task_type: self.task_type.clone(),

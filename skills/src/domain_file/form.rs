@@ -1,7 +1,9 @@
 //! The form of a domain file.
 
 use consort_protocol::ids::{ActionName, DomainId, PlaceId, RoleId, TaskType};
-use consort_protocol::mission::{IhtnNames, NumberRange, ParameterSchema, TaskSchema, ValueKind};
+use consort_protocol::mission::{
+    DomainReference, IhtnNames, NumberRange, ParameterSchema, ResultValue, TaskSchema, ValueKind,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -54,6 +56,9 @@ pub struct ActionForm {
     pub description: String,
     /// Parameters, by name.
     pub parameters: BTreeMap<String, ParameterForm>,
+    /// Values that a completed goal returns, by name. Their types are those of parameters without `place`
+    /// and `role`.
+    pub results: BTreeMap<String, ParameterForm>,
     /// True if a repetition of a completed goal has no further effect. Default false: a completed goal is
     /// never sent again.
     pub repeatable: bool,
@@ -109,7 +114,7 @@ pub enum ParameterKind {
 }
 
 /// A task type.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TaskForm {
     /// Description for people.
@@ -118,6 +123,10 @@ pub struct TaskForm {
     /// Parameters, by name.
     #[serde(default)]
     pub parameters: BTreeMap<String, ParameterForm>,
+    /// Results, by name: the values of the keys of the main tree with these names. Default for a task with
+    /// an `action`: the results of the action.
+    #[serde(default)]
+    pub results: BTreeMap<String, ParameterForm>,
     /// The action that performs the task; its parameters are those of the task with the same names.
     /// Either this or `tree`.
     #[serde(default)]
@@ -149,18 +158,35 @@ pub struct EstimateForm {
 }
 
 /// What the simulator does with a goal: it takes a time, and succeeds or fails.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SimulatedAction {
     /// Least and greatest duration in seconds; uniformly distributed. Default 2 to 2 s.
     pub duration_s: (f64, f64),
     /// Share of the goals that fail at their end, from 0 to 1. Default 0.
     pub failure_rate: f64,
+    /// Results, by name. Default: a value within the declared range.
+    pub results: BTreeMap<String, SimulatedResult>,
+}
+
+/// Maximum number of whole numbers among which the simulator chooses a result that is not described.
+const SIMULATED_INTEGERS_MAX: usize = 100;
+
+/// Result of a simulated goal.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum SimulatedResult {
+    /// A number from the first to the second; uniformly distributed.
+    Range([f64; 2]),
+    /// One of these values; each with the same probability.
+    OneOf(Vec<ResultValue>),
+    /// Always this value.
+    Value(ResultValue),
 }
 
 impl Default for SimulatedAction {
     fn default() -> Self {
-        SimulatedAction { duration_s: (2.0, 2.0), failure_rate: 0.0 }
+        SimulatedAction { duration_s: (2.0, 2.0), failure_rate: 0.0, results: BTreeMap::new() }
     }
 }
 
@@ -171,7 +197,39 @@ impl SimulatedAction {
     }
 }
 
+impl ParameterKind {
+    /// Checks whether a JSON value has this type.
+    pub fn fits(self, value: &serde_json::Value) -> bool {
+        match self {
+            ParameterKind::Seconds => value.as_f64().is_some_and(|seconds| seconds >= 0.0),
+            ParameterKind::Number => value.is_number(),
+            ParameterKind::Integer => value.is_i64(),
+            ParameterKind::Bool => value.is_boolean(),
+            ParameterKind::Place | ParameterKind::Role | ParameterKind::Text => value.is_string(),
+        }
+    }
+}
+
 impl ParameterForm {
+    /// Returns a value of the type and within the range, for the simulator.
+    pub(super) fn simulated(&self) -> SimulatedResult {
+        let (minimum, maximum) = (self.minimum.unwrap_or(0.0), self.maximum.unwrap_or(1.0));
+        match self.kind {
+            ParameterKind::Number | ParameterKind::Seconds => SimulatedResult::Range([minimum, maximum.max(minimum)]),
+            ParameterKind::Integer => {
+                let numbers = (minimum.ceil() as i64..=maximum.floor() as i64).take(SIMULATED_INTEGERS_MAX);
+                SimulatedResult::OneOf(numbers.map(ResultValue::Integer).collect())
+            }
+            ParameterKind::Bool => SimulatedResult::OneOf(vec![ResultValue::Bool(false), ResultValue::Bool(true)]),
+            ParameterKind::Place | ParameterKind::Role | ParameterKind::Text if self.one_of.is_empty() => {
+                SimulatedResult::Value(ResultValue::Text("simulated".to_owned()))
+            }
+            ParameterKind::Place | ParameterKind::Role | ParameterKind::Text => {
+                SimulatedResult::OneOf(self.one_of.iter().cloned().map(ResultValue::Text).collect())
+            }
+        }
+    }
+
     fn range(&self) -> NumberRange {
         NumberRange { minimum: self.minimum, maximum: self.maximum }
     }
@@ -192,11 +250,19 @@ impl ParameterForm {
 }
 
 impl TaskForm {
-    /// Returns the parameters for missions.
-    pub(super) fn schema(&self) -> TaskSchema {
+    /// Returns the parameters and the results for missions. The results are those of the `action` if the
+    /// task declares none.
+    pub(super) fn schema(&self, action: Option<&ActionForm>, domain: DomainReference) -> TaskSchema {
         let schema = |(name, parameter): (&String, &ParameterForm)| {
             (name.clone(), ParameterSchema { kind: parameter.value_kind(), required: !parameter.optional })
         };
-        TaskSchema { parameters: self.parameters.iter().map(schema).collect() }
+        let results = self.results(action).iter().map(|(name, result)| (name.clone(), result.value_kind()));
+        let (parameters, results) = (self.parameters.iter().map(schema).collect(), results.collect());
+        TaskSchema { parameters, results, domain: Some(domain) }
+    }
+
+    /// Returns the results: those of the `action` if the task declares none.
+    pub(super) fn results<'a>(&'a self, action: Option<&'a ActionForm>) -> &'a BTreeMap<String, ParameterForm> {
+        action.map(|action| &action.results).filter(|_| self.results.is_empty()).unwrap_or(&self.results)
     }
 }

@@ -6,7 +6,8 @@
 //!   water:
 //!     description: waters the plant at the robot's place
 //!     parameters: { litres: { type: number, unit: l, minimum: 0, maximum: 5 } }
-//!     simulate: { duration_s: [6, 10], failure_rate: 0.02 }
+//!     results: { poured: { type: number, unit: l } }
+//!     simulate: { duration_s: [6, 10], failure_rate: 0.02, results: { poured: [0.4, 0.6] } }
 //! tasks:                                       # what a mission contains
 //!   water_plant:
 //!     parameters: { litres: { type: number, unit: l, minimum: 0, maximum: 5 } }
@@ -20,12 +21,14 @@
 //! and task types.
 
 mod action_leaf;
+mod content_hash;
 mod estimate;
 mod form;
 mod scaffold;
 
 pub use form::{
-    ActionForm, DomainForm, EstimateForm, IhtnForm, ParameterForm, ParameterKind, SimulatedAction, TaskForm,
+    ActionForm, DomainForm, EstimateForm, IhtnForm, ParameterForm, ParameterKind, SimulatedAction, SimulatedResult,
+    TaskForm,
 };
 pub use scaffold::{scaffold, scaffold_yaml};
 
@@ -33,11 +36,12 @@ use crate::bt::xml::read_xml;
 use crate::bt::{NodeSpec, TreeSpec};
 use crate::descriptor::DescriptorRegistry;
 use crate::environment::Environment;
-use crate::library::SkillLibrary;
+use crate::library::{DeclaredBy, SkillLibrary};
 use crate::standard_types::standard_types;
 use consort_protocol::ids::{ActionName, DomainId, TaskType};
-use consort_protocol::mission::{IhtnNames, TaskSchema};
+use consort_protocol::mission::{DomainHash, DomainReference, IhtnNames, RESULTS_MAX, TaskSchema};
 use consort_text::AllowedNames;
+use content_hash::content_hash;
 use estimate::DeclaredEstimate;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -48,6 +52,7 @@ pub struct DomainFile {
     form: DomainForm,
     /// The behavior trees of the task types.
     trees: BTreeMap<TaskType, TreeSpec>,
+    hash: DomainHash,
 }
 
 /// A problem of a domain file.
@@ -113,18 +118,24 @@ impl DomainFile {
                 ));
             }
             match tree_of(&form, name, task, trees) {
-                Ok(Some(tree)) => match library.register(name.clone(), &tree) {
-                    Ok(()) => {
-                        checked.insert(name.clone(), tree);
+                Ok(Some(tree)) => {
+                    match library.register_declared(name.clone(), &tree, declared_by(&form, task, None)) {
+                        Ok(()) => {
+                            checked.insert(name.clone(), tree);
+                        }
+                        Err(error) => problems.push(problem("", error.to_string())),
                     }
-                    Err(error) => problems.push(problem("", error.to_string())),
-                },
+                }
                 Ok(None) => {}
                 Err(found) => problems.push(found),
             }
         }
         problems.extend(ihtn_problems(&form, known));
-        if problems.is_empty() { Ok(DomainFile { form, trees: checked }) } else { Err(problems) }
+        if !problems.is_empty() {
+            return Err(problems);
+        }
+        let hash = content_hash(&form, trees);
+        Ok(DomainFile { form, trees: checked, hash })
     }
 
     /// Returns the name of the domain.
@@ -132,9 +143,17 @@ impl DomainFile {
         &self.form.domain
     }
 
+    /// Returns the name of the domain with the hash of its content.
+    pub fn reference(&self) -> DomainReference {
+        DomainReference { name: self.form.domain.clone(), hash: self.hash }
+    }
+
     /// Returns the task types with their parameters.
     pub fn task_types(&self) -> impl Iterator<Item = (TaskType, TaskSchema)> {
-        self.form.tasks.iter().map(|(name, task)| (name.clone(), task.schema()))
+        self.form
+            .tasks
+            .iter()
+            .map(|(name, task)| (name.clone(), task.schema(action_of(&self.form, task), self.reference())))
     }
 
     /// Returns the meaning of names in flat iHTNs.
@@ -154,7 +173,7 @@ impl DomainFile {
 
     /// Returns what the simulator does with the actions.
     pub fn simulated_actions(&self) -> impl Iterator<Item = (ActionName, SimulatedAction)> {
-        self.form.actions.iter().map(|(name, action)| (name.clone(), action.simulate))
+        self.form.actions.iter().map(|(name, action)| (name.clone(), simulated(action)))
     }
 
     /// Adds the leaves of the actions and the trees of the task types to a library.
@@ -167,7 +186,10 @@ impl DomainFile {
             added.map_err(|error| problem(format!("actions.{name}"), error.to_string()))?;
         }
         for (name, tree) in &self.trees {
-            library.register(name.clone(), tree).map_err(|error| problem("", error.to_string()))?;
+            let task = self.form.tasks.get(name);
+            let declared = task.map(|task| declared_by(&self.form, task, Some(self.reference()))).unwrap_or_default();
+            let added = library.register_declared(name.clone(), tree, declared);
+            added.map_err(|error| problem("", error.to_string()))?;
         }
         Ok(())
     }
@@ -177,7 +199,7 @@ impl DomainFile {
     pub fn extend_descriptors(&self, descriptors: DescriptorRegistry) -> DescriptorRegistry {
         self.form.tasks.iter().fold(descriptors, |descriptors, (name, task)| {
             match estimate_of(&self.form, name, task) {
-                Ok(estimate) => descriptors.with(estimate),
+                Ok(estimate) => descriptors.with(estimate.of_domain(self.reference())),
                 Err(_) => descriptors, // a checked domain has none
             }
         })
@@ -203,8 +225,17 @@ fn ihtn_problems(form: &DomainForm, known: &[&DomainFile]) -> Vec<DomainProblem>
 }
 
 fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem> {
-    let mut problems = parameter_problems(&format!("actions.{name}"), &action.parameters);
-    let SimulatedAction { duration_s: (least, greatest), failure_rate } = action.simulate;
+    let place = format!("actions.{name}");
+    let mut problems = parameter_problems(&place, &action.parameters);
+    problems.extend(result_problems(&place, &action.results));
+    for result in action.simulate.results.keys().filter(|result| !action.results.contains_key(*result)) {
+        let known = AllowedNames::suggest_for(result, action.results.keys());
+        problems.push(problem(format!("{place}.simulate.results.{result}"), format!("no such result; {known}")));
+    }
+    for name in action.results.keys().filter(|name| action.parameters.contains_key(*name)) {
+        problems.push(problem(format!("{place}.results.{name}"), "a parameter has the same name"));
+    }
+    let SimulatedAction { duration_s: (least, greatest), failure_rate, .. } = action.simulate;
     if !(0.0..=greatest).contains(&least) || !greatest.is_finite() {
         let allowed = "allowed are two numbers of seconds, the second not less than the first";
         problems.push(problem(format!("actions.{name}.simulate.duration_s"), allowed));
@@ -215,10 +246,49 @@ fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem>
     problems
 }
 
+/// Returns what the simulator does with the goals of an action, with all its results.
+fn simulated(action: &ActionForm) -> SimulatedAction {
+    let mut simulate = action.simulate.clone();
+    for (name, result) in &action.results {
+        simulate.results.entry(name.clone()).or_insert_with(|| result.simulated());
+    }
+    simulate
+}
+
+/// Returns the action of a task, if it has one of this domain.
+fn action_of<'a>(form: &'a DomainForm, task: &TaskForm) -> Option<&'a ActionForm> {
+    form.actions.get(task.action.as_ref()?)
+}
+
+fn declared_by(form: &DomainForm, task: &TaskForm, domain: Option<DomainReference>) -> DeclaredBy {
+    DeclaredBy { results: task.results(action_of(form, task)).keys().cloned().collect(), domain }
+}
+
+fn result_problems(place: &str, results: &BTreeMap<String, ParameterForm>) -> Vec<DomainProblem> {
+    let mut problems = value_problems(&format!("{place}.results"), results);
+    for (name, result) in results {
+        let place = format!("{place}.results.{name}");
+        if matches!(result.kind, ParameterKind::Place | ParameterKind::Role) {
+            problems.push(problem(&place, "allowed are seconds, number, integer, bool and text"));
+        }
+        if result.optional {
+            problems.push(problem(&place, "a result is not `optional`"));
+        }
+    }
+    if results.len() > RESULTS_MAX {
+        problems.push(problem(place, format!("{} results; at most {RESULTS_MAX} are allowed", results.len())));
+    }
+    problems
+}
+
 fn parameter_problems(place: &str, parameters: &BTreeMap<String, ParameterForm>) -> Vec<DomainProblem> {
+    value_problems(&format!("{place}.parameters"), parameters)
+}
+
+fn value_problems(place: &str, values: &BTreeMap<String, ParameterForm>) -> Vec<DomainProblem> {
     let mut problems = vec![];
-    for (name, parameter) in parameters {
-        let place = format!("{place}.parameters.{name}");
+    for (name, parameter) in values {
+        let place = format!("{place}.{name}");
         let is_number = matches!(parameter.kind, ParameterKind::Number | ParameterKind::Integer);
         let has_range = parameter.minimum.is_some() || parameter.maximum.is_some();
         if has_range && !is_number {
@@ -243,6 +313,7 @@ fn parameter_problems(place: &str, parameters: &BTreeMap<String, ParameterForm>)
 fn task_problems(form: &DomainForm, name: &TaskType, task: &TaskForm) -> Vec<DomainProblem> {
     let place = format!("tasks.{name}");
     let mut problems = parameter_problems(&place, &task.parameters);
+    problems.extend(result_problems(&place, &task.results));
     if standard_types().get(name).is_some() {
         problems.push(problem(&place, "the standard domain has a task type of this name"));
     }
@@ -296,8 +367,9 @@ fn tree_of(
         (Some(action), None) => {
             let parameters = form.actions.get(action).map(|declared| &declared.parameters);
             let shared = task.parameters.keys().filter(|name| parameters.is_some_and(|own| own.contains_key(*name)));
-            let leaf =
-                shared.fold(NodeSpec::new(action.as_str()), |leaf, name| leaf.port(name, &format!("{{{name}}}")));
+            let results = form.actions.get(action).map(|declared| &declared.results);
+            let bound = shared.chain(results.into_iter().flat_map(BTreeMap::keys));
+            let leaf = bound.fold(NodeSpec::new(action.as_str()), |leaf, name| leaf.port(name, &format!("{{{name}}}")));
             Ok(Some(TreeSpec::single(name.as_str(), leaf)))
         }
         (None, Some(file)) => {

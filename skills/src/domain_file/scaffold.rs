@@ -57,7 +57,7 @@ fn with_action(mut form: DomainForm, action: ActionName, task_type: TaskType, us
     let simulate = SimulatedAction { duration_s: DURATION_S, ..SimulatedAction::default() };
     let own = ActionForm { parameters: parameters.clone(), simulate, ..ActionForm::default() };
     form.actions.insert(action.clone(), own);
-    let task = TaskForm { description: String::new(), parameters, action: Some(action), tree: None, estimate: None };
+    let task = TaskForm { parameters, action: Some(action), ..TaskForm::default() };
     form.tasks.insert(task_type, task);
     form
 }

@@ -51,7 +51,7 @@ impl RobotActions for InstantRobot {
         GoalId(self.0.len() as u64)
     }
     fn status(&self, _: GoalId) -> Option<GoalStatus> {
-        Some(GoalStatus::Succeeded)
+        Some(GoalStatus::succeeded())
     }
     fn cancel(&mut self, _: GoalId) {}
     fn telemetry(&self) -> Option<&Telemetry> {
@@ -85,6 +85,42 @@ fn a_declared_task_sends_the_goals_of_its_actions() {
     let too_much = library.load(&task("water_plant", &[("litres", "9")]), &SkillContext::default());
     let problem = too_much.err().unwrap().to_string();
     assert!(problem.contains("allowed is 0 to 5"), "{problem}");
+}
+
+/// A robot refuses a task that was made with another content of the file.
+#[test]
+fn the_content_of_a_domain_is_compared_without_texts_for_people() {
+    let domain = check(PLANTS).unwrap();
+    let described = check(&PLANTS.replace("watering plants", "water for plants")).unwrap();
+    assert_eq!(domain.reference(), described.reference());
+    let changed = check(&PLANTS.replace("4.0 + 2.0", "5.0 + 2.0")).unwrap();
+    assert_ne!(domain.reference(), changed.reference());
+
+    let types: BTreeMap<TaskType, TaskSchema> = changed.task_types().collect();
+    let made = TaskSpec { domain: types[&"look".parse::<TaskType>().unwrap()].domain.clone(), ..task("look", &[]) };
+    assert_eq!(made.domain, Some(changed.reference()));
+    let (mut library, at) = (SkillLibrary::standard(Environment::new()), "A".parse::<PlaceId>().unwrap());
+    domain.extend_library(&mut library).unwrap();
+    let refused = library.load(&made, &SkillContext::default()).err().unwrap().to_string();
+    let estimator = domain.extend_descriptors(DescriptorRegistry::new()).resolve(Environment::new());
+    assert!(estimator.is_err(), "its routes are missing");
+    let map = TopologicalMap { places: BTreeMap::from([(at.clone(), Pose::new(0.0, 0.0, 0.0))]), edges: vec![] };
+    let environment = Environment::new().with(Routes::new(&map).unwrap());
+    let estimator = domain.extend_descriptors(DescriptorRegistry::new()).resolve(environment).unwrap();
+    let context = EstimateContext {
+        place: at,
+        pose: None,
+        speed: MetresPerSecond::new(0.5).unwrap(),
+        discharge: SharePerSecond::new(0.001).unwrap(),
+        closed: vec![],
+    };
+    let priced = estimator.estimate(&made, &context).unwrap_err().to_string();
+    for problem in [refused, priced] {
+        let expected =
+            format!("the mission has look of the domain {}, and this node has the domain ", changed.reference());
+        assert!(problem.starts_with(&expected) && problem.ends_with("their files differ"), "{problem}");
+    }
+    assert!(library.load(&task("look", &[]), &SkillContext::default()).is_ok(), "a task without a domain");
 }
 
 #[test]

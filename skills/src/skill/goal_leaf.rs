@@ -1,7 +1,10 @@
 //! The leaf that sends a goal, tracks it, and cancels it on halt.
 
-use crate::actions::{Goal, GoalId, GoalStatus};
-use crate::bt::{Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, Registry, RegistryError};
+use crate::actions::{Goal, GoalId, GoalResult, GoalStatus};
+use crate::bt::{
+    Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, PortType, Registry, RegistryError, Value,
+};
+use consort_protocol::mission::ResultValue;
 use std::sync::Arc;
 
 type MakeGoal = dyn Fn(&mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync;
@@ -12,6 +15,8 @@ type MakeGoal = dyn Fn(&mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send +
 /// rejects a second goal.
 pub struct GoalLeaf {
     make: Arc<MakeGoal>,
+    /// Output ports for the values of the result, with their types.
+    results: Arc<[(String, PortType)]>,
     goal: Option<GoalId>,
 }
 
@@ -29,9 +34,31 @@ impl GoalLeaf {
     where
         C: Clone + Send + Sync + 'static,
     {
+        GoalLeaf::register_with_results(registry, id, ports, [], make)
+    }
+
+    /// Same as [`register`](Self::register), for an action with results: each is written to the output
+    /// port of its name.
+    ///
+    /// # Errors
+    /// [`RegistryError`] if the name is in use.
+    pub fn register_with_results<C>(
+        registry: &mut Registry<C>,
+        id: &str,
+        ports: impl IntoIterator<Item = PortSpec>,
+        results: impl IntoIterator<Item = (String, PortType)>,
+        make: impl Fn(&C, &mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync + Clone + 'static,
+    ) -> Result<(), RegistryError>
+    where
+        C: Clone + Send + Sync + 'static,
+    {
+        let results: Arc<[(String, PortType)]> = results.into_iter().collect();
+        let outputs = results.iter().map(|(name, port_type)| PortSpec::output(name, *port_type).optional());
+        let ports = ports.into_iter().chain(outputs).collect::<Vec<_>>();
         registry.register(NodeManifest::new(id, NodeKind::Action, ports), move |context: &C| {
             let (make, context) = (make.clone(), context.clone());
-            Box::new(GoalLeaf::new(move |leaf| make(&context, leaf)))
+            let leaf = GoalLeaf::new(move |leaf| make(&context, leaf));
+            Box::new(GoalLeaf { results: Arc::clone(&results), ..leaf })
         })
     }
 
@@ -39,7 +66,7 @@ impl GoalLeaf {
     pub(super) fn new(
         make: impl Fn(&mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync + 'static,
     ) -> GoalLeaf {
-        GoalLeaf { make: Arc::new(make), goal: None }
+        GoalLeaf { make: Arc::new(make), results: Arc::new([]), goal: None }
     }
 
     fn begin(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
@@ -47,27 +74,43 @@ impl GoalLeaf {
             return Ok(NodeStatus::Running);
         }
         let goal = (self.make)(context)?;
-        if !goal.is_repeatable() && context.actions().take_completed(&goal) {
-            return Ok(NodeStatus::Success);
+        if !goal.is_repeatable()
+            && let Some(result) = context.actions().take_completed(&goal)
+        {
+            return self.complete(&result, context);
         }
         let id = context.actions().send_goal(goal);
         self.goal = Some(id);
         match context.actions().status(id) {
             None => Ok(NodeStatus::Running),
-            Some(status) => self.follow(status),
+            Some(status) => self.follow(status, context),
         }
     }
 
-    fn follow(&mut self, status: GoalStatus) -> Result<NodeStatus, Cause> {
+    fn follow(&mut self, status: GoalStatus, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
         if status.is_final() {
             self.goal = None;
         }
         match status {
             GoalStatus::Sent | GoalStatus::Executing(_) => Ok(NodeStatus::Running),
-            GoalStatus::Succeeded => Ok(NodeStatus::Success),
+            GoalStatus::Succeeded(result) => self.complete(&result, context),
             GoalStatus::Canceled => Err(Cause::new("it was canceled from outside")),
             GoalStatus::Aborted(error) => Err(Cause::from(error)),
         }
+    }
+
+    /// Writes the values of the result to their ports.
+    fn complete(&self, result: &GoalResult, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
+        for (name, port_type) in &*self.results {
+            let problem = |problem: String| Cause::new(format!("the result `{name}` {problem}"));
+            let value = result.0.get(name).ok_or_else(|| problem("is missing".to_owned()))?;
+            let value = ResultValue::from_json(value)
+                .ok_or_else(|| problem(format!("is {value}; allowed is a boolean, a number or a text")))?;
+            let value =
+                Value::from(value).convert(*port_type).map_err(|error| problem(format!("is wrong: {error}")))?;
+            context.write(name, value)?;
+        }
+        Ok(NodeStatus::Success)
     }
 }
 
@@ -75,7 +118,7 @@ impl Leaf for GoalLeaf {
     fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
         let Some(goal) = self.goal else { return self.begin(context) };
         match context.actions().status(goal) {
-            Some(status) => self.follow(status),
+            Some(status) => self.follow(status, context),
             None => {
                 self.goal = None;
                 Err(Cause::new(format!("the robot no longer reports goal {}", goal.0)))

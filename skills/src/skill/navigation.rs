@@ -102,7 +102,7 @@ impl NavigateToPose {
                 self.drive = Some(drive);
                 Ok(NodeStatus::Running)
             }
-            Some(GoalStatus::Succeeded) => match self.detour.pop_front() {
+            Some(GoalStatus::Succeeded(_)) => match self.detour.pop_front() {
                 Some(next) => self.start_leg(context, next),
                 None => Ok(NodeStatus::Success),
             },

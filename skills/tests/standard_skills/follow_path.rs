@@ -12,14 +12,14 @@ fn follow(waypoints: &str) -> TaskSpec {
 #[test]
 fn a_path_is_a_single_goal_with_poses_facing_along_the_path() {
     let mut driver = ScriptedDriver::at("A");
-    assert_eq!(run(&mut skill(&follow("0,5; 3,5;3,1")), &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill(&follow("0,5; 3,5;3,1")), &mut driver), succeeded());
     let pose = |x, y, yaw| Waypoint { pose: Pose::new(x, y, yaw), place: None };
     let quarter = std::f64::consts::FRAC_PI_2;
     let waypoints = vec![pose(0.0, 5.0, 0.0), pose(3.0, 5.0, -quarter), pose(3.0, 1.0, -quarter)];
     assert_eq!(driver.goals(), [Goal::FollowWaypoints { waypoints }]);
     // A single point keeps the direction of arrival: north, from A at the origin.
     let mut driver = ScriptedDriver::at("A");
-    assert_eq!(run(&mut skill(&follow("0,5")), &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill(&follow("0,5")), &mut driver), succeeded());
     assert_eq!(driver.goals(), [Goal::FollowWaypoints { waypoints: vec![pose(0.0, 5.0, quarter)] }]);
 }
 
@@ -44,7 +44,7 @@ fn a_halted_path_is_canceled_and_starts_again() {
     skill.halt(&mut driver);
     assert!(driver.is_canceling());
     driver.complete_cancel();
-    assert_eq!(run(&mut skill, &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
     assert_eq!(driver.sent(), ["follow 2 waypoints", "follow 2 waypoints"]);
 }
 
@@ -76,12 +76,12 @@ fn docking_and_grasping_send_the_goals_of_the_task() {
         (task("grasp", &[("object", "tray-1")]), Goal::Grasp { object: "tray-1".to_owned() }),
     ] {
         let mut driver = ScriptedDriver::at("A");
-        assert_eq!(run(&mut skill(&task), &mut driver), SkillStatus::Succeeded);
+        assert_eq!(run(&mut skill(&task), &mut driver), succeeded());
         assert_eq!(driver.goals(), [goal]);
     }
     // An object is taken once.
     let object = "tray-1".to_owned();
     let mut driver = ScriptedDriver::at("A").with_completed(Goal::Grasp { object });
-    assert_eq!(run(&mut skill(&task("grasp", &[("object", "tray-1")])), &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill(&task("grasp", &[("object", "tray-1")])), &mut driver), succeeded());
     assert!(driver.goals().is_empty());
 }

@@ -5,7 +5,7 @@ use super::*;
 /// Returns the goals of a task that succeeds.
 fn sent(task: &TaskSpec) -> Vec<String> {
     let mut driver = ScriptedDriver::at("A");
-    assert_eq!(run(&mut skill(task), &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill(task), &mut driver), succeeded());
     driver.sent()
 }
 
@@ -42,7 +42,7 @@ fn an_unnamed_person_is_an_error() {
 fn an_approach_is_tried_again_after_a_pause() {
     let mut driver = ScriptedDriver::at("A").with_results([away("nurse is not at A"), Ok(()), Ok(())]);
     let task = task("approach_person", &[("person_role", "nurse")]);
-    assert_eq!(run(&mut skill(&task), &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill(&task), &mut driver), succeeded());
     assert_eq!(driver.sent(), ["approach person nurse", "wait 1.00 s", "approach person nurse"]);
 }
 
@@ -81,14 +81,14 @@ fn an_absent_person_is_awaited_until_the_timeout() {
         let nurse = ("person_role", "nurse");
         let usual = task(task_type, &[nurse]);
         let (ended, sent) = waited(&usual, 120);
-        assert_eq!(ended, SkillStatus::Succeeded, "she is back after two minutes");
+        assert_eq!(ended, succeeded(), "she is back after two minutes");
         assert_eq!(sent.iter().filter(|sent| *sent == "wait 1.00 s").count(), 120);
         assert_eq!(sent.iter().filter(|sent| *sent == goal).count(), 121);
         let (ended, sent) = waited(&usual, 121);
         assert_eq!(ended, failed(&format!("{leaf}: out of reach: not here; waited for 120 s")));
         assert_eq!(sent.len(), 241);
         let hurried = task(task_type, &[nurse, ("timeout_s", "2.5")]);
-        assert_eq!(waited(&hurried, 2).0, SkillStatus::Succeeded);
+        assert_eq!(waited(&hurried, 2).0, succeeded());
         assert_eq!(waited(&hurried, 3).0, failed(&format!("{leaf}: out of reach: not here; waited for 2 s")));
         let busy = task(task_type, &[nurse, ("timeout_s", "0")]);
         assert_eq!(waited(&busy, 1), (failed(&format!("{leaf}: out of reach: not here")), vec![goal.to_owned()]));
@@ -105,7 +105,7 @@ fn a_wait_for_a_person_can_be_halted() {
     assert_eq!(driver.sent(), ["approach person nurse", "wait 1.00 s"]);
     skill.halt(&mut driver);
     driver.complete_cancel();
-    assert_eq!(run(&mut skill, &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
     assert_eq!(driver.sent(), ["approach person nurse", "wait 1.00 s", "approach person nurse"]);
 }
 
@@ -141,7 +141,7 @@ fn a_halted_skill_sends_again_after_the_cancel_completes() {
     assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
     assert_eq!(driver.sent(), ["drawer true"]);
     driver.complete_cancel();
-    assert_eq!(run(&mut skill, &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
     assert_eq!(driver.sent(), ["drawer true", "drawer true"]);
 }
 
@@ -150,16 +150,16 @@ fn a_completed_goal_is_not_repeated() {
     let pick_up = task("pick_up", &[("from_role", "r1")]);
     let from = |robot: &str| Goal::PickUp { from: RobotId::new(robot).unwrap() };
     let mut driver = ScriptedDriver::at("A").with_completed(from("ada"));
-    assert_eq!(run(&mut skill(&pick_up), &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill(&pick_up), &mut driver), succeeded());
     assert_eq!(driver.sent(), [""; 0]);
     // Once for each completion.
-    assert_eq!(run(&mut skill(&pick_up), &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill(&pick_up), &mut driver), succeeded());
     assert_eq!(driver.sent(), ["pick up from ada"]);
     let mut driver = ScriptedDriver::at("A").with_completed(from("arm"));
-    assert_eq!(run(&mut skill(&pick_up), &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill(&pick_up), &mut driver), succeeded());
     assert_eq!(driver.sent(), ["pick up from ada"], "from somebody else");
     // A repeatable goal is sent again.
     let mut driver = ScriptedDriver::at("A").with_completed(Goal::OperateDrawer { open: true });
-    assert_eq!(run(&mut skill(&task("operate_drawer", &[("action", "open")])), &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill(&task("operate_drawer", &[("action", "open")])), &mut driver), succeeded());
     assert_eq!(driver.sent(), ["drawer true"]);
 }

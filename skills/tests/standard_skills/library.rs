@@ -132,7 +132,7 @@ fn users_add_skills_of_custom_and_standard_leaves() {
     assert!(library.task_types().any(|known| known.as_str() == "serenade"));
     let mut skill = library.load(&task("serenade", &[("to", "nurse")]), &context()).unwrap_or_else(|e| panic!("{e}"));
     let mut driver = ScriptedDriver::at("A");
-    assert_eq!(run(&mut skill, &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
     assert_eq!(driver.sent(), ["approach person nurse"]);
 }
 
@@ -153,9 +153,9 @@ fn scripts_read_the_parameters_of_the_task() {
         let status = run(&mut skill, &mut driver);
         (status, driver.sent().len())
     };
-    assert_eq!(ended("false", "3"), (SkillStatus::Succeeded, 1));
-    assert_eq!(ended("true", "3"), (SkillStatus::Succeeded, 0), "a skipped tree is a success");
-    assert_eq!(ended("false", "4"), (SkillStatus::Succeeded, 0));
+    assert_eq!(ended("false", "3"), (succeeded(), 1));
+    assert_eq!(ended("true", "3"), (succeeded(), 0), "a skipped tree is a success");
+    assert_eq!(ended("false", "4"), (succeeded(), 0));
     let (status, sent) = ended("maybe", "3");
     let expected = "mine.xml:1: mine/Wait: script `_skipIf`: `urgent == true || count > 3`: \"maybe\" is not true or false: allowed are true and false";
     assert_eq!((status, sent), (failed(expected), 0));

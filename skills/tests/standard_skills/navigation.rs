@@ -5,7 +5,7 @@ use super::*;
 #[test]
 fn a_drive_goes_leg_by_leg_along_the_shortest_route() {
     let mut driver = ScriptedDriver::at("A");
-    assert_eq!(run(&mut skill(&task("navigation", &[("to", "C")])), &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill(&task("navigation", &[("to", "C")])), &mut driver), succeeded());
     assert_eq!(driver.sent(), ["drive B 10", "drive C 20"]);
 }
 
@@ -13,7 +13,7 @@ fn a_drive_goes_leg_by_leg_along_the_shortest_route() {
 fn a_robot_at_the_destination_does_not_drive() {
     let mut driver = ScriptedDriver::at("B");
     let mut skill = skill(&task("navigation", &[("to", "B")]));
-    assert_eq!(skill.tick(&mut driver), SkillStatus::Succeeded, "at the first tick");
+    assert_eq!(skill.tick(&mut driver), succeeded(), "at the first tick");
     assert_eq!(driver.sent(), Vec::<String>::new());
 }
 
@@ -42,7 +42,7 @@ fn a_halted_drive_cancels_its_leg_and_resumes_where_it_stopped() {
     driver.set_position(14.0, place("B"));
     driver.complete_cancel();
     assert!(skill.cancels_complete(&driver));
-    assert_eq!(run(&mut skill, &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
     assert_eq!(driver.sent(), ["drive B 10", "drive C 20", "drive C 20"]);
 }
 
@@ -88,7 +88,7 @@ fn a_goal_canceled_from_outside_fails_the_skill() {
 #[test]
 fn a_wait_takes_the_requested_time() {
     let mut driver = ScriptedDriver::at("A");
-    assert_eq!(run(&mut skill(&task("wait", &[("seconds", "2.5")])), &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill(&task("wait", &[("seconds", "2.5")])), &mut driver), succeeded());
     assert_eq!(driver.sent(), ["wait 2.50 s"]);
 }
 
@@ -101,7 +101,7 @@ fn a_resumed_drive_is_planned_from_the_stopping_point() {
     assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
     driver.set_position(10.0, place("B"));
     driver.complete_cancel();
-    assert_eq!(skill.tick(&mut driver), SkillStatus::Succeeded);
+    assert_eq!(skill.tick(&mut driver), succeeded());
     assert_eq!(driver.sent(), ["drive B 10"], "it rolled on to B while it stopped");
 }
 
@@ -124,7 +124,7 @@ fn blocked() -> Result<(), ActionError> {
 fn a_blocked_drive_takes_another_route() {
     let mut driver = ScriptedDriver::at("A").with_results([Ok(()), blocked()]);
     let mut skill = ring().load(&task("navigation", &[("to", "C")]), &context()).unwrap();
-    assert_eq!(run(&mut skill, &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
     assert_eq!(driver.sent(), ["drive B 10", "drive C 20", "drive A 0", "drive E 15", "drive C 20"]);
 }
 
@@ -133,10 +133,10 @@ fn known_closed_lanes_are_avoided() {
     let mut driver = ScriptedDriver::at("A").with_results([blocked()]);
     let ring = ring();
     let mut first = ring.load(&task("navigation", &[("to", "B")]), &context()).unwrap();
-    assert_eq!(run(&mut first, &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut first, &mut driver), succeeded());
     assert_eq!(driver.sent(), ["drive B 10", "drive E 15", "drive C 20", "drive B 10"]);
     let mut back = ring.load(&task("navigation", &[("to", "A")]), &context()).unwrap();
-    assert_eq!(run(&mut back, &mut driver), SkillStatus::Succeeded);
+    assert_eq!(run(&mut back, &mut driver), succeeded());
     assert_eq!(driver.sent()[4..], ["drive C 20", "drive E 15", "drive A 0"]);
 }
 

@@ -2,7 +2,9 @@
 
 use super::{PlaceId, Pose, place};
 use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalId, GoalStatus, RobotActions, Telemetry};
+use consort_skills::actions::{
+    ActionError, ErrorCode, Feedback, Goal, GoalId, GoalResult, GoalStatus, RobotActions, Telemetry,
+};
 use std::collections::VecDeque;
 
 /// Executes a single goal at a time, and is slow to stop: a canceled goal ends only when the test
@@ -89,7 +91,7 @@ impl ScriptedDriver {
                 if let Goal::NavigateToPose { pose, place: Some(place) } = goal {
                     (self.telemetry.pose, self.telemetry.place) = (*pose, place.clone());
                 }
-                GoalStatus::Succeeded
+                GoalStatus::succeeded()
             }
         };
     }
@@ -142,8 +144,8 @@ impl RobotActions for ScriptedDriver {
         Some(&self.telemetry)
     }
 
-    fn take_completed(&mut self, goal: &Goal) -> bool {
+    fn take_completed(&mut self, goal: &Goal) -> Option<GoalResult> {
         let completed = self.completed.iter().position(|completed| completed == goal);
-        completed.map(|index| self.completed.remove(index)).is_some()
+        completed.map(|index| self.completed.remove(index)).map(|_| GoalResult::default())
     }
 }

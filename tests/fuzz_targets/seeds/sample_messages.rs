@@ -1,7 +1,7 @@
 //! Messages of a fleet that carries out a mission.
 
 use super::fleet;
-use consort_fleet::robot::{AlternativeProgress, Checkpoint};
+use consort_fleet::robot::{Checkpoint, OwnProgress};
 use consort_fleet::robot_driver::{
     DriverCommand, DriverState, GoalRequest, Permit, PersonCommand, PersonEvent, PersonRequestState, StateStamp,
 };
@@ -16,12 +16,13 @@ use consort_protocol::message::{
     ActiveMissions, ActivePlan, AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope,
     Exchange, FailureKind, MissionsChanged, RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
 };
-use consort_protocol::plan::{LocalPlan, StepAction, StepIndex};
+use consort_protocol::mission::{ResultValue, TaskOutcome, TaskOutcomes};
+use consort_protocol::plan::{LocalPlan, StepAction};
 use consort_protocol::pose::Pose;
 use consort_protocol::trust::{Fingerprint, MessageKind, SIGNATURE_BYTES, SignedEnvelope, encode_envelope};
 use consort_protocol::units::{BatteryShare, Seconds, SharePerSecond};
 use consort_protocol::versions::VersionRange;
-use consort_skills::actions::{Goal, GoalId, GoalStatus};
+use consort_skills::actions::{Goal, GoalId, GoalResult, GoalStatus};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Debug;
@@ -128,6 +129,11 @@ fn award(role: &str, plan: LocalPlan) -> Award {
     }
 }
 
+fn outcomes() -> TaskOutcomes {
+    let results = BTreeMap::from([("pulse_bpm".to_owned(), ResultValue::Integer(70))]);
+    BTreeMap::from([(slug("measure"), TaskOutcome::Done(results)), (slug("attend"), TaskOutcome::Skipped)])
+}
+
 fn report() -> Report {
     Report {
         robot: slug("ada"),
@@ -137,6 +143,7 @@ fn report() -> Report {
         epoch: EPOCH,
         branch: Branch::default(),
         ended: BTreeSet::from([0, 1]),
+        outcomes: outcomes(),
         current_task: Some(slug("navto_room")),
         place: Some(slug("Dock")),
         from_checkpoint: false,
@@ -155,8 +162,8 @@ fn state() -> DriverState {
         robot: slug("ada"),
         stamp: StateStamp { boot: 5, sequence: 4 },
         telemetry,
-        goals: vec![(GoalId(1), GoalStatus::Succeeded), (GoalId(2), GoalStatus::Sent)],
-        completed: vec![(GoalId(1), goal)],
+        goals: vec![(GoalId(1), GoalStatus::succeeded()), (GoalId(2), GoalStatus::Sent)],
+        completed: vec![(GoalId(1), goal, GoalResult::default())],
     }
 }
 
@@ -249,7 +256,14 @@ fn ledger_commands() -> Vec<Command> {
         Command::Submit(Box::new(fleet::submission())),
         Command::Award { mission: mission(), branch: Branch::default(), holders: given, auction: record },
         Command::Accept { mission: mission(), role: role.clone(), epoch, incarnation: 5, from_checkpoint: false },
-        Command::Progress { mission: mission(), role: role.clone(), epoch, branch: Branch::default(), ended },
+        Command::Progress {
+            mission: mission(),
+            role: role.clone(),
+            epoch,
+            branch: Branch::default(),
+            ended,
+            outcomes: outcomes(),
+        },
         Command::Release {
             mission: mission(),
             role,
@@ -274,6 +288,7 @@ pub(super) fn awards() -> Vec<Vec<u8>> {
             ended: BTreeSet::from([0]),
             holders: holders(),
             signals: BTreeSet::new(),
+            outcomes: outcomes(),
         };
         [frame(0, &encoded(&notice)), frame(1, &encoded(&renewed)), frame(2, &[])].concat()
     });
@@ -282,14 +297,8 @@ pub(super) fn awards() -> Vec<Vec<u8>> {
 
 pub(super) fn checkpoints() -> Vec<Vec<u8>> {
     let page = |(role, plan): (RoleId, LocalPlan)| {
-        let ended: BTreeSet<StepIndex> = BTreeSet::from([0]);
-        Checkpoint {
-            award: award(role.as_str(), plan),
-            ended,
-            alternatives: AlternativeProgress::default(),
-            first_goal: GoalId(3),
-        }
-        .encode()
+        let own = OwnProgress { ended: BTreeSet::from([0]), outcomes: outcomes(), ..OwnProgress::default() };
+        Checkpoint { award: award(role.as_str(), plan), own, first_goal: GoalId(3) }.encode()
     };
     plans().into_iter().map(page).collect()
 }

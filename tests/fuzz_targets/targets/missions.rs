@@ -27,9 +27,9 @@ fn instantiated(template: &MissionDocument) {
     let domain = hospital();
     let open = template.parameters().iter().filter(|(_, parameter)| parameter.default.is_none());
     let value = |kind: TemplateKind| match kind {
-        TemplateKind::Place => "IC Room 6",
-        TemplateKind::Seconds => "1",
-        TemplateKind::Text => "some text",
+        TemplateKind::Place | TemplateKind::Places => "IC Room 6",
+        TemplateKind::Seconds | TemplateKind::Number => "1",
+        TemplateKind::Text | TemplateKind::Texts => "some text",
     };
     let given: BTreeMap<String, String> =
         open.map(|(name, parameter)| (name.clone(), value(parameter.kind).to_owned())).collect();

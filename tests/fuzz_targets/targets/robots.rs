@@ -8,7 +8,7 @@ use consort_protocol::lease::{Action, Award, Event, LeaseTerms, RoleLease};
 use consort_protocol::message::{AwardNotice, ReportReply};
 use consort_protocol::plan::{ProgressError, StepIndex};
 use consort_protocol::units::NodeTime;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// A robot that receives awards and replies executes them as far as possible and not further.
@@ -71,9 +71,13 @@ fn go(mut sequencer: Sequencer) {
                 if number % 3 == 1 && sequencer.switch_to_alternative().is_some() {
                     continue;
                 }
-                sequencer.end_task(spot);
+                sequencer.end_task(spot, BTreeMap::new());
             }
-            Some(SequencerAction::SendSignal(_) | SequencerAction::SignalReceived(_)) => {}
+            Some(
+                SequencerAction::SendSignal(_) | SequencerAction::SignalReceived(_) | SequencerAction::TaskSkipped(_),
+            ) => {}
+            // The robot reports that the mission has failed.
+            Some(SequencerAction::ResultUnknown { .. }) => break,
             None => {
                 let ended: BTreeSet<StepIndex> = sequencer.ended().clone();
                 let (awaited, waits) = (sequencer.awaited_signals(), sequencer.awaits_ledger());
@@ -95,7 +99,7 @@ pub(super) fn checkpoint(bytes: &[u8]) -> bool {
     let Ok(page) = Checkpoint::decode(bytes, &ada) else { return false };
     assert_eq!(Checkpoint::decode(&page.encode(), &ada).expect("what was written can be read"), page);
     page.misses_ended_task(&(0..64).collect());
-    let Checkpoint { award, ended, alternatives: detours, .. } = page;
-    run_plan(Sequencer::resume(award.plan, &BTreeSet::new(), &ended, detours, award.holders));
+    let Checkpoint { award, own, .. } = page;
+    run_plan(Sequencer::resume(award.plan, &BTreeSet::new(), own, award.holders));
     true
 }

@@ -35,6 +35,7 @@ fn of(what: &EventKind) -> Option<String> {
         EventKind::Mission { mission, state, .. } => format!("{mission} is {}", state.as_str()),
         EventKind::TaskBegan { role, task, .. } => format!("{role} begins {task}"),
         EventKind::TaskEnded { role, task, .. } => format!("{role} has ended {task}"),
+        EventKind::TaskSkipped { role, task, .. } => format!("{role} skips {task}"),
         EventKind::TaskFailed { role, task, cause, .. } => format!("{role} failed at {task}: {cause}"),
         EventKind::TaskRetried { role, task, cause, .. } => format!("{role} tries {task} again: {cause}"),
         EventKind::Alternative { role, task, .. } => format!("{role} takes an alternative to {task}"),

@@ -93,14 +93,14 @@ fn cannot_move() -> FactStep {
 fn goal_has_succeeded() -> FactStep {
     fact("the goal of {name} has succeeded", "the goal of amber has succeeded", |fixture, arguments| {
         let status = status(fixture, arguments)?;
-        expect_that(status == GoalStatus::Succeeded, || status_text(&status))
+        expect_that(status == GoalStatus::succeeded(), || status_text(&status))
     })
 }
 
 fn goal_took() -> FactStep {
     fact("the goal of {name} took {time} to {time}", "the goal of amber took 20 s to 25 s", |fixture, arguments| {
         let (status, robot) = (status(fixture, arguments)?, fixture.robot(arguments.value(0))?);
-        expect_that(status == GoalStatus::Succeeded, || status_text(&status))?;
+        expect_that(status == GoalStatus::succeeded(), || status_text(&status))?;
         let (id, since) = fixture.goals[&robot];
         let ended = fixture.journal().find_map(|entry| match &entry.event {
             WorldEvent::GoalEnded { robot: whose, id: which, .. } if *whose == robot && *which == id => {
@@ -284,7 +284,7 @@ fn status_text(status: &GoalStatus) -> String {
     match status {
         GoalStatus::Sent => "it has not begun".to_owned(),
         GoalStatus::Executing(feedback) => format!("it is at it; {:.1} m are left", feedback.distance_remaining.get()),
-        GoalStatus::Succeeded => "it has done it".to_owned(),
+        GoalStatus::Succeeded(_) => "it has done it".to_owned(),
         GoalStatus::Canceled => "it was canceled".to_owned(),
         GoalStatus::Aborted(why) => format!("it could not: {}", why.message),
     }

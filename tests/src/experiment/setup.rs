@@ -6,7 +6,7 @@ use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::TaskType;
 use consort_protocol::mission::{Domain, MissionTemplate};
 use consort_skills::descriptor::{Calibration, DescriptorRegistry, Estimator};
-use consort_skills::domain::hospital;
+use consort_skills::domain::{hospital, shipped_domain, standard_descriptors, standard_library};
 use consort_skills::library::SkillLibrary;
 use consort_skills::missions::shipped;
 use consort_world::map::Map;
@@ -92,9 +92,9 @@ impl ExperimentSetup {
         let resolve = |registry: DescriptorRegistry| {
             registry.resolve(environment.clone()).map(Arc::new).map_err(|error| single_error(error.to_string()))
         };
-        let standard = resolve(DescriptorRegistry::standard())?;
+        let standard = resolve(standard_descriptors())?;
         let estimator = match &calibration {
-            Some(calibration) => resolve(calibration.descriptors())?,
+            Some(calibration) => resolve(shipped_domain().extend_descriptors(calibration.descriptors()))?,
             None => Arc::clone(&standard),
         };
         Ok(ExperimentSetup {
@@ -107,7 +107,7 @@ impl ExperimentSetup {
             template,
             standard,
             estimator,
-            library: Arc::new(SkillLibrary::standard(environment)),
+            library: Arc::new(standard_library(environment)),
         })
     }
 }

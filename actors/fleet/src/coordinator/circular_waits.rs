@@ -109,8 +109,8 @@ mod tests {
                 let (role, incarnation, from_checkpoint) = (r1.clone(), 1, false);
                 let accept = Command::Accept { mission: mission.clone(), role, epoch, incarnation, from_checkpoint };
                 assert_eq!(ledger.apply(at(10 * number + 2), accept), CommandOutcome::Done);
-                let (role, ended) = (r1.clone(), BTreeSet::from([0]));
-                let progress = Command::Progress { mission: mission.clone(), role, epoch, branch, ended };
+                let (role, ended, outcomes) = (r1.clone(), BTreeSet::from([0]), BTreeMap::new());
+                let progress = Command::Progress { mission: mission.clone(), role, epoch, branch, ended, outcomes };
                 assert_eq!(ledger.apply(at(10 * number + 2), progress), CommandOutcome::Done);
             }
             let (cause, robot_failed, place) = ("silent".to_owned(), true, None);

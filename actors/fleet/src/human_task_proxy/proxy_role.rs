@@ -9,6 +9,7 @@ use consort_protocol::message::{ActivePlan, FailureKind, TaskFailure};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::{LocalPlan, ProgressError};
 use consort_skills::actions::{ActionError, GoalId};
+use std::collections::BTreeMap;
 
 /// Key of a role: mission and role.
 pub(super) type RoleKey = (MissionId, RoleId);
@@ -114,7 +115,7 @@ impl ProxyRole {
         let (mission, role) = key.clone();
         Some(match result {
             Ok(()) => {
-                self.sequencer.end_task(step);
+                self.sequencer.end_task(step, BTreeMap::new());
                 EventKind::TaskEnded { mission, role, task }
             }
             Err(problem) => {

@@ -9,7 +9,7 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{ClusterId, TaskId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Branch;
-use consort_protocol::message::{ActiveMissions, ActivePlan, ReportReply};
+use consort_protocol::message::{ActiveMissions, ActivePlan, FailureKind, ReportReply, TaskFailure};
 use consort_skills::actions::{ActionError, GoalId};
 use tracing::warn;
 
@@ -116,8 +116,9 @@ impl HumanTaskProxyState {
         let Some(proxied) = self.roles.get_mut(key).filter(|proxied| proxied.branch == branch) else { return };
         match reply {
             ReportReply::Ended { .. } => self.end_role_and_cancel(key),
-            ReportReply::Renewed { ended, signals, .. } => {
+            ReportReply::Renewed { ended, signals, outcomes, .. } => {
                 proxied.sequencer.set_recorded(&ended);
+                proxied.sequencer.set_recorded_outcomes(outcomes);
                 proxied.sequencer.receive_recorded(&signals);
                 self.advance(key).await;
             }
@@ -142,6 +143,19 @@ impl HumanTaskProxyState {
                 SequencerAction::SendSignal(signal) => {
                     self.signals.send(mission, &signal);
                     self.settings.events.publish(EventKind::Sent { mission: mission.clone(), signal });
+                }
+                SequencerAction::TaskSkipped(task) => {
+                    let (mission, role) = key.clone();
+                    self.settings.events.publish(EventKind::TaskSkipped { mission, role, task });
+                }
+                SequencerAction::ResultUnknown { task, cause } => {
+                    let (mission, role) = key.clone();
+                    proxied.failure = Some(TaskFailure {
+                        task: Some(task.clone()),
+                        cause: cause.clone(),
+                        kind: FailureKind::UnknownResult,
+                    });
+                    self.settings.events.publish(EventKind::TaskFailed { mission, role, task, cause });
                 }
                 SequencerAction::SignalReceived(signal) => {
                     self.settings.events.publish(EventKind::Received { mission: mission.clone(), signal });

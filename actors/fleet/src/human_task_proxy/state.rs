@@ -170,6 +170,7 @@ impl HumanTaskProxyState {
             epoch: Epoch::default(),
             branch,
             ended: proxied.sequencer.ended().clone(),
+            outcomes: proxied.sequencer.own_outcomes().clone(),
             current_task: proxied.sequencer.current_task().cloned(),
             place: None,
             from_checkpoint: false,

@@ -299,6 +299,7 @@ impl World {
             epoch: flight.epoch,
             branch: Branch::Main,
             ended: BTreeSet::new(),
+            outcomes: BTreeMap::new(),
             current_task: None,
             place: None,
             from_checkpoint: flight.from_checkpoint,

@@ -14,7 +14,7 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId, TaskId};
 use consort_protocol::lease::{Award, RoleHolder};
 use consort_protocol::message::{FailureKind, TaskFailure};
-use consort_protocol::mission::TaskSpec;
+use consort_protocol::mission::{ResultValue, TaskSpec};
 use consort_protocol::plan::{Signal, StepIndex};
 use consort_protocol::units::{NodeTime, WorldTime};
 use consort_skills::actions::GoalId;
@@ -90,6 +90,8 @@ pub(super) enum PlanAction {
     },
     /// Publish that an awaited signal has arrived.
     ReportReceived(Signal),
+    /// Give up the current task, which cannot start.
+    Fail(AttemptFailure),
 }
 
 /// Effect of a failure on the plan.
@@ -121,9 +123,8 @@ impl ActivePlan {
         let up_to_date = restored.as_ref().filter(|checkpoint| !checkpoint.misses_ended_task(recorded));
         let first_goal = up_to_date.map_or(next_goal, |checkpoint| checkpoint.first_goal);
         let is_stored = restored.is_some();
-        let (own, alternatives) =
-            restored.map(|checkpoint| (checkpoint.ended, checkpoint.alternatives)).unwrap_or_default();
-        let resumed = Sequencer::resume(award.plan.clone(), recorded, &own, alternatives, holders.clone());
+        let own = restored.map(|checkpoint| checkpoint.own).unwrap_or_default();
+        let resumed = Sequencer::resume(award.plan.clone(), recorded, own, holders.clone());
         let failure = resumed.as_ref().err().map(|problem| TaskFailure {
             task: None,
             cause: problem.to_string(),
@@ -171,6 +172,15 @@ impl ActivePlan {
                 }
                 SequencerAction::SendSignal(signal) => self.checkpoint.writer.queue(PendingOutput::Signal(signal)),
                 SequencerAction::SignalReceived(signal) => return Some(PlanAction::ReportReceived(signal)),
+                SequencerAction::TaskSkipped(task) => {
+                    let (mission, role) = self.mission_and_role();
+                    let event = EventKind::TaskSkipped { mission, role, task };
+                    self.checkpoint.writer.queue(PendingOutput::Event(event));
+                }
+                SequencerAction::ResultUnknown { cause, .. } => {
+                    let kind = FailureKind::UnknownResult;
+                    return Some(PlanAction::Fail(AttemptFailure { kind, cause, permanent: true }));
+                }
             }
         }
     }
@@ -180,10 +190,16 @@ impl ActivePlan {
         self.attempt.take_if(|attempt| attempt.skill.run() == run)
     }
 
-    /// Marks the current task as succeeded; later goals belong to the next task.
-    pub(super) fn end_task(&mut self, step: StepRef, task: TaskId, next_goal: GoalId) {
+    /// Marks the current task as succeeded, with its results; later goals belong to the next task.
+    pub(super) fn end_task(
+        &mut self,
+        step: StepRef,
+        task: TaskId,
+        results: BTreeMap<String, ResultValue>,
+        next_goal: GoalId,
+    ) {
         let (mission, role) = self.mission_and_role();
-        self.sequencer.end_task(step);
+        self.sequencer.end_task(step, results);
         self.checkpoint.first_goal = next_goal;
         self.checkpoint.writer.queue(PendingOutput::Event(EventKind::TaskEnded { mission, role, task }));
     }
@@ -251,9 +267,10 @@ impl ActivePlan {
         let ((mission, role), TaskFailure { task, cause, kind }) = (self.mission_and_role(), failure.clone());
         self.recovery.release = Some(PendingRelease::new(failure, now));
         match (kind, task) {
-            (FailureKind::Task | FailureKind::Crash | FailureKind::NoProgress, Some(task)) => {
-                EventKind::TaskFailed { mission, role, task, cause }
-            }
+            (
+                FailureKind::Task | FailureKind::Crash | FailureKind::NoProgress | FailureKind::UnknownResult,
+                Some(task),
+            ) => EventKind::TaskFailed { mission, role, task, cause },
             _ => EventKind::GaveUp { mission, role, kind, cause },
         }
     }
@@ -292,8 +309,8 @@ impl ActivePlan {
         if !self.checkpoint.writer.start_write() {
             return None;
         }
-        let (ended, alternatives) = (self.sequencer.ended().clone(), self.sequencer.alternative_progress().clone());
-        Some(Checkpoint { award: self.award.clone(), ended, alternatives, first_goal: self.checkpoint.first_goal })
+        let own = self.sequencer.own_progress();
+        Some(Checkpoint { award: self.award.clone(), own, first_goal: self.checkpoint.first_goal })
     }
 
     /// Ends the write of a checkpoint, which may belong to an earlier plan. Returns true if the
@@ -341,14 +358,14 @@ mod tests {
         assert_eq!(active.next_action(at(0)), None, "no checkpoint is stored");
         assert_eq!(write(&mut active).unwrap().first_goal, GoalId(100));
         let (step, task) = start_task(&mut active, at(0));
-        active.end_task(step, task, GoalId(103));
+        active.end_task(step, task, BTreeMap::new(), GoalId(103));
         assert_eq!(active.next_action(at(0)), None);
         let checkpoint = write(&mut active).unwrap();
-        assert_eq!((checkpoint.ended, checkpoint.first_goal), (BTreeSet::from([0]), GoalId(103)));
+        assert_eq!((checkpoint.own.ended, checkpoint.first_goal), (BTreeSet::from([0]), GoalId(103)));
         let Some(PlanAction::Emit(outputs)) = active.next_action(at(0)) else { panic!("the end of the task") };
         assert!(matches!(&outputs[..], [PendingOutput::Event(EventKind::TaskEnded { .. })]), "{outputs:?}");
         assert_eq!(active.next_action(at(0)), None, "the signal waits for the checkpoint");
-        assert_eq!(write(&mut active).unwrap().ended, BTreeSet::from([0, 1]));
+        assert_eq!(write(&mut active).unwrap().own.ended, BTreeSet::from([0, 1]));
         let Some(PlanAction::Emit(outputs)) = active.next_action(at(0)) else { panic!("the signal") };
         assert!(matches!(&outputs[..], [PendingOutput::Signal(_)]), "{outputs:?}");
         assert_eq!(start_task(&mut active, at(0)).1.as_str(), "return");

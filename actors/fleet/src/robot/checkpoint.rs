@@ -1,6 +1,6 @@
 //! The checkpoint of a robot: its award and its progress.
 
-use super::sequencer::AlternativeProgress;
+use super::sequencer::OwnProgress;
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::RobotId;
 use consort_protocol::lease::Award;
@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 
 /// First byte of an encoded checkpoint. Raised with each change of the layout: after an upgrade the
 /// robot cannot restore its role, and reports that it has lost it.
-const VERSION: u8 = 2;
+const VERSION: u8 = 3;
 
 /// Progress of a robot with an award. Signals sent are contained in `ended`, because sending a
 /// signal is a step.
@@ -19,10 +19,8 @@ const VERSION: u8 = 2;
 pub struct Checkpoint {
     /// The held award.
     pub award: Award,
-    /// Steps that have ended.
-    pub ended: BTreeSet<StepIndex>,
-    /// Alternatives that were tried or are in use.
-    pub alternatives: AlternativeProgress,
+    /// Progress in its plan.
+    pub own: OwnProgress,
     /// This goal of the driver and all later goals belong to steps that have not ended.
     pub first_goal: GoalId,
 }
@@ -60,7 +58,7 @@ impl Checkpoint {
             let step = self.award.plan.steps.get(**step as usize);
             step.is_some_and(|step| matches!(step.action, StepAction::Task { .. }))
         };
-        recorded.difference(&self.ended).any(|step| is_task(&step))
+        recorded.difference(&self.own.ended).any(|step| is_task(&step))
     }
 
     /// Returns the encoded checkpoint.
@@ -95,6 +93,10 @@ mod tests {
     use consort_protocol::lease::Epoch;
     use consort_protocol::plan::LocalPlan;
 
+    fn own(ended: &[StepIndex]) -> OwnProgress {
+        OwnProgress { ended: ended.iter().copied().collect(), ..OwnProgress::default() }
+    }
+
     fn checkpoint() -> Checkpoint {
         let role: consort_protocol::ids::RoleId = "r1".parse().unwrap();
         let plan: LocalPlan = serde_json::from_value(serde_json::json!({ "role": role, "steps": [] })).unwrap();
@@ -106,12 +108,7 @@ mod tests {
             plan,
             holders: std::collections::BTreeMap::new(),
         };
-        Checkpoint {
-            award,
-            ended: BTreeSet::from([0, 1]),
-            alternatives: AlternativeProgress::default(),
-            first_goal: GoalId(3),
-        }
+        Checkpoint { award, own: own(&[0, 1]), first_goal: GoalId(3) }
     }
 
     #[test]
@@ -128,8 +125,7 @@ mod tests {
         let step = |action: serde_json::Value| serde_json::json!({ "action": action, "after": [] });
         let steps = [step(task("go")), step(serde_json::json!({ "Wait": signal })), step(task("take"))];
         let plan = serde_json::from_value(serde_json::json!({ "role": role, "steps": steps })).unwrap();
-        let checkpoint =
-            Checkpoint { award: Award { plan, ..checkpoint().award }, ended: BTreeSet::from([0]), ..checkpoint() };
+        let checkpoint = Checkpoint { award: Award { plan, ..checkpoint().award }, own: own(&[0]), ..checkpoint() };
         let misses = |recorded: &[StepIndex]| checkpoint.misses_ended_task(&recorded.iter().copied().collect());
         assert_eq!([misses(&[]), misses(&[0]), misses(&[0, 1]), misses(&[0, 1, 2])], [false, false, false, true]);
     }
@@ -140,7 +136,7 @@ mod tests {
             |bytes: &[u8], robot: &str| Checkpoint::decode(bytes, &robot.parse().unwrap()).unwrap_err().to_string();
         let bytes = checkpoint().encode();
         assert_eq!(read(&[], "ada"), "an empty checkpoint");
-        assert_eq!(read(&[9, 1, 2], "ada"), "layout version 9; this release reads 2");
+        assert_eq!(read(&[9, 1, 2], "ada"), "layout version 9; this release reads 3");
         assert_eq!(read(&bytes, "bob"), "written by ada");
         for length in 1..bytes.len() {
             assert!(Checkpoint::decode(&bytes[..length], &"ada".parse().unwrap()).is_err(), "the first {length} bytes");

@@ -54,7 +54,7 @@ pub(crate) use actor::{Robot, RobotMessage};
 pub use bidder::{BidContext, Bidder};
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub(crate) use report::send_report;
-pub use sequencer::{AlternativeProgress, Sequencer, SequencerAction, StepRef};
+pub use sequencer::{AlternativeProgress, OwnProgress, Sequencer, SequencerAction, StepRef};
 pub(crate) use sequencer::{SignalEffect, StaleSignal};
 pub(crate) use settings::{ExecutionSettings, PricingSettings, RobotLinks, RobotSettings, RobotStart};
 pub(crate) use signals::{ReceivedSignals, SignalExchange, StaleSignals};

@@ -144,7 +144,7 @@ mod tests {
             RecoveryAction::Retry { attempt: 1 }
         );
         let (step, _) = start(&mut sequencer);
-        sequencer.end_task(step);
+        sequencer.end_task(step, BTreeMap::new());
         assert_eq!(start(&mut sequencer).1, "knock");
         assert_eq!(
             policy.next_action(failure(FailureKind::Task), &mut sequencer),

@@ -3,15 +3,17 @@
 
 use crate::robot_driver::RobotDriver;
 use consort_bus::tasks::Tasks;
+use consort_protocol::mission::ResultValue;
 use consort_skills::library::{ActiveSkill, SkillStatus};
 use ractor::{Actor, ActorCell, ActorId, ActorProcessingErr, ActorRef, SpawnErr};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// Outcome of a skill.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) enum SkillOutcome {
-    /// The skill has reached its goal.
-    Succeeded,
+    /// The skill has reached its goal, with the results of the task.
+    Succeeded(BTreeMap<String, ResultValue>),
     /// The skill has failed, with the cause.
     Failed(String),
 }
@@ -110,7 +112,7 @@ impl Actor for SkillRunner {
             RunnerMessage::Tick if !state.started => return Ok(()),
             RunnerMessage::Tick => match state.skill.tick(&mut state.driver) {
                 SkillStatus::Running => return Ok(()),
-                SkillStatus::Succeeded => Some(SkillOutcome::Succeeded),
+                SkillStatus::Succeeded(results) => Some(SkillOutcome::Succeeded(results)),
                 SkillStatus::Failed { cause } => Some(SkillOutcome::Failed(cause)),
             },
             RunnerMessage::Halt => {

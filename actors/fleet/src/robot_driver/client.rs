@@ -11,7 +11,7 @@ use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
 use consort_protocol::keys::{DriverCall, Key, Keys};
 use consort_protocol::units::NodeTime;
-use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotActions, Telemetry};
+use consort_skills::actions::{Goal, GoalId, GoalResult, GoalStatus, RobotActions, Telemetry};
 use ractor::{Actor, ActorCell, ActorProcessingErr, ActorRef};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -174,7 +174,7 @@ impl RobotActions for RobotDriver {
         self.telemetry.as_ref()
     }
 
-    fn take_completed(&mut self, goal: &Goal) -> bool {
+    fn take_completed(&mut self, goal: &Goal) -> Option<GoalResult> {
         self.lock().claim_completed(goal)
     }
 }

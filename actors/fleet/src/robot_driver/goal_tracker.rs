@@ -5,7 +5,7 @@ use super::messages::{DriverCommand, DriverState, GoalRequest, Permit};
 use super::state_order::StateOrder;
 use consort_protocol::lease::keep_for;
 use consort_protocol::units::NodeTime;
-use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalId, GoalStatus, Telemetry};
+use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalId, GoalResult, GoalStatus, Telemetry};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tokio::sync::watch;
@@ -29,7 +29,7 @@ pub(super) struct GoalTracker {
     canceled: BTreeSet<GoalId>,
     /// Completed goals that must not be repeated, including those of previous incarnations of this
     /// node.
-    done: BTreeMap<GoalId, Goal>,
+    done: BTreeMap<GoalId, (Goal, GoalResult)>,
     attempt: Attempt,
     /// Requests without a reply, in the order of sending.
     pending: Vec<GoalRequest>,
@@ -189,17 +189,15 @@ impl GoalTracker {
         }
     }
 
-    /// Checks whether an earlier attempt has completed this goal and the current attempt has not
+    /// Returns the result if an earlier attempt has completed this goal and the current attempt has not
     /// used that yet.
-    pub(super) fn claim_completed(&mut self, goal: &Goal) -> bool {
+    pub(super) fn claim_completed(&mut self, goal: &Goal) -> Option<GoalResult> {
         let Attempt { earlier, claimed } = &mut self.attempt;
-        let mut done = self.done.iter().filter(|(id, done)| earlier.contains(&id.0) && *done == goal);
-        let found = done.find(|(id, _)| !claimed.contains(id)).map(|(id, _)| *id);
-        if let Some(id) = found {
-            info!(?goal, "completed by an earlier attempt");
-            claimed.insert(id);
-        }
-        found.is_some()
+        let mut done = self.done.iter().filter(|(id, (done, _))| earlier.contains(&id.0) && done == goal);
+        let (id, (_, result)) = done.find(|(id, _)| !claimed.contains(id))?;
+        info!(?goal, "completed by an earlier attempt");
+        claimed.insert(*id);
+        Some(result.clone())
     }
 
     /// Applies a state of the server, which has arrived now. Returns true if requests should be sent
@@ -210,7 +208,7 @@ impl GoalTracker {
         }
         let (telemetry, arrived) = (state.telemetry, Instant::now());
         self.latest = Some(LatestState { telemetry, arrived, arrived_at: now });
-        self.done.extend(state.completed);
+        self.done.extend(state.completed.into_iter().map(|(id, goal, result)| (id, (goal, result))));
         while self.done.len() > GOALS_KEPT {
             self.done.pop_first();
         }
@@ -316,17 +314,17 @@ mod tests {
         // Goal 5 belongs to a task that has ended; 6 and 7 belong to a previous incarnation, and
         // 101 to this one.
         let done = [(5, "amber"), (6, "birch"), (7, "amber"), (101, "amber")];
-        let done = done.map(|(id, from)| (GoalId(id), pick_up(from)));
+        let done = done.map(|(id, from)| (GoalId(id), pick_up(from), GoalResult::default()));
         tracker.apply_state(DriverState { completed: done.to_vec(), ..state(1, &[]) }, at(0));
-        assert!(!tracker.claim_completed(&pick_up("amber")), "no attempt has started");
+        assert!(tracker.claim_completed(&pick_up("amber")).is_none(), "no attempt has started");
         let attempt = |next: u64| Attempt { earlier: 6..next, claimed: BTreeSet::new() };
         tracker.attempt = attempt(100);
-        assert!(!tracker.claim_completed(&pick_up("clove")));
-        assert_eq!([(); 2].map(|()| tracker.claim_completed(&pick_up("amber"))), [true, false]);
-        assert_eq!([(); 2].map(|()| tracker.claim_completed(&pick_up("birch"))), [true, false]);
+        assert!(tracker.claim_completed(&pick_up("clove")).is_none());
+        assert_eq!([(); 2].map(|()| tracker.claim_completed(&pick_up("amber")).is_some()), [true, false]);
+        assert_eq!([(); 2].map(|()| tracker.claim_completed(&pick_up("birch")).is_some()), [true, false]);
         tracker.attempt = attempt(102);
         assert_eq!(
-            [(); 3].map(|()| tracker.claim_completed(&pick_up("amber"))),
+            [(); 3].map(|()| tracker.claim_completed(&pick_up("amber")).is_some()),
             [true, true, false],
             "the third attempt"
         );
@@ -335,11 +333,11 @@ mod tests {
     #[test]
     fn a_goal_of_a_previous_incarnation_is_canceled() {
         let mut tracker = GoalTracker::new(100);
-        assert!(tracker.apply_state(state(1, &[(6, GoalStatus::Succeeded), (7, executing())]), at(0)));
+        assert!(tracker.apply_state(state(1, &[(6, GoalStatus::succeeded()), (7, executing())]), at(0)));
         assert_eq!(tracker.pending, [GoalRequest::Cancel { id: GoalId(7) }]);
         assert!(!tracker.goals[&GoalId(7)].is_final());
         tracker.pending.clear();
-        assert!(!tracker.apply_state(state(2, &[(6, GoalStatus::Succeeded), (7, GoalStatus::Canceled)]), at(0)));
+        assert!(!tracker.apply_state(state(2, &[(6, GoalStatus::succeeded()), (7, GoalStatus::Canceled)]), at(0)));
         assert!(tracker.goals.values().all(GoalStatus::is_final));
     }
 

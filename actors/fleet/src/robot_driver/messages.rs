@@ -2,7 +2,7 @@
 
 use super::state_order::StateStamp;
 use consort_protocol::ids::{RobotId, RoleId};
-use consort_skills::actions::{ActionError, Goal, GoalId, GoalStatus, PersonRequest, Telemetry};
+use consort_skills::actions::{ActionError, Goal, GoalId, GoalResult, GoalStatus, PersonRequest, Telemetry};
 use serde::{Deserialize, Serialize};
 
 /// Command from the driver client of a robot to its driver server. A command without a request is a
@@ -66,8 +66,8 @@ pub struct DriverState {
     pub telemetry: Telemetry,
     /// Latest goals, in the order of their ids.
     pub goals: Vec<(GoalId, GoalStatus)>,
-    /// Completed goals among them that must not be repeated.
-    pub completed: Vec<(GoalId, Goal)>,
+    /// Completed goals among them that must not be repeated, with their results.
+    pub completed: Vec<(GoalId, Goal, GoalResult)>,
 }
 
 /// Command about a person request: send, repeat or cancel it.

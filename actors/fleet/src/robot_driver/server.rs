@@ -345,9 +345,11 @@ impl DriverServerState {
             (id, self.world.status(robot, id).unwrap_or_else(|| GoalStatus::Aborted(unknown_goal())))
         };
         let goals: Vec<(GoalId, GoalStatus)> = self.goals.goals(robot)?.map(status).collect();
-        let succeeded = goals.iter().filter(|(_, status)| *status == GoalStatus::Succeeded);
-        let done = succeeded.filter_map(|(id, _)| Some((*id, self.world.goal(robot, *id)?)));
-        let done = done.filter(|(_, goal)| !goal.is_repeatable()).collect();
+        let completed = |(id, status): &(GoalId, GoalStatus)| match status {
+            GoalStatus::Succeeded(result) => Some((*id, self.world.goal(robot, *id)?, result.clone())),
+            _ => None,
+        };
+        let done = goals.iter().filter_map(completed).filter(|(_, goal, _)| !goal.is_repeatable()).collect();
         self.stamp.sequence += 1;
         self.goals.record_state(self.stamp, self.settings.clock.now());
         Some(DriverState { robot: robot.clone(), stamp: self.stamp, telemetry, goals, completed: done })

@@ -3,13 +3,13 @@
 use consort_protocol::auction::{AuctionRecord, Explanation, explain};
 use consort_protocol::ids::{MissionId, RoleId, TaskId};
 use consort_protocol::ledger::{Branch, HeldItem, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase, Tombstone};
-use consort_protocol::mission::{Mission, RoleKind, TaskBody, TaskIndex, TaskSpec};
+use consort_protocol::mission::{Mission, RoleKind, TaskBody, TaskIndex, TaskOutcome, TaskSpec};
 use consort_protocol::plan::{LocalPlan, Step, StepAction, StepIndex};
 use consort_protocol::view::{
     AuctionView, AuctionsView, MissionBrief, MissionProgress, MissionStatus, MissionSummary, MissionView, MissionsView,
     RequestTerms, RoleView, StepView, TaskParticipant, TaskProgress, TaskView,
 };
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum number of auctions in a view.
 const AUCTIONS_SHOWN: usize = 20;
@@ -48,6 +48,7 @@ pub(super) fn ended_mission(mission: MissionId, ended: &Tombstone) -> MissionVie
         status: MissionStatus::from((&ended.state, Branch::Main)),
         terms: RequestTerms { submitted_at_ms: ended.submitted_ms, ..RequestTerms::default() },
         progress: MissionProgress::default(),
+        result: BTreeMap::new(),
     };
     MissionView {
         brief,
@@ -75,6 +76,7 @@ fn brief(entry: &MissionEntry) -> MissionBrief {
             submitted_at_ms: entry.submission.at_ms,
         },
         progress: MissionProgress { holders: entry.holders(), items: items(entry), done, steps },
+        result: entry.results(),
     }
 }
 
@@ -142,7 +144,10 @@ fn task_tree(entry: &MissionEntry, mission: &Mission, index: TaskIndex) -> Optio
             let state = elementary(entry, &node.id, spec);
             let (task_type, parameters) = (spec.task_type.clone(), spec.parameters.clone());
             let roles = spec.roles.iter().map(|role| participant(entry, role)).collect();
-            (state, TaskView::Elementary { task, task_type, parameters, state, roles })
+            let outcome = entry.outcomes.get(&task);
+            let state = if outcome == Some(&TaskOutcome::Skipped) { TaskProgress::Skipped } else { state };
+            let results = outcome.and_then(TaskOutcome::results).cloned().unwrap_or_default();
+            (state, TaskView::Elementary { task, task_type, parameters, state, roles, results })
         }
     })
 }

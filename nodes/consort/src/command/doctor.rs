@@ -36,7 +36,7 @@ pub(crate) struct Args {
 /// [`Failure::Unsuccessful`] if there is any error; [`Failure::Usage`] of files and flags.
 pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     let target = match &args.config {
-        Some(file) => DiagnosisTarget::node(file, &args.client, &extensions.domain())?,
+        Some(file) => DiagnosisTarget::node(file, &args.client, extensions)?,
         None => DiagnosisTarget::client(args.client)?,
     };
     let mut printed = Ok(());

@@ -106,7 +106,7 @@ pub(super) struct NodeFlags {
 impl NodeFlags {
     /// Runs the node of a file, with flags overriding the file's values, or prints the effective
     /// configuration. Only the combined values are validated; `path` is the file in messages.
-    /// `wire` builds the node's parts, within the runtime.
+    /// `wire` builds the node's parts, within the runtime, with the fleet's domains.
     ///
     /// # Errors
     /// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails.
@@ -115,15 +115,15 @@ impl NodeFlags {
         path: Option<&Path>,
         mut file: C,
         extensions: Extensions,
-        wire: impl FnOnce(&C, &FleetConfig, NodeIncarnation) -> Result<NodeSettings, Diagnostics>,
+        wire: impl FnOnce(&C, &FleetConfig, Extensions, NodeIncarnation) -> Result<NodeSettings, Diagnostics>,
     ) -> Result<(), Failure> {
-        let domain = &extensions.domain();
         let surroundings = file.common_mut();
         self.store.apply(surroundings.data_dir);
         self.bus.apply(surroundings.bus);
         self.run.apply(surroundings.telemetry);
         *surroundings.dashboard = self.dashboard_flags.dashboard.or(*surroundings.dashboard);
-        let fleet = self.fleet.resolve(path, surroundings.fleet, domain)?;
+        let (fleet, extensions) = self.fleet.resolve(path, surroundings.fleet, extensions)?;
+        let domain = &extensions.domain();
         *surroundings.fleet = FleetRef::from(fleet.clone());
         finish_config(path, &mut file, domain)?;
         if self.run.print_config {
@@ -134,7 +134,7 @@ impl NodeFlags {
         node_runtime::run_node(self.run.until_stdin_closes, &surroundings, &fleet, || {
             let data_dir = surroundings.data_dir.as_deref();
             let incarnation = NodeIncarnation::start(&config_for_node.node(), &fleet, data_dir)?;
-            let settings = wire(&config_for_node, &fleet, incarnation)?;
+            let settings = wire(&config_for_node, &fleet, extensions, incarnation)?;
             let supported_versions = settings.supported_versions.up_to(self.newest_wire_version);
             Ok(NodeSettings { supported_versions, ..settings })
         })
@@ -265,15 +265,21 @@ struct FleetFlags {
 }
 
 impl FleetFlags {
-    /// Combines the fleet of the flags and of a node's file at `path`.
+    /// Combines the fleet of the flags and of a node's file at `path`, and reads its domains.
     ///
     /// # Errors
     /// [`Failure::Usage`] for an invalid fleet.
-    fn resolve(self, path: Option<&Path>, named: &FleetRef, domain: &Domain) -> Result<FleetConfig, Failure> {
+    fn resolve(
+        self,
+        path: Option<&Path>,
+        named: &FleetRef,
+        extensions: Extensions,
+    ) -> Result<(FleetConfig, Extensions), Failure> {
         let mut fleet = match &self.fleet {
             Some(path) => load_unchecked(path)?,
-            None => named.resolve(domain)?,
+            None => named.resolve_unchecked()?,
         };
+        let extensions = extensions.with_domains(&fleet.domains)?;
         set(&mut fleet.name, self.fleet_name);
         set(&mut fleet.map, self.map);
         set(&mut fleet.bootstrap_expect, self.bootstrap_expect);
@@ -289,8 +295,8 @@ impl FleetFlags {
         set(&mut fleet.lease.lease_ms, self.lease_ms);
         set(&mut fleet.lease.grace_ms, self.grace_ms);
         fleet.auction.window_ms = self.window_ms.or(fleet.auction.window_ms);
-        finish_config(self.fleet.as_deref().or(path), &mut fleet, domain)?;
-        Ok(fleet)
+        finish_config(self.fleet.as_deref().or(path), &mut fleet, &extensions.domain())?;
+        Ok((fleet, extensions))
     }
 }
 

@@ -93,7 +93,8 @@ async fn watch(client: &mut Client, options: ReadOptions, in_json: bool) -> Resu
 }
 
 fn row(mission: &MissionSummary) -> Vec<String> {
-    let MissionSummary { brief: MissionBrief { mission, status, terms, progress, .. }, pending_reason } = mission;
+    let MissionSummary { brief: MissionBrief { mission, status, terms, progress, result, .. }, pending_reason } =
+        mission;
     let why = pending_reason.clone().filter(|_| status.detail == MissionState::Pending);
     vec![
         mission.to_string(),
@@ -101,7 +102,11 @@ fn row(mission: &MissionSummary) -> Vec<String> {
         format!("{}/{}", progress.done, progress.steps),
         pairs(&terms.parameters),
         pairs(&progress.holders),
-        why.unwrap_or_else(|| detail(&status.detail).trim_start_matches(": ").to_owned()),
+        match why {
+            Some(why) => why,
+            None if status.detail == MissionState::Completed && !result.is_empty() => pairs(result),
+            None => detail(&status.detail).trim_start_matches(": ").to_owned(),
+        },
     ]
 }
 

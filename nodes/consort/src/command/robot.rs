@@ -94,7 +94,7 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     set(&mut robot.stationary, given.keeper.stationary);
     set(&mut robot.mains_powered, given.keeper.mains_powered);
     set(&mut robot.may_vote, given.keeper.vote.may_vote);
-    args.node.run(args.config.as_deref(), robot, extensions, |robot, fleet, incarnation| {
+    args.node.run(args.config.as_deref(), robot, extensions, |robot, fleet, extensions, incarnation| {
         robot_node(robot, fleet, incarnation, extensions)
     })
 }

@@ -55,7 +55,7 @@ pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     set(&mut station.stationary, given.keeper.stationary);
     set(&mut station.mains_powered, given.keeper.mains_powered);
     set(&mut station.may_vote, given.keeper.vote.may_vote);
-    args.node.run(args.config.as_deref(), station, extensions, |station, fleet, incarnation| {
+    args.node.run(args.config.as_deref(), station, extensions, |station, fleet, extensions, incarnation| {
         station_node(station, fleet, incarnation, extensions)
     })
 }

@@ -156,7 +156,7 @@ fn new_request_id() -> RequestId {
 async fn wait(client: &mut Client, id: &MissionId, in_json: bool) -> Result<(), Failure> {
     loop {
         let answer = client.api(ApiCall::Get, &MissionQuery { mission: id.clone(), linearizable: false }).await?;
-        let MissionView { brief: MissionBrief { status, progress, .. }, auction, .. } = read_answer(&answer)?;
+        let MissionView { brief: MissionBrief { status, progress, result, .. }, auction, .. } = read_answer(&answer)?;
         let state = status.detail.as_str().replace('_', " ");
         if !matches!(status.detail, MissionState::Pending | MissionState::Running) {
             client.progress().clear();
@@ -164,6 +164,9 @@ async fn wait(client: &mut Client, id: &MissionId, in_json: bool) -> Result<(), 
                 output::line(&answer)?;
             } else {
                 output::line(format_args!("{id} {state}"))?;
+                for (name, value) in result {
+                    output::line(format_args!("  {name}: {value}"))?;
+                }
             }
             return match &status.detail {
                 MissionState::Completed => Ok(()),

@@ -68,7 +68,7 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     set(&mut world.may_vote, given.vote.may_vote);
     let render = args.render;
     let mut shown = None;
-    let ended = args.node.run(Some(&args.config), world, extensions, |world, fleet, incarnation| {
+    let ended = args.node.run(Some(&args.config), world, extensions, |world, fleet, extensions, incarnation| {
         let (settings, shared) = world_node(world, fleet, incarnation, extensions)?;
         render.start_recording(&shared)?;
         shown = Some(shared);

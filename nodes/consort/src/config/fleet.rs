@@ -1,7 +1,7 @@
 //! The fleet file: settings shared by all nodes of a fleet.
 
 use super::read::{join_normalized, resolve_path};
-use super::{ConfigFile, load};
+use super::{ConfigFile, load, load_unchecked};
 use crate::diagnostic::Diagnostics;
 use crate::map_loader::is_shipped;
 use consort_fleet::autopilot;
@@ -68,6 +68,9 @@ pub struct FleetConfig {
     /// the role waits for another role; 0 for never. Longer: slow drives are not interrupted, stuck
     /// robots keep their roles for longer. Default 900.
     pub stall_after_s: u64,
+    /// Domain files with the fleet's own actions and task types, in addition to those of `--domain`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub domains: Vec<PathBuf>,
     /// Limits of bids.
     pub limits: LimitsConfig,
     /// Limits of requests.
@@ -155,6 +158,7 @@ impl Default for FleetConfig {
             dead_after_ms: None,
             link_lease_ms: None,
             stall_after_s: 900,
+            domains: vec![],
             limits: LimitsConfig::default(),
             requests: RequestsConfig::default(),
             history: HistoryConfig::default(),
@@ -248,6 +252,9 @@ impl ConfigFile for FleetConfig {
             self.map = join_normalized(folder, Path::new(&self.map)).display().to_string();
         }
         resolve_path(&mut self.calibration, folder);
+        for path in &mut self.domains {
+            *path = join_normalized(folder, path);
+        }
     }
 
     fn validate(&self, domain: &Domain) -> Vec<String> {
@@ -336,6 +343,17 @@ impl FleetRef {
     pub fn resolve(&self, domain: &Domain) -> Result<FleetConfig, Diagnostics> {
         match self {
             FleetRef::File(path) => load(path, domain),
+            FleetRef::Table(fleet) => Ok((**fleet).clone()),
+        }
+    }
+
+    /// Same as [`resolve`](FleetRef::resolve), without semantic checks.
+    ///
+    /// # Errors
+    /// [`Diagnostics`] of the file.
+    pub(crate) fn resolve_unchecked(&self) -> Result<FleetConfig, Diagnostics> {
+        match self {
+            FleetRef::File(path) => load_unchecked(path),
             FleetRef::Table(fleet) => Ok((**fleet).clone()),
         }
     }

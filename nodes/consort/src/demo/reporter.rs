@@ -60,6 +60,7 @@ impl DemoReporter {
             EventKind::Progress { mission, done, steps } => self.progress(at, mission, *done, *steps),
             EventKind::TaskBegan { role, task: id, .. } => task(role, format!("{id} …")),
             EventKind::TaskEnded { role, task: id, .. } => task(role, format!("{id} done")),
+            EventKind::TaskSkipped { role, task: id, .. } => task(role, format!("{id} skipped")),
             EventKind::TaskFailed { role, task: id, cause, .. } => task(role, format!("{id} FAILED: {cause}")),
             EventKind::TaskRetried { role, task: id, attempt, cause, .. } => {
                 let times = count(*attempt, "time", "times");

@@ -38,7 +38,7 @@ const NAMES: [&str; 26] = [
 const CARRIER: [&str; 5] = ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
 
 /// Skills that every mobile robot has.
-const SERVICES: [&str; 4] = ["wait", "carry", "disinfect", "operate_door"];
+const SERVICES: [&str; 5] = ["wait", "carry", "disinfect", "measure_vital_signs", "operate_door"];
 
 /// A kind of robot: its differences from the other kinds.
 struct Kind {

@@ -8,10 +8,10 @@ mod machine;
 
 use crate::check::{self, FileKind};
 use crate::client::ClientFlags;
-use crate::config::{BusConfig, RobotConfig, StationConfig, WorldConfig, load};
+use crate::config::{BusConfig, RobotConfig, StationConfig, WorldConfig};
 use crate::diagnostic::Diagnostics;
+use crate::extensions::Extensions;
 use consort_protocol::ids::{FleetId, NodeId};
-use consort_protocol::mission::Domain;
 use serde::Serialize;
 use std::fmt;
 use std::net::SocketAddr;
@@ -117,23 +117,24 @@ impl DiagnosisTarget {
     pub(crate) fn node(
         file: &Path,
         client_flags: &ClientFlags,
-        domain: &Domain,
+        extensions: Extensions,
     ) -> Result<DiagnosisTarget, Diagnostics> {
         match check::detect_kind(file)? {
-            FileKind::Robot => DiagnosisTarget::of(load::<RobotConfig>(file, domain)?, client_flags, domain),
-            FileKind::World => DiagnosisTarget::of(load::<WorldConfig>(file, domain)?, client_flags, domain),
-            _ => DiagnosisTarget::of(load::<StationConfig>(file, domain)?, client_flags, domain),
+            FileKind::Robot => DiagnosisTarget::of::<RobotConfig>(file, client_flags, extensions),
+            FileKind::World => DiagnosisTarget::of::<WorldConfig>(file, client_flags, extensions),
+            _ => DiagnosisTarget::of::<StationConfig>(file, client_flags, extensions),
         }
     }
 
     fn of<C: crate::config::NodeFile>(
-        mut file: C,
+        file: &Path,
         client_flags: &ClientFlags,
-        domain: &Domain,
+        extensions: Extensions,
     ) -> Result<DiagnosisTarget, Diagnostics> {
+        let (mut file, fleet, _): (C, _, _) = check::node_file(file, extensions)?;
         let node = Some(file.node());
         let common = file.common_mut();
-        let fleet = common.fleet.resolve(domain)?.name;
+        let fleet = fleet.name;
         let pages = [("dashboard", *common.dashboard), ("metrics", common.telemetry.metrics)];
         let pages = pages.into_iter().filter_map(|(what, at)| at.map(|at| (what, at))).collect();
         let mut bus = common.bus.clone();

@@ -88,6 +88,7 @@ impl EventCounters {
             EventKind::Closed { record, .. } => self.closed(record),
             EventKind::Awarded { after_ms: Some(after_ms), .. } => self.award_seconds.observe(after_ms / 1000.0),
             EventKind::TaskEnded { .. } => task("done"),
+            EventKind::TaskSkipped { .. } => task("skipped"),
             EventKind::TaskFailed { .. } => task("failed"),
             EventKind::TaskRetried { .. } => task("retried"),
             EventKind::Alternative { .. } => task("alternative"),

@@ -62,6 +62,7 @@ fn level(event: &Event) -> Level {
         | EventKind::Progress { .. }
         | EventKind::TaskBegan { .. }
         | EventKind::TaskEnded { .. }
+        | EventKind::TaskSkipped { .. }
         | EventKind::Sent { .. }
         | EventKind::Received { .. }
         | EventKind::StaleSignal { .. } => Level::DEBUG,

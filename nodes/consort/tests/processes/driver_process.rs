@@ -16,14 +16,22 @@ fn start(fleet_name: &str) -> Fleet {
     let mut robot: Table = example("robot.toml").parse().expect("TOML");
     robot["fleet"].as_table_mut().expect("a table").insert("name".to_owned(), fleet_name.into());
     let mut fleet = Fleet::new(robot["fleet"].as_table().expect("a table"));
-    // A fast robot shortens the test.
+    write_files(&fleet);
+    fleet.start("robot", faster(robot), &[]);
+    fleet
+}
+
+/// Returns the file of a faster robot, which shortens a test.
+fn faster(mut robot: Table) -> Table {
     robot.insert("driver".to_owned(), vec!["python3", "driver.py", "20"].into());
+    robot
+}
+
+/// Writes the other files of the robot.
+fn write_files(fleet: &Fleet) {
     for name in ["driver.py", "domain.yaml", "clean_room.xml"] {
         fs::write(fleet.path(name), example(name)).expect("the folder can be written to");
     }
-    let domain = format!("CONSORT_DOMAIN={}", fleet.path("domain.yaml").display());
-    fleet.start_by(&["env", &domain], "robot", robot, &[]);
-    fleet
 }
 
 /// Returns the process of the driver.
@@ -69,7 +77,7 @@ fn a_driver_in_python_performs_a_mission_and_survives_its_death() {
     kill(&first);
     let second = until("the driver runs again", LONG, || driver_process(&fleet).filter(|pid| *pid != first));
     let ended = waiting.end(LONG).expect(0);
-    assert!(ended.stdout.ends_with("clean-rooms-1 completed\n"), "{}", ended.stdout);
+    assert!(ended.stdout.contains("clean-rooms-1 completed\n  dust_g: "), "{}", ended.stdout);
     assert_eq!(place(&client).as_deref(), Some("PC Room 3"));
     assert_eq!(driver_process(&fleet), Some(second), "the second process has performed the rest");
     let log = fleet.node("cleaner").stderr();
@@ -105,4 +113,36 @@ fn a_driver_that_offers_an_undeclared_action_is_not_used() {
         let (_, view) = client.all("view/fleet", "").into_iter().next()?;
         view.to_string().contains("its driver does not reply").then_some(())
     });
+}
+
+/// The domain file of the robot has another content than the file of the coordinator.
+#[test]
+fn a_robot_with_another_domain_refuses_with_the_reason() {
+    let mut robot: Table = example("robot.toml").parse().expect("TOML");
+    let settings = robot["fleet"].as_table_mut().expect("a table");
+    settings.insert("name".to_owned(), "cleaning-4".into());
+    let mut fleet = Fleet::new(settings);
+    write_files(&fleet);
+    let changed = example("domain.yaml").replace("maximum: 10", "maximum: 12");
+    fs::write(fleet.path("changed.yaml"), changed).expect("the folder can be written to");
+    let own = settings.clone();
+    settings.insert("domains".to_owned(), vec!["changed.yaml"].into());
+    // The robot's node does not vote, so the station is the coordinator.
+    robot.insert("may_vote".to_owned(), false.into());
+    let station = [("name".to_owned(), "office".into()), ("fleet".to_owned(), own.into())].into_iter().collect();
+    fleet.start("station", station, &[]);
+    fleet.start("robot", faster(robot), &["office"]);
+    let client = Client::open(&fleet.address("office"), "cleaning-4");
+    until("the robot is at its place", LONG, || place(&client));
+    drop(client);
+    let mission = fleet.path("mission.yaml");
+    fs::write(&mission, example("mission.yaml")).expect("the folder can be written to");
+    fleet.run(&["submit", &mission.display().to_string()], "office").expect(0);
+    until("the refusal", LONG, || {
+        let explained = fleet.run(&["explain", "clean-rooms-1"], "office").expect(0).stdout;
+        explained.contains("the mission has clean_room of the domain cleaning ").then(|| {
+            assert!(explained.contains("their files differ"), "{explained}");
+        })
+    });
+    fleet.stop();
 }

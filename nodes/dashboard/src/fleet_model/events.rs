@@ -55,6 +55,9 @@ impl FleetModel {
                 self.mission(mission).end_task(role, task, node, at, "done");
                 self.set_task(node, None);
             }
+            EventKind::TaskSkipped { mission, role, task } => {
+                self.mission(mission).end_task(role, task, node, at, "skipped");
+            }
             EventKind::TaskFailed { mission, role, task, .. } => {
                 self.mission(mission).end_task(role, task, node, at, "failed");
                 self.set_task(node, None);

@@ -80,7 +80,7 @@ impl FleetModel {
 
 impl MissionModel {
     fn apply_brief(&mut self, brief: MissionBrief, pending_reason: Option<String>, now_ms: u64) {
-        let MissionBrief { status, terms, progress, .. } = brief;
+        let MissionBrief { status, terms, progress, result, .. } = brief;
         // An ended mission stays ended, whatever an older view contains; only a resolution still
         // changes it.
         let ended_before = self.ended && self.state != "needs_intervention";
@@ -91,6 +91,7 @@ impl MissionModel {
         self.priority = i64::from(terms.priority.get());
         self.deadline_ms = terms.deadline_at_ms.or(self.deadline_ms);
         self.parameters = terms.parameters;
+        self.result = result;
         self.submitted_ms = terms.submitted_at_ms;
         let holders = progress.holders.into_iter();
         self.holders = holders.map(|(role, robot)| (role.to_string(), robot.to_string())).collect();

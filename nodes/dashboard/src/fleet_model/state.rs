@@ -2,7 +2,7 @@
 
 use consort_protocol::auction::BidPart;
 use consort_protocol::ledger::{Branch, HeldItem, RolePhase};
-use consort_protocol::mission::{RoleKind, TaskNode};
+use consort_protocol::mission::{ResultValue, RoleKind, TaskNode};
 use consort_protocol::view::NodeStatus;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -168,6 +168,9 @@ pub struct MissionModel {
     pub branch: Branch,
     /// Parameters of the request.
     pub parameters: BTreeMap<String, String>,
+    /// Results that are known.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub result: BTreeMap<String, ResultValue>,
     /// Robot of each role.
     pub holders: BTreeMap<String, String>,
     /// Finished steps.

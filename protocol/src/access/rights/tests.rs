@@ -108,6 +108,7 @@ fn message(key: &str, operation: Operation, name: &str) -> Option<Vec<u8>> {
             epoch: Default::default(),
             branch: Default::default(),
             ended: BTreeSet::new(),
+            outcomes: Default::default(),
             current_task: None,
             place: None,
             from_checkpoint: false,

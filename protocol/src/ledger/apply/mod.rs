@@ -9,7 +9,7 @@ use super::submission::Submission;
 use crate::auction::AuctionRecord;
 use crate::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use crate::lease::Epoch;
-use crate::mission::RoleKind;
+use crate::mission::{RoleKind, TaskOutcomes};
 use crate::plan::StepIndex;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -40,8 +40,8 @@ impl Ledger {
             Command::Accept { mission, role, epoch, incarnation, from_checkpoint } => {
                 self.accept(&mission, &role, epoch, incarnation, from_checkpoint)
             }
-            Command::Progress { mission, role, epoch, branch, ended } => {
-                self.progress(&mission, &role, epoch, branch, &ended)
+            Command::Progress { mission, role, epoch, branch, ended, outcomes } => {
+                self.progress(&mission, &role, epoch, branch, &ended, outcomes)
             }
             Command::Release { mission, role, epoch, cause, robot_failed, place } => {
                 self.release(&mission, &role, epoch, &ReleaseCause { cause, robot_failed, place })
@@ -209,6 +209,7 @@ impl Ledger {
             former_holders: vec![],
             releases: vec![],
             release_count: 0,
+            outcomes: BTreeMap::new(),
         };
         self.missions.insert(id.clone(), entry);
         Ok(CommandOutcome::Submitted { mission: id, again: false })
@@ -305,6 +306,7 @@ impl Ledger {
         epoch: Epoch,
         branch: Branch,
         ended: &BTreeSet<StepIndex>,
+        outcomes: TaskOutcomes,
     ) -> Result<CommandOutcome, CommandError> {
         let entry = self.active_mission(mission)?;
         let (taken, steps) = (entry.branch, entry.plan(role_id).map_or(0, |plan| plan.steps.len()));
@@ -316,6 +318,7 @@ impl Ledger {
         if role.ended.len() == steps {
             role.phase = RolePhase::Ended;
         }
+        self.active_mission(mission)?.add_outcomes(role_id, outcomes);
         self.complete_if_done(mission)
     }
 

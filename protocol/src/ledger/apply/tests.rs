@@ -3,7 +3,7 @@ use super::*;
 use crate::auction::{AuctionEntry, AuctionId, BidVerdict, RefusalReason};
 use crate::codec;
 use crate::ids::{TaskId, TaskType};
-use crate::mission::{Method, Mission, Role, TaskBody, TaskNode, TaskOrder, TaskSpec};
+use crate::mission::{Method, Mission, ResultValue, Role, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskSpec};
 use crate::plan::{Division, LocalPlan, Signal, SignalKind, Step, StepAction};
 
 fn role(name: &str) -> RoleId {
@@ -28,6 +28,7 @@ fn submission(request: &str) -> Box<Submission> {
             TaskNode { id: TaskId::new("root").unwrap(), body: TaskBody::Abstract(method) },
             TaskNode { id: task.clone(), body: TaskBody::Elementary(spec.clone()) },
         ],
+        results: BTreeMap::new(),
     };
     let arm = vec![
         Step { action: StepAction::Task { id: task, spec }, after: vec![] },
@@ -102,7 +103,7 @@ impl Log {
     fn ended(&mut self, mission: &MissionId, who: &str, epoch: Epoch, ended: &[StepIndex]) -> CommandOutcome {
         let ended = ended.iter().copied().collect();
         let (mission, role, branch) = (mission.clone(), role(who), Branch::Main);
-        self.apply(Command::Progress { mission, role, epoch, branch, ended })
+        self.apply(Command::Progress { mission, role, epoch, branch, ended, outcomes: BTreeMap::new() })
     }
 
     fn release(&mut self, mission: &MissionId, who: &str, epoch: Epoch) -> CommandOutcome {
@@ -140,6 +141,36 @@ fn a_mission_ends_when_all_its_managed_roles_have_ended() {
     assert_eq!(log.ended(&mission, "r1", epoch(2), &[0, 99]), CommandOutcome::Done);
     assert_eq!(log.state(&mission), &MissionState::Completed);
     assert!(log.0.held_by(&robot("ada")).is_none());
+}
+
+/// Roles decide by outcomes, so that none may change after the first report.
+#[test]
+fn the_first_outcome_of_a_task_is_kept() {
+    let mut log = Log::new();
+    let mission = log.submit("a");
+    log.award(&mission, "arm", "ada");
+    let pulse = |bpm: i64| TaskOutcome::Done(BTreeMap::from([("pulse_bpm".to_owned(), ResultValue::Integer(bpm))]));
+    let report = |log: &mut Log, who: &str, epoch: Epoch, outcome: TaskOutcome| {
+        let outcomes = BTreeMap::from([(TaskId::new("pick_up_sample").unwrap(), outcome)]);
+        let (mission, role, branch, ended) = (mission.clone(), role(who), Branch::Main, BTreeSet::new());
+        log.apply(Command::Progress { mission, role, epoch, branch, ended, outcomes })
+    };
+    let recorded = |log: &Log| log.0.mission(&mission).unwrap().outcomes.values().cloned().collect::<Vec<_>>();
+    assert_eq!(report(&mut log, "r1", epoch(2), pulse(99)), CommandOutcome::Done);
+    assert_eq!(recorded(&log), [], "the plan of r1 does not contain the task");
+    report(&mut log, "lab_arm", epoch(2), pulse(70));
+    report(&mut log, "lab_arm", epoch(2), pulse(80));
+    report(&mut log, "lab_arm", epoch(2), TaskOutcome::Skipped);
+    assert_eq!(recorded(&log), [pulse(70)]);
+    // The next holder has a result of its own, which comes too late.
+    let released = log.release(&mission, "lab_arm", epoch(2));
+    assert_eq!(released, CommandOutcome::Done);
+    let holders = BTreeMap::from([(role("lab_arm"), robot("arm"))]);
+    let again =
+        log.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction: record() });
+    let CommandOutcome::Awarded { epoch: later } = again else { panic!("{again:?}") };
+    assert_eq!(report(&mut log, "lab_arm", later, pulse(90)), CommandOutcome::Done);
+    assert_eq!(recorded(&log), [pulse(70)]);
 }
 
 #[test]

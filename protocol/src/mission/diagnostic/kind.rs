@@ -1,7 +1,7 @@
 //! Kinds of problems in missions.
 
 use super::ihtn::IhtnError;
-use crate::ids::{ItemId, NameError, RoleId, TaskId};
+use crate::ids::{ItemId, NameError, RoleId, TaskId, TaskType};
 use consort_text::AllowedNames;
 
 /// Kind of problem in a mission.
@@ -210,6 +210,63 @@ pub enum MissionErrorKind {
         /// The other task.
         other: TaskId,
     },
+    /// An expression is invalid.
+    #[error("`{text}`: {problem}")]
+    Expression {
+        /// Text of the expression.
+        text: String,
+        /// Description of the problem.
+        problem: String,
+    },
+    /// A task uses the results of a task that does not exist.
+    #[error("uses a result of `{task}`, which is no elementary task of the mission; {allowed}")]
+    UnknownTask {
+        /// As given.
+        task: String,
+        /// Elementary tasks of the mission.
+        allowed: AllowedNames,
+    },
+    /// A task uses the results of a task that may end later.
+    #[error("uses a result of {task}, which may end later; put {task} before it, in sequence")]
+    LaterTask {
+        /// The other task.
+        task: TaskId,
+    },
+    /// The task type does not return the result.
+    #[error("uses {task}.{result}, but `{task_type}` returns no such result; {allowed}")]
+    UnknownResult {
+        /// The other task.
+        task: TaskId,
+        /// As given.
+        result: String,
+        /// Type of the other task.
+        task_type: TaskType,
+        /// Results of the type.
+        allowed: AllowedNames,
+    },
+    /// A result does not fit the parameter.
+    #[error("parameter `{name}` must be {kind}, and {task}.{result} is {found}")]
+    ResultKind {
+        /// The parameter.
+        name: String,
+        /// Required kind of value, as text.
+        kind: String,
+        /// The other task.
+        task: TaskId,
+        /// The result.
+        result: String,
+        /// Kind of the result, as text.
+        found: String,
+    },
+    /// A conditional task moves an item, so that custody would be undefined.
+    #[error("has a condition and touches the item `{item}`; custody of an item must not depend on a condition")]
+    ConditionalItem {
+        /// The item.
+        item: ItemId,
+    },
+    /// A task of an alternative uses results.
+    #[error("is part of an alternative; it can use no results of other tasks")]
+    AlternativeUsesResults,
     /// A recovery branch is never taken.
     #[error("is never taken: no task of the mission acquires an item")]
     UnusedRecovery,

@@ -1,13 +1,17 @@
 //! Builds a mission from its parsed file: checks names and substitutes parameters.
 
-use super::form::{RoleFile, TaskFile, TemplateParameter};
+use super::form::{
+    ChoiceFile, ITERATIONS_MAX, ListFile, RoleFile, TaskFile, TemplateKind, TemplateParameter, text_literal,
+};
+use super::scope::Scope;
 use crate::ids::{ItemId, NameError, RoleId, TaskId, TaskType};
 use crate::mission::diagnostic::{MissionDiagnostic, MissionErrorKind};
 use crate::mission::domain::Domain;
 use crate::mission::limits::TASKS_MAX;
-use crate::mission::lost_item::LostItem;
+use crate::mission::lost_item::{LOST, LostItem};
 use crate::mission::model::{
-    ATTEMPTS, AlternativeMethod, Method, Mission, Role, TaskBody, TaskIndex, TaskNode, TaskOrder, TaskSpec,
+    ATTEMPTS, AlternativeMethod, Method, Mission, ResultReference, Role, TaskBody, TaskIndex, TaskNode, TaskOrder,
+    TaskSpec,
 };
 use consort_text::AllowedNames;
 use std::collections::{BTreeMap, BTreeSet};
@@ -48,6 +52,7 @@ pub(super) fn recovery_diagnostics(mission: &Mission, recovery: &Mission, domain
 pub(super) struct MissionBuilder<'a> {
     /// Values by parameter name.
     pub(super) values: BTreeMap<&'a str, &'a str>,
+    kinds: BTreeMap<&'a str, TemplateKind>,
     used: BTreeSet<&'a str>,
     pub(super) diagnostics: Vec<MissionDiagnostic>,
 }
@@ -74,13 +79,16 @@ impl<'a> MissionBuilder<'a> {
             }
             match arguments.get(name).or(parameter.default.as_ref()) {
                 Some(value) => {
-                    if !kind.admits(value) {
-                        let (name, value) = (name.clone(), value.chars().take(80).collect());
-                        self.report(&path, MissionErrorKind::BadValue { name, value, kind: kind.to_string() });
-                    } else if let Some(kind) = domain.unknown_place(name, &kind, value) {
-                        self.report(&path, kind);
+                    for part in parameter.kind.parts(value) {
+                        if !kind.admits(part) {
+                            let (name, value) = (name.clone(), part.chars().take(80).collect());
+                            self.report(&path, MissionErrorKind::BadValue { name, value, kind: kind.to_string() });
+                        } else if let Some(kind) = domain.unknown_place(name, &kind, part) {
+                            self.report(&path, kind);
+                        }
                     }
                     self.values.insert(name, value);
+                    self.kinds.insert(name, parameter.kind);
                 }
                 None => {
                     self.report(&path, MissionErrorKind::MissingArgument { kind: kind.to_string() });
@@ -123,9 +131,10 @@ impl<'a> MissionBuilder<'a> {
             roles.extend(id.map(|id| (id, Role { kind: role.kind, on_loss: role.on_loss })));
         }
         let mut tasks: Vec<TaskNode> = Vec::new();
-        let mut open: Vec<(&'a TaskFile, Option<usize>, String)> = vec![(root, None, path.to_owned())];
+        let first = OpenTask { node: root, parent: None, path: path.to_owned(), scope: Scope::default() };
+        let mut open: Vec<OpenTask<'a>> = vec![first];
         // A single task above the limit is sufficient for the check to reject the mission.
-        while let Some((node, parent, path)) = open.pop()
+        while let Some(OpenTask { node, parent, path, scope }) = open.pop()
             && tasks.len() <= TASKS_MAX
         {
             let index = tasks.len();
@@ -136,31 +145,177 @@ impl<'a> MissionBuilder<'a> {
             // so that the rest of the file is checked, too.
             let generated =
                 || TaskId::new(format!("unnamed-{index}")).expect("consists of characters allowed in a slug");
-            let id = self.name(&path, TaskId::new(&*node.task)).unwrap_or_else(generated);
-            let body = self.body(node, &path);
+            let id = self.name(&path, TaskId::new(scope.task_name(&node.task))).unwrap_or_else(generated);
+            let mut scope = scope;
+            if let Some(text) = &node.when {
+                scope.conditions.extend(self.expression(text, &scope, &path));
+            }
+            let (body, children) = self.body(node, &path, &scope);
             tasks.push(TaskNode { id, body });
             // In a file that is nested too deeply, the total size of the paths must not grow with
             // the square of the depth.
-            let below = |child: &TaskFile| match path.len() {
-                0..8192 => format!("{path}/{}", child.task),
+            let below = |task: &str| match path.len() {
+                0..8192 => format!("{path}/{task}"),
                 _ => path.clone(),
             };
-            let children = node.tasks.iter().flatten().rev();
-            open.extend(children.map(|child| (child, Some(index), below(child))));
+            let children = children.into_iter().rev();
+            open.extend(children.map(|(child, scope)| {
+                let path = below(&scope.task_name(&child.task));
+                OpenTask { node: child, parent: Some(index), path, scope }
+            }));
         }
-        Mission { name: name.clone(), roles, tasks }
+        Mission { name: name.clone(), roles, tasks, results: BTreeMap::new() }
     }
 
-    fn body(&mut self, node: &'a TaskFile, path: &str) -> TaskBody {
+    /// Returns the results of the mission.
+    pub(super) fn results(&mut self, results: &'a BTreeMap<String, String>) -> BTreeMap<String, String> {
+        let scope = Scope::default();
+        let substitute = |(name, text): (&String, &'a String)| {
+            Some((name.clone(), self.expression(text, &scope, &format!("result/{name}"))?))
+        };
+        results.iter().filter_map(substitute).collect()
+    }
+
+    /// Returns the content of a task and the tasks directly below it, with their scopes.
+    fn body(&mut self, node: &'a TaskFile, path: &str, scope: &Scope) -> (TaskBody, Vec<(&'a TaskFile, Scope)>) {
+        let sequence = |children| (TaskBody::Abstract(Method::of(TaskOrder::Sequential, vec![])), children);
+        let is_plain = node.tasks.is_none() && node.task_type.is_none() && node.roles.is_none();
+        let is_plain = is_plain && !node.has_entries() && node.alternatives.is_empty();
+        let is_plain_sequence = is_plain && node.method.is_none();
+        let problem = match (&node.choose, &node.variable, &node.values, node.repeat, &node.until, &node.body) {
+            (None, None, None, None, None, None) if node.otherwise.is_none() => {
+                return self.plain_body(node, path, scope);
+            }
+            (Some(choices), None, None, None, None, None) if is_plain_sequence => {
+                return sequence(self.choice(choices, node.otherwise.as_deref(), path, scope));
+            }
+            (None, Some(variable), Some(values), None, None, Some(body)) if is_plain && node.otherwise.is_none() => {
+                let order = node.method.unwrap_or(TaskOrder::Sequential);
+                let children = self.for_each(variable, values, body, path, scope);
+                return (TaskBody::Abstract(Method::of(order, vec![])), children);
+            }
+            (None, None, None, Some(count), Some(until), Some(body))
+                if is_plain_sequence && node.otherwise.is_none() =>
+            {
+                return sequence(self.repetition(count, until, body, path, scope));
+            }
+            (Some(_), ..) => "has `choose`, with which only `else` is allowed",
+            (None, Some(_), ..) | (None, None, Some(_), ..) => {
+                "is a loop, which has `for`, `in` and `do`, and may have a `method`"
+            }
+            (None, None, None, Some(_), ..) | (None, None, None, None, Some(_), _) => {
+                "is a repetition, which has `repeat`, `do` and `until`"
+            }
+            (None, None, None, None, None, _) => "has `else` without `choose`, or `do` without `for` or `repeat`",
+        };
+        self.report(path, MissionErrorKind::InvalidTaskShape { problem: problem.to_owned() });
+        sequence(vec![])
+    }
+
+    /// Returns the branches of a choice. Each is executed if its condition holds and no earlier one does.
+    fn choice(
+        &mut self,
+        choices: &'a [ChoiceFile],
+        otherwise: Option<&'a TaskFile>,
+        path: &str,
+        scope: &Scope,
+    ) -> Vec<(&'a TaskFile, Scope)> {
+        let mut branches = vec![];
+        let mut remaining = scope.clone();
+        for ChoiceFile { when, body } in choices {
+            let Some(condition) = self.expression(when, scope, path) else { continue };
+            branches.push((body, remaining.clone().with_condition(condition.clone())));
+            remaining = remaining.with_condition(format!("!({condition})"));
+        }
+        branches.extend(otherwise.map(|body| (body, remaining)));
+        branches
+    }
+
+    /// Returns the iterations of a loop over values.
+    fn for_each(
+        &mut self,
+        variable: &'a str,
+        values: &'a ListFile,
+        body: &'a TaskFile,
+        path: &str,
+        scope: &Scope,
+    ) -> Vec<(&'a TaskFile, Scope)> {
+        if self.values.contains_key(variable) || scope.values.contains_key(variable) {
+            let problem = "the variable of the loop has the name of a parameter or of another variable".to_owned();
+            self.report(path, MissionErrorKind::Substitution { text: variable.to_owned(), problem });
+        }
+        let values: Vec<String> = match values {
+            ListFile::Values(values) => {
+                values.iter().filter_map(|value| self.substitute_or_report(value, scope, path)).collect()
+            }
+            ListFile::Reference(text) => match self.list_parameter(text) {
+                Some(values) => values,
+                None => {
+                    let problem = "`in` is a list, or `${name}` of a parameter of kind `places` or `texts`".to_owned();
+                    self.report(path, MissionErrorKind::Substitution { text: text.clone(), problem });
+                    vec![]
+                }
+            },
+        };
+        let names = body.names();
+        let iteration = |(number, value)| {
+            let mut scope = scope.iteration(number, &names);
+            scope.values.insert(variable.to_owned(), value);
+            (body, scope)
+        };
+        (1..).zip(values).map(iteration).collect()
+    }
+
+    /// Returns the values of the list parameter that the text refers to.
+    fn list_parameter(&mut self, text: &str) -> Option<Vec<String>> {
+        let name = text.strip_prefix("${")?.strip_suffix('}')?;
+        let kind =
+            self.kinds.get(name).copied().filter(|kind| matches!(kind, TemplateKind::Places | TemplateKind::Texts))?;
+        let (name, value) = self.values.get_key_value(name)?;
+        self.used.insert(name);
+        Some(kind.parts(value).into_iter().map(str::to_owned).collect())
+    }
+
+    /// Returns the iterations of a repetition. Each is executed if no earlier one has met the condition
+    /// `until`.
+    fn repetition(
+        &mut self,
+        count: u32,
+        until: &'a str,
+        body: &'a TaskFile,
+        path: &str,
+        scope: &Scope,
+    ) -> Vec<(&'a TaskFile, Scope)> {
+        if !(1..=ITERATIONS_MAX).contains(&count) {
+            let problem = format!("repeats {count} times; 1 to {ITERATIONS_MAX} times are allowed");
+            self.report(path, MissionErrorKind::InvalidTaskShape { problem });
+            return vec![];
+        }
+        let names = body.names();
+        let mut conditions = scope.conditions.clone();
+        let mut iterations = vec![];
+        for number in 1..=count as usize {
+            let mut iteration = scope.iteration(number, &names);
+            let Some(condition) = self.expression(until, &iteration, path) else { break };
+            iteration.conditions.clone_from(&conditions);
+            iterations.push((body, iteration));
+            conditions.push(format!("!({condition})"));
+        }
+        iterations
+    }
+
+    fn plain_body(&mut self, node: &'a TaskFile, path: &str, scope: &Scope) -> (TaskBody, Vec<(&'a TaskFile, Scope)>) {
+        let empty = || (TaskBody::Abstract(Method::of(TaskOrder::Sequential, vec![])), vec![]);
         let problem = match (&node.method, &node.tasks, &node.task_type, &node.roles) {
-            (Some(order), Some(_), None, None) if !node.has_entries() => {
-                let alternatives = self.alternatives(node, path);
-                return TaskBody::Abstract(Method { order: *order, children: vec![], alternatives });
+            (Some(order), Some(tasks), None, None) if !node.has_entries() => {
+                let alternatives = self.alternatives(node, path, scope);
+                let children = tasks.iter().map(|task| (task, scope.clone())).collect();
+                return (TaskBody::Abstract(Method { order: *order, children: vec![], alternatives }), children);
             }
             (None, None, Some(task_type), Some(roles)) if node.alternatives.is_empty() => {
-                return match self.elementary(node, task_type, roles, path) {
-                    Some(spec) => TaskBody::Elementary(spec),
-                    None => TaskBody::Abstract(Method::of(TaskOrder::Sequential, vec![])),
+                return match self.elementary(node, task_type, roles, path, scope) {
+                    Some(spec) => (TaskBody::Elementary(spec), vec![]),
+                    None => empty(),
                 };
             }
             (None, None, Some(_), Some(_)) => "is elementary and has `alternatives`",
@@ -175,10 +330,10 @@ impl<'a> MissionBuilder<'a> {
             (None, None, None, None) => "has none of them",
         };
         self.report(path, MissionErrorKind::InvalidTaskShape { problem: problem.to_owned() });
-        TaskBody::Abstract(Method::of(TaskOrder::Sequential, vec![]))
+        empty()
     }
 
-    fn alternatives(&mut self, node: &'a TaskFile, path: &str) -> Vec<AlternativeMethod> {
+    fn alternatives(&mut self, node: &'a TaskFile, path: &str, scope: &Scope) -> Vec<AlternativeMethod> {
         let mut alternatives = Vec::new();
         for (number, method) in (1..).zip(&node.alternatives) {
             let path = format!("{path}/alternative {number}");
@@ -189,8 +344,8 @@ impl<'a> MissionBuilder<'a> {
             let mut tasks = Vec::new();
             for task in &method.tasks {
                 let path = format!("{path}/{}", task.task);
-                let id = self.name(&path, TaskId::new(&*task.task));
-                let spec = match self.body(task, &path) {
+                let id = self.name(&path, TaskId::new(scope.task_name(&task.task)));
+                let spec = match self.body(task, &path, &scope.without_conditions()).0 {
                     TaskBody::Elementary(spec) => Some(spec),
                     TaskBody::Abstract(_) => {
                         if task.task_type.is_none() {
@@ -207,11 +362,25 @@ impl<'a> MissionBuilder<'a> {
         alternatives
     }
 
-    fn elementary(&mut self, node: &'a TaskFile, task_type: &str, roles: &[String], path: &str) -> Option<TaskSpec> {
+    fn elementary(
+        &mut self,
+        node: &'a TaskFile,
+        task_type: &str,
+        roles: &[String],
+        path: &str,
+        scope: &Scope,
+    ) -> Option<TaskSpec> {
         let task_type = self.name(path, TaskType::new(task_type));
         let roles = roles.iter().filter_map(|role| self.name(path, RoleId::new(&**role))).collect();
-        let parameters = self.entries(&node.parameters, path);
-        let reaches = self.entries(&node.reaches, path);
+        let is_input = |text: &str| reference(text, scope).is_some();
+        let (inputs, parameters): (BTreeMap<_, _>, BTreeMap<_, _>) =
+            node.parameters.iter().partition(|(_, text)| is_input(text));
+        let inputs = inputs
+            .into_iter()
+            .filter_map(|(name, text): (&String, &String)| Some((name.clone(), reference(text, scope)?)));
+        let inputs = inputs.collect();
+        let parameters = self.entries(parameters, path, scope);
+        let reaches = self.entries(node.reaches.iter().collect(), path, scope);
         let mut acquires = BTreeMap::new();
         for (item, role) in &node.acquires {
             let item = self.name(path, ItemId::new(&**item));
@@ -219,21 +388,29 @@ impl<'a> MissionBuilder<'a> {
         }
         let releases = node.releases.iter().filter_map(|item| self.name(path, ItemId::new(&**item))).collect();
         let attempts = node.attempts.unwrap_or(ATTEMPTS);
-        Some(TaskSpec { parameters, reaches, acquires, releases, attempts, ..TaskSpec::of(task_type?, roles) })
+        let conditions = scope.conditions.clone();
+        let spec = TaskSpec::of(task_type?, roles);
+        Some(TaskSpec { parameters, reaches, acquires, releases, attempts, inputs, conditions, ..spec })
     }
 
-    fn entries(&mut self, entries: &'a BTreeMap<String, String>, path: &str) -> BTreeMap<String, String> {
+    fn entries(
+        &mut self,
+        entries: BTreeMap<&'a String, &'a String>,
+        path: &str,
+        scope: &Scope,
+    ) -> BTreeMap<String, String> {
         let mut filled = BTreeMap::new();
         for (name, text) in entries {
-            match self.substitute(text) {
-                Ok(value) => drop(filled.insert(name.clone(), value)),
-                Err(kind) => self.report(path, kind),
-            }
+            filled.extend(self.substitute_or_report(text, scope, path).map(|value| (name.clone(), value)));
         }
         filled
     }
 
-    fn substitute(&mut self, text: &'a str) -> Result<String, MissionErrorKind> {
+    fn substitute_or_report(&mut self, text: &'a str, scope: &Scope, path: &str) -> Option<String> {
+        self.substitute(text, scope).map_err(|kind| self.report(path, kind)).ok()
+    }
+
+    fn substitute(&mut self, text: &'a str, scope: &Scope) -> Result<String, MissionErrorKind> {
         let error =
             |problem: &str| MissionErrorKind::Substitution { text: text.to_owned(), problem: problem.to_owned() };
         let mut filled = String::new();
@@ -247,15 +424,56 @@ impl<'a> MissionBuilder<'a> {
             }
             let after = after.strip_prefix('{').ok_or_else(|| error("a `$` is not followed by `{` or `$`"))?;
             let (name, after) = after.split_once('}').ok_or_else(|| error("a `${` is not closed"))?;
-            let Some((name, value)) = self.values.get_key_value(name) else {
-                let allowed = AllowedNames::suggest_for(name, self.values.keys());
-                return Err(MissionErrorKind::UnknownReference { name: name.to_owned(), allowed });
-            };
-            self.used.insert(name);
-            filled.push_str(value);
+            match scope.values.get(name) {
+                Some(value) => filled.push_str(value),
+                None if name.split_once('.').is_some_and(|(task, _)| task != LOST) => {
+                    return Err(error("a result of a task can only be the whole value"));
+                }
+                None => filled.push_str(self.value(name, scope)?),
+            }
             rest = after;
         }
         filled.push_str(rest);
         Ok(filled)
     }
+
+    /// Returns the value of a parameter of the mission.
+    fn value(&mut self, name: &str, scope: &Scope) -> Result<&'a str, MissionErrorKind> {
+        let Some((name, value)) = self.values.get_key_value(name) else {
+            let known = self.values.keys().copied().chain(scope.values.keys().map(String::as_str));
+            let allowed = AllowedNames::suggest_for(name, known.collect::<BTreeSet<_>>());
+            return Err(MissionErrorKind::UnknownReference { name: name.to_owned(), allowed });
+        };
+        self.used.insert(name);
+        Ok(value)
+    }
+
+    /// Returns an expression with the values of parameters. `None` if a problem was reported.
+    fn expression(&mut self, text: &str, scope: &Scope, path: &str) -> Option<String> {
+        let literal = |name: &str| match scope.values.get(name) {
+            Some(value) => Ok(text_literal(value)),
+            None => {
+                let kind = self.kinds.get(name).copied().unwrap_or(TemplateKind::Text);
+                self.value(name, scope).map(|value| kind.literal(value))
+            }
+        };
+        let unclosed =
+            || MissionErrorKind::Substitution { text: text.to_owned(), problem: "a `${` is not closed".to_owned() };
+        scope.expression(text, literal, unclosed).map_err(|kind| self.report(path, kind)).ok()
+    }
+}
+
+/// Task of a file that is not built yet.
+struct OpenTask<'a> {
+    node: &'a TaskFile,
+    parent: Option<usize>,
+    path: String,
+    scope: Scope,
+}
+
+/// Returns the result that a text refers to, if it is `${task.result}`.
+fn reference(text: &str, scope: &Scope) -> Option<ResultReference> {
+    let name = text.strip_prefix("${")?.strip_suffix('}')?;
+    let (task, result) = name.split_once('.').filter(|(task, _)| *task != LOST)?;
+    Some(ResultReference { task: scope.task_id(task)?, result: result.to_owned() })
 }

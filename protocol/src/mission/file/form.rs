@@ -1,12 +1,12 @@
 //! Parsed form of a mission file, before it is checked.
 
 use crate::ids::{RoleId, TaskId, TaskType};
-use crate::mission::domain::ValueKind;
+use crate::mission::domain::{NumberRange, ValueKind};
 use crate::mission::model::{ATTEMPTS_MAX, OnLoss, RoleKind, TaskOrder};
 use schemars::JsonSchema;
 use serde::de::{Deserializer, Error as _, MapAccess, Unexpected, Visitor};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::marker::PhantomData;
 
@@ -32,16 +32,39 @@ pub enum TemplateKind {
     Place,
     /// Duration in seconds.
     Seconds,
+    /// Finite number.
+    Number,
     /// Any text.
     Text,
+    /// Places on the map, separated by commas.
+    Places,
+    /// Texts, separated by commas.
+    Texts,
 }
 
 impl TemplateKind {
     pub(super) fn value_kind(self) -> ValueKind {
         match self {
-            TemplateKind::Place => ValueKind::Place,
+            TemplateKind::Place | TemplateKind::Places => ValueKind::Place,
             TemplateKind::Seconds => ValueKind::Seconds,
-            TemplateKind::Text => ValueKind::Text,
+            TemplateKind::Number => ValueKind::Number(NumberRange::default()),
+            TemplateKind::Text | TemplateKind::Texts => ValueKind::Text,
+        }
+    }
+
+    /// Returns the parts of a value that are of the [kind](Self::value_kind).
+    pub(super) fn parts(self, value: &str) -> Vec<&str> {
+        match self {
+            TemplateKind::Places | TemplateKind::Texts => value.split(',').map(str::trim).collect(),
+            TemplateKind::Place | TemplateKind::Seconds | TemplateKind::Number | TemplateKind::Text => vec![value],
+        }
+    }
+
+    /// Returns the value as a literal of an expression.
+    pub(super) fn literal(self, value: &str) -> String {
+        match (self, value.parse::<f64>()) {
+            (TemplateKind::Seconds | TemplateKind::Number, Ok(number)) => format!("{number:?}"),
+            _ => text_literal(value),
         }
     }
 }
@@ -69,6 +92,15 @@ pub(super) struct MissionFile {
     /// the loss.
     #[serde(default)]
     pub(super) recovery: Option<TaskFile>,
+    /// Results of the mission, by name: expressions (CEL) over the results of its tasks, such as
+    /// `inspect.dust_g`.
+    #[serde(default, deserialize_with = "unique_keys")]
+    pub(super) result: BTreeMap<String, String>,
+}
+
+/// Returns a text as a literal of an expression.
+pub(super) fn text_literal(text: &str) -> String {
+    serde_json::to_string(text).expect("a text serializes to JSON")
 }
 
 /// Role in the mission.
@@ -85,7 +117,8 @@ pub(super) struct RoleFile {
     _description: String,
 }
 
-/// Task: abstract, with a `method` over `tasks`, or elementary, with a `type` and `roles`.
+/// Task: abstract, with a `method` over `tasks`, or elementary, with a `type` and `roles`; or a choice
+/// (`choose`), a loop over a list (`for`, `in`, `do`), or a bounded repetition (`repeat`, `do`, `until`).
 // The fields decide between the two forms; the builder checks them and reports problems with their
 // path.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -93,6 +126,9 @@ pub(super) struct RoleFile {
 #[schemars(extend("oneOf" = [
     { "required": ["method", "tasks"], "not": { "anyOf": [{ "required": ["type"] }, { "required": ["roles"] }] } },
     { "required": ["type", "roles"], "not": { "anyOf": [{ "required": ["method"] }, { "required": ["tasks"] }] } },
+    { "required": ["choose"] },
+    { "required": ["for", "in", "do"] },
+    { "required": ["repeat", "do", "until"] },
 ]))]
 pub(super) struct TaskFile {
     /// Name, unique within the mission.
@@ -112,7 +148,34 @@ pub(super) struct TaskFile {
     #[serde(default)]
     #[schemars(with = "Option<Vec<RoleId>>")]
     pub(super) roles: Option<Vec<String>>,
-    /// Parameters of the skill, by name. `${name}` stands for a parameter of the mission.
+    /// Condition (CEL) over the results of earlier tasks, such as `inspect.dust_g > 5.0`: the task is
+    /// skipped unless it holds. `${name}` stands for a parameter of the mission.
+    #[serde(default)]
+    pub(super) when: Option<String>,
+    /// Choice: the first branch whose condition holds is executed.
+    #[serde(default)]
+    pub(super) choose: Option<Vec<ChoiceFile>>,
+    /// Choice: executed if no condition holds.
+    #[serde(default, rename = "else")]
+    pub(super) otherwise: Option<Box<TaskFile>>,
+    /// Loop: name of the variable, used as `${name}` in its task.
+    #[serde(default, rename = "for")]
+    pub(super) variable: Option<String>,
+    /// Loop: its values, as a list or as `${name}` of a parameter of kind `places` or `texts`.
+    #[serde(default, rename = "in")]
+    pub(super) values: Option<ListFile>,
+    /// Loop or repetition: the repeated task.
+    #[serde(default, rename = "do")]
+    pub(super) body: Option<Box<TaskFile>>,
+    /// Repetition: maximum number of iterations, from 1 to 10.
+    #[serde(default)]
+    #[schemars(range(min = 1, max = ITERATIONS_MAX))]
+    pub(super) repeat: Option<u32>,
+    /// Repetition: condition (CEL) that ends it, over the results of its own tasks and of earlier tasks.
+    #[serde(default)]
+    pub(super) until: Option<String>,
+    /// Parameters of the skill, by name. `${name}` stands for a parameter of the mission, and
+    /// `${task.result}` for a result of an earlier task.
     #[serde(default, deserialize_with = "unique_keys")]
     pub(super) parameters: BTreeMap<String, String>,
     /// State that holds after the task, such as `location: ${room}`.
@@ -134,6 +197,30 @@ pub(super) struct TaskFile {
     pub(super) alternatives: Vec<MethodFile>,
 }
 
+/// Maximum number of iterations of a repetition.
+pub(super) const ITERATIONS_MAX: u32 = 10;
+
+/// Branch of a choice.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ChoiceFile {
+    /// Condition (CEL) over the results of earlier tasks.
+    pub(super) when: String,
+    /// Task that is executed if it holds, and no earlier condition does.
+    #[serde(rename = "do")]
+    pub(super) body: TaskFile,
+}
+
+/// Values of a loop.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub(super) enum ListFile {
+    /// `${name}` of a parameter.
+    Reference(String),
+    /// The values.
+    Values(Vec<String>),
+}
+
 /// Alternative method of an abstract task.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -149,6 +236,24 @@ impl TaskFile {
     pub(super) fn has_entries(&self) -> bool {
         let maps = [&self.parameters, &self.reaches, &self.acquires];
         maps.iter().any(|map| !map.is_empty()) || !self.releases.is_empty() || self.attempts.is_some()
+    }
+
+    /// Returns the tasks directly below it.
+    pub(super) fn below(&self) -> impl Iterator<Item = &TaskFile> {
+        let choices = self.choose.iter().flatten().map(|choice| &choice.body);
+        let bodies = self.otherwise.iter().chain(&self.body).map(|task| &**task);
+        self.tasks.iter().flatten().chain(choices).chain(bodies)
+    }
+
+    /// Returns the names of the task and of all tasks below it.
+    pub(super) fn names(&self) -> BTreeSet<&str> {
+        let mut names = BTreeSet::new();
+        let mut open = vec![self];
+        while let Some(task) = open.pop() {
+            names.insert(task.task.as_str());
+            open.extend(task.below());
+        }
+        names
     }
 }
 

@@ -46,7 +46,30 @@
 //! executes all tasks of the method and of its alternatives, and none of these tasks touches an
 //! item.
 //!
-//! A parameter's `kind` is `place`, `seconds` or `text`. Without a `default` a request must provide
+//! # Results and conditions
+//!
+//! Tasks return results, as their types declare. `${inspect.dust_g}` is the result `dust_g` of the
+//! earlier task `inspect`; it may be the whole value of a parameter. `when: inspect.dust_g > 5.0` is a
+//! condition in CEL: the task is skipped unless it holds. A result of a skipped task is unknown, and a
+//! condition with an unknown result fails the mission. A task with a condition moves no item.
+//!
+//! ```yaml
+//!     - task: clean
+//!       choose:                                          # the first branch whose condition holds
+//!         - { when: inspect.dust_g > 5.0, do: { task: vacuum, type: vacuum, roles: [r1] } }
+//!       else: { task: note, type: wait, roles: [r1], parameters: { seconds: "1" } }
+//!     - task: rounds
+//!       for: room                                        # tasks are named look_1, look_2, …
+//!       in: "${rooms}"                                   # or a list: [IC Room 6, PC Room 3]
+//!       do: { task: look, type: navigation, roles: [r1], parameters: { to: "${room}" } }
+//!     - task: polish
+//!       repeat: 3                                        # at most
+//!       do: { task: rub, type: rub, roles: [r1] }
+//!       until: rub.shine > 0.9                           # the latest iteration
+//! result: { dust_g: inspect.dust_g }                     # results of the mission, beside `root`
+//! ```
+//!
+//! A parameter's `kind` is `place`, `seconds`, `number`, `text`, `places` or `texts`. Without a `default` a request must provide
 //! the value. `${name}` stands for the value, within the values of `parameters` and `reaches` only;
 //! `$$` stands for a dollar sign. A substituted value is never searched again, so a value cannot
 //! insert another value.
@@ -57,6 +80,7 @@
 
 mod builder;
 mod form;
+mod scope;
 
 pub(super) use form::unique_keys;
 pub use form::{TemplateKind, TemplateParameter};
@@ -245,6 +269,11 @@ impl MissionTemplate {
         let mut recovery = self.file.recovery.as_ref().map(|root| {
             builder.values.extend(lost_item::VARIABLES);
             builder.mission(&self.name, &self.file.roles, root, "recovery")
+        });
+        mission.results = builder.results(&self.file.result);
+        [Some(&mut mission), recovery.as_mut()].into_iter().flatten().for_each(|branch| {
+            branch.set_typical_inputs(domain);
+            branch.set_domains(domain);
         });
         builder.find_unused(&self.file.parameters);
         let mut problems = builder.diagnostics;

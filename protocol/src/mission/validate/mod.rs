@@ -7,6 +7,7 @@ use super::domain::{Domain, ValueKind};
 use super::limits::{ROLES_MAX, TASKS_MAX};
 use super::model::{Mission, TaskSpec};
 use super::order::GlobalOrder;
+use super::references::reference_problems;
 use super::structure::{at, check_tree_and_roles, paths, specs};
 use consort_text::AllowedNames;
 
@@ -17,10 +18,11 @@ impl Mission {
     /// [`MissionErrors`] lists all problems.
     pub fn check(&self, domain: &Domain) -> Result<(), MissionErrors> {
         let mut found = check_tree_and_roles(self);
-        if found.is_empty()
-            && let Err(errors) = GlobalOrder::of(self)
-        {
-            found.extend(errors.diagnostics);
+        if found.is_empty() {
+            match GlobalOrder::of(self) {
+                Ok(order) => found.extend(reference_problems(self, &order, domain)),
+                Err(errors) => found.extend(errors.diagnostics),
+            }
         }
         // In a malformed tree some paths are meaningless, but the tasks can still be checked.
         if self.tasks.len() <= TASKS_MAX && self.roles.len() <= ROLES_MAX {

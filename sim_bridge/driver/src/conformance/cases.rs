@@ -57,6 +57,7 @@ cases! {
     unknown_action_is_rejected: "it ends a goal of an unknown action as `aborted`",
     wrong_parameters_are_survived: "it answers heartbeats after a goal with wrong parameters",
     goal_succeeds: "it ends a goal as `succeeded`",
+    goal_returns_its_results: "a completed goal returns the results that its action declares",
     goal_sends_feedback: "it sends feedback during a goal",
     goal_has_a_single_result: "it sends a single result for a goal",
     next_goal_succeeds: "it executes another goal after the first",
@@ -210,6 +211,26 @@ async fn goal_succeeds(trial: &Trial) -> Result<(), CaseFailure> {
     expect(probe.follow_to_end(1).await?, ResultStatus::Succeeded)
 }
 
+async fn goal_returns_its_results(trial: &Trial) -> Result<(), CaseFailure> {
+    let (mut probe, hello) = Probe::ready(trial).await?;
+    let goal = sample(trial, &hello)?;
+    probe.start_goal(1, &goal).await?;
+    expect(probe.follow_to_end(1).await?, ResultStatus::Succeeded)?;
+    let values = probe.results.iter().find(|(id, ..)| id.0 == 1).map(|(.., values)| values.clone()).unwrap_or_default();
+    let declared = hello.actions.get(&goal.action).map(|action| action.results.clone()).unwrap_or_default();
+    for (name, form) in declared {
+        match values.get(&name) {
+            None => return failed(format!("the result `{name}` is missing")),
+            Some(value) if !form.kind.fits(value) => {
+                let kind = serde_json::to_value(form.kind).unwrap_or_default();
+                return failed(format!("the result `{name}` is {value}; the domain declares {kind}"));
+            }
+            Some(_) => {}
+        }
+    }
+    Ok(())
+}
+
 async fn goal_sends_feedback(trial: &Trial) -> Result<(), CaseFailure> {
     let (mut probe, goal) = Probe::with_sample(trial).await?;
     probe.start_goal(1, &goal).await?;
@@ -227,7 +248,7 @@ async fn goal_sends_feedback(trial: &Trial) -> Result<(), CaseFailure> {
 /// Checks the number of results of goal 1 after a while.
 async fn expect_results(probe: &mut Probe, count: usize) -> Result<(), CaseFailure> {
     probe.observe(Duration::from_millis(500)).await?;
-    let results = probe.results.iter().filter(|(id, _)| id.0 == 1).count();
+    let results = probe.results.iter().filter(|(id, ..)| id.0 == 1).count();
     if results == count { Ok(()) } else { failed(format!("{results} results of the same goal, not {count}")) }
 }
 

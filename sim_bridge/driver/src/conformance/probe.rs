@@ -54,7 +54,7 @@ pub(super) struct Probe {
     /// The first line that is no message, with the problem.
     pub(super) first_wrong_line: Option<String>,
     /// Results received, in order.
-    pub(super) results: Vec<(GoalId, ResultStatus)>,
+    pub(super) results: Vec<(GoalId, ResultStatus, JsonObject)>,
     sequence: u64,
 }
 
@@ -198,8 +198,8 @@ impl Probe {
             self.line_count += 1;
             match DriverMessage::parse(&line) {
                 Ok(message) => {
-                    if let DriverMessage::Result { id, status, .. } = &message {
-                        self.results.push((*id, *status));
+                    if let DriverMessage::Result { id, status, results, .. } = &message {
+                        self.results.push((*id, *status, results.clone()));
                     }
                     return Ok(Some(message));
                 }

@@ -19,7 +19,7 @@ use crate::messages::{DriverMessage, NodeMessage, PROTOCOL_VERSION, Reading, Res
 use consort_protocol::ids::{ActionName, PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, Metres, Seconds};
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalId, GoalStatus, JsonObject};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalId, GoalResult, GoalStatus, JsonObject};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -358,13 +358,13 @@ impl DriverSession {
                 let distance = distance_remaining_m.unwrap_or(Metres::ZERO);
                 self.goals.report(id, Feedback::remaining(distance, time_remaining_s.unwrap_or(Seconds::ZERO)));
             }
-            DriverMessage::Result { id, status, code, message } => {
+            DriverMessage::Result { id, status, code, message, results } => {
                 if !self.goals.is_current(id) {
                     // Repeated results are allowed: a driver answers a repeated goal that way.
                     return vec![];
                 }
                 let status = match status {
-                    ResultStatus::Succeeded => GoalStatus::Succeeded,
+                    ResultStatus::Succeeded => GoalStatus::Succeeded(GoalResult(results)),
                     ResultStatus::Canceled => GoalStatus::Canceled,
                     ResultStatus::Aborted => aborted(
                         code.unwrap_or(ErrorCode::Failed),

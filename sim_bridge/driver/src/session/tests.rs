@@ -21,7 +21,13 @@ fn hello(resumes: bool) -> SessionEvent {
 }
 
 fn result(id: u64, status: ResultStatus) -> SessionEvent {
-    SessionEvent::Message(DriverMessage::Result { id: GoalId(id), status, code: None, message: None })
+    SessionEvent::Message(DriverMessage::Result {
+        id: GoalId(id),
+        status,
+        code: None,
+        message: None,
+        results: JsonObject::new(),
+    })
 }
 
 fn ended(how: &str) -> SessionEvent {
@@ -85,9 +91,9 @@ fn a_goal_is_sent_with_its_permission_and_ends_with_the_result() {
     let renewed = sent(session.permit(GoalId(7), at(500), at(300)));
     assert_eq!(renewed, [NodeMessage::Keep { id: GoalId(7), keep_for_ms: 500 }]);
     session.handle(result(7, ResultStatus::Succeeded), at(400));
-    assert_eq!(session.take_ended(), outcome(7, GoalStatus::Succeeded));
+    assert_eq!(session.take_ended(), outcome(7, GoalStatus::succeeded()));
     session.handle(result(7, ResultStatus::Aborted), at(410));
-    assert_eq!((session.take_ended(), session.status(GoalId(7))), (vec![], Some(GoalStatus::Succeeded)));
+    assert_eq!((session.take_ended(), session.status(GoalId(7))), (vec![], Some(GoalStatus::succeeded())));
     assert_eq!(session.goal(GoalId(7)), Some(wait()));
 }
 

@@ -91,7 +91,7 @@ impl Flight {
         if let BackendEvent::GoalEnded { robot, status, .. } = event
             && self.pending.remove(&robot)
         {
-            self.arrived += usize::from(status == GoalStatus::Succeeded);
+            self.arrived += usize::from(status == GoalStatus::succeeded());
             self.last_result_s = self.now();
         }
     }

@@ -54,7 +54,7 @@ impl World {
         let ActiveGoal { id, goal, ends, system } = self.state.get_mut::<GoalHistory>(robot).active.take()?;
         ends.into_iter().for_each(|ends| self.state.queue.cancel(ends));
         let status = match self.run_system(system, |system, state| system.finish_goal(state, robot, &goal)) {
-            Ok(()) => GoalStatus::Succeeded,
+            Ok(result) => GoalStatus::Succeeded(result),
             Err(error) => GoalStatus::Aborted(error),
         };
         Some(self.state.record(robot, id, goal, status))

@@ -47,7 +47,7 @@
 //!     world.advance(due);
 //! }
 //! let telemetry = world.telemetry(&ada).expect("ada is in this world");
-//! assert_eq!((world.status(&ada, GoalId(1)), telemetry.place.as_str()), (Some(GoalStatus::Succeeded), "Crossing"));
+//! assert_eq!((world.status(&ada, GoalId(1)), telemetry.place.as_str()), (Some(GoalStatus::succeeded()), "Crossing"));
 //! assert!(telemetry.time > WorldTime::ZERO && telemetry.battery < BatteryShare::FULL);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

@@ -21,7 +21,7 @@ use super::event::WorldEvent;
 use super::setup::{RobotSetup, WorldSetup};
 use super::sim_state::SimState;
 use super::system_access::{ComponentType, SystemTimer};
-use consort_skills::actions::{ActionError, Feedback, Goal, GoalId, PersonRequest};
+use consort_skills::actions::{ActionError, Feedback, Goal, GoalId, GoalResult, PersonRequest};
 use hecs::Entity;
 
 /// End time of a goal with an unknown end.
@@ -59,12 +59,12 @@ pub(crate) trait System: Sync {
         None
     }
 
-    /// Applies the effect of a goal at its end, if that is still possible.
+    /// Applies the effect of a goal at its end, if that is still possible, and returns its result.
     ///
     /// # Errors
     /// Reason why it is not. Nothing has changed then.
-    fn finish_goal(&self, _state: &mut SimState, _robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
-        Ok(())
+    fn finish_goal(&self, _state: &mut SimState, _robot: Entity, _goal: &Goal) -> Result<GoalResult, ActionError> {
+        Ok(GoalResult::default())
     }
 
     /// Interrupts the active goal and leaves everything as it is now.

@@ -105,7 +105,8 @@ fn reply_to_news(ledger: &Ledger, report: &Report) -> Option<ReportReply> {
         return Some(ReportReply::Ended { epoch, reason: EndReason::Over, current: Some(epoch) });
     }
     let (ended, holders) = (report.ended.clone(), entry.role_holders());
-    Some(ReportReply::Renewed { epoch, ended, holders, signals: Default::default() })
+    let (signals, outcomes) = Default::default();
+    Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes })
 }
 
 /// Sends `reply`, and passes the query on without a way to reply.
@@ -145,16 +146,17 @@ impl RenewsOutdated {
     fn change(&self, reply: ReportReply) -> ReportReply {
         let reported = self.report.epoch;
         match reply {
-            ReportReply::Renewed { ended, holders, signals, .. } => {
-                ReportReply::Renewed { epoch: reported, ended, holders, signals }
+            ReportReply::Renewed { ended, holders, signals, outcomes, .. } => {
+                ReportReply::Renewed { epoch: reported, ended, holders, signals, outcomes }
             }
             ReportReply::Ended { reason: EndReason::Replaced, current: Some(current), .. } => self
                 .ledger
                 .read(|ledger| {
                     let (entry, role) = reported_role(ledger, &self.report)?;
                     let (ended, holders) = (role.ended.clone(), entry.role_holders());
-                    let signals = entry.signals_to(&self.report.role);
-                    Some(ReportReply::Renewed { epoch: reported, ended, holders, signals })
+                    let role = &self.report.role;
+                    let (signals, outcomes) = (entry.signals_to(role), entry.outcomes_for(role));
+                    Some(ReportReply::Renewed { epoch: reported, ended, holders, signals, outcomes })
                 })
                 .unwrap_or(ReportReply::Ended { epoch: reported, reason: EndReason::Replaced, current: Some(current) }),
             ReportReply::Ended { reason, current, .. } => ReportReply::Ended { epoch: reported, reason, current },

@@ -161,8 +161,8 @@ enum ReportCase<'a> {
     NewSteps,
     /// A robot cannot continue.
     RobotFailed(&'a TaskFailure),
-    /// A person cannot continue.
-    PersonFailed(&'a TaskFailure),
+    /// Nobody can continue: a person failed, or a result is unknown.
+    MissionFailed(&'a TaskFailure),
     /// The ledger contains the whole report.
     NoNews(&'a MissionEntry, &'a RoleEntry),
 }
@@ -179,7 +179,7 @@ pub(super) fn next(
         ReportCase::Unaccepted => Step::Commit(accept(report)),
         ReportCase::NewSteps => Step::Commit(progress(report)),
         ReportCase::RobotFailed(failure) => Step::Commit(release_failed(report, failure)),
-        ReportCase::PersonFailed(failure) => Step::Commit(fail_mission(report, failure, places())),
+        ReportCase::MissionFailed(failure) => Step::Commit(fail_mission(report, failure, places())),
         ReportCase::NoNews(entry, role) => Step::Reply(renewed(entry, role, report)),
     }
 }
@@ -197,8 +197,12 @@ fn report_case<'a>(entry: Option<&'a MissionEntry>, report: &'a Report) -> Repor
     match (obstacle, &report.failure, role.kind) {
         (Some(obstacle), ..) => obstacle,
         (None, ..) if !report.ended.is_subset(&role.ended) => ReportCase::NewSteps,
+        (None, ..) if report.outcomes.keys().any(|task| entry.lacks_outcome(&report.role, task)) => {
+            ReportCase::NewSteps
+        }
+        (None, Some(failure), _) if failure.kind == FailureKind::UnknownResult => ReportCase::MissionFailed(failure),
         (None, Some(failure), RoleKind::Managed) => ReportCase::RobotFailed(failure),
-        (None, Some(failure), RoleKind::Unmanaged) => ReportCase::PersonFailed(failure),
+        (None, Some(failure), RoleKind::Unmanaged) => ReportCase::MissionFailed(failure),
         (None, None, _) => ReportCase::NoNews(entry, role),
     }
 }
@@ -252,6 +256,7 @@ fn renewed(entry: &MissionEntry, role: &RoleEntry, report: &Report) -> ReportRep
         ended: role.ended.clone(),
         holders: entry.role_holders(),
         signals: entry.signals_to(&report.role),
+        outcomes: entry.outcomes_for(&report.role),
     }
 }
 
@@ -266,8 +271,8 @@ fn accept(report: &Report) -> Command {
 }
 
 fn progress(report: &Report) -> Command {
-    let (role, epoch, ended) = (report.role.clone(), report.epoch, report.ended.clone());
-    Command::Progress { mission: report.mission.clone(), role, epoch, branch: report.branch, ended }
+    let Report { mission, role, epoch, branch, ended, outcomes, .. } = report.clone();
+    Command::Progress { mission, role, epoch, branch, ended, outcomes }
 }
 
 /// Releases the role to another robot. A robot that only leaves the fleet, that gives way, or that has

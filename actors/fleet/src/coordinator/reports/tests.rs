@@ -62,6 +62,7 @@ fn ledger(lost: bool) -> (Ledger, MissionId) {
             epoch,
             branch: Branch::Main,
             ended: ended.iter().copied().collect(),
+            outcomes: BTreeMap::new(),
         };
         assert_eq!(ledger.apply(at(3), progress_of(r1.clone(), at(2), &[0, 1, 2])), CommandOutcome::Done);
         let (cause, place) = ("silent".to_owned(), None);
@@ -82,6 +83,7 @@ fn report(mission: &MissionId, branch: Branch, ended: &[u32]) -> Report {
         epoch: Epoch::default(),
         branch,
         ended: BTreeSet::from_iter(ended.iter().copied()),
+        outcomes: BTreeMap::new(),
         current_task: None,
         place: None,
         from_checkpoint: false,
@@ -103,7 +105,8 @@ fn progress_of_a_person_is_recorded_with_its_branch() {
     for (lost, branch) in [(false, Branch::Main), (true, Branch::Recovery)] {
         let (ledger, mission) = ledger(lost);
         let (role, epoch, ended) = (nurse(), Epoch::default(), BTreeSet::from([0, 1]));
-        let progress = Command::Progress { mission: mission.clone(), role, epoch, branch, ended };
+        let outcomes = BTreeMap::new();
+        let progress = Command::Progress { mission: mission.clone(), role, epoch, branch, ended, outcomes };
         assert_eq!(next_step(&ledger, &report(&mission, branch, &[0, 1])), Step::Commit(progress));
     }
 }

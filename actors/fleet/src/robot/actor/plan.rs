@@ -31,6 +31,7 @@ impl RobotState {
                 PlanAction::Emit(outputs) => self.emit_outputs(outputs),
                 PlanAction::StartTask { step, task, spec } => self.start_task(step, &task, &spec).await?,
                 PlanAction::ReportReceived(signal) => self.emit_received(signal),
+                PlanAction::Fail(failure) => self.recover(failure),
             }
         }
         self.write_checkpoint();
@@ -91,9 +92,9 @@ impl RobotState {
             return Ok(()); // the skill was halted meanwhile
         };
         match outcome {
-            SkillOutcome::Succeeded => {
+            SkillOutcome::Succeeded(results) => {
                 let Some(task) = active.sequencer.current_task().cloned() else { return Ok(()) };
-                active.end_task(attempt.step, task, self.driver.next_goal());
+                active.end_task(attempt.step, task, results, self.driver.next_goal());
                 self.advance().await
             }
             SkillOutcome::Failed(cause) => {

@@ -13,6 +13,7 @@ use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{Action, Award, EndReason, Epoch, Event, RoleHolder};
 use consort_protocol::message::{AwardNotice, FailureKind, ReportReply};
+use consort_protocol::mission::TaskOutcomes;
 use consort_protocol::plan::{Signal, StepIndex};
 use consort_protocol::units::NodeTime;
 use ractor::ActorProcessingErr;
@@ -65,8 +66,8 @@ impl RobotState {
         let answered = !matches!(reply, None | Some(ReportReply::NotCoordinator { .. }));
         self.lease.end_report(recipient, answered, now);
         let actions = match reply {
-            Some(ReportReply::Renewed { epoch, ended, holders, signals }) => {
-                self.update_plan(epoch, &ended, &holders, &signals);
+            Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes }) => {
+                self.update_plan(epoch, &ended, &holders, &signals, outcomes);
                 self.lease.renew(Renewal { epoch, sent, ended, holders }, now)
             }
             Some(ReportReply::Ended { epoch, reason: EndReason::Over, .. }) => self.settle(epoch, now).await,
@@ -91,11 +92,13 @@ impl RobotState {
         ended: &BTreeSet<StepIndex>,
         holders: &BTreeMap<RoleId, RoleHolder>,
         signals: &BTreeSet<Signal>,
+        outcomes: TaskOutcomes,
     ) {
         let Some(active) = self.execution.plan_of(epoch) else { return };
         active.sequencer.set_recorded(ended);
         let discarded = active.sequencer.set_holders(holders.clone());
         active.sequencer.receive_recorded(signals);
+        active.sequencer.set_recorded_outcomes(outcomes);
         if discarded {
             self.query_signals();
         }

@@ -9,6 +9,7 @@ use crate::robot::execution::Execution;
 use crate::robot::lease_client::{LeaseClient, ReportHeader};
 use crate::robot::release::{DriverActivity, PendingRelease};
 use crate::robot::report::send_report;
+use crate::robot::sequencer::Sequencer;
 use crate::robot::settings::RobotSettings;
 use crate::robot::signals::SignalExchange;
 use consort_bus::tasks::Tasks;
@@ -146,7 +147,8 @@ impl RobotState {
         };
         let active = self.execution.plan_of(epoch).map(|active| &active.sequencer);
         let restored = self.checkpoint.restored().filter(|checkpoint| checkpoint.award.epoch == epoch);
-        let ended = active.map(|sequencer| sequencer.ended()).or(restored.map(|checkpoint| &checkpoint.ended));
+        let ended = active.map(|sequencer| sequencer.ended()).or(restored.map(|checkpoint| &checkpoint.own.ended));
+        let outcomes = active.map(Sequencer::own_outcomes).or(restored.map(|checkpoint| &checkpoint.own.outcomes));
         Report {
             robot: self.settings.robot.clone(),
             incarnation: self.settings.incarnation,
@@ -155,6 +157,7 @@ impl RobotState {
             epoch,
             branch: Branch::default(),
             ended: ended.cloned().unwrap_or_default(),
+            outcomes: outcomes.cloned().unwrap_or_default(),
             current_task: active.and_then(|sequencer| sequencer.current_task().cloned()),
             place: self.driver.place(),
             from_checkpoint,

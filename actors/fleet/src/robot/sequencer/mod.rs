@@ -1,6 +1,7 @@
 //! Selection of the next step of a local plan (Algorithm 2 of the thesis), as a value.
 
 mod alternatives;
+mod outcomes;
 mod parked_signals;
 mod role_awards;
 #[cfg(test)]
@@ -13,10 +14,12 @@ use alternatives::{alternative, alternative_task};
 use consort_bus::Author;
 use consort_protocol::ids::{RobotId, RoleId, TaskId};
 use consort_protocol::lease::{Epoch, RoleHolder};
-use consort_protocol::mission::TaskSpec;
+use consort_protocol::mission::{ResultValue, TaskOutcome, TaskOutcomes, TaskSpec};
 use consort_protocol::plan::{LocalPlan, PlanProgress, ProgressError, Signal, SignalKind, Step, StepAction, StepIndex};
+use outcomes::Outcomes;
 use parked_signals::{ParkedSignal, ParkedSignals};
 use role_awards::{RoleAwards, SignalCheck};
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A plan in execution: ended steps, current task, next step.
@@ -34,6 +37,18 @@ pub struct Sequencer {
     sent: BTreeSet<Signal>,
     /// Received signals that await a confirmation by the coordinator.
     parked: ParkedSignals,
+    outcomes: Outcomes,
+}
+
+/// Progress of a role that its holder has stored.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct OwnProgress {
+    /// Steps that have ended.
+    pub ended: BTreeSet<StepIndex>,
+    /// Alternatives that were tried or are in use.
+    pub alternatives: AlternativeProgress,
+    /// Outcomes of tasks of the role.
+    pub outcomes: TaskOutcomes,
 }
 
 /// Effect of a received signal.
@@ -79,6 +94,15 @@ pub enum SequencerAction {
     SendSignal(Signal),
     /// An awaited signal has arrived.
     SignalReceived(Signal),
+    /// A task was skipped: its condition does not hold.
+    TaskSkipped(TaskId),
+    /// The current task cannot start: its condition or a parameter uses an unknown result.
+    ResultUnknown {
+        /// Its id.
+        task: TaskId,
+        /// Description of the problem.
+        cause: String,
+    },
 }
 
 impl Sequencer {
@@ -91,7 +115,8 @@ impl Sequencer {
         ended: &BTreeSet<StepIndex>,
         holders: BTreeMap<RoleId, RoleHolder>,
     ) -> Result<Sequencer, ProgressError> {
-        Sequencer::resume(plan, ended, &BTreeSet::new(), AlternativeProgress::default(), holders)
+        let own = OwnProgress::default();
+        Sequencer::resume(plan, ended, own, holders)
     }
 
     /// Resumes a plan after a restart. The checkpoint (`own`) may be ahead of the ledger
@@ -102,11 +127,11 @@ impl Sequencer {
     pub fn resume(
         plan: LocalPlan,
         recorded: &BTreeSet<StepIndex>,
-        own: &BTreeSet<StepIndex>,
-        alternatives: AlternativeProgress,
+        own: OwnProgress,
         holders: BTreeMap<RoleId, RoleHolder>,
     ) -> Result<Sequencer, ProgressError> {
-        let ended: BTreeSet<StepIndex> = recorded.union(own).copied().collect();
+        let OwnProgress { ended: own, alternatives, outcomes } = own;
+        let ended: BTreeSet<StepIndex> = recorded.union(&own).copied().collect();
         let sent = ended.iter().filter_map(|step| match &plan.steps.get(*step as usize)?.action {
             StepAction::Send(signal) => Some(signal.clone()),
             StepAction::Wait(_) | StepAction::Task { .. } => None,
@@ -117,7 +142,8 @@ impl Sequencer {
         let roles = RoleAwards::new(holders);
         let recorded = recorded.clone();
         let parked = ParkedSignals::default();
-        Ok(Sequencer { progress, running: None, alternatives, recorded, roles, sent, parked })
+        let outcomes = Outcomes::new(progress.plan(), outcomes);
+        Ok(Sequencer { progress, running: None, alternatives, recorded, roles, sent, parked, outcomes })
     }
 
     /// Returns the next action, which the caller performs at once. Returns `None` while a task is
@@ -128,7 +154,8 @@ impl Sequencer {
         if self.running.is_some() {
             return None;
         }
-        let next = self.progress.next_guarded(&self.recorded).map(|(index, step)| (index, step.action.clone()));
+        let may_start = |step| self.progress.is_guard_met(step, &self.recorded) && self.outcomes.are_known_for(step);
+        let next = self.progress.next_where(may_start).map(|(index, step)| (index, step.action.clone()));
         match next {
             Some((step, StepAction::Send(signal))) if signal.kind == SignalKind::Done => {
                 Some(self.send_signal(step, signal))
@@ -140,7 +167,7 @@ impl Sequencer {
             // The current alternative takes precedence over all other tasks until it has ended.
             _ if self.alternatives.current().is_some() => self.next_alternative_task(),
             Some((step, StepAction::Send(signal))) => Some(self.send_signal(step, signal)),
-            Some((step, StepAction::Task { id, spec })) => self.start_task(StepRef::Step(step), id, spec),
+            Some((step, StepAction::Task { id, spec })) => self.start_or_skip_task(step, id, spec),
             None => None,
         }
     }
@@ -166,17 +193,43 @@ impl Sequencer {
         Some(SequencerAction::StartTask { step, task, spec })
     }
 
+    fn start_or_skip_task(&mut self, step: StepIndex, task: TaskId, mut spec: TaskSpec) -> Option<SequencerAction> {
+        let outcomes = self.outcomes.recorded();
+        let ready = match spec.conditions_hold(outcomes) {
+            Ok(true) => spec.set_inputs(outcomes),
+            Ok(false) => {
+                self.finish(step);
+                self.outcomes.add(task.clone(), TaskOutcome::Skipped);
+                return Some(SequencerAction::TaskSkipped(task));
+            }
+            Err(problem) => Err(problem),
+        };
+        match ready {
+            Ok(()) => self.start_task(StepRef::Step(step), task, spec),
+            Err(cause) => {
+                self.running = Some(StepRef::Step(step));
+                Some(SequencerAction::ResultUnknown { task, cause })
+            }
+        }
+    }
+
     fn finish(&mut self, step: StepIndex) {
         self.progress.end(step).expect("a returned step may end");
     }
 
-    /// Marks the current task as succeeded.
-    pub fn end_task(&mut self, step: StepRef) {
+    /// Marks the current task as succeeded, with its results.
+    pub fn end_task(&mut self, step: StepRef, results: BTreeMap<String, ResultValue>) {
+        let task = self.current_task().cloned();
         if self.running.take_if(|running| *running == step).is_none() {
             return;
         }
         match step {
-            StepRef::Step(step) => self.finish(step),
+            StepRef::Step(step) => {
+                self.finish(step);
+                if let Some(task) = task.filter(|_| !results.is_empty()) {
+                    self.outcomes.add(task, TaskOutcome::Done(results).limited());
+                }
+            }
             StepRef::Alternative { alternative, task } => {
                 self.alternatives.end_task(alternative, task, &mut self.progress);
             }
@@ -287,8 +340,10 @@ impl Sequencer {
     /// Checks whether the next step is blocked only because the ledger is not yet known to contain
     /// the ended steps.
     pub fn awaits_ledger(&self) -> bool {
-        self.running.is_none()
-            && self.progress.permitted().iter().any(|step| !self.progress.is_guard_met(*step, &self.recorded))
+        let waits = |step: &StepIndex| {
+            !self.progress.is_guard_met(*step, &self.recorded) || !self.outcomes.are_known_for(*step)
+        };
+        self.running.is_none() && self.progress.permitted().iter().any(waits)
     }
 
     /// Marks steps as ended in the ledger.
@@ -296,14 +351,25 @@ impl Sequencer {
         self.recorded.extend(ended);
     }
 
+    /// Updates the outcomes of tasks, as in the ledger.
+    pub fn set_recorded_outcomes(&mut self, outcomes: TaskOutcomes) {
+        self.outcomes.set_recorded(outcomes);
+    }
+
+    /// Returns the outcomes of tasks of this role.
+    pub(crate) fn own_outcomes(&self) -> &TaskOutcomes {
+        self.outcomes.own()
+    }
+
+    /// Returns the progress for a checkpoint.
+    pub(crate) fn own_progress(&self) -> OwnProgress {
+        let (ended, alternatives) = (self.progress.ended().clone(), self.alternatives.clone());
+        OwnProgress { ended, alternatives, outcomes: self.outcomes.own().clone() }
+    }
+
     /// Returns the steps that have ended.
     pub fn ended(&self) -> &BTreeSet<StepIndex> {
         self.progress.ended()
-    }
-
-    /// Returns the alternatives that were started.
-    pub(crate) fn alternative_progress(&self) -> &AlternativeProgress {
-        &self.alternatives
     }
 
     /// Returns the signals that this role has sent.

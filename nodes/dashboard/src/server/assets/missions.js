@@ -4,7 +4,7 @@ import { byId, cells, clock, make, meter, numberCell, redraw, rows, since, span,
 import { chart } from './gantt.js';
 
 const KINDS = { completed: 'good', running: 'work', pending: 'wait', failed: 'bad', canceled: 'warn', needs_intervention: 'bad' };
-const MARKS = { done: ['✓', 'done'], running: ['▸', 'under way'], failed: ['✕', 'failed'], open: ['·', 'to do'] };
+const MARKS = { done: ['✓', 'done'], running: ['▸', 'under way'], failed: ['✕', 'failed'], skipped: ['–', 'skipped'], open: ['·', 'to do'] };
 
 export const badge = (mission) => state(KINDS[mission.state] ?? 'wait', readable(mission.state));
 
@@ -69,6 +69,7 @@ function detail(article, id, mission, now, { cancel, resolve }) {
   const notes = make('dl', { className: 'notes' });
   const note = (name, value) => value && notes.append(make('div', {}, make('dt', {}, name), make('dd', {}, value)));
   for (const [name, value] of Object.entries(mission.parameters ?? {})) note(name, value);
+  for (const [name, value] of Object.entries(mission.result ?? {})) note(`result: ${readable(name)}`, String(value));
   if (mission.priority) note('priority', String(mission.priority));
   note('submitted', clock(mission.submitted_ms));
   if (mission.award_after_ms !== undefined) note('award after', `${mission.award_after_ms.toFixed(1)} ms`);
@@ -122,6 +123,7 @@ function markOf(mission, index) {
   const { id, body } = mission.tasks[index];
   if (body.Abstract) return combined(body.Abstract.children.map((child) => markOf(mission, child)));
   const bar = (mission.bars ?? []).findLast((item) => item.task === id);
+  if (bar?.state === 'skipped') return 'skipped';
   const steps = Object.values(mission.roles ?? {}).flatMap((role) => (role.steps ?? []).filter((step) => step.label === id));
   if (mission.state === 'completed' || (steps.length > 0 && steps.every((step) => step.done)) || bar?.state === 'done') return 'done';
   if (bar?.state === 'running') return 'running';
@@ -130,7 +132,8 @@ function markOf(mission, index) {
 
 function combined(marks) {
   if (marks.includes('failed')) return 'failed';
-  if (marks.every((mark) => mark === 'done')) return 'done';
+  if (marks.every((mark) => mark === 'skipped')) return 'skipped';
+  if (marks.every((mark) => mark === 'done' || mark === 'skipped')) return 'done';
   return marks.some((mark) => mark !== 'open') ? 'running' : 'open';
 }
 

@@ -122,7 +122,14 @@ impl Log {
         steps: std::ops::Range<StepIndex>,
     ) -> CommandOutcome {
         let (mission, role) = (self.2.clone(), role(who));
-        self.apply(Command::Progress { mission, role, epoch, branch, ended: steps.collect() })
+        self.apply(Command::Progress {
+            mission,
+            role,
+            epoch,
+            branch,
+            ended: steps.collect(),
+            outcomes: BTreeMap::new(),
+        })
     }
 
     fn lose(&mut self, who: &str, epoch: Epoch, robot_failed: bool) {

@@ -1,3 +1,4 @@
+mod control_flow;
 mod optional_parts;
 
 use super::*;

@@ -237,7 +237,7 @@ impl Nav2Driver {
                         self.current = Some(CurrentGoal { id, goal, activity });
                     }
                     Some(_) => self.finish_goal(id, goal, GoalStatus::Canceled),
-                    None => self.finish_goal(id, goal, GoalStatus::Succeeded),
+                    None => self.finish_goal(id, goal, GoalStatus::succeeded()),
                 }
             }
             Nav2Event::Ended(_, DriveResult::Canceled) if stopping => self.finish_goal(id, goal, GoalStatus::Canceled),
@@ -357,7 +357,7 @@ impl RobotBackend for Nav2Driver {
         self.closed.retain(|(_, until)| *until > now);
         let over = |activity: &Activity| matches!(activity, Activity::Waiting(until) if *until <= now);
         if let Some(CurrentGoal { id, goal, .. }) = self.current.take_if(|current| over(&current.activity)) {
-            self.finish_goal(id, goal, GoalStatus::Succeeded);
+            self.finish_goal(id, goal, GoalStatus::succeeded());
         }
         std::mem::take(&mut self.pending_events)
     }

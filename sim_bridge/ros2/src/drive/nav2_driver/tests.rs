@@ -76,7 +76,7 @@ fn a_drive_ends_with_the_result_of_nav2() {
     let feedback = Feedback::remaining(Metres::new(6.0).unwrap(), Seconds::new(12.0).unwrap());
     assert_eq!(test.driver.status(&ada(), GoalId(7)), Some(GoalStatus::Executing(feedback)));
     assert_eq!((test.telemetry().pose, test.telemetry().place), (Pose::new(4.0, 0.1, 0.2), place("A")));
-    assert_eq!(test.after_event(Some(Nav2Event::Ended(1, DriveResult::Succeeded))), [(7, GoalStatus::Succeeded)]);
+    assert_eq!(test.after_event(Some(Nav2Event::Ended(1, DriveResult::Succeeded))), [(7, GoalStatus::succeeded())]);
     assert_eq!(test.telemetry().place, place("B"));
     test.go(7, "C");
     assert_eq!((test.sent_commands(), test.after_event(None)), (vec![], vec![]), "a repeated id starts nothing");
@@ -97,7 +97,7 @@ fn waypoints_are_driven_to_in_order() {
         panic!("a drive is in progress")
     };
     assert_eq!(feedback.progress, GoalProgress::Waypoint(1));
-    assert_eq!(test.after_event(Some(Nav2Event::Ended(2, DriveResult::Succeeded))), [(1, GoalStatus::Succeeded)]);
+    assert_eq!(test.after_event(Some(Nav2Event::Ended(2, DriveResult::Succeeded))), [(1, GoalStatus::succeeded())]);
 }
 
 #[test]
@@ -160,7 +160,7 @@ fn the_driver_waits_and_rejects_other_goals() {
     test.driver.start(&ada(), GoalId(1), Goal::Wait { time: Seconds::new(1.5).unwrap() });
     assert_eq!(test.driver.next_due(), Some(WorldTime::from_secs(1.5)));
     assert_eq!(test.after_event(None), []);
-    assert_eq!(test.after_event(None), [(1, GoalStatus::Succeeded)]);
+    assert_eq!(test.after_event(None), [(1, GoalStatus::succeeded())]);
     test.driver.start(&ada(), GoalId(2), Goal::Undock);
     assert_eq!(test.driver.next_due(), Some(test.driver.now()), "a rejection is reported at once");
     let cannot = aborted(ErrorCode::Unknown, "ada is driven by Nav2 and cannot dock");

@@ -201,7 +201,7 @@ impl GoalExecutor {
                 let Some(client) = active.client else { return vec![] };
                 vec![Action::Feedback(client, report(&self.planner, active, &telemetry, feedback))]
             }
-            Some(GoalStatus::Succeeded) => self.end(EndState::Succeeded, NavigateResult::default(), now),
+            Some(GoalStatus::Succeeded(_)) => self.end(EndState::Succeeded, NavigateResult::default(), now),
             Some(GoalStatus::Canceled) if active.canceling => {
                 self.end(EndState::Canceled, NavigateResult::default(), now)
             }

@@ -95,7 +95,7 @@ fn a_goal_is_started_reported_and_ended() {
     };
     assert_eq!(actions, [Action::Feedback(ALICE, expected)]);
     assert_eq!(summary(&executor.tick(s(2))), ["heartbeat"]);
-    let ended = executor.handle_state(state(&[(100, GoalStatus::Succeeded)]), s(9));
+    let ended = executor.handle_state(state(&[(100, GoalStatus::succeeded())]), s(9));
     assert_eq!(ended, [Action::End(ALICE, EndState::Succeeded, NavigateResult::default())]);
     assert!(!executor.is_busy());
     assert_eq!(executor.tick(s(99)), [], "an idle robot receives no commands");
@@ -128,7 +128,7 @@ fn a_later_goal_starts_when_the_earlier_has_ended() {
     assert_eq!(summary(&executor.handle_goal(BERT, at_b(), s(2))), ["end 1 Aborted 9000", "cancel 100"]);
     assert_eq!(summary(&executor.handle_goal(ALICE, at_b(), s(2))), ["end 2 Aborted 9000", "cancel 100"]);
     assert_eq!(summary(&executor.handle_state(state(&[(100, GoalStatus::Canceled)]), s(3))), ["start 101"]);
-    assert_eq!(summary(&executor.handle_state(state(&[(101, GoalStatus::Succeeded)]), s(4))), ["end 1 Succeeded 0"]);
+    assert_eq!(summary(&executor.handle_state(state(&[(101, GoalStatus::succeeded())]), s(4))), ["end 1 Succeeded 0"]);
 }
 
 #[test]

@@ -17,7 +17,7 @@ pub(super) fn log_line(event: &WorldEvent) -> (u8, String, String) {
             info(robot, format!("begins {} (goal {})", goal_text(goal), id.0))
         }
         WorldEvent::GoalEnded { robot, id, status } => match status {
-            GoalStatus::Succeeded => info(robot, format!("completed goal {}", id.0)),
+            GoalStatus::Succeeded(_) => info(robot, format!("completed goal {}", id.0)),
             GoalStatus::Canceled => info(robot, format!("goal {} was canceled", id.0)),
             GoalStatus::Aborted(error) => (WARNING, robot.to_string(), format!("goal {} failed: {error}", id.0)),
             GoalStatus::Sent | GoalStatus::Executing(_) => info(robot, format!("goal {} is under way", id.0)),

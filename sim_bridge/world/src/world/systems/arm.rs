@@ -9,7 +9,7 @@ use crate::world::sim_state::SimState;
 use crate::world::system::System;
 use crate::world::system_access::{ComponentType, component_types};
 use consort_protocol::ids::RobotId;
-use consort_skills::actions::{ActionError, ErrorCode, Goal};
+use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
 use hecs::Entity;
 
 /// Transfers of objects to new holders, in order.
@@ -40,12 +40,12 @@ impl System for Arm {
         Some(state.transfers(robot, goal).map(|_| state.now + duration_s))
     }
 
-    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
         for (object, to) in state.transfers(robot, goal)? {
             state.get_mut::<PayloadData>(object).distance_m = 0.0;
             state.transfer_sample(object, to);
         }
-        Ok(())
+        Ok(GoalResult::default())
     }
 }
 

@@ -10,7 +10,7 @@ use crate::world::system::System;
 use crate::world::system_access::{ComponentType, component_types};
 use crate::world::systems::spontaneous_actions::PersonStates;
 use consort_protocol::ids::{RobotId, RoleId};
-use consort_skills::actions::{ActionError, ErrorCode, Goal};
+use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
 use hecs::Entity;
 
 /// See the [module](self).
@@ -43,14 +43,14 @@ impl System for CoPresenceSystem {
         Some(state.co_presence_after(robot, goal).map(|_| state.now + duration_s))
     }
 
-    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
         let co_presence = state.co_presence_after(robot, goal)?;
         *state.get_mut::<CoPresence>(robot) = co_presence;
         if let CoPresence::Person { person, authenticated } = co_presence {
             let person = state.get::<PersonInfo>(person).name.clone();
             state.log_event(WorldEvent::Approached { robot: state.robot_id(robot), person, authenticated });
         }
-        Ok(())
+        Ok(GoalResult::default())
     }
 }
 

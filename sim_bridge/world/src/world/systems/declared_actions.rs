@@ -1,4 +1,5 @@
-//! Actions that domain files declare: each takes a random time, and may fail at its end.
+//! Actions that domain files declare: each takes a random time, and at its end fails, or returns random
+//! results.
 
 use crate::world::components::SimRobot;
 use crate::world::preconditions::action_error;
@@ -7,11 +8,13 @@ use crate::world::sim_state::SimState;
 use crate::world::system::System;
 use crate::world::system_access::{ComponentType, component_types};
 use consort_protocol::ids::ActionName;
-use consort_skills::actions::{ActionError, ErrorCode, Goal};
-use consort_skills::domain_file::SimulatedAction;
+use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
+use consort_skills::domain_file::{SimulatedAction, SimulatedResult};
 use hecs::Entity;
+use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
 use std::collections::BTreeMap;
 
 /// See the [module](self).
@@ -49,18 +52,26 @@ impl System for DeclaredActions {
         Some(Ok(now + models.chance.random_range(least..=greatest)))
     }
 
-    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
-        let Goal::Declared(goal) = goal else { return Ok(()) };
-        let fails = {
-            let mut models = state.resource_mut::<ActionModels>();
-            let rate = models.actions.get(&goal.action).map_or(0.0, |action| action.failure_rate);
-            models.chance.random_bool(rate)
-        };
-        match fails {
-            true => {
-                Err(action_error(ErrorCode::Failed, format!("{} failed at {}", state.robot_id(robot), goal.action)))
-            }
-            false => Ok(()),
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
+        let Goal::Declared(goal) = goal else { return Ok(GoalResult::default()) };
+        let mut models = state.resource_mut::<ActionModels>();
+        let ActionModels { actions, chance } = &mut *models;
+        let Some(action) = actions.get(&goal.action) else { return Ok(GoalResult::default()) };
+        if chance.random_bool(action.failure_rate) {
+            let problem = format!("{} failed at {}", state.robot_id(robot), goal.action);
+            return Err(action_error(ErrorCode::Failed, problem));
         }
+        let results = action.results.iter().map(|(name, result)| (name.clone(), draw(result, chance)));
+        Ok(GoalResult(results.collect()))
     }
+}
+
+/// Draws a result.
+fn draw(result: &SimulatedResult, chance: &mut ChaCha8Rng) -> Value {
+    let value = match result {
+        SimulatedResult::Range([least, greatest]) => return chance.random_range(*least..=*greatest).into(),
+        SimulatedResult::OneOf(values) => values.choose(chance),
+        SimulatedResult::Value(value) => Some(value),
+    };
+    serde_json::to_value(value).expect("a value serializes to JSON")
 }

@@ -12,7 +12,7 @@ use crate::world::system::System;
 use crate::world::system_access::{ComponentType, component_types};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::Seconds;
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress, GoalResult};
 use hecs::Entity;
 
 /// True if a robot is connected to the charger at its place.
@@ -51,12 +51,12 @@ impl System for Docking {
         Some(allowed.map(|()| state.now + duration_s))
     }
 
-    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
         if let Goal::Dock { charger } = goal {
             state.check_charger(robot, charger.as_ref())?;
         }
         state.connect(robot, matches!(goal, Goal::Dock { .. }));
-        Ok(())
+        Ok(GoalResult::default())
     }
 
     fn feedback(&self, state: &SimState, _robot: Entity, _goal: &Goal, usual: Feedback) -> Feedback {

@@ -7,7 +7,7 @@ use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
 use crate::world::system_access::{ComponentType, component_types};
-use consort_skills::actions::{ActionError, ErrorCode, Goal};
+use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
 use hecs::Entity;
 
 /// See the [module](self).
@@ -39,12 +39,12 @@ impl System for Drawer {
         Some(Ok(state.now + state.durations.operate_drawer_s))
     }
 
-    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
-        let Goal::OperateDrawer { open } = *goal else { return Ok(()) };
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
+        let Goal::OperateDrawer { open } = *goal else { return Ok(GoalResult::default()) };
         let was_open = std::mem::replace(&mut state.get_mut::<DrawerOpen>(robot).0, open);
         if was_open != open {
             state.log_event(WorldEvent::DrawerMoved { robot: state.robot_id(robot), open });
         }
-        Ok(())
+        Ok(GoalResult::default())
     }
 }

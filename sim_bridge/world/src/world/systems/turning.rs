@@ -8,7 +8,7 @@ use crate::world::steered::Steered;
 use crate::world::system::System;
 use crate::world::system_access::{ComponentType, component_types};
 use consort_protocol::pose::Pose;
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress, GoalResult};
 use hecs::Entity;
 
 /// Turn rate in radians per second: Nav2's maximum for its spin behavior.
@@ -53,8 +53,8 @@ impl System for Turning {
         Feedback { progress: GoalProgress::Turned(angle_rad - left_rad.copysign(angle_rad)), ..usual }
     }
 
-    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
-        let Goal::Spin { angle_rad } = *goal else { return Ok(()) };
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
+        let Goal::Spin { angle_rad } = *goal else { return Ok(GoalResult::default()) };
         if let RobotLocation::Standing { pose, .. } = &mut *state.get_mut::<RobotLocation>(robot) {
             let yaw = pose.yaw + angle_rad;
             *pose = Pose::new(pose.x, pose.y, yaw.sin().atan2(yaw.cos()));
@@ -62,6 +62,6 @@ impl System for Turning {
                 steered.model.set_heading(pose.yaw);
             }
         }
-        Ok(())
+        Ok(GoalResult::default())
     }
 }

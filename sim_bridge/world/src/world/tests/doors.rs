@@ -45,7 +45,7 @@ fn arrivals(world: &mut World, until: f64) -> Vec<(f64, String)> {
     let mut arrived = Vec::new();
     while let Some(due) = world.next_due().filter(|due| due.as_secs() <= until) {
         for event in world.advance(due) {
-            if let BackendEvent::GoalEnded { robot, status: GoalStatus::Succeeded, .. } = event {
+            if let BackendEvent::GoalEnded { robot, status: GoalStatus::Succeeded(_), .. } = event {
                 arrived.push((due.as_secs(), robot.to_string()));
             }
         }
@@ -256,7 +256,7 @@ proptest! {
         if inside.values().all(BTreeSet::is_empty) {
             for (id, status) in ends {
                 let excused = stopped.contains(&id) || matches!(&status, GoalStatus::Aborted(why) if why.code == ErrorCode::Busy);
-                prop_assert!(excused || status == GoalStatus::Succeeded, "{:?}: {:?}", id, status);
+                prop_assert!(excused || status == GoalStatus::succeeded(), "{:?}: {:?}", id, status);
             }
         }
     }

@@ -36,8 +36,8 @@ fn feedback_counts_down_and_the_end_is_reported_once() {
     let feedback = Feedback::remaining(Metres::new(1.0).unwrap(), Seconds::new(2.0).unwrap());
     assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Executing(feedback)));
     assert_eq!(world.telemetry(&robot("r1")).unwrap().place, place("Laboratory"));
-    assert_eq!(world.advance(at(100.0)), [ended("r1", 1, GoalStatus::Succeeded)]);
-    assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Succeeded));
+    assert_eq!(world.advance(at(100.0)), [ended("r1", 1, GoalStatus::succeeded())]);
+    assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::succeeded()));
     assert_eq!(world.telemetry(&robot("r1")).unwrap().place, place("Laboratory Corridor"));
 }
 
@@ -134,7 +134,7 @@ fn a_robot_executes_a_single_goal_and_each_id_once() {
     let busy = aborted(ErrorCode::Busy, "r1 is executing navigate_to_pose (goal 1)");
     let stranger = aborted(ErrorCode::Unknown, "there is no robot r2 here; did you mean \"r1\"?");
     assert_eq!(world.advance(at(0.0)), [ended("r1", 2, busy.clone()), ended("r2", 1, stranger)]);
-    assert_eq!(world.advance(at(9.0)), [ended("r1", 1, GoalStatus::Succeeded)]);
+    assert_eq!(world.advance(at(9.0)), [ended("r1", 1, GoalStatus::succeeded())]);
     world.start(&robot("r1"), GoalId(1), goal.clone());
     world.start(&robot("r1"), GoalId(2), goal);
     world.cancel(&robot("r1"), GoalId(1));

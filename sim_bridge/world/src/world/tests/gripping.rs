@@ -93,7 +93,7 @@ fn two_arms_do_not_take_the_same_object() {
     world.start(&robot("r2"), GoalId(1), grasp("tray"));
     world.start(&robot("r1"), GoalId(1), grasp("tray"));
     let late = aborted(ErrorCode::OutOfReach, "no \"tray\" is on the table at Laboratory; objects there: nothing");
-    let events = [ended("r2", 1, GoalStatus::Succeeded), ended("r1", 1, late)];
+    let events = [ended("r2", 1, GoalStatus::succeeded()), ended("r1", 1, late)];
     assert_eq!(world.advance(at(10.0)), events);
 }
 

@@ -35,7 +35,7 @@ fn ends(world: &mut World, until: f64) -> Vec<(f64, String, GoalStatus)> {
 }
 
 fn arrived(list: &[(f64, &str)]) -> Vec<(f64, String, GoalStatus)> {
-    list.iter().map(|(time, name)| (*time, (*name).to_owned(), GoalStatus::Succeeded)).collect()
+    list.iter().map(|(time, name)| (*time, (*name).to_owned(), GoalStatus::succeeded())).collect()
 }
 
 #[test]
@@ -127,7 +127,7 @@ proptest! {
         let mut got_there = BTreeSet::new();
         let mut keep = |events: Vec<BackendEvent>| {
             for event in events {
-                if let BackendEvent::GoalEnded { robot, status: GoalStatus::Succeeded, .. } = event {
+                if let BackendEvent::GoalEnded { robot, status: GoalStatus::Succeeded(_), .. } = event {
                     got_there.insert(robot.to_string());
                 }
             }

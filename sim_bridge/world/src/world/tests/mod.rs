@@ -112,7 +112,7 @@ fn run(world: &mut World, name: &str, id: u64, goal: Goal) -> (GoalStatus, Vec<B
 
 /// The same for a goal that must succeed without other events.
 fn run_to_success(world: &mut World, name: &str, id: u64, goal: Goal) {
-    assert_eq!(run(world, name, id, goal), (GoalStatus::Succeeded, vec![]), "{name}, goal {id}");
+    assert_eq!(run(world, name, id, goal), (GoalStatus::succeeded(), vec![]), "{name}, goal {id}");
 }
 
 fn rejected_status(world: &mut World, name: &str, id: u64, goal: Goal) -> GoalStatus {

@@ -48,7 +48,7 @@ fn a_new_obstacle_stops_a_robot_before_it() {
         let goal = drive_goal(&world, "B");
         let (status, _) = run(&mut world, "r1", 1, goal);
         assert_eq!(world.now(), at(ends), "it comes at {comes} s");
-        let expected = if ends == 20.0 { GoalStatus::Succeeded } else { aborted(ErrorCode::Blocked, BLOCKED) };
+        let expected = if ends == 20.0 { GoalStatus::succeeded() } else { aborted(ErrorCode::Blocked, BLOCKED) };
         assert_eq!(status, expected, "it comes at {comes} s");
     }
 }

@@ -16,11 +16,11 @@ fn there_and_back(body: RobotSetup, speed: f64) -> (f64, f64) {
     world.advance(at(1.0));
     world.set_speed(&robot("r1"), MetresPerSecond::new(speed).unwrap());
     world.set_speed(&robot("who"), MetresPerSecond::new(9.0).unwrap());
-    assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
+    assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::succeeded());
     let there = world.now().as_secs();
     let goal = drive_goal(&world, "A");
     world.start(&robot("r1"), GoalId(2), goal);
-    assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::Succeeded);
+    assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::succeeded());
     (there, world.now().as_secs() - there)
 }
 

@@ -29,7 +29,7 @@ fn meet_and_wait(world: &mut World) -> Vec<(f64, BackendEvent)> {
     }
     world.request_person(GoalId(7), deposit("r1"));
     events.extend(until(world, 60.0));
-    events.retain(|(_, event)| !matches!(event, BackendEvent::GoalEnded { status: GoalStatus::Succeeded, .. }));
+    events.retain(|(_, event)| !matches!(event, BackendEvent::GoalEnded { status: GoalStatus::Succeeded(_), .. }));
     events
 }
 
@@ -86,7 +86,7 @@ fn a_robot_that_approaches_again_is_served() {
         let mut world = ward(*seed, action);
         let first = meet_and_wait(&mut world) == [(2.0, called_off())];
         let (status, others) = run(&mut world, "r1", 9, approach());
-        let again = status == GoalStatus::Succeeded && others.is_empty();
+        let again = status == GoalStatus::succeeded() && others.is_empty();
         let quiet =
             until(&mut world, 70.0).iter().any(|(_, event)| matches!(event, BackendEvent::PersonRequestEnded { .. }));
         first && again && quiet

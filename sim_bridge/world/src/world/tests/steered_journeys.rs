@@ -41,7 +41,7 @@ fn every_chassis_waits_at_a_door_and_passes_it() {
         }
         assert!(passed, "the door was on the way: {kinematics:?}");
         assert!(closed, "behind it: {kinematics:?}");
-        assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Succeeded), "{kinematics:?}");
+        assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::succeeded()), "{kinematics:?}");
         let there = world.map().place(&place("B")).unwrap().pose;
         assert!(pose_of(&world, "r1").distance(there).get() < 0.05, "{:?}: {kinematics:?}", pose_of(&world, "r1"));
         assert!((23.0..34.0).contains(&world.now().as_secs()), "23 s without a chassis: {:?}", world.now());
@@ -90,8 +90,8 @@ fn a_canceled_robot_frees_the_door_unless_it_stands_in_it() {
     let lines: Vec<_> = logged(&mut world, doors_only).into_iter().map(|(_, line)| line).collect();
     assert_eq!(lines, ["r2 waits"], "it stands in the doorway");
     set_off(&mut world, "r1", 3, "A");
-    assert_eq!(until_ended(&mut world, "r1", 3), GoalStatus::Succeeded);
-    assert_eq!(until_ended(&mut world, "r2", 1), GoalStatus::Succeeded);
+    assert_eq!(until_ended(&mut world, "r1", 3), GoalStatus::succeeded());
+    assert_eq!(until_ended(&mut world, "r2", 1), GoalStatus::succeeded());
 }
 
 #[test]
@@ -106,7 +106,7 @@ fn every_chassis_stops_before_an_obstacle() {
         assert!((x(&world, "r1") - 4.0).abs() < 0.05, "{} m: {kinematics:?}", x(&world, "r1"));
         assert_eq!(known(&world, "r1"), [(place("A"), place("B"))]);
         set_off(&mut world, "r1", 2, "A");
-        assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::Succeeded, "the way back is free: {kinematics:?}");
+        assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::succeeded(), "the way back is free: {kinematics:?}");
         assert!(x(&world, "r1").abs() < 0.05, "{} m: {kinematics:?}", x(&world, "r1"));
     }
 }
@@ -126,7 +126,7 @@ fn a_new_obstacle_stops_a_chassis_before_it() {
                 assert_eq!(status, aborted(ErrorCode::Blocked, BLOCKED), "it comes at {comes} s");
                 assert!(stops.contains(&x), "it comes at {comes} s, the robot stands at {x}");
             }
-            None => assert_eq!((status, (x - 10.0).abs() < 0.05), (GoalStatus::Succeeded, true), "{comes} s: {x}"),
+            None => assert_eq!((status, (x - 10.0).abs() < 0.05), (GoalStatus::succeeded(), true), "{comes} s: {x}"),
         }
     }
 }
@@ -137,7 +137,7 @@ fn a_removed_obstacle_does_not_stop_a_chassis() {
     setup.obstacles.push(Obstacle { until_s: Some(5.0), ..trolley() });
     let mut world = World::new(setup).unwrap();
     set_off(&mut world, "r1", 1, "B");
-    assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
+    assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::succeeded());
     assert!((x(&world, "r1") - 10.0).abs() < 0.05 && world.now() < at(25.0), "{:?}", world.now());
 }
 
@@ -146,15 +146,15 @@ fn every_chassis_rides_the_lift_and_drives_on() {
     for kinematics in all() {
         let mut world = World::new(tower(1).robot(steered("r1", "L0", kinematics))).unwrap();
         set_off(&mut world, "r1", 1, "L2");
-        assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded, "{kinematics:?}");
+        assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::succeeded(), "{kinematics:?}");
         assert_eq!((world.now(), world.telemetry(&robot("r1")).unwrap().place), (at(17.0), place("L2")));
         set_off(&mut world, "r1", 2, "Room");
-        assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::Succeeded, "{kinematics:?}");
+        assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::succeeded(), "{kinematics:?}");
         assert!((x(&world, "r1") - 5.0).abs() < 0.05, "{kinematics:?}");
         set_off(&mut world, "r1", 3, "L2");
-        assert_eq!(until_ended(&mut world, "r1", 3), GoalStatus::Succeeded, "{kinematics:?}");
+        assert_eq!(until_ended(&mut world, "r1", 3), GoalStatus::succeeded(), "{kinematics:?}");
         set_off(&mut world, "r1", 4, "L1");
-        assert_eq!(until_ended(&mut world, "r1", 4), GoalStatus::Succeeded, "{kinematics:?}");
+        assert_eq!(until_ended(&mut world, "r1", 4), GoalStatus::succeeded(), "{kinematics:?}");
         let status = world.telemetry(&robot("r1")).unwrap();
         assert_eq!((status.place, status.pose.x), (place("L1"), 0.0), "{kinematics:?}");
     }
@@ -168,7 +168,7 @@ fn a_robot_in_a_lift_blocks_no_other() {
     set_off(&mut world, "r1", 1, "L2");
     world.advance(at(5.0));
     set_off(&mut world, "r2", 1, "L2");
-    assert_eq!(until_ended(&mut world, "r2", 1), GoalStatus::Succeeded);
+    assert_eq!(until_ended(&mut world, "r2", 1), GoalStatus::succeeded());
     assert!(x(&world, "r2") < 0.05 && world.now() < at(17.0), "{} m at {:?}", x(&world, "r2"), world.now());
 }
 
@@ -183,7 +183,7 @@ fn a_steered_robot_follows_waypoints_to_the_last() {
         world.advance(due);
         furthest = furthest.max(x(&world, "r1"));
     }
-    assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Succeeded));
+    assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::succeeded()));
     assert!((furthest - 20.0).abs() < 0.05 && (x(&world, "r1") - 10.0).abs() < 0.05, "{furthest}");
     let lines = logged(&mut world, doors_only);
     assert_eq!(lines.iter().filter(|(_, line)| line == "r1 enters").count(), 3, "{lines:?}");
@@ -208,7 +208,7 @@ fn a_steered_robot_keeps_limits_and_drives_backward() {
             }
             before = pose;
         }
-        assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Succeeded), "{kinematics:?}");
+        assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::succeeded()), "{kinematics:?}");
         assert!((x(&world, "r1") - 10.0).abs() < 0.05 && (0.19..0.201).contains(&fastest), "{fastest}: {kinematics:?}");
     }
 }
@@ -222,6 +222,6 @@ fn a_steered_robot_departs_with_its_turned_heading() {
         set_off(&mut world, "r1", 2, "B");
         world.advance(at(2.1));
         assert!((1.5..2.1).contains(&pose_of(&world, "r1").yaw), "{:?}: {kinematics:?}", pose_of(&world, "r1"));
-        assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::Succeeded, "{kinematics:?}");
+        assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::succeeded(), "{kinematics:?}");
     }
 }

@@ -60,7 +60,7 @@ fn every_chassis_drives_the_lanes_and_then_the_world_rests() {
         for (id, to) in [(1, "B"), (2, "C"), (3, "B")] {
             let goal = drive_goal(&world, to);
             world.start(&robot("r1"), GoalId(id), goal);
-            assert_eq!(until_ended(&mut world, "r1", id), GoalStatus::Succeeded, "{kinematics:?} to {to}");
+            assert_eq!(until_ended(&mut world, "r1", id), GoalStatus::succeeded(), "{kinematics:?} to {to}");
             let there = world.map().place(&place(to)).unwrap().pose;
             assert!(pose_of(&world, "r1").distance(there).get() < 0.05, "{kinematics:?} to {to}");
             assert_eq!(world.telemetry(&robot("r1")).unwrap().place, place(to));
@@ -79,7 +79,7 @@ fn steps_of_any_length_give_the_same_arrival() {
             let mut world = World::new(setup.robot(steered("r1", "A", kinematics))).unwrap();
             let goal = drive_goal(&world, "B");
             world.start(&robot("r1"), GoalId(1), goal);
-            assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
+            assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::succeeded());
             world.now().as_secs()
         });
         assert!((coarse - fine).abs() < 0.01 * fine, "{coarse} s at 10 Hz, {fine} s at 60: {kinematics:?}");
@@ -114,7 +114,7 @@ fn a_canceled_robot_brakes_and_drives_on_from_there() {
     assert!((0.05..0.3).contains(&rolled), "0.5 m/s and 0.8 m/s²: {rolled} m");
     assert_eq!((world.status(&robot("r1"), GoalId(1)), world.next_due()), (Some(GoalStatus::Canceled), None));
     world.start(&robot("r1"), GoalId(2), goal);
-    assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::Succeeded);
+    assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::succeeded());
 }
 
 #[test]
@@ -135,7 +135,7 @@ fn a_wall_stops_a_robot_and_is_reported_once() {
     let x = pose_of(&world, "r1").x;
     assert!((4.74..4.8).contains(&x), "its edge is 0.25 m ahead of its middle: {x}");
     world.start(&robot("r1"), GoalId(2), back);
-    assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::Succeeded, "the way back is free");
+    assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::succeeded(), "the way back is free");
     let collided = WorldEvent::Collided { robot: robot("r1"), with: None };
     let journal = world.drain_event_log();
     assert_eq!(journal.iter().filter(|entry| entry.event == collided).count(), 1);
@@ -162,8 +162,8 @@ fn drones_avoid_each_other_on_a_lane() {
     let (there, back) = (drive_goal(&world, "B"), drive_goal(&world, "A"));
     world.start(&robot("r1"), GoalId(1), there);
     world.start(&robot("r2"), GoalId(1), back);
-    assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
-    assert_eq!(until_ended(&mut world, "r2", 1), GoalStatus::Succeeded);
+    assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::succeeded());
+    assert_eq!(until_ended(&mut world, "r2", 1), GoalStatus::succeeded());
 }
 
 #[test]
@@ -172,7 +172,7 @@ fn a_robot_arrives_next_to_a_robot_at_its_target() {
     let mut world = World::new(setup).unwrap();
     let goal = drive_goal(&world, "B");
     world.start(&robot("r1"), GoalId(1), goal);
-    assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
+    assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::succeeded());
     let apart = pose_of(&world, "r1").distance(pose_of(&world, "r2")).get();
     assert!((0.55..0.65).contains(&apart), "{apart} m");
     run_to_success(&mut world, "r1", 2, Goal::ApproachRobot { robot: robot("r2") });
@@ -186,7 +186,7 @@ fn gusts_push_only_hovering_robots() {
     let mut world = World::new(setup).unwrap();
     let goal = drive_goal(&world, "B");
     world.start(&robot("r1"), GoalId(1), goal.clone());
-    assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
+    assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::succeeded());
     let (before, mut strayed_m) = (pose_of(&world, "r1"), 0.0_f64);
     for _ in 0..400 {
         let due = world.next_due().unwrap();

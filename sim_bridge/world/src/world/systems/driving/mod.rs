@@ -31,7 +31,7 @@ use crate::world::systems::doors::{DoorState, DoorsByName};
 use crate::world::systems::lifts::LiftsByName;
 use crate::world::systems::obstacles::{ActiveObstacles, KnownClosures};
 use consort_protocol::ids::RobotId;
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress, GoalResult};
 use hecs::Entity;
 use std::collections::VecDeque;
 use task::{DriveTask, Stage};
@@ -76,9 +76,9 @@ impl System for Driving {
         }))
     }
 
-    fn finish_goal(&self, state: &mut SimState, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+    fn finish_goal(&self, state: &mut SimState, robot: Entity, _goal: &Goal) -> Result<GoalResult, ActionError> {
         state.end_drive(robot);
-        Ok(())
+        Ok(GoalResult::default())
     }
 
     fn halt_goal(&self, state: &mut SimState, robot: Entity, _goal: &Goal) {

@@ -1,0 +1,173 @@
+//! Expressions over the results of earlier tasks: conditions of tasks, and results of missions.
+//!
+//! An expression is in CEL. Each task whose results it uses is a variable: `inspect.dust_g > 5.0`. The
+//! value of an expression is unknown while such a task has no outcome, or if it was skipped.
+
+use super::outcome::{ResultValue, TaskOutcome, TaskOutcomes};
+use crate::ids::TaskId;
+use crate::loop_depth::{LOOP_DEPTH_MAX, loop_depth, parts};
+use cel::IdedExpr;
+use cel::common::ast::Expr;
+use cel::objects::{Key, Map};
+use cel::{Context, Program, Value};
+use std::collections::{BTreeSet, HashMap};
+use std::sync::Arc;
+
+/// Maximum size of an expression, in bytes.
+pub(crate) const EXPRESSION_BYTES_MAX: usize = 1024;
+
+/// Returns the tasks whose results an expression uses.
+///
+/// # Errors
+/// Description of the problem: the text is not an expression, or it is too long or too complex.
+pub(crate) fn tasks_used(text: &str) -> Result<BTreeSet<TaskId>, String> {
+    let program = compile(text)?;
+    let references = program.references();
+    let names = references.variables();
+    let task = |name: &&str| TaskId::new(*name).map_err(|problem| format!("`{name}`: {problem}"));
+    names.iter().map(task).collect()
+}
+
+/// Returns the results that an expression uses, each with its task. The result is `None` where a task is
+/// used as a whole.
+///
+/// # Errors
+/// As [`tasks_used`].
+pub(crate) fn results_used(text: &str) -> Result<BTreeSet<(TaskId, Option<String>)>, String> {
+    let tasks = tasks_used(text)?;
+    let program = compile(text)?;
+    let mut fields = vec![];
+    collect_fields(program.expression(), &mut fields);
+    let of_task = |task: TaskId| {
+        let of_it = fields.iter().filter(|(name, _)| name == task.as_str());
+        let mut used: Vec<_> = of_it.map(|(_, field)| (task.clone(), Some(field.clone()))).collect();
+        if used.is_empty() {
+            used.push((task, None));
+        }
+        used
+    };
+    Ok(tasks.into_iter().flat_map(of_task).collect())
+}
+
+/// Collects the fields that an expression selects directly from variables.
+fn collect_fields(expression: &IdedExpr, fields: &mut Vec<(String, String)>) {
+    if let Expr::Select(select) = &expression.expr
+        && let Expr::Ident(name) = &select.operand.expr
+    {
+        fields.push((name.clone(), select.field.clone()));
+    }
+    for part in parts(expression) {
+        collect_fields(part, fields);
+    }
+}
+
+/// Evaluates a condition to true or false.
+///
+/// # Errors
+/// Description of the problem, with the condition: a result is unknown, or the value is neither true
+/// nor false.
+pub(crate) fn holds(text: &str, outcomes: &TaskOutcomes) -> Result<bool, String> {
+    match execute(text, outcomes).map_err(|problem| format!("`{text}`: {problem}"))? {
+        Value::Bool(holds) => Ok(holds),
+        other => Err(format!("`{text}` is {other:?}; allowed is true or false")),
+    }
+}
+
+/// Evaluates an expression to a value.
+///
+/// # Errors
+/// Description of the problem: a result is unknown, or the value is a list or a map.
+pub(crate) fn value(text: &str, outcomes: &TaskOutcomes) -> Result<ResultValue, String> {
+    match execute(text, outcomes)? {
+        Value::Bool(value) => Ok(ResultValue::Bool(value)),
+        Value::Int(number) => Ok(ResultValue::Integer(number)),
+        Value::UInt(number) => {
+            Ok(i64::try_from(number).map_or(ResultValue::Number(number as f64), ResultValue::Integer))
+        }
+        Value::Float(number) if number.is_finite() => Ok(ResultValue::Number(number)),
+        Value::String(text) => Ok(ResultValue::Text(text.to_string())),
+        other => Err(format!("the value is {other:?}; allowed is a boolean, a finite number or a text")),
+    }
+}
+
+fn compile(text: &str) -> Result<Program, String> {
+    if text.len() > EXPRESSION_BYTES_MAX {
+        return Err(format!("it has {} bytes; at most {EXPRESSION_BYTES_MAX} are allowed", text.len()));
+    }
+    let program = Program::compile(text).map_err(|problem| problem.to_string())?;
+    match loop_depth(program.expression()) {
+        0..=LOOP_DEPTH_MAX => Ok(program),
+        loops => Err(format!("loops are nested {loops} deep; at most {LOOP_DEPTH_MAX} levels are allowed")),
+    }
+}
+
+fn execute(text: &str, outcomes: &TaskOutcomes) -> Result<Value, String> {
+    let program = compile(text)?;
+    let mut context = Context::default();
+    for name in program.references().variables() {
+        let task = TaskId::new(name).map_err(|problem| problem.to_string())?;
+        match outcomes.get(&task) {
+            Some(TaskOutcome::Done(results)) => {
+                let entries = results.iter().map(|(name, value)| (Key::from(name.as_str()), cel_value(value)));
+                let map = Arc::new(entries.collect::<HashMap<Key, Value>>());
+                context.add_variable_from_value(name, Value::Map(Map { map }));
+            }
+            Some(TaskOutcome::Skipped) => return Err(format!("the results of {task} are unknown: it was skipped")),
+            None => return Err(format!("the results of {task} are unknown: it has not ended")),
+        }
+    }
+    program.execute(&context).map_err(|problem| problem.to_string())
+}
+
+fn cel_value(value: &ResultValue) -> Value {
+    match value {
+        ResultValue::Bool(value) => Value::Bool(*value),
+        ResultValue::Integer(number) => Value::Int(*number),
+        ResultValue::Number(number) => Value::Float(*number),
+        ResultValue::Text(text) => Value::String(Arc::new(text.clone())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn outcomes() -> TaskOutcomes {
+        let results = serde_json::json!({ "dust_g": 7.5, "count": 3, "clean": false, "colour": "red" });
+        let done = TaskOutcome::Done(serde_json::from_value(results).unwrap());
+        [("inspect", done), ("mop", TaskOutcome::Skipped)]
+            .map(|(task, outcome)| (task.parse().unwrap(), outcome))
+            .into()
+    }
+
+    #[test]
+    fn conditions_use_the_results_of_tasks() {
+        for (text, expected) in [
+            ("inspect.dust_g > 5.0 && !inspect.clean", true),
+            ("inspect.count >= 4 || inspect.colour == 'blue'", false),
+            ("true", true),
+        ] {
+            assert_eq!(holds(text, &outcomes()), Ok(expected), "{text}");
+        }
+        assert_eq!(value("inspect.dust_g * 2.0", &outcomes()), Ok(ResultValue::Number(15.0)));
+        assert_eq!(value("inspect.count", &outcomes()), Ok(ResultValue::Integer(3)));
+        let used = tasks_used("inspect.dust_g > 5.0 && mop.passes < 2").unwrap();
+        assert_eq!(used.iter().map(TaskId::as_str).collect::<Vec<_>>(), ["inspect", "mop"]);
+    }
+
+    #[test]
+    fn an_unknown_result_is_an_error_that_names_it() {
+        for (text, part) in [
+            ("mop.passes > 1", "`mop.passes > 1`: the results of mop are unknown: it was skipped"),
+            ("dry.time > 1", "the results of dry are unknown: it has not ended"),
+            ("inspect.size > 1", "size"),
+            ("inspect.dust_g", "allowed is true or false"),
+            ("inspect.dust_g > 'much'", "`inspect.dust_g > 'much'`"),
+        ] {
+            let problem = holds(text, &outcomes()).unwrap_err();
+            assert!(problem.contains(part), "{text}: {problem}");
+        }
+        assert!(tasks_used("inspect.dust_g >").is_err());
+        assert!(tasks_used(&"1 + ".repeat(EXPRESSION_BYTES_MAX)).is_err());
+    }
+}

@@ -1,0 +1,178 @@
+//! Tests of conditions, choices, loops, repetitions and results in mission files.
+
+use super::given;
+use crate::mission::test_data::domain;
+use crate::mission::{
+    Domain, Format, Mission, MissionTemplate, NumberRange, TaskOutcome, TaskOutcomes, TaskSchema, ValueKind,
+};
+use serde_json::json;
+use std::collections::BTreeMap;
+
+const FILE: &str = r#"
+mission: clean
+parameters:
+  rooms: { kind: places, default: "IC Room 6, Dock" }
+  limit: { kind: number, default: "5" }
+roles: { r1: { kind: managed } }
+root:
+  task: all
+  method: sequential
+  tasks:
+    - task: rounds
+      for: room
+      in: "${rooms}"
+      do:
+        task: visit
+        method: sequential
+        tasks:
+          - { task: go, type: navigation, roles: [r1], parameters: { to: "${room}" } }
+          - { task: inspect, type: inspect, roles: [r1] }
+          - task: clean
+            choose:
+              - when: inspect.dust_g > ${limit}
+                do: { task: vacuum, type: vacuum, roles: [r1], parameters: { power: "${inspect.dust_g}" } }
+              - when: '!inspect.clean'
+                do: { task: wipe, type: wait, roles: [r1], parameters: { seconds: "5" } }
+            else: { task: rest, type: wait, roles: [r1], parameters: { seconds: "1" } }
+    - task: polish
+      when: inspect_1.clean
+      repeat: 3
+      do: { task: rub, type: inspect, roles: [r1] }
+      until: rub.dust_g < 1.0
+result:
+  dust_g: inspect_1.dust_g + inspect_2.dust_g
+"#;
+
+fn with_results() -> Domain {
+    let number = || ValueKind::Number(NumberRange::default());
+    let inspect = TaskSchema::default().returning("dust_g", number()).returning("clean", ValueKind::Bool);
+    let range = NumberRange { minimum: Some(0.0), maximum: Some(10.0) };
+    let vacuum = TaskSchema::default().required("power", ValueKind::Number(range));
+    domain().with("inspect".parse().unwrap(), inspect).with("vacuum".parse().unwrap(), vacuum)
+}
+
+fn mission(text: &str, values: &[(&str, &str)]) -> Result<Mission, Vec<String>> {
+    let template = MissionTemplate::parse(text, Format::Yaml).unwrap();
+    let mission = template.instantiate(&given(values), &with_results());
+    mission.map_err(|errors| errors.diagnostics.iter().map(ToString::to_string).collect())
+}
+
+/// Returns the diagnostics of the file with `from` replaced by `to`.
+fn diagnostics_with(from: &str, to: &str) -> Vec<String> {
+    assert!(FILE.contains(from), "{from}");
+    mission(&FILE.replace(from, to), &[]).unwrap_err()
+}
+
+fn outcomes(of: &[(&str, f64, bool)]) -> TaskOutcomes {
+    let done = |(task, dust_g, clean): &(&str, f64, bool)| {
+        let results = serde_json::from_value(json!({ "dust_g": dust_g, "clean": clean })).unwrap();
+        (task.parse().unwrap(), TaskOutcome::Done(results))
+    };
+    of.iter().map(done).collect()
+}
+
+/// Returns the tasks that are executed with these results of the others.
+fn executed(mission: &Mission, outcomes: &TaskOutcomes) -> Vec<String> {
+    let tasks = mission.elementary().into_iter().filter(|(_, spec)| spec.conditions_hold(outcomes).unwrap());
+    tasks.map(|(id, _)| id.to_string()).collect()
+}
+
+#[test]
+fn loops_and_choices_become_tasks_with_conditions() {
+    let mission = mission(FILE, &[]).unwrap_or_else(|problems| panic!("{problems:#?}"));
+    let names: Vec<&str> = mission.elementary().iter().map(|(id, _)| id.as_str()).collect();
+    let expected = [
+        "go_1",
+        "inspect_1",
+        "vacuum_1",
+        "wipe_1",
+        "rest_1",
+        "go_2",
+        "inspect_2",
+        "vacuum_2",
+        "wipe_2",
+        "rest_2",
+        "rub_1",
+        "rub_2",
+        "rub_3",
+    ];
+    assert_eq!(names, expected);
+    let specs: BTreeMap<_, _> = mission.elementary().into_iter().map(|(id, spec)| (id.as_str(), spec)).collect();
+    assert_eq!([&specs["go_1"].parameters["to"], &specs["go_2"].parameters["to"]], ["IC Room 6", "Dock"]);
+    assert_eq!(specs["vacuum_2"].conditions, ["inspect_2.dust_g > 5.0"]);
+    assert_eq!(specs["rest_1"].conditions, ["!(inspect_1.dust_g > 5.0)", "!(!inspect_1.clean)"]);
+    assert_eq!(specs["vacuum_2"].parameters["power"], "5", "a typical value for estimates");
+    let mut vacuum = specs["vacuum_2"].clone();
+    let known =
+        outcomes(&[("inspect_1", 7.5, false), ("inspect_2", 0.5, true), ("rub_1", 3.0, false), ("rub_2", 0.5, false)]);
+    vacuum.set_inputs(&known).unwrap();
+    assert_eq!(vacuum.parameters["power"], "0.5");
+    let first = ["go_1", "inspect_1", "vacuum_1", "go_2", "inspect_2", "rest_2"];
+    assert_eq!(executed(&mission, &known), first, "not clean, so it is not polished");
+    assert_eq!(mission.known_results(&known)["dust_g"].to_string(), "8");
+    let clean =
+        outcomes(&[("inspect_1", 1.0, true), ("inspect_2", 0.5, false), ("rub_1", 3.0, false), ("rub_2", 0.5, false)]);
+    let expected = ["go_1", "inspect_1", "rest_1", "go_2", "inspect_2", "wipe_2", "rub_1", "rub_2"];
+    assert_eq!(executed(&mission, &clean), expected, "the third iteration is not needed");
+}
+
+#[test]
+fn a_list_may_be_written_in_the_file_and_its_values_are_checked() {
+    let listed = FILE
+        .replace("in: \"${rooms}\"", "in: [Dock]")
+        .replace("  rooms: { kind: places, default: \"IC Room 6, Dock\" }\n", "");
+    let listed = listed.replace(" + inspect_2.dust_g", "");
+    assert_eq!(mission(&listed, &[]).map(|mission| mission.elementary().len()), Ok(8));
+    let problems = mission(FILE, &[("rooms", "Dock, ")]).unwrap_err();
+    assert!(
+        problems.iter().any(|problem| problem.starts_with("parameters/rooms: parameter `rooms` is \"\"")),
+        "{problems:?}"
+    );
+}
+
+#[test]
+fn wrong_references_are_reported_with_their_place() {
+    for (from, to, expected) in [
+        ("inspect.dust_g > ${limit}", "inspekt.dust_g > 5.0", "uses a result of `inspekt`"),
+        (
+            "inspect.dust_g > ${limit}",
+            "inspect.dust > 5.0",
+            "uses inspect_1.dust, but `inspect` returns no such result",
+        ),
+        ("inspect.dust_g > ${limit}", "inspect.dust_g >", "root/rounds/visit_1/clean_1/vacuum_1: `inspect_1.dust_g >`"),
+        ("inspect.dust_g > ${limit}", "rub_1.dust_g > 5.0", "uses a result of rub_1, which may end later"),
+        ("inspect.dust_g > ${limit}", "inspect.dust_g > ${limits}", "`${limits}` is not a parameter of the mission"),
+        (
+            "\"${inspect.dust_g}\"",
+            "\"${inspect.clean}\"",
+            "parameter `power` must be a number from 0 to 10, and inspect_1.clean is true or false",
+        ),
+        ("\"${inspect.dust_g}\"", "\"about ${inspect.dust_g}\"", "can only be the whole value"),
+        ("repeat: 3", "repeat: 30", "repeats 30 times; 1 to 10 times are allowed"),
+        ("repeat: 3", "type: wait", "is a repetition, which has `repeat`, `do` and `until`"),
+        ("for: room", "for: limit", "has the name of a parameter or of another variable"),
+        ("in: \"${rooms}\"", "in: \"${limit}\"", "`in` is a list, or `${name}` of a parameter of kind `places`"),
+        (
+            "type: vacuum, roles: [r1],",
+            "type: vacuum, roles: [r1], acquires: { bag: r1 },",
+            "has a condition and touches the item `bag`",
+        ),
+        ("  dust_g: inspect_1.dust_g", "  dust_g: inspect_9.dust_g", "result/dust_g: uses a result of `inspect_9`"),
+        (
+            "            else:",
+            "            method: sequential\n            else:",
+            "has `choose`, with which only `else` is allowed",
+        ),
+    ] {
+        let problems = diagnostics_with(from, to);
+        assert!(problems.iter().any(|problem| problem.contains(expected)), "{to}: {problems:#?}");
+    }
+}
+
+#[test]
+fn a_value_of_a_request_is_never_an_expression() {
+    let file = FILE.replace("limit: { kind: number, default: \"5\" }", "limit: { kind: text, default: \"5\" }");
+    let mission = mission(&file, &[("limit", "1.0 || true || '")]).unwrap_or_else(|problems| panic!("{problems:#?}"));
+    let vacuum = mission.elementary().into_iter().find(|(id, _)| id.as_str() == "vacuum_1").unwrap().1;
+    assert_eq!(vacuum.conditions, [r#"inspect_1.dust_g > "1.0 || true || '""#]);
+}
