@@ -2,9 +2,10 @@
 
 use super::submission::{Priority, Submission};
 use crate::auction::AuctionRecord;
+use crate::codec;
 use crate::ids::{ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId};
 use crate::lease::{Epoch, RoleHolder};
-use crate::mission::{LostItem, Mission, ResultValue, RoleKind, TaskOutcome, TaskOutcomes};
+use crate::mission::{LostItem, Mission, OUTCOMES_BYTES_MAX, ResultValue, RoleKind, TaskOutcome, TaskOutcomes};
 use crate::plan::{Division, LocalPlan, Signal, StepAction, StepIndex};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -275,11 +276,15 @@ impl MissionEntry {
         !self.outcomes.contains_key(task) && self.plan(role).is_some_and(|plan| plan.step_of(task).is_some())
     }
 
-    /// Adds the outcomes of tasks of a role.
+    /// Adds the outcomes of tasks of a role. The results of a role are empty where they exceed what a mission
+    /// may have: its holder does not follow the limits.
     pub(super) fn add_outcomes(&mut self, role: &RoleId, outcomes: TaskOutcomes) {
         for (task, outcome) in outcomes {
             if self.lacks_outcome(role, &task) {
-                self.outcomes.insert(task, outcome.limited());
+                let outcome = outcome.limited();
+                let bytes = codec::encoded_size(&self.outcomes).saturating_add(codec::encoded_size(&(&task, &outcome)));
+                let fits = bytes <= 2 * OUTCOMES_BYTES_MAX;
+                self.outcomes.insert(task, if fits { outcome } else { TaskOutcome::Done(BTreeMap::new()) });
             }
         }
     }

@@ -5,7 +5,7 @@
 //! |---|---|
 //! | a command | a message, checked when it is proposed; its texts and auction record are shortened |
 //! | the request of a mission | [`Submission::BYTES_MAX`] |
-//! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause |
+//! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause, 16 KiB of outcomes |
 //! | the ledger | [`UNENDED_MAX`] missions that have not ended, and the history ([`HistoryLimits`]) |
 
 use super::apply::Ledger;

@@ -8,6 +8,7 @@
 use super::diagnostic::MissionErrorKind;
 use super::domain_reference::DomainReference;
 use super::ihtn_names::IhtnNames;
+use super::outcome::RESULT_BYTES_MAX;
 use crate::ids::{PlaceId, TaskType};
 use consort_text::AllowedNames;
 use serde::{Deserialize, Serialize};
@@ -133,6 +134,16 @@ impl ValueKind {
             (_, Text) | (Bool, Bool) | (Integer(_), Integer(_)) | (Text | OneOf(_), OneOf(_)) => true,
             (Seconds | Number(_) | Integer(_), Seconds | Number(_)) => true,
             (_, Seconds | Number(_) | Integer(_) | Bool | OneOf(_)) => false,
+        }
+    }
+
+    /// Returns the maximum size of a result of this kind in bytes.
+    pub(super) fn result_bytes_max(&self) -> usize {
+        match self {
+            ValueKind::Bool => 2,
+            ValueKind::Seconds | ValueKind::Number(_) | ValueKind::Integer(_) => 11,
+            ValueKind::OneOf(words) => 4 + words.iter().map(String::len).max().unwrap_or(0).min(RESULT_BYTES_MAX),
+            ValueKind::Place | ValueKind::Role | ValueKind::Text => 4 + RESULT_BYTES_MAX,
         }
     }
 

@@ -53,4 +53,5 @@ pub use model::{
     TaskOrder, TaskSpec,
 };
 pub use order::GlobalOrder;
+pub(crate) use outcome::OUTCOMES_BYTES_MAX;
 pub use outcome::{RESULT_BYTES_MAX, RESULTS_MAX, ResultValue, TaskOutcome, TaskOutcomes};

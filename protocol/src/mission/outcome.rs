@@ -14,6 +14,10 @@ pub const RESULTS_MAX: usize = 16;
 /// Maximum size of a text among the results, in bytes.
 pub const RESULT_BYTES_MAX: usize = 256;
 
+/// Maximum size of the outcomes of a mission in bytes: a report contains those of a role, and its reply
+/// those that a role uses. The recovery branch has as many again.
+pub(crate) const OUTCOMES_BYTES_MAX: usize = 8 * 1024;
+
 /// Outcome of an elementary task that has ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]

@@ -6,7 +6,7 @@ use super::domain::Domain;
 use super::limits::{CONDITIONS_MAX, ENTRIES_MAX};
 use super::model::{Mission, ResultReference, TaskBody, TaskSpec};
 use super::order::GlobalOrder;
-use super::outcome::RESULTS_MAX;
+use super::outcome::{OUTCOMES_BYTES_MAX, RESULTS_MAX};
 use super::structure::{at, paths, specs};
 use crate::ids::TaskId;
 use consort_text::AllowedNames;
@@ -31,6 +31,10 @@ pub(super) fn reference_problems(
             };
             found.extend(problems.into_iter().map(|kind| at(&path, kind)));
         }
+    }
+    let bytes: usize = (0..order.len()).map(|task| check.outcome_bytes_max(task)).sum();
+    if bytes > OUTCOMES_BYTES_MAX {
+        found.push(at("root", MissionErrorKind::LargeResults { bytes, max: OUTCOMES_BYTES_MAX }));
     }
     if mission.results.len() > RESULTS_MAX {
         let (what, count) = ("results", mission.results.len());
@@ -70,6 +74,14 @@ impl ReferenceCheck<'_> {
             found.extend(self.input(id, spec, name, input));
         }
         found
+    }
+
+    /// Returns the maximum size of the outcome of a task in bytes.
+    fn outcome_bytes_max(&self, task: usize) -> usize {
+        let Some(schema) = self.domain.get(&self.order.spec(task).task_type) else { return 0 };
+        let results = schema.results.iter().map(|(name, kind)| name.len() + 2 + kind.result_bytes_max());
+        let results: usize = results.sum();
+        if results == 0 { 0 } else { self.order.id(task).as_str().len() + 4 + results }
     }
 
     /// Checks an expression of a task, or of the mission's result.

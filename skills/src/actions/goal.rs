@@ -1,6 +1,6 @@
 //! Goals of robots, their status and feedback.
 
-use super::error::ActionError;
+use super::error::{ActionError, ErrorCode};
 use consort_protocol::ids::{ActionName, PlaceId, RobotId, RoleId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{Metres, Seconds};
@@ -118,6 +118,12 @@ pub type JsonObject = serde_json::Map<String, serde_json::Value>;
 /// Result of a completed goal: values by name; empty for most actions.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct GoalResult(pub JsonObject);
+
+impl GoalResult {
+    /// Maximum size as JSON, in bytes: the state of a robot, a single message, contains the results of its
+    /// latest goals.
+    pub const BYTES_MAX: usize = 512;
+}
 
 impl Serialize for GoalResult {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -251,6 +257,17 @@ impl GoalStatus {
     /// Returns the status of a goal that succeeded without a result.
     pub fn succeeded() -> GoalStatus {
         GoalStatus::Succeeded(GoalResult::default())
+    }
+
+    /// Returns the status of a goal that succeeded with a result, or aborted if the result is larger than
+    /// [`GoalResult::BYTES_MAX`].
+    pub fn with_result(result: JsonObject) -> GoalStatus {
+        let bytes = serde_json::to_string(&result).map_or(usize::MAX, |text| text.len());
+        if bytes <= GoalResult::BYTES_MAX {
+            return GoalStatus::Succeeded(GoalResult(result));
+        }
+        let message = format!("the result has {bytes} bytes of JSON; at most {} are allowed", GoalResult::BYTES_MAX);
+        GoalStatus::Aborted(ActionError { code: ErrorCode::Failed, message })
     }
 
     /// Checks whether the goal has ended.

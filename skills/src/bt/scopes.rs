@@ -53,7 +53,7 @@ impl Scopes {
         self.scopes.last().map_or("", |scope| &scope.tree)
     }
 
-    /// Enters a sub-tree, whose `keys` are remapped.
+    /// Enters a sub-tree. `keys` are its remapped keys with their entries.
     pub(crate) fn enter(&mut self, tree: &str, autoremap: bool, keys: BTreeMap<String, EntryId>) {
         self.scopes.push(Scope { tree: tree.to_owned(), autoremap, keys, used: BTreeSet::new() });
     }

@@ -21,7 +21,6 @@ mod goal_tracker;
 mod messages;
 #[cfg(test)]
 pub(crate) mod model_driver;
-mod publisher;
 mod server;
 mod state_order;
 

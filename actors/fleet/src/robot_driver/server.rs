@@ -2,25 +2,29 @@
 
 use super::goal_table::{CommandEffect, GoalTable};
 use super::messages::{DriverCommand, DriverState, PersonCommand, PersonEvent, PersonRequestState};
-use super::publisher::Publisher;
 use super::state_order::StateStamp;
 use consort_bus::clock::Clock;
 use consort_bus::reply;
 use consort_bus::tasks::Tasks;
-use consort_bus::{Query, SharedBus};
+use consort_bus::{Outbox, Query, SharedBus};
+use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
 use consort_protocol::keys::{DriverCall, Key, Keys, PeopleCall};
 use consort_protocol::units::{NodeTime, WorldTime};
 use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, GoalId, GoalStatus, RobotBackend};
 use ractor::{Actor, ActorProcessingErr, ActorRef};
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::time::Instant;
-use tracing::{info, warn};
+use tracing::{debug, info, warn};
 
 /// Number of repetitions of an event without a reply, 1 per publish interval: the event may be
 /// lost.
 const EVENT_REPETITIONS: u32 = 5;
+
+/// Number of states and events that wait for the bus. Further ones are dropped: they are repeated.
+const OUTBOX_CAPACITY: usize = 256;
 
 /// Maximum sleep while an event is due; then the actor checks again.
 const SLEEP_MAX: Duration = Duration::from_secs(3600);
@@ -61,7 +65,7 @@ pub enum DriverServerMessage {
     Tick,
 }
 
-/// The driver server actor.
+/// The driver server actor. It must stop robots in time, so it never waits for the bus.
 pub struct DriverServer;
 
 /// State of [`DriverServer`].
@@ -80,7 +84,7 @@ pub struct DriverServerState {
     stamp: StateStamp,
     /// World time of the earliest scheduled wake-up.
     next_wake: Option<WorldTime>,
-    publisher: Publisher,
+    outbox: Outbox,
     tasks: Tasks,
 }
 
@@ -106,7 +110,8 @@ impl Actor for DriverServer {
         (settings, world): Self::Arguments,
     ) -> Result<Self::State, ActorProcessingErr> {
         let mut tasks = Tasks::default();
-        let publisher = Publisher::start(settings.bus.clone(), &mut tasks);
+        let (outbox, sending) = Outbox::new(settings.bus.clone(), OUTBOX_CAPACITY, || ());
+        tasks.spawn(sending);
         tasks.forward(
             settings.bus.serve(&settings.keys.any_driver_command()).await?,
             &myself,
@@ -139,7 +144,7 @@ impl Actor for DriverServer {
             repeated_events: vec![],
             stamp,
             next_wake: None,
-            publisher,
+            outbox,
             tasks,
         })
     }
@@ -315,7 +320,7 @@ impl DriverServerState {
     /// Publishes the event of a person.
     fn publish_person_event(&self, event: &PersonEvent) {
         let key = self.settings.keys.write(&Key::People(PeopleCall::Done));
-        self.publisher.publish(key, event);
+        self.publish(key, event);
     }
 
     fn publish_all(&mut self) {
@@ -333,7 +338,15 @@ impl DriverServerState {
     fn publish_state(&mut self, robot: &RobotId) {
         if let Some(state) = self.state_of(robot) {
             let key = self.settings.keys.write(&Key::Driver(robot.clone(), DriverCall::State));
-            self.publisher.publish(key, &state);
+            self.publish(key, &state);
+        }
+    }
+
+    fn publish<T: Serialize>(&self, key: String, message: &T) {
+        let bytes = codec::encode(message).expect("a state fits a message");
+        if !self.outbox.publish(key, bytes.into()) {
+            // Frequent while the bus is blocked.
+            debug!("the outbox is full: a state was not published");
         }
     }
 

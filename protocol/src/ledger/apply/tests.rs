@@ -173,6 +173,20 @@ fn the_first_outcome_of_a_task_is_kept() {
     assert_eq!(recorded(&log), [pulse(70)]);
 }
 
+/// The names of results count, too: a hostile holder chooses them.
+#[test]
+fn the_outcomes_of_a_mission_have_a_bounded_size() {
+    let mut log = Log::new();
+    let mission = log.submit("a");
+    log.award(&mission, "arm", "ada");
+    let results = (0..16).map(|number| (format!("{number}{}", "x".repeat(3_000)), ResultValue::Bool(true)));
+    let outcomes = BTreeMap::from([(TaskId::new("pick_up_sample").unwrap(), TaskOutcome::Done(results.collect()))]);
+    let (role, branch, ended) = (role("lab_arm"), Branch::Main, BTreeSet::from([0]));
+    log.apply(Command::Progress { mission: mission.clone(), role, epoch: epoch(2), branch, ended, outcomes });
+    let recorded = &log.0.mission(&mission).unwrap().outcomes;
+    assert!(codec::encoded_size(recorded) < 16 * 1024, "{} bytes", codec::encoded_size(recorded));
+}
+
 #[test]
 fn no_robot_holds_two_roles() {
     let mut log = Log::new();

@@ -258,6 +258,14 @@ pub enum MissionErrorKind {
         /// Kind of the result, as text.
         found: String,
     },
+    /// The outcomes of the tasks may not fit in a report.
+    #[error("the results of its tasks may have {bytes} bytes; at most {max} are allowed: a text counts 256")]
+    LargeResults {
+        /// Maximum size of all results in bytes.
+        bytes: usize,
+        /// Limit.
+        max: usize,
+    },
     /// A conditional task moves an item, so that custody would be undefined.
     #[error("has a condition and touches the item `{item}`; custody of an item must not depend on a condition")]
     ConditionalItem {

@@ -288,9 +288,9 @@ impl NumberedKind {
     }
 }
 
-/// Parameter of an object, and with a number of several objects.
+/// Name of the parameter for an object. Several objects have the names `object_1`, `object_2`, ….
 pub(super) const OBJECT: &str = "object";
-/// With a number: parameter of one of several locations.
+/// Start of the names of the parameters for several locations: `location_1`, `location_2`, ….
 pub(super) const LOCATION: &str = "location";
 
 /// Assigns unique names. A numbered name never equals the own name of another node.

@@ -19,7 +19,8 @@ use crate::messages::{DriverMessage, NodeMessage, PROTOCOL_VERSION, Reading, Res
 use consort_protocol::ids::{ActionName, PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, Metres, Seconds};
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalId, GoalResult, GoalStatus, JsonObject};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalId, GoalStatus, JsonObject};
+use consort_text::shorten;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -58,6 +59,9 @@ const WRONG_LINES_LOGGED: u32 = 5;
 /// Number of readings that are kept.
 const READINGS_MAX: usize = 64;
 
+/// Maximum size of the cause of an aborted goal, in bytes.
+const CAUSE_BYTES_MAX: usize = 512;
+
 /// An event of the process.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum SessionEvent {
@@ -91,9 +95,9 @@ enum Phase {
     Down { restart_at: Duration },
     /// Started, without a hello.
     Starting { since: Duration },
-    /// The driver has said hello.
+    /// A hello was accepted.
     Ready { since: Duration, offer: Offer },
-    /// Told to end.
+    /// The process was asked to end.
     Stopping,
 }
 
@@ -364,11 +368,12 @@ impl DriverSession {
                     return vec![];
                 }
                 let status = match status {
-                    ResultStatus::Succeeded => GoalStatus::Succeeded(GoalResult(results)),
+                    ResultStatus::Succeeded => GoalStatus::with_result(results),
                     ResultStatus::Canceled => GoalStatus::Canceled,
                     ResultStatus::Aborted => aborted(
                         code.unwrap_or(ErrorCode::Failed),
-                        message.unwrap_or_else(|| "the driver gives no cause".to_owned()),
+                        shorten(message.as_deref().unwrap_or("the driver gives no cause"), CAUSE_BYTES_MAX)
+                            .into_owned(),
                     ),
                 };
                 self.goals.end(id, status);

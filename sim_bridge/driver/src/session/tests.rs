@@ -97,6 +97,24 @@ fn a_goal_is_sent_with_its_permission_and_ends_with_the_result() {
     assert_eq!(session.goal(GoalId(7)), Some(wait()));
 }
 
+/// The node publishes the results and the causes of several goals in a single message.
+#[test]
+fn long_results_and_causes_are_bounded() {
+    let mut session = ready(false);
+    start(&mut session, 7, at(0));
+    let long = "x".repeat(60_000);
+    let results = JsonObject::from_iter([("note".to_owned(), long.clone().into())]);
+    let ended = |id, status, message, results| {
+        SessionEvent::Message(DriverMessage::Result { id: GoalId(id), status, code: None, message, results })
+    };
+    session.handle(ended(7, ResultStatus::Succeeded, None, results), at(1));
+    let message = abort_message(&mut session, ErrorCode::Failed);
+    assert!(message.contains("bytes of JSON; at most 512 are allowed"), "{message}");
+    start(&mut session, 8, at(2));
+    session.handle(ended(8, ResultStatus::Aborted, Some(long), JsonObject::new()), at(3));
+    assert!(abort_message(&mut session, ErrorCode::Failed).len() <= 512);
+}
+
 #[test]
 fn a_second_goal_is_busy_and_does_not_reach_the_driver() {
     let mut session = ready(false);

@@ -8,7 +8,7 @@ use super::simulation::World;
 use super::system_access::SystemIndex;
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::{Metres, Seconds};
-use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, Feedback, Goal, GoalId, GoalStatus};
+use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, Feedback, Goal, GoalId, GoalResult, GoalStatus};
 use hecs::Entity;
 
 impl World {
@@ -54,7 +54,7 @@ impl World {
         let ActiveGoal { id, goal, ends, system } = self.state.get_mut::<GoalHistory>(robot).active.take()?;
         ends.into_iter().for_each(|ends| self.state.queue.cancel(ends));
         let status = match self.run_system(system, |system, state| system.finish_goal(state, robot, &goal)) {
-            Ok(result) => GoalStatus::Succeeded(result),
+            Ok(GoalResult(result)) => GoalStatus::with_result(result),
             Err(error) => GoalStatus::Aborted(error),
         };
         Some(self.state.record(robot, id, goal, status))

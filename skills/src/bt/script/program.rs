@@ -24,7 +24,7 @@ struct CompiledStatement {
     text: String,
     assignment: Option<(String, Assign)>,
     expression: IdedExpr,
-    /// Keys whose values the statement needs.
+    /// Keys that the statement reads.
     reads: BTreeSet<String>,
 }
 

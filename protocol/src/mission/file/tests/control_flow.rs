@@ -169,6 +169,23 @@ fn wrong_references_are_reported_with_their_place() {
     }
 }
 
+/// A report of all outcomes of a role must fit in a message.
+#[test]
+fn more_results_than_a_report_can_contain_are_rejected() {
+    let noting = TaskSchema::default().returning("note", ValueKind::Text);
+    let domain = domain().with("look".parse().unwrap(), noting);
+    let rooms = |count: usize| {
+        let tasks =
+            (0..count).map(|number| json!({ "task": format!("look_{number}"), "type": "look", "roles": ["r1"] }));
+        let root = json!({ "task": "all", "method": "sequential", "tasks": tasks.collect::<Vec<_>>() });
+        let file = json!({ "mission": "looks", "roles": { "r1": { "kind": "managed" } }, "root": root }).to_string();
+        MissionTemplate::parse(&file, Format::Json).unwrap().instantiate(&given(&[]), &domain)
+    };
+    assert!(rooms(20).is_ok());
+    let problem = rooms(400).unwrap_err().to_string();
+    assert!(problem.contains("the results of its tasks may have"), "{problem}");
+}
+
 #[test]
 fn a_value_of_a_request_is_never_an_expression() {
     let file = FILE.replace("limit: { kind: number, default: \"5\" }", "limit: { kind: text, default: \"5\" }");

@@ -60,7 +60,7 @@ pub(crate) struct SampleSupply {
     made: Vec<Entity>,
 }
 
-/// A person who can do a request now.
+/// A person who can start a request at once.
 struct Ready {
     person: Entity,
     /// The robot of a handover.
