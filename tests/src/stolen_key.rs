@@ -57,7 +57,6 @@ pub fn report_of_all_steps(robot: RobotId, entry: &MissionEntry, role: &RoleId) 
         mission: entry.id.clone(),
         role: role.clone(),
         epoch: holder.map(|holder| holder.epoch).unwrap_or_default(),
-        branch: entry.branch,
         ended: (0..).take(plan.steps.len()).collect(),
         outcomes: Default::default(),
         current_task: None,

@@ -12,9 +12,7 @@ use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys};
 use consort_protocol::knowledge::{Availability, Digest, DigestScope, KnowledgeBase, Record, RecordStamp};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Ledger;
-use consort_protocol::message::{
-    Beacon, ClusterEnvelope, Exchange, MissionsChanged, RecordUpdate, ReportReply, SignalHistory,
-};
+use consort_protocol::message::{Beacon, ClusterEnvelope, Exchange, RecordUpdate, ReportReply, SignalHistory};
 use consort_protocol::trust::NodeRole;
 use consort_tests::{Fleet, RobotSpec, StolenKey, for_each_seed, report_of_all_steps, signals_sent};
 use serde::Serialize;
@@ -135,13 +133,11 @@ impl Compromised {
                     cluster: None,
                     wire: Some(200),
                 };
-                let changed = MissionsChanged { node: node(name), term };
                 let event =
                     format!(r#"{{"node": "{name}", "sequence": 1, "at_ms": 1, "event": "elected", "term": {term}}}"#);
                 let body = Key::Driver("gorse".parse().expect("a name"), DriverCall::State);
                 for (key, payload) in [
                     (Key::Beacon, within(&beacon)),
-                    (Key::Changed, within(&changed)),
                     (Key::Knowledge(node("gorse")), still.clone()),
                     (Key::Events(node("basil")), event.into()),
                     (body, Bytes::from_static(b"anywhere")),
@@ -190,14 +186,7 @@ fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
         let mut tasks = tokio::task::JoinSet::new();
         tasks.spawn(Arc::clone(&fern).repeats());
         tasks.spawn(Arc::clone(&fern).claims());
-        for key in [
-            "wire/bid/*",
-            "wire/award/*",
-            "wire/report/*",
-            "wire/active_missions/*",
-            "wire/raft/*/*",
-            "wire/driver/*/command",
-        ] {
+        for key in ["wire/bid/*", "wire/award/*", "wire/report/*", "wire/raft/*/*", "wire/driver/*/command"] {
             tasks.spawn(Arc::clone(&fern).answers(key, false));
             tasks.spawn(Arc::clone(&fern).answers(key, true));
             tasks.spawn(Arc::clone(&fern).refuses(key, false));
@@ -231,7 +220,6 @@ fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
         let refusals = refused(&fleet);
         for reason in [
             "node fern (robot) may not publish on wire/beacon",
-            "node fern (robot) may not publish on wire/changed",
             "node fern (robot) may not publish on wire/knowledge/gorse",
             "node fern (robot) may not publish on wire/driver/gorse/state",
             "node fern (robot) may not reply on wire/report/aster",
@@ -276,6 +264,7 @@ fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
             (keys.write(&Key::Api(ApiCall::Submit)), order),
             (keys.write(&Key::Api(ApiCall::Cancel)), cancel.clone()),
             (keys.write(&Key::Api(ApiCall::Resolve)), cancel),
+            (keys.write(&Key::Api(ApiCall::Answer)), json!({ "request": format!("{mission}.1"), "answer": "done" })),
             (keys.write(&Key::Api(ApiCall::Backup)), json!({})),
             (keys.write(&Key::Api(ApiCall::Upgrade)), json!({ "finish": true })),
             (keys.write(&Key::Leave("clove".parse().expect("a name"))), json!({})),

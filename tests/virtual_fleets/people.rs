@@ -1,18 +1,14 @@
 //! Requests to people while robots are lost and replaced.
 
 use crate::support::task_began;
-use consort_bus::Bus;
-use consort_protocol::codec;
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
-use consort_protocol::keys::{ApiCall, Key};
-use consort_protocol::lease::{EndReason, Epoch};
-use consort_protocol::ledger::{Branch, MissionState};
-use consort_protocol::message::{ClusterEnvelope, Report, ReportReply};
+use consort_protocol::keys::ApiCall;
+use consort_protocol::ledger::MissionState;
 use consort_skills::actions::RobotBackend;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use consort_world::world::{PersonAction, SampleHolder};
 use serde_json::{Value, json};
-use std::collections::BTreeSet;
 use std::time::Duration;
 
 const ROOM: &str = "IC Room 6";
@@ -73,9 +69,9 @@ fn meeting(role: &str, room: &str, mark: &str) -> Vec<Value> {
 }
 
 /// `amber` is lost with the sample; `birch` fetches another sample from the nurse of another room.
-/// The report for the first sample arrives again.
+/// A late answer to the first request changes nothing.
 #[test]
-fn an_old_report_does_not_count_in_the_recovery_branch() {
+fn an_old_request_is_not_answered_in_the_recovery_branch() {
     for_each_seed([711, 712], async |seed| {
         let robots = vec![RobotSpec::carrier("amber", "IC Room 4"), RobotSpec::carrier("birch", "Dock")];
         let stations = ["post-1", "post-2", "post-3"];
@@ -97,29 +93,10 @@ fn an_old_report_does_not_count_in_the_recovery_branch() {
         fleet.kill("amber").await;
         fleet.wait_until("another way to a room", SOON, |fleet| fleet.has_event(task_began("navto_room-2"))).await;
 
-        let report = Report {
-            robot: slug("client"),
-            incarnation: 0,
-            mission: mission.clone(),
-            role: slug("nurse"),
-            epoch: Epoch::default(),
-            branch: Branch::Main,
-            ended: BTreeSet::from([0, 1, 2]),
-            outcomes: Default::default(),
-            current_task: None,
-            place: None,
-            from_checkpoint: false,
-            failure: None,
-        };
-        let payload = codec::encode(&report).expect("a small message");
-        let payload = codec::encode(&ClusterEnvelope { cluster: None, payload }).expect("a small message");
-        let coordinator = fleet.wait_for_coordinator().await;
-        let key = fleet.keys().write(&Key::Report(coordinator));
-        let mut replies = fleet.client.query(&key, payload.into(), SOON).await.expect("a bus");
-        let reply = replies.recv().await.expect("a reply").payload.expect("no refusal");
-        let (epoch, reason) = (Epoch::default(), EndReason::Replaced);
-        let answer: ReportReply = codec::decode(&reply).expect("a reply");
-        assert_eq!(answer, ReportReply::Ended { epoch, reason, current: None }, "seed {seed}");
+        let late = json!({ "request": format!("{mission}.1"), "answer": "cannot", "by": "Nia" });
+        let reply = fleet.request_answered(ApiCall::Answer, &late).await;
+        let expected = format!("request {mission}.1 is closed; it was answered by nurse: done");
+        assert_eq!(reply["error"], expected, "seed {seed}");
 
         let MissionState::NeedsIntervention { cause, .. } = fleet.wait_for_end(&mission).await else {
             panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
@@ -169,6 +146,8 @@ fn a_nurse_is_asked_to_meet_a_robot_once_there_is_a_holder() {
                 fleet.sample_holder(ROOM) == SampleHolder::Drawer(slug("gorse"))
             })
             .await;
+        let ended = |kind: &EventKind| matches!(kind, EventKind::TaskEnded { task, .. } if task.as_str() == "deposit");
+        fleet.wait_until("the end of her task", SOON, |fleet| fleet.has_event(ended)).await;
         let tasks = fleet.task_counts(&mission);
         assert_eq!(tasks["deposit"], (1, 1), "seed {seed}: {tasks:?}\n{}", fleet.event_log_text());
     });

@@ -23,8 +23,6 @@ fn mission(limit: f64) -> Value {
         "root": { "task": "all", "method": "sequential", "tasks": [
             measure("first"), measure("second"),
             { "task": "react", "choose": [{ "when": "first.temperature_c > ${limit}", "do": wait }], "else": attend },
-            // A mission ends with the roles of its robots, so one of them waits for the person.
-            { "task": "leave", "type": "wait", "roles": ["r1"], "parameters": { "seconds": "1" } },
         ] },
         "result": { "fever": "first.temperature_c > ${limit}", "pulse": "second.pulse_bpm" },
     })

@@ -60,9 +60,13 @@ fn a_carrier_killed_before_custody_is_replaced_after_lease_and_grace() {
         );
         for (task, (began, ended)) in fleet.event_log.task_executors(&mission) {
             // Only the interrupted task began twice, and the killed robot ended none of its tasks.
+            // The coordinator asks the nurse, whichever node that is.
+            if task == "deposit" {
+                assert_eq!((began.len(), ended.len()), (1, 1), "seed {seed}: {task}\n{}", fleet.event_log_text());
+                continue;
+            }
             let who: &[&str] = match task.as_str() {
                 "navto_room" => &["amber", "birch"],
-                "deposit" => &["world"],
                 "pick_up_sample" => &["lab-arm"],
                 _ => &["birch"],
             };

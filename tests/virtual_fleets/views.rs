@@ -2,13 +2,13 @@
 
 use crate::support::{fleet, task_began};
 use consort_bus::{Bus, VirtualBus};
-use consort_protocol::api::{ErrorReply, ExplainReply, HelpReply, MissionChangeReply, UpgradeReply};
+use consort_protocol::api::{AnswerReply, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, UpgradeReply};
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
 use consort_protocol::view::{
-    AuctionsView, CoordinatorView, EnsemblesView, FleetView, HealthView, MapView, MissionView, MissionsView, RobotView,
-    WithProvenance,
+    AuctionsView, CoordinatorView, EnsemblesView, FleetView, HealthView, MapView, MissionView, MissionsView,
+    RequestsView, RobotView, WithProvenance,
 };
 use consort_raft::store::Backup;
 use consort_tests::{Fleet, for_each_seed, slug};
@@ -52,6 +52,7 @@ fn every_view_has_a_single_reply_with_the_current_state() {
             "map",
             "mission/lab-samples-1",
             "missions",
+            "requests",
             "robot/fern",
             "robot/gorse",
             "robot/lab-arm",
@@ -143,6 +144,7 @@ fn check_view(name: &str, view: &Value) {
         "robot" => check_type::<RobotView>(name, view),
         "ensembles" => check_type::<WithProvenance<EnsemblesView>>(name, view),
         "coordinator" => check_type::<WithProvenance<CoordinatorView>>(name, view),
+        "requests" => check_type::<WithProvenance<RequestsView>>(name, view),
         "missions" => check_type::<WithProvenance<MissionsView>>(name, view),
         "mission" => check_type::<WithProvenance<MissionView>>(name, view),
         "auctions" => check_type::<WithProvenance<AuctionsView>>(name, view),
@@ -176,6 +178,8 @@ fn views_and_replies_contain_exactly_the_fields_of_their_types() {
         assert!(matches!(end, MissionState::NeedsIntervention { .. }), "seed {seed}: {end:?}");
         fleet.view("**").await.iter().for_each(|(name, view)| check_view(name, view));
         let ask = async |call: ApiCall, payload: Value| fleet.request_answered(call, &payload).await;
+        let request = json!({ "request": format!("{mission}.1"), "answer": "done", "by": "nurse" });
+        check_type::<AnswerReply>("answer", &ask(ApiCall::Answer, request).await);
         check_type::<MissionChangeReply>("resolve", &ask(ApiCall::Resolve, named).await);
         for kind in fleet.events() {
             check_type::<EventKind>("event", &json!(kind));
@@ -363,7 +367,13 @@ fn every_call_documents_its_payload() {
         let help = fleet.request_answered(ApiCall::Help, &Value::Null).await;
         let calls: Vec<&str> =
             help["calls"].as_array().expect("calls").iter().filter_map(|call| call["call"].as_str()).collect();
-        assert_eq!(calls, ["submit", "cancel", "resolve", "backup", "upgrade", "get", "list", "explain", "help"]);
+        assert_eq!(
+            calls,
+            [
+                "submit", "cancel", "resolve", "answer", "backup", "upgrade", "get", "list", "requests", "explain",
+                "help"
+            ]
+        );
         let (each, _) = query_views(&fleet.client, "consort/ward/api/*/help").await;
         assert_eq!(each.len(), calls.len());
         let submit = &each["api/submit/help"];

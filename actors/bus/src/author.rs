@@ -17,6 +17,11 @@ impl Author {
         Author(Some(identity))
     }
 
+    /// Returns the name of a verified author.
+    pub fn name(&self) -> Option<String> {
+        self.0.as_ref().map(|author| author.principal.name().to_string())
+    }
+
     /// Checks whether the message may be by this node.
     pub fn may_be(&self, node: &str) -> bool {
         self.0.as_ref().is_none_or(|author| author.is_node(node))

@@ -39,7 +39,6 @@ use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::api::ErrorReply;
 use consort_protocol::ids::{NodeId, PersonId};
-use consort_protocol::trust::Identity;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -240,24 +239,18 @@ pub struct Requester {
 
 /// Author of a request.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum RequestAuthor {
-    /// A person.
-    Person {
-        /// Person that signed the request, or whose token was forwarded.
-        name: PersonId,
-        /// Node of the dashboard that forwarded the token.
-        through: Option<NodeId>,
-    },
-    /// A driver server, which cancels a mission for a person that it serves.
-    Host(Arc<Identity>),
+pub struct RequestAuthor {
+    /// Person that signed the request, or whose token was forwarded.
+    pub name: PersonId,
+    /// Node of the dashboard that forwarded the token.
+    pub through: Option<NodeId>,
 }
 
 impl fmt::Display for RequestAuthor {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            RequestAuthor::Person { name, through: None } => write!(f, "{name}"),
-            RequestAuthor::Person { name, through: Some(node) } => write!(f, "{name} through {node}"),
-            RequestAuthor::Host(host) => write!(f, "a person at {}", host.principal.name()),
+        match &self.through {
+            None => write!(f, "{}", self.name),
+            Some(node) => write!(f, "{} through {node}", self.name),
         }
     }
 }

@@ -246,7 +246,7 @@ mod tests {
             tokio::time::sleep(Duration::from_secs(1)).await;
             assert_eq!(at_cyd.try_recv().is_some(), key.ends_with("events/ada"), "{key}");
         }
-        let key = keys.write(&Key::ActiveMissions(NodeId::new("bob").unwrap()));
+        let key = keys.write(&Key::Report(NodeId::new("bob").unwrap()));
         let mut queries = bob.serve(&key).await.unwrap();
         tokio::spawn(async move {
             while let Some(query) = queries.recv().await {

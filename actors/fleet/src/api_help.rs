@@ -1,11 +1,11 @@
 //! Descriptions of all calls on `api/**`, for clients.
 
 use consort_protocol::api::{
-    CallHelp, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, SubmitReply, UpgradeReply, example,
+    AnswerReply, CallHelp, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, SubmitReply, UpgradeReply, example,
     payload_schema,
 };
 use consort_protocol::keys::{ApiCall, Key};
-use consort_protocol::view::{MissionView, MissionsView, WithProvenance, schema_of};
+use consort_protocol::view::{MissionView, MissionsView, RequestsView, WithProvenance, schema_of};
 use consort_raft::store::Backup;
 use schemars::Schema;
 
@@ -33,6 +33,8 @@ fn reply_schema(call: ApiCall) -> Schema {
     match call {
         ApiCall::Submit => schema_of::<SubmitReply>(),
         ApiCall::Cancel | ApiCall::Resolve => schema_of::<MissionChangeReply>(),
+        ApiCall::Answer => schema_of::<AnswerReply>(),
+        ApiCall::Requests => schema_of::<WithProvenance<RequestsView>>(),
         ApiCall::Get => schema_of::<WithProvenance<MissionView>>(),
         ApiCall::List => schema_of::<WithProvenance<MissionsView>>(),
         ApiCall::Explain => schema_of::<WithProvenance<ExplainReply>>(),
@@ -57,7 +59,7 @@ mod tests {
         let submit = of("submit");
         let properties = submit["payload_schema"]["properties"].as_object().unwrap();
         let names: Vec<&str> = properties.keys().map(String::as_str).collect();
-        assert_eq!(names, ["deadline_s", "mission", "name", "parameters", "people", "priority", "request"]);
+        assert_eq!(names, ["by", "deadline_s", "mission", "name", "parameters", "people", "priority", "request"]);
         assert_eq!(submit["payload_schema"]["required"], json!(["mission"]));
         assert_eq!(submit["payload_schema"]["additionalProperties"], json!(false));
         assert_eq!(submit["answer_schema"]["required"], json!(["mission", "again"]));

@@ -5,7 +5,7 @@
 
 use crate::coordinator::submission::{SubmitError, document};
 use consort_protocol::api::{
-    MissionChangeRequest, MissionQuery, SubmitRequest, UpgradeRequest, parse_read_options, parse_request,
+    AnswerRequest, MissionChangeRequest, MissionQuery, SubmitRequest, UpgradeRequest, parse_read_options, parse_request,
 };
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
@@ -67,7 +67,8 @@ pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, impl std::er
         ApiCall::Cancel | ApiCall::Resolve => drop(parse_request::<MissionChangeRequest>(call, payload)?),
         ApiCall::Get | ApiCall::Explain => drop(parse_request::<MissionQuery>(call, payload)?),
         ApiCall::Upgrade => drop(parse_request::<UpgradeRequest>(call, payload)?),
-        ApiCall::List => drop(parse_read_options(call, payload)?),
+        ApiCall::Answer => drop(parse_request::<AnswerRequest>(call, payload)?),
+        ApiCall::List | ApiCall::Requests => drop(parse_read_options(call, payload)?),
         ApiCall::Help | ApiCall::Backup => {}
     }
     Ok(ApiRequest::Other)

@@ -13,7 +13,6 @@ pub mod events;
 mod followed_coordinator;
 #[cfg(feature = "test-util")]
 pub mod fuzz_api;
-mod human_task_proxy;
 #[cfg(test)]
 mod lease_model;
 pub mod node;

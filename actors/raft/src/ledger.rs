@@ -24,6 +24,9 @@ impl StateMachine for Ledger {
             | Command::Fail { .. }
             | Command::Cancel { .. }
             | Command::Resolve { .. }
+            | Command::AskPerson { .. }
+            | Command::AnswerPerson { .. }
+            | Command::ExpirePersonRequest { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_)
             | Command::Bootstrap { .. } => false,

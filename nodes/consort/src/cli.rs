@@ -1,8 +1,9 @@
 //! The command line.
 
 use crate::command::{
-    backup, cancel, cert, check, completions, doctor, domain, driver, dry_run, explain, fleet, keys, lab, leave, map,
-    missions, record, recover, replay, resolve, restore, robot, schema, station, submit, token, upgrade, watch, world,
+    answer, backup, cancel, cert, check, completions, doctor, domain, driver, dry_run, explain, fleet, keys, lab,
+    leave, map, missions, record, recover, replay, requests, resolve, restore, robot, schema, station, submit, token,
+    upgrade, watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -66,6 +67,8 @@ enum Command {
     Explain(explain::Args),
     Cancel(cancel::Args),
     Resolve(resolve::Args),
+    Requests(requests::Args),
+    Answer(answer::Args),
     Fleet(fleet::Args),
     Keys(keys::Args),
     Leave(leave::Args),
@@ -114,6 +117,8 @@ pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>
             Command::Explain(args) => explain::run(args),
             Command::Cancel(args) => cancel::run(args),
             Command::Resolve(args) => resolve::run(args),
+            Command::Requests(args) => requests::run(args),
+            Command::Answer(args) => answer::run(args),
             Command::Fleet(args) => fleet::run(args),
             Command::Keys(args) => keys::run(args),
             Command::Leave(args) => leave::run(args),

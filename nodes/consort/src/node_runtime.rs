@@ -144,7 +144,15 @@ async fn run_until_end(
     info!(node = %name, "started");
     let _dashboard = match page {
         Some((address, plan)) => {
-            let dashboard = Dashboard::open(address, admission.clone(), on_page, &fleet.name, name.as_str(), plan);
+            let dashboard = Dashboard::open(
+                address,
+                admission.clone(),
+                on_page,
+                &fleet.name,
+                name.as_str(),
+                plan,
+                fleet.dashboards.clone(),
+            );
             output::line(format_args!("dashboard: {}", dashboard.url()))?;
             Some(dashboard)
         }

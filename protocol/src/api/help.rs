@@ -1,6 +1,6 @@
 //! Descriptions of the calls, for clients.
 
-use super::request::{MissionChangeRequest, MissionQuery, ReadOptions, SubmitRequest, UpgradeRequest};
+use super::request::{AnswerRequest, MissionChangeRequest, MissionQuery, ReadOptions, SubmitRequest, UpgradeRequest};
 use crate::keys::ApiCall;
 use schemars::{JsonSchema, Schema, schema_for};
 use serde::{Deserialize, Serialize};
@@ -44,7 +44,10 @@ pub fn example(call: ApiCall) -> Option<Value> {
         ApiCall::Cancel => Some(json!({ "mission": "lab-samples-1", "by": "a nurse" })),
         ApiCall::Resolve => Some(json!({ "mission": "lab-samples-1", "by": "Nia" })),
         ApiCall::Get | ApiCall::Explain => Some(json!({ "mission": "lab-samples-1" })),
-        ApiCall::List => Some(json!({ "linearizable": true })),
+        ApiCall::Answer => {
+            Some(json!({ "request": "lab-samples-1.1", "answer": "done", "results": { "dust_g": 3 }, "by": "Nia" }))
+        }
+        ApiCall::List | ApiCall::Requests => Some(json!({ "linearizable": true })),
         ApiCall::Upgrade => Some(json!({ "finish": false })),
         ApiCall::Help | ApiCall::Backup => None,
     }
@@ -56,7 +59,8 @@ pub fn payload_schema(call: ApiCall) -> Option<Schema> {
         ApiCall::Submit => Some(schema_for!(SubmitRequest)),
         ApiCall::Cancel | ApiCall::Resolve => Some(schema_for!(MissionChangeRequest)),
         ApiCall::Get | ApiCall::Explain => Some(schema_for!(MissionQuery)),
-        ApiCall::List => Some(schema_for!(ReadOptions)),
+        ApiCall::Answer => Some(schema_for!(AnswerRequest)),
+        ApiCall::List | ApiCall::Requests => Some(schema_for!(ReadOptions)),
         ApiCall::Upgrade => Some(schema_for!(UpgradeRequest)),
         ApiCall::Help | ApiCall::Backup => None,
     }

@@ -2,7 +2,7 @@
 
 use crate::auction::Explanation;
 use crate::ids::{MissionId, NodeId};
-use crate::ledger::{MissionState, RoleRelease};
+use crate::ledger::{MissionState, PersonRequestId, PersonRequestPhase, RoleRelease};
 use crate::view::MissionStateName;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -28,6 +28,15 @@ pub struct MissionChangeReply {
     /// Its state: a word, or an object with a single key and its details. Null if the ledger no
     /// longer contains the mission.
     pub state: Option<MissionState>,
+}
+
+/// A request to a person after an answer.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct AnswerReply {
+    /// The request.
+    pub request: PersonRequestId,
+    /// Its phase.
+    pub phase: Option<PersonRequestPhase>,
 }
 
 /// Progress of the upgrade to the next wire version.

@@ -1,7 +1,8 @@
 //! Payloads of requests.
 
 use crate::ids::{MissionId, RequestId, RoleId, TaskId};
-use crate::mission::IhtnFields;
+use crate::ledger::PersonRequestId;
+use crate::mission::{IhtnFields, ResultValue};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -36,6 +37,10 @@ pub struct SubmitRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub deadline_s: Option<f64>,
+    /// Name of the person who asks for the mission, for display. In a closed fleet the signer is named,
+    /// too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
 }
 
 impl SubmitRequest {
@@ -49,6 +54,7 @@ impl SubmitRequest {
             request: None,
             priority: 0,
             deadline_s: None,
+            by: None,
         }
     }
 
@@ -92,6 +98,47 @@ pub struct MissionChangeRequest {
     /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
+}
+
+/// Answers a request to a person.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AnswerRequest {
+    /// The request, as in `view/requests`.
+    pub request: PersonRequestId,
+    /// The answer.
+    pub answer: AnswerWord,
+    /// For `done`: the results of the task, by name, as in the `form` of the request.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[schemars(with = "BTreeMap<String, Value>")]
+    pub results: BTreeMap<String, ResultValue>,
+    /// Remark, for display.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub note: String,
+    /// For `later`: minutes until the request is due again; 10 if absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1, max = LATER_MINUTES_MAX))]
+    pub minutes: Option<u32>,
+    /// Name of the person, for display. In a closed fleet the signer is named, too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
+}
+
+/// Maximum number of minutes for which a person puts a request off: a day.
+pub const LATER_MINUTES_MAX: u32 = 24 * 60;
+
+/// Answer to a request to a person.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AnswerWord {
+    /// The task is done.
+    Done,
+    /// The person does not want to do it; the mission fails.
+    Declined,
+    /// The person is not able to do it; the mission fails.
+    Cannot,
+    /// The person will do it later; the request stays open.
+    Later,
 }
 
 /// Queries the progress of the upgrade to the next wire version.

@@ -25,7 +25,7 @@ words! {
         /// Publication by the server: telemetry and the state of goals.
         State = "state",
     }
-    /// Call between a human task proxy and the host of people.
+    /// Call between the coordinator and the host of simulated people.
     PeopleCall {
         /// Query to the host: ask or dismiss a person.
         Ask = "ask",
@@ -40,6 +40,8 @@ words! {
         Cancel = "cancel",
         /// Resolve an intervention: a person has taken care of the items that robots had.
         Resolve = "resolve",
+        /// Answer a request to a person.
+        Answer = "answer",
         /// Get a backup of the ledger.
         Backup = "backup",
         /// Get the progress of an upgrade to the next wire version, and complete it.
@@ -48,6 +50,8 @@ words! {
         Get = "get",
         /// List all missions.
         List = "list",
+        /// List the requests to people.
+        Requests = "requests",
         /// Explain for each role of a mission the outcome of each robot's bid.
         Explain = "explain",
         /// List the calls with their parameters.
@@ -79,8 +83,6 @@ words! {
         Work = "work",
         /// Signals of missions, and queries for them.
         Signal = "signal",
-        /// Changes of missions, and queries for active missions.
-        ActiveMissions = "active_missions",
         /// Views and requests of people.
         People = "people",
         /// All other messages.
@@ -94,8 +96,13 @@ impl ApiCall {
     /// complete.
     pub fn is_read_only(self) -> bool {
         match self {
-            ApiCall::Submit | ApiCall::Cancel | ApiCall::Resolve | ApiCall::Backup | ApiCall::Upgrade => false,
-            ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => true,
+            ApiCall::Submit
+            | ApiCall::Cancel
+            | ApiCall::Resolve
+            | ApiCall::Answer
+            | ApiCall::Backup
+            | ApiCall::Upgrade => false,
+            ApiCall::Get | ApiCall::List | ApiCall::Requests | ApiCall::Explain | ApiCall::Help => true,
         }
     }
 }
@@ -118,7 +125,6 @@ impl KeyKind {
                 ("driver", _) => KeyKind::DriverCommand,
                 ("bid" | "award" | "report", _) => KeyKind::Work,
                 ("signal" | "signal_history", _) => KeyKind::Signal,
-                ("active_missions" | "changed", _) => KeyKind::ActiveMissions,
                 ("people" | "world", _) => KeyKind::People,
                 _ => KeyKind::Other,
             },

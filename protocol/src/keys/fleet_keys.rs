@@ -37,10 +37,7 @@ impl Keys {
     pub fn is_cluster_scoped(&self, text: &str) -> bool {
         let below = text.strip_prefix(&self.prefix).and_then(|rest| rest.strip_prefix("/wire/"));
         let kind = below.map(|rest| rest.split('/').next().unwrap_or(rest));
-        kind.is_some_and(|kind| {
-            ["beacon", "bid", "award", "report", "active_missions", "changed", "signal", "signal_history"]
-                .contains(&kind)
-        })
+        kind.is_some_and(|kind| ["beacon", "bid", "award", "report", "signal", "signal_history"].contains(&kind))
     }
 
     /// Returns the part of a key or key expression below the fleet's prefix: `wire/bid/*`.

@@ -33,13 +33,8 @@ pub enum Key {
     Award(RobotId),
     /// `wire/report/{node}`: a robot reports to the coordinator on that node.
     Report(NodeId),
-    /// `wire/active_missions/{node}`: any node queries the coordinator on that node for the active
-    /// missions.
-    ActiveMissions(NodeId),
     /// `wire/clock/{node}`: the time of day of a node that may vote.
     Clock(NodeId),
-    /// `wire/changed`: the coordinator publishes that active missions have changed.
-    Changed,
     /// `wire/signal/{mission}/{role}`: a signal of the mission's plan, published for the role that
     /// awaits it.
     Signal(MissionId, RoleId),
@@ -61,6 +56,8 @@ pub enum Key {
     ViewCoordinator,
     /// `view/missions`.
     ViewMissions,
+    /// `view/requests`.
+    ViewRequests,
     /// `view/mission/{mission}`.
     ViewMission(MissionId),
     /// `view/auctions`.
@@ -106,9 +103,7 @@ impl fmt::Display for Key {
             Key::Bid(robot) => write!(f, "wire/bid/{robot}"),
             Key::Award(robot) => write!(f, "wire/award/{robot}"),
             Key::Report(node) => write!(f, "wire/report/{node}"),
-            Key::ActiveMissions(node) => write!(f, "wire/active_missions/{node}"),
             Key::Clock(node) => write!(f, "wire/clock/{node}"),
-            Key::Changed => f.write_str("wire/changed"),
             Key::Signal(mission, role) => write!(f, "wire/signal/{mission}/{role}"),
             Key::SignalHistory(mission, role) => write!(f, "wire/signal_history/{mission}/{role}"),
             Key::Driver(robot, call) => write!(f, "wire/driver/{robot}/{}", call.as_str()),
@@ -117,6 +112,7 @@ impl fmt::Display for Key {
             Key::ViewRobot(robot) => write!(f, "view/robot/{robot}"),
             Key::ViewCoordinator => f.write_str("view/coordinator"),
             Key::ViewMissions => f.write_str("view/missions"),
+            Key::ViewRequests => f.write_str("view/requests"),
             Key::ViewMission(mission) => write!(f, "view/mission/{mission}"),
             Key::ViewAuctions => f.write_str("view/auctions"),
             Key::World => f.write_str("wire/world"),
@@ -156,9 +152,7 @@ pub(super) fn read(text: &str) -> Option<Key> {
         ["wire", "bid", robot] => Key::Bid(robot.parse().ok()?),
         ["wire", "award", robot] => Key::Award(robot.parse().ok()?),
         ["wire", "report", node] => Key::Report(node.parse().ok()?),
-        ["wire", "active_missions", node] => Key::ActiveMissions(node.parse().ok()?),
         ["wire", "clock", node] => Key::Clock(node.parse().ok()?),
-        ["wire", "changed"] => Key::Changed,
         ["wire", "signal", mission, role] => Key::Signal(mission.parse().ok()?, role.parse().ok()?),
         ["wire", "signal_history", mission, role] => Key::SignalHistory(mission.parse().ok()?, role.parse().ok()?),
         ["wire", "driver", robot, call] => Key::Driver(robot.parse().ok()?, DriverCall::parse(call)?),
@@ -185,6 +179,7 @@ fn read_view(segments: &[&str]) -> Option<Key> {
         ["ensembles"] => Key::ViewEnsembles,
         ["coordinator"] => Key::ViewCoordinator,
         ["missions"] => Key::ViewMissions,
+        ["requests"] => Key::ViewRequests,
         ["mission", mission] => Key::ViewMission(mission.parse().ok()?),
         ["auctions"] => Key::ViewAuctions,
         ["map"] => Key::ViewMap,

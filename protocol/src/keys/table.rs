@@ -74,6 +74,7 @@ table! {
     Key::ViewEnsembles => "view/ensembles", "any node" Answers JSON, "the members of each ensemble, and the reason for each node that is not a member";
     Key::ViewCoordinator => "view/coordinator", "any node" Answers JSON, "the coordinator, its term and start time; voters and learners";
     Key::ViewMissions => "view/missions", "any node" Answers JSON, "all missions, in brief";
+    Key::ViewRequests => "view/requests", "any node" Answers JSON, "the requests to people, open ones first";
     Key::ViewMission(_) => "view/mission/{mission}", "any node" Answers JSON, "a mission: its task tree, roles, holders, epochs";
     Key::ViewAuctions => "view/auctions", "any node" Answers JSON, "the latest auction of each mission: bids, refusals, and the reason for the result";
     Key::ViewMap => "view/map", "any node" Answers JSON, "places, lanes, doors, lifts and walls of the fleet's map";
@@ -83,10 +84,12 @@ table! {
     Key::Api(ApiCall::Submit) => "api/submit", "the coordinator" Answers JSON, "submits a mission; the reply follows the commit";
     Key::Api(ApiCall::Cancel) => "api/cancel", "the coordinator" Answers JSON, "cancels a mission";
     Key::Api(ApiCall::Resolve) => "api/resolve", "the coordinator" Answers JSON, "resolves an intervention: a person has taken care of the items of a mission";
+    Key::Api(ApiCall::Answer) => "api/answer", "the coordinator" Answers JSON, "answers a request to a person; the first answer counts";
     Key::Api(ApiCall::Backup) => "api/backup", "the coordinator" Answers JSON, "a backup of the ledger, with all acknowledged entries, for `consort restore`";
     Key::Api(ApiCall::Upgrade) => "api/upgrade", "the coordinator" Answers JSON, "the wire versions that each node reads; switches the fleet to the next version";
     Key::Api(ApiCall::Get) => "api/get", "any node" Answers JSON, "a mission, as in view/mission/{mission}";
     Key::Api(ApiCall::List) => "api/list", "any node" Answers JSON, "all missions, as in view/missions";
+    Key::Api(ApiCall::Requests) => "api/requests", "any node" Answers JSON, "the requests to people, as in view/requests";
     Key::Api(ApiCall::Explain) => "api/explain", "any node" Answers JSON, "for each role of a mission, the reason for which each robot got it or not";
     Key::Api(ApiCall::Help) => "api/help", "any node" Answers JSON, "all calls: parameters, an example, JSON Schemas";
     Key::Help(_) => "api/{call}/help", "any node" Answers JSON, "the same for a single call";
@@ -107,15 +110,13 @@ table! {
     Key::Bid(_) => "wire/bid/{robot}", "the robot" Answers WIRE, "the coordinator's call for bids";
     Key::Award(_) => "wire/award/{robot}", "the robot" Answers WIRE, "the award or the revocation of a role";
     Key::Report(_) => "wire/report/{node}", "the coordinator" Answers WIRE, "reports of robots, which also renew their leases";
-    Key::ActiveMissions(_) => "wire/active_missions/{node}", "the coordinator" Answers WIRE, "the active missions, with the plans of people";
     Key::Clock(_) => "wire/clock/{node}", "nodes that may vote" Answers WIRE, "the time of day of the node, for the coordinator";
-    Key::Changed => "wire/changed", "the coordinator" Publishes WIRE, "a notification that active missions have changed";
-    Key::Signal(..) => "wire/signal/{mission}/{role}", "robots and human task proxies" Publishes WIRE, "a signal of the mission's plan for this role";
-    Key::SignalHistory(..) => "wire/signal_history/{mission}/{role}", "the role's holder" Answers WIRE, "the signals that the role has sent";
+    Key::Signal(..) => "wire/signal/{mission}/{role}", "robots, and the coordinator for people" Publishes WIRE, "a signal of the mission's plan for this role";
+    Key::SignalHistory(..) => "wire/signal_history/{mission}/{role}", "the robot that holds the role" Answers WIRE, "the signals that the role has sent";
     Key::Driver(_, DriverCall::Command) => "wire/driver/{robot}/command", "the driver server" Answers WIRE, "goals for a robot";
     Key::Driver(_, DriverCall::State) => "wire/driver/{robot}/state", "the driver server" Publishes WIRE, "telemetry, and the state of goals";
-    Key::People(PeopleCall::Ask) => "wire/people/ask", "the host of people" Answers WIRE, "asks a person to do something, or dismisses one";
-    Key::People(PeopleCall::Done) => "wire/people/done", "the host of people" Publishes WIRE, "the tasks that people have completed";
+    Key::People(PeopleCall::Ask) => "wire/people/ask", "the host of simulated people" Answers WIRE, "asks a person to do something, or dismisses one";
+    Key::People(PeopleCall::Done) => "wire/people/done", "the host of simulated people" Publishes WIRE, "the tasks that people have completed";
     Key::World => "wire/world", "the simulator" Answers JSON, "the state of its world; view/world passes it on";
 }
 

@@ -18,15 +18,14 @@ pub(super) fn all() -> Vec<Key> {
         Key::Bid(robot.clone()),
         Key::Award(robot.clone()),
         Key::Report(node.clone()),
-        Key::ActiveMissions(node.clone()),
         Key::Clock(node.clone()),
-        Key::Changed,
         Key::Signal(mission.clone(), role.clone()),
         Key::SignalHistory(mission.clone(), role),
         Key::ViewFleet,
         Key::ViewRobot(robot.clone()),
         Key::ViewCoordinator,
         Key::ViewMissions,
+        Key::ViewRequests,
         Key::ViewMission(mission.clone()),
         Key::ViewAuctions,
         Key::ViewEnsembles,
@@ -86,7 +85,7 @@ fn all_keys_are_formatted_differently() {
 #[test]
 fn keys_about_missions_are_cluster_scoped() {
     let keys = Keys::new(&FleetId::new("ward").unwrap());
-    for text in [keys.any_bid(), keys.any_signal(), keys.write(&Key::Beacon), keys.write(&Key::Changed)] {
+    for text in [keys.any_bid(), keys.any_signal(), keys.write(&Key::Beacon)] {
         assert!(keys.is_cluster_scoped(&text), "{text}");
     }
     let warden = "consort/warden/wire/beacon".to_owned();

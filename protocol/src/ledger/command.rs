@@ -1,7 +1,9 @@
 //! Commands of the ledger and their outcomes.
 
-use super::entry::{Branch, MissionState};
+use super::branch::Branch;
+use super::entry::MissionState;
 use super::history_limits::HistoryLimits;
+use super::person_request::{PersonAnswer, PersonRequestId};
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
 use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId};
@@ -114,6 +116,37 @@ pub enum Command {
         /// Person that resolved it.
         by: String,
     },
+    /// Requests a task of an unmanaged role from a person.
+    AskPerson {
+        /// The mission.
+        mission: MissionId,
+        /// Branch of the task.
+        branch: Branch,
+        /// Role of the person.
+        role: RoleId,
+        /// Step of its plan.
+        step: StepIndex,
+        /// Time of the request in milliseconds since 1970.
+        asked_ms: u64,
+    },
+    /// Records the answer of a person to a request.
+    AnswerPerson {
+        /// The request.
+        request: PersonRequestId,
+        /// The answer.
+        answer: PersonAnswer,
+        /// Last known places of the robots of the mission.
+        places: BTreeMap<RobotId, PlaceId>,
+    },
+    /// Fails a mission because nobody has answered a request in time.
+    ExpirePersonRequest {
+        /// The request.
+        request: PersonRequestId,
+        /// Time that a majority of the voters confirms, in milliseconds since 1970.
+        now_ms: u64,
+        /// Last known places of the robots of the mission.
+        places: BTreeMap<RobotId, PlaceId>,
+    },
     /// Raises the wire version that the fleet writes. From now on the ledger may contain what this
     /// version adds. The proposer has checked that every node can read it; the version is never
     /// lowered.
@@ -123,6 +156,30 @@ pub enum Command {
     },
     /// Changes the limits of the history. It has no effect before wire version 3.
     SetHistoryLimits(HistoryLimits),
+}
+
+impl Command {
+    /// Returns the existing mission that the command concerns.
+    pub(super) fn mission(&self) -> Option<&MissionId> {
+        match self {
+            Command::Award { mission, .. }
+            | Command::Defer { mission, .. }
+            | Command::Accept { mission, .. }
+            | Command::Progress { mission, .. }
+            | Command::Release { mission, .. }
+            | Command::Fail { mission, .. }
+            | Command::Cancel { mission, .. }
+            | Command::Resolve { mission, .. }
+            | Command::AskPerson { mission, .. } => Some(mission),
+            Command::AnswerPerson { request, .. } | Command::ExpirePersonRequest { request, .. } => {
+                Some(&request.mission)
+            }
+            Command::Bootstrap { .. }
+            | Command::Submit(_)
+            | Command::RaiseWireVersion { .. }
+            | Command::SetHistoryLimits(_) => None,
+        }
+    }
 }
 
 /// Outcome of a command.
@@ -216,6 +273,20 @@ pub enum CommandError {
         item: ItemId,
         /// Mission that waits.
         mission: MissionId,
+    },
+    /// There is no such request to a person.
+    #[error("there is no request {request}; see api/requests")]
+    NoPersonRequest {
+        /// Id of the request.
+        request: PersonRequestId,
+    },
+    /// Another answer, or the course of the mission, has closed the request.
+    #[error("request {request} is closed; it was {phase}")]
+    PersonRequestClosed {
+        /// Id of the request.
+        request: PersonRequestId,
+        /// How it was closed.
+        phase: String,
     },
     /// The mission does not wait for a person.
     #[error("mission {mission} is {state}; only a mission that needs intervention can be resolved")]

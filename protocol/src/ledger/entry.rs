@@ -1,5 +1,7 @@
 //! Ledger entry of a mission.
 
+use super::branch::Branch;
+use super::person_request::PersonRequestEntry;
 use super::submission::{Priority, Submission};
 use crate::auction::AuctionRecord;
 use crate::codec;
@@ -56,32 +58,12 @@ pub struct MissionEntry {
     pub release_count: u32,
     /// Outcomes of tasks. The first outcome of a task is kept: others may have acted on it.
     pub outcomes: TaskOutcomes,
+    /// Requests to people, oldest first: all open ones, and some closed ones.
+    pub(super) person_requests: Vec<PersonRequestEntry>,
 }
 
 /// Maximum number of releases kept for display.
 pub(super) const RELEASES_KEPT: usize = 16;
-
-/// Branch of a mission that is executed.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Branch {
-    /// The mission as requested.
-    #[default]
-    Main,
-    /// The recovery branch, executed after a loss. A mission never returns from it to the main
-    /// branch.
-    Recovery,
-}
-
-impl Branch {
-    /// Returns the name.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Branch::Main => "main",
-            Branch::Recovery => "recovery",
-        }
-    }
-}
 
 /// Release of a role from a robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

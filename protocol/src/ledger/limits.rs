@@ -5,22 +5,20 @@
 //! |---|---|
 //! | a command | a message, checked when it is proposed; its texts and auction record are shortened |
 //! | the request of a mission | [`Submission::BYTES_MAX`] |
-//! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause, 16 KiB of outcomes |
+//! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause, 16 KiB of outcomes, and the requests to people: an open one for each role, and 16 closed ones of 1 KiB |
 //! | the ledger | [`UNENDED_MAX`] missions that have not ended, and the history ([`HistoryLimits`]) |
 
 use super::apply::Ledger;
 use super::command::{Command, CommandError};
 use super::entry::MissionState;
 use super::history_limits::HistoryLimits;
+use super::person_request::PERSON_BYTES_MAX;
 use super::submission::Submission;
 use crate::bounds::limit_text;
 use crate::codec;
 
 /// Maximum size of a cause in the ledger, in bytes.
 pub(super) const CAUSE_BYTES_MAX: usize = 1024;
-
-/// Maximum size of the name of a person in the ledger, in bytes.
-const PERSON_BYTES_MAX: usize = 256;
 
 /// Maximum number of missions that are active or wait for a person. Raised: a snapshot may be too
 /// large for every replica.
@@ -49,11 +47,14 @@ impl Command {
         match &mut self {
             Command::Release { cause, .. } | Command::Fail { cause, .. } => limit_text(cause, CAUSE_BYTES_MAX),
             Command::Cancel { by, .. } | Command::Resolve { by, .. } => limit_text(by, PERSON_BYTES_MAX),
+            Command::Submit(submission) => limit_text(&mut submission.by, PERSON_BYTES_MAX),
+            Command::AnswerPerson { answer, .. } => answer.limit(),
             Command::Award { auction, .. } | Command::Defer { auction, .. } => auction.limit(),
             Command::Bootstrap { .. }
-            | Command::Submit(_)
             | Command::Accept { .. }
             | Command::Progress { .. }
+            | Command::AskPerson { .. }
+            | Command::ExpirePersonRequest { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_) => {}
         }

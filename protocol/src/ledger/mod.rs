@@ -9,8 +9,8 @@
 //! and repeated commands do no harm.
 //!
 //! ```text
-//!                 award (all open roles)         all managed roles ended
-//! submit ─▶ pending ───────────────────▶ running ───────────────────────▶ completed
+//!                 award (all open roles)         all roles ended
+//! submit ─▶ pending ───────────────────▶ running ───────────────▶ completed
 //!             ▲  │ defer (why not yet)     │ │
 //!             └──┘◀────── release ─────────┘ └── fail (cause) ─▶ failed      cancel: from pending and running
 //! ```
@@ -23,6 +23,7 @@
 //! continues with that branch. The module `custody` computes which robot has which item.
 
 mod apply;
+mod branch;
 mod command;
 mod custody;
 mod entry;
@@ -31,11 +32,18 @@ mod history_limits;
 mod layout;
 mod limits;
 mod loss;
+mod people;
+mod person_request;
 mod submission;
 
 pub use apply::Ledger;
+pub use branch::Branch;
 pub use command::{Command, CommandError, CommandOutcome};
-pub use entry::{Branch, HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, RoleRelease};
+pub use entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, RoleRelease};
 pub use history::Tombstone;
 pub use history_limits::HistoryLimits;
+pub use person_request::{
+    AnswerContent, FinalAnswer, NOTE_BYTES_MAX, PersonAnswer, PersonRequestEntry, PersonRequestId,
+    PersonRequestIdError, PersonRequestPhase, Postponement,
+};
 pub use submission::{DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, time_until_deadline};

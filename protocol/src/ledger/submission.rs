@@ -1,7 +1,7 @@
 //! Mission requests as submitted to the ledger: mission, recovery branch, priority and deadline.
 
-use crate::ids::RequestId;
-use crate::mission::{LostItem, Mission};
+use crate::ids::{RequestId, TaskType};
+use crate::mission::{LostItem, Mission, ValueKind};
 use crate::plan::{Division, StepAction};
 use crate::schema::inline_schema;
 use schemars::json_schema;
@@ -23,6 +23,10 @@ pub struct Submission {
     pub parameters: BTreeMap<String, String>,
     /// Branch to execute if a robot is lost that has an item.
     pub recovery: Option<RecoveryBranch>,
+    /// Results that people state in their answers, by the type of the task.
+    pub forms: BTreeMap<TaskType, BTreeMap<String, ValueKind>>,
+    /// Person or client that asked for the mission, for display.
+    pub by: String,
     /// Priority. Of two waiting missions the mission with higher priority is served first, then the
     /// earlier mission.
     pub priority: Priority,
@@ -43,6 +47,8 @@ impl Submission {
             division,
             parameters: BTreeMap::new(),
             recovery: None,
+            forms: BTreeMap::new(),
+            by: String::new(),
             priority: Priority::default(),
             deadline_ms: None,
             at_ms: 0,

@@ -9,9 +9,7 @@
 //! | `wire/bid/*` | query | coordinator → robots | [`CallForBids`](crate::auction::CallForBids) | [`BidResponse`](crate::auction::BidResponse) |
 //! | `wire/award/{robot}` | query | coordinator → robot | [`AwardNotice`] | [`AwardReply`] |
 //! | `wire/report/{node}` | query | robot → coordinator | [`Report`] | [`ReportReply`] |
-//! | `wire/active_missions/{node}` | query | any node → coordinator | empty | [`ActiveMissions`], in parts |
 //! | `wire/clock/{node}` | query | coordinator → voter | empty | `u64`: milliseconds since 1970 |
-//! | `wire/changed` | publish | coordinator → all | [`MissionsChanged`] | – |
 //! | `wire/signal/{mission}/{role}` | publish | role → role | [`SignalHistory`] | – |
 //! | `wire/signal_history/{mission}/{role}` | query | waiting role → role | empty | [`SignalHistory`] |
 //!
@@ -23,7 +21,6 @@ use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
 use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
-use crate::ledger::Branch;
 use crate::mission::ROLES_MAX;
 use crate::mission::TaskOutcomes;
 use crate::plan::{Signal, StepIndex};
@@ -31,10 +28,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-mod active_missions;
 pub(crate) mod v1;
-
-pub use active_missions::{ActiveMissions, ActivePlan};
 
 /// Publication of a node about itself.
 #[expect(
@@ -192,11 +186,8 @@ pub struct Report {
     pub mission: MissionId,
     /// The role.
     pub role: RoleId,
-    /// Epoch of the award; the default for an unmanaged role.
+    /// Epoch of the award.
     pub epoch: Epoch,
-    /// Branch of the plan, for an unmanaged role. For a managed role the default, since the epoch
-    /// identifies the branch.
-    pub branch: Branch,
     /// All steps that have ended so far.
     #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
     pub ended: BTreeSet<StepIndex>,
@@ -289,15 +280,6 @@ pub enum ReportReply {
         /// Coordinator, if known to this node.
         coordinator: Option<NodeId>,
     },
-}
-
-/// Active missions have changed; nodes that follow them should query again.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct MissionsChanged {
-    /// Node of the coordinator.
-    pub node: NodeId,
-    /// Term of the coordinator.
-    pub term: u64,
 }
 
 /// Signals that a role has sent so far, to one role or to all roles. The message is idempotent,

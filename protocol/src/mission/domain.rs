@@ -8,9 +8,10 @@
 use super::diagnostic::MissionErrorKind;
 use super::domain_reference::DomainReference;
 use super::ihtn_names::IhtnNames;
-use super::outcome::RESULT_BYTES_MAX;
+use super::outcome::{RESULT_BYTES_MAX, ResultValue};
 use crate::ids::{PlaceId, TaskType};
 use consort_text::AllowedNames;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -56,7 +57,7 @@ pub struct ParameterSchema {
 }
 
 /// Kind of a value. Values are text; the kind defines the valid texts.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ValueKind {
     /// Place on the map.
@@ -78,7 +79,7 @@ pub enum ValueKind {
 }
 
 /// Range of a number, both ends included.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NumberRange {
     /// Least value; `None` for no limit.
     pub minimum: Option<f64>,
@@ -163,6 +164,41 @@ impl ValueKind {
         }
     }
 
+    /// Returns a result in the type of this kind: a whole number is also a number. `None` if it is not of
+    /// this kind.
+    fn accept(&self, value: &ResultValue) -> Option<ResultValue> {
+        let value = match (self, value) {
+            (ValueKind::Number(_) | ValueKind::Seconds, ResultValue::Integer(number)) => {
+                ResultValue::Number(*number as f64)
+            }
+            (_, value) => value.clone(),
+        };
+        let is_valid = match (self, &value) {
+            (ValueKind::Bool, ResultValue::Bool(_)) => true,
+            (ValueKind::Integer(range), ResultValue::Integer(number)) => range.contains(*number as f64),
+            (ValueKind::Number(range), ResultValue::Number(number)) => range.contains(*number),
+            (ValueKind::Seconds, ResultValue::Number(number)) => number.is_finite() && *number >= 0.0,
+            (ValueKind::Text | ValueKind::OneOf(_) | ValueKind::Place | ValueKind::Role, ResultValue::Text(text)) => {
+                text.len() <= RESULT_BYTES_MAX && self.admits(text)
+            }
+            _ => false,
+        };
+        is_valid.then_some(value)
+    }
+
+    /// Returns the result of this kind that a text denotes; `None` if it denotes none.
+    pub fn parse(&self, text: &str) -> Option<ResultValue> {
+        let value = match self {
+            ValueKind::Bool => ResultValue::Bool(text.parse().ok()?),
+            ValueKind::Integer(_) => ResultValue::Integer(text.parse().ok()?),
+            ValueKind::Number(_) | ValueKind::Seconds => ResultValue::Number(text.parse().ok()?),
+            ValueKind::Text | ValueKind::OneOf(_) | ValueKind::Place | ValueKind::Role => {
+                ResultValue::Text(text.to_owned())
+            }
+        };
+        self.accept(&value)
+    }
+
     /// Checks whether `text` is a value of this kind. The existence of a role in the mission is
     /// checked elsewhere.
     pub(crate) fn admits(&self, text: &str) -> bool {
@@ -177,6 +213,30 @@ impl ValueKind {
             ValueKind::OneOf(words) => words.contains(text),
         }
     }
+}
+
+/// Checks that results are exactly those of a form, each of its kind. Returns them in the types of the
+/// form.
+///
+/// # Errors
+/// Description of the first problem, with what is allowed.
+pub fn check_results(
+    form: &BTreeMap<String, ValueKind>,
+    results: &BTreeMap<String, ResultValue>,
+) -> Result<BTreeMap<String, ResultValue>, String> {
+    if let Some(name) = results.keys().find(|name| !form.contains_key(*name)) {
+        return Err(match form.is_empty() {
+            true => format!("the task has no result `{name}`; it has no results"),
+            false => format!("the task has no result `{name}`; {}", AllowedNames::suggest_for(name, form.keys())),
+        });
+    }
+    let result = |(name, kind): (&String, &ValueKind)| {
+        let value = results.get(name).ok_or_else(|| format!("the result `{name}` is missing; it is {kind}"))?;
+        let accepted = kind.accept(value);
+        let value = accepted.ok_or_else(|| format!("the result `{name}` is `{value}`, but it must be {kind}"))?;
+        Ok((name.clone(), value))
+    };
+    form.iter().map(result).collect()
 }
 
 impl TaskSchema {

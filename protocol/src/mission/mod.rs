@@ -40,7 +40,7 @@ mod validate;
 pub(crate) use bits::Bits;
 pub use diagnostic::{IhtnError, MissionDiagnostic, MissionErrorKind, MissionErrors};
 pub use document::{IhtnFields, MissionDocument};
-pub use domain::{Domain, NumberRange, ParameterSchema, TaskSchema, ValueKind};
+pub use domain::{Domain, NumberRange, ParameterSchema, TaskSchema, ValueKind, check_results};
 pub use domain_reference::{DomainHash, DomainReference, OtherDomain};
 pub use file::{Format, MissionFileError, MissionTemplate, TemplateKind, TemplateParameter};
 pub use ihtn::{ActionUse, IhtnOptions, UndeclaredActions, import_ihtn, is_flat_ihtn, undeclared_actions};
@@ -49,8 +49,8 @@ pub use limits::FILE_BYTES_MAX;
 pub(crate) use limits::ROLES_MAX;
 pub(crate) use lost_item::LostItem;
 pub use model::{
-    AlternativeMethod, Method, Mission, OnLoss, ResultReference, Role, RoleKind, TaskBody, TaskIndex, TaskNode,
-    TaskOrder, TaskSpec,
+    AlternativeMethod, Escalation, Method, Mission, OnLoss, ResultReference, Role, RoleKind, TaskBody, TaskIndex,
+    TaskNode, TaskOrder, TaskSpec,
 };
 pub use order::GlobalOrder;
 pub(crate) use outcome::OUTCOMES_BYTES_MAX;

@@ -143,6 +143,12 @@ pub struct TaskSpec {
     /// Default 2 (a guess).
     #[serde(default = "attempts")]
     pub attempts: u8,
+    /// For a task of a person: seconds to wait for an answer before the mission fails. Default: no limit.
+    #[serde(default)]
+    pub patience_s: Option<u32>,
+    /// For a task of a person: who is asked, too, when nobody has answered for a while.
+    #[serde(default)]
+    pub escalation: Option<Box<Escalation>>,
     /// Parameters that are results of earlier tasks. Until these are known, `parameters` contains a
     /// typical value, for estimates.
     #[serde(default)]
@@ -154,6 +160,17 @@ pub struct TaskSpec {
     /// with another content of that file cannot do the task.
     #[serde(default)]
     pub domain: Option<DomainReference>,
+}
+
+/// Escalation of a request to a person.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Escalation {
+    /// Role of the other people; it need not be a role of the mission.
+    pub to: RoleId,
+    /// Seconds after the request, from 1 to 604800.
+    #[schemars(range(min = 1, max = PATIENCE_MAX_S))]
+    pub after_s: u32,
 }
 
 /// Result of a task of the same mission.
@@ -169,6 +186,8 @@ pub struct ResultReference {
 pub(crate) const ATTEMPTS: u8 = 2;
 /// Maximum number of attempts.
 pub(crate) const ATTEMPTS_MAX: u8 = 10;
+/// Maximum time to wait for the answer of a person, in seconds: a week.
+pub(crate) const PATIENCE_MAX_S: u32 = 7 * 24 * 3600;
 
 fn attempts() -> u8 {
     ATTEMPTS
@@ -192,10 +211,17 @@ impl TaskSpec {
             acquires: BTreeMap::new(),
             releases: BTreeSet::new(),
             attempts: ATTEMPTS,
+            patience_s: None,
+            escalation: None,
             inputs: BTreeMap::new(),
             conditions: vec![],
             domain: None,
         }
+    }
+
+    /// Checks whether the task names a role: as a participant, or in a parameter.
+    pub fn names(&self, role: &RoleId) -> bool {
+        self.roles.contains(role) || self.parameters.values().any(|value| value == role.as_str())
     }
 
     /// Checks that the task was made with the domain that this node has for its type. `None`: the type

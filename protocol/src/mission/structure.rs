@@ -5,7 +5,7 @@
 
 use super::diagnostic::{MissionDiagnostic, MissionErrorKind, MissionErrors};
 use super::limits::{DEPTH_MAX, ENTRIES_MAX, JOINT_MAX, ROLES_MAX, TASKS_MAX, VALUE_CHARS_MAX};
-use super::model::{ATTEMPTS_MAX, Method, Mission, RoleKind, TaskBody, TaskSpec};
+use super::model::{ATTEMPTS_MAX, Method, Mission, PATIENCE_MAX_S, RoleKind, TaskBody, TaskSpec};
 use crate::ids::{RoleId, TaskId};
 use consort_text::AllowedNames;
 use std::collections::{BTreeMap, BTreeSet};
@@ -209,6 +209,16 @@ fn check_assignment(mission: &Mission, spec: &TaskSpec) -> Vec<MissionErrorKind>
     }
     if !(1..=ATTEMPTS_MAX).contains(&spec.attempts) {
         found.push(MissionErrorKind::Attempts { found: spec.attempts, max: ATTEMPTS_MAX });
+    }
+    let waits = [("patience_s", spec.patience_s), ("escalate", spec.escalation.as_ref().map(|other| other.after_s))];
+    for (what, seconds) in waits.into_iter().filter_map(|(what, seconds)| Some((what, seconds?))) {
+        if !(1..=PATIENCE_MAX_S).contains(&seconds) {
+            found.push(MissionErrorKind::Patience { what, found: seconds, max: PATIENCE_MAX_S });
+        }
+        let of_robot = |role: &&RoleId| mission.roles.get(*role).is_some_and(|role| role.kind == RoleKind::Managed);
+        if let Some(role) = spec.roles.iter().find(of_robot) {
+            found.push(MissionErrorKind::PatienceOfRobot { what, role: role.clone() });
+        }
     }
     for role in spec.acquires.values().filter(|role| !mission.roles.contains_key(*role)) {
         let allowed = AllowedNames::suggest_for(role.as_str(), mission.roles.keys());

@@ -118,6 +118,14 @@ impl LocalPlan {
         self.steps.iter().position(is_it).map(|index| index as StepIndex)
     }
 
+    /// Returns the task of a step; `None` for a signal.
+    pub fn step_task(&self, step: StepIndex) -> Option<(&TaskId, &TaskSpec)> {
+        match &self.steps.get(step as usize)?.action {
+            StepAction::Task { id, spec } => Some((id, spec)),
+            StepAction::Send(_) | StepAction::Wait(_) => None,
+        }
+    }
+
     /// Returns the tasks whose results the plan uses. An invalid condition uses none; the task with it
     /// fails.
     pub fn tasks_used(&self) -> BTreeSet<TaskId> {

@@ -46,8 +46,8 @@ words! {
         Robot = "robot",
         /// The node may be a voter of the ledger, and coordinate.
         Voter = "voter",
-        /// The node runs driver servers and human task proxies: a simulated world, or an adapter
-        /// for robots of another make.
+        /// The node runs driver servers: a simulated world, with its people, or an adapter for robots of
+        /// another make.
         Host = "host",
         /// The node serves a dashboard, and forwards requests with the tokens of its visitors.
         Dashboard = "dashboard",

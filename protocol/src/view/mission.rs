@@ -116,6 +116,8 @@ pub struct RequestTerms {
     pub deadline_at_ms: Option<u64>,
     /// Time of submission in milliseconds since 1970.
     pub submitted_at_ms: u64,
+    /// Person or client that asked for the mission.
+    pub by: String,
 }
 
 /// Progress of a mission's roles.

@@ -12,6 +12,7 @@
 //! | `view/ensembles` | [`EnsemblesView`] |
 //! | `view/coordinator` | [`CoordinatorView`] |
 //! | `view/missions` | [`MissionsView`] |
+//! | `view/requests` | [`RequestsView`] |
 //! | `view/mission/{mission}` | [`MissionView`] |
 //! | `view/auctions` | [`AuctionsView`] |
 //! | `view/map` | [`MapView`] |
@@ -25,6 +26,7 @@ mod fleet;
 mod health;
 mod map;
 mod mission;
+mod person_request;
 mod provenance;
 
 pub use auction::{AuctionView, AuctionsView};
@@ -39,6 +41,7 @@ pub use mission::{
     MissionBrief, MissionProgress, MissionStateName, MissionStatus, MissionSummary, MissionView, MissionsView,
     RequestTerms, RoleView, StepView, TaskParticipant, TaskProgress, TaskView,
 };
+pub use person_request::{PersonRequestView, RequestsView};
 pub use provenance::{LedgerCopy, Provenance, WithProvenance};
 
 use schemars::generate::SchemaSettings;
@@ -68,6 +71,7 @@ pub const PUBLISHED_VIEWS: &[PublishedView] = &[
     PublishedView { name: "ensembles", schema: schema_of::<WithProvenance<EnsemblesView>> },
     PublishedView { name: "coordinator", schema: schema_of::<WithProvenance<CoordinatorView>> },
     PublishedView { name: "missions", schema: schema_of::<WithProvenance<MissionsView>> },
+    PublishedView { name: "requests", schema: schema_of::<WithProvenance<RequestsView>> },
     PublishedView { name: "mission", schema: schema_of::<WithProvenance<MissionView>> },
     PublishedView { name: "auctions", schema: schema_of::<WithProvenance<AuctionsView>> },
     PublishedView { name: "map", schema: schema_of::<WithProvenance<MapView>> },

@@ -6,9 +6,10 @@ use consort_protocol::auction::{
 };
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
-    Branch, Command, CommandError, CommandOutcome, HeldItem, HistoryLimits, MissionState, Priority, RecoveryBranch,
-    Submission,
+    AnswerContent, Branch, Command, CommandError, CommandOutcome, HeldItem, HistoryLimits, MissionState, PersonAnswer,
+    PersonRequestId, Priority, RecoveryBranch, Submission,
 };
+use consort_protocol::mission::{NumberRange, ValueKind};
 use consort_protocol::plan::Division;
 use proptest::collection::{btree_map, btree_set, vec};
 use proptest::option;
@@ -94,14 +95,22 @@ pub(crate) fn submission() -> impl Strategy<Value = Submission> {
     let division = division.boxed();
     let recovery = (mission(), division.clone()).prop_map(|(mission, division)| RecoveryBranch { mission, division });
     let priority = (-100i64..=100).prop_map(|number| Priority::new(number).expect("a priority"));
-    let how = (option::of(recovery), priority, option::of(any::<u64>()));
+    let kind = prop_oneof![
+        Just(ValueKind::Bool),
+        (-1e9..1e9).prop_map(|at| ValueKind::Number(NumberRange { minimum: Some(at), maximum: None })),
+        btree_set(text(), 1..3).prop_map(ValueKind::OneOf),
+    ];
+    let forms = btree_map(name(), btree_map(text(), kind, 0..3), 0..2);
+    let how = (option::of(recovery), priority, option::of(any::<u64>()), forms, text());
     (name::<RequestId>(), mission(), division, btree_map(text(), text(), 0..3), how, any::<u64>()).prop_map(
-        |(request, mission, division, parameters, (recovery, priority, deadline_ms), at_ms)| Submission {
+        |(request, mission, division, parameters, (recovery, priority, deadline_ms, forms, by), at_ms)| Submission {
             request,
             mission,
             division,
             parameters,
             recovery,
+            forms,
+            by,
             priority,
             deadline_ms,
             at_ms,
@@ -146,11 +155,45 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
         }),
         (name(), text(), places()).prop_map(|(mission, by, places)| Command::Cancel { mission, by, places }),
         (name(), text()).prop_map(|(mission, by)| Command::Resolve { mission, by }),
+        (name(), branch(), name(), any::<u32>(), any::<u64>()).prop_map(|(mission, branch, role, step, asked_ms)| {
+            Command::AskPerson { mission, branch, role, step, asked_ms }
+        }),
+        (person_request(), answer(), places()).prop_map(|(request, answer, places)| Command::AnswerPerson {
+            request,
+            answer,
+            places
+        }),
+        (person_request(), any::<u64>(), places()).prop_map(|(request, now_ms, places)| Command::ExpirePersonRequest {
+            request,
+            now_ms,
+            places
+        }),
         any::<u8>().prop_map(|wire| Command::RaiseWireVersion { wire }),
         (any::<u32>(), any::<u64>(), any::<u64>()).prop_map(|(missions_max, outcome_age_max_ms, outcome_bytes_max)| {
             Command::SetHistoryLimits(HistoryLimits { missions_max, outcome_age_max_ms, outcome_bytes_max })
         }),
     ]
+}
+
+fn person_request() -> impl Strategy<Value = PersonRequestId> {
+    (name(), 1u32..).prop_map(|(mission, number)| PersonRequestId { mission, number })
+}
+
+fn answer() -> impl Strategy<Value = PersonAnswer> {
+    let results = outcomes()
+        .prop_map(|outcomes| outcomes.into_values().find_map(|outcome| outcome.results().cloned()).unwrap_or_default());
+    let content = prop_oneof![
+        results.prop_map(AnswerContent::Done),
+        Just(AnswerContent::Declined),
+        Just(AnswerContent::Cannot),
+        any::<u64>().prop_map(AnswerContent::Later),
+    ];
+    (text(), content, text(), any::<u64>()).prop_map(|(by, content, note, at_ms)| PersonAnswer {
+        by,
+        content,
+        note,
+        at_ms,
+    })
 }
 
 pub(crate) fn branch() -> impl Strategy<Value = Branch> {
@@ -187,6 +230,8 @@ pub(crate) fn outcome() -> impl Strategy<Value = CommandOutcome> {
             mission,
             state
         })),
+        (person_request(), text())
+            .prop_map(|(request, phase)| CommandOutcome::Refused(CommandError::PersonRequestClosed { request, phase })),
         (name(), name(), option::of(epoch())).prop_map(|(mission, role, held)| CommandOutcome::Refused(
             CommandError::StaleEpoch { mission, role, held }
         )),

@@ -1,6 +1,5 @@
 //! Arbitrary messages of robots and the coordinator.
 
-use crate::ledger_values::*;
 use crate::values::*;
 use consort_protocol::ids::{RobotId, RoleId, TaskId};
 use consort_protocol::lease::{Award, DeclineReason, EndReason, RoleHolder};
@@ -56,16 +55,15 @@ pub(crate) fn report() -> impl Strategy<Value = Report> {
         Just(FailureKind::UnknownResult),
     ];
     let failure = (option::of(name()), text(), kind).prop_map(|(task, cause, kind)| TaskFailure { task, cause, kind });
-    let who = (name::<RobotId>(), any::<u64>(), name(), name(), epoch(), branch());
+    let who = (name::<RobotId>(), any::<u64>(), name(), name(), epoch());
     let how = (option::of(place()), any::<bool>(), option::of(failure));
     (who, btree_set(any::<u32>(), 0..5), outcomes(), option::of(name::<TaskId>()), how).prop_map(
-        |((robot, incarnation, mission, role, epoch, branch), ended, outcomes, at, (place, resumes, failure))| Report {
+        |((robot, incarnation, mission, role, epoch), ended, outcomes, at, (place, resumes, failure))| Report {
             robot,
             incarnation,
             mission,
             role,
             epoch,
-            branch,
             ended,
             outcomes,
             current_task: at,

@@ -4,8 +4,8 @@ use consort_protocol::ids::{ClusterId, PlaceId, TaskType};
 use consort_protocol::knowledge::{Availability, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
 use consort_protocol::lease::Epoch;
 use consort_protocol::mission::{
-    AlternativeMethod, DomainHash, DomainReference, Method, Mission, OnLoss, ResultReference, ResultValue, Role,
-    RoleKind, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskOutcomes, TaskSpec,
+    AlternativeMethod, DomainHash, DomainReference, Escalation, Method, Mission, OnLoss, ResultReference, ResultValue,
+    Role, RoleKind, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskOutcomes, TaskSpec,
 };
 use consort_protocol::plan::{Alternative, LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::pose::Pose;
@@ -50,11 +50,32 @@ pub(crate) fn spec() -> impl Strategy<Value = TaskSpec> {
     let input = (name(), text()).prop_map(|(task, result)| ResultReference { task, result });
     let hash = any::<u64>().prop_map(DomainHash);
     let domain = option::of((name(), hash).prop_map(|(name, hash)| DomainReference { name, hash }));
-    let used = (btree_map(text(), input, 0..2), vec(text(), 0..2), domain);
+    let escalation = (name(), any::<u32>()).prop_map(|(to, after_s)| Box::new(Escalation { to, after_s }));
+    let used =
+        (btree_map(text(), input, 0..2), vec(text(), 0..2), domain, option::of(any::<u32>()), option::of(escalation));
     let entries = (btree_map(text(), text(), 0..3), btree_map(text(), text(), 0..2));
     (name(), vec(name(), 1..3), entries, items, used).prop_map(
-        |(task_type, roles, (parameters, reaches), (acquires, releases, attempts), (inputs, conditions, domain))| {
-            TaskSpec { task_type, roles, parameters, reaches, acquires, releases, attempts, inputs, conditions, domain }
+        |(
+            task_type,
+            roles,
+            (parameters, reaches),
+            (acquires, releases, attempts),
+            (inputs, conditions, domain, patience_s, escalation),
+        )| {
+            TaskSpec {
+                task_type,
+                roles,
+                parameters,
+                reaches,
+                acquires,
+                releases,
+                attempts,
+                patience_s,
+                escalation,
+                inputs,
+                conditions,
+                domain,
+            }
         },
     )
 }

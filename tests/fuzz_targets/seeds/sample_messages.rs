@@ -11,10 +11,10 @@ use consort_protocol::codec::{encode, encode_for_version, encode_record};
 use consort_protocol::ids::{ClusterId, NodeId, RoleId};
 use consort_protocol::knowledge::{Availability, DigestScope, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
-use consort_protocol::ledger::{Branch, Command, Ledger};
+use consort_protocol::ledger::{AnswerContent, Branch, Command, Ledger, PersonAnswer, PersonRequestId};
 use consort_protocol::message::{
-    ActiveMissions, ActivePlan, AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope,
-    Exchange, FailureKind, MissionsChanged, RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
+    AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, FailureKind,
+    RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
 };
 use consort_protocol::mission::{ResultValue, TaskOutcome, TaskOutcomes};
 use consort_protocol::plan::{LocalPlan, StepAction};
@@ -141,7 +141,6 @@ fn report() -> Report {
         mission: slug("lab-samples-1"),
         role: slug("r1"),
         epoch: EPOCH,
-        branch: Branch::default(),
         ended: BTreeSet::from([0, 1]),
         outcomes: outcomes(),
         current_task: Some(slug("navto_room")),
@@ -180,15 +179,6 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
         StepAction::Task { .. } => None,
     });
     let signals: BTreeSet<_> = signals.collect();
-    let live = ActivePlan {
-        mission: slug("lab-samples-1"),
-        branch: Branch::default(),
-        plan: plan.clone(),
-        ended: BTreeSet::from([0]),
-        holders: holders(),
-        vacant: BTreeSet::from([role.clone()]),
-        signals: signals.clone(),
-    };
     let exchange = Exchange {
         sums: vec![1, 2, 3],
         scope: DigestScope::ALL,
@@ -211,8 +201,6 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
         encoded(&beacon),
         encoded(&BootstrapRequest { node: ada.clone(), mobile: false, on_battery: false }),
         encoded(&BootstrapReply::Refused { reason: "no".to_owned() }),
-        encoded(&MissionsChanged { node: ada, term: 3 }),
-        encoded(&ActiveMissions { cluster: None, count: 1, plans: vec![live] }),
         encoded(&DriverCommand {
             request: Some(GoalRequest::Cancel { id: GoalId(3) }),
             permit: Permit { goals: vec![GoalId(2)], state: StateStamp { boot: 5, sequence: 7 }, keep_for_ms: 2_900 },
@@ -272,6 +260,9 @@ fn ledger_commands() -> Vec<Command> {
             robot_failed: true,
             place: Some(slug("Dock")),
         },
+        Command::AskPerson { mission: mission(), branch: Branch::default(), role: slug("nurse"), step: 1, asked_ms: 7 },
+        Command::AnswerPerson { request: request(), answer: answer(), places: BTreeMap::new() },
+        Command::ExpirePersonRequest { request: request(), now_ms: 9, places: BTreeMap::new() },
         Command::Cancel { mission: mission(), by: "Nia".to_owned(), places: BTreeMap::new() },
     ]
 }
@@ -405,4 +396,13 @@ pub(super) fn signed_envelopes() -> Vec<Vec<u8>> {
         message(1, "wire/report/bob", within(encoded(&report()))),
         message(1, "wire/raft/0000000000abcdef/vote", vec![]),
     ]
+}
+
+fn request() -> PersonRequestId {
+    PersonRequestId { mission: slug("lab-samples-1"), number: 1 }
+}
+
+fn answer() -> PersonAnswer {
+    let content = AnswerContent::Done(BTreeMap::from([("dust_g".to_owned(), ResultValue::Integer(3))]));
+    PersonAnswer { by: "Nia".to_owned(), content, note: String::new(), at_ms: 8 }
 }

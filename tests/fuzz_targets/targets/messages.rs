@@ -12,8 +12,8 @@ use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::RaftCall;
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger, Submission};
 use consort_protocol::message::{
-    ActiveMissions, AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange,
-    MissionsChanged, RecordUpdate, Report, ReportReply, SignalHistory,
+    AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, RecordUpdate, Report,
+    ReportReply, SignalHistory,
 };
 use consort_protocol::plan::LocalPlan;
 use serde::Serialize;
@@ -63,7 +63,6 @@ pub(super) fn wire(bytes: &[u8]) -> bool {
         Beacon,
         BootstrapRequest,
         BootstrapReply,
-        MissionsChanged,
         DriverCommand,
         DriverState,
         PersonCommand,
@@ -74,10 +73,6 @@ pub(super) fn wire(bytes: &[u8]) -> bool {
     if let Some(within) = assert_round_trip::<ClusterEnvelope>(bytes) {
         read += 1;
         assert_round_trip::<Beacon>(&within.payload);
-    }
-    if let Some(live) = assert_round_trip::<ActiveMissions>(bytes) {
-        read += 1;
-        ActiveMissions::join(vec![live.clone(), live]);
     }
     let (call, tender) = (assert_round_trip::<CallForBids>(bytes), assert_round_trip::<BidResponse>(bytes));
     read += u32::from(call.is_some()) + u32::from(tender.is_some());

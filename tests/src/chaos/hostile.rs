@@ -8,12 +8,13 @@
 use crate::{Fleet, StolenKey, report_of_all_steps, signals_sent, slug};
 use bytes::Bytes;
 use consort_bus::{Delivery, Encoding, Query, Sample, ServiceSelection, SharedBus, Stream};
+use consort_fleet::robot_driver::PersonRequestState;
 use consort_protocol::codec;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Ledger, MissionEntry};
-use consort_protocol::message::{Beacon, MissionsChanged, SignalHistory};
+use consort_protocol::message::{Beacon, SignalHistory};
 use consort_protocol::trust::NodeRole;
 use consort_raft::Replica;
 use rand::seq::IndexedRandom;
@@ -43,7 +44,7 @@ const ATTACKED_QUERIES: [&str; 9] = [
     "wire/bid/*",
     "wire/award/*",
     "wire/report/*",
-    "wire/active_missions/*",
+    "wire/people/ask",
     "wire/signal_history/*/*",
     "wire/raft/*/*",
     "wire/bootstrap/*",
@@ -132,14 +133,19 @@ impl Attacker {
         }
     }
 
-    /// Answers the queries of other nodes for others: refuses them, returns the query itself,
-    /// returns a long text, or nothing.
+    /// Answers the queries of other nodes for others: claims that people have done what was asked, refuses
+    /// them, returns the query itself, returns a long text, or nothing.
     async fn answer(self: Arc<Self>, mut queries: Stream<Query>) {
         while let Some(query) = queries.recv().await {
             let key = query.key.replace('*', self.victim().as_str());
             // A failed attempt is no failure of the run.
             let _ = match self.draw(|chance| chance.random_range(0..5)) {
                 _ if self.refuses_all => query.replier.refuse("no").await,
+                // A person of others has done what was asked.
+                _ if key.ends_with("wire/people/ask") => {
+                    let done = wire(&PersonRequestState::Ended(Ok(())));
+                    query.replier.reply(&key, done, Encoding::Wire).await
+                }
                 0 => query.replier.refuse("no").await,
                 1 => query.replier.refuse(&"no ".repeat(LONG_TEXT / 3)).await,
                 2 => query.replier.reply(&key, query.payload.clone(), Encoding::Wire).await,
@@ -200,17 +206,9 @@ impl Attacker {
     async fn pose_as_coordinator(&self) {
         let node = if self.draw(|chance| chance.random_bool(0.5)) { slug(HOSTILE) } else { self.victim() };
         let term = self.draw(|chance| *[1, 1_000, u64::MAX].choose(chance).expect("three"));
-        let beacon = Beacon {
-            node: node.clone(),
-            term,
-            voters: [node.clone()].into(),
-            since_ms: 0,
-            cluster: self.cluster,
-            wire: Some(200),
-        };
+        let beacon =
+            Beacon { voters: [node.clone()].into(), node, term, since_ms: 0, cluster: self.cluster, wire: Some(200) };
         self.publish(&self.in_cluster, &self.keys.write(&Key::Beacon), wire(&beacon), Bytes::new()).await;
-        let changed = MissionsChanged { node, term };
-        self.publish(&self.in_cluster, &self.keys.write(&Key::Changed), wire(&changed), Bytes::new()).await;
     }
 
     /// Sends bytes without meaning on keys of another node.

@@ -55,7 +55,7 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::new(Mutant::TwoRemoved, 6),
     MutantCheck::new(Mutant::StaleRead, 30),
     MutantCheck::new(Mutant::SignersUnchecked, 3),
-    MutantCheck::new(Mutant::AuthorsUnchecked, 3),
+    MutantCheck::new(Mutant::AuthorsUnchecked, 12),
     MutantCheck::under(Mutant::RefusalsUnsigned, &[FaultKind::Hostile], 24),
     MutantCheck::under(Mutant::BeaconsBelieved, &[FaultKind::Hostile], 12),
     MutantCheck::under(Mutant::SuspensionNotCounted, &[FaultKind::Suspend], 6),

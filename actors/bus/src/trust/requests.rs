@@ -8,7 +8,6 @@ use crate::bus::{Query, RequestAuthor, RequestAuthority, Requester};
 use consort_protocol::api::ErrorReply;
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::PersonId;
-use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::trust::{
     AccessScope, EnvelopeError, Identity, MessageKind, NodeRole, Principal, REQUEST_SKEW_MAX_MS, RequestProof,
     decode_envelope, signed_request,
@@ -104,7 +103,7 @@ impl Verifier {
             return Err(RequestRejected::Signature(principal.clone()));
         }
         check_time(proof.signed_at_ms, now_ms)?;
-        let author = self.author(&certificate.identity, proof.token.as_deref(), query, needed)?;
+        let author = self.author(&certificate.identity, proof.token.as_deref(), needed)?;
         let id = (envelope.signer, envelope.number);
         let signed_at_ms = proof.signed_at_ms;
         self.executed_requests.accept(id, signed_at_ms.saturating_add(REQUEST_SKEW_MAX_MS), now_ms)?;
@@ -116,7 +115,6 @@ impl Verifier {
         &self,
         signer: &Arc<Identity>,
         token: Option<&str>,
-        query: &Query,
         needed: AccessScope,
     ) -> Result<RequestAuthor, RequestRejected> {
         let principal = &signer.principal;
@@ -127,17 +125,11 @@ impl Verifier {
                 (claims.name, claims.scope, Some(name.clone()))
             }
             (Principal::Node { .. }, Some(_)) => return Err(RequestRejected::Forwarder(principal.clone())),
-            (Principal::Node { roles, .. }, None) => {
-                let cancels = self.keys.read(&query.key) == Some(Key::Api(ApiCall::Cancel));
-                return match cancels && roles.contains(&NodeRole::Host) {
-                    true => Ok(RequestAuthor::Host(Arc::clone(signer))),
-                    false => Err(RequestRejected::Node(principal.clone())),
-                };
-            }
+            (Principal::Node { .. }, None) => return Err(RequestRejected::Node(principal.clone())),
         };
         match has < needed {
             true => Err(RequestRejected::Scope { name, has, needed }),
-            false => Ok(RequestAuthor::Person { name, through }),
+            false => Ok(RequestAuthor { name, through }),
         }
     }
 }

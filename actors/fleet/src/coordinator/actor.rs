@@ -96,7 +96,10 @@ impl Actor for Coordinator {
                 session.handle_notice_reply(awarded, reply);
             }
             (CoordinatorMessage::Report(query), Some(session)) => session.handle_report(query),
-            (CoordinatorMessage::ActiveMissions(query), Some(session)) => session.handle_active_missions(query).await,
+            (CoordinatorMessage::PersonEvent(sample), Some(session)) => session.handle_person_event(&sample),
+            (CoordinatorMessage::PersonReplied(id, request, author), Some(session)) => {
+                session.handle_person_reply(id, request, &author);
+            }
             (CoordinatorMessage::ClockRead { voter, wall_ms }, Some(session)) => session.record_clock(voter, wall_ms),
             (CoordinatorMessage::Api(query), Some(session)) => session.handle_api(query),
             (CoordinatorMessage::ApiRecheck(query), Some(_)) => {

@@ -4,16 +4,16 @@
 use super::last_known_place::last_known_places;
 use super::no_leader::{RETRY_AFTER_MS, busy_reply};
 use super::submission::{self, SubmitError};
-use consort_bus::{MESSAGE_MAX, RequestAuthor, Requester};
+use consort_bus::{MESSAGE_MAX, Requester};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::api::{
-    ErrorReply, MissionChangeReply, MissionChangeRequest, NodeVersions, RequestError, SubmitReply, SubmitRequest,
-    UpgradeReply, UpgradeRequest, parse_request,
+    AnswerReply, AnswerRequest, AnswerWord, ErrorReply, LATER_MINUTES_MAX, MissionChangeReply, MissionChangeRequest,
+    NodeVersions, RequestError, SubmitReply, SubmitRequest, UpgradeReply, UpgradeRequest, parse_request,
 };
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::ledger::{Command, CommandError, CommandOutcome, Ledger};
-use consort_protocol::mission::Domain;
+use consort_protocol::ledger::{AnswerContent, Command, CommandError, CommandOutcome, Ledger, PersonAnswer};
+use consort_protocol::mission::{Domain, check_results};
 use consort_protocol::versions::{UpgradeStatus, VersionRange};
 use consort_raft::store::Backup;
 use consort_raft::{ProposeError, Replica};
@@ -25,6 +25,9 @@ use std::time::Duration;
 
 /// Timeout for the ledger to commit a request.
 const COMMIT_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// Minutes for which a request is put off by default.
+const LATER_MINUTES: u32 = 10;
 
 /// Handler of a single request, with the state it needs.
 #[derive(Clone)]
@@ -83,9 +86,10 @@ impl ApiHandler {
             ApiCall::Submit => self.submit(payload).await.map(json),
             ApiCall::Cancel => self.cancel(payload).await.map(json),
             ApiCall::Resolve => self.resolve(payload).await.map(json),
+            ApiCall::Answer => self.answer(payload).await.map(json),
             ApiCall::Backup => self.backup().await,
             ApiCall::Upgrade => self.upgrade(payload).await.map(json),
-            ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => {
+            ApiCall::Get | ApiCall::List | ApiCall::Requests | ApiCall::Explain | ApiCall::Help => {
                 Err(format!("{} is served by any node", call.as_str()).into())
             }
         };
@@ -96,13 +100,14 @@ impl ApiHandler {
     }
 
     async fn submit(&self, payload: &[u8]) -> Result<SubmitReply, ApiError> {
-        let request_fields: SubmitRequest = parse_request(ApiCall::Submit, payload)?;
+        let mut request_fields: SubmitRequest = parse_request(ApiCall::Submit, payload)?;
+        let by = self.responsible(request_fields.by.take());
         // A repetition of a signed request, by a link or an attacker, has the same id.
         let default_id = match &self.requester {
             Some(requester) => requester.request.clone(),
             None => format!("{}-{}", self.request_prefix, self.request_number),
         };
-        let submission = submission::prepare(request_fields, &self.domain, self.time_ms()?, default_id)?;
+        let submission = submission::prepare(request_fields, &self.domain, self.time_ms()?, default_id, by)?;
         if let Some(overload) = self.replica.read(|ledger| self.overload(ledger, &submission.request)) {
             return Err(overload);
         }
@@ -138,7 +143,6 @@ impl ApiHandler {
     async fn cancel(&self, payload: &[u8]) -> Result<MissionChangeReply, ApiError> {
         let MissionChangeRequest { mission, by } = parse_request(ApiCall::Cancel, payload)?;
         let by = self.responsible(by);
-        self.check_host(&mission)?;
         let places = self.replica.read(|ledger| last_known_places(&self.knowledge, ledger.mission(&mission)));
         self.change(mission.clone(), Command::Cancel { mission, by, places }).await
     }
@@ -149,15 +153,53 @@ impl ApiHandler {
         self.change(mission.clone(), Command::Resolve { mission, by }).await
     }
 
-    /// Checks that a driver server cancels only missions with a person that it serves.
-    fn check_host(&self, mission: &MissionId) -> Result<(), ApiError> {
-        let Some(Requester { author: RequestAuthor::Host(host), .. }) = &self.requester else { return Ok(()) };
-        let serves = |ledger: &Ledger| {
-            ledger.mission(mission).is_some_and(|entry| entry.unmanaged_roles().any(|role| host.serves(role.as_str())))
+    /// Records the answer of a person.
+    async fn answer(&self, payload: &[u8]) -> Result<AnswerReply, ApiError> {
+        let AnswerRequest { request, answer, results, note, minutes, by } = parse_request(ApiCall::Answer, payload)?;
+        let at_ms = self.time_ms()?;
+        if let Some(minutes) = minutes {
+            if answer != AnswerWord::Later {
+                return Err("`minutes` belongs to the answer `later`".to_owned().into());
+            }
+            if !(1..=LATER_MINUTES_MAX).contains(&minutes) {
+                return Err(format!("minutes is {minutes}; allowed are 1 to {LATER_MINUTES_MAX}").into());
+            }
+        }
+        if answer != AnswerWord::Done && !results.is_empty() {
+            return Err("`results` belong to the answer `done`".to_owned().into());
+        }
+        let content = match answer {
+            AnswerWord::Done => {
+                let form = |ledger: &Ledger| {
+                    let entry = ledger.mission(&request.mission)?;
+                    Some(entry.form_of(entry.person_request(request.number)?))
+                };
+                // The ledger refuses the answer to an unknown request.
+                AnswerContent::Done(match self.replica.read(form) {
+                    Some(form) => check_results(&form, &results)?,
+                    None => results,
+                })
+            }
+            AnswerWord::Declined => AnswerContent::Declined,
+            AnswerWord::Cannot => AnswerContent::Cannot,
+            AnswerWord::Later => {
+                let delay_ms = u64::from(minutes.unwrap_or(LATER_MINUTES)) * 60_000;
+                AnswerContent::Later(at_ms.saturating_add(delay_ms))
+            }
         };
-        match self.replica.read(serves) {
-            true => Ok(()),
-            false => Err(format!("{} may cancel only missions with people that it serves", host.principal).into()),
+        let answer = PersonAnswer { by: self.person(by), content, note, at_ms };
+        let places = self.replica.read(|ledger| last_known_places(&self.knowledge, ledger.mission(&request.mission)));
+        let command = Command::AnswerPerson { request: request.clone(), answer, places };
+        match self.replica.propose(command, COMMIT_TIMEOUT).await {
+            Ok(CommandOutcome::Refused(refused)) => Err(refused.to_string().into()),
+            Ok(_) => {
+                let phase = self.replica.read(|ledger| {
+                    let entry = ledger.mission(&request.mission)?;
+                    Some(entry.person_request(request.number)?.phase.clone())
+                });
+                Ok(AnswerReply { request, phase })
+            }
+            Err(problem) => Err(not_committed(&problem)),
         }
     }
 
@@ -165,10 +207,23 @@ impl ApiHandler {
     /// fleet.
     fn responsible(&self, by: Option<String>) -> String {
         let by = by.filter(|by| !by.trim().is_empty());
-        let author = self.requester.as_ref().map(|requester| requester.author.to_string());
+        let author = self.requester.as_ref().map(|requester| &requester.author);
         match (author, by) {
-            (Some(author), Some(by)) if by != author => format!("{by}, according to {author}"),
-            (author, by) => author.or(by).unwrap_or_else(|| "a client".to_owned()),
+            (Some(author), Some(by)) if by != author.name.as_str() => format!("{by}, according to {author}"),
+            (Some(author), _) => author.to_string(),
+            (None, by) => by.unwrap_or_else(|| "a client".to_owned()),
+        }
+    }
+
+    /// Returns the person that answers. The node of a dashboard is left out: another one may repeat the
+    /// answer.
+    fn person(&self, by: Option<String>) -> String {
+        match self.requester.as_ref().map(|requester| &requester.author.name) {
+            None => self.responsible(by),
+            Some(name) => match by.filter(|by| !by.trim().is_empty() && by != name.as_str()) {
+                Some(by) => format!("{by}, according to {name}"),
+                None => name.to_string(),
+            },
         }
     }
 

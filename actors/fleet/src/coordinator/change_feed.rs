@@ -1,13 +1,12 @@
-//! Change feed of the ledger: changes are published as events, sent to robots whose awards have
-//! ended, and announced to subscribers of missions.
+//! Change feed of the ledger: changes are published as events, and sent to robots whose awards have
+//! ended.
 
 use super::session_context::SessionContext;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
-use consort_protocol::keys::Key;
 use consort_protocol::lease::{EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{Branch, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase, RoleRelease};
-use consort_protocol::message::{AwardNotice, MissionsChanged};
+use consort_protocol::message::AwardNotice;
 use consort_protocol::units::NodeTime;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -62,7 +61,6 @@ impl ChangeFeed {
 
     /// Publishes all changes since the last comparison.
     pub(super) fn publish(&mut self, context: &mut SessionContext, now: NodeTime) {
-        let mut changed = false;
         let mut revoked: Vec<(RobotId, Epoch, EndReason)> = vec![];
         context.read_ledger(|ledger| {
             for entry in ledger.missions() {
@@ -72,7 +70,6 @@ impl ChangeFeed {
                 if previous == Some(&snapshot) {
                     continue;
                 }
-                changed = true;
                 let mission = entry.id.clone();
                 if previous.is_none() {
                     let parameters = entry.submission.parameters.clone();
@@ -103,11 +100,6 @@ impl ChangeFeed {
         });
         for (robot, epoch, reason) in revoked {
             context.notify(robot, &AwardNotice::Revoked { epoch, reason });
-        }
-        if changed {
-            let changed = MissionsChanged { node: context.settings.parts.node.clone(), term: context.term };
-            let publishing = context.publish(&Key::Changed, &changed);
-            context.tasks.spawn(publishing);
         }
     }
 

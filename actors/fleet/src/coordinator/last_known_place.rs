@@ -7,7 +7,7 @@ use consort_protocol::ledger::MissionEntry;
 use std::collections::BTreeMap;
 
 /// Returns the last published place of a robot.
-pub(super) fn last_known_place(knowledge: &SharedKnowledge, robot: &RobotId) -> Option<PlaceId> {
+pub(crate) fn last_known_place(knowledge: &SharedKnowledge, robot: &RobotId) -> Option<PlaceId> {
     knowledge.read(|base| {
         let stored = base.get(&NodeId::from(robot.clone()))?;
         stored.record.knowledge.robot.as_ref().map(|worker| worker.place.clone())

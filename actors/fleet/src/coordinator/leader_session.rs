@@ -5,6 +5,7 @@ use super::change_feed::ChangeFeed;
 use super::ensemble_members::EnsembleMembers;
 use super::held_roles::HeldRoles;
 use super::message::{AwardedRole, CollectedBids, CoordinatorMessage};
+use super::people::People;
 use super::reconcile::{CoordinatorAction, SessionState, pending_actions, stop_renewing_released, track_awards};
 use super::reports::ReportHandler;
 use super::requests::Requests;
@@ -13,20 +14,21 @@ use super::settings::{CoordinatorSettings, NodeParts};
 use super::status::CoordinatorStatus;
 use super::voter_clocks::VoterClocks;
 use crate::autopilot::{ActionResult, Autopilot, perform};
+use crate::robot_driver::PersonRequestState;
 use bytes::Bytes;
 use consort_bus::tasks::Tasks;
-use consort_bus::{BusError, PresenceToken, Query, SharedBus, reply};
+use consort_bus::{Author, BusError, PresenceToken, Query, Sample, SharedBus, reply};
 use consort_protocol::auction::AuctionId;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId};
-use consort_protocol::keys::Key;
-use consort_protocol::ledger::{Command, CommandOutcome, HistoryLimits, Ledger, MissionEntry};
-use consort_protocol::message::{ActiveMissions, ActivePlan, AwardReply, Beacon, Report};
-use consort_protocol::mission::RoleKind;
+use consort_protocol::keys::{Key, PeopleCall};
+use consort_protocol::ledger::{Command, CommandOutcome, HistoryLimits, Ledger};
+use consort_protocol::message::{AwardReply, Beacon, Report};
 use consort_protocol::units::NodeTime;
 use consort_protocol::versions::VersionRange;
 use consort_raft::{LeadershipView, ProposeError};
+use consort_skills::actions::GoalId;
 use ractor::ActorRef;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -58,6 +60,7 @@ pub(super) struct LeaderSession {
     clocks: VoterClocks,
     /// Requests that arrived before the clocks of a majority were known.
     early_requests: Vec<Query>,
+    people: People,
     /// The voter change in progress.
     voter_change: Tasks,
     /// Missions with a proposed failure, with the time of the proposal.
@@ -78,8 +81,8 @@ impl LeaderSession {
         let mut tasks = Tasks::default();
         let reports = bus.serve(&keys.write(&Key::Report(node.clone()))).await?;
         tasks.forward(reports, mailbox, CoordinatorMessage::Report);
-        let queries = bus.serve(&keys.write(&Key::ActiveMissions(node.clone()))).await?;
-        tasks.forward(queries, mailbox, CoordinatorMessage::ActiveMissions);
+        let of_people = bus.subscribe(&keys.write(&Key::People(PeopleCall::Done))).await?;
+        tasks.forward(of_people, mailbox, CoordinatorMessage::PersonEvent);
         let token = bus.announce(&keys.write(&Key::AliveCoordinator(term, node.clone()))).await?;
         let mut context = SessionContext::new(settings.clone(), mailbox.clone(), term, tasks);
         info!(%node, term, "started to coordinate");
@@ -92,6 +95,7 @@ impl LeaderSession {
             changes: ChangeFeed::new(&context),
             members: EnsembleMembers::default(),
             requests: Requests::new(&context),
+            people: People::new(&context),
             autopilot: Autopilot::new(settings.autopilot, yielded),
             clocks: VoterClocks::default(),
             early_requests: vec![],
@@ -138,6 +142,7 @@ impl LeaderSession {
         self.handle_early_requests();
         self.read_clocks();
         self.reconcile();
+        self.people.tick(&mut self.context);
     }
 
     /// Reads the clocks of the other voters, if that is due.
@@ -239,6 +244,8 @@ impl LeaderSession {
             self.perform(action, now);
         }
         self.auctions.clear(&mut self.context);
+        let confirmed_ms = self.confirmed_ms();
+        self.people.follow(&mut self.context, now, confirmed_ms);
     }
 
     fn pending_actions(&mut self, now: NodeTime) -> Vec<CoordinatorAction> {
@@ -309,7 +316,7 @@ impl LeaderSession {
         };
         let handler = ReportHandler::new(&self.context);
         self.context.tasks.spawn(async move {
-            if !handler.may_report(&report, &query.author) {
+            if !query.author.may_be(report.robot.as_str()) {
                 let problem = format!("{} may not report for role {}", query.author, report.role);
                 return reply::refuse(&query, &problem).await;
             }
@@ -318,19 +325,14 @@ impl LeaderSession {
         });
     }
 
-    pub(super) async fn handle_active_missions(&mut self, query: Query) {
-        let (parts, too_large) = self.context.read_ledger(|ledger| {
-            ActiveMissions::split(
-                ledger.cluster(),
-                ledger.active_missions().into_iter().flat_map(unmanaged_plans).collect(),
-            )
-        });
-        for ActivePlan { mission, plan, .. } in too_large {
-            warn!(%mission, role = %plan.role, "plan does not fit a message: the role cannot be executed");
-        }
-        for part in parts {
-            reply::wire(&query, &query.key, &part).await;
-        }
+    pub(super) fn handle_person_event(&mut self, sample: &Sample) {
+        let confirmed_ms = self.confirmed_ms();
+        self.people.handle_event(&mut self.context, sample, confirmed_ms);
+    }
+
+    pub(super) fn handle_person_reply(&mut self, id: GoalId, request: PersonRequestState, author: &Author) {
+        let confirmed_ms = self.confirmed_ms();
+        self.people.handle_reply(&mut self.context, id, request, author, confirmed_ms);
     }
 
     pub(super) fn handle_api(&mut self, query: Query) {
@@ -399,16 +401,4 @@ fn first_version(parts: &NodeParts) -> u8 {
         .knowledge
         .read(|base| base.iter().all(|(_, stored)| stored.record.knowledge.supported_versions.contains(newest)));
     if read_by_all { newest } else { oldest }
-}
-
-fn unmanaged_plans(entry: &MissionEntry) -> Vec<ActivePlan> {
-    let roles = entry.roles.iter().filter(|(_, role)| role.kind == RoleKind::Unmanaged);
-    roles
-        .filter_map(|(id, role)| {
-            let (mission, plan) = (entry.id.clone(), entry.plan(id)?.clone());
-            let (branch, holders, vacant, signals) =
-                (entry.branch, entry.role_holders(), entry.open_roles(), entry.signals_to(id));
-            Some(ActivePlan { mission, branch, plan, ended: role.ended.clone(), holders, vacant, signals })
-        })
-        .collect()
 }

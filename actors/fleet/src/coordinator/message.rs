@@ -2,13 +2,15 @@
 
 use super::status::CoordinatorStatus;
 use crate::autopilot::ActionResult;
-use consort_bus::{Query, Sample};
+use crate::robot_driver::PersonRequestState;
+use consort_bus::{Author, Query, Sample};
 use consort_protocol::auction::{AuctionId, BidResponse, CallForBids};
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{CommandOutcome, MissionEntry, RoleAssignment};
 use consort_protocol::message::AwardReply;
 use consort_raft::ProposeError;
+use consort_skills::actions::GoalId;
 use std::collections::BTreeSet;
 use tokio::sync::oneshot;
 
@@ -38,8 +40,10 @@ pub(crate) enum CoordinatorMessage {
     },
     /// Report of a robot.
     Report(Query),
-    /// Query for the active missions.
-    ActiveMissions(Query),
+    /// Event of the host of simulated people.
+    PersonEvent(Sample),
+    /// State of a request to a simulated person, in reply to a command, and the author of the reply.
+    PersonReplied(GoalId, PersonRequestState, Author),
     /// A voter has returned the time of its clock, in milliseconds since 1970.
     ClockRead { voter: NodeId, wall_ms: u64 },
     /// Beacon of a coordinator.

@@ -29,6 +29,7 @@ mod message;
 #[cfg(test)]
 pub(crate) mod model_session;
 mod no_leader;
+mod people;
 mod rate_limit;
 mod reconcile;
 mod reports;
@@ -41,7 +42,7 @@ pub(crate) mod submission;
 mod voter_clocks;
 
 pub(crate) use actor::Coordinator;
-pub(crate) use last_known_place::foreign_clusters;
+pub(crate) use last_known_place::{foreign_clusters, last_known_place};
 pub(crate) use message::CoordinatorMessage;
 pub use rate_limit::RequestLimits;
 pub(crate) use settings::{AuctionSettings, CoordinatorSettings, NodeParts};

@@ -9,12 +9,13 @@ use consort_bus::tasks::Tasks;
 use consort_bus::{Delivery, Encoding, SharedBus};
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{MissionId, RobotId};
+use consort_protocol::ids::{MissionId, PlaceId, RobotId};
 use consort_protocol::keys::Key;
 use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger};
 use consort_protocol::message::{AwardNotice, AwardReply};
 use consort_protocol::units::NodeTime;
 use ractor::ActorRef;
+use std::collections::BTreeMap;
 use std::time::Duration;
 use tracing::{debug, warn};
 
@@ -84,10 +85,15 @@ impl SessionContext {
         });
     }
 
+    /// Returns the last known places of the robots of a mission.
+    pub(super) fn places_of(&self, mission: &MissionId) -> BTreeMap<RobotId, PlaceId> {
+        let knowledge = &self.settings.parts.knowledge;
+        self.read_ledger(|ledger| last_known_places(knowledge, ledger.mission(mission)))
+    }
+
     /// Proposes the failure of a mission.
     pub(super) fn fail_mission(&mut self, mission: MissionId, cause: String, branch: Option<Branch>) {
-        let knowledge = &self.settings.parts.knowledge;
-        let places = self.read_ledger(|ledger| last_known_places(knowledge, ledger.mission(&mission)));
+        let places = self.places_of(&mission);
         self.propose(Command::Fail { mission, cause, branch, places });
     }
 

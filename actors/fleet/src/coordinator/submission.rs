@@ -2,13 +2,16 @@
 
 use consort_protocol::api::{MissionSource, RequestError, SubmitRequest};
 use consort_protocol::codec::{self, CodecError};
-use consort_protocol::ids::{NameError, RequestId};
+use consort_protocol::ids::{NameError, RequestId, TaskType};
 use consort_protocol::ledger::{
     DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, time_until_deadline,
 };
-use consort_protocol::mission::{Domain, Format, MissionDocument, MissionErrors, MissionFileError};
+use consort_protocol::mission::{
+    Domain, Format, Mission, MissionDocument, MissionErrors, MissionFileError, RoleKind, ValueKind,
+};
 use consort_protocol::plan::{DivisionError, divide_and_check};
 use consort_skills::missions::shipped;
+use std::collections::BTreeMap;
 
 /// Reason for which a request to submit a mission is rejected.
 #[derive(Debug, thiserror::Error)]
@@ -79,7 +82,7 @@ pub(crate) fn document(request: &SubmitRequest) -> Result<MissionDocument, Submi
 }
 
 /// Instantiates and divides the requested mission. A request without an id gets `default_id`;
-/// `at_ms` is the time of the request in milliseconds since 1970.
+/// `at_ms` is the time of the request in milliseconds since 1970, and `by` the person that asks.
 ///
 /// # Errors
 /// The request is invalid in itself or does not match the domain.
@@ -88,6 +91,7 @@ pub(super) fn prepare(
     domain: &Domain,
     at_ms: u64,
     default_id: String,
+    by: String,
 ) -> Result<Submission, SubmitError> {
     let document = document(&request_fields)?;
     let (mission, recovery) = document.instantiate_with_recovery(&request_fields.parameters, domain)?;
@@ -112,10 +116,31 @@ pub(super) fn prepare(
         None => RequestId::new(default_id)?,
     };
     let parameters = request_fields.parameters;
-    let submission = Submission { request, mission, division, parameters, recovery, priority, deadline_ms, at_ms };
+    let forms = forms(std::iter::once(&mission).chain(recovery.as_ref().map(|recovery| &recovery.mission)), domain);
+    let submission =
+        Submission { request, mission, division, parameters, recovery, forms, by, priority, deadline_ms, at_ms };
     let bytes = codec::encode(&submission)?.len();
     if bytes > Submission::BYTES_MAX {
         return Err(SubmitError::TooLarge { bytes });
     }
     Ok(submission)
+}
+
+/// Returns the results of the tasks of people, by the types of the tasks.
+fn forms<'a>(
+    missions: impl Iterator<Item = &'a Mission>,
+    domain: &Domain,
+) -> BTreeMap<TaskType, BTreeMap<String, ValueKind>> {
+    let mut forms = BTreeMap::new();
+    for mission in missions {
+        // A robot that takes part returns the results itself.
+        let is_person = |role| mission.roles.get(role).is_some_and(|role| role.kind == RoleKind::Unmanaged);
+        for (_, spec) in mission.elementary() {
+            let results = domain.get(&spec.task_type).map(|schema| &schema.results);
+            if let Some(results) = results.filter(|results| !results.is_empty() && spec.roles.iter().all(is_person)) {
+                forms.insert(spec.task_type.clone(), results.clone());
+            }
+        }
+    }
+    forms
 }

@@ -297,7 +297,6 @@ impl World {
             mission: mission.clone(),
             role: role.clone(),
             epoch: flight.epoch,
-            branch: Branch::Main,
             ended: BTreeSet::new(),
             outcomes: BTreeMap::new(),
             current_task: None,

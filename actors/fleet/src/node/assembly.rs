@@ -6,7 +6,6 @@ use super::settings::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
 use crate::autopilot::{AutopilotSettings, Bootstrap, Decommission, DecommissionReport};
 use crate::coordinator::{AuctionSettings, Coordinator, CoordinatorMessage, CoordinatorSettings, NodeParts};
 use crate::events::EventPublisher;
-use crate::human_task_proxy::{HumanTaskProxy, HumanTaskProxySettings};
 use crate::observe::SharedObserver;
 use crate::robot::{
     ExecutionSettings, PricingSettings, Robot, RobotLinks, RobotMessage, RobotSettings, RobotStart, TaskTimeout,
@@ -338,7 +337,7 @@ impl Assembly {
         Ok(views.serve(&mut self.tasks).await?)
     }
 
-    /// Starts the driver server and, for a world with people, the human task proxy.
+    /// Starts the driver server.
     async fn start_driver_server(&self, part: DriverServerPart, boot: u64) -> Result<(), NodeError> {
         let server = DriverServerSettings {
             boot,
@@ -349,20 +348,7 @@ impl Assembly {
             publish_interval: Duration::from_millis(500),
             client_timeout: CLIENT_TIMEOUT,
         };
-        let serves_people = part.world.serves_people();
         Actor::spawn_linked(None, DriverServer, (server, part.world), self.root.get_cell()).await?;
-        if !serves_people {
-            return Ok(());
-        }
-        let proxy = HumanTaskProxySettings {
-            node: self.node.clone(),
-            keys: self.keys.clone(),
-            bus: self.bus.clone(),
-            clock: self.clock,
-            events: self.events.clone(),
-            tick_interval: Duration::from_secs(1),
-        };
-        Actor::spawn_linked(None, HumanTaskProxy, proxy, self.root.get_cell()).await?;
         Ok(())
     }
 

@@ -2,9 +2,9 @@
 //! fleet), started in order and supervised together.
 //!
 //! Each node gossips. A node that may vote keeps a copy of the ledger and is ready to coordinate.
-//! The node of a robot drives it and bids. A single node runs the driver server and the human task
-//! proxy. If any of these actors fails, the node stops. Its promises are in the ledger, and its
-//! supervisor (a service manager, a test) restarts it.
+//! The node of a robot drives it and bids. A single node runs the driver server.
+//! If any of these actors fails, the node stops. Its promises are in the ledger, and its supervisor (a
+//! service manager, a test) restarts it.
 
 mod assembly;
 mod error;

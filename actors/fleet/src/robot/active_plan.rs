@@ -77,6 +77,7 @@ pub(super) struct PlanStart<'a> {
 }
 
 /// Next action of a plan.
+#[expect(clippy::large_enum_variant, reason = "the caller performs an action at once; none is stored")]
 #[derive(Debug, PartialEq)]
 pub(super) enum PlanAction {
     /// Send the outputs of steps that the checkpoint contains.

@@ -1,4 +1,5 @@
-//! Signals between the roles of a mission, from robot to robot without the coordinator.
+//! Signals between the roles of robots in a mission, from robot to robot without the coordinator. The
+//! coordinator sends those of people.
 //!
 //! A signal is published once, when it is sent. A node that has missed it sends a query: the sender
 //! replies with the role's complete signal history while it still stores the mission. Both

@@ -5,7 +5,7 @@
 //!  robot's node                                           driver server
 //!  skill ─▶ RobotDriver ── wire/driver/{robot}/command ──▶ DriverServer ─▶ RobotBackend (world)
 //!                       ◀── wire/driver/{robot}/state ────
-//!  human task proxy     ── wire/people/ask ──────────────▶
+//!  coordinator          ── wire/people/ask ──────────────▶
 //!                       ◀── wire/people/done ─────────────
 //! ```
 //!

@@ -45,7 +45,7 @@ pub struct DriverServerSettings {
     pub publish_interval: Duration,
     /// Client timeout: a robot stops when no command has permitted its goal for this long, and a
     /// person request that was not repeated for this long is canceled. Longer than several
-    /// intervals of a human task proxy. Default 3 s.
+    /// intervals of a coordinator. Default 3 s.
     pub client_timeout: Duration,
 }
 
@@ -53,7 +53,7 @@ pub struct DriverServerSettings {
 pub enum DriverServerMessage {
     /// Command of a driver client.
     Command(Query),
-    /// Command of a human task proxy.
+    /// Command of a coordinator about a person.
     PersonRequest(Query),
     /// Query for the state of the world.
     WorldView(Query),
@@ -129,7 +129,7 @@ impl Actor for DriverServer {
             let in_progress = world.goals(&robot);
             goals.add_robot(robot, in_progress, now);
         }
-        // People may still work on requests from proxies that used a previous server, or that are
+        // People may still work on requests from coordinators that used a previous server, or that are
         // gone.
         let person_requests = world.open_person_requests().into_iter().map(|ask| (ask, now)).collect();
         let (started, origin) = (settings.clock.now(), world.now());
@@ -271,8 +271,8 @@ impl DriverServerState {
         self.tasks.send_after(sleep_for(ahead.as_secs_f64()), myself, DriverServerMessage::StopDue);
     }
 
-    /// Cancels each person request that is no longer repeated: its proxy is gone, and the mission
-    /// may be over. A proxy that still needs the request gets the state `Canceled` and sends a new
+    /// Cancels each person request that is no longer repeated: its coordinator is gone, and the
+    /// mission may be over. A coordinator that still needs the request gets the state `Canceled` and sends a new
     /// request.
     fn cancel_unrepeated_requests(&mut self) {
         let (now, open) = (self.settings.clock.now(), self.world.open_person_requests());

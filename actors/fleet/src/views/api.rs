@@ -31,13 +31,8 @@ impl ViewService {
     /// Returns the reply to a request.
     pub(super) async fn answer_request(&self, call: ApiCall, payload: &[u8]) -> Value {
         let reply = match call {
-            ApiCall::List => match parse_read_options(call, payload) {
-                Ok(ReadOptions { linearizable: true }) => self.linearizable_view(&Key::ViewMissions).await,
-                Ok(ReadOptions { linearizable: false }) => {
-                    self.view(&Key::ViewMissions).await.ok_or_else(|| error_reply("missions are unknown"))
-                }
-                Err(problem) => Err(error_reply(problem.to_string())),
-            },
+            ApiCall::List => self.list(call, payload, &Key::ViewMissions).await,
+            ApiCall::Requests => self.list(call, payload, &Key::ViewRequests).await,
             ApiCall::Get => match parse_request(call, payload) {
                 Ok(query) => self.mission(&query).await,
                 Err(problem) => Err(error_reply(problem.to_string())),
@@ -47,11 +42,25 @@ impl ViewService {
                 Err(problem) => Err(error_reply(problem.to_string())),
             },
             ApiCall::Help => Ok(json(api_help::help())),
-            ApiCall::Submit | ApiCall::Cancel | ApiCall::Resolve | ApiCall::Backup | ApiCall::Upgrade => {
-                Err(error_reply(format!("{} is served by the coordinator only", call.as_str())))
-            }
+            ApiCall::Submit
+            | ApiCall::Cancel
+            | ApiCall::Resolve
+            | ApiCall::Answer
+            | ApiCall::Backup
+            | ApiCall::Upgrade => Err(error_reply(format!("{} is served by the coordinator only", call.as_str()))),
         };
         reply.unwrap_or_else(|error| error)
+    }
+
+    /// Returns a view of the whole ledger, or an error.
+    async fn list(&self, call: ApiCall, payload: &[u8], key: &Key) -> Result<Value, Value> {
+        match parse_read_options(call, payload) {
+            Ok(ReadOptions { linearizable: true }) => self.linearizable_view(key).await,
+            Ok(ReadOptions { linearizable: false }) => {
+                self.view(key).await.ok_or_else(|| error_reply("missions are unknown"))
+            }
+            Err(problem) => Err(error_reply(problem.to_string())),
+        }
     }
 
     async fn view(&self, key: &Key) -> Option<Value> {

@@ -15,13 +15,18 @@ use consort_protocol::ledger::{Ledger, MissionState};
 use consort_protocol::units::NodeTime;
 use consort_protocol::view::{
     Contact, CoordinatorView, EnsembleMember, EnsembleView, EnsemblesView, FleetView, HealthView, HeldRole, LedgerCopy,
-    NodeStatus, NodeTraits, NodeView, Provenance, PublishedRecord, RobotView, WithProvenance,
+    NodeStatus, NodeTraits, NodeView, PersonRequestView, Provenance, PublishedRecord, RequestsView, RobotView,
+    WithProvenance,
 };
 use consort_raft::Replica;
 use serde::Serialize;
 use serde_json::Value;
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::time::Duration;
+
+/// Maximum number of closed requests to people in the view.
+const CLOSED_REQUESTS_SHOWN: usize = 50;
 
 /// Inputs of all views at a single moment.
 pub(super) struct ViewContext<'a> {
@@ -72,6 +77,9 @@ impl ViewContext<'_> {
             if wanted(&Key::ViewMissions) {
                 views.push((Key::ViewMissions, with(&provenance, missions(ledger))));
             }
+            if wanted(&Key::ViewRequests) {
+                views.push((Key::ViewRequests, with(&provenance, self.requests(ledger))));
+            }
             if wanted(&Key::ViewAuctions) {
                 views.push((Key::ViewAuctions, with(&provenance, auctions(ledger))));
             }
@@ -84,6 +92,21 @@ impl ViewContext<'_> {
             }
             views
         })
+    }
+
+    /// Returns the requests to people.
+    fn requests(&self, ledger: &Ledger) -> RequestsView {
+        let place_of = |robot: &RobotId| crate::coordinator::last_known_place(&self.views.knowledge, robot);
+        let view = |(entry, request)| PersonRequestView::of(entry, request, place_of);
+        let closed = ledger.missions().flat_map(|entry| {
+            let requests = entry.person_requests().map(move |(_, request)| (entry, request));
+            requests.filter(|(_, request)| !request.is_open())
+        });
+        let mut closed: Vec<_> = closed.collect();
+        closed.sort_by_key(|(entry, request)| Reverse((request.asked_ms, entry.number, request.number)));
+        closed.truncate(CLOSED_REQUESTS_SHOWN);
+        let open = ledger.open_person_requests().into_iter();
+        RequestsView { requests: open.chain(closed).map(view).collect() }
     }
 
     /// Returns this node's copy of the ledger, if it is up to date as far as the node knows.

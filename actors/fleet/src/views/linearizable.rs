@@ -52,7 +52,7 @@ impl ViewService {
         let mut views = context.draw(&|view| view == key, named);
         views.pop().map(|(_, view)| view).ok_or_else(|| match named {
             Some(mission) => json(ErrorReply::rejected(format!("no mission {mission} is known; see api/list"))),
-            None => json(ErrorReply::rejected("only missions and auctions have linearizable reads")),
+            None => json(ErrorReply::rejected("only missions, requests and auctions have linearizable reads")),
         })
     }
 

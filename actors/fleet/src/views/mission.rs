@@ -74,6 +74,7 @@ fn brief(entry: &MissionEntry) -> MissionBrief {
             priority: entry.submission.priority,
             deadline_at_ms: entry.submission.deadline_ms,
             submitted_at_ms: entry.submission.at_ms,
+            by: entry.submission.by.clone(),
         },
         progress: MissionProgress { holders: entry.holders(), items: items(entry), done, steps },
         result: entry.results(),

@@ -218,6 +218,7 @@ impl ViewService {
         let mut views = context.draw(&wanted, named.as_ref());
         let missions = self.views.keys.write(&Key::ViewMissions).replace("/missions", "/mission/*");
         let needs_ledger = wanted(&Key::ViewMissions)
+            || wanted(&Key::ViewRequests)
             || wanted(&Key::ViewAuctions)
             || wanted(&Key::ViewHealth)
             || keyexpr::new(missions.as_str()).is_ok_and(|missions| missions.intersects(requested));
@@ -234,7 +235,11 @@ impl ViewService {
                 None => {
                     let error = ErrorReply::retry_after("no voter of the ledger replies", RETRY_AFTER_MS);
                     let named = named.map(Key::ViewMission);
-                    for key in [Key::ViewMissions, Key::ViewAuctions].into_iter().chain(named).filter(&wanted) {
+                    for key in [Key::ViewMissions, Key::ViewRequests, Key::ViewAuctions]
+                        .into_iter()
+                        .chain(named)
+                        .filter(&wanted)
+                    {
                         views.push((key, context.with_provenance(&error)));
                     }
                 }
@@ -366,5 +371,5 @@ impl ViewService {
 
 /// Checks whether a view contains data of the ledger.
 fn is_of_ledger(key: &Key) -> bool {
-    matches!(key, Key::ViewMissions | Key::ViewMission(_) | Key::ViewAuctions | Key::ViewHealth)
+    matches!(key, Key::ViewMissions | Key::ViewRequests | Key::ViewMission(_) | Key::ViewAuctions | Key::ViewHealth)
 }

@@ -1,5 +1,6 @@
 //! The commands, each in its own file with its flags and a function `run`.
 
+pub(crate) mod answer;
 pub(crate) mod backup;
 pub mod cancel;
 pub(crate) mod cert;
@@ -23,6 +24,7 @@ pub(crate) mod missions;
 pub(crate) mod record;
 pub(crate) mod recover;
 pub(crate) mod replay;
+pub(crate) mod requests;
 pub(crate) mod resolve;
 pub(crate) mod restore;
 pub mod robot;

@@ -57,6 +57,10 @@ pub(crate) struct Args {
     /// Print JSON, an object per line
     #[arg(long)]
     json: bool,
+    /// Name of the person who asks, for the record. In a closed fleet the name in your certificate is
+    /// recorded, too
+    #[arg(long, env = "CONSORT_BY", value_name = "NAME")]
+    by: Option<String>,
     #[command(flatten)]
     people: PeopleFlags,
     #[command(flatten)]
@@ -79,6 +83,7 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
         request: Some(name.clone()),
         priority: args.priority.get().into(),
         deadline_s: args.deadline,
+        by: args.by.clone(),
         ..inputs::mission_request(&args.mission, &args.people.people)?
     };
     node_runtime::build_runtime()?.block_on(async {

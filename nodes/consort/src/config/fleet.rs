@@ -71,6 +71,10 @@ pub struct FleetConfig {
     /// Domain files with the fleet's own actions and task types, in addition to those of `--domain`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub domains: Vec<PathBuf>,
+    /// Addresses of the fleet's dashboards, as `http://ward-1:8088`. The page for people names them when
+    /// its own node does not reply.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub dashboards: Vec<String>,
     /// Limits of bids.
     pub limits: LimitsConfig,
     /// Limits of requests.
@@ -159,6 +163,7 @@ impl Default for FleetConfig {
             link_lease_ms: None,
             stall_after_s: 900,
             domains: vec![],
+            dashboards: vec![],
             limits: LimitsConfig::default(),
             requests: RequestsConfig::default(),
             history: HistoryConfig::default(),
@@ -266,6 +271,11 @@ impl ConfigFile for FleetConfig {
                 validate.push(format!("{key} is {value}, allowed is {least} to {most}"));
             }
         };
+        let is_page = |address: &str| address.starts_with("http://") || address.starts_with("https://");
+        let wrong = self.dashboards.iter().filter(|address| !is_page(address));
+        let wrong: Vec<String> = wrong
+            .map(|address| format!("dashboards: {address:?} is no address of a page, as http://ward-1:8088"))
+            .collect();
         within("bootstrap_expect", self.bootstrap_expect as u64, 1, 1_000);
         within("voters", self.voters as u64, 1, autopilot::VOTERS_MAX as u64);
         within("dead_after_ms", ms(times.dead_after), 1_000, 86_400_000);
@@ -291,6 +301,7 @@ impl ConfigFile for FleetConfig {
         if self.voters.is_multiple_of(2) {
             validate.push(format!("voters is {}, allowed is an odd number: 1, 3, 5, 7 or 9", self.voters));
         }
+        validate.extend(wrong);
         if self.ensemble.len() > 1 {
             let count = self.ensemble.len();
             validate.push(format!("ensemble: {count} are declared; a single ensemble is allowed"));

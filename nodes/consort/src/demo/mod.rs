@@ -146,8 +146,15 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
             let address = BoundAddress::bind("--dashboard", address).await?;
             let floor_plan = FloorPlan::new(&map_loader::load(&scenario.fleet.map)?);
             let fleet = ProcessFleet::start(&scenario, &program, extensions.domains, args.port).await?;
-            let dashboard =
-                Dashboard::open(address, Admission::open(), fleet.bus(), &scenario.fleet.name, "demo", floor_plan);
+            let dashboard = Dashboard::open(
+                address,
+                Admission::open(),
+                fleet.bus(),
+                &scenario.fleet.name,
+                "demo",
+                floor_plan,
+                vec![],
+            );
             DemoRunner::new(options, scenario, fleet, reporter, Some(dashboard)).run().await
         })
     }

@@ -1,6 +1,6 @@
 use super::support::run;
 
-const COMMANDS: [&str; 22] = [
+const COMMANDS: [&str; 24] = [
     "robot",
     "station",
     "world",
@@ -23,6 +23,8 @@ const COMMANDS: [&str; 22] = [
     "record",
     "replay",
     "resolve",
+    "requests",
+    "answer",
 ];
 
 #[test]

@@ -156,6 +156,15 @@ impl Browser {
         clicked.unwrap_or_else(|problem| panic!("{selector}: {problem}"));
     }
 
+    /// Chooses a file.
+    pub(crate) fn upload(&self, selector: &str, path: &Path) {
+        let path = path.display().to_string();
+        let sent = self
+            .runtime
+            .block_on(async { self.client.find(fantoccini::Locator::Css(selector)).await?.send_keys(&path).await });
+        sent.unwrap_or_else(|problem| panic!("{selector}: {problem}"));
+    }
+
     /// Confirms the dialog of the page.
     pub(crate) fn accept(&self) {
         until("a question", SOON, || self.runtime.block_on(self.client.accept_alert()).ok());

@@ -10,6 +10,8 @@ mod closed;
 mod demo_fleet;
 mod doors_and_interventions;
 mod many_robots;
+mod mission_files;
+mod people;
 mod recording;
 #[path = "../../../../tests/support/slots.rs"]
 mod slots;

@@ -206,7 +206,7 @@ fn the_link_of_a_person_permits_only_the_scope() {
     // Zenoh drops a message of a person below wire/ before it reaches a node, so no node logs a
     // rejection.
     submits.put("consort/ward/wire/beacon", vec![1, 2, 3]).wait().expect("Zenoh stays silent");
-    assert_eq!(query(&submits, "consort/ward/wire/active_missions/ada", ""), [] as [Value; 0]);
+    assert_eq!(query(&submits, "consort/ward/wire/report/ada", ""), [] as [Value; 0]);
     assert_eq!(closed.refused("station-1"), log);
     drop((events, reads, submits));
     closed.fleet.stop();

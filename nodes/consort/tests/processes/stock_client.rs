@@ -42,7 +42,18 @@ fn a_plain_zenoh_client_runs_a_mission_through_a_takeover() {
     present.insert(format!("coordinator/{term}/{first}"));
     assert_eq!(client.present(), present);
     // Also for clients that leave all settings at their defaults.
-    let views = ["auctions", "coordinator", "ensembles", "fleet", "health", "map", "missions", "robot/ada", "world"];
+    let views = [
+        "auctions",
+        "coordinator",
+        "ensembles",
+        "fleet",
+        "health",
+        "map",
+        "missions",
+        "requests",
+        "robot/ada",
+        "world",
+    ];
     for view in views {
         assert!(client.view_by_default(view).is_object(), "{view}");
         // Also for clients that query all nodes: of several replies on the same key Zenoh returns

@@ -46,5 +46,8 @@ assets! {
     "/submit.js" "text/javascript; charset=utf-8" "assets/submit.js",
     "/session.js" "text/javascript; charset=utf-8" "assets/session.js",
     "/replay.js" "text/javascript; charset=utf-8" "assets/replay.js",
+    "/me" "text/html; charset=utf-8" "assets/me.html",
+    "/me.js" "text/javascript; charset=utf-8" "assets/me.js",
+    "/me.css" "text/css; charset=utf-8" "assets/me.css",
     "/replay.css" "text/css; charset=utf-8" "assets/replay.css",
 }

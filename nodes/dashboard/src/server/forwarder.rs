@@ -1,13 +1,13 @@
 //! Forwards requests of the page to the coordinator.
 
 use crate::admission::AuthenticatedClient;
-use crate::query::{QueryError, RETRY_DELAY, query_with_token};
+use crate::query::{QueryError, QueryTarget, RETRY_DELAY, query_once, query_with_token};
 use consort_bus::SharedBus;
 use consort_protocol::api::MissionChangeRequest;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Map, Value};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::time::{Instant, sleep};
@@ -32,13 +32,15 @@ pub(super) struct RequestForwarder {
     bus: SharedBus,
     keys: Keys,
     node: String,
+    /// Addresses of the fleet's dashboards.
+    dashboards: Vec<String>,
     /// Number of requests without a name of their own.
     unnamed_requests: AtomicU64,
 }
 
 impl RequestForwarder {
-    pub(super) fn new(bus: SharedBus, keys: Keys, node: &str) -> RequestForwarder {
-        RequestForwarder { bus, keys, node: node.to_owned(), unnamed_requests: AtomicU64::new(0) }
+    pub(super) fn new(bus: SharedBus, keys: Keys, node: &str, dashboards: Vec<String>) -> RequestForwarder {
+        RequestForwarder { bus, keys, node: node.to_owned(), dashboards, unnamed_requests: AtomicU64::new(0) }
     }
 
     /// Submits a mission, in the format of the API. The same `request` returns the same mission. A
@@ -69,6 +71,30 @@ impl RequestForwarder {
     ) -> Result<Value, ForwardError> {
         let by = by.or_else(|| client.is_none().then(|| format!("the dashboard of {}", self.node)));
         self.query(call, &MissionChangeRequest { mission: mission.clone(), by }, client).await
+    }
+
+    /// Returns the addresses of the fleet's dashboards.
+    pub(super) fn dashboards(&self) -> &[String] {
+        &self.dashboards
+    }
+
+    /// Reads a list, from the nearest node.
+    pub(super) async fn read(&self, call: ApiCall) -> Result<Value, ForwardError> {
+        let key = self.keys.write(&Key::Api(call));
+        query_once(&*self.bus, &key, "", ONE_QUERY, QueryTarget::Nearest).await.map_err(|problem| match problem {
+            QueryError::Rejected(problem) => ForwardError::Rejected(problem),
+            QueryError::Retryable(problem, _) => ForwardError::Unreachable(problem),
+            QueryError::NoReply => ForwardError::Unreachable("no node answers".to_owned()),
+        })
+    }
+
+    /// Answers a request to a person.
+    pub(super) async fn answer(
+        &self,
+        fields: &Map<String, Value>,
+        client: Option<&AuthenticatedClient>,
+    ) -> Result<Value, ForwardError> {
+        self.query(ApiCall::Answer, fields, client).await
     }
 
     /// Sends a request with the token of the visitor, who authorizes it.

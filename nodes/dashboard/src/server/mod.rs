@@ -25,6 +25,7 @@ mod csv;
 mod forwarder;
 mod frame_publisher;
 mod json;
+mod mission_file;
 mod origin_check;
 mod replay_server;
 mod routes;
@@ -65,8 +66,8 @@ pub struct Dashboard {
 }
 
 impl Dashboard {
-    /// Serves a fleet to admitted clients, as seen over `bus` at `node`. Called within a tokio
-    /// runtime.
+    /// Serves a fleet to admitted clients, as seen over `bus` at `node`. The page for people names the
+    /// fleet's `dashboards`. Called within a tokio runtime.
     pub fn open(
         address: BoundAddress,
         admission: Admission,
@@ -74,11 +75,12 @@ impl Dashboard {
         fleet: &FleetId,
         node: &str,
         plan: FloorPlan,
+        dashboards: Vec<String>,
     ) -> Dashboard {
         let clock = Clock::real();
         let model = FleetModel::new(fleet.to_string(), node, plan, clock.wall_ms());
         let publisher = Arc::new(FramePublisher::new(model, clock));
-        let forwarder = forwarder::RequestForwarder::new(Arc::clone(&bus), Keys::new(fleet), node);
+        let forwarder = forwarder::RequestForwarder::new(Arc::clone(&bus), Keys::new(fleet), node, dashboards);
         let mut dashboard =
             Dashboard::serve(address, Arc::clone(&publisher), DashboardSource::Fleet(Arc::new(forwarder)), admission);
         dashboard.draw(Arc::clone(&publisher));

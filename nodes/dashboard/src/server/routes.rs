@@ -5,7 +5,7 @@ use super::frame_publisher::FramePublisher;
 use super::json::{JSON_HEADERS, error_reply, json_reply, parse_body};
 use super::state::DashboardState;
 use super::websocket::{CLIENTS_MAX, open_websocket};
-use super::{DashboardSource, assets, csv, origin_check, session};
+use super::{DashboardSource, assets, csv, mission_file, origin_check, session};
 use crate::admission::{Admission, AuthenticatedClient, admit};
 use crate::fleet_model::{LogEntry, Reachability};
 use crate::recording::PlayerCommand;
@@ -22,7 +22,7 @@ use consort_protocol::mission::{FILE_BYTES_MAX, TemplateParameter};
 use consort_protocol::trust::AccessScope;
 use consort_skills::missions::shipped;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -49,10 +49,13 @@ pub(super) fn router(
         .route("/api/fleet", guarded(AccessScope::Read, get(model)))
         .route("/api/events", guarded(AccessScope::Read, get(events)))
         .route("/api/shipped", guarded(AccessScope::Read, get(shipped_missions)))
+        .route("/api/mission-file", guarded(AccessScope::Read, post(mission_file::read)))
         .route("/api/history.csv", guarded(AccessScope::Read, get(history)))
         .route("/api/missions", guarded(required_scope(ApiCall::Submit), post(submit)))
         .route("/api/missions/{id}/cancel", guarded(required_scope(ApiCall::Cancel), post(cancel)))
         .route("/api/missions/{id}/resolve", guarded(required_scope(ApiCall::Resolve), post(resolve)))
+        .route("/api/requests", guarded(AccessScope::Read, get(requests)))
+        .route("/api/requests/{id}/answer", guarded(required_scope(ApiCall::Answer), post(answer)))
         .route("/api/replay", guarded(AccessScope::Read, get(replay).post(control_replay)))
         .route("/api/session", get(session::current).post(session::begin).delete(session::end))
         .route("/healthz", get(health))
@@ -178,6 +181,45 @@ async fn resolve(
     body: Bytes,
 ) -> Response {
     forward_action(&shared, client.as_ref(), ApiCall::Resolve, id, &headers, &body).await
+}
+
+/// Reply with the requests to people, the missions, and where else to see them.
+#[derive(Serialize)]
+struct PeopleReply<'a> {
+    requests: Option<Value>,
+    missions: Option<Value>,
+    dashboards: &'a [String],
+}
+
+async fn requests(State(shared): State<DashboardState>) -> Response {
+    let DashboardSource::Fleet(forwarder) = &shared.served else { return requests_impossible(&shared.served) };
+    match tokio::join!(forwarder.read(ApiCall::Requests), forwarder.read(ApiCall::List)) {
+        (Ok(mut requests), Ok(mut missions)) => json_reply(
+            StatusCode::OK,
+            &PeopleReply {
+                requests: requests.get_mut("requests").map(Value::take),
+                missions: missions.get_mut("missions").map(Value::take),
+                dashboards: forwarder.dashboards(),
+            },
+        ),
+        (Err(problem), _) | (_, Err(problem)) => reply_of(Err(problem)),
+    }
+}
+
+async fn answer(
+    State(shared): State<DashboardState>,
+    Extension(client): Extension<Option<AuthenticatedClient>>,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Response {
+    let DashboardSource::Fleet(forwarder) = &shared.served else { return requests_impossible(&shared.served) };
+    let mut fields: Map<String, Value> = match parse_body(&headers, &body) {
+        Ok(fields) => fields,
+        Err(refusal) => return refusal.into_response(),
+    };
+    fields.insert("request".to_owned(), id.into());
+    reply_of(forwarder.answer(&fields, client.as_ref()).await)
 }
 
 /// Name of the responsible person; by default the dashboard. The coordinator adds the token's name.

@@ -9,17 +9,16 @@
 //! | `wire/certificate/{fingerprint}/known` | – | (unsigned) | (unsigned) |
 //! | `wire/raft/{member}/{call}` | – | voters | voters |
 //! | `wire/bootstrap/{node}` | – | voters, in their own name | that node, if a voter |
-//! | `wire/beacon`, `wire/changed` | voters, in their own name | – | – |
+//! | `wire/beacon` | voters, in their own name | – | – |
 //! | `wire/bid/{robot}` | – | voters | that robot, in its own name |
 //! | `wire/award/{robot}` | – | voters | that robot |
-//! | `wire/report/{node}` | – | robots and hosts, in their own name | that node, if a voter |
-//! | `wire/active_missions/{node}` | – | any node | that node, if a voter |
+//! | `wire/report/{node}` | – | robots, in their own name | that node, if a voter |
 //! | `wire/clock/{node}` | – | voters | that node, if a voter |
-//! | `wire/signal/{mission}/{role}` | robots and hosts | – | – |
-//! | `wire/signal_history/{mission}/{role}` | – | any node | robots and hosts |
+//! | `wire/signal/{mission}/{role}` | robots and voters | – | – |
+//! | `wire/signal_history/{mission}/{role}` | – | any node | robots |
 //! | `wire/driver/{robot}/command` | – | that robot | hosts that serve it |
 //! | `wire/driver/{robot}/state` | hosts that serve it | – | – |
-//! | `wire/people/ask` | – | hosts | hosts |
+//! | `wire/people/ask` | – | voters | hosts |
 //! | `wire/people/done` | hosts | – | – |
 //! | `wire/world` | – | any node | hosts |
 //! | `events/{node}` | that node, of what happened there | – | – |
@@ -30,14 +29,14 @@
 //! The nodes that may reply to a query may also refuse it. Persons publish nothing and reply to
 //! nothing. Not checked here, but by the receivers, which learn the verified author of each message:
 //! that a robot holds the role for which it reports or signals; that a host serves the person for
-//! whom it reports, signals or replies; that a voter leads (terms and majorities ensure it); and the
+//! whom it replies; that a voter leads (terms and majorities ensure it); and the
 //! content of a third node's record that a node passes on.
 
 use crate::auction::BidResponse;
 use crate::codec;
 use crate::ids::NodeId;
 use crate::keys::ApiCall;
-use crate::message::{Beacon, BootstrapRequest, ClusterEnvelope, MissionsChanged, RecordUpdate, Report};
+use crate::message::{Beacon, BootstrapRequest, ClusterEnvelope, RecordUpdate, Report};
 use crate::trust::{Identity, NodeRole, Principal};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -140,9 +139,6 @@ pub fn authorize(identity: &Identity, operation: Operation, key: &str, payload: 
         Some(NamedContent::Beacon) => {
             request.check_author_in_envelope(name, |message: &Beacon| Some(message.node.to_string()))
         }
-        Some(NamedContent::MissionsChanged) => {
-            request.check_author_in_envelope(name, |message: &MissionsChanged| Some(message.node.to_string()))
-        }
         Some(NamedContent::Report) => {
             request.check_author_in_envelope(name, |message: &Report| Some(message.robot.to_string()))
         }
@@ -159,7 +155,6 @@ enum NamedContent {
     RecordUpdate,
     BootstrapRequest,
     Beacon,
-    MissionsChanged,
     Report,
     BidResponse,
     Event,
@@ -197,26 +192,21 @@ fn permitted_content(node: &Node<'_>, operation: Operation, key: &str) -> Option
         (&["wire", "bootstrap", _], Query) => node.is(Voter).then_some(NamedContent::BootstrapRequest),
         (&["wire", "bootstrap", name], Reply) => unnamed(node.is(Voter) && node.is_named(name)),
         (&["wire", "beacon"], Publish) => node.is(Voter).then_some(NamedContent::Beacon),
-        (&["wire", "changed"], Publish) => node.is(Voter).then_some(NamedContent::MissionsChanged),
         (&["wire", "bid" | "award" | "clock", _], Query) => unnamed(node.is(Voter)),
         (&["wire", "bid", name], Reply) => (node.is(Robot) && node.is_named(name)).then_some(NamedContent::BidResponse),
         (&["wire", "award", name], Reply) => unnamed(node.is(Robot) && node.is_named(name)),
-        (&["wire", "report", _], Query) => (node.is(Robot) || node.is(Host)).then_some(NamedContent::Report),
-        (&["wire", "report" | "active_missions" | "clock", name], Reply) => {
-            unnamed(node.is(Voter) && node.is_named(name))
-        }
-        (&["wire", "active_missions", _] | &["wire", "signal_history", _, _] | &["wire", "world"], Query) => {
-            unnamed(true)
-        }
-        (&["wire", "signal", _, _], Publish) | (&["wire", "signal_history", _, _], Reply) => {
-            unnamed(node.is(Robot) || node.is(Host))
-        }
+        (&["wire", "report", _], Query) => node.is(Robot).then_some(NamedContent::Report),
+        (&["wire", "report" | "clock", name], Reply) => unnamed(node.is(Voter) && node.is_named(name)),
+        (&["wire", "signal_history", _, _] | &["wire", "world"], Query) => unnamed(true),
+        (&["wire", "signal", _, _], Publish) => unnamed(node.is(Robot) || node.is(Voter)),
+        (&["wire", "signal_history", _, _], Reply) => unnamed(node.is(Robot)),
         (&["wire", "driver", name, "command"], Query) => unnamed(node.is(Robot) && node.is_named(name)),
         (&["wire", "driver", name, "command"], Reply) | (&["wire", "driver", name, "state"], Publish) => {
             unnamed(node.identity.serves(name))
         }
         (&["wire", "world"], Reply) | (&["wire", "people", "done"], Publish) => unnamed(node.is(Host)),
-        (&["wire", "people", "ask"], Query | Reply) => unnamed(node.is(Host)),
+        (&["wire", "people", "ask"], Query) => unnamed(node.is(Voter)),
+        (&["wire", "people", "ask"], Reply) => unnamed(node.is(Host)),
         (&["events", name], Publish) => node.is_named(name).then_some(NamedContent::Event),
         (&["view", ..] | &["api", _, "help"], Reply) => unnamed(true),
         (&["seen", name, ..] | &["api", "leave", name], Reply) => unnamed(node.is_named(name)),

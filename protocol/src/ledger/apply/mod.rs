@@ -1,7 +1,8 @@
 //! State machine of the ledger.
 
+use super::branch::Branch;
 use super::command::{Command, CommandError, CommandOutcome, ReleaseCause};
-use super::entry::{Branch, HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase};
+use super::entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase};
 use super::history::{HISTORY_SINCE, History, Tombstone};
 use super::history_limits::HistoryLimits;
 use super::layout::VersionedPart;
@@ -32,6 +33,7 @@ impl Ledger {
     /// Applies the command at position `at` in the log.
     pub fn apply(&mut self, at: Epoch, command: Command) -> CommandOutcome {
         let command = if self.keeps_history() { command.limited() } else { command };
+        let mission = command.mission().cloned();
         let done = match command {
             Command::Bootstrap { cluster } => Ok(self.bootstrap(cluster)),
             Command::Submit(submission) => self.submit(*submission),
@@ -49,9 +51,19 @@ impl Ledger {
             Command::Fail { mission, cause, branch, places } => self.fail(&mission, cause, branch, &places),
             Command::Cancel { mission, by, places } => self.cancel(&mission, by, &places),
             Command::Resolve { mission, by } => self.resolve(&mission, &by),
+            Command::AskPerson { mission, branch, role, step, asked_ms } => {
+                self.ask_person(&mission, branch, &role, step, asked_ms)
+            }
+            Command::AnswerPerson { request, answer, places } => self.answer_person(&request, answer, &places),
+            Command::ExpirePersonRequest { request, now_ms, places } => {
+                self.expire_person_request(&request, now_ms, &places)
+            }
             Command::RaiseWireVersion { wire } => Ok(self.raise(wire)),
             Command::SetHistoryLimits(limits) => Ok(self.set_history_limits(limits)),
         };
+        if let Some(entry) = mission.and_then(|mission| self.missions.get_mut(&mission)) {
+            entry.withdraw_needless_requests();
+        }
         done.unwrap_or_else(CommandOutcome::Refused)
     }
 
@@ -210,6 +222,7 @@ impl Ledger {
             releases: vec![],
             release_count: 0,
             outcomes: BTreeMap::new(),
+            person_requests: vec![],
         };
         self.missions.insert(id.clone(), entry);
         Ok(CommandOutcome::Submitted { mission: id, again: false })
@@ -308,17 +321,14 @@ impl Ledger {
         ended: &BTreeSet<StepIndex>,
         outcomes: TaskOutcomes,
     ) -> Result<CommandOutcome, CommandError> {
-        let entry = self.active_mission(mission)?;
-        let (taken, steps) = (entry.branch, entry.plan(role_id).map_or(0, |plan| plan.steps.len()));
+        let taken = self.active_mission(mission)?.branch;
         let role = self.held_role(mission, role_id, epoch)?;
         if role.kind == RoleKind::Unmanaged && branch != taken {
             return Err(CommandError::WrongBranch { mission: mission.clone(), taken });
         }
-        role.ended.extend(ended.iter().filter(|step| (**step as usize) < steps));
-        if role.ended.len() == steps {
-            role.phase = RolePhase::Ended;
-        }
-        self.active_mission(mission)?.add_outcomes(role_id, outcomes);
+        let entry = self.active_mission(mission)?;
+        entry.end_steps(role_id, ended.iter().copied());
+        entry.add_outcomes(role_id, outcomes);
         self.complete_if_done(mission)
     }
 
@@ -357,7 +367,7 @@ impl Ledger {
     }
 
     /// Returns a mission that has not ended and executes this branch.
-    fn in_branch(&mut self, mission: &MissionId, branch: Branch) -> Result<&mut MissionEntry, CommandError> {
+    pub(super) fn in_branch(&mut self, mission: &MissionId, branch: Branch) -> Result<&mut MissionEntry, CommandError> {
         let entry = self.active_mission(mission)?;
         match entry.branch {
             taken if taken != branch => Err(CommandError::WrongBranch { mission: mission.clone(), taken }),

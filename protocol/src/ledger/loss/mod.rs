@@ -14,7 +14,7 @@
 
 use super::apply::Ledger;
 use super::command::{CommandError, CommandOutcome, ReleaseCause};
-use super::entry::{HeldItem, MissionEntry, MissionState, RELEASES_KEPT, RolePhase, RoleRelease};
+use super::entry::{HeldItem, MissionEntry, MissionState, RELEASES_KEPT, RoleEntry, RolePhase, RoleRelease};
 use super::limits::CAUSE_BYTES_MAX;
 use crate::bounds::limit_text;
 use crate::ids::{MissionId, PlaceId, RobotId, RoleId};
@@ -172,12 +172,11 @@ impl Ledger {
         Ok(CommandOutcome::Done)
     }
 
-    /// Completes a mission once all its managed roles have ended. If its recovery branch left an
+    /// Completes a mission once all its roles have ended. If its recovery branch left an
     /// item in place, a person is still needed.
     pub(super) fn complete_if_done(&mut self, mission: &MissionId) -> Result<CommandOutcome, CommandError> {
         let entry = self.active_mission(mission)?;
-        let mut managed = entry.roles.values().filter(|role| role.kind == RoleKind::Managed);
-        if !managed.all(|role| role.phase == RolePhase::Ended) {
+        if !entry.roles.keys().all(|role| entry.is_role_done(role)) {
             return Ok(CommandOutcome::Done);
         }
         match entry.unmoved_items() {
@@ -193,6 +192,14 @@ impl Ledger {
 }
 
 impl MissionEntry {
+    /// Checks whether a role has ended, or has nothing to do.
+    fn is_role_done(&self, id: &RoleId) -> bool {
+        let is_idle = |role: &RoleEntry| {
+            role.kind == RoleKind::Unmanaged && self.plan(id).is_none_or(|plan| plan.steps.is_empty())
+        };
+        self.roles.get(id).is_some_and(|role| role.phase == RolePhase::Ended || is_idle(role))
+    }
+
     /// Returns the items that the recovery branch has not moved: they are still where they were
     /// lost.
     pub(super) fn unmoved_items(&self) -> Vec<HeldItem> {

@@ -188,6 +188,24 @@ pub enum MissionErrorKind {
         max: usize,
     },
 
+    /// The time to wait for the answer of a person is out of range.
+    #[error("`{what}` is {found} s; 1 to {max} are allowed")]
+    Patience {
+        /// Field in the file.
+        what: &'static str,
+        /// Time in the file.
+        found: u32,
+        /// Maximum.
+        max: u32,
+    },
+    /// A task of a robot has a time to wait for an answer.
+    #[error("has `{what}`, but {role} is a managed role; only a task of people has it")]
+    PatienceOfRobot {
+        /// Field in the file.
+        what: &'static str,
+        /// The managed role.
+        role: RoleId,
+    },
     /// The number of attempts is out of range.
     #[error("has {found} attempts; 1 to {max} are allowed")]
     Attempts {

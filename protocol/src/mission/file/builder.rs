@@ -320,7 +320,7 @@ impl<'a> MissionBuilder<'a> {
             }
             (None, None, Some(_), Some(_)) => "is elementary and has `alternatives`",
             (Some(_), Some(_), None, None) => {
-                "is abstract and has `parameters`, `reaches`, `acquires`, `releases` or `attempts`"
+                "is abstract and has `parameters`, `reaches`, `acquires`, `releases`, `attempts`, `patience_s` or `escalate`"
             }
             (Some(_), Some(_), ..) => "has `method` as well as `type` or `roles`",
             (Some(_), None, ..) => "has `method` but no `tasks`",
@@ -390,7 +390,18 @@ impl<'a> MissionBuilder<'a> {
         let attempts = node.attempts.unwrap_or(ATTEMPTS);
         let conditions = scope.conditions.clone();
         let spec = TaskSpec::of(task_type?, roles);
-        Some(TaskSpec { parameters, reaches, acquires, releases, attempts, inputs, conditions, ..spec })
+        Some(TaskSpec {
+            parameters,
+            reaches,
+            acquires,
+            releases,
+            attempts,
+            patience_s: node.patience_s,
+            escalation: node.escalate.clone().map(Box::new),
+            inputs,
+            conditions,
+            ..spec
+        })
     }
 
     fn entries(

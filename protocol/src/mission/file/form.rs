@@ -2,7 +2,7 @@
 
 use crate::ids::{RoleId, TaskId, TaskType};
 use crate::mission::domain::{NumberRange, ValueKind};
-use crate::mission::model::{ATTEMPTS_MAX, OnLoss, RoleKind, TaskOrder};
+use crate::mission::model::{ATTEMPTS_MAX, Escalation, OnLoss, PATIENCE_MAX_S, RoleKind, TaskOrder};
 use schemars::JsonSchema;
 use serde::de::{Deserializer, Error as _, MapAccess, Unexpected, Visitor};
 use serde::{Deserialize, Serialize};
@@ -191,6 +191,13 @@ pub(super) struct TaskFile {
     #[serde(default, deserialize_with = "attempts")]
     #[schemars(range(min = 1, max = ATTEMPTS_MAX))]
     pub(super) attempts: Option<u8>,
+    /// Task of a person: seconds to wait for an answer before the mission fails. Default: no limit.
+    #[serde(default)]
+    #[schemars(range(min = 1, max = PATIENCE_MAX_S))]
+    pub(super) patience_s: Option<u32>,
+    /// Task of a person: who is asked, too, when nobody has answered for a while.
+    #[serde(default)]
+    pub(super) escalate: Option<Escalation>,
     /// Abstract task: other methods, tried in this order when a task of its own method has failed
     /// permanently. A single managed role executes all of them.
     #[serde(default)]
@@ -235,7 +242,11 @@ impl TaskFile {
     /// Checks whether the task has fields of elementary tasks.
     pub(super) fn has_entries(&self) -> bool {
         let maps = [&self.parameters, &self.reaches, &self.acquires];
-        maps.iter().any(|map| !map.is_empty()) || !self.releases.is_empty() || self.attempts.is_some()
+        maps.iter().any(|map| !map.is_empty())
+            || !self.releases.is_empty()
+            || self.attempts.is_some()
+            || self.patience_s.is_some()
+            || self.escalate.is_some()
     }
 
     /// Returns the tasks directly below it.

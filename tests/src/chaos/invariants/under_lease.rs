@@ -8,6 +8,8 @@ use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
+use consort_protocol::ledger::Ledger;
+use consort_protocol::mission::RoleKind;
 use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -32,8 +34,10 @@ impl UnderLease {
         what: &str,
         fleet: &Fleet,
     ) -> Result<(), InvariantViolation> {
-        let managed = fleet.is_robot(node);
-        if managed && !self.active.contains(&(node.clone(), (mission.clone(), role.clone()))) {
+        // The coordinator, on any node, acts in the roles of people.
+        let kind = |ledger: &Ledger| Some(ledger.mission(mission)?.roles.get(role)?.kind);
+        let of_robot = fleet.ledger(kind).flatten() != Some(RoleKind::Unmanaged);
+        if of_robot && fleet.is_robot(node) && !self.active.contains(&(node.clone(), (mission.clone(), role.clone()))) {
             return Err(format!("{node} {what} as {role} of {mission}, in which it is not active").into());
         }
         Ok(())

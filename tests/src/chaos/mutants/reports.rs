@@ -10,7 +10,6 @@ use consort_protocol::codec;
 use consort_protocol::lease::EndReason;
 use consort_protocol::ledger::{Ledger, MissionEntry, MissionState, RoleEntry};
 use consort_protocol::message::{ClusterEnvelope, Report, ReportReply};
-use consort_protocol::mission::RoleKind;
 use consort_protocol::plan::StepAction;
 
 /// Bug in the handling of reports.
@@ -91,12 +90,9 @@ fn under_award_in_force(ledger: &Ledger, report: &Report) -> Option<Report> {
 /// another report.
 fn reply_to_news(ledger: &Ledger, report: &Report) -> Option<ReportReply> {
     let (entry, role) = reported_role(ledger, report)?;
-    let is_current = match role.kind {
-        RoleKind::Managed => role.holder.as_ref().is_some_and(|holder| {
-            (&holder.robot, holder.epoch, holder.incarnation) == (&report.robot, report.epoch, Some(report.incarnation))
-        }),
-        RoleKind::Unmanaged => report.branch == entry.branch,
-    };
+    let is_current = role.holder.as_ref().is_some_and(|holder| {
+        (&holder.robot, holder.epoch, holder.incarnation) == (&report.robot, report.epoch, Some(report.incarnation))
+    });
     if !is_current || report.ended.is_subset(&role.ended) {
         return None;
     }

@@ -4,7 +4,6 @@ use super::last_known_place::last_known_places;
 use super::lease_monitor::SharedLeaseMonitor;
 use super::session_context::SessionContext;
 use super::settings::NodeParts;
-use consort_bus::Author;
 use consort_bus::clock::Clock;
 use consort_gossip::SharedKnowledge;
 use consort_protocol::ids::{NodeId, PlaceId, RobotId};
@@ -13,10 +12,8 @@ use consort_protocol::ledger::{
     Branch, Command, CommandError, CommandOutcome, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase,
 };
 use consort_protocol::message::{FailureKind, Report, ReportReply, TaskFailure};
-use consort_protocol::mission::RoleKind;
 use consort_protocol::units::NodeTime;
 use consort_raft::{ProposeError, Replica};
-use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tracing::{debug, info};
@@ -55,16 +52,6 @@ impl ReportHandler {
             leadership_age_max: context.settings.lease_terms.leadership_age_max(),
             clock: *clock,
             lease_monitor: context.lease_monitor.clone(),
-        }
-    }
-
-    /// Checks whether the author of a report may report for the role: the robot itself, or for an
-    /// unmanaged role a driver server of the person.
-    pub(super) fn may_report(&self, report: &Report, author: &Author) -> bool {
-        let role = |ledger: &Ledger| Some(ledger.mission(&report.mission)?.roles.get(&report.role)?.kind);
-        match self.replica.read(role) {
-            Some(RoleKind::Unmanaged) => author.may_serve(report.role.as_str()),
-            Some(RoleKind::Managed) | None => author.may_be(report.robot.as_str()),
         }
     }
 
@@ -153,16 +140,14 @@ fn reply_not_coordinator(problem: ProposeError) -> ReportReply {
 enum ReportCase<'a> {
     /// The role has ended for the reporter.
     Ended(EndReason),
-    /// The reporter has received a change that this node has not applied yet.
-    Ahead,
     /// The robot reports for the first time with this award, or after a restart.
     Unaccepted,
     /// The ledger does not contain all ended steps.
     NewSteps,
     /// A robot cannot continue.
     RobotFailed(&'a TaskFailure),
-    /// Nobody can continue: a person failed, or a result is unknown.
-    MissionFailed(&'a TaskFailure),
+    /// Nobody can continue: a result is unknown.
+    MissionFailed(&'a MissionEntry, &'a TaskFailure),
     /// The ledger contains the whole report.
     NoNews(&'a MissionEntry, &'a RoleEntry),
 }
@@ -175,11 +160,10 @@ pub(super) fn next(
 ) -> Step {
     match report_case(entry, report) {
         ReportCase::Ended(reason) => Step::Reply(ended(entry, report, reason)),
-        ReportCase::Ahead => Step::Reply(ReportReply::NotCoordinator { coordinator: None }),
         ReportCase::Unaccepted => Step::Commit(accept(report)),
         ReportCase::NewSteps => Step::Commit(progress(report)),
         ReportCase::RobotFailed(failure) => Step::Commit(release_failed(report, failure)),
-        ReportCase::MissionFailed(failure) => Step::Commit(fail_mission(report, failure, places())),
+        ReportCase::MissionFailed(entry, failure) => Step::Commit(fail_mission(entry, report, failure, places())),
         ReportCase::NoNews(entry, role) => Step::Reply(renewed(entry, role, report)),
     }
 }
@@ -190,20 +174,15 @@ fn report_case<'a>(entry: Option<&'a MissionEntry>, report: &'a Report) -> Repor
         return ReportCase::Ended(reason);
     }
     let Some(role) = entry.roles.get(&report.role) else { return ReportCase::Ended(EndReason::Replaced) };
-    let obstacle = match role.kind {
-        RoleKind::Managed => robot_case(entry, role, report),
-        RoleKind::Unmanaged => person_case(entry, report),
-    };
-    match (obstacle, &report.failure, role.kind) {
-        (Some(obstacle), ..) => obstacle,
-        (None, ..) if !report.ended.is_subset(&role.ended) => ReportCase::NewSteps,
-        (None, ..) if report.outcomes.keys().any(|task| entry.lacks_outcome(&report.role, task)) => {
-            ReportCase::NewSteps
+    match (robot_case(entry, role, report), &report.failure) {
+        (Some(obstacle), _) => obstacle,
+        (None, _) if !report.ended.is_subset(&role.ended) => ReportCase::NewSteps,
+        (None, _) if report.outcomes.keys().any(|task| entry.lacks_outcome(&report.role, task)) => ReportCase::NewSteps,
+        (None, Some(failure)) if failure.kind == FailureKind::UnknownResult => {
+            ReportCase::MissionFailed(entry, failure)
         }
-        (None, Some(failure), _) if failure.kind == FailureKind::UnknownResult => ReportCase::MissionFailed(failure),
-        (None, Some(failure), RoleKind::Managed) => ReportCase::RobotFailed(failure),
-        (None, Some(failure), RoleKind::Unmanaged) => ReportCase::MissionFailed(failure),
-        (None, None, _) => ReportCase::NoNews(entry, role),
+        (None, Some(failure)) => ReportCase::RobotFailed(failure),
+        (None, None) => ReportCase::NoNews(entry, role),
     }
 }
 
@@ -217,7 +196,8 @@ fn final_reason(state: &MissionState) -> Option<EndReason> {
     }
 }
 
-/// Returns the case of a report by a robot that does not hold an accepted role.
+/// Returns the case of a report by a robot that does not hold an accepted role. Nobody holds the role of
+/// a person.
 fn robot_case<'a>(entry: &MissionEntry, role: &RoleEntry, report: &Report) -> Option<ReportCase<'a>> {
     match &role.holder {
         Some(holder) if holder.epoch != report.epoch || holder.robot != report.robot => {
@@ -232,16 +212,6 @@ fn robot_case<'a>(entry: &MissionEntry, role: &RoleEntry, report: &Report) -> Op
         Some(_) => None,
         None if entry.branch == Branch::Recovery => Some(ReportCase::Ended(EndReason::Replaced)),
         None => Some(ReportCase::Ended(EndReason::Released)),
-    }
-}
-
-/// Returns the case of a report by a person for another branch of the mission.
-fn person_case<'a>(entry: &MissionEntry, report: &Report) -> Option<ReportCase<'a>> {
-    match report.branch.cmp(&entry.branch) {
-        // The recovery branch has a role of the same name.
-        Ordering::Less => Some(ReportCase::Ended(EndReason::Replaced)),
-        Ordering::Equal => None,
-        Ordering::Greater => Some(ReportCase::Ahead),
     }
 }
 
@@ -271,8 +241,8 @@ fn accept(report: &Report) -> Command {
 }
 
 fn progress(report: &Report) -> Command {
-    let Report { mission, role, epoch, branch, ended, outcomes, .. } = report.clone();
-    Command::Progress { mission, role, epoch, branch, ended, outcomes }
+    let Report { mission, role, epoch, ended, outcomes, .. } = report.clone();
+    Command::Progress { mission, role, epoch, branch: Branch::default(), ended, outcomes }
 }
 
 /// Releases the role to another robot. A robot that only leaves the fleet, that gives way, or that has
@@ -287,9 +257,14 @@ fn release(report: &Report, cause: String, robot_failed: bool) -> Command {
     Command::Release { mission, role, epoch, cause, robot_failed, place: report.place.clone() }
 }
 
-fn fail_mission(report: &Report, failure: &TaskFailure, places: BTreeMap<RobotId, PlaceId>) -> Command {
+fn fail_mission(
+    entry: &MissionEntry,
+    report: &Report,
+    failure: &TaskFailure,
+    places: BTreeMap<RobotId, PlaceId>,
+) -> Command {
     let cause = failure_cause(report, failure);
-    Command::Fail { mission: report.mission.clone(), cause, branch: Some(report.branch), places }
+    Command::Fail { mission: report.mission.clone(), cause, branch: Some(entry.branch), places }
 }
 
 fn failure_cause(report: &Report, failure: &TaskFailure) -> String {

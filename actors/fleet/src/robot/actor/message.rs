@@ -1,6 +1,6 @@
 //! Messages for the robot actor.
 
-use crate::robot::ReceivedSignals;
+use crate::robot::signals::ReceivedSignals;
 use crate::robot::skill_runner::SkillOutcome;
 use consort_bus::{Query, Sample};
 use consort_protocol::ids::NodeId;

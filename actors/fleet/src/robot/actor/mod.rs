@@ -20,7 +20,7 @@ use super::recovery_policy::AttemptFailure;
 use super::settings::{RobotLinks, RobotSettings, RobotStart};
 use super::signals::SignalExchange;
 use super::worker_record::WorkerRecord;
-use crate::robot::ReceivedSignals;
+use crate::robot::signals::ReceivedSignals;
 use consort_bus::reply;
 use consort_bus::tasks::Tasks;
 use consort_bus::{Query, Sample};

@@ -15,7 +15,6 @@ use crate::robot::signals::SignalExchange;
 use consort_bus::tasks::Tasks;
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::Key;
-use consort_protocol::ledger::Branch;
 use consort_protocol::message::{FailureKind, Report, TaskFailure};
 use consort_protocol::units::NodeTime;
 use ractor::{ActorRef, RpcReplyPort};
@@ -155,7 +154,6 @@ impl RobotState {
             mission,
             role,
             epoch,
-            branch: Branch::default(),
             ended: ended.cloned().unwrap_or_default(),
             outcomes: outcomes.cloned().unwrap_or_default(),
             current_task: active.and_then(|sequencer| sequencer.current_task().cloned()),

@@ -59,8 +59,8 @@ pub(crate) enum SignalEffect {
     /// The signal is known already, not awaited, or not by the holder of the sending role; or other
     /// signals await a confirmation, too.
     None,
-    /// The signal waits until the coordinator has confirmed the award of its sender, and is the
-    /// only one that does: the coordinator should be queried.
+    /// The signal counts once the coordinator has confirmed it, or the award of its sender: the
+    /// coordinator should be queried.
     AwaitsConfirmation,
 }
 
@@ -79,6 +79,7 @@ pub enum StepRef {
 }
 
 /// Next action for the caller.
+#[expect(clippy::large_enum_variant, reason = "the caller performs an action at once; none is stored")]
 #[derive(Debug, Clone, PartialEq)]
 pub enum SequencerAction {
     /// Start a task.
@@ -270,6 +271,10 @@ impl Sequencer {
         Ok(match self.roles.check_signal(&signal.from, epoch, author)? {
             SignalCheck::Valid if self.progress.receive(signal) => SignalEffect::Received,
             SignalCheck::Valid | SignalCheck::Foreign => SignalEffect::None,
+            SignalCheck::OfPerson if self.progress.awaited_signals().contains(&signal) => {
+                SignalEffect::AwaitsConfirmation
+            }
+            SignalCheck::OfPerson => SignalEffect::None,
             SignalCheck::Unconfirmed => {
                 let parked = ParkedSignal { signal: signal.clone(), epoch, author: author.clone() };
                 if self.parked.park(parked) { SignalEffect::AwaitsConfirmation } else { SignalEffect::None }
@@ -383,11 +388,6 @@ impl Sequencer {
         self.progress.is_complete()
     }
 
-    /// Returns the holders of the managed roles.
-    pub(crate) fn holders(&self) -> &BTreeMap<RoleId, RoleHolder> {
-        self.roles.holders()
-    }
-
     /// Updates the holders of the managed roles, as confirmed by the coordinator. Signals of a
     /// former holder that were not yet acted on are discarded, because its successor sends the
     /// valid ones again; parked signals of the successor are received. Returns true if a signal was
@@ -411,6 +411,6 @@ impl Sequencer {
 
     /// Returns the robots that hold the managed roles.
     pub(crate) fn holder_robots(&self) -> BTreeMap<RoleId, RobotId> {
-        RoleHolder::robots(self.roles.holders())
+        self.roles.robots()
     }
 }

@@ -1,7 +1,7 @@
 //! Holders and awards of a mission's roles, as known to the holder of another role.
 
 use consort_bus::Author;
-use consort_protocol::ids::RoleId;
+use consort_protocol::ids::{RobotId, RoleId};
 use consort_protocol::lease::{Epoch, RoleHolder};
 use consort_protocol::mission::TaskSpec;
 use std::cmp::Ordering;
@@ -23,6 +23,8 @@ pub(super) enum SignalCheck {
     Unconfirmed,
     /// Not sent by the holder of the role.
     Foreign,
+    /// Said to be of a person. Only the ledger proves it.
+    OfPerson,
 }
 
 /// Holders of the managed roles of a mission, and their latest awards. All of it comes from the
@@ -41,14 +43,15 @@ impl RoleAwards {
         RoleAwards { holders, latest }
     }
 
-    pub(super) fn holders(&self) -> &BTreeMap<RoleId, RoleHolder> {
-        &self.holders
+    /// Returns the robots that hold the roles.
+    pub(super) fn robots(&self) -> BTreeMap<RoleId, RobotId> {
+        RoleHolder::robots(&self.holders)
     }
 
     /// Checks whether a task names a role without a holder.
     pub(super) fn names_vacant_role(&self, spec: &TaskSpec) -> bool {
         let mut vacant = self.latest.keys().filter(|role| !self.holders.contains_key(*role));
-        vacant.any(|role| spec.roles.contains(role) || spec.parameters.values().any(|value| value == role.as_str()))
+        vacant.any(|role| spec.names(role))
     }
 
     /// Updates the holders. Returns the roles with a new holder or a new award.
@@ -82,9 +85,8 @@ impl RoleAwards {
         epoch: Epoch,
         author: &Author,
     ) -> Result<SignalCheck, StaleSignal> {
-        let unmanaged = !self.latest.contains_key(from) && epoch == Epoch::default();
-        if unmanaged {
-            return Ok(if author.may_serve(from.as_str()) { SignalCheck::Valid } else { SignalCheck::Foreign });
+        if !self.latest.contains_key(from) && epoch == Epoch::default() {
+            return Ok(SignalCheck::OfPerson);
         }
         let Some(Some(RoleHolder { robot, epoch: latest })) = self.latest.get(from) else {
             return Ok(SignalCheck::Unconfirmed);

@@ -181,14 +181,20 @@ fn a_stale_signal_is_rejected_and_an_unused_signal_is_discarded() {
 }
 
 #[test]
-fn an_unmanaged_role_has_no_award() {
+fn a_signal_of_a_person_counts_once_it_is_in_the_ledger() {
     let signal: Signal =
         serde_json::from_value(json!({ "kind": "done", "task": "lift", "from": "arm", "to": "r1" })).unwrap();
     let plan = plan(json!({ "role": "r1", "steps": [wait("lift", &[])] }));
     let mut sequencer = Sequencer::new(plan, &BTreeSet::new(), held(&[("r1", 5)])).unwrap();
-    assert_eq!(sequencer.receive_signal(&signal, Epoch::default(), &author("ada", "robot")), Ok(SignalEffect::None));
-    let host = author("world", "host&serves=arm");
-    assert_eq!(sequencer.receive_signal(&signal, Epoch::default(), &host), Ok(SignalEffect::Received));
+    // Whoever sends it: the coordinator is queried, and only its reply counts.
+    for author in [author("ada", "robot"), author("world", "host&serves=arm"), author("bob", "voter")] {
+        let effect = sequencer.receive_signal(&signal, Epoch::default(), &author);
+        assert_eq!(effect, Ok(SignalEffect::AwaitsConfirmation), "{author}");
+    }
+    assert_eq!(run(&mut sequencer, &[]), [] as [&str; 0]);
+    sequencer.receive_recorded(&BTreeSet::from([signal.clone()]));
+    assert_eq!(sequencer.receive_signal(&signal, Epoch::default(), &author("bob", "voter")), Ok(SignalEffect::None));
+    assert_eq!(run(&mut sequencer, &[]), ["received lift"]);
 }
 
 fn author(node: &str, roles: &str) -> Author {

@@ -7,6 +7,8 @@ import { announce } from './status.js';
 let bundled = [];
 let places = [];
 let request;
+/** The chosen mission file, as the node has read it. */
+let file;
 
 export function start(onSubmitted) {
   startResolve();
@@ -23,7 +25,12 @@ export function start(onSubmitted) {
     byId('submit-mission').focus();
   };
   byId('submit-close').onclick = () => dialog.close();
-  byId('submit-mission').onchange = parameters;
+  byId('submit-mission').onchange = () => {
+    file = undefined;
+    byId('submit-file').value = '';
+    parameters();
+  };
+  byId('submit-file').onchange = readFile;
   // A changed form is a new request; repeating the same request returns the same mission.
   byId('submit-form').oninput = () => { request = undefined; };
   byId('submit-form').onsubmit = async (event) => {
@@ -35,11 +42,13 @@ export function start(onSubmitted) {
     request ??= `page-${Date.now().toString(36)}-${Math.random().toString(36).slice(2, 8)}`;
     const given = [...document.querySelectorAll('[data-parameter]')].filter((field) => field.value !== '');
     const body = {
-      mission: byId('submit-mission').value,
+      mission: file?.mission ?? byId('submit-mission').value,
       parameters: Object.fromEntries(given.map((field) => [field.dataset.parameter, field.value])),
       request,
       priority: Number(byId('submit-priority').value || 0),
     };
+    const people = [...byId('submit-people').querySelectorAll('input:checked')].map((field) => field.value);
+    if (file?.agents.length > 0) Object.assign(body, { name: file.name, people });
     if (byId('submit-deadline').value) body.deadline_s = Number(byId('submit-deadline').value);
     try {
       const { mission } = await send('POST', '/api/missions', body);
@@ -115,8 +124,30 @@ function fill() {
   parameters();
 }
 
+/** Lets the node read the chosen file, and shows its parameters and agents, or what is wrong. */
+async function readFile() {
+  const [chosen] = byId('submit-file').files;
+  file = undefined;
+  request = undefined;
+  showProblem('');
+  if (chosen) {
+    try {
+      file = await send('POST', '/api/mission-file', { name: chosen.name, text: await chosen.text() });
+    } catch (problem) {
+      byId('submit-file').value = '';
+      showProblem(problem.message);
+    }
+  }
+  parameters();
+}
+
 function parameters() {
-  const chosen = bundled.find((template) => template.mission === byId('submit-mission').value);
+  const chosen = file ?? bundled.find((template) => template.mission === byId('submit-mission').value);
+  byId('submit-mission').disabled = file !== undefined;
+  const agents = (file?.agents ?? []).map((agent) =>
+    make('label', { className: 'field' }, make('input', { type: 'checkbox', value: agent }), ` ${agent}`));
+  byId('submit-people').hidden = agents.length === 0;
+  byId('submit-people').replaceChildren(byId('submit-people').firstElementChild, ...agents);
   setText(byId('submit-title'), chosen?.title ?? '');
   const fields = Object.entries(chosen?.parameters ?? {}).map(([name, { kind, default: value, description }]) => {
     const text = `${readable(name)}${description ? `: ${description}` : ''}${kind === 'seconds' ? ', in seconds' : ''}`;

@@ -1,6 +1,6 @@
 mod recovery_branch;
 
-use super::super::entry::Branch;
+use super::super::branch::Branch;
 use super::super::submission::{RecoveryBranch, Submission};
 use super::*;
 use crate::auction::{AuctionId, AuctionRecord};
@@ -263,6 +263,8 @@ fn a_carrier_that_has_passed_the_sample_on_counts_as_ended() {
     log.ended("r1", epoch(2), 0..11);
     log.ended("lab_arm", epoch(2), 0..3);
     log.lose("r1", epoch(2), false); // closing its drawer
+    assert_eq!(log.entry().state, MissionState::Running, "the nurse has not ended");
+    log.ended("nurse", Epoch::default(), 0..3);
     assert_eq!(log.entry().state, MissionState::Completed);
     assert_eq!(log.entry().releases.len(), 1, "the release is recorded");
 }

@@ -97,7 +97,7 @@ fn attempts_range_from_1_to_10() {
         diagnostics_with("    - task: find\n", "    - task: find\n      attempts: 3\n"),
         [
             "root/find: a task has either `method` and `tasks`, or `type` and `roles` (and `parameters`, `reaches`); this \
-          task is abstract and has `parameters`, `reaches`, `acquires`, `releases` or `attempts`"
+          task is abstract and has `parameters`, `reaches`, `acquires`, `releases`, `attempts`, `patience_s` or `escalate`"
         ]
     );
 }

@@ -1,0 +1,254 @@
+//! Unmanaged roles: the coordinator executes the local plans of people.
+//!
+//! ```text
+//!  ledger ─▶ next_command ─▶ ask, progress, expire ─▶ ledger ─▶ view/requests ─▶ people ─▶ api/answer ─▶ ledger
+//!                                                       │
+//!                                                       └─▶ wire/people/ask ─▶ host of simulated people
+//! ```
+//!
+//! All state is in the ledger. The next coordinator continues from there, so no node is needed for
+//! the roles of people. What this session remembers only avoids repeated proposals and events.
+
+mod cancel_orders;
+mod changes;
+mod next_command;
+mod simulated;
+#[cfg(test)]
+pub(super) mod test_ledger;
+
+use super::message::CoordinatorMessage;
+use super::session_context::SessionContext;
+use crate::robot_driver::{PersonCommand, PersonEvent, PersonRequestState};
+use cancel_orders::{CancelOrder, RecentCancelOrders};
+use changes::PeopleChanges;
+use consort_bus::{Author, Delivery, Encoding, Sample};
+use consort_protocol::codec;
+use consort_protocol::ids::{MissionId, RoleId};
+use consort_protocol::keys::{Key, PeopleCall};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{AnswerContent, Command, MissionEntry, PersonAnswer};
+use consort_protocol::message::SignalHistory;
+use consort_protocol::plan::Signal;
+use consort_protocol::units::NodeTime;
+use consort_skills::actions::{ActionError, ErrorCode, GoalId};
+use next_command::{PersonStep, next_step};
+use simulated::SimulatedPeople;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+use tracing::{debug, warn};
+
+/// Time after which a proposal without effect is repeated.
+const PROPOSAL_RETRY: Duration = Duration::from_secs(1);
+
+/// Timeout for the host of simulated people to reply.
+const HOST_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// The unmanaged roles of a session.
+pub(super) struct People {
+    /// Latest proposal for each role, with its time.
+    proposed: BTreeMap<(MissionId, RoleId), (PersonStep, NodeTime)>,
+    changes: PeopleChanges,
+    simulated: SimulatedPeople,
+    cancel_orders: RecentCancelOrders,
+}
+
+impl People {
+    pub(super) fn new(context: &SessionContext) -> People {
+        People {
+            proposed: BTreeMap::new(),
+            changes: context.read_ledger(PeopleChanges::of),
+            simulated: SimulatedPeople::default(),
+            cancel_orders: RecentCancelOrders::default(),
+        }
+    }
+
+    /// Publishes what has changed in the ledger, and proposes the next commands. `confirmed_ms` is the
+    /// time of day that a majority of the voters confirms.
+    pub(super) fn follow(&mut self, context: &mut SessionContext, now: NodeTime, confirmed_ms: Option<u64>) {
+        let (changes, opened) =
+            context.read_ledger(|ledger| (self.changes.follow(ledger), self.simulated.follow(ledger)));
+        changes.events.into_iter().for_each(|event| context.publish_event(event));
+        for (mission, signal) in changes.signals {
+            publish_signal(context, mission, signal);
+        }
+        for command in opened {
+            self.send_to_host(context, command);
+        }
+        let steps: Vec<((MissionId, RoleId), PersonStep)> = context.read_ledger(|ledger| {
+            let roles = ledger
+                .active_missions()
+                .into_iter()
+                .flat_map(|entry| entry.unmanaged_roles().map(move |role| (entry, role)));
+            roles
+                .filter_map(|(entry, role)| {
+                    Some(((entry.id.clone(), role.clone()), next_step(entry, role, confirmed_ms)?))
+                })
+                .collect()
+        });
+        let due: BTreeSet<_> = steps.iter().map(|(key, _)| key.clone()).collect();
+        self.proposed.retain(|key, _| due.contains(key));
+        for (key, step) in steps {
+            let repeated = |(before, at): &(PersonStep, NodeTime)| *before == step && now.since(*at) < PROPOSAL_RETRY;
+            if !self.proposed.get(&key).is_some_and(repeated) {
+                self.proposed.insert(key.clone(), (step.clone(), now));
+                self.propose(context, key, step, confirmed_ms);
+            }
+        }
+    }
+
+    fn propose(
+        &self,
+        context: &mut SessionContext,
+        (mission, role): (MissionId, RoleId),
+        step: PersonStep,
+        confirmed_ms: Option<u64>,
+    ) {
+        match (step, confirmed_ms) {
+            (PersonStep::Progress(command), _) => context.propose(command),
+            (PersonStep::Fail { cause, branch }, _) => context.fail_mission(mission, cause, Some(branch)),
+            (PersonStep::Ask { branch, step }, Some(asked_ms)) => {
+                context.propose(Command::AskPerson { mission, branch, role, step, asked_ms });
+            }
+            (PersonStep::Expire(request), Some(now_ms)) => {
+                let places = context.places_of(&mission);
+                context.propose(Command::ExpirePersonRequest { request, now_ms, places });
+            }
+            (PersonStep::Ask { .. } | PersonStep::Expire(_), None) => {}
+        }
+    }
+
+    /// Repeats the open requests to simulated people, and what was withdrawn and not confirmed.
+    pub(super) fn tick(&mut self, context: &mut SessionContext) {
+        for command in self.simulated.repeated() {
+            self.send_to_host(context, command);
+        }
+    }
+
+    fn send_to_host(&self, context: &mut SessionContext, command: PersonCommand) {
+        let id = command.id;
+        let bytes = match codec::encode(&command) {
+            Ok(bytes) => bytes.into(),
+            Err(problem) => return warn!(%problem, "person request does not fit a message"),
+        };
+        let key = context.settings.parts.keys.write(&Key::People(PeopleCall::Ask));
+        let (bus, to) = (context.settings.parts.bus.clone(), context.mailbox.clone());
+        context.tasks.spawn(async move {
+            let Ok(mut replies) = bus.query(&key, bytes, HOST_TIMEOUT).await else { return };
+            while let Some(reply) = replies.recv().await {
+                match reply.payload.map(|bytes| codec::decode::<PersonRequestState>(&bytes)) {
+                    // The actor ends with the node.
+                    Ok(Ok(state)) => drop(to.cast(CoordinatorMessage::PersonReplied(id, state, reply.author))),
+                    other => debug!(?other, "person request got no reply"),
+                }
+            }
+        });
+    }
+
+    /// Handles the reply of a host to a person request.
+    pub(super) fn handle_reply(
+        &mut self,
+        context: &mut SessionContext,
+        id: GoalId,
+        state: PersonRequestState,
+        author: &Author,
+        confirmed_ms: Option<u64>,
+    ) {
+        self.simulated.host_replied();
+        match state {
+            PersonRequestState::Requested => {}
+            PersonRequestState::Ended(result) => {
+                self.simulated.confirm(id);
+                self.answer(context, id, result, author, confirmed_ms);
+            }
+            PersonRequestState::Canceled => {
+                self.simulated.confirm(id);
+                if self.simulated.request_of(id).is_some_and(|(_, role)| author.may_serve(role.as_str())) {
+                    self.simulated.renew(id);
+                }
+            }
+        }
+    }
+
+    /// Handles the published event of a host.
+    pub(super) fn handle_event(&mut self, context: &mut SessionContext, sample: &Sample, confirmed_ms: Option<u64>) {
+        match codec::decode::<PersonEvent>(&sample.payload) {
+            Ok(PersonEvent::RequestEnded { id, result }) => {
+                self.answer(context, id, result, &sample.author, confirmed_ms);
+            }
+            Ok(PersonEvent::CancelMission { role, .. }) if !sample.author.may_serve(role.as_str()) => {
+                warn!(author = %sample.author, %role, "the author does not serve this person: event ignored");
+            }
+            Ok(PersonEvent::CancelMission { by, role, robot, at_ms }) => {
+                let by = sample.author.name().map_or(by.clone(), |host| format!("{by}, according to {host}"));
+                self.cancel_mission(context, CancelOrder { by, robot, at_ms }, &role);
+            }
+            Err(problem) => warn!(%problem, "event of a person cannot be decoded"),
+        }
+    }
+
+    /// Proposes the answer of a simulated person. A host without such a person leaves the request to
+    /// others.
+    fn answer(
+        &mut self,
+        context: &mut SessionContext,
+        id: GoalId,
+        result: Result<(), ActionError>,
+        author: &Author,
+        confirmed_ms: Option<u64>,
+    ) {
+        let Some((request, role)) = self.simulated.request_of(id) else { return };
+        if !author.may_serve(role.as_str()) {
+            return warn!(%author, %role, "the author does not serve this person: result ignored");
+        }
+        let role = role.as_str().to_owned();
+        match &result {
+            Err(problem) if problem.code == ErrorCode::Unknown => return self.simulated.leave_to_others(id),
+            Err(problem) if problem.code == ErrorCode::Busy => return self.simulated.renew(id),
+            Ok(()) | Err(_) => {}
+        }
+        let (content, note) = match result {
+            Ok(()) => (AnswerContent::Done(BTreeMap::new()), String::new()),
+            Err(problem) => (AnswerContent::Cannot, problem.to_string()),
+        };
+        let at_ms = confirmed_ms.unwrap_or_else(|| context.settings.parts.clock.wall_ms());
+        let answer = PersonAnswer { by: role, content, note, at_ms };
+        let places = context.places_of(&request.mission);
+        context.propose(Command::AnswerPerson { request, answer, places });
+    }
+
+    /// Cancels the mission for which a robot came to a simulated person: the mission in which both the
+    /// robot and the person's role take part. The host repeats its order, and so does the proposal.
+    fn cancel_mission(&mut self, context: &mut SessionContext, order: CancelOrder, role: &RoleId) {
+        let mission = match self.cancel_orders.mission(&order) {
+            Some(mission) => mission.clone(),
+            None => {
+                let holds = |entry: &MissionEntry| entry.held_roles().any(|(.., held)| held.robot == order.robot);
+                let found = context.read_ledger(|ledger| {
+                    let mut missions = ledger.active_missions().into_iter();
+                    let found = missions.find(|entry| holds(entry) && entry.unmanaged_roles().any(|of| of == role));
+                    found.map(|entry| entry.id.clone())
+                });
+                let Some(mission) = found else { return };
+                self.cancel_orders.add(order.clone(), mission.clone());
+                mission
+            }
+        };
+        if context.read_ledger(|ledger| ledger.mission(&mission).is_some_and(|entry| !entry.state.is_final())) {
+            let places = context.places_of(&mission);
+            context.propose(Command::Cancel { mission, by: order.by, places });
+        }
+    }
+}
+
+/// Publishes a signal of a person. Its receiver then queries the coordinator: only its reply counts.
+fn publish_signal(context: &mut SessionContext, mission: MissionId, signal: Signal) {
+    let key = context.settings.parts.keys.write(&Key::Signal(mission.clone(), signal.to.clone()));
+    let history = SignalHistory { mission, epoch: Epoch::default(), signals: BTreeSet::from([signal]) };
+    let bytes = codec::encode(&history).expect("a signal fits a message").into();
+    let bus = context.settings.parts.bus.clone();
+    context.tasks.spawn(async move {
+        if let Err(problem) = bus.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await {
+            debug!(%problem, "signal was not published; its receiver will query it");
+        }
+    });
+}

@@ -1,0 +1,216 @@
+//! The next step of an unmanaged role, as a value.
+
+use crate::robot::{Sequencer, SequencerAction, StepRef};
+use consort_protocol::ids::RoleId;
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Branch, Command, MissionEntry, PersonRequestId, RolePhase};
+use consort_protocol::plan::StepIndex;
+use tracing::warn;
+
+/// Next step of an unmanaged role.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum PersonStep {
+    /// Steps have ended that need no person.
+    Progress(Command),
+    /// The task of this step is to be requested.
+    Ask { branch: Branch, step: StepIndex },
+    /// The request has expired.
+    Expire(PersonRequestId),
+    /// The mission cannot continue.
+    Fail { cause: String, branch: Branch },
+}
+
+/// Returns the next step of an unmanaged role of an active mission; `None` while it waits. `now_ms` is
+/// the confirmed time of day; without it no person is asked.
+pub(super) fn next_step(entry: &MissionEntry, role: &RoleId, now_ms: Option<u64>) -> Option<PersonStep> {
+    if entry.roles.get(role)?.phase == RolePhase::Ended {
+        return None;
+    }
+    if let Some(open) = entry.open_request_to(role) {
+        let is_due = open.expires_ms.zip(now_ms).is_some_and(|(at_ms, now_ms)| at_ms <= now_ms);
+        let request = PersonRequestId { mission: entry.id.clone(), number: open.number };
+        return is_due.then_some(PersonStep::Expire(request));
+    }
+    let (mission, branch, ended) = (entry.id.clone(), entry.branch, &entry.roles.get(role)?.ended);
+    let mut sequencer = match Sequencer::new(entry.plan(role)?.clone(), ended, entry.role_holders()) {
+        Ok(sequencer) => sequencer,
+        Err(problem) => {
+            warn!(%mission, %role, %problem, "plan cannot be continued");
+            return None;
+        }
+    };
+    sequencer.set_vacant_roles(&entry.open_roles());
+    sequencer.receive_recorded(&entry.signals_to(role));
+    sequencer.set_recorded_outcomes(entry.outcomes_for(role));
+    let task = loop {
+        match sequencer.next_action() {
+            Some(SequencerAction::StartTask { step: StepRef::Step(step), .. }) => break Some(Ok(step)),
+            Some(SequencerAction::ResultUnknown { task, cause }) => {
+                break Some(Err(format!("{role} could not do {task}: {cause}")));
+            }
+            Some(SequencerAction::StartTask { .. }) | None => break None,
+            Some(
+                SequencerAction::SendSignal(_) | SequencerAction::SignalReceived(_) | SequencerAction::TaskSkipped(_),
+            ) => {}
+        }
+    };
+    let role = role.clone();
+    if sequencer.ended() != ended {
+        let (ended, outcomes) = (sequencer.ended().clone(), sequencer.own_outcomes().clone());
+        let epoch = Epoch::default();
+        return Some(PersonStep::Progress(Command::Progress { mission, role, epoch, branch, ended, outcomes }));
+    }
+    match task? {
+        Ok(step) => now_ms.map(|_| PersonStep::Ask { branch, step }),
+        Err(cause) => Some(PersonStep::Fail { cause, branch }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_ledger::{ledger, nurse};
+    use super::*;
+    use consort_protocol::ledger::{AnswerContent, CommandOutcome, Ledger, MissionState, PersonAnswer};
+    use consort_protocol::mission::ResultValue;
+    use std::collections::{BTreeMap, BTreeSet};
+
+    const NOW_MS: u64 = 1_700_000_000_000;
+
+    fn apply(ledger: &mut Ledger, command: Command) -> CommandOutcome {
+        ledger.apply(Epoch { term: 2, index: 9 }, command)
+    }
+
+    fn next(ledger: &Ledger) -> Option<PersonStep> {
+        next_step(ledger.missions().next().unwrap(), &nurse(), Some(NOW_MS))
+    }
+
+    /// Applies the commands of the nurse's role until it waits. Returns their names.
+    fn advance(ledger: &mut Ledger) -> Vec<&'static str> {
+        let mut names = vec![];
+        while let Some(step) = next(ledger) {
+            let mission = ledger.missions().next().unwrap().id.clone();
+            let (name, command) = match step {
+                PersonStep::Progress(command) => ("progress", command),
+                PersonStep::Ask { branch, step } => {
+                    ("ask", Command::AskPerson { mission, branch, role: nurse(), step, asked_ms: NOW_MS })
+                }
+                other => panic!("{other:?}"),
+            };
+            names.push(name);
+            assert_eq!(apply(ledger, command), CommandOutcome::Done);
+        }
+        names
+    }
+
+    /// The robot has opened its drawer and signals it.
+    fn robot_opens(ledger: &mut Ledger, branch: Branch) {
+        let entry = ledger.missions().next().unwrap();
+        let (role, holder) = entry.role_holders().pop_first().expect("a holder");
+        let (mission, epoch, outcomes) = (entry.id.clone(), holder.epoch, BTreeMap::new());
+        let ended = BTreeSet::from([0, 1]);
+        let progress = Command::Progress { mission, role, epoch, branch, ended, outcomes };
+        assert_eq!(apply(ledger, progress), CommandOutcome::Done);
+    }
+
+    fn answer(ledger: &mut Ledger, number: u32, by: &str, content: AnswerContent) -> CommandOutcome {
+        let mission = ledger.missions().next().unwrap().id.clone();
+        let answer = PersonAnswer { by: by.to_owned(), content, note: String::new(), at_ms: NOW_MS };
+        let request = PersonRequestId { mission, number };
+        apply(ledger, Command::AnswerPerson { request, answer, places: BTreeMap::new() })
+    }
+
+    fn done() -> AnswerContent {
+        AnswerContent::Done(BTreeMap::new())
+    }
+
+    #[test]
+    fn a_person_is_asked_once_the_robot_is_ready_and_the_first_answer_counts() {
+        let (mut ledger, _) = ledger(false);
+        assert_eq!(next(&ledger), None, "the drawer is closed");
+        robot_opens(&mut ledger, Branch::Main);
+        assert_eq!(advance(&mut ledger), ["progress", "ask"]);
+        let open = ledger.open_person_requests();
+        let [(entry, request)] = open[..] else { panic!("{open:?}") };
+        let task = entry.requested_task(request).expect("its task");
+        assert_eq!((request.task.as_str(), task.parameters["into_role"].as_str()), ("deposit", "r1"));
+        assert_eq!(request.robots.values().map(|held| held.robot.as_str()).collect::<Vec<_>>(), ["amber"]);
+
+        assert_eq!(answer(&mut ledger, 1, "Nia", AnswerContent::Later(NOW_MS + 60_000)), CommandOutcome::Done);
+        assert_eq!(next(&ledger), None, "it stays open");
+        assert_eq!(answer(&mut ledger, 1, "Nia", done()), CommandOutcome::Done);
+        assert_eq!(answer(&mut ledger, 1, "Nia", done()), CommandOutcome::Done, "she repeats her answer");
+        let other = AnswerContent::Done(BTreeMap::from([("dust_g".to_owned(), ResultValue::Integer(3))]));
+        for (by, content) in [("Ria", done()), ("Nia", AnswerContent::Cannot), ("Nia", other)] {
+            let CommandOutcome::Refused(problem) = answer(&mut ledger, 1, by, content) else { panic!("{by}") };
+            assert_eq!(problem.to_string(), "request fetch-1.1 is closed; it was answered by Nia: done");
+        }
+        assert_eq!(advance(&mut ledger), ["progress"], "the robot is told");
+        let state = &ledger.missions().next().unwrap().state;
+        assert_eq!(*state, MissionState::Running, "the robot closes its drawer");
+    }
+
+    #[test]
+    fn a_person_who_declines_fails_the_mission() {
+        let (mut ledger, mission) = ledger(false);
+        robot_opens(&mut ledger, Branch::Main);
+        advance(&mut ledger);
+        assert_eq!(answer(&mut ledger, 1, "Nia", AnswerContent::Declined), CommandOutcome::Done);
+        let MissionState::Failed { cause } = &ledger.mission(&mission).unwrap().state else { panic!("it continues") };
+        assert_eq!(cause, "Nia as nurse declined to do deposit");
+        let refused = answer(&mut ledger, 1, "Ria", done());
+        assert!(matches!(refused, CommandOutcome::Refused(_)), "{refused:?}");
+    }
+
+    /// The sample is lost: another robot meets the nurse. An answer to the former request does not
+    /// count for the new request.
+    #[test]
+    fn a_request_is_withdrawn_when_the_robot_is_lost() {
+        let (mut main, mission) = ledger(false);
+        robot_opens(&mut main, Branch::Main);
+        advance(&mut main);
+        let entry = main.mission(&mission).unwrap();
+        let (role, held) = entry.role_holders().pop_first().unwrap();
+        let release = Command::Release {
+            mission: mission.clone(),
+            role,
+            epoch: held.epoch,
+            cause: "silent".to_owned(),
+            robot_failed: false,
+            place: None,
+        };
+        assert_eq!(apply(&mut main, release), CommandOutcome::Done);
+        assert!(main.open_person_requests().is_empty());
+        let CommandOutcome::Refused(problem) = answer(&mut main, 1, "Nia", done()) else { panic!("it counts") };
+        assert!(problem.to_string().contains("fetch-1.1 is closed; it was withdrawn: "), "{problem}");
+    }
+
+    #[test]
+    fn a_request_may_be_put_off_again() {
+        let (mut ledger, mission) = ledger(false);
+        robot_opens(&mut ledger, Branch::Main);
+        advance(&mut ledger);
+        for _ in 0..5 {
+            assert_eq!(answer(&mut ledger, 1, "Nia", AnswerContent::Later(NOW_MS + 60_000)), CommandOutcome::Done);
+        }
+        let request = ledger.mission(&mission).unwrap().person_request(1).unwrap();
+        assert_eq!(request.phase.to_string(), "put off by Nia");
+    }
+
+    #[test]
+    fn a_request_expires_unless_it_is_put_off() {
+        let (mut ledger, mission) = ledger(false);
+        robot_opens(&mut ledger, Branch::Main);
+        let Some(PersonStep::Progress(progress)) = next(&ledger) else { panic!("no progress") };
+        apply(&mut ledger, progress);
+        let entry = ledger.mission(&mission).unwrap();
+        assert_eq!(next_step(entry, &nurse(), None), None, "without the time nobody is asked");
+        advance(&mut ledger);
+        let entry = ledger.mission(&mission).unwrap();
+        let step = next_step(entry, &nurse(), Some(u64::MAX));
+        assert_eq!(step, None, "a request without patience does not expire");
+        let request = PersonRequestId { mission: mission.clone(), number: 1 };
+        let expire = Command::ExpirePersonRequest { request, now_ms: u64::MAX, places: BTreeMap::new() };
+        assert_eq!(apply(&mut ledger, expire), CommandOutcome::Done);
+        assert_eq!(ledger.open_person_requests().len(), 1, "the command does not fit");
+    }
+}

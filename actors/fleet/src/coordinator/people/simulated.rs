@@ -1,0 +1,199 @@
+//! Delivery of the open requests to the host of simulated people.
+
+use crate::robot_driver::PersonCommand;
+use consort_protocol::codec;
+use consort_protocol::ids::{ClusterId, RoleId};
+use consort_protocol::lease::RoleHolder;
+use consort_protocol::ledger::{Ledger, MissionEntry, PersonRequestEntry, PersonRequestId};
+use consort_skills::actions::{GoalId, PersonRequest};
+use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, VecDeque};
+
+/// Maximum number of cancellations that are repeated; the oldest are dropped beyond it. Raised: more queries
+/// per timer to an unreachable host. A guess: each belongs to a mission that ended, or lost a robot,
+/// during a person request.
+const CANCELLATIONS_MAX: usize = 64;
+
+/// Open requests, as sent to the host of simulated people. A host cancels a request that is no longer
+/// repeated.
+#[derive(Debug, Default)]
+pub(super) struct SimulatedPeople {
+    open: BTreeMap<PersonRequestId, SentRequest>,
+    cancellations: VecDeque<GoalId>,
+    /// A host has replied. Until then a single request is repeated.
+    has_host: bool,
+}
+
+#[derive(Debug)]
+struct SentRequest {
+    cluster: Option<ClusterId>,
+    /// Number of times that the host has canceled the request while it was still needed. A canceled id
+    /// is not served again.
+    turn: u32,
+    request: PersonRequest,
+    /// The host has no such person: the request is left to others.
+    left_to_others: bool,
+}
+
+impl SentRequest {
+    /// Returns the id for the host: FNV-1a (Fowler, Noll, Vo) over cluster, request and turn, so that
+    /// every coordinator uses the same id.
+    fn id(&self, request: &PersonRequestId) -> GoalId {
+        let content = codec::encode_record(&(self.cluster, request, self.turn)).expect("an id fits a record");
+        let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
+        GoalId(content.iter().fold(0xcbf2_9ce4_8422_2325, step))
+    }
+
+    fn command(&self, request: &PersonRequestId) -> PersonCommand {
+        PersonCommand { id: self.id(request), request: Some(self.request.clone()) }
+    }
+}
+
+impl SimulatedPeople {
+    /// Follows the ledger. Returns the commands for requests that were opened or closed.
+    pub(super) fn follow(&mut self, ledger: &Ledger) -> Vec<PersonCommand> {
+        let open: BTreeMap<PersonRequestId, PersonRequest> = ledger
+            .open_person_requests()
+            .into_iter()
+            .filter_map(|(entry, request)| {
+                Some((
+                    PersonRequestId { mission: entry.id.clone(), number: request.number },
+                    simulated(entry, request)?,
+                ))
+            })
+            .collect();
+        let closed: Vec<PersonRequestId> = self.open.keys().filter(|id| !open.contains_key(id)).cloned().collect();
+        let mut commands = vec![];
+        for id in closed {
+            if let Some(sent) = self.open.remove(&id) {
+                let id = sent.id(&id);
+                if self.has_host && !sent.left_to_others {
+                    self.cancellations.push_back(id);
+                    commands.push(PersonCommand { id, request: None });
+                }
+            }
+        }
+        while self.cancellations.len() > CANCELLATIONS_MAX {
+            self.cancellations.pop_front();
+        }
+        for (id, request) in open {
+            if let Entry::Vacant(slot) = self.open.entry(id) {
+                let sent = SentRequest { cluster: ledger.cluster(), turn: 0, request, left_to_others: false };
+                commands.push(sent.command(slot.key()));
+                slot.insert(sent);
+            }
+        }
+        commands
+    }
+
+    /// Returns the commands to be repeated.
+    pub(super) fn repeated(&self) -> Vec<PersonCommand> {
+        let open = self.open.iter().filter(|(_, sent)| !sent.left_to_others);
+        let open = open.take(if self.has_host { usize::MAX } else { 1 }).map(|(id, sent)| sent.command(id));
+        open.chain(self.cancellations.iter().map(|id| PersonCommand { id: *id, request: None })).collect()
+    }
+
+    /// A host has replied to a command.
+    pub(super) fn host_replied(&mut self) {
+        self.has_host = true;
+    }
+
+    /// Removes a confirmed cancellation.
+    pub(super) fn confirm(&mut self, id: GoalId) {
+        self.cancellations.retain(|pending| *pending != id);
+    }
+
+    /// Stops offering a request to the host, which has no such person.
+    pub(super) fn leave_to_others(&mut self, id: GoalId) {
+        let sent = self.open.iter_mut().find(|(request, sent)| sent.id(request) == id);
+        sent.into_iter().for_each(|(_, sent)| sent.left_to_others = true);
+    }
+
+    /// Returns the open request with this id for the host, and the role of the person.
+    pub(super) fn request_of(&self, id: GoalId) -> Option<(PersonRequestId, &RoleId)> {
+        let found = self.open.iter().find(|(request, sent)| sent.id(request) == id)?;
+        Some((found.0.clone(), &found.1.request.role))
+    }
+
+    /// Renews a request that the host has canceled or turned down for now, although it is still needed.
+    /// The timer sends it.
+    pub(super) fn renew(&mut self, id: GoalId) {
+        let sent = self.open.iter_mut().find(|(request, sent)| sent.id(request) == id);
+        sent.into_iter().for_each(|(_, sent)| sent.turn += 1);
+    }
+}
+
+/// Returns the request for a simulated person. `None` for a task with results: simulated people state
+/// none.
+fn simulated(entry: &MissionEntry, request: &PersonRequestEntry) -> Option<PersonRequest> {
+    if !entry.form_of(request).is_empty() {
+        return None;
+    }
+    let (role, task) = (request.role.clone(), entry.requested_task(request)?);
+    Some(PersonRequest { role, task, holders: RoleHolder::robots(&request.robots) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::ids::TaskType;
+    use consort_protocol::mission::TaskSpec;
+
+    fn id(number: u32) -> PersonRequestId {
+        format!("lab-samples-1.{number}").parse().unwrap()
+    }
+
+    fn sent(cluster: u64) -> SentRequest {
+        let role = RoleId::new("nurse").unwrap();
+        let task = TaskSpec::of(TaskType::new("deposit").unwrap(), vec![role.clone()]);
+        let request = PersonRequest { role, task, holders: BTreeMap::new() };
+        SentRequest { cluster: Some(ClusterId(cluster)), turn: 0, request, left_to_others: false }
+    }
+
+    #[test]
+    fn a_renewed_request_has_another_id_and_every_coordinator_computes_the_same() {
+        let request = id(1);
+        let mut people = SimulatedPeople::default();
+        people.open.insert(request.clone(), sent(7));
+        let first = people.repeated()[0].id;
+        assert_eq!(people.request_of(first).map(|(id, _)| id), Some(request.clone()));
+        people.renew(first);
+        people.renew(first);
+        let second = people.repeated()[0].id;
+        assert_ne!(second, first);
+        assert_eq!(people.request_of(first), None, "it is renewed once");
+        assert_eq!(SentRequest { turn: 1, ..sent(7) }.id(&request), second);
+        assert_ne!(sent(8).id(&request), first, "another ledger may contain a mission of the same name");
+    }
+
+    #[test]
+    fn a_cancellation_is_repeated_until_it_is_confirmed_and_their_number_is_bounded() {
+        let mut people = SimulatedPeople { has_host: true, ..SimulatedPeople::default() };
+        people.open.insert(id(1), sent(7));
+        let commands = people.follow(&Ledger::default());
+        let [PersonCommand { id: canceled, request: None }] = commands[..] else { panic!("{commands:?}") };
+        assert_eq!(people.repeated(), commands);
+        assert_eq!(people.repeated(), commands, "reading them does not remove them");
+        people.confirm(canceled);
+        assert_eq!(people.repeated(), []);
+        for number in 0..200 {
+            people.open.insert(id(number + 1), sent(7));
+        }
+        people.follow(&Ledger::default());
+        assert_eq!(people.repeated().len(), CANCELLATIONS_MAX);
+    }
+
+    #[test]
+    fn without_a_host_a_single_request_is_repeated_and_nothing_is_canceled() {
+        let mut people = SimulatedPeople::default();
+        (1..200).for_each(|number| drop(people.open.insert(id(number), sent(7))));
+        assert_eq!(people.repeated().len(), 1);
+        people.host_replied();
+        assert_eq!(people.repeated().len(), 199);
+        people.leave_to_others(people.repeated()[0].id);
+        assert_eq!(people.repeated().len(), 198, "the host has nobody for it");
+        let mut people = SimulatedPeople::default();
+        people.open.insert(id(1), sent(7));
+        assert_eq!(people.follow(&Ledger::default()), []);
+    }
+}

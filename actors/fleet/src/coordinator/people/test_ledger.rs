@@ -1,0 +1,75 @@
+//! A ledger with a mission in which a nurse takes part.
+
+use consort_protocol::auction::{AuctionId, AuctionRecord};
+use consort_protocol::ids::{MissionId, RequestId, RobotId, RoleId};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger, RecoveryBranch, Submission};
+use consort_protocol::mission::{Format, MissionTemplate};
+use consort_protocol::plan::divide_and_check;
+use consort_skills::domain::hospital;
+use std::collections::BTreeMap;
+
+/// The nurse has a plan in both branches: she inserts a sample, and another sample if the first is
+/// lost.
+const MISSION: &str = r#"{"mission": "fetch", "roles": {
+    "nurse": {"kind": "unmanaged"}, "r1": {"kind": "managed"}, "r2": {"kind": "managed"}},
+  "root": {"task": "fetch", "method": "sequential", "tasks": [
+    {"task": "open", "type": "operate_drawer", "roles": ["r1"], "parameters": {"action": "open"}},
+    {"task": "deposit", "type": "deposit", "roles": ["nurse"], "parameters": {"into_role": "r1"}, "acquires": {"sample": "r1"}},
+    {"task": "close", "type": "operate_drawer", "roles": ["r1"], "parameters": {"action": "close"}}]},
+  "recovery": {"task": "again", "method": "sequential", "tasks": [
+    {"task": "open-2", "type": "operate_drawer", "roles": ["r2"], "parameters": {"action": "open"}},
+    {"task": "deposit-2", "type": "deposit", "roles": ["nurse"], "parameters": {"into_role": "r2"}},
+    {"task": "close-2", "type": "operate_drawer", "roles": ["r2"], "parameters": {"action": "close"}}]}}"#;
+
+pub(in crate::coordinator) fn nurse() -> RoleId {
+    RoleId::new("nurse").unwrap()
+}
+
+/// Ledger with the mission in progress; `lost` means that the sample is lost in the drawer of `r1`.
+pub(in crate::coordinator) fn ledger(lost: bool) -> (Ledger, MissionId) {
+    let template = MissionTemplate::parse(MISSION, Format::Json).unwrap();
+    let (mission, recovery) = template.instantiate_with_recovery(&BTreeMap::new(), &hospital()).unwrap();
+    let division = divide_and_check(&mission).unwrap();
+    let recovery = recovery.map(|mission| RecoveryBranch { division: divide_and_check(&mission).unwrap(), mission });
+    let mut ledger = Ledger::default();
+    let submission = Submission { recovery, ..Submission::of(RequestId::new("a").unwrap(), mission, division) };
+    let at = |index| Epoch { term: 1, index };
+    ledger.apply(at(1), Command::Submit(Box::new(submission)));
+    let mission = ledger.missions().next().unwrap().id.clone();
+    let auction = AuctionId { mission: mission.clone(), term: 1, round: 1 };
+    let auction =
+        AuctionRecord { auction, at_ms: 0, entries: vec![], omitted: 0, chosen: BTreeMap::new(), failure: None };
+    let (r1, amber) = (RoleId::new("r1").unwrap(), RobotId::new("amber").unwrap());
+    let holders = BTreeMap::from([(r1.clone(), amber)]);
+    assert_eq!(
+        ledger.apply(at(2), Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction }),
+        CommandOutcome::Awarded { epoch: at(2) }
+    );
+    if lost {
+        let (incarnation, resumes) = (1, false);
+        let accept = Command::Accept {
+            mission: mission.clone(),
+            role: r1.clone(),
+            epoch: at(2),
+            incarnation,
+            from_checkpoint: resumes,
+        };
+        assert_eq!(ledger.apply(at(3), accept), CommandOutcome::Done);
+        let progress_of = |role, epoch, ended: &[u32]| Command::Progress {
+            mission: mission.clone(),
+            role,
+            epoch,
+            branch: Branch::Main,
+            ended: ended.iter().copied().collect(),
+            outcomes: BTreeMap::new(),
+        };
+        assert_eq!(ledger.apply(at(3), progress_of(r1.clone(), at(2), &[0, 1, 2])), CommandOutcome::Done);
+        let (cause, place) = ("silent".to_owned(), None);
+        let release =
+            Command::Release { mission: mission.clone(), role: r1, epoch: at(2), cause, robot_failed: false, place };
+        assert_eq!(ledger.apply(at(4), release), CommandOutcome::Done);
+        assert_eq!(ledger.mission(&mission).unwrap().branch, Branch::Recovery);
+    }
+    (ledger, mission)
+}

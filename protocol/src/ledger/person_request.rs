@@ -1,0 +1,267 @@
+//! Requests to people: the tasks of unmanaged roles that a person has been asked to do, and the
+//! answers.
+//!
+//! ```text
+//!            answer: done, declined, cannot
+//!  open ────────────────────────────────────▶ answered    the first answer counts
+//!   │ ▲  later                      patience is over
+//!   │ └──────┘ ───────────────────────────────────────────▶ expired
+//!   └── the mission ends, or another robot is to be met ──▶ withdrawn
+//! ```
+//!
+//! A request is part of the ledger, so it outlives every node, and any node can show it. The results
+//! of a task that a person has done are outcomes like those of robots.
+
+use super::branch::Branch;
+use crate::bounds::limit_text;
+use crate::ids::{MissionId, RoleId, TaskId};
+use crate::lease::RoleHolder;
+use crate::mission::ResultValue;
+use crate::plan::StepIndex;
+use crate::schema::inline_schema;
+use schemars::{JsonSchema, json_schema};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::str::FromStr;
+
+/// Maximum size of the name of a person in the ledger, in bytes.
+pub(super) const PERSON_BYTES_MAX: usize = 256;
+
+/// Maximum size of the note of an answer, in bytes.
+pub const NOTE_BYTES_MAX: usize = 512;
+
+/// Id of a request to a person: the mission, and its number among the requests of the mission, as in
+/// `lab-samples-1.2`.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct PersonRequestId {
+    /// The mission.
+    pub mission: MissionId,
+    /// Number among the requests of the mission, from 1.
+    pub number: u32,
+}
+
+/// Error: a text is not the id of a request to a person.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is not a request to a person; an id is a mission, a dot and a number, as in lab-samples-1.2")]
+pub struct PersonRequestIdError(String);
+
+impl FromStr for PersonRequestId {
+    type Err = PersonRequestIdError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let parts = text.rsplit_once('.').and_then(|(mission, number)| {
+            let is_plain = !number.starts_with(['0', '+']);
+            Some((MissionId::new(mission).ok()?, number.parse().ok().filter(|_| is_plain)?))
+        });
+        let (mission, number) = parts.ok_or_else(|| PersonRequestIdError(text.to_owned()))?;
+        Ok(PersonRequestId { mission, number })
+    }
+}
+
+impl TryFrom<String> for PersonRequestId {
+    type Error = PersonRequestIdError;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse()
+    }
+}
+
+impl From<PersonRequestId> for String {
+    fn from(id: PersonRequestId) -> String {
+        id.to_string()
+    }
+}
+
+impl fmt::Display for PersonRequestId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{}", self.mission, self.number)
+    }
+}
+
+inline_schema!(PersonRequestId, json_schema!({ "type": "string", "pattern": r"^[A-Za-z0-9_.-]{1,64}\.[1-9][0-9]*$" }));
+
+/// Request to a person.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PersonRequestEntry {
+    /// Number among the requests of the mission, from 1.
+    pub number: u32,
+    /// Branch of the task.
+    pub branch: Branch,
+    /// Unmanaged role of the person.
+    pub role: RoleId,
+    /// Step of the role's plan.
+    pub step: StepIndex,
+    /// Task of this step.
+    pub task: TaskId,
+    /// Robots that the task names, by their roles: those that the person meets.
+    pub robots: BTreeMap<RoleId, RoleHolder>,
+    /// Time of the request in milliseconds since 1970.
+    pub asked_ms: u64,
+    /// Time after which it expires, in milliseconds since 1970.
+    pub expires_ms: Option<u64>,
+    /// Phase.
+    pub phase: PersonRequestPhase,
+}
+
+/// Phase of a request to a person.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PersonRequestPhase {
+    /// Not answered yet.
+    Open {
+        /// The latest answer that puts it off.
+        postponed: Option<Postponement>,
+    },
+    /// Answered.
+    Answered {
+        /// Person that answered.
+        by: String,
+        /// The answer.
+        answer: FinalAnswer,
+        /// Note of the person, or the cause for which the task was not done; may be empty.
+        note: String,
+        /// Time of the answer in milliseconds since 1970.
+        at_ms: u64,
+    },
+    /// Not answered in time.
+    Expired,
+    /// No longer needed.
+    Withdrawn {
+        /// Reason, as text.
+        reason: String,
+    },
+}
+
+/// A person has put a request off.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Postponement {
+    /// The person.
+    pub by: String,
+    /// Time until which the request is put off, in milliseconds since 1970.
+    pub until_ms: u64,
+}
+
+/// Answer that closes a request.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FinalAnswer {
+    /// The task is done.
+    Done,
+    /// The person does not want to do it.
+    Declined,
+    /// The person is not able to do it.
+    Cannot,
+}
+
+impl FinalAnswer {
+    /// Returns the name.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            FinalAnswer::Done => "done",
+            FinalAnswer::Declined => "declined",
+            FinalAnswer::Cannot => "cannot",
+        }
+    }
+}
+
+impl fmt::Display for PersonRequestPhase {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            PersonRequestPhase::Open { postponed: None } => f.write_str("open"),
+            PersonRequestPhase::Open { postponed: Some(postponed) } => write!(f, "put off by {}", postponed.by),
+            PersonRequestPhase::Answered { by, answer, .. } => write!(f, "answered by {by}: {}", answer.as_str()),
+            PersonRequestPhase::Expired => f.write_str("expired"),
+            PersonRequestPhase::Withdrawn { reason } => write!(f, "withdrawn: {reason}"),
+        }
+    }
+}
+
+/// Answer of a person.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PersonAnswer {
+    /// Person that answers.
+    pub by: String,
+    /// Content of the answer.
+    pub content: AnswerContent,
+    /// Note of the person; may be empty.
+    pub note: String,
+    /// Time of the answer in milliseconds since 1970.
+    pub at_ms: u64,
+}
+
+/// Content of an answer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum AnswerContent {
+    /// The task is done, with these results.
+    Done(BTreeMap<String, ResultValue>),
+    /// The person does not want to do it.
+    Declined,
+    /// The person is not able to do it.
+    Cannot,
+    /// The person puts it off until this time, in milliseconds since 1970. The request stays open, and
+    /// expires so much later.
+    Later(u64),
+}
+
+impl PersonAnswer {
+    /// Shortens the texts to their limits.
+    pub(super) fn limit(&mut self) {
+        limit_text(&mut self.by, PERSON_BYTES_MAX);
+        limit_text(&mut self.note, NOTE_BYTES_MAX);
+    }
+}
+
+impl PersonRequestEntry {
+    /// Checks whether the request is open.
+    pub fn is_open(&self) -> bool {
+        matches!(self.phase, PersonRequestPhase::Open { .. })
+    }
+
+    /// Puts the request off: it expires so much later.
+    pub(super) fn postpone(&mut self, postponement: Postponement, at_ms: u64) {
+        let PersonRequestPhase::Open { postponed } = &mut self.phase else { return };
+        let since_ms = postponed.as_ref().map_or(at_ms, |former| former.until_ms.max(at_ms));
+        let delay_ms = postponement.until_ms.saturating_sub(since_ms);
+        self.expires_ms = self.expires_ms.map(|expires_ms| expires_ms.saturating_add(delay_ms));
+        *postponed = Some(postponement);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_request_that_is_put_off_again_expires_as_much_later_as_it_says() {
+        let mut request = PersonRequestEntry {
+            number: 1,
+            branch: Branch::Main,
+            role: RoleId::new("nurse").unwrap(),
+            step: 0,
+            task: TaskId::new("deposit").unwrap(),
+            robots: BTreeMap::new(),
+            asked_ms: 0,
+            expires_ms: Some(10_000),
+            phase: PersonRequestPhase::Open { postponed: None },
+        };
+        for (at_ms, until_ms, expires_ms) in [(0, 60_000, 70_000), (1_000, 61_000, 71_000), (99_000, 100_000, 72_000)] {
+            request.postpone(Postponement { by: "Nia".to_owned(), until_ms }, at_ms);
+            assert_eq!(request.expires_ms, Some(expires_ms));
+        }
+    }
+
+    #[test]
+    fn an_id_is_a_mission_and_a_number() {
+        let id: PersonRequestId = "lab-samples-1.2".parse().unwrap();
+        assert_eq!(
+            (id.mission.as_str(), id.number, id.to_string()),
+            ("lab-samples-1", 2, "lab-samples-1.2".to_owned())
+        );
+        for wrong in ["lab-samples-1", "lab-samples-1.", ".1", "a.0", "a.01", "a.+1", "a.4294967296", "a b.1"] {
+            let problem = wrong.parse::<PersonRequestId>().unwrap_err().to_string();
+            assert!(problem.contains("an id is a mission, a dot and a number"), "{problem}");
+        }
+    }
+}
