@@ -58,7 +58,7 @@ pub struct MissionEntry {
     pub release_count: u32,
     /// Outcomes of tasks. The first outcome of a task is kept: others may have acted on it.
     pub outcomes: TaskOutcomes,
-    /// Requests to people, oldest first: all open ones, and some closed ones.
+    /// Open requests to people and some closed requests, oldest first.
     pub(super) person_requests: Vec<PersonRequestEntry>,
 }
 

@@ -160,8 +160,8 @@ impl MissionEntry {
         }
     }
 
-    /// Closes an open request without an answer in time. Returns the cause for which the
-    /// mission fails; `None` if the request is closed, or was put off.
+    /// Closes an open request without an answer in time. Returns the cause for which the mission
+    /// fails; `None` if the request is closed, or was put off.
     fn expire_request(&mut self, number: u32, now_ms: u64) -> Option<String> {
         let due = |request: &&mut PersonRequestEntry| {
             request.number == number && request.is_open() && request.expires_ms.is_some_and(|at| at <= now_ms)

@@ -146,7 +146,7 @@ pub struct TaskSpec {
     /// For a task of a person: seconds to wait for an answer before the mission fails. Default: no limit.
     #[serde(default)]
     pub patience_s: Option<u32>,
-    /// For a task of a person: who is asked, too, when nobody has answered for a while.
+    /// For a task of a person: escalation of a request without an answer.
     #[serde(default)]
     pub escalation: Option<Box<Escalation>>,
     /// Parameters that are results of earlier tasks. Until these are known, `parameters` contains a

@@ -43,7 +43,7 @@ pub(crate) struct Args {
     ask: QueryFlags,
 }
 
-/// The answer: exactly one of these.
+/// Flags of the answer, of which a single flag is given.
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = false)]
 struct AnswerFlags {

@@ -2,7 +2,7 @@
 //! language.
 
 use crate::demo::each_once;
-use crate::support::{Client, LONG, hospital, until};
+use crate::support::{Client, LONG, VIEWS, hospital, until};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 
@@ -42,27 +42,14 @@ fn a_plain_zenoh_client_runs_a_mission_through_a_takeover() {
     present.insert(format!("coordinator/{term}/{first}"));
     assert_eq!(client.present(), present);
     // Also for clients that leave all settings at their defaults.
-    let views = [
-        "auctions",
-        "coordinator",
-        "ensembles",
-        "fleet",
-        "health",
-        "map",
-        "missions",
-        "requests",
-        "robot/ada",
-        "world",
-    ];
-    for view in views {
+    for view in VIEWS {
         assert!(client.view_by_default(view).is_object(), "{view}");
         // Also for clients that query all nodes: of several replies on the same key Zenoh returns
         // one.
         assert_eq!(client.query_all_nodes(&format!("view/{view}")).len(), 1, "{view}");
     }
     let whole: BTreeSet<String> = client.all("view/**", "").into_iter().map(|(key, _)| key).collect();
-    let expected = views.iter().chain(&["robot/lab-arm"]).map(|view| format!("view/{view}"));
-    assert_eq!(whole, expected.collect());
+    assert_eq!(whole, VIEWS.iter().map(|view| format!("view/{view}")).collect());
     // The views of each single node have their own keys.
     let seen: BTreeSet<String> = client.all("seen/*/coordinator", "").into_iter().map(|(key, _)| key).collect();
     assert_eq!(seen, everyone.iter().map(|node| format!("seen/{node}/coordinator")).collect());

@@ -3,7 +3,7 @@
 //! `nodes/consort/tests/processes/foreign/router.sh` builds both in some minutes. This test runs
 //! the script if `CONSORT_FOREIGN_ROUTER` is set; otherwise, without the programs, it is skipped.
 
-use crate::support::{Folder, LONG, free_port, hospital_by, skip, until};
+use crate::support::{Folder, LONG, VIEWS, free_port, hospital_by, skip, until};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -156,19 +156,7 @@ fn an_http_client_follows_a_mission_through_a_takeover() {
 
     // Six nodes could answer.
     let views = router.get("view/**");
-    let expected = [
-        "auctions",
-        "coordinator",
-        "ensembles",
-        "fleet",
-        "health",
-        "map",
-        "missions",
-        "robot/ada",
-        "robot/lab-arm",
-        "world",
-    ];
-    assert_eq!(views.keys().map(String::as_str).collect::<Vec<_>>(), expected.map(|name| format!("view/{name}")));
+    assert_eq!(views.keys().map(String::as_str).collect::<Vec<_>>(), VIEWS.map(|name| format!("view/{name}")));
     assert!(views.values().all(|view| view["seen_by"].is_string()), "{views:#?}");
     assert_eq!(views["view/coordinator"]["node"], coordinator.as_str());
     assert_eq!(views["view/robot/ada"]["robot"]["place"], "Dock");

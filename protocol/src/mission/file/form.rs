@@ -195,7 +195,7 @@ pub(super) struct TaskFile {
     #[serde(default)]
     #[schemars(range(min = 1, max = PATIENCE_MAX_S))]
     pub(super) patience_s: Option<u32>,
-    /// Task of a person: who is asked, too, when nobody has answered for a while.
+    /// Task of a person: escalation of a request without an answer to people with another role.
     #[serde(default)]
     pub(super) escalate: Option<Escalation>,
     /// Abstract task: other methods, tried in this order when a task of its own method has failed

@@ -146,7 +146,7 @@ enum ReportCase<'a> {
     NewSteps,
     /// A robot cannot continue.
     RobotFailed(&'a TaskFailure),
-    /// Nobody can continue: a result is unknown.
+    /// No robot can continue: a result is unknown.
     MissionFailed(&'a MissionEntry, &'a TaskFailure),
     /// The ledger contains the whole report.
     NoNews(&'a MissionEntry, &'a RoleEntry),

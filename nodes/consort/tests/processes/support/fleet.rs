@@ -188,6 +188,21 @@ impl Drop for Fleet {
     }
 }
 
+/// Names of all views of [`hospital`] without missions.
+pub(crate) const VIEWS: [&str; 11] = [
+    "auctions",
+    "coordinator",
+    "ensembles",
+    "fleet",
+    "health",
+    "map",
+    "missions",
+    "requests",
+    "robot/ada",
+    "robot/lab-arm",
+    "world",
+];
+
 /// Starts three stations as voters, so that the coordinator has no other task and can be killed.
 pub(crate) fn hospital(name: &str) -> Fleet {
     start_hospital(Fleet::new(&named_fleet(name)))

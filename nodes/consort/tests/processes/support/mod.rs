@@ -14,7 +14,7 @@ mod skip;
 pub(crate) use client::{Client, config, tasks};
 pub(crate) use closed::Closed;
 pub(crate) use consort_tests::example_files::example;
-pub(crate) use fleet::{Fleet, hospital, hospital_by};
+pub(crate) use fleet::{Fleet, VIEWS, hospital, hospital_by};
 pub(crate) use folder::Folder;
 pub(crate) use free_port::free_port;
 pub(crate) use http::{Answer, http};
