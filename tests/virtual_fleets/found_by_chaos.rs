@@ -5,8 +5,17 @@ use consort_tests::chaos::{RunConfig, Schedule, run};
 
 /// Asserts that all invariants hold under this schedule.
 fn holds(seed: u64, minutes: f64, schedule: &str) {
+    holds_in(seed, minutes, false, schedule);
+}
+
+/// Asserts the same for a closed fleet.
+fn holds_closed(seed: u64, minutes: f64, schedule: &str) {
+    holds_in(seed, minutes, true, schedule);
+}
+
+fn holds_in(seed: u64, minutes: f64, closed: bool, schedule: &str) {
     let schedule: Schedule = serde_json::from_str(schedule).expect("a schedule");
-    let outcome = run(&RunConfig { seed, nodes: 7, minutes, closed: false, mutant: None }, &schedule);
+    let outcome = run(&RunConfig { seed, nodes: 7, minutes, closed, mutant: None }, &schedule);
     if let Some(violation) = outcome.violation {
         let events = violation.events_before.join("\n");
         panic!("seed {seed}: {}: {}\n{events}\n{schedule}", violation.invariant, violation.reason);
@@ -186,6 +195,38 @@ fn a_body_stops_in_time_although_the_bus_of_its_driver_is_blocked() {
             {"at_ms": 18376, "action": "submit", "request": "r1", "mission": "lab-samples", "room": "PC Room 1", "priority": 0},
             {"at_ms": 19978, "action": "block", "node": "world", "for_ms": 8078},
             {"at_ms": 22313, "action": "crash", "node": "carrier of r1", "disk": "kept", "for_ms": 5427}
+        ]}"#,
+    );
+}
+
+/// The only replica that had applied the end of a mission was killed before the robot halted. The check
+/// asked the replicas that were left.
+#[test]
+fn a_role_that_ended_on_a_killed_replica_has_ended() {
+    holds_closed(
+        4363,
+        2.0,
+        r#"{"steps": [
+            {"at_ms": 17698, "action": "partition", "groups": [["clove", "basil", "garnet", "hazel", "indigo", "world", "client"], ["aster", "lab-arm"]], "for_ms": 8000},
+            {"at_ms": 25698, "action": "partition", "groups": [["garnet", "aster", "lab-arm", "hazel", "indigo", "world", "client"], ["clove", "basil"]], "for_ms": 15000},
+            {"at_ms": 42620, "action": "remove", "node": "garnet"},
+            {"at_ms": 54620, "action": "submit", "request": "w1", "mission": "lab-samples", "room": "PC Room 7", "priority": 30},
+            {"at_ms": 64712, "action": "remove", "node": "carrier of w1"}
+        ], "world_speed": 2}"#,
+    );
+}
+
+/// The coordinator stepped down between the commit of a nurse's wait and its event. The check did not
+/// know that the ledger executes the roles of people.
+#[test]
+fn a_wait_of_a_person_that_the_ledger_contains_has_ended() {
+    holds_closed(
+        4808,
+        2.0,
+        r#"{"steps": [
+            {"at_ms": 5265, "action": "submit", "request": "r0", "mission": "lab-samples-watched", "room": "IC Room 6", "priority": 0},
+            {"at_ms": 8275, "action": "crash", "node": "carrier of r0", "disk": "kept", "for_ms": 24219},
+            {"at_ms": 13944, "action": "weather", "loss": 0.0, "duplication": 0.0, "reordering": 0.0, "delay_ms": 229, "for_ms": 23309}
         ]}"#,
     );
 }

@@ -1,14 +1,15 @@
 //! Everything that the coordinator confirms to a robot is in the ledger.
 //!
 //! A role begins only under a committed award. A robot halts a finished role only after some
-//! replica contains the end of the role, because a report is committed before it is acknowledged.
+//! replica has contained the end of the role, because a report is committed before it is
+//! acknowledged. The replica may have been killed since.
 
+use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::lease::EndReason;
-use consort_protocol::ledger::{Ledger, RolePhase};
+use consort_protocol::ledger::RolePhase;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -16,8 +17,7 @@ use std::time::Duration;
 pub(super) struct Settled {
     /// Applied positions of the log.
     applied: BTreeSet<(u64, u64)>,
-    /// Roles that had ended on some replica, which may have been killed since.
-    over: BTreeSet<(MissionId, RoleId)>,
+    reference: ReferenceLedger,
 }
 
 impl Invariant for Settled {
@@ -25,7 +25,8 @@ impl Invariant for Settled {
         "settled"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
+        self.reference.observe(entry);
         if let Observation::EntryApplied { at, .. } = entry {
             self.applied.insert((at.index, at.term));
         }
@@ -37,16 +38,10 @@ impl Invariant for Settled {
                 );
             }
             Some(EventKind::Halted { mission, role, reason: EndReason::Over }) => {
-                let part = (mission.clone(), role.clone());
-                let over = |ledger: &Ledger| {
-                    ledger.mission(mission).is_none_or(|entry| {
-                        entry.state.is_final() || entry.roles.get(role).is_none_or(|r| r.phase == RolePhase::Ended)
-                    })
-                };
-                let somewhere = fleet.nodes.values().filter_map(|node| node.replica.as_ref()).any(|r| r.read(over));
-                if somewhere {
-                    self.over.insert(part);
-                } else if !self.over.contains(&part) {
+                let has_ended = self.reference.ledger.mission(mission).is_none_or(|entry| {
+                    entry.state.is_final() || entry.roles.get(role).is_none_or(|role| role.phase == RolePhase::Ended)
+                });
+                if !has_ended {
                     return Err(format!(
                         "{node} halted {role} of {mission} as ended, but it has not ended in any ledger"
                     )

@@ -3,7 +3,9 @@
 //! A wait passes only after its signal was sent by the active holder of the role
 //! ([`under_lease`](super::under_lease) checks that it is active). When a mission has completed,
 //! every sent signal was received. There are two exceptions: the receiving role was released when
-//! only cleanup remained, or the signal was sent before a recovery branch was taken.
+//! only cleanup remained, or the signal was sent before a recovery branch was taken. The roles of
+//! people are executed in the ledger, so it shows which signals they have received; a coordinator
+//! that ends may leave its event unpublished.
 
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
@@ -11,6 +13,7 @@ use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::ledger::{MissionEntry, MissionState};
+use consort_protocol::mission::RoleKind;
 use consort_protocol::plan::{Signal, Step, StepAction};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -40,6 +43,14 @@ fn cut_short(entry: &MissionEntry, role: &RoleId) -> bool {
 fn concerns(entry: &MissionEntry, signal: &Signal) -> bool {
     let sends = |step: &Step| matches!(&step.action, StepAction::Send(of) if of == signal);
     entry.plan(&signal.from).is_some_and(|plan| plan.steps.iter().any(sends))
+}
+
+/// Checks whether the ledger contains the wait for a signal as ended, in the role of a person.
+fn has_ended_wait(entry: &MissionEntry, signal: &Signal) -> bool {
+    let is_wait = |step: &Step| matches!(&step.action, StepAction::Wait(of) if of == signal);
+    let wait = entry.plan(&signal.to).and_then(|plan| (0..).zip(&plan.steps).find(|(_, step)| is_wait(step)));
+    let role = entry.roles.get(&signal.to).filter(|role| role.kind == RoleKind::Unmanaged);
+    role.zip(wait).is_some_and(|(role, (index, _))| role.ended.contains(&index))
 }
 
 impl Invariant for Signals {
@@ -82,7 +93,7 @@ impl Invariant for Signals {
             let received = self.received.get(mission);
             let not_received = sent.iter().filter(|signal| !received.is_some_and(|received| received.contains(signal)));
             for signal in not_received {
-                if !cut_short(entry, &signal.to) && concerns(entry, signal) {
+                if !cut_short(entry, &signal.to) && concerns(entry, signal) && !has_ended_wait(entry, signal) {
                     return Err(format!("{mission} has completed, but {signal:?} was never received").into());
                 }
             }
