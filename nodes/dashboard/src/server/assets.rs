@@ -43,6 +43,8 @@ assets! {
     "/auctions.js" "text/javascript; charset=utf-8" "assets/auctions.js",
     "/fleet.js" "text/javascript; charset=utf-8" "assets/fleet.js",
     "/log.js" "text/javascript; charset=utf-8" "assets/log.js",
+    "/request.js" "text/javascript; charset=utf-8" "assets/request.js",
+    "/mission_form.js" "text/javascript; charset=utf-8" "assets/mission_form.js",
     "/submit.js" "text/javascript; charset=utf-8" "assets/submit.js",
     "/session.js" "text/javascript; charset=utf-8" "assets/session.js",
     "/replay.js" "text/javascript; charset=utf-8" "assets/replay.js",

@@ -1,12 +1,12 @@
 // The page for people: requests of missions, answers, missions of their own, and calls for robots.
 
 import { byId, make, setText, readable } from './dom.js';
+import { givenParameters, parameterFields, placesOf } from './mission_form.js';
+import { newRequest, send as requestOnce } from './request.js';
 import { admitted } from './session.js';
 
 /** Polling interval in milliseconds, and the time without a reply after which the page says so. */
 const [POLL, SILENCE] = [1500, 5000];
-/** Limits of a read and of a request in milliseconds. The node itself gives up on a request after 8 s. */
-const [READ_LIMIT, REQUEST_LIMIT] = [4000, 12000];
 
 const store = {
   get: (key) => { try { return localStorage.getItem(`consort-${key}`) ?? ''; } catch { return ''; } },
@@ -28,19 +28,14 @@ const isEscalated = (request) => request.escalates_at_ms && request.escalates_at
 const isMine = (request) => role() === '' || request.role === role() || (isEscalated(request) && request.escalates_to === role());
 const time = (ms) => new Date(ms).toLocaleTimeString([], { hour: '2-digit', minute: '2-digit' });
 
-async function send(method, path, value) {
-  const options = { method, signal: AbortSignal.timeout(method === 'GET' ? READ_LIMIT : REQUEST_LIMIT) };
-  if (value !== undefined) Object.assign(options, { body: JSON.stringify(value), headers: { 'content-type': 'application/json' } });
-  let reply;
+/** Sends a request. If the token has expired, the page first asks for another one. */
+async function send(...request) {
   try {
-    reply = await fetch(path, options);
-  } catch {
-    throw new Error('This page’s node does not reply.');
+    return await requestOnce(...request);
+  } catch (problem) {
+    if (problem.status === 401) await signIn();
+    throw problem;
   }
-  const content = await reply.json().catch(() => ({}));
-  if (reply.status === 401) await signIn();
-  if (!reply.ok) throw new Error(content.error ?? `The node replies with status ${reply.status}.`);
-  return content;
 }
 
 async function poll() {
@@ -265,10 +260,9 @@ byId('call-send').disabled = true;
     const problem = byId('call-problem');
     problem.hidden = true;
     byId('call-send').disabled = true;
-    request ??= `me-${Date.now().toString(36)}-${Math.random().toString(36).slice(2, 8)}`;
-    const given = [...document.querySelectorAll('[data-parameter]')].filter((element) => element.value !== '');
-    const body = { mission: byId('call-mission').value, request, by: name() || undefined,
-      parameters: Object.fromEntries(given.map((element) => [element.dataset.parameter, element.value])) };
+    request ??= newRequest();
+    const parameters = givenParameters(byId('call-parameters'));
+    const body = { mission: byId('call-mission').value, request, by: name() || undefined, parameters };
     try {
       const { mission } = await send('POST', '/api/missions', body);
       request = undefined;
@@ -285,26 +279,20 @@ byId('call-send').disabled = true;
 async function startCalls() {
   try {
     shipped = (await send('GET', '/api/shipped')).missions;
-    places = ((await send('GET', '/api/fleet')).map?.places ?? []).filter((place) => place.kind !== 'corridor').map((place) => place.name);
+    places = placesOf(await send('GET', '/api/fleet'));
   } catch {
     return setTimeout(startCalls, POLL);
   }
   byId('call-mission').replaceChildren(...shipped.map(({ mission, title }) => make('option', { value: mission, title }, readable(mission))));
-  byId('call-mission').onchange = parameters;
-  parameters();
+  byId('call-mission').onchange = showParameters;
+  showParameters();
   byId('call-send').disabled = false;
 }
 
-function parameters() {
+function showParameters() {
   const chosen = shipped.find((template) => template.mission === byId('call-mission').value);
   setText(byId('call-title'), chosen?.title ?? '');
-  byId('call-parameters').replaceChildren(...Object.entries(chosen?.parameters ?? {}).map(([key, { kind, default: value, description }]) => {
-    const input = kind === 'place' && places.length > 0
-      ? make('select', {}, places.map((place) => make('option', { value: place, selected: place === value }, place)))
-      : make('input', { value: value ?? '', required: value === undefined, autocomplete: 'off' });
-    input.dataset.parameter = key;
-    return make('label', { className: 'field' }, `${readable(key)}${description ? `: ${description}` : ''}`, input);
-  }));
+  byId('call-parameters').replaceChildren(...parameterFields(chosen?.parameters ?? {}, places));
 }
 
 for (const key of ['name', 'role']) {

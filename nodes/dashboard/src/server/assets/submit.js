@@ -1,7 +1,9 @@
 // Submitting, canceling and resolving missions.
 
-import { byId, make, setText, readable } from './dom.js';
+import { byId, make, setText } from './dom.js';
+import { givenParameters, parameterFields, placesOf } from './mission_form.js';
 import { lastKnownPlace } from './missions.js';
+import { newRequest, send } from './request.js';
 import { announce } from './status.js';
 
 let bundled = [];
@@ -39,11 +41,10 @@ export function start(onSubmitted) {
     const button = byId('submit-send');
     button.disabled = true;
     setText(button, 'Submitting …');
-    request ??= `page-${Date.now().toString(36)}-${Math.random().toString(36).slice(2, 8)}`;
-    const given = [...document.querySelectorAll('[data-parameter]')].filter((field) => field.value !== '');
+    request ??= newRequest();
     const body = {
       mission: file?.mission ?? byId('submit-mission').value,
-      parameters: Object.fromEntries(given.map((field) => [field.dataset.parameter, field.value])),
+      parameters: givenParameters(byId('submit-parameters')),
       request,
       priority: Number(byId('submit-priority').value || 0),
     };
@@ -66,7 +67,7 @@ export function start(onSubmitted) {
 }
 
 export function setPlaces(model) {
-  places = (model.map?.places ?? []).filter((place) => place.kind !== 'corridor').map(({ name }) => name);
+  places = placesOf(model);
 }
 
 export async function cancel(id, button) {
@@ -149,33 +150,10 @@ function parameters() {
   byId('submit-people').hidden = agents.length === 0;
   byId('submit-people').replaceChildren(byId('submit-people').firstElementChild, ...agents);
   setText(byId('submit-title'), chosen?.title ?? '');
-  const fields = Object.entries(chosen?.parameters ?? {}).map(([name, { kind, default: value, description }]) => {
-    const text = `${readable(name)}${description ? `: ${description}` : ''}${kind === 'seconds' ? ', in seconds' : ''}`;
-    const known = kind === 'place' && places.length > 0 && (!value || places.includes(value));
-    const field = known
-      ? make('select', {}, places.map((place) => make('option', { value: place, selected: place === value }, place)))
-      : make('input', { type: kind === 'seconds' ? 'number' : 'text', value: value ?? '', required: value === undefined, autocomplete: 'off' });
-    field.dataset.parameter = name;
-    return make('label', { className: 'field' }, text, field);
-  });
-  byId('submit-parameters').replaceChildren(...fields);
+  byId('submit-parameters').replaceChildren(...parameterFields(chosen?.parameters ?? {}, places));
 }
 
 function showProblem(text, form = 'submit') {
   byId(`${form}-problem`).hidden = !text;
   setText(byId(`${form}-problem`), text);
-}
-
-async function send(method, path, value) {
-  const options = { method };
-  if (value !== undefined) Object.assign(options, { body: JSON.stringify(value), headers: { 'content-type': 'application/json' } });
-  let reply;
-  try {
-    reply = await fetch(path, options);
-  } catch {
-    throw new Error('This page’s node does not reply.');
-  }
-  const content = await reply.json().catch(() => ({}));
-  if (!reply.ok) throw new Error(content.error ?? `The node replies with status ${reply.status}.`);
-  return content;
 }
