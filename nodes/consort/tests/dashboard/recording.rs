@@ -30,6 +30,8 @@ fn record(folder: &Folder) -> (String, String, String) {
         client.request("api/submit", payload)["mission"].as_str().map(|mission| assert_eq!(mission, "lab-samples-1"))
     });
     client.wait_for_event("a task begins", LONG, |event| event["event"] == "task_began");
+    // The recorder reads missions a moment after their events.
+    until("the recorder has read that the mission runs", SOON, || holds(r#""state":"running","submitted_at_ms""#));
     fleet.kill(&first);
     let elected = client.wait_for_event("another is elected", LONG, |event| {
         event["event"] == "elected" && event["node"] != first.as_str()

@@ -105,6 +105,25 @@ fn state(client: &Client, mission: &str) -> Value {
     })
 }
 
+/// Asserts that each task of a mission was executed once, although coordinators were killed. Events of the
+/// tasks of people follow the entry in the ledger, so a coordinator that is killed in between publishes
+/// them never: for those tasks the ledger counts.
+fn assert_each_task_once(client: &mut Client, mission: &str, context: &str) {
+    let is_of_person = |task: &str| task.starts_with("nurse/");
+    let (of_people, of_robots): (Vec<_>, Vec<_>) =
+        client.tasks(mission).into_iter().partition(|(task, _)| is_of_person(task));
+    let expected: Vec<_> = each_once().into_iter().filter(|(task, _)| !is_of_person(task)).collect();
+    assert_eq!(of_robots, expected, "{context}");
+    assert!(of_people.iter().all(|(_, (begun, ended))| *begun <= 1 && *ended <= 1), "{of_people:?}: {context}");
+    let done = until(&format!("a view of {mission}"), LONG, || {
+        let views = client.all(&format!("view/mission/{mission}"), "");
+        let view = views.into_iter().map(|(_, view)| view).find(|view| view["roles"].is_array())?;
+        let nurse = view["roles"].as_array()?.iter().find(|role| role["role"] == "nurse")?;
+        Some(nurse["steps"].as_array()?.iter().map(|step| step["done"] == true).collect::<Vec<_>>())
+    });
+    assert!(!done.is_empty() && done.iter().all(|done| *done), "{done:?}: {context}");
+}
+
 /// Kills the coordinator and restarts it.
 fn kill_and_start_again(fleet: &mut Fleet, client: &Client) {
     let victim = coordinator(client);
@@ -140,7 +159,7 @@ fn missions_survive_coordinator_kills_at_each_protocol_step() {
             "{step}: what was acknowledged is not lost, nor is it something new"
         );
         completes(&mut client, &mission);
-        assert_eq!(client.tasks(&mission), each_once(), "killed when it was {step}\n{}", fleet.logs());
+        assert_each_task_once(&mut client, &mission, &format!("killed when it was {step}\n{}", fleet.logs()));
         // The last step has been reported; the coordinator is killed before the next query.
         kill_and_start_again(&mut fleet, &client);
         assert_eq!(state(&client, &mission), "completed", "{step}");
@@ -172,7 +191,7 @@ fn a_mission_survives_a_coordinator_kill_at_each_task() {
     }
     completes(&mut client, &mission);
     assert!(kills > 2, "{kills}");
-    assert_eq!(client.tasks(&mission), each_once(), "{kills} kills\n{}", fleet.logs());
+    assert_each_task_once(&mut client, &mission, &format!("{kills} kills\n{}", fleet.logs()));
     fleet.stop();
 }
 
@@ -196,7 +215,7 @@ fn a_coordinator_that_was_stopped_returns_without_authority() {
         fleet.node(&first).stderr().contains("no longer coordinates").then_some(())
     });
     completes(&mut client, &mission);
-    assert_eq!(client.tasks(&mission), each_once(), "{}", fleet.logs());
+    assert_each_task_once(&mut client, &mission, &fleet.logs());
     let acts_as_coordinator = |event: &&Value| {
         let what = event["event"].as_str().unwrap_or("?");
         event["node"] == first.as_str()
