@@ -48,7 +48,8 @@ use crate::bt::{
 use crate::environment::Environment;
 use crate::skill::{STANDARD_SKILLS, SkillContext, StandardSkill, TaskContext, register_shared_leaves};
 use consort_protocol::ids::TaskType;
-use consort_protocol::mission::{DomainReference, OtherDomain, ResultValue, TaskSpec};
+use consort_protocol::mission::{DomainReference, OtherDomain, TaskSpec};
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::WorldTime;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -237,7 +238,7 @@ pub enum SkillStatus {
     /// Tick again when the robot reports an event, and at an interval.
     Running,
     /// The task is complete, with its results. A result that the tree has not set is missing.
-    Succeeded(BTreeMap<String, ResultValue>),
+    Succeeded(BTreeMap<String, Scalar>),
     /// The task is not complete, and will not be.
     Failed {
         /// Cause for people: the leaf that failed last, with the robot's own message, if any.
@@ -275,8 +276,8 @@ impl ActiveSkill {
         status
     }
 
-    fn results(&self) -> BTreeMap<String, ResultValue> {
-        let value = |name: &String| Some((name.clone(), ResultValue::from(self.tree.value(name)?)));
+    fn results(&self) -> BTreeMap<String, Scalar> {
+        let value = |name: &String| Some((name.clone(), Scalar::from(self.tree.value(name)?)));
         self.results.iter().filter_map(value).collect()
     }
 

@@ -56,6 +56,7 @@ impl Scene {
             let place = &map.places()[number * 7 % map.places().len()];
             RobotKnowledge {
                 skills: SKILLS.into_iter().map(slug).collect(),
+                attributes: Default::default(),
                 place: place.id.clone(),
                 pose: place.pose,
                 battery: BatteryShare::new(0.3 + 0.7 * (number % 11) as f64 / 11.0).expect("a share"),
@@ -75,8 +76,9 @@ impl Scene {
         Scene {
             call: CallForBids {
                 auction: AuctionId { mission: slug("lab-samples-1"), term: 1, round: 1 },
-                ensemble: slug("logistics"),
+                ensembles: vec![slug("logistics")],
                 roles: BTreeMap::from([(slug("r1"), plan)]),
+                eligible: BTreeMap::new(),
             },
             roles: BTreeSet::from([slug("r1")]),
             bidders: (0..workers).map(|number| Bidder::new(robot(number), Arc::clone(&estimator))).collect(),
@@ -101,6 +103,7 @@ impl Scene {
             responses,
             &AuctionContext {
                 invited: expected,
+                preferred: &[],
                 unavailable: &taken,
                 excluded: &excluded,
                 limits,

@@ -4,18 +4,19 @@ use crate::credentials::{Credentials, Signatures};
 use crate::event_log::{EventLog, Observation};
 use crate::robot_spec::RobotSpec;
 use crate::slug;
-use crate::ward::ward;
+use crate::ward::{logistics, ward};
 use consort_bus::clock::Clock;
 use consort_bus::trust::SigningBus;
 use consort_bus::{LinkModel, SharedBus, VirtualBus, VirtualNetwork};
 use consort_fleet::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSettings, RobotPart};
+use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
 use consort_protocol::trust::AccessScope;
 use consort_protocol::versions::VersionRange;
 use consort_raft::store::NodeStore;
-use consort_skills::domain::{hospital, standard_descriptors, standard_library};
+use consort_skills::domain::{standard_descriptors, standard_library};
 use consort_world::SharedWorld;
 use consort_world::map;
 use consort_world::world::{LoggedEvent, PersonSetup, World, WorldSetup};
@@ -105,8 +106,8 @@ pub(crate) struct FleetSetup {
     pub(crate) world: SharedWorld,
     /// World seconds per second of node time.
     pub(crate) speed: f64,
-    /// Robots with any of these skills receive calls for bids.
-    pub(crate) skills: Vec<String>,
+    /// Ensembles of the fleet.
+    pub(crate) ensembles: Vec<EnsembleSpec>,
     pub(crate) options: NodeOptions,
 }
 
@@ -173,20 +174,19 @@ impl Fleet {
         }
         let world = SharedWorld::new(World::new(setup).expect("a valid world"));
         let stations = stations.iter().map(|station| (*station).to_owned()).collect();
-        let skills = ["operate_drawer", "pick_up"].map(str::to_owned).to_vec();
+        let ensembles = vec![logistics(&["operate_drawer", "pick_up"])];
         let speed = options.world_speed;
-        Fleet::from_setup(FleetSetup { seed, members, stations, world, speed, skills, options }).await
+        Fleet::from_setup(FleetSetup { seed, members, stations, world, speed, ensembles, options }).await
     }
 
     /// Starts a fleet for the robots of an existing world.
     pub(crate) async fn from_setup(staging: FleetSetup) -> Fleet {
-        let FleetSetup { seed, members, stations, world, speed, skills, options } = staging;
+        let FleetSetup { seed, members, stations, world, speed, ensembles, options } = staging;
         let network = VirtualNetwork::new(seed, LinkModel::LAN);
         let present = members.iter().filter(|member| !member.starts_later).count();
-        let skills: Vec<&str> = skills.iter().map(String::as_str).collect();
-        let mut settings = ward(&skills, present + stations.len());
+        let mut settings = ward(ensembles, present + stations.len());
         let places = world.with(|world| world.map().topology().places);
-        settings.domain = Arc::new(hospital().with_places(places.into_keys()));
+        settings.domain = Arc::new((*settings.domain).clone().with_places(places.into_keys()));
         let client = network.bus(slug("client"));
         let credentials =
             options.signatures.map(|signatures| Credentials::new(settings.fleet.clone(), seed, signatures));

@@ -2,7 +2,7 @@
 
 use crate::slug;
 use consort_protocol::ids::PlaceId;
-use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::knowledge::{Attributes, Availability, RobotKnowledge};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_skills::library::SkillLibrary;
@@ -24,6 +24,8 @@ pub struct RobotSpec {
     pub discharge: f64,
     /// Its skills.
     pub skills: Vec<String>,
+    /// Its attributes.
+    pub attributes: Attributes,
     /// Changes its skill library before it starts.
     pub customize_library: Option<fn(&mut SkillLibrary)>,
     /// The test starts the node of the robot later.
@@ -45,6 +47,7 @@ impl RobotSpec {
             battery: 0.9,
             discharge: 0.0004,
             skills: skills.map(str::to_owned).to_vec(),
+            attributes: Attributes::default(),
             customize_library: None,
             starts_later: false,
             discharge_factor: 1.0,
@@ -120,6 +123,7 @@ impl RobotSpec {
         let place: PlaceId = slug(&self.place);
         RobotKnowledge {
             skills: self.skills.iter().map(|skill| slug(skill)).collect(),
+            attributes: self.attributes.clone(),
             pose: map.place(&place).map_or(Pose::default(), |place| place.pose),
             place,
             battery: BatteryShare::new(self.battery).expect("a share"),

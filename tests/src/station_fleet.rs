@@ -1,7 +1,7 @@
 //! A fleet of stations on virtual time, for tests of voters and the coordinator.
 
 use crate::slug;
-use crate::ward::ward;
+use crate::ward::{logistics, ward};
 use consort_bus::clock::Clock;
 use consort_bus::{Bus as _, LinkModel, VirtualBus, VirtualNetwork};
 use consort_fleet::autopilot::VOTERS;
@@ -36,7 +36,7 @@ pub struct StationFleet {
 impl StationFleet {
     /// Creates a network without nodes. A cluster is created once `expect` nodes have met.
     pub fn empty(seed: u64, expect: usize) -> StationFleet {
-        let settings = ward(&["pick_up"], expect);
+        let settings = ward(vec![logistics(&["pick_up"])], expect);
         StationFleet {
             seed,
             network: VirtualNetwork::new(seed, LinkModel::LAN),

@@ -5,7 +5,7 @@ use consort_fleet::autopilot::{self, VOTERS};
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::FleetSettings;
 use consort_protocol::auction::{BidLimits, OptimalAssignment};
-use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
+use consort_protocol::ensemble::{EnsembleSpec, Ensembles};
 use consort_protocol::ids::EnsembleId;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::HistoryLimits;
@@ -15,15 +15,20 @@ use consort_world::map::shipped;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Returns the settings of the fleet `ward`. Robots with any of these skills receive calls for
-/// bids. The cluster is created once `bootstrap_expect` nodes have met.
-pub(crate) fn ward(skills: &[&str], bootstrap_expect: usize) -> FleetSettings {
+/// Returns the ensemble `logistics`: robots with any of these skills.
+pub(crate) fn logistics(skills: &[&str]) -> EnsembleSpec {
     let skills = skills.iter().map(|skill| slug(skill)).collect();
-    let spec = EnsembleSpec::with_any_skill_of(slug::<EnsembleId>("logistics"), skills);
+    EnsembleSpec::with_any_skill_of(slug::<EnsembleId>("logistics"), skills)
+}
+
+/// Returns the settings of the fleet `ward`. Robots of these ensembles receive calls for bids. The
+/// cluster is created once `bootstrap_expect` nodes have met.
+pub(crate) fn ward(ensembles: Vec<EnsembleSpec>, bootstrap_expect: usize) -> FleetSettings {
+    let ensembles = Ensembles::compile(ensembles).expect("valid ensembles");
     FleetSettings {
         fleet: slug("ward"),
-        ensemble: Arc::new(Ensemble::compile(spec).expect("a valid ensemble")),
-        domain: Arc::new(hospital()),
+        domain: Arc::new(hospital().with_ensembles(ensembles.names().cloned())),
+        ensembles: Arc::new(ensembles),
         limits: BidLimits::default(),
         request_limits: RequestLimits::default(),
         history_limits: HistoryLimits::default(),

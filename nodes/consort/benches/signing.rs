@@ -50,6 +50,7 @@ fn measure() -> Value {
     let beacon = ClusterEnvelope { cluster: None, payload: codec::encode(&beacon).expect("a message") };
     let worker = RobotKnowledge {
         skills: ["navigation", "approach_person", "authenticate_person", "operate_drawer"].map(name).into(),
+        attributes: Default::default(),
         pose: Default::default(),
         place: name("IC Room 6"),
         battery: BatteryShare::new(0.8).expect("a share"),

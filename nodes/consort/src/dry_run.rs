@@ -8,7 +8,8 @@ use consort_protocol::auction::{
     AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, RoleReply, clear_auction,
 };
 use consort_protocol::ensemble::Membership;
-use consort_protocol::ids::{EnsembleId, MissionId, RobotId, RoleId};
+use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::mission::{Mission, Role};
 use consort_protocol::plan::Division;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -45,8 +46,10 @@ pub(crate) struct DryRunOutcome {
     pub failure: Option<String>,
 }
 
-/// Auctions the plans of `roles` among the workers. Roles without a plan are skipped.
+/// Auctions the plans of `roles` among the workers, who count as members of every ensemble. Roles without
+/// a plan are skipped.
 pub(crate) fn simulate_auction(
+    mission: &Mission,
     division: &Division,
     roles: &BTreeSet<RoleId>,
     workers: &[WorkerEntry],
@@ -54,9 +57,11 @@ pub(crate) fn simulate_auction(
     limits: &BidLimits,
 ) -> DryRunOutcome {
     let open = division.plans.iter().filter(|(role, _)| roles.contains(*role));
+    let condition = |(role, declared): (&RoleId, &Role)| Some((role.clone(), declared.eligible.clone()?));
     let call = CallForBids {
         auction: AuctionId { mission: MissionId::new("dry-run").expect("a slug"), term: 0, round: 1 },
-        ensemble: EnsembleId::new("workers").expect("a slug"),
+        ensembles: vec![],
+        eligible: mission.roles.iter().filter_map(condition).collect(),
         roles: open.map(|(role, plan)| (role.clone(), plan.clone())).collect(),
     };
     let tenders: Vec<BidResponse> = workers.iter().map(|worker| tender(worker, &call, equipment)).collect();
@@ -65,6 +70,7 @@ pub(crate) fn simulate_auction(
     let excluded = BTreeMap::new();
     let circumstances = AuctionContext {
         invited: &expected,
+        preferred: &[],
         unavailable: &unavailable,
         excluded: &excluded,
         limits,

@@ -4,7 +4,7 @@ use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::file::{self, BYTES_MAX};
 use consort_protocol::api::{MissionSource, SubmitRequest};
 use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskId, TaskType};
-use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::knowledge::{Attributes, Availability, RobotKnowledge};
 use consort_protocol::mission::{Format, IhtnFields, MissionDocument, MissionErrors, MissionFileError, is_flat_ihtn};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
@@ -120,6 +120,7 @@ pub(crate) fn parse_any_format<T: DeserializeOwned>(text: &str, file: &str) -> R
 /// battery = 0.9                     # default 1
 /// discharge_share_per_s = 0.0004    # default 0
 /// useful_charge = 0.08              # the default
+/// attributes = { section = "icu" }  # default: none
 /// ```
 ///
 /// In JSON and YAML the file is an object with a list `worker`, or just the list.
@@ -132,6 +133,9 @@ pub struct WorkerEntry {
     pub place: PlaceId,
     /// The task types of its skills.
     pub skills: BTreeSet<TaskType>,
+    /// Its attributes, as in a robot's file.
+    #[serde(default)]
+    pub attributes: Attributes,
     /// Its average speed in metres per second; none if it does not drive.
     #[serde(default)]
     pub speed_mps: Option<MetresPerSecond>,
@@ -159,6 +163,7 @@ impl WorkerEntry {
     pub(crate) fn worker(&self, places: &BTreeMap<PlaceId, Pose>) -> RobotKnowledge {
         RobotKnowledge {
             skills: self.skills.clone(),
+            attributes: self.attributes.clone(),
             place: self.place.clone(),
             // An unknown place causes an error in the estimator, which is reported there.
             pose: places.get(&self.place).copied().unwrap_or_default(),
@@ -258,6 +263,7 @@ pub fn scenarios(text: &str, file: &str) -> Result<Vec<PublishedScenario>, Diagn
             name: robot.name,
             place: robot.location,
             skills: robot.skills,
+            attributes: Attributes::default(),
             speed_mps: Some(robot.avg_speed),
             battery: robot.battery_charge,
             discharge_share_per_s: robot.battery_discharge_rate,

@@ -14,7 +14,7 @@ use consort_fleet::autopilot;
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
 use consort_protocol::auction::{BidLimits, OptimalAssignment};
-use consort_protocol::ensemble::Ensemble;
+use consort_protocol::ensemble::Ensembles;
 use consort_protocol::ids::{FleetId, NodeId, PlaceId};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::lease::LeaseTerms;
@@ -117,15 +117,17 @@ pub(crate) struct SkillResources {
 /// coordinator accepts missions to its places only.
 ///
 /// # Errors
-/// [`Diagnostics`] of the ensemble, or of the map.
+/// [`Diagnostics`] of the ensembles, or of the map.
 pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Result<FleetSettings, Diagnostics> {
     let places = map_loader::load(&config.map)?.topology.places;
     let domain = extensions.domain();
-    let ensemble = Ensemble::compile(config.ensemble(&domain)).map_err(|problem| Diagnostic::for_file("", problem))?;
+    let ensembles =
+        Ensembles::compile(config.ensembles(&domain)).map_err(|problem| Diagnostic::for_file("", problem))?;
+    let domain = domain.with_places(places.into_keys()).with_ensembles(ensembles.names().cloned());
     Ok(FleetSettings {
         fleet: config.name.clone(),
-        ensemble: Arc::new(ensemble),
-        domain: Arc::new(domain.with_places(places.into_keys())),
+        ensembles: Arc::new(ensembles),
+        domain: Arc::new(domain),
         limits: limits(config),
         request_limits: RequestLimits { missions_max: config.requests.missions, requests_per_s: config.requests.per_s },
         history_limits: config.history.limits(),
@@ -257,6 +259,7 @@ pub(crate) fn worker(robot: &RobotConfig, places: &BTreeMap<PlaceId, Pose>) -> R
     };
     Ok(RobotKnowledge {
         skills: robot.skills.clone(),
+        attributes: robot.attributes.clone(),
         place: robot.place.clone(),
         pose: *pose,
         battery: robot.battery,

@@ -2,7 +2,8 @@
 
 use crate::ids::{MissionId, RequestId, RoleId, TaskId};
 use crate::ledger::PersonRequestId;
-use crate::mission::{IhtnFields, ResultValue};
+use crate::mission::IhtnFields;
+use crate::scalar::Scalar;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -111,7 +112,7 @@ pub struct AnswerRequest {
     /// For `done`: the results of the task, by name, as in the `form` of the request.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     #[schemars(with = "BTreeMap<String, Value>")]
-    pub results: BTreeMap<String, ResultValue>,
+    pub results: BTreeMap<String, Scalar>,
     /// Remark, for display.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub note: String,

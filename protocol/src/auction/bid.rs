@@ -2,7 +2,7 @@
 
 use crate::bounds::{self, ELEMENTS_MAX};
 use crate::ids::{EnsembleId, ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId, TaskType};
-use crate::mission::ROLES_MAX;
+use crate::mission::{ENSEMBLES_MAX, ROLES_MAX};
 use crate::plan::LocalPlan;
 use crate::units::{BatteryShare, Seconds};
 use schemars::JsonSchema;
@@ -20,16 +20,20 @@ pub struct AuctionId {
     pub round: u32,
 }
 
-/// Call for bids from the coordinator to the members of an ensemble.
+/// Call for bids from the coordinator to the members of ensembles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CallForBids {
     /// Round of the auction.
     pub auction: AuctionId,
-    /// Ensemble of the invited members.
-    pub ensemble: EnsembleId,
+    /// Ensembles whose members are invited. Empty: those of every ensemble.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ENSEMBLES_MAX>")]
+    pub ensembles: Vec<EnsembleId>,
     /// Local plan of each open role.
     #[serde(deserialize_with = "bounds::collection::<_, _, ROLES_MAX>")]
     pub roles: BTreeMap<RoleId, LocalPlan>,
+    /// Conditions on the robots, for the roles that have one.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ROLES_MAX>")]
+    pub eligible: BTreeMap<RoleId, String>,
 }
 
 /// Replies of a robot to a call: a bid or a refusal for each role.
@@ -142,14 +146,28 @@ pub enum RefusalReason {
         #[serde(deserialize_with = "bounds::text")]
         problem: String,
     },
-    /// The robot is not a member of the ensemble that was called, according to its own record.
-    #[error("not a member of {ensemble}: {why}")]
+    /// The robot is not a member of any ensemble that was called, according to its own record.
+    #[error("not a member of {why}")]
     NotMember {
-        /// The ensemble.
-        ensemble: EnsembleId,
-        /// Condition that is false.
+        /// The ensembles, each with the condition that is false.
         #[serde(deserialize_with = "bounds::text")]
         why: String,
+    },
+    /// The robot does not meet the condition of the role on its robot.
+    #[error("not eligible: {why}")]
+    NotEligible {
+        /// The condition, with the reason.
+        #[serde(deserialize_with = "bounds::text")]
+        why: String,
+        /// True if nothing that the robot does changes it.
+        permanent: bool,
+    },
+    /// Members of an ensemble that the mission names earlier can take all its roles. Set by the
+    /// coordinator.
+    #[error("members of {ensemble} come first")]
+    NotPreferred {
+        /// The ensemble.
+        ensemble: EnsembleId,
     },
     /// The robot has an item of a mission that waits for a person. Set by the coordinator.
     #[error("has the {item} of {mission}, which needs intervention")]
@@ -181,11 +199,13 @@ impl RefusalReason {
         match self {
             RefusalReason::NotFeasible { problem: text, .. }
             | RefusalReason::OutOfService { problem: text }
-            | RefusalReason::NotMember { why: text, .. }
+            | RefusalReason::NotMember { why: text }
+            | RefusalReason::NotEligible { why: text, .. }
             | RefusalReason::Excluded { cause: text } => bounds::limit_text(text, bounds::TEXT_BYTES_MAX),
             RefusalReason::MissingSkills { .. }
             | RefusalReason::Busy { .. }
             | RefusalReason::CarriesItem { .. }
+            | RefusalReason::NotPreferred { .. }
             | RefusalReason::Silent { .. } => {}
         }
     }
@@ -197,9 +217,11 @@ impl RefusalReason {
             RefusalReason::MissingSkills { .. }
             | RefusalReason::NotFeasible { .. }
             | RefusalReason::Excluded { .. } => true,
+            RefusalReason::NotEligible { permanent, .. } => *permanent,
             RefusalReason::Busy { .. }
             | RefusalReason::OutOfService { .. }
             | RefusalReason::NotMember { .. }
+            | RefusalReason::NotPreferred { .. }
             | RefusalReason::CarriesItem { .. }
             | RefusalReason::Silent { .. } => false,
         }

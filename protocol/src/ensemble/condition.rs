@@ -1,9 +1,10 @@
-//! Conditions of ensembles: compilation and evaluation.
+//! Conditions of ensembles and of roles: compilation and evaluation.
 
-use super::spec::EnsembleSpec;
+use crate::expression::{self, fields_used};
 use crate::ids::EnsembleId;
-use crate::loop_depth::{LOOP_DEPTH_MAX, loop_depth};
-use cel::{Context, Program, Value};
+use cel::{Context, ExecutionError, Program, Value};
+use consort_text::AllowedNames;
+use std::collections::BTreeSet;
 
 /// Error: a condition cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -17,14 +18,19 @@ pub struct ConditionError {
     pub problem: String,
 }
 
-/// Maximum length of a condition, in bytes.
-const CONDITION_MAX: usize = 1024;
+/// Variable of conditions, with its fields.
+pub(super) type Variable = (&'static str, &'static [&'static str]);
+
+/// Field of a node that contains its attributes, which are not known beforehand.
+pub(super) const ATTRIBUTES: &str = "attributes";
 
 /// Compiled condition.
 #[derive(Debug)]
 pub(super) struct Condition {
     pub(super) text: String,
     program: Program,
+    /// Fields that it uses, each with its variable.
+    fields: BTreeSet<(String, String)>,
 }
 
 /// Error: a condition has no result for a node.
@@ -36,6 +42,18 @@ pub(super) enum EvaluationError {
         /// The value.
         value: String,
     },
+    /// A variable does not exist.
+    #[error("there is no variable `{name}`")]
+    UnknownVariable {
+        /// The variable.
+        name: String,
+    },
+    /// The robot lacks an attribute; all other fields are checked when the condition is compiled.
+    #[error("there is no attribute `{name}`")]
+    NoAttribute {
+        /// The attribute.
+        name: String,
+    },
     /// The evaluation failed.
     #[error("{message}")]
     Failed {
@@ -45,36 +63,51 @@ pub(super) enum EvaluationError {
 }
 
 impl Condition {
+    /// Compiles a condition. `example` has values for all variables: a wrong name or type is found now
+    /// and not at run time, except for attributes, which differ between robots.
+    ///
+    /// # Errors
+    /// Description of the problem.
+    pub(super) fn compile(
+        text: &str,
+        variables: &[Variable],
+        example: &Context<'static, 'static>,
+    ) -> Result<Condition, String> {
+        let program = expression::compile(text)?;
+        let fields = fields_used(program.expression());
+        for (name, field) in &fields {
+            let Some((_, known)) = variables.iter().find(|(variable, _)| variable == name) else { continue };
+            if !known.contains(&field.as_str()) {
+                let allowed = AllowedNames::suggest_for(field, known.iter());
+                return Err(format!("`{name}` has no field `{field}`; {allowed}"));
+            }
+        }
+        let condition = Condition { text: text.to_owned(), program, fields };
+        match condition.holds(example) {
+            Err(problem @ EvaluationError::UnknownVariable { .. }) => {
+                let names = variables.iter().map(|(name, _)| format!("`{name}`")).collect::<Vec<_>>().join(", ");
+                Err(format!("{problem}; allowed: {names}"))
+            }
+            Err(problem) if !condition.uses(|field| field == ATTRIBUTES) => Err(problem.to_string()),
+            Ok(_) | Err(_) => Ok(condition),
+        }
+    }
+
+    /// Checks whether the condition uses one of these fields of a node.
+    pub(super) fn uses(&self, is_meant: impl Fn(&str) -> bool) -> bool {
+        self.fields.iter().any(|(_, field)| is_meant(field))
+    }
+
     /// Evaluates the condition.
     pub(super) fn holds(&self, facts: &Context<'static, 'static>) -> Result<bool, EvaluationError> {
         match self.program.execute(facts) {
             Ok(Value::Bool(holds)) => Ok(holds),
             Ok(other) => Err(EvaluationError::NotBoolean { value: format!("{other:?}") }),
+            Err(ExecutionError::UndeclaredReference(name)) => {
+                Err(EvaluationError::UnknownVariable { name: name.to_string() })
+            }
+            Err(ExecutionError::NoSuchKey(name)) => Err(EvaluationError::NoAttribute { name: name.to_string() }),
             Err(problem) => Err(EvaluationError::Failed { message: problem.to_string() }),
         }
     }
-}
-
-/// Compiles conditions of an ensemble.
-pub(super) fn compile_all(spec: &EnsembleSpec, texts: &[String]) -> Result<Vec<Condition>, ConditionError> {
-    let refuse = |condition: &String, problem| ConditionError {
-        ensemble: spec.name.clone(),
-        condition: condition.clone(),
-        problem,
-    };
-    let compile = |text: &String| {
-        if text.len() > CONDITION_MAX {
-            return Err(refuse(text, format!("is {} bytes long; at most {CONDITION_MAX} are allowed", text.len())));
-        }
-        let program = Program::compile(text).map_err(|e| refuse(text, e.to_string()))?;
-        let loops = loop_depth(program.expression());
-        if loops > LOOP_DEPTH_MAX {
-            return Err(refuse(
-                text,
-                format!("loops are nested {loops} deep; at most {LOOP_DEPTH_MAX} levels are allowed"),
-            ));
-        }
-        Ok(Condition { text: text.clone(), program })
-    };
-    texts.iter().map(compile).collect()
 }

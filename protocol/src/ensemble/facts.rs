@@ -1,21 +1,45 @@
-//! Variables of the conditions of ensembles.
+//! Variables of conditions: fields of nodes and robots.
 
 use crate::ids::{NodeId, PlaceId, TaskType};
-use crate::knowledge::{Availability, Knowledge, RobotKnowledge};
+use crate::knowledge::{Attributes, Availability, Knowledge, RobotKnowledge};
 use crate::pose::Pose;
 use crate::units::{BatteryShare, SharePerSecond};
 use crate::versions::VersionRange;
+use cel::{SerializationError, Value};
 use serde::Serialize;
 use std::collections::BTreeSet;
+use std::sync::LazyLock;
 
-/// Fields of a node that conditions can use.
+/// Fields of a robot.
+pub(super) const ROBOT_FIELDS: &[&str] =
+    &["name", "attributes", "skills", "place", "x_m", "y_m", "battery", "discharge", "speed"];
+
+/// Fields of a robot that change while it works.
+pub(super) const CHANGING_FIELDS: &[&str] = &["place", "x_m", "y_m", "battery"];
+
+/// Fields of a node.
+pub(super) const NODE_FIELDS: &[&str] = &[
+    "name",
+    "attributes",
+    "skills",
+    "place",
+    "x_m",
+    "y_m",
+    "battery",
+    "discharge",
+    "speed",
+    "may_vote",
+    "stationary",
+    "mains_powered",
+    "robot",
+    "free",
+    "estimator",
+];
+
 #[derive(Serialize)]
-pub(super) struct Facts<'a> {
+struct RobotFacts<'a> {
     name: &'a str,
-    may_vote: bool,
-    stationary: bool,
-    mains_powered: bool,
-    robot: bool,
+    attributes: &'a Attributes,
     skills: Vec<&'a str>,
     place: &'a str,
     x_m: f64,
@@ -23,33 +47,88 @@ pub(super) struct Facts<'a> {
     battery: f64,
     discharge: f64,
     speed: f64,
+}
+
+#[derive(Serialize)]
+struct NodeFacts<'a> {
+    #[serde(flatten)]
+    own: RobotFacts<'a>,
+    may_vote: bool,
+    stationary: bool,
+    mains_powered: bool,
+    robot: bool,
     free: bool,
     estimator: &'a str,
 }
 
-impl<'a> Facts<'a> {
-    pub(super) fn of(name: &'a NodeId, knowledge: &'a Knowledge) -> Facts<'a> {
-        let worker = knowledge.robot.as_ref();
-        Facts {
-            name: name.as_str(),
-            may_vote: knowledge.may_vote,
-            stationary: knowledge.stationary,
-            mains_powered: knowledge.mains_powered,
-            robot: worker.is_some(),
-            skills: worker.map(|w| w.skills.iter().map(TaskType::as_str).collect()).unwrap_or_default(),
-            place: worker.map_or("", |w| w.place.as_str()),
-            x_m: worker.map_or(0.0, |w| w.pose.x),
-            y_m: worker.map_or(0.0, |w| w.pose.y),
-            battery: worker.map_or(0.0, |w| w.battery.get()),
-            discharge: worker.map_or(0.0, |w| w.discharge.get()),
-            speed: worker.and_then(|w| w.speed).map_or(0.0, |speed| speed.get()),
-            free: knowledge.is_free(),
-            estimator: worker.map_or("", |w| &w.estimator),
+impl<'a> RobotFacts<'a> {
+    fn of(name: &'a str, robot: &'a RobotKnowledge) -> RobotFacts<'a> {
+        RobotFacts {
+            name,
+            attributes: &robot.attributes,
+            skills: robot.skills.iter().map(TaskType::as_str).collect(),
+            place: robot.place.as_str(),
+            x_m: robot.pose.x,
+            y_m: robot.pose.y,
+            battery: robot.battery.get(),
+            discharge: robot.discharge.get(),
+            speed: robot.speed.map_or(0.0, |speed| speed.get()),
+        }
+    }
+
+    /// Returns the fields of a node without a robot.
+    fn none(name: &'a str) -> RobotFacts<'a> {
+        static NO_ATTRIBUTES: LazyLock<Attributes> = LazyLock::new(Attributes::default);
+        RobotFacts {
+            name,
+            attributes: &NO_ATTRIBUTES,
+            skills: vec![],
+            place: "",
+            x_m: 0.0,
+            y_m: 0.0,
+            battery: 0.0,
+            discharge: 0.0,
+            speed: 0.0,
         }
     }
 }
 
+/// Returns the fields of a robot as a value of expressions.
+pub(super) fn robot_facts(name: &str, robot: &RobotKnowledge) -> Result<Value, SerializationError> {
+    cel::to_value(RobotFacts::of(name, robot))
+}
+
+/// Returns the fields of a node as a value of expressions.
+pub(super) fn node_facts(name: &NodeId, knowledge: &Knowledge) -> Result<Value, SerializationError> {
+    let (robot, name) = (knowledge.robot.as_ref(), name.as_str());
+    cel::to_value(NodeFacts {
+        own: robot.map_or_else(|| RobotFacts::none(name), |robot| RobotFacts::of(name, robot)),
+        may_vote: knowledge.may_vote,
+        stationary: knowledge.stationary,
+        mains_powered: knowledge.mains_powered,
+        robot: robot.is_some(),
+        free: knowledge.is_free(),
+        estimator: robot.map_or("", |robot| &robot.estimator),
+    })
+}
+
 /// Returns the knowledge of an example robot, for the check of conditions.
+pub(super) fn example_robot() -> RobotKnowledge {
+    RobotKnowledge {
+        skills: BTreeSet::from([TaskType::new("navigation").expect("a slug")]),
+        attributes: Attributes::default(),
+        place: PlaceId::new("dock").expect("a label"),
+        pose: Pose::default(),
+        battery: BatteryShare::FULL,
+        discharge: SharePerSecond::new(0.0).expect("a rate"),
+        useful_charge: BatteryShare::new(0.0).expect("a share"),
+        speed: None,
+        availability: Availability::Free,
+        estimator: String::new(),
+    }
+}
+
+/// Returns the knowledge of the node of [`example_robot`].
 pub(super) fn example_knowledge() -> Knowledge {
     Knowledge {
         may_vote: true,
@@ -59,16 +138,29 @@ pub(super) fn example_knowledge() -> Knowledge {
         cluster: None,
         leaving: false,
         supported_versions: VersionRange::OWN,
-        robot: Some(RobotKnowledge {
-            skills: BTreeSet::from([TaskType::new("navigation").expect("a slug")]),
-            place: PlaceId::new("dock").expect("a label"),
-            pose: Pose::default(),
-            battery: BatteryShare::FULL,
-            discharge: SharePerSecond::new(0.0).expect("a rate"),
-            useful_charge: BatteryShare::new(0.0).expect("a share"),
-            speed: None,
-            availability: Availability::Free,
-            estimator: String::new(),
-        }),
+        robot: Some(example_robot()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cel::objects::Key;
+
+    /// Returns the names of the fields of a value.
+    fn fields(value: Value) -> BTreeSet<String> {
+        let Value::Map(map) = value else { panic!("{value:?} is no map") };
+        map.map.keys().map(Key::to_string).collect()
+    }
+
+    #[test]
+    fn the_lists_of_fields_are_complete() {
+        let listed = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<BTreeSet<_>>();
+        assert_eq!(fields(robot_facts("ada", &example_robot()).unwrap()), listed(ROBOT_FIELDS));
+        let node = NodeId::new("ada").unwrap();
+        assert_eq!(fields(node_facts(&node, &example_knowledge()).unwrap()), listed(NODE_FIELDS));
+        let station = Knowledge { robot: None, ..example_knowledge() };
+        assert_eq!(fields(node_facts(&node, &station).unwrap()), listed(NODE_FIELDS));
+        assert!(CHANGING_FIELDS.iter().all(|field| ROBOT_FIELDS.contains(field)));
     }
 }

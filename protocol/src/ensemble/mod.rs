@@ -2,34 +2,42 @@
 //! 3.4, after DEECo).
 //!
 //! An ensemble has a name, conditions on a member, conditions on its coordinator, and a maximum age
-//! of the knowledge used. Conditions are CEL expressions over these variables:
+//! of the knowledge used. A role of a mission may have a condition on its robot, too, its eligibility.
+//! Conditions are CEL expressions over these variables:
 //!
 //! | variable | fields |
 //! |---|---|
-//! | `member`, `coordinator` | `name`, `may_vote`, `stationary`, `mains_powered`, `robot` (true for a robot's node), `skills` (list), `place`, `x_m`, `y_m`, `battery`, `discharge`, `speed` (0 if it does not drive), `free`, `estimator` |
+//! | `robot` (of a role), `member`, `coordinator` | `name`, `attributes` (as `member.attributes.section`), `skills` (list), `place`, `x_m`, `y_m`, `battery`, `discharge`, `speed` (0 if it does not drive) |
+//! | `member`, `coordinator` | also `may_vote`, `stationary`, `mains_powered`, `robot` (true for a robot's node), `free`, `estimator` |
 //! | `ensemble` | `name`, `skills`: the skills that the ensemble's missions need |
 //!
-//! All conditions of a list must hold. The evaluated membership is local and has an age: it depends
-//! on the records that the evaluating node has received.
+//! All conditions of a list must hold. A condition on an attribute that a robot lacks does not hold. The
+//! evaluated membership is local and has an age: it depends on the records that the evaluating node has
+//! received.
 
 mod condition;
+mod eligibility;
+mod ensembles;
 mod facts;
 mod spec;
 
 pub use condition::ConditionError;
+pub use eligibility::{Eligibility, Ineligibility};
+pub use ensembles::Ensembles;
 pub use spec::EnsembleSpec;
 
-use self::condition::{Condition, EvaluationError, compile_all};
-use self::facts::{Facts, example_knowledge};
+use self::condition::{Condition, EvaluationError, Variable};
+use self::facts::{NODE_FIELDS, example_knowledge, node_facts};
+use crate::expression;
 use crate::ids::{NodeId, TaskType};
 use crate::knowledge::{Knowledge, KnowledgeBase};
 use crate::units::NodeTime;
-use cel::{Context, Env, SerializationError, Value};
+use cel::{Context, SerializationError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 /// Ensemble with compiled conditions.
@@ -37,9 +45,6 @@ pub struct Ensemble {
     spec: EnsembleSpec,
     membership: Vec<Condition>,
     coordinator: Vec<Condition>,
-    /// Standard functions of CEL. Their setup takes longer than the evaluation of any condition, so
-    /// it is done once.
-    functions: Arc<Env>,
     /// Latest result for each node and the knowledge it was computed from. Conditions are evaluated
     /// many times a second, and knowledge changes once a second at most.
     cache: Mutex<BTreeMap<NodeId, CachedVerdict>>,
@@ -89,22 +94,20 @@ impl Ensemble {
     /// [`ConditionError`] for the first condition that cannot be parsed, uses an unknown name, or
     /// does not evaluate to a boolean.
     pub fn compile(spec: EnsembleSpec) -> Result<Ensemble, ConditionError> {
-        let membership = compile_all(&spec, &spec.membership)?;
-        let coordinator = compile_all(&spec, &spec.coordinator)?;
-        let ensemble =
-            Ensemble { spec, membership, coordinator, functions: Arc::new(Env::stdlib()), cache: Mutex::default() };
         let example = NodeId::new("example").expect("a slug");
         let knowledge = example_knowledge();
-        let facts =
-            ensemble.facts((&example, &knowledge), (&example, &knowledge)).expect("the example can be converted");
-        for condition in ensemble.membership.iter().chain(&ensemble.coordinator) {
-            condition.holds(&facts).map_err(|problem| ConditionError {
-                ensemble: ensemble.spec.name.clone(),
-                condition: condition.text.clone(),
-                problem: problem.to_string(),
-            })?;
-        }
-        Ok(ensemble)
+        let variables =
+            variables(&spec, (&example, &knowledge), (&example, &knowledge)).expect("the example can be converted");
+        let compile = |text: &String| {
+            Condition::compile(text, VARIABLES, &variables).map_err(|problem| ConditionError {
+                ensemble: spec.name.clone(),
+                condition: text.clone(),
+                problem,
+            })
+        };
+        let membership = spec.membership.iter().map(compile).collect::<Result<_, _>>()?;
+        let coordinator = spec.coordinator.iter().map(compile).collect::<Result<_, _>>()?;
+        Ok(Ensemble { spec, membership, coordinator, cache: Mutex::default() })
     }
 
     /// Returns the declaration.
@@ -177,8 +180,7 @@ impl Ensemble {
         coordinator: &NodeId,
         coordinator_knowledge: &Knowledge,
     ) -> Result<(), NotMember> {
-        let facts = self
-            .facts((node, knowledge), (coordinator, coordinator_knowledge))
+        let facts = variables(&self.spec, (node, knowledge), (coordinator, coordinator_knowledge))
             .map_err(|problem| NotMember::NotEvaluated { node: node.clone(), problem: problem.to_string() })?;
         for (conditions, subject) in [(&self.coordinator, coordinator), (&self.membership, node)] {
             for condition in conditions {
@@ -203,30 +205,28 @@ impl Ensemble {
             .cloned()
             .collect()
     }
+}
 
-    /// Builds the variables that conditions can use.
-    fn facts(
-        &self,
-        (member, knowledge): (&NodeId, &Knowledge),
-        (coordinator, coordinator_knowledge): (&NodeId, &Knowledge),
-    ) -> Result<Context<'static, 'static>, SerializationError> {
-        #[derive(Serialize)]
-        struct Declared<'a> {
-            name: &'a str,
-            skills: Vec<&'a str>,
-        }
-        let declared =
-            Declared { name: self.spec.name.as_str(), skills: self.spec.skills.iter().map(TaskType::as_str).collect() };
-        let mut context = Context::with_env(Arc::clone(&self.functions));
-        let mut set = |name: &str, value: Result<Value, SerializationError>| {
-            context.add_variable_from_value(name, value?);
-            Ok::<(), SerializationError>(())
-        };
-        set("member", cel::to_value(Facts::of(member, knowledge)))?;
-        set("coordinator", cel::to_value(Facts::of(coordinator, coordinator_knowledge)))?;
-        set("ensemble", cel::to_value(declared))?;
-        Ok(context)
+/// Variables of the conditions of ensembles.
+const VARIABLES: &[Variable] =
+    &[("member", NODE_FIELDS), ("coordinator", NODE_FIELDS), ("ensemble", &["name", "skills"])];
+
+fn variables(
+    spec: &EnsembleSpec,
+    (member, knowledge): (&NodeId, &Knowledge),
+    (coordinator, coordinator_knowledge): (&NodeId, &Knowledge),
+) -> Result<Context<'static, 'static>, SerializationError> {
+    #[derive(Serialize)]
+    struct Declared<'a> {
+        name: &'a str,
+        skills: Vec<&'a str>,
     }
+    let declared = Declared { name: spec.name.as_str(), skills: spec.skills.iter().map(TaskType::as_str).collect() };
+    let mut context = expression::variables();
+    context.add_variable_from_value("member", node_facts(member, knowledge)?);
+    context.add_variable_from_value("coordinator", node_facts(coordinator, coordinator_knowledge)?);
+    context.add_variable_from_value("ensemble", cel::to_value(declared)?);
+    Ok(context)
 }
 
 fn millis(age: Duration) -> u64 {
@@ -282,7 +282,10 @@ mod tests {
     fn an_invalid_condition_is_rejected_when_it_is_compiled() {
         for (condition, expected) in [
             ("member.skills.", "ensemble samples: condition `member.skills.`:"),
-            ("member.wheels > 3", "ensemble samples: condition `member.wheels > 3`:"),
+            (
+                "member.wheels > 3",
+                "ensemble samples: condition `member.wheels > 3`: `member` has no field `wheels`; allowed: name",
+            ),
             ("member.battery", "it must be true or false"),
             ("wheels", "ensemble samples"),
         ] {

@@ -1,5 +1,6 @@
 //! Content of a record: the abilities and the state of a node and of its robot.
 
+use super::attributes::Attributes;
 use crate::bounds::{self, ELEMENTS_MAX};
 use crate::ids::{ClusterId, MissionId, PlaceId, RoleId, TaskType};
 use crate::pose::Pose;
@@ -52,6 +53,9 @@ pub struct RobotKnowledge {
     /// Skills of the robot.
     #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
     pub skills: BTreeSet<TaskType>,
+    /// Attributes of the robot, as in its file.
+    #[serde(default)]
+    pub attributes: Attributes,
     /// Current or last place on the map.
     pub place: PlaceId,
     /// Pose on the map.

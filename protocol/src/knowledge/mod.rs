@@ -5,11 +5,13 @@
 //! associative and idempotent. Records may arrive over any path, in any order, any number of times
 //! (a state-based CRDT: Shapiro et al. 2011).
 
+mod attributes;
 mod base;
 mod content;
 mod digest;
 mod record;
 
+pub use attributes::{Attributes, AttributesError};
 pub use base::{KnowledgeBase, KnownRecord};
 pub use content::{Availability, Knowledge, RobotKnowledge};
 pub use digest::{Digest, DigestScope};

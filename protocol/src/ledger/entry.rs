@@ -7,8 +7,9 @@ use crate::auction::AuctionRecord;
 use crate::codec;
 use crate::ids::{ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId};
 use crate::lease::{Epoch, RoleHolder};
-use crate::mission::{LostItem, Mission, OUTCOMES_BYTES_MAX, ResultValue, RoleKind, TaskOutcome, TaskOutcomes};
+use crate::mission::{LostItem, Mission, OUTCOMES_BYTES_MAX, RoleKind, TaskOutcome, TaskOutcomes};
 use crate::plan::{Division, LocalPlan, Signal, StepAction, StepIndex};
+use crate::scalar::Scalar;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
@@ -278,7 +279,7 @@ impl MissionEntry {
     }
 
     /// Returns the results of the mission that are known.
-    pub fn results(&self) -> BTreeMap<String, ResultValue> {
+    pub fn results(&self) -> BTreeMap<String, Scalar> {
         self.mission().known_results(&self.outcomes)
     }
 

@@ -16,8 +16,8 @@ use super::branch::Branch;
 use crate::bounds::limit_text;
 use crate::ids::{MissionId, RoleId, TaskId};
 use crate::lease::RoleHolder;
-use crate::mission::ResultValue;
 use crate::plan::StepIndex;
+use crate::scalar::Scalar;
 use crate::schema::inline_schema;
 use schemars::{JsonSchema, json_schema};
 use serde::{Deserialize, Serialize};
@@ -195,7 +195,7 @@ pub struct PersonAnswer {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum AnswerContent {
     /// The task is done, with these results.
-    Done(BTreeMap<String, ResultValue>),
+    Done(BTreeMap<String, Scalar>),
     /// The person does not want to do it.
     Declined,
     /// The person is not able to do it.

@@ -3,18 +3,14 @@
 //! An expression is in CEL. Each task whose results it uses is a variable: `inspect.dust_g > 5.0`. The
 //! value of an expression is unknown while such a task has no outcome, or if it was skipped.
 
-use super::outcome::{ResultValue, TaskOutcome, TaskOutcomes};
+use super::outcome::{TaskOutcome, TaskOutcomes};
+use crate::expression::{self, cel_value, compile, fields_used};
 use crate::ids::TaskId;
-use crate::loop_depth::{LOOP_DEPTH_MAX, loop_depth, parts};
-use cel::IdedExpr;
-use cel::common::ast::Expr;
+use crate::scalar::Scalar;
+use cel::Value;
 use cel::objects::{Key, Map};
-use cel::{Context, Program, Value};
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
-
-/// Maximum size of an expression, in bytes.
-pub(crate) const EXPRESSION_BYTES_MAX: usize = 1024;
 
 /// Returns the tasks whose results an expression uses.
 ///
@@ -35,9 +31,7 @@ pub(crate) fn tasks_used(text: &str) -> Result<BTreeSet<TaskId>, String> {
 /// As [`tasks_used`].
 pub(crate) fn results_used(text: &str) -> Result<BTreeSet<(TaskId, Option<String>)>, String> {
     let tasks = tasks_used(text)?;
-    let program = compile(text)?;
-    let mut fields = vec![];
-    collect_fields(program.expression(), &mut fields);
+    let fields = fields_used(compile(text)?.expression());
     let of_task = |task: TaskId| {
         let of_it = fields.iter().filter(|(name, _)| name == task.as_str());
         let mut used: Vec<_> = of_it.map(|(_, field)| (task.clone(), Some(field.clone()))).collect();
@@ -47,18 +41,6 @@ pub(crate) fn results_used(text: &str) -> Result<BTreeSet<(TaskId, Option<String
         used
     };
     Ok(tasks.into_iter().flat_map(of_task).collect())
-}
-
-/// Collects the fields that an expression selects directly from variables.
-fn collect_fields(expression: &IdedExpr, fields: &mut Vec<(String, String)>) {
-    if let Expr::Select(select) = &expression.expr
-        && let Expr::Ident(name) = &select.operand.expr
-    {
-        fields.push((name.clone(), select.field.clone()));
-    }
-    for part in parts(expression) {
-        collect_fields(part, fields);
-    }
 }
 
 /// Evaluates a condition to true or false.
@@ -77,33 +59,20 @@ pub(crate) fn holds(text: &str, outcomes: &TaskOutcomes) -> Result<bool, String>
 ///
 /// # Errors
 /// Description of the problem: a result is unknown, or the value is a list or a map.
-pub(crate) fn value(text: &str, outcomes: &TaskOutcomes) -> Result<ResultValue, String> {
+pub(crate) fn value(text: &str, outcomes: &TaskOutcomes) -> Result<Scalar, String> {
     match execute(text, outcomes)? {
-        Value::Bool(value) => Ok(ResultValue::Bool(value)),
-        Value::Int(number) => Ok(ResultValue::Integer(number)),
-        Value::UInt(number) => {
-            Ok(i64::try_from(number).map_or(ResultValue::Number(number as f64), ResultValue::Integer))
-        }
-        Value::Float(number) if number.is_finite() => Ok(ResultValue::Number(number)),
-        Value::String(text) => Ok(ResultValue::Text(text.to_string())),
+        Value::Bool(value) => Ok(Scalar::Bool(value)),
+        Value::Int(number) => Ok(Scalar::Integer(number)),
+        Value::UInt(number) => Ok(i64::try_from(number).map_or(Scalar::Number(number as f64), Scalar::Integer)),
+        Value::Float(number) if number.is_finite() => Ok(Scalar::Number(number)),
+        Value::String(text) => Ok(Scalar::Text(text.to_string())),
         other => Err(format!("the value is {other:?}; allowed is a boolean, a finite number or a text")),
-    }
-}
-
-fn compile(text: &str) -> Result<Program, String> {
-    if text.len() > EXPRESSION_BYTES_MAX {
-        return Err(format!("it has {} bytes; at most {EXPRESSION_BYTES_MAX} are allowed", text.len()));
-    }
-    let program = Program::compile(text).map_err(|problem| problem.to_string())?;
-    match loop_depth(program.expression()) {
-        0..=LOOP_DEPTH_MAX => Ok(program),
-        loops => Err(format!("loops are nested {loops} deep; at most {LOOP_DEPTH_MAX} levels are allowed")),
     }
 }
 
 fn execute(text: &str, outcomes: &TaskOutcomes) -> Result<Value, String> {
     let program = compile(text)?;
-    let mut context = Context::default();
+    let mut context = expression::variables();
     for name in program.references().variables() {
         let task = TaskId::new(name).map_err(|problem| problem.to_string())?;
         match outcomes.get(&task) {
@@ -119,18 +88,10 @@ fn execute(text: &str, outcomes: &TaskOutcomes) -> Result<Value, String> {
     program.execute(&context).map_err(|problem| problem.to_string())
 }
 
-fn cel_value(value: &ResultValue) -> Value {
-    match value {
-        ResultValue::Bool(value) => Value::Bool(*value),
-        ResultValue::Integer(number) => Value::Int(*number),
-        ResultValue::Number(number) => Value::Float(*number),
-        ResultValue::Text(text) => Value::String(Arc::new(text.clone())),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::expression::EXPRESSION_BYTES_MAX;
 
     fn outcomes() -> TaskOutcomes {
         let results = serde_json::json!({ "dust_g": 7.5, "count": 3, "clean": false, "colour": "red" });
@@ -149,8 +110,8 @@ mod tests {
         ] {
             assert_eq!(holds(text, &outcomes()), Ok(expected), "{text}");
         }
-        assert_eq!(value("inspect.dust_g * 2.0", &outcomes()), Ok(ResultValue::Number(15.0)));
-        assert_eq!(value("inspect.count", &outcomes()), Ok(ResultValue::Integer(3)));
+        assert_eq!(value("inspect.dust_g * 2.0", &outcomes()), Ok(Scalar::Number(15.0)));
+        assert_eq!(value("inspect.count", &outcomes()), Ok(Scalar::Integer(3)));
         let used = tasks_used("inspect.dust_g > 5.0 && mop.passes < 2").unwrap();
         assert_eq!(used.iter().map(TaskId::as_str).collect::<Vec<_>>(), ["inspect", "mop"]);
     }

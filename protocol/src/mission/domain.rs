@@ -1,4 +1,4 @@
-//! Domain of missions: task types with their parameters, and places.
+//! Domain of missions: task types with their parameters, places, and ensembles.
 //!
 //! A mission is valid within a domain (thesis 3.5: its task types are among those that the system
 //! has skills for). If the fleet's map is known, the places that a mission uses must be on it. The
@@ -8,8 +8,8 @@
 use super::diagnostic::MissionErrorKind;
 use super::domain_reference::DomainReference;
 use super::ihtn_names::IhtnNames;
-use super::outcome::{RESULT_BYTES_MAX, ResultValue};
-use crate::ids::{PlaceId, TaskType};
+use crate::ids::{EnsembleId, PlaceId, TaskType};
+use crate::scalar::{SCALAR_BYTES_MAX, Scalar};
 use consort_text::AllowedNames;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
-/// Task types and places that missions may use.
+/// Task types, places and ensembles that missions may use.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Domain {
@@ -25,6 +25,9 @@ pub struct Domain {
     /// Places of the fleet's map; `None` without a map, and then every name is accepted.
     #[serde(skip)]
     places: Option<Arc<BTreeSet<PlaceId>>>,
+    /// Ensembles of the fleet; `None` if they are not known, and then every name is accepted.
+    #[serde(skip)]
+    ensembles: Option<Arc<BTreeSet<EnsembleId>>>,
     /// Meaning of names in missions in the flat iHTN form.
     #[serde(skip)]
     ihtn: IhtnNames,
@@ -143,8 +146,8 @@ impl ValueKind {
         match self {
             ValueKind::Bool => 2,
             ValueKind::Seconds | ValueKind::Number(_) | ValueKind::Integer(_) => 11,
-            ValueKind::OneOf(words) => 4 + words.iter().map(String::len).max().unwrap_or(0).min(RESULT_BYTES_MAX),
-            ValueKind::Place | ValueKind::Role | ValueKind::Text => 4 + RESULT_BYTES_MAX,
+            ValueKind::OneOf(words) => 4 + words.iter().map(String::len).max().unwrap_or(0).min(SCALAR_BYTES_MAX),
+            ValueKind::Place | ValueKind::Role | ValueKind::Text => 4 + SCALAR_BYTES_MAX,
         }
     }
 
@@ -166,20 +169,18 @@ impl ValueKind {
 
     /// Returns a result in the type of this kind: a whole number is also a number. `None` if it is not of
     /// this kind.
-    fn accept(&self, value: &ResultValue) -> Option<ResultValue> {
+    fn accept(&self, value: &Scalar) -> Option<Scalar> {
         let value = match (self, value) {
-            (ValueKind::Number(_) | ValueKind::Seconds, ResultValue::Integer(number)) => {
-                ResultValue::Number(*number as f64)
-            }
+            (ValueKind::Number(_) | ValueKind::Seconds, Scalar::Integer(number)) => Scalar::Number(*number as f64),
             (_, value) => value.clone(),
         };
         let is_valid = match (self, &value) {
-            (ValueKind::Bool, ResultValue::Bool(_)) => true,
-            (ValueKind::Integer(range), ResultValue::Integer(number)) => range.contains(*number as f64),
-            (ValueKind::Number(range), ResultValue::Number(number)) => range.contains(*number),
-            (ValueKind::Seconds, ResultValue::Number(number)) => number.is_finite() && *number >= 0.0,
-            (ValueKind::Text | ValueKind::OneOf(_) | ValueKind::Place | ValueKind::Role, ResultValue::Text(text)) => {
-                text.len() <= RESULT_BYTES_MAX && self.admits(text)
+            (ValueKind::Bool, Scalar::Bool(_)) => true,
+            (ValueKind::Integer(range), Scalar::Integer(number)) => range.contains(*number as f64),
+            (ValueKind::Number(range), Scalar::Number(number)) => range.contains(*number),
+            (ValueKind::Seconds, Scalar::Number(number)) => number.is_finite() && *number >= 0.0,
+            (ValueKind::Text | ValueKind::OneOf(_) | ValueKind::Place | ValueKind::Role, Scalar::Text(text)) => {
+                text.len() <= SCALAR_BYTES_MAX && self.admits(text)
             }
             _ => false,
         };
@@ -187,14 +188,12 @@ impl ValueKind {
     }
 
     /// Returns the result of this kind that a text denotes; `None` if it denotes none.
-    pub fn parse(&self, text: &str) -> Option<ResultValue> {
+    pub fn parse(&self, text: &str) -> Option<Scalar> {
         let value = match self {
-            ValueKind::Bool => ResultValue::Bool(text.parse().ok()?),
-            ValueKind::Integer(_) => ResultValue::Integer(text.parse().ok()?),
-            ValueKind::Number(_) | ValueKind::Seconds => ResultValue::Number(text.parse().ok()?),
-            ValueKind::Text | ValueKind::OneOf(_) | ValueKind::Place | ValueKind::Role => {
-                ResultValue::Text(text.to_owned())
-            }
+            ValueKind::Bool => Scalar::Bool(text.parse().ok()?),
+            ValueKind::Integer(_) => Scalar::Integer(text.parse().ok()?),
+            ValueKind::Number(_) | ValueKind::Seconds => Scalar::Number(text.parse().ok()?),
+            ValueKind::Text | ValueKind::OneOf(_) | ValueKind::Place | ValueKind::Role => Scalar::Text(text.to_owned()),
         };
         self.accept(&value)
     }
@@ -222,8 +221,8 @@ impl ValueKind {
 /// Description of the first problem, with what is allowed.
 pub fn check_results(
     form: &BTreeMap<String, ValueKind>,
-    results: &BTreeMap<String, ResultValue>,
-) -> Result<BTreeMap<String, ResultValue>, String> {
+    results: &BTreeMap<String, Scalar>,
+) -> Result<BTreeMap<String, Scalar>, String> {
     if let Some(name) = results.keys().find(|name| !form.contains_key(*name)) {
         return Err(match form.is_empty() {
             true => format!("the task has no result `{name}`; it has no results"),
@@ -289,6 +288,17 @@ impl Domain {
     /// Returns the places of the fleet's map, if it is known.
     pub fn places(&self) -> Option<&BTreeSet<PlaceId>> {
         self.places.as_deref()
+    }
+
+    /// Sets the complete list of ensembles.
+    #[must_use]
+    pub fn with_ensembles(self, ensembles: impl IntoIterator<Item = EnsembleId>) -> Self {
+        Self { ensembles: Some(Arc::new(ensembles.into_iter().collect())), ..self }
+    }
+
+    /// Returns the ensembles of the fleet, if they are known.
+    pub fn ensembles(&self) -> Option<&BTreeSet<EnsembleId>> {
+        self.ensembles.as_deref()
     }
 
     /// Adds the meaning of names in flat iHTNs; replaces earlier meanings of the same names.

@@ -5,6 +5,8 @@
 pub(crate) const TASKS_MAX: usize = 512;
 /// Maximum number of roles of a mission.
 pub(crate) const ROLES_MAX: usize = 64;
+/// Maximum number of ensembles that a mission names.
+pub(crate) const ENSEMBLES_MAX: usize = 16;
 /// Maximum number of levels of the tree.
 pub(crate) const DEPTH_MAX: usize = 32;
 /// Maximum number of roles of a joint task: each role signals to each other role, so the number of

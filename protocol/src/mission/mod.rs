@@ -31,6 +31,7 @@ mod lost_item;
 mod model;
 mod order;
 mod outcome;
+mod policies;
 mod references;
 mod structure;
 #[cfg(test)]
@@ -46,7 +47,7 @@ pub use file::{Format, MissionFileError, MissionTemplate, TemplateKind, Template
 pub use ihtn::{ActionUse, IhtnOptions, UndeclaredActions, import_ihtn, is_flat_ihtn, undeclared_actions};
 pub use ihtn_names::IhtnNames;
 pub use limits::FILE_BYTES_MAX;
-pub(crate) use limits::ROLES_MAX;
+pub(crate) use limits::{ENSEMBLES_MAX, ROLES_MAX};
 pub(crate) use lost_item::LostItem;
 pub use model::{
     AlternativeMethod, Escalation, Method, Mission, OnLoss, ResultReference, Role, RoleKind, TaskBody, TaskIndex,
@@ -54,4 +55,4 @@ pub use model::{
 };
 pub use order::GlobalOrder;
 pub(crate) use outcome::OUTCOMES_BYTES_MAX;
-pub use outcome::{RESULT_BYTES_MAX, RESULTS_MAX, ResultValue, TaskOutcome, TaskOutcomes};
+pub use outcome::{RESULTS_MAX, TaskOutcome, TaskOutcomes};

@@ -3,8 +3,9 @@
 use super::condition;
 use super::domain::{Domain, ValueKind};
 use super::domain_reference::{DomainReference, OtherDomain};
-use super::outcome::{ResultValue, TaskOutcome, TaskOutcomes};
-use crate::ids::{ItemId, RoleId, TaskId, TaskType};
+use super::outcome::{TaskOutcome, TaskOutcomes};
+use crate::ids::{EnsembleId, ItemId, RoleId, TaskId, TaskType};
+use crate::scalar::Scalar;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,6 +21,10 @@ pub struct Mission {
     pub name: TaskId,
     /// Participating roles.
     pub roles: BTreeMap<RoleId, Role>,
+    /// Ensembles whose members get its roles: those of the first if they can fill all roles, otherwise
+    /// those of the first 2, and so on. Empty: members of any ensemble.
+    #[serde(default)]
+    pub ensembles: Vec<EnsembleId>,
     /// Tasks of the tree: parents before children, siblings in the order of the file.
     pub tasks: Vec<TaskNode>,
     /// Results of the mission, by name: expressions over the results of its tasks.
@@ -35,6 +40,9 @@ pub struct Role {
     /// Consequence if its holder is lost after other roles have acted on its work.
     #[serde(default)]
     pub on_loss: OnLoss,
+    /// Condition on the robot that fills a managed role: see [`Eligibility`](crate::ensemble::Eligibility).
+    #[serde(default)]
+    pub eligible: Option<String>,
 }
 
 /// Consequence if a robot is lost after other roles have acted on its work, while it has no item.
@@ -54,7 +62,7 @@ pub enum OnLoss {
 impl Role {
     /// Creates a role of this kind with the default [`OnLoss::Fail`].
     pub fn of(kind: RoleKind) -> Self {
-        Role { kind, on_loss: OnLoss::Fail }
+        Role { kind, on_loss: OnLoss::Fail, eligible: None }
     }
 }
 
@@ -359,7 +367,7 @@ impl Mission {
     }
 
     /// Returns the results of the mission that are known.
-    pub(crate) fn known_results(&self, outcomes: &TaskOutcomes) -> BTreeMap<String, ResultValue> {
+    pub(crate) fn known_results(&self, outcomes: &TaskOutcomes) -> BTreeMap<String, Scalar> {
         let known = |(name, text): (&String, &String)| Some((name.clone(), condition::value(text, outcomes).ok()?));
         self.results.iter().filter_map(known).collect()
     }

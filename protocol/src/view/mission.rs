@@ -2,10 +2,11 @@
 
 use super::{readable, readable_or_default};
 use crate::auction::{AuctionRecord, Explanation};
-use crate::ids::{MissionId, RequestId, RobotId, RoleId, TaskId, TaskType};
+use crate::ids::{EnsembleId, MissionId, RequestId, RobotId, RoleId, TaskId, TaskType};
 use crate::ledger::{Branch, HeldItem, MissionState, Priority, RolePhase, RoleRelease};
-use crate::mission::{ResultValue, RoleKind, TaskNode, TaskOrder};
+use crate::mission::{RoleKind, TaskNode, TaskOrder};
 use crate::plan::StepIndex;
+use crate::scalar::Scalar;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -49,7 +50,7 @@ pub struct MissionBrief {
     pub progress: MissionProgress,
     /// Results of the mission that are known, by name.
     #[serde(default)]
-    pub result: BTreeMap<String, ResultValue>,
+    pub result: BTreeMap<String, Scalar>,
 }
 
 /// State of a mission.
@@ -151,6 +152,9 @@ pub struct MissionView {
     /// Latest releases of its roles, oldest first.
     #[serde(default, deserialize_with = "readable")]
     pub releases: Vec<RoleRelease>,
+    /// Ensembles whose robots it prefers, in this order; empty for none.
+    #[serde(default)]
+    pub ensembles: Vec<EnsembleId>,
     /// Tasks of the mission, as in the ledger: the first is the root, children are indices.
     #[serde(default, deserialize_with = "readable_or_default")]
     pub tasks: Vec<TaskNode>,
@@ -175,6 +179,9 @@ pub struct RoleView {
     pub role: RoleId,
     /// Kind of role.
     pub kind: RoleKind,
+    /// Condition on its robot; null for none.
+    #[serde(default)]
+    pub eligible: Option<String>,
     /// Phase of the role.
     pub phase: RolePhase,
     /// Its holder; kept after the end.
@@ -237,7 +244,7 @@ pub enum TaskView {
         roles: Vec<TaskParticipant>,
         /// Its results, by name.
         #[serde(default)]
-        results: BTreeMap<String, ResultValue>,
+        results: BTreeMap<String, Scalar>,
     },
 }
 

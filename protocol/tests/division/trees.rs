@@ -57,7 +57,7 @@ pub(crate) fn mission(tree: &Tree) -> Mission {
         _ => RoleKind::Managed,
     };
     let roles = used.iter().map(|number| (role(*number), Role::of(kind(number)))).collect();
-    Mission { name: TaskId::new("trial").unwrap(), roles, tasks, results: Default::default() }
+    Mission { name: TaskId::new("trial").unwrap(), roles, ensembles: vec![], tasks, results: Default::default() }
 }
 
 /// Returns the roles of each elementary task.

@@ -71,10 +71,11 @@ proptest! {
 
     #[test]
     fn auctions_survive(
-        auction in auction(), roles in btree_map(name(), plan(), 0..3), ensemble in name(), bid in bid(),
+        auction in auction(), roles in btree_map(name(), plan(), 0..3), ensembles in vec(name(), 0..3), bid in bid(),
+        eligible in btree_map(name(), text(), 0..3),
         robot in name::<RobotId>(), role in name::<RoleId>(), reason in reason()
     ) {
-        assert_round_trip(&CallForBids { auction: auction.clone(), ensemble, roles })?;
+        assert_round_trip(&CallForBids { auction: auction.clone(), ensembles, roles, eligible })?;
         let refusal = BidRefusal { robot: robot.clone(), role, reason };
         assert_round_trip(&BidResponse { robot, auction, replies: vec![RoleReply::Bid(bid), RoleReply::Refusal(refusal)] })?;
     }

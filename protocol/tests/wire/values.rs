@@ -1,14 +1,15 @@
 //! Arbitrary missions, plans and records.
 
 use consort_protocol::ids::{ClusterId, PlaceId, TaskType};
-use consort_protocol::knowledge::{Availability, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
+use consort_protocol::knowledge::{Attributes, Availability, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
 use consort_protocol::lease::Epoch;
 use consort_protocol::mission::{
-    AlternativeMethod, DomainHash, DomainReference, Escalation, Method, Mission, OnLoss, ResultReference, ResultValue,
-    Role, RoleKind, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskOutcomes, TaskSpec,
+    AlternativeMethod, DomainHash, DomainReference, Escalation, Method, Mission, OnLoss, ResultReference, Role,
+    RoleKind, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskOutcomes, TaskSpec,
 };
 use consort_protocol::plan::{Alternative, LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::pose::Pose;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::trust::Fingerprint;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
 use consort_protocol::versions::VersionRange;
@@ -80,14 +81,17 @@ pub(crate) fn spec() -> impl Strategy<Value = TaskSpec> {
     )
 }
 
+fn scalar() -> impl Strategy<Value = Scalar> {
+    prop_oneof![
+        any::<bool>().prop_map(Scalar::Bool),
+        any::<i64>().prop_map(Scalar::Integer),
+        (-1e9..1e9).prop_map(Scalar::Number),
+        text().prop_map(Scalar::Text),
+    ]
+}
+
 pub(crate) fn outcomes() -> impl Strategy<Value = TaskOutcomes> {
-    let value = prop_oneof![
-        any::<bool>().prop_map(ResultValue::Bool),
-        any::<i64>().prop_map(ResultValue::Integer),
-        (-1e9..1e9).prop_map(ResultValue::Number),
-        text().prop_map(ResultValue::Text),
-    ];
-    let done = btree_map(text(), value, 0..3).prop_map(TaskOutcome::Done);
+    let done = btree_map(text(), scalar(), 0..3).prop_map(TaskOutcome::Done);
     btree_map(name(), prop_oneof![Just(TaskOutcome::Skipped), done], 0..3)
 }
 
@@ -123,13 +127,10 @@ pub(crate) fn mission() -> impl Strategy<Value = Mission> {
         }),
     ];
     let node = (name(), body).prop_map(|(id, body)| TaskNode { id, body });
-    (
-        name(),
-        btree_map(name(), (kind, on_loss).prop_map(|(kind, on_loss)| Role { kind, on_loss }), 0..4),
-        vec(node, 0..6),
-        btree_map(text(), text(), 0..2),
-    )
-        .prop_map(|(name, roles, tasks, results)| Mission { name, roles, tasks, results })
+    let role = (kind, on_loss, option::of(text()));
+    let role = role.prop_map(|(kind, on_loss, eligible)| Role { kind, on_loss, eligible });
+    (name(), btree_map(name(), role, 0..4), vec(name(), 0..3), vec(node, 0..6), btree_map(text(), text(), 0..2))
+        .prop_map(|(name, roles, ensembles, tasks, results)| Mission { name, roles, ensembles, tasks, results })
 }
 
 pub(crate) fn availability() -> impl Strategy<Value = Availability> {
@@ -148,10 +149,25 @@ pub(crate) fn worker() -> impl Strategy<Value = RobotKnowledge> {
     let speed = option::of((0.01..9.0).prop_map(|speed| MetresPerSecond::new(speed).expect("a speed")));
     let pose = (-1e3..1e3, -1e3..1e3, -4.0..4.0).prop_map(|(x, y, yaw)| Pose::new(x, y, yaw));
     let rate = (0.0..1.0).prop_map(|rate| SharePerSecond::new(rate).expect("a rate"));
-    (btree_set(name::<TaskType>(), 0..5), place(), pose, share(), rate, share(), speed, availability(), text())
-        .prop_map(|(skills, place, pose, battery, discharge, useful_charge, speed, availability, estimator)| {
-            RobotKnowledge { skills, place, pose, battery, discharge, useful_charge, speed, availability, estimator }
-        })
+    let attributes = btree_map("[a-z_][a-z0-9_]{0,8}", scalar(), 0..3)
+        .prop_map(|attributes| Attributes::try_from(attributes).expect("valid attributes"));
+    let abilities = (btree_set(name::<TaskType>(), 0..5), attributes, speed, text());
+    (abilities, place(), pose, share(), rate, share(), availability()).prop_map(
+        |((skills, attributes, speed, estimator), place, pose, battery, discharge, useful_charge, availability)| {
+            RobotKnowledge {
+                skills,
+                attributes,
+                place,
+                pose,
+                battery,
+                discharge,
+                useful_charge,
+                speed,
+                availability,
+                estimator,
+            }
+        },
+    )
 }
 
 pub(crate) fn record() -> impl Strategy<Value = Record> {

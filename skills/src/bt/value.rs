@@ -1,8 +1,8 @@
 //! Values on the blackboard, their types, and conversion from text.
 
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
-use consort_protocol::mission::ResultValue;
 use consort_protocol::pose::Pose;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::Seconds;
 use std::fmt;
 
@@ -213,21 +213,21 @@ impl Value {
     }
 }
 
-impl From<ResultValue> for Value {
-    fn from(value: ResultValue) -> Value {
+impl From<Scalar> for Value {
+    fn from(value: Scalar) -> Value {
         match value {
-            ResultValue::Bool(value) => Value::Bool(value),
-            ResultValue::Integer(number) => Value::Integer(number),
-            ResultValue::Number(number) => Value::Number(number),
-            ResultValue::Text(text) => Value::Text(text),
+            Scalar::Bool(value) => Value::Bool(value),
+            Scalar::Integer(number) => Value::Integer(number),
+            Scalar::Number(number) => Value::Number(number),
+            Scalar::Text(text) => Value::Text(text),
         }
     }
 }
 
-impl From<&Value> for ResultValue {
+impl From<&Value> for Scalar {
     /// Names, poses and lists become texts, durations numbers.
-    fn from(value: &Value) -> ResultValue {
-        ResultValue::from_json(&value.to_json()).unwrap_or_else(|| ResultValue::Text(value.to_string()))
+    fn from(value: &Value) -> Scalar {
+        Scalar::from_json(&value.to_json()).unwrap_or_else(|| Scalar::Text(value.to_string()))
     }
 }
 

@@ -3,15 +3,12 @@
 use super::form::{EstimateForm, ParameterForm, ParameterKind, TaskForm};
 use crate::descriptor::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
 use crate::environment::{Environment, EnvironmentDescriptor, Routes};
-use cel::{Context, Env, Program};
+use cel::{Context, Program};
+use consort_protocol::expression;
 use consort_protocol::ids::{PlaceId, TaskType};
 use consort_protocol::mission::{DomainReference, TaskSpec};
 use consort_protocol::units::Seconds;
 use std::collections::{BTreeMap, HashMap};
-use std::sync::Arc;
-
-/// Maximum length of an expression, in bytes.
-const EXPRESSION_BYTES_MAX: usize = 1024;
 
 /// The estimate of a task type of a domain file.
 pub(super) struct DeclaredEstimate {
@@ -21,8 +18,6 @@ pub(super) struct DeclaredEstimate {
     energy: Option<Expression>,
     ends_at: Option<String>,
     domain: Option<DomainReference>,
-    /// Standard functions of CEL. Their setup takes longer than an evaluation.
-    functions: Arc<Env>,
 }
 
 struct Expression {
@@ -32,11 +27,7 @@ struct Expression {
 
 impl Expression {
     fn compile(text: &str) -> Result<Expression, String> {
-        if text.len() > EXPRESSION_BYTES_MAX {
-            return Err(format!("it has {} bytes; at most {EXPRESSION_BYTES_MAX} are allowed", text.len()));
-        }
-        let program = Program::compile(text).map_err(|problem| problem.to_string())?;
-        Ok(Expression { text: text.to_owned(), program })
+        Ok(Expression { text: text.to_owned(), program: expression::compile(text)? })
     }
 
     /// Evaluates the expression to a finite number of 0 or more.
@@ -73,16 +64,8 @@ impl DeclaredEstimate {
             return Err(("ends_at", format!("{name} is no parameter of type place")));
         }
         let (parameters, ends_at) = (task.parameters.clone(), form.ends_at.clone());
-        let functions = Arc::new(Env::stdlib());
-        let estimate = DeclaredEstimate {
-            task_type: task_type.clone(),
-            parameters,
-            time_s,
-            energy,
-            ends_at,
-            domain: None,
-            functions,
-        };
+        let estimate =
+            DeclaredEstimate { task_type: task_type.clone(), parameters, time_s, energy, ends_at, domain: None };
         let variables = estimate.example();
         estimate.time_s.number(&variables).map_err(at("time_s"))?;
         estimate.energy.as_ref().map(|energy| energy.number(&variables)).transpose().map_err(at("energy"))?;
@@ -116,7 +99,7 @@ impl DeclaredEstimate {
         discharge: f64,
         distance: impl Fn(&str) -> Result<f64, E>,
     ) -> Result<Context<'static, 'static>, E> {
-        let mut context = Context::with_env(Arc::clone(&self.functions));
+        let mut context = expression::variables();
         let mut distances = HashMap::new();
         for (name, parameter) in &self.parameters {
             let Some(text) = texts.get(name) else { continue };

@@ -1,9 +1,8 @@
 //! The form of a domain file.
 
 use consort_protocol::ids::{ActionName, DomainId, PlaceId, RoleId, TaskType};
-use consort_protocol::mission::{
-    DomainReference, IhtnNames, NumberRange, ParameterSchema, ResultValue, TaskSchema, ValueKind,
-};
+use consort_protocol::mission::{DomainReference, IhtnNames, NumberRange, ParameterSchema, TaskSchema, ValueKind};
+use consort_protocol::scalar::Scalar;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -179,9 +178,9 @@ pub enum SimulatedResult {
     /// A number from the first to the second; uniformly distributed.
     Range([f64; 2]),
     /// One of these values; each with the same probability.
-    OneOf(Vec<ResultValue>),
+    OneOf(Vec<Scalar>),
     /// Always this value.
-    Value(ResultValue),
+    Value(Scalar),
 }
 
 impl Default for SimulatedAction {
@@ -218,14 +217,14 @@ impl ParameterForm {
             ParameterKind::Number | ParameterKind::Seconds => SimulatedResult::Range([minimum, maximum.max(minimum)]),
             ParameterKind::Integer => {
                 let numbers = (minimum.ceil() as i64..=maximum.floor() as i64).take(SIMULATED_INTEGERS_MAX);
-                SimulatedResult::OneOf(numbers.map(ResultValue::Integer).collect())
+                SimulatedResult::OneOf(numbers.map(Scalar::Integer).collect())
             }
-            ParameterKind::Bool => SimulatedResult::OneOf(vec![ResultValue::Bool(false), ResultValue::Bool(true)]),
+            ParameterKind::Bool => SimulatedResult::OneOf(vec![Scalar::Bool(false), Scalar::Bool(true)]),
             ParameterKind::Place | ParameterKind::Role | ParameterKind::Text if self.one_of.is_empty() => {
-                SimulatedResult::Value(ResultValue::Text("simulated".to_owned()))
+                SimulatedResult::Value(Scalar::Text("simulated".to_owned()))
             }
             ParameterKind::Place | ParameterKind::Role | ParameterKind::Text => {
-                SimulatedResult::OneOf(self.one_of.iter().cloned().map(ResultValue::Text).collect())
+                SimulatedResult::OneOf(self.one_of.iter().cloned().map(Scalar::Text).collect())
             }
         }
     }

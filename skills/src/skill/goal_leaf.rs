@@ -4,7 +4,7 @@ use crate::actions::{Goal, GoalId, GoalResult, GoalStatus};
 use crate::bt::{
     Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, PortType, Registry, RegistryError, Value,
 };
-use consort_protocol::mission::ResultValue;
+use consort_protocol::scalar::Scalar;
 use std::sync::Arc;
 
 type MakeGoal = dyn Fn(&mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync;
@@ -104,7 +104,7 @@ impl GoalLeaf {
         for (name, port_type) in &*self.results {
             let problem = |problem: String| Cause::new(format!("the result `{name}` {problem}"));
             let value = result.0.get(name).ok_or_else(|| problem("is missing".to_owned()))?;
-            let value = ResultValue::from_json(value)
+            let value = Scalar::from_json(value)
                 .ok_or_else(|| problem(format!("is {value}; allowed is a boolean, a number or a text")))?;
             let value =
                 Value::from(value).convert(*port_type).map_err(|error| problem(format!("is wrong: {error}")))?;

@@ -16,9 +16,10 @@ use consort_protocol::message::{
     AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, FailureKind,
     RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
 };
-use consort_protocol::mission::{ResultValue, TaskOutcome, TaskOutcomes};
+use consort_protocol::mission::{TaskOutcome, TaskOutcomes};
 use consort_protocol::plan::{LocalPlan, StepAction};
 use consort_protocol::pose::Pose;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::trust::{Fingerprint, MessageKind, SIGNATURE_BYTES, SignedEnvelope, encode_envelope};
 use consort_protocol::units::{BatteryShare, Seconds, SharePerSecond};
 use consort_protocol::versions::VersionRange;
@@ -71,6 +72,7 @@ fn holders() -> BTreeMap<RoleId, RoleHolder> {
 fn record(owner: &str) -> Record {
     let worker = RobotKnowledge {
         skills: BTreeSet::from([slug("navigation")]),
+        attributes: serde_json::from_value(serde_json::json!({ "section": "icu", "floor": 3 })).expect("attributes"),
         place: slug("Dock"),
         pose: Pose::new(1.0, 2.0, 0.5),
         battery: BatteryShare::new(0.5).expect("a share"),
@@ -130,7 +132,7 @@ fn award(role: &str, plan: LocalPlan) -> Award {
 }
 
 fn outcomes() -> TaskOutcomes {
-    let results = BTreeMap::from([("pulse_bpm".to_owned(), ResultValue::Integer(70))]);
+    let results = BTreeMap::from([("pulse_bpm".to_owned(), Scalar::Integer(70))]);
     BTreeMap::from([(slug("measure"), TaskOutcome::Done(results)), (slug("attend"), TaskOutcome::Skipped)])
 }
 
@@ -189,7 +191,12 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
         encode_for_version(wire, exchange).expect("a small message"),
         encoded_statement(wire, RecordUpdate::Record(record("ada"))),
         encoded_statement(wire, RecordUpdate::Refresh { stamp: RecordStamp::default(), since: 0, proof: proof() }),
-        encoded(&CallForBids { auction: auction(), ensemble: slug("all"), roles: plans() }),
+        encoded(&CallForBids {
+            auction: auction(),
+            ensembles: vec![slug("icu"), slug("all")],
+            roles: plans(),
+            eligible: [(slug("r1"), r#"robot.attributes.section == "icu""#.to_owned())].into(),
+        }),
         encoded(&BidResponse { robot: slug("ada"), auction: auction(), replies: vec![RoleReply::Bid(bid())] }),
         encoded(&AwardNotice::Awarded(Box::new(award(role.as_str(), plan)))),
         encoded(&AwardNotice::Revoked { epoch: EPOCH, reason: EndReason::Over }),
@@ -403,6 +410,6 @@ fn request() -> PersonRequestId {
 }
 
 fn answer() -> PersonAnswer {
-    let content = AnswerContent::Done(BTreeMap::from([("dust_g".to_owned(), ResultValue::Integer(3))]));
+    let content = AnswerContent::Done(BTreeMap::from([("dust_g".to_owned(), Scalar::Integer(3))]));
     PersonAnswer { by: "Nia".to_owned(), content, note: String::new(), at_ms: 8 }
 }

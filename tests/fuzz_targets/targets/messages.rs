@@ -89,10 +89,11 @@ fn auction(call: Option<CallForBids>, tender: Option<BidResponse>) {
     });
     let roles = call.map(|call| call.roles).unwrap_or_default();
     let roles = requested.map(|role| (role.clone(), LocalPlan::of(role, vec![]))).chain(roles).collect();
-    let call = CallForBids { auction: tender.auction.clone(), ensemble: "all".parse().expect("a slug"), roles };
+    let call = CallForBids { auction: tender.auction.clone(), ensembles: vec![], roles, eligible: BTreeMap::new() };
     let (limits, robots) = (BidLimits::default(), BTreeSet::from([tender.robot.clone()]));
     let circumstances = AuctionContext {
         invited: &robots,
+        preferred: &[],
         unavailable: &BTreeMap::new(),
         excluded: &BTreeMap::new(),
         limits: &limits,

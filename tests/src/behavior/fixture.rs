@@ -5,6 +5,7 @@ use super::scenario_setup::ScenarioSetup;
 use super::step_result::{StepFailure, StepResult};
 use crate::Fleet;
 use crate::fleet::{FleetSetup, NodeOptions};
+use crate::ward::logistics;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::units::WorldTime;
 use consort_skills::actions::{GoalId, RobotBackend};
@@ -137,19 +138,19 @@ impl Fixture {
             if members.is_empty() && self.setup.stations.is_empty() {
                 return Err(StepFailure::invalid("there are no robots and no stations, so there is no fleet"));
             }
-            let mut skills: Vec<String> = members.iter().flat_map(|member| member.skills.clone()).collect();
-            skills.sort_unstable();
-            skills.dedup();
-            if skills.is_empty() {
-                skills.push("navigation".to_owned());
-            }
+            let ensembles = if self.setup.ensembles.is_empty() {
+                let skills = members.iter().flat_map(|member| member.skills.iter().map(String::as_str));
+                vec![logistics(&skills.chain(["navigation"]).collect::<Vec<_>>())]
+            } else {
+                self.setup.ensembles.clone()
+            };
             let fleet_setup = FleetSetup {
                 seed: self.setup.seed,
                 members,
                 stations: self.setup.stations.clone(),
                 world: running.world.clone(),
                 speed: self.setup.speed,
-                skills,
+                ensembles,
                 options: NodeOptions::default(),
             };
             running.nodes_since_s = running.world.now().as_secs();

@@ -4,16 +4,20 @@ use super::scenario_setup::ScenarioRobot;
 use super::step_arguments::{TableRow, split_list};
 use super::step_result::StepFailure;
 use crate::RobotSpec;
+use consort_protocol::knowledge::Attributes;
+use consort_protocol::scalar::Scalar;
 use consort_world::kinematics::{
     AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, OmnidirectionalSettings,
 };
 use consort_world::space::Sensor;
+use std::collections::BTreeMap;
 
 /// Columns of a table of robots.
-pub(super) const COLUMNS: [&str; 15] = [
+pub(super) const COLUMNS: [&str; 16] = [
     "name",
     "place",
     "skills",
+    "attributes",
     "speed",
     "charge",
     "uses",
@@ -34,6 +38,9 @@ pub(super) fn parse_robot(row: &TableRow) -> Result<ScenarioRobot, StepFailure> 
     let mut member = RobotSpec::carrier(name, place);
     if let Some(skills) = row.cell("skills") {
         member.skills = if skills == "none" { vec![] } else { split_list(skills) };
+    }
+    if let Some(cell) = row.cell("attributes") {
+        member.attributes = attributes(cell)?;
     }
     member.speed = row.number("speed")?.or(member.speed);
     let percent =
@@ -59,6 +66,19 @@ pub(super) fn parse_robot(row: &TableRow) -> Result<ScenarioRobot, StepFailure> 
         row.cell("sensors").map(|cell| cell.split(',').map(|text| sensor(text.trim())).collect::<Result<Vec<_>, _>>());
     robot.sensors = sensors.transpose()?.unwrap_or_default();
     Ok(robot)
+}
+
+/// Parses attributes: `section=icu, floor=3, sterile=true`.
+fn attributes(text: &str) -> Result<Attributes, StepFailure> {
+    let mut values = BTreeMap::new();
+    for part in text.split(',') {
+        let wrong = || StepFailure::Invalid(format!("{part:?} is no attribute, as `section=icu`"));
+        let (name, value) = part.split_once('=').ok_or_else(wrong)?;
+        let value = value.trim();
+        let typed = serde_json::from_str(value).ok().and_then(|json| Scalar::from_json(&json));
+        values.insert(name.trim().to_owned(), typed.unwrap_or_else(|| Scalar::Text(value.to_owned())));
+    }
+    Attributes::try_from(values).map_err(StepFailure::invalid)
 }
 
 fn chassis(kind: &str) -> Result<Kinematics, StepFailure> {

@@ -2,6 +2,7 @@
 
 use super::step_result::StepFailure;
 use crate::RobotSpec;
+use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::units::{BatteryShare, SharePerSecond};
 use consort_world::SharedWorld;
 use consort_world::kinematics::Kinematics;
@@ -21,6 +22,8 @@ pub(super) struct ScenarioSetup {
     pub(super) map: ScenarioMap,
     pub(super) robots: Vec<ScenarioRobot>,
     pub(super) stations: Vec<String>,
+    /// Ensembles of the fleet; none: one of all robots.
+    pub(super) ensembles: Vec<EnsembleSpec>,
     pub(super) people: Vec<PersonSetup>,
     pub(super) objects: Vec<ObjectSetup>,
     pub(super) doors: Vec<DoorSetup>,
@@ -89,6 +92,7 @@ impl ScenarioSetup {
             map: ScenarioMap::Map(Box::new(hospital)),
             robots: vec![],
             stations: vec![],
+            ensembles: vec![],
             people: vec![],
             objects: vec![],
             doors: vec![],

@@ -7,11 +7,13 @@ use super::step_pattern::{SettingStep, setting};
 use super::step_result::{StepFailure, StepResult};
 use crate::RobotSpec;
 use crate::fleet::nurse_in;
+use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::PlaceId;
 use consort_world::map;
 use consort_world::world::{
     DoorSetup, ObjectSetup, Obstacle, PersonAction, PersonSetup, PersonTrigger, SpontaneousAction,
 };
+use std::collections::BTreeSet;
 
 /// Returns the steps of this file, in the order of their documentation.
 pub(super) fn steps() -> Vec<SettingStep> {
@@ -26,6 +28,7 @@ pub(super) fn steps() -> Vec<SettingStep> {
         arm_at(),
         robot_table(),
         stations(),
+        ensemble(),
         nurse_in_room(),
         people_table(),
         nurse_acts_once(),
@@ -144,6 +147,22 @@ fn stations() -> SettingStep {
         setup.stations.extend(arguments.names(0));
         Ok(())
     })
+}
+
+fn ensemble() -> SettingStep {
+    setting(
+        "an ensemble {name} of robots with {text}",
+        r#"an ensemble icu of robots with "member.attributes.section == 'icu'""#,
+        |setup, arguments| {
+            let spec = EnsembleSpec {
+                membership: vec!["member.robot".to_owned(), arguments.value(1).to_owned()],
+                ..EnsembleSpec::with_any_skill_of(name(arguments.value(0))?, BTreeSet::new())
+            };
+            Ensemble::compile(spec.clone()).map_err(StepFailure::invalid)?;
+            setup.ensembles.push(spec);
+            Ok(())
+        },
+    )
 }
 
 fn nurse_in_room() -> SettingStep {

@@ -2,7 +2,7 @@
 
 use consort_evaluation::design::{Design, Scenario};
 use consort_evaluation::travel::TravelModel;
-use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
+use consort_protocol::ensemble::{EnsembleSpec, Ensembles};
 use consort_protocol::ids::TaskType;
 use consort_protocol::mission::{Domain, MissionTemplate};
 use consort_skills::descriptor::{Calibration, DescriptorRegistry, Estimator};
@@ -22,7 +22,7 @@ pub struct ExperimentSetup {
     pub travel: TravelModel,
     pub(super) map: Map,
     pub(super) domain: Arc<Domain>,
-    pub(super) ensemble: Arc<Ensemble>,
+    pub(super) ensembles: Arc<Ensembles>,
     pub(super) template: MissionTemplate,
     /// The uncalibrated estimator, used by a coordinator without calibration.
     pub(super) standard: Arc<Estimator>,
@@ -87,7 +87,7 @@ impl ExperimentSetup {
         }
         let skills: std::collections::BTreeSet<TaskType> = domain.task_types().cloned().collect();
         let spec = EnsembleSpec::with_any_skill_of(crate::slug("robots"), skills);
-        let ensemble = Ensemble::compile(spec).map_err(|error| single_error(error.to_string()))?;
+        let ensembles = Ensembles::compile(vec![spec]).map_err(|error| single_error(error.to_string()))?;
         let environment = map.environment().map_err(|error| single_error(error.to_string()))?;
         let resolve = |registry: DescriptorRegistry| {
             registry.resolve(environment.clone()).map(Arc::new).map_err(|error| single_error(error.to_string()))
@@ -103,7 +103,7 @@ impl ExperimentSetup {
             travel,
             map,
             domain: Arc::new(domain),
-            ensemble: Arc::new(ensemble),
+            ensembles: Arc::new(ensembles),
             template,
             standard,
             estimator,

@@ -19,7 +19,7 @@ use consort_fleet::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSetti
 use consort_protocol::auction::{Allocator, BidLimits, OptimalAssignment};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::keys::{ApiCall, Key, Keys};
-use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::knowledge::{Attributes, Availability, RobotKnowledge};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::HistoryLimits;
 use consort_protocol::ledger::MissionState;
@@ -134,7 +134,7 @@ impl<'s> TrialRun<'s> {
         let times = Timing::Lan.parameters();
         let settings = FleetSettings {
             fleet: crate::slug("trial"),
-            ensemble: Arc::clone(&setup.ensemble),
+            ensembles: Arc::clone(&setup.ensembles),
             domain: Arc::clone(&setup.domain),
             limits: BidLimits::default(),
             request_limits: RequestLimits::default(),
@@ -236,6 +236,7 @@ impl<'s> TrialRun<'s> {
         let checked = "scenarios are validated";
         RobotKnowledge {
             skills: skills.clone(),
+            attributes: Attributes::default(),
             pose: self.setup.map.place(place).map_or(Pose::default(), |place| place.pose),
             place: place.clone(),
             battery: BatteryShare::new(charge).expect(checked),

@@ -1,19 +1,20 @@
-//! Members of the ensemble and other clusters, as far as the coordinator has received their
+//! Members of the ensembles and other clusters, as far as the coordinator has received their
 //! records.
 
 use super::last_known_place::foreign_clusters;
 use super::session_context::SessionContext;
 use super::settings::CoordinatorSettings;
+use consort_protocol::ensemble::Ensemble;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{ClusterId, NodeId};
+use consort_protocol::ids::{ClusterId, EnsembleId, NodeId};
 use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
 use tracing::error;
 
-/// Members of the ensemble during a session.
+/// Members of the ensembles during a session.
 #[derive(Default)]
 pub(super) struct EnsembleMembers {
-    members: BTreeSet<NodeId>,
+    members: BTreeMap<EnsembleId, BTreeSet<NodeId>>,
     /// Members that are free by their own record.
     free: BTreeSet<NodeId>,
     /// Other clusters with the name of this fleet, each with a node of it.
@@ -21,23 +22,26 @@ pub(super) struct EnsembleMembers {
 }
 
 impl EnsembleMembers {
-    /// Publishes changes of the ensemble's membership. Returns true if a robot has become free.
+    /// Publishes changes of the ensembles' memberships. Returns true if a robot has become free.
     pub(super) fn update(&mut self, context: &SessionContext, now: NodeTime) -> bool {
         let CoordinatorSettings { parts, auctions, .. } = &context.settings;
-        let ensemble = auctions.ensemble.spec().name.clone();
         let members = live_members(&context.settings, now);
-        for member in members.difference(&self.members) {
-            context.publish_event(EventKind::Joined { ensemble: ensemble.clone(), member: member.clone() });
-        }
-        for member in self.members.difference(&members) {
-            let membership =
-                parts.knowledge.read(|base| auctions.ensemble.membership_of(member, &parts.node, base, now));
-            let reason = if membership.member { "judged dead".to_owned() } else { membership.reason };
-            context.publish_event(EventKind::Left { ensemble: ensemble.clone(), member: member.clone(), reason });
+        for ensemble in auctions.ensembles.iter() {
+            let name = &ensemble.spec().name;
+            let of = |members: &BTreeMap<_, BTreeSet<NodeId>>| members.get(name).cloned().unwrap_or_default();
+            let (now_members, before) = (of(&members), of(&self.members));
+            for member in now_members.difference(&before) {
+                context.publish_event(EventKind::Joined { ensemble: name.clone(), member: member.clone() });
+            }
+            for member in before.difference(&now_members) {
+                let membership = parts.knowledge.read(|base| ensemble.membership_of(member, &parts.node, base, now));
+                let reason = if membership.member { "judged dead".to_owned() } else { membership.reason };
+                context.publish_event(EventKind::Left { ensemble: name.clone(), member: member.clone(), reason });
+            }
         }
         let free = parts.knowledge.read(|base| {
             let is_free = |node: &&NodeId| base.get(node).is_some_and(|stored| stored.record.knowledge.is_free());
-            members.iter().filter(is_free).cloned().collect::<BTreeSet<_>>()
+            members.values().flatten().filter(is_free).cloned().collect::<BTreeSet<_>>()
         });
         let newly_free = !free.is_subset(&self.free);
         self.free = free;
@@ -64,17 +68,21 @@ impl EnsembleMembers {
     }
 }
 
-/// Returns the members of the ensemble that are alive.
-pub(super) fn live_members(settings: &CoordinatorSettings, now: NodeTime) -> BTreeSet<NodeId> {
+/// Returns the members of each ensemble that are alive.
+pub(super) fn live_members(settings: &CoordinatorSettings, now: NodeTime) -> BTreeMap<EnsembleId, BTreeSet<NodeId>> {
     let CoordinatorSettings { parts, auctions, .. } = settings;
-    let members = parts.knowledge.read(|base| auctions.ensemble.members(&parts.node, base, now));
     let own = *parts.replica.cluster().borrow();
-    let own_members = parts.knowledge.read(|base| {
-        let own_members = |node: &NodeId| {
+    let mut members = parts.knowledge.read(|base| {
+        let is_own = |node: &NodeId| {
             let cluster = base.get(node).and_then(|stored| stored.record.knowledge.cluster);
             cluster.is_none() || own.is_none() || cluster == own
         };
-        members.into_iter().filter(own_members).collect::<Vec<_>>()
+        let of = |ensemble: &Ensemble| {
+            let members = ensemble.members(&parts.node, base, now);
+            (ensemble.spec().name.clone(), members.into_iter().filter(is_own).collect::<BTreeSet<_>>())
+        };
+        auctions.ensembles.iter().map(of).collect::<BTreeMap<_, _>>()
     });
-    own_members.into_iter().filter(|node| parts.knowledge.is_alive(node)).collect()
+    members.values_mut().for_each(|members| members.retain(|node| parts.knowledge.is_alive(node)));
+    members
 }

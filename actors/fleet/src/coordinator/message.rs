@@ -5,7 +5,7 @@ use crate::autopilot::ActionResult;
 use crate::robot_driver::PersonRequestState;
 use consort_bus::{Author, Query, Sample};
 use consort_protocol::auction::{AuctionId, BidResponse, CallForBids};
-use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::ids::{EnsembleId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{CommandOutcome, MissionEntry, RoleAssignment};
 use consort_protocol::message::AwardReply;
@@ -63,6 +63,8 @@ pub(crate) struct CollectedBids {
     pub(super) call: CallForBids,
     /// Robots that were expected to reply.
     pub(super) expected: BTreeSet<RobotId>,
+    /// Ensembles whose members come first, with these.
+    pub(super) preferred: Vec<(EnsembleId, BTreeSet<RobotId>)>,
     pub(super) responses: Vec<BidResponse>,
 }
 

@@ -8,7 +8,7 @@ use consort_bus::clock::Clock;
 use consort_bus::wire_version::WireVersion;
 use consort_gossip::SharedKnowledge;
 use consort_protocol::auction::{Allocator, BidLimits};
-use consort_protocol::ensemble::Ensemble;
+use consort_protocol::ensemble::Ensembles;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
 use consort_protocol::lease::LeaseTerms;
@@ -64,8 +64,8 @@ pub(crate) struct NodeParts {
 /// Settings of auctions.
 #[derive(Clone)]
 pub(crate) struct AuctionSettings {
-    /// The ensemble: its members receive calls for bids.
-    pub(crate) ensemble: Arc<Ensemble>,
+    /// Ensembles of the fleet: their members receive calls for bids.
+    pub(crate) ensembles: Arc<Ensembles>,
     /// Limits that bids must meet.
     pub(crate) limits: BidLimits,
     /// Allocation rule of the auctions.

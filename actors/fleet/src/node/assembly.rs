@@ -263,7 +263,7 @@ impl Assembly {
                 events: self.events.clone(),
             },
             auctions: AuctionSettings {
-                ensemble: Arc::clone(&self.fleet.ensemble),
+                ensembles: Arc::clone(&self.fleet.ensembles),
                 limits: self.fleet.limits,
                 allocator: Arc::clone(&self.fleet.allocator),
                 bid_window: self.fleet.bid_window,
@@ -330,7 +330,7 @@ impl Assembly {
             coordinator,
             knowledge: self.knowledge(),
             membership: self.membership.clone(),
-            ensemble: Arc::clone(&self.fleet.ensemble),
+            ensembles: Arc::clone(&self.fleet.ensembles),
             map: self.fleet.map.clone(),
             beacon_interval: self.times.beacon_interval,
         };
@@ -385,7 +385,7 @@ impl Assembly {
             checkpoint_store,
         };
         let pricing = PricingSettings {
-            ensemble: Arc::clone(&self.fleet.ensemble),
+            ensembles: Arc::clone(&self.fleet.ensembles),
             limits: self.fleet.limits,
             estimator: part.estimator,
         };

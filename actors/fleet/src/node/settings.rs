@@ -6,7 +6,7 @@ use crate::observe::SharedObserver;
 use consort_bus::clock::Clock;
 use consort_bus::record_signer::SharedRecordSigner;
 use consort_protocol::auction::{Allocator, BidLimits};
-use consort_protocol::ensemble::Ensemble;
+use consort_protocol::ensemble::Ensembles;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::knowledge::RobotKnowledge;
 use consort_protocol::lease::LeaseTerms;
@@ -27,8 +27,8 @@ use std::time::Duration;
 pub struct FleetSettings {
     /// Id of the fleet.
     pub fleet: FleetId,
-    /// The ensemble: its members receive calls for bids.
-    pub ensemble: Arc<Ensemble>,
+    /// Ensembles of the fleet: their members receive calls for bids.
+    pub ensembles: Arc<Ensembles>,
     /// The task types that missions may use.
     pub domain: Arc<Domain>,
     /// Limits that bids must meet.

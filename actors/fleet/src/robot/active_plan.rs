@@ -14,8 +14,9 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId, TaskId};
 use consort_protocol::lease::{Award, RoleHolder};
 use consort_protocol::message::{FailureKind, TaskFailure};
-use consort_protocol::mission::{ResultValue, TaskSpec};
+use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::{Signal, StepIndex};
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{NodeTime, WorldTime};
 use consort_skills::actions::GoalId;
 use std::collections::{BTreeMap, BTreeSet};
@@ -196,7 +197,7 @@ impl ActivePlan {
         &mut self,
         step: StepRef,
         task: TaskId,
-        results: BTreeMap<String, ResultValue>,
+        results: BTreeMap<String, Scalar>,
         next_goal: GoalId,
     ) {
         let (mission, role) = self.mission_and_role();

@@ -2,7 +2,7 @@
 
 use super::energy_check::pricing_context;
 use consort_protocol::auction::{Bid, BidRefusal, BidResponse, CallForBids, RefusalReason, RoleReply};
-use consort_protocol::ensemble::Membership;
+use consort_protocol::ensemble::{Eligibility, Ineligibility, Membership};
 use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::plan::LocalPlan;
@@ -27,7 +27,7 @@ pub struct BidContext<'a> {
     pub closed_lanes: &'a [(PlaceId, PlaceId)],
     /// Age of that information in milliseconds.
     pub age_ms: u64,
-    /// Membership of the robot in the called ensemble, by its own evaluation.
+    /// Membership of the robot in any of the called ensembles, by its own evaluation.
     pub membership: Membership,
 }
 
@@ -68,8 +68,16 @@ impl Bidder {
             }
         }
         if !membership.member {
-            let why = membership.reason.clone();
-            return Err(RefusalReason::NotMember { ensemble: call.ensemble.clone(), why });
+            return Err(RefusalReason::NotMember { why: membership.reason.clone() });
+        }
+        if let Some(condition) = call.eligible.get(role) {
+            let eligibility = Eligibility::compile(condition).map_err(|problem| RefusalReason::NotEligible {
+                why: format!("`{condition}`: {problem}"),
+                permanent: true,
+            })?;
+            eligibility
+                .check(&self.robot, worker)
+                .map_err(|Ineligibility { why, permanent }| RefusalReason::NotEligible { why, permanent })?;
         }
         let needed: BTreeSet<&TaskType> = plan.tasks().map(|(_, spec)| &spec.task_type).collect();
         let missing: Vec<TaskType> =

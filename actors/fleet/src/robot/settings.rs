@@ -7,7 +7,7 @@ use consort_bus::SharedBus;
 use consort_bus::clock::Clock;
 use consort_gossip::{GossipHandle, SharedKnowledge};
 use consort_protocol::auction::BidLimits;
-use consort_protocol::ensemble::Ensemble;
+use consort_protocol::ensemble::Ensembles;
 use consort_protocol::ids::RobotId;
 use consort_protocol::keys::Keys;
 use consort_protocol::knowledge::RobotKnowledge;
@@ -67,8 +67,8 @@ pub(crate) struct RobotLinks {
 
 /// Settings for the prices of plans: bids, and the energy check during execution.
 pub(crate) struct PricingSettings {
-    /// The ensemble of the fleet.
-    pub(crate) ensemble: Arc<Ensemble>,
+    /// Ensembles of the fleet: their members receive calls for bids.
+    pub(crate) ensembles: Arc<Ensembles>,
     /// Limits of bids. The remaining plan is checked against the same limits.
     pub(crate) limits: BidLimits,
     /// Estimator of time and energy.

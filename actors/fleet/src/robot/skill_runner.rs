@@ -3,7 +3,7 @@
 
 use crate::robot_driver::RobotDriver;
 use consort_bus::tasks::Tasks;
-use consort_protocol::mission::ResultValue;
+use consort_protocol::scalar::Scalar;
 use consort_skills::library::{ActiveSkill, SkillStatus};
 use ractor::{Actor, ActorCell, ActorId, ActorProcessingErr, ActorRef, SpawnErr};
 use std::collections::BTreeMap;
@@ -13,7 +13,7 @@ use std::time::Duration;
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum SkillOutcome {
     /// The skill has reached its goal, with the results of the task.
-    Succeeded(BTreeMap<String, ResultValue>),
+    Succeeded(BTreeMap<String, Scalar>),
     /// The skill has failed, with the cause.
     Failed(String),
 }

@@ -72,6 +72,7 @@ fn is_worth_publishing(published: &RobotKnowledge, now: &RobotKnowledge) -> bool
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::knowledge::Attributes;
     use consort_protocol::pose::Pose;
     use consort_protocol::units::{BatteryShare, SharePerSecond, WorldTime};
     use std::collections::BTreeSet;
@@ -94,6 +95,7 @@ mod tests {
     fn record() -> WorkerRecord {
         let worker = RobotKnowledge {
             skills: BTreeSet::new(),
+            attributes: Attributes::default(),
             place: "Yard".parse().unwrap(),
             pose: Pose::default(),
             battery: BatteryShare::FULL,

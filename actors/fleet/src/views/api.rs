@@ -8,7 +8,7 @@ use consort_protocol::api::{
     ErrorReply, ExplainReply, MissionQuery, ReadOptions, UninvitedRobot, parse_read_options, parse_request,
 };
 use consort_protocol::auction::{Explanation, explain};
-use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::ids::{EnsembleId, MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::ledger::{MissionState, RoleRelease};
 use consort_protocol::view::{EnsembleView, EnsemblesView, MissionView, WithProvenance};
@@ -108,8 +108,8 @@ impl ViewService {
         let explanation = view.auction.as_ref().map(explain);
         let entries = view.auction.iter().flat_map(|record| &record.entries);
         let asked: BTreeSet<NodeId> = entries.map(|entry| NodeId::from(entry.robot.clone())).collect();
-        let not_asked = self.not_asked(&asked).await;
-        let MissionView { brief, releases, .. } = view;
+        let MissionView { brief, releases, ensembles, .. } = view;
+        let not_asked = self.not_asked(&asked, &ensembles).await;
         let text = text(mission, &brief.status.detail, explanation.as_ref(), &not_asked, &releases);
         let content =
             ExplainReply { mission: brief.mission, state: brief.status.state, explanation, not_asked, releases, text };
@@ -118,19 +118,26 @@ impl ViewService {
 
     /// Returns the robots without a bid response in the auction, with the reason they are not
     /// members, as far as this node can determine now.
-    async fn not_asked(&self, asked: &BTreeSet<NodeId>) -> Vec<UninvitedRobot> {
+    async fn not_asked(&self, asked: &BTreeSet<NodeId>, called: &[EnsembleId]) -> Vec<UninvitedRobot> {
         let seen = self.view(&Key::ViewEnsembles).await;
-        let ensembles = seen.and_then(|seen| EnsemblesView::deserialize(seen).ok()).unwrap_or_default().ensembles;
-        let Some(ensemble) = ensembles.first() else { return vec![] };
+        let mut ensembles = seen.and_then(|seen| EnsemblesView::deserialize(seen).ok()).unwrap_or_default().ensembles;
+        ensembles.retain(|ensemble| called.is_empty() || called.contains(&ensemble.name));
         let robots: BTreeSet<NodeId> = self.views.knowledge.read(|base| {
             let robots = base.iter().filter(|(_, stored)| stored.record.knowledge.robot.is_some());
             robots.map(|(node, _)| node.clone()).filter(|node| !asked.contains(node)).collect()
         });
-        let EnsembleView { name, not_members, .. } = ensemble;
         let uninvited = |robot: NodeId| {
-            let why = match not_members.get(&robot) {
-                Some(reason) => format!("{robot} was not asked; it is not a member of {name}: {reason}"),
-                None => format!("{robot} was not asked; it became a member of {name} later"),
+            let joined = ensembles.iter().find(|ensemble| ensemble.members.contains(&robot));
+            let why = match joined {
+                Some(EnsembleView { name, .. }) => format!("{robot} was not asked; it became a member of {name} later"),
+                None => {
+                    let reason = |ensemble: &EnsembleView| {
+                        let reason = ensemble.not_members.get(&robot).map_or("no record received", String::as_str);
+                        format!("{}: {reason}", ensemble.name)
+                    };
+                    let reasons = ensembles.iter().map(reason).collect::<Vec<_>>().join("; ");
+                    format!("{robot} was not asked; it is not a member of {reasons}")
+                }
             };
             UninvitedRobot { robot, why }
         };

@@ -6,7 +6,7 @@ use super::health::{HealthInputs, health};
 use super::mission::{auctions, ended_mission, mission, missions};
 use consort_gossip::MemberStatus;
 use consort_protocol::api::ErrorReply;
-use consort_protocol::ensemble::Membership;
+use consort_protocol::ensemble::{Ensemble, Membership};
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, KnownRecord};
@@ -46,7 +46,7 @@ impl ViewContext<'_> {
             if wanted(&key) {
                 let value = match &key {
                     Key::ViewFleet => self.with_provenance(self.fleet()),
-                    Key::ViewEnsembles => self.with_provenance(EnsemblesView { ensembles: vec![self.ensemble()] }),
+                    Key::ViewEnsembles => self.with_provenance(EnsemblesView { ensembles: self.ensembles() }),
                     Key::ViewCoordinator => self.with_provenance(self.coordinator()),
                     Key::ViewMap => self.map(),
                     _ => self.with_provenance(self.health()),
@@ -154,20 +154,24 @@ impl ViewContext<'_> {
             .views
             .knowledge
             .read(|base| base.iter().map(|(node, stored)| self.node(node, stored, &statuses)).collect());
-        FleetView { cluster: self.views.membership.cluster(), nodes, ensembles: vec![self.ensemble()] }
+        FleetView { cluster: self.views.membership.cluster(), nodes, ensembles: self.ensembles() }
     }
 
-    /// Returns the ensemble: its requirements and its members.
-    fn ensemble(&self) -> EnsembleView {
+    fn ensembles(&self) -> Vec<EnsembleView> {
         let statuses = self.views.knowledge.statuses();
-        let spec = self.views.ensemble.spec();
+        self.views.ensembles.iter().map(|ensemble| self.ensemble(ensemble, &statuses)).collect()
+    }
+
+    /// Returns an ensemble: its requirements and its members.
+    fn ensemble(&self, ensemble: &Ensemble, statuses: &BTreeMap<NodeId, MemberStatus>) -> EnsembleView {
+        let spec = ensemble.spec();
         // Evaluated like the coordinator does, from the records received here.
         let coordinator = self.status.coordinator.as_ref().unwrap_or(&self.views.node);
         let mut not_members = BTreeMap::new();
         let mut members = vec![];
         let nodes = self.views.knowledge.read(|base| {
             let judge = |(node, _): (&NodeId, &KnownRecord)| {
-                let verdict = self.views.ensemble.membership_of(node, coordinator, base, self.now);
+                let verdict = ensemble.membership_of(node, coordinator, base, self.now);
                 // A node that is down gets no call for bids, however recent its last record is.
                 let down = verdict.member && !statuses.get(node).is_some_and(MemberStatus::is_alive);
                 let membership = match down {

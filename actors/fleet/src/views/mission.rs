@@ -32,6 +32,7 @@ pub(super) fn mission(entry: &MissionEntry) -> MissionView {
         request: Some(entry.submission.request.clone()),
         released: entry.release_count,
         releases: entry.releases.clone(),
+        ensembles: entry.mission().ensembles.clone(),
         tasks: entry.mission().tasks.clone(),
         tree: task_tree(entry, entry.mission(), 0).map(|(_, tree)| tree),
         roles: entry.roles.iter().map(|(id, role)| role_view(entry, id, role)).collect(),
@@ -55,6 +56,7 @@ pub(super) fn ended_mission(mission: MissionId, ended: &Tombstone) -> MissionVie
         request: Some(ended.request.clone()),
         released: 0,
         releases: vec![],
+        ensembles: vec![],
         tasks: vec![],
         tree: None,
         roles: vec![],
@@ -85,6 +87,7 @@ fn role_view(entry: &MissionEntry, id: &RoleId, role: &RoleEntry) -> RoleView {
     RoleView {
         role: id.clone(),
         kind: role.kind,
+        eligible: entry.mission().roles.get(id).and_then(|role| role.eligible.clone()),
         phase: role.phase,
         holder: role.holder.as_ref().map(|holder| holder.robot.clone()),
         epoch: role.holder.as_ref().map(|holder| holder.epoch.to_string()),

@@ -39,7 +39,7 @@ use consort_bus::{BusError, Query, Sample, SharedBus, Stream};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::api::{ErrorReply, ReadOptions};
 use consort_protocol::codec;
-use consort_protocol::ensemble::Ensemble;
+use consort_protocol::ensemble::Ensembles;
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::Ledger;
@@ -88,7 +88,7 @@ pub(crate) struct Views {
     pub(crate) coordinator: Option<ActorRef<CoordinatorMessage>>,
     pub(crate) knowledge: SharedKnowledge,
     pub(crate) membership: ClusterMembership,
-    pub(crate) ensemble: Arc<Ensemble>,
+    pub(crate) ensembles: Arc<Ensembles>,
     /// The fleet's map, to be served.
     pub(crate) map: Option<Arc<MapView>>,
     /// Interval of a coordinator's beacons.

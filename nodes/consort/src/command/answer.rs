@@ -7,7 +7,8 @@ use crate::exit::Failure;
 use consort_protocol::api::{AnswerReply, AnswerRequest, AnswerWord, ReadOptions};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::PersonRequestId;
-use consort_protocol::mission::{ResultValue, ValueKind};
+use consort_protocol::mission::ValueKind;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::view::RequestsView;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -99,7 +100,7 @@ async fn typed(
     client: &mut Client,
     request: &PersonRequestId,
     values: Vec<(String, String)>,
-) -> Result<BTreeMap<String, ResultValue>, Failure> {
+) -> Result<BTreeMap<String, Scalar>, Failure> {
     let listed = client.api(ApiCall::Requests, &ReadOptions { linearizable: false }).await?;
     let RequestsView { requests } = read_answer(&listed)?;
     let form = requests.into_iter().find(|known| known.request == *request).map(|known| known.form);
@@ -107,7 +108,7 @@ async fn typed(
     let value = |(name, text): (String, String)| {
         let value = match form.get(&name) {
             // The coordinator names what is allowed.
-            None => ResultValue::Text(text),
+            None => Scalar::Text(text),
             Some(kind) => kind.parse(&text).ok_or_else(|| wrong_value(&name, &text, kind, &form))?,
         };
         Ok((name, value))

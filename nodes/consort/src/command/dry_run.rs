@@ -135,7 +135,7 @@ fn mission(
     let workers = inputs::workers(&inputs::read_text(path)?, &path.display().to_string())?;
     let (mission, division) = divide(template, equipment, given)?;
     let roles: BTreeSet<RoleId> = wanted(&args.roles, &mission, || mission.managed_roles().cloned().collect())?;
-    let result = simulate_auction(&division, &roles, &workers, equipment, limits);
+    let result = simulate_auction(&mission, &division, &roles, &workers, equipment, limits);
     if args.json {
         let roles = result.bids.iter().map(|(role, bids)| RoleLine {
             role,
@@ -174,7 +174,7 @@ fn scenarios(
         let (mission, division) = divide(template, equipment, &given)?;
         let r1 = || RoleId::new("r1").into_iter().collect();
         let roles: BTreeSet<RoleId> = wanted(&args.roles, &mission, r1)?;
-        let result = simulate_auction(&division, &roles, &scenario.workers, equipment, limits);
+        let result = simulate_auction(&mission, &division, &roles, &scenario.workers, equipment, limits);
         if args.json {
             for (role, bids) in &result.bids {
                 output::json(&ScenarioLine { code: &scenario.code, bids, selected: result.holders.get(role) })?;

@@ -43,7 +43,19 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 fn format_fleet(FleetStatus { fleet, coordinator }: &FleetStatus) -> String {
-    let heads = ["NODE", "ALIVE", "VOTES", "PLACE", "BATTERY", "SPEED", "HOLDS", "MEMBER", "CONTACT", "SKILLS"];
+    let heads = [
+        "NODE",
+        "ALIVE",
+        "VOTES",
+        "PLACE",
+        "BATTERY",
+        "SPEED",
+        "HOLDS",
+        "ENSEMBLES",
+        "CONTACT",
+        "SKILLS",
+        "ATTRIBUTES",
+    ];
     let rows = fleet.nodes.iter().map(|node| row(node, fleet, &coordinator.content));
     let rows: Vec<Vec<String>> = std::iter::once(heads.map(str::to_owned).to_vec()).chain(rows).collect();
     format!("{}\n{}", format_coordinator(coordinator), output::table(&rows))
@@ -66,9 +78,12 @@ fn row(view: &NodeView, fleet: &FleetView, coordinator: &CoordinatorView) -> Vec
     let yes_no = |is: bool| if is { "yes" } else { "no" };
     let dash = || "-".to_owned();
     let robot = record.robot.as_ref();
-    let mut members = fleet.ensembles.first().into_iter().flat_map(|ensemble| &ensemble.nodes);
-    let member = members.find(|member| member.node == *node).map(|member| yes_no(member.membership.member));
+    let joined = fleet.ensembles.iter().filter(|ensemble| ensemble.members.contains(node));
+    let joined: Vec<&str> = joined.map(|ensemble| ensemble.name.as_str()).collect();
     let skills = robot.map(|robot| robot.skills.iter().map(|skill| skill.as_str()).collect::<Vec<_>>().join(", "));
+    let attributes = robot.filter(|robot| !robot.attributes.is_empty()).map(|robot| {
+        robot.attributes.iter().map(|(name, value)| format!("{name}={value}")).collect::<Vec<_>>().join(", ")
+    });
     vec![
         node.to_string(),
         match contact.status {
@@ -90,8 +105,9 @@ fn row(view: &NodeView, fleet: &FleetView, coordinator: &CoordinatorView) -> Vec
         robot.map_or_else(dash, |robot| format!("{:.1} %", robot.battery.get() * 100.0)),
         robot.and_then(|robot| robot.speed).map_or_else(dash, |speed| format!("{:.2} m/s", speed.get())),
         holds.as_ref().map_or_else(dash, |held| format!("{} of {}", held.role, held.mission)),
-        member.unwrap_or("?").to_owned(),
+        if joined.is_empty() { dash() } else { joined.join(", ") },
         format!("{:.1} s ago", contact.age_ms as f64 / 1000.0),
         skills.unwrap_or_else(dash),
+        attributes.unwrap_or_else(dash),
     ]
 }

@@ -85,8 +85,8 @@ pub struct FleetConfig {
     pub lease: LeaseConfig,
     /// Settings of auctions.
     pub auction: AuctionConfig,
-    /// The ensemble that receives calls for bids: at most 1. Default: robots with any skill that a
-    /// mission can use.
+    /// Ensembles: groups of robots that receive calls for bids. A mission file names those that it
+    /// prefers. Default: the ensemble `workers`, of robots with any skill that a mission can use.
     pub ensemble: Vec<EnsembleSpec>,
 }
 
@@ -240,12 +240,13 @@ impl FleetConfig {
         }
     }
 
-    /// Returns the ensemble that receives calls for bids.
-    pub(crate) fn ensemble(&self, domain: &Domain) -> EnsembleSpec {
-        self.ensemble.first().cloned().unwrap_or_else(|| {
+    /// Returns the ensembles.
+    pub(crate) fn ensembles(&self, domain: &Domain) -> Vec<EnsembleSpec> {
+        if self.ensemble.is_empty() {
             let skills = domain.task_types().cloned().collect();
-            EnsembleSpec::with_any_skill_of(EnsembleId::new("workers").expect("a slug"), skills)
-        })
+            return vec![EnsembleSpec::with_any_skill_of(EnsembleId::new("workers").expect("a slug"), skills)];
+        }
+        self.ensemble.clone()
     }
 }
 
@@ -302,11 +303,10 @@ impl ConfigFile for FleetConfig {
             validate.push(format!("voters is {}, allowed is an odd number: 1, 3, 5, 7 or 9", self.voters));
         }
         validate.extend(wrong);
-        if self.ensemble.len() > 1 {
-            let count = self.ensemble.len();
-            validate.push(format!("ensemble: {count} are declared; a single ensemble is allowed"));
-        }
-        for spec in &self.ensemble {
+        for (index, spec) in self.ensemble.iter().enumerate() {
+            if self.ensemble[..index].iter().any(|other| other.name == spec.name) {
+                validate.push(format!("ensemble {}: is declared twice", spec.name));
+            }
             for skill in spec.skills.iter().filter(|skill| domain.get(skill).is_none()) {
                 validate.push(format!("ensemble {}: skills: {}", spec.name, unknown_skill(skill, domain)));
             }

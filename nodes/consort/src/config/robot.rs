@@ -5,6 +5,7 @@ use super::node::validate_common;
 use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
 use consort_driver::DriverProgram;
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
+use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::Domain;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use schemars::JsonSchema;
@@ -23,6 +24,10 @@ pub struct RobotConfig {
     pub place: PlaceId,
     /// The task types of its skills.
     pub skills: BTreeSet<TaskType>,
+    /// Its attributes, as `section = "icu"`: booleans, numbers or texts that conditions of ensembles and
+    /// roles use as `robot.attributes.section`. Default: none.
+    #[serde(default, skip_serializing_if = "Attributes::is_empty")]
+    pub attributes: Attributes,
     /// Its average speed in metres per second, the basis of its estimates. None: it does not drive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed_mps: Option<MetresPerSecond>,
@@ -89,6 +94,7 @@ impl RobotConfig {
             name,
             place,
             skills,
+            attributes: Attributes::default(),
             speed_mps: None,
             battery: full(),
             discharge_share_per_s: nothing(),

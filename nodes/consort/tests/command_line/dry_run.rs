@@ -76,6 +76,34 @@ fn a_mission_without_viable_bids_fails_with_the_reason() {
     assert!(ran.err.contains("the mission would stay pending: no viable bid for r1"), "{}", ran.err);
 }
 
+#[test]
+fn a_worker_without_the_attributes_of_a_role_is_not_eligible() {
+    let worker = |name: &str, attributes: &str| {
+        format!(
+            "[[worker]]\nname = {name:?}\nplace = \"Laboratory\"\nskills = [\"pick_up\"]\nattributes = {attributes}\n"
+        )
+    };
+    let workers = ["{ section = \"icu\" }", "{ section = \"er\", floor = 3 }", "{}"];
+    let workers = ["ada", "bob", "cyd"].iter().zip(workers).map(|(name, attributes)| worker(name, attributes));
+    let workers = test_file("sections.toml", &workers.collect::<String>());
+    let mission = "mission: m\nparameters: { section: { kind: text } }\n\
+        roles: { r1: { kind: managed, eligible: 'robot.attributes.section == ${section}' } }\n\
+        root: { task: pick, type: pick_up, roles: [r1], parameters: { from_role: r1 } }\n";
+    let mission = test_file("section.yaml", mission);
+    let dry_run = |section: &str| run(&["dry-run", &mission, "--workers", &workers, "--set", section]);
+    let ran = dry_run("section=er");
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    for expected in [
+        "refuses: not eligible: `robot.attributes.section == \"er\"` is false",
+        "refuses: not eligible: `robot.attributes.section == \"er\"`: there is no attribute `section`",
+        "r1 = bob",
+    ] {
+        assert!(ran.out.contains(expected), "{expected:?} is missing in\n{}", ran.out);
+    }
+    let ran = dry_run("section=radiology");
+    assert_eq!(ran.code, Some(1), "{}", ran.out);
+}
+
 /// Returns the folder of the published evaluation; skips the test if it is not installed.
 pub(crate) fn reference() -> Option<PathBuf> {
     let folder = std::env::var_os("CONSORT_REFERENCE")

@@ -52,6 +52,37 @@ fn check_reports_every_error_with_file_and_position() {
 }
 
 #[test]
+fn invalid_policies_are_reported_with_what_is_allowed() {
+    let ensemble = |name: &str, condition: &str| {
+        format!("[[ensemble]]\nname = {name:?}\nmembership = [{condition:?}]\nstale_after_ms = 1000\n")
+    };
+    let icu = ensemble("icu", "member.attributes.section == 'icu'");
+    let valid = test_file("two_ensembles.toml", &(icu.clone() + &ensemble("er", "member.attributes.floor > 2")));
+    let twice = test_file("ensemble_twice.toml", &(icu.clone() + &icu));
+    let wrong = test_file("ensemble_field.toml", &ensemble("icu", "member.attributes.floor > 2 && member.chrge > 0.5"));
+    let text = "name = \"a\"\nplace = \"Dock\"\nskills = [\"pick_up\"]\nattributes = { \"floor-3\" = true }\n";
+    let robot = test_file("wrong_attribute.toml", text);
+    let mission = "mission: m\nroles:\n  r1: { kind: managed, eligible: 'robot.speeed > 0.5' }\n\
+        root: { task: go, type: navigation, roles: [r1], parameters: { to: Dock } }\n";
+    let mission = test_file("wrong_condition.yaml", mission);
+    let ran = run(&["check", &valid, &twice, &wrong, &robot, &mission]);
+    assert_eq!(ran.code, Some(1), "{}", ran.out);
+    for expected in [
+        format!("{valid}: ok, a fleet"),
+        format!("{twice}: ensemble icu: is declared twice"),
+        format!(
+            "{wrong}: ensemble icu: condition `member.attributes.floor > 2 && member.chrge > 0.5`: `member` has no field `chrge`; allowed: "
+        ),
+        format!(
+            "{robot}:4:14: the attribute `floor-3` has an invalid name; allowed are 1 to 64 letters, digits and `_`"
+        ),
+        format!("{mission}: roles/r1/eligible: `robot.speeed > 0.5`: `robot` has no field `speeed`; allowed: "),
+    ] {
+        assert!(ran.out.contains(&expected), "{expected:?} is missing in\n{}", ran.out);
+    }
+}
+
+#[test]
 fn a_node_with_an_unknown_key_does_not_start() {
     let file = test_file("unknown_key.toml", "name = \"s\"\nstationery = true\n");
     let ran = run(&["station", "--config", &file]);

@@ -2,7 +2,8 @@
 
 use consort_protocol::auction::BidPart;
 use consort_protocol::ledger::{Branch, HeldItem, RolePhase};
-use consort_protocol::mission::{ResultValue, RoleKind, TaskNode};
+use consort_protocol::mission::{RoleKind, TaskNode};
+use consort_protocol::scalar::Scalar;
 use consort_protocol::view::NodeStatus;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -170,7 +171,7 @@ pub struct MissionModel {
     pub parameters: BTreeMap<String, String>,
     /// Results that are known.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    pub result: BTreeMap<String, ResultValue>,
+    pub result: BTreeMap<String, Scalar>,
     /// Robot of each role.
     pub holders: BTreeMap<String, String>,
     /// Finished steps.

@@ -4,7 +4,7 @@ use super::allocator::{Allocator, AllocatorInput, OptimalAssignment};
 use super::assignment::AssignmentError;
 use super::bid::{Bid, BidLimits, BidPart, BidResponse, CallForBids, RefusalReason, RoleReply};
 use super::record::{AuctionEntry, AuctionRecord, BidVerdict};
-use crate::ids::{RobotId, RoleId};
+use crate::ids::{EnsembleId, RobotId, RoleId};
 use crate::units::Seconds;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -24,6 +24,9 @@ pub struct AuctionOutcome {
 pub struct AuctionContext<'a> {
     /// Robots that were invited.
     pub invited: &'a BTreeSet<RobotId>,
+    /// Ensembles whose members come first, in this order, with their members. Other robots get roles only
+    /// if the members of these ensembles cannot fill all of them.
+    pub preferred: &'a [(EnsembleId, BTreeSet<RobotId>)],
     /// Robots with bids that do not count, and the reasons. Such a robot holds a role or is about
     /// to get one, and may have sent its bid before it was notified; or it carries an item of
     /// another mission.
@@ -53,14 +56,41 @@ pub fn clear_auction_with(
     allocator: &dyn Allocator,
 ) -> AuctionOutcome {
     let replies = replies_to(call, responses);
-    let mut entries = evaluate_all(call, &replies, context);
+    let mut preferred = BTreeSet::new();
+    for (ensemble, members) in context.preferred {
+        preferred.extend(members);
+        let preference = Preference { ensemble, robots: &preferred };
+        let outcome = clear_among(call, &replies, context, allocator, Some(preference));
+        if outcome.holders.is_some() {
+            return outcome;
+        }
+    }
+    clear_among(call, &replies, context, allocator, None)
+}
+
+/// Robots to which the roles are restricted.
+#[derive(Clone, Copy)]
+struct Preference<'a> {
+    /// The last ensemble among theirs.
+    ensemble: &'a EnsembleId,
+    robots: &'a BTreeSet<&'a RobotId>,
+}
+
+fn clear_among(
+    call: &CallForBids,
+    replies: &Replies<'_>,
+    context: &AuctionContext<'_>,
+    allocator: &dyn Allocator,
+    preference: Option<Preference<'_>>,
+) -> AuctionOutcome {
+    let mut entries = evaluate_all(call, replies, context, preference);
     let unfillable = unfillable_roles(call, &entries, context);
-    let (holders, failure) = match allocate_roles(allocator, call, &replies, &entries, context.limits) {
+    let (holders, failure) = match allocate_roles(allocator, call, replies, &entries, context.limits) {
         Ok(holders) => (Some(holders), None),
         Err(problem) => (None, Some(problem.to_string())),
     };
     let chosen = holders.clone().unwrap_or_default();
-    keep_parts(&mut entries, &chosen, |role, robot| bid_of(&replies, role, robot).map_or(&[], |bid| &bid.parts));
+    keep_parts(&mut entries, &chosen, |role, robot| bid_of(replies, role, robot).map_or(&[], |bid| &bid.parts));
     let mut record =
         AuctionRecord { auction: call.auction.clone(), at_ms: context.at_ms, entries, omitted: 0, chosen, failure };
     record.limit();
@@ -95,7 +125,12 @@ fn bid_of<'a>(replies: &Replies<'a>, role: &RoleId, robot: &RobotId) -> Option<&
 }
 
 /// Evaluates every robot for every role: robots that replied and robots that were invited.
-fn evaluate_all(call: &CallForBids, replies: &Replies<'_>, context: &AuctionContext<'_>) -> Vec<AuctionEntry> {
+fn evaluate_all(
+    call: &CallForBids,
+    replies: &Replies<'_>,
+    context: &AuctionContext<'_>,
+    preference: Option<Preference<'_>>,
+) -> Vec<AuctionEntry> {
     let robots: BTreeSet<&RobotId> = context.invited.iter().chain(replies.keys().map(|(_, robot)| *robot)).collect();
     let mut entries = vec![];
     for role in call.roles.keys() {
@@ -105,7 +140,7 @@ fn evaluate_all(call: &CallForBids, replies: &Replies<'_>, context: &AuctionCont
                 _ if let Some(cause) = excluded => {
                     BidVerdict::Refused { reason: RefusalReason::Excluded { cause: cause.clone() } }
                 }
-                Some(RoleReply::Bid(bid)) => evaluate(bid, context),
+                Some(RoleReply::Bid(bid)) => evaluate(bid, context, preference),
                 Some(RoleReply::Refusal(refusal)) => BidVerdict::Refused { reason: refusal.reason.clone() },
                 None => BidVerdict::Refused { reason: RefusalReason::Silent { window_ms: context.window_ms } },
             };
@@ -191,10 +226,15 @@ fn is_candidate(verdict: &BidVerdict) -> bool {
     }
 }
 
-fn evaluate(bid: &Bid, context: &AuctionContext<'_>) -> BidVerdict {
+fn evaluate(bid: &Bid, context: &AuctionContext<'_>, preference: Option<Preference<'_>>) -> BidVerdict {
     let Bid { time, energy, remaining, .. } = *bid;
     if let Some(reason) = context.unavailable.get(&bid.robot) {
         return BidVerdict::Refused { reason: reason.clone() };
+    }
+    if let Some(Preference { ensemble, robots }) = preference
+        && !robots.contains(&bid.robot)
+    {
+        return BidVerdict::Refused { reason: RefusalReason::NotPreferred { ensemble: ensemble.clone() } };
     }
     match bid.check_viable(context.limits) {
         Ok(()) => BidVerdict::Viable { time, energy, remaining },

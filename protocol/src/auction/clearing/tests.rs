@@ -17,8 +17,9 @@ fn role() -> RoleId {
 fn call() -> CallForBids {
     CallForBids {
         auction: AuctionId { mission: MissionId::new("m-1").unwrap(), term: 3, round: 1 },
-        ensemble: EnsembleId::new("all").unwrap(),
+        ensembles: vec![],
         roles: BTreeMap::from([(role(), LocalPlan::of(role(), vec![]))]),
+        eligible: BTreeMap::new(),
     }
 }
 
@@ -30,7 +31,15 @@ fn context<'a>(
     excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
 ) -> AuctionContext<'a> {
     static LIMITS: std::sync::LazyLock<BidLimits> = std::sync::LazyLock::new(BidLimits::default);
-    AuctionContext { invited: expected, unavailable: taken, excluded, limits: &LIMITS, window_ms: 200, at_ms: 0 }
+    AuctionContext {
+        invited: expected,
+        preferred: &[],
+        unavailable: taken,
+        excluded,
+        limits: &LIMITS,
+        window_ms: 200,
+        at_ms: 0,
+    }
 }
 
 fn bids(name: &str, time: f64, remaining: f64) -> BidResponse {
@@ -220,4 +229,37 @@ fn a_reply_to_another_call_or_for_another_robot_does_not_count() {
     let outcome = clear_auction(&call(), &[old, forged], &context);
     assert_eq!(outcome.holders, None);
     assert_eq!(outcome.record.failure.as_deref(), Some("no viable bid for r1"));
+}
+
+#[test]
+fn members_of_the_ensembles_named_first_come_first() {
+    let group = |ensemble: &str, names: &[&str]| {
+        (EnsembleId::new(ensemble).unwrap(), names.iter().map(|name| robot(name)).collect::<BTreeSet<_>>())
+    };
+    let preferred = [group("icu", &["ada", "bob"]), group("floor", &["cyd"])];
+    let expected = ["ada", "bob", "cyd", "dan"].map(robot).into_iter().collect();
+    let holder = |times: &[(&str, f64, f64)]| {
+        let taken = BTreeMap::new();
+        let context = AuctionContext { preferred: &preferred, ..context(&expected, &taken, &NO_EXCLUDED) };
+        let responses: Vec<_> = times.iter().map(|(name, time, charge)| bids(name, *time, *charge)).collect();
+        let outcome = clear_auction(&call(), &responses, &context);
+        let refusals = outcome.record.entries.iter().filter_map(|entry| match &entry.verdict {
+            BidVerdict::Refused { reason: reason @ RefusalReason::NotPreferred { .. } } => {
+                Some(format!("{}: {reason}", entry.robot))
+            }
+            _ => None,
+        });
+        (outcome.holders.map(|holders| holders[&role()].to_string()), refusals.collect::<Vec<_>>())
+    };
+    let dan = ("dan", 1.0, 0.5);
+    let (chosen, refusals) = holder(&[("ada", 9.0, 0.5), ("bob", 8.0, 0.5), ("cyd", 2.0, 0.5), dan]);
+    assert_eq!(chosen.as_deref(), Some("bob"));
+    assert_eq!(refusals, ["cyd: members of icu come first", "dan: members of icu come first"]);
+    // No member of the first ensemble has enough charge.
+    let (chosen, refusals) = holder(&[("ada", 9.0, 0.01), ("cyd", 2.0, 0.5), dan]);
+    assert_eq!(chosen.as_deref(), Some("cyd"));
+    assert_eq!(refusals, ["dan: members of floor come first"]);
+    let (chosen, refusals) = holder(&[("ada", 9.0, 0.01), dan]);
+    assert_eq!((chosen.as_deref(), refusals), (Some("dan"), vec![]));
+    assert_eq!(holder(&[]), (None, vec![]));
 }

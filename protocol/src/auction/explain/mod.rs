@@ -71,8 +71,10 @@ pub enum RobotOutcome {
     Unviable,
     /// The robot refused the role.
     Refused,
-    /// The robot is not a member of the ensemble.
+    /// The robot is not a member of a called ensemble.
     NotMember,
+    /// Members of an ensemble that the mission names earlier take its roles.
+    NotPreferred,
     /// The robot did not reply in time.
     Silent,
 }
@@ -298,9 +300,7 @@ fn most_behind<'a>(parts: &'a [BidPart], won: &[BidPart]) -> Option<(&'a BidPart
 
 fn explain_refusal(robot: &RobotId, reason: &RefusalReason) -> (RobotOutcome, String) {
     match reason {
-        RefusalReason::NotMember { ensemble, why } => {
-            (RobotOutcome::NotMember, format!("{robot} is not a member of {ensemble}: {why}"))
-        }
+        RefusalReason::NotMember { .. } => (RobotOutcome::NotMember, format!("{robot} is {reason}")),
         RefusalReason::Silent { window_ms } => {
             (RobotOutcome::Silent, format!("{robot} was invited and did not reply within {window_ms} ms"))
         }
@@ -309,8 +309,11 @@ fn explain_refusal(robot: &RobotId, reason: &RefusalReason) -> (RobotOutcome, St
             (RobotOutcome::Refused, format!("{robot} {reason}"))
         }
         RefusalReason::NotFeasible { .. } => (RobotOutcome::Refused, format!("{robot} {reason}")),
-        RefusalReason::Busy { .. } | RefusalReason::OutOfService { .. } => {
+        RefusalReason::Busy { .. } | RefusalReason::OutOfService { .. } | RefusalReason::NotEligible { .. } => {
             (RobotOutcome::Refused, format!("{robot} is {reason}"))
+        }
+        RefusalReason::NotPreferred { .. } => {
+            (RobotOutcome::NotPreferred, format!("{robot} could take the role, but {reason}"))
         }
     }
 }

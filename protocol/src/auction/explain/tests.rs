@@ -63,7 +63,7 @@ fn the_fastest_wins_and_every_other_robot_has_a_reason() {
         why: ViabilityError::LowCharge { remaining: 0.023, floor: BatteryShare::new(0.08).unwrap() },
     };
     let entries = vec![
-        refusal("r1", "amber", RefusalReason::NotMember { ensemble: slug("logistics"), why: "too far".to_owned() }),
+        refusal("r1", "amber", RefusalReason::NotMember { why: "logistics: too far".to_owned() }),
         bid("r1", "birch", 99.7),
         bid("r1", "cedar", 176.9),
         refusal("r1", "dune", RefusalReason::MissingSkills { skills: vec![slug("navigation")] }),

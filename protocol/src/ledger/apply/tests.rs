@@ -3,8 +3,9 @@ use super::*;
 use crate::auction::{AuctionEntry, AuctionId, BidVerdict, RefusalReason};
 use crate::codec;
 use crate::ids::{TaskId, TaskType};
-use crate::mission::{Method, Mission, ResultValue, Role, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskSpec};
+use crate::mission::{Method, Mission, Role, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskSpec};
 use crate::plan::{Division, LocalPlan, Signal, SignalKind, Step, StepAction};
+use crate::scalar::Scalar;
 
 fn role(name: &str) -> RoleId {
     RoleId::new(name).unwrap()
@@ -24,6 +25,7 @@ fn submission(request: &str) -> Box<Submission> {
     let mission = Mission {
         name: TaskId::new("unload").unwrap(),
         roles: BTreeMap::from([(role("lab_arm"), managed.clone()), (role("r1"), managed)]),
+        ensembles: vec![],
         tasks: vec![
             TaskNode { id: TaskId::new("root").unwrap(), body: TaskBody::Abstract(method) },
             TaskNode { id: task.clone(), body: TaskBody::Elementary(spec.clone()) },
@@ -149,7 +151,7 @@ fn the_first_outcome_of_a_task_is_kept() {
     let mut log = Log::new();
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
-    let pulse = |bpm: i64| TaskOutcome::Done(BTreeMap::from([("pulse_bpm".to_owned(), ResultValue::Integer(bpm))]));
+    let pulse = |bpm: i64| TaskOutcome::Done(BTreeMap::from([("pulse_bpm".to_owned(), Scalar::Integer(bpm))]));
     let report = |log: &mut Log, who: &str, epoch: Epoch, outcome: TaskOutcome| {
         let outcomes = BTreeMap::from([(TaskId::new("pick_up_sample").unwrap(), outcome)]);
         let (mission, role, branch, ended) = (mission.clone(), role(who), Branch::Main, BTreeSet::new());
@@ -179,7 +181,7 @@ fn the_outcomes_of_a_mission_have_a_bounded_size() {
     let mut log = Log::new();
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
-    let results = (0..16).map(|number| (format!("{number}{}", "x".repeat(3_000)), ResultValue::Bool(true)));
+    let results = (0..16).map(|number| (format!("{number}{}", "x".repeat(3_000)), Scalar::Bool(true)));
     let outcomes = BTreeMap::from([(TaskId::new("pick_up_sample").unwrap(), TaskOutcome::Done(results.collect()))]);
     let (role, branch, ended) = (role("lab_arm"), Branch::Main, BTreeSet::from([0]));
     log.apply(Command::Progress { mission: mission.clone(), role, epoch: epoch(2), branch, ended, outcomes });

@@ -1,7 +1,7 @@
 //! Kinds of problems in missions.
 
 use super::ihtn::IhtnError;
-use crate::ids::{ItemId, NameError, RoleId, TaskId, TaskType};
+use crate::ids::{EnsembleId, ItemId, NameError, RoleId, TaskId, TaskType};
 use consort_text::AllowedNames;
 
 /// Kind of problem in a mission.
@@ -29,6 +29,22 @@ pub enum MissionErrorKind {
         found: usize,
         /// Maximum.
         max: usize,
+    },
+    /// There are too many ensembles.
+    #[error("{found} ensembles; at most {max} are allowed")]
+    TooManyEnsembles {
+        /// Number found.
+        found: usize,
+        /// Maximum.
+        max: usize,
+    },
+    /// The fleet does not have the ensemble.
+    #[error("the fleet has no ensemble `{name}`; {allowed}")]
+    UnknownEnsemble {
+        /// As given.
+        name: EnsembleId,
+        /// Ensembles of the fleet.
+        allowed: AllowedNames,
     },
     /// There are too many levels of refinement.
     #[error("is {found} levels deep; at most {max} are allowed")]
@@ -332,8 +348,8 @@ pub enum MissionErrorKind {
         /// Declared parameters.
         allowed: AllowedNames,
     },
-    /// No task uses a declared parameter.
-    #[error("is declared, but `${{{name}}}` is not used in any task")]
+    /// A declared parameter is not used.
+    #[error("is declared, but `${{{name}}}` is not used in any task or condition")]
     UnusedParameter {
         /// The parameter.
         name: String,

@@ -4,7 +4,7 @@ use super::form::{
     ChoiceFile, ITERATIONS_MAX, ListFile, RoleFile, TaskFile, TemplateKind, TemplateParameter, text_literal,
 };
 use super::scope::Scope;
-use crate::ids::{ItemId, NameError, RoleId, TaskId, TaskType};
+use crate::ids::{EnsembleId, ItemId, NameError, RoleId, TaskId, TaskType};
 use crate::mission::diagnostic::{MissionDiagnostic, MissionErrorKind};
 use crate::mission::domain::Domain;
 use crate::mission::limits::TASKS_MAX;
@@ -115,21 +115,26 @@ impl<'a> MissionBuilder<'a> {
         name.map_err(|error| self.report(path, error.into())).ok()
     }
 
-    /// Builds a branch with `path` as the path of its root.
-    pub(super) fn mission(
-        &mut self,
-        name: &TaskId,
-        declared: &'a BTreeMap<String, RoleFile>,
-        root: &'a TaskFile,
-        path: &str,
-    ) -> Mission {
+    /// Builds the roles of all branches.
+    pub(super) fn roles(&mut self, declared: &'a BTreeMap<String, RoleFile>) -> BTreeMap<RoleId, Role> {
         let mut roles = BTreeMap::new();
-        for (text, role) in declared {
-            // An invalid name is reported once, for the main branch.
-            let id = RoleId::new(&**text);
-            let id = if path == "root" { self.name(&format!("roles/{text}"), id) } else { id.ok() };
-            roles.extend(id.map(|id| (id, Role { kind: role.kind, on_loss: role.on_loss })));
+        for (name, RoleFile { kind, on_loss, eligible, .. }) in declared {
+            let path = format!("roles/{name}");
+            let condition = |text: &String| self.expression(text, &Scope::default(), &format!("{path}/eligible"));
+            let eligible = eligible.as_ref().and_then(condition);
+            let id = self.name(&path, RoleId::new(&**name));
+            roles.extend(id.map(|id| (id, Role { kind: *kind, on_loss: *on_loss, eligible })));
         }
+        roles
+    }
+
+    /// Builds the ensembles of the mission.
+    pub(super) fn ensembles(&mut self, names: &[String]) -> Vec<EnsembleId> {
+        names.iter().filter_map(|name| self.name("ensembles", EnsembleId::new(&**name))).collect()
+    }
+
+    /// Builds a branch with `path` as the path of its root.
+    pub(super) fn tasks(&mut self, root: &'a TaskFile, path: &str) -> Vec<TaskNode> {
         let mut tasks: Vec<TaskNode> = Vec::new();
         let first = OpenTask { node: root, parent: None, path: path.to_owned(), scope: Scope::default() };
         let mut open: Vec<OpenTask<'a>> = vec![first];
@@ -164,7 +169,7 @@ impl<'a> MissionBuilder<'a> {
                 OpenTask { node: child, parent: Some(index), path, scope }
             }));
         }
-        Mission { name: name.clone(), roles, tasks, results: BTreeMap::new() }
+        tasks
     }
 
     /// Returns the results of the mission.

@@ -1,6 +1,6 @@
 //! Parsed form of a mission file, before it is checked.
 
-use crate::ids::{RoleId, TaskId, TaskType};
+use crate::ids::{EnsembleId, RoleId, TaskId, TaskType};
 use crate::mission::domain::{NumberRange, ValueKind};
 use crate::mission::model::{ATTEMPTS_MAX, Escalation, OnLoss, PATIENCE_MAX_S, RoleKind, TaskOrder};
 use schemars::JsonSchema;
@@ -85,6 +85,11 @@ pub(super) struct MissionFile {
     /// Participating roles, by name; at least 1 is managed.
     #[serde(deserialize_with = "unique_keys")]
     pub(super) roles: BTreeMap<String, RoleFile>,
+    /// Ensembles whose robots get the roles, in order of preference: robots of the first if they can fill
+    /// all roles, otherwise those of the first 2, and so on. Default: robots of any ensemble.
+    #[serde(default)]
+    #[schemars(with = "Vec<EnsembleId>")]
+    pub(super) ensembles: Vec<String>,
     /// Tasks of the mission.
     pub(super) root: TaskFile,
     /// Branch executed instead if a robot is lost that has, or may have, an item. Its tasks have
@@ -112,6 +117,10 @@ pub(super) struct RoleFile {
     /// Consequence if its holder is lost after other roles have acted on its work.
     #[serde(default)]
     pub(super) on_loss: OnLoss,
+    /// Condition (CEL) on the robot of a managed role, such as `robot.attributes.section == ${section}` or
+    /// `robot.name == "ada"`. `${name}` stands for a parameter of the mission.
+    #[serde(default)]
+    pub(super) eligible: Option<String>,
     /// Description, for people.
     #[serde(default, rename = "description")]
     _description: String,

@@ -28,6 +28,10 @@
 //!   `parameters: { timeout_s: "300" }`: time in seconds that the robot waits, at each attempt, for
 //!   a person who has left; default 120.
 //!
+//! A role may name the robots that it accepts: `eligible: robot.attributes.section == ${section}` (see
+//! [`ensemble`](crate::ensemble) for the variables), and a mission the ensembles whose robots it
+//! prefers: `ensembles: [icu, hospital]`.
+//!
 //! A role may set `on_loss: restart`: if its holder is lost after other roles have acted on its
 //! work, and has no item, another robot restarts the role from its first step. Without it such a
 //! mission fails.
@@ -265,10 +269,16 @@ impl MissionTemplate {
     ) -> Result<(Mission, Option<Mission>), MissionErrors> {
         let mut builder = MissionBuilder::default();
         builder.bind_parameters(&self.file.parameters, arguments, domain);
-        let mut mission = builder.mission(&self.name, &self.file.roles, &self.file.root, "root");
+        let mut mission = Mission {
+            name: self.name.clone(),
+            roles: builder.roles(&self.file.roles),
+            ensembles: builder.ensembles(&self.file.ensembles),
+            tasks: builder.tasks(&self.file.root, "root"),
+            results: BTreeMap::new(),
+        };
         let mut recovery = self.file.recovery.as_ref().map(|root| {
             builder.values.extend(lost_item::VARIABLES);
-            builder.mission(&self.name, &self.file.roles, root, "recovery")
+            Mission { tasks: builder.tasks(root, "recovery"), ..mission.clone() }
         });
         mission.results = builder.results(&self.file.result);
         [Some(&mut mission), recovery.as_mut()].into_iter().flatten().for_each(|branch| {
@@ -288,7 +298,14 @@ impl MissionTemplate {
             split_roles(&mut mission, recovery);
             diagnostics_found = recovery_diagnostics(&mission, recovery, domain);
         }
-        diagnostics_found.splice(0..0, mission.check(domain).err().into_iter().flat_map(|errors| errors.diagnostics));
+        let own: Vec<_> = mission.check(domain).err().into_iter().flat_map(|errors| errors.diagnostics).collect();
+        // Ensembles and roles of both branches are reported once.
+        diagnostics_found.retain(|found| {
+            let is_same =
+                |own: &MissionDiagnostic| own.kind == found.kind && found.path == format!("recovery: {}", own.path);
+            !own.iter().any(is_same)
+        });
+        diagnostics_found.splice(0..0, own);
         // After a failed substitution, missing values that follow from it are not reported again.
         let is_reported = |problem: &MissionDiagnostic| match &problem.kind {
             MissionErrorKind::NoRole { .. }

@@ -7,6 +7,7 @@ use super::domain::{Domain, ValueKind};
 use super::limits::{ROLES_MAX, TASKS_MAX};
 use super::model::{Mission, TaskSpec};
 use super::order::GlobalOrder;
+use super::policies::policy_problems;
 use super::references::reference_problems;
 use super::structure::{at, check_tree_and_roles, paths, specs};
 use consort_text::AllowedNames;
@@ -18,6 +19,7 @@ impl Mission {
     /// [`MissionErrors`] lists all problems.
     pub fn check(&self, domain: &Domain) -> Result<(), MissionErrors> {
         let mut found = check_tree_and_roles(self);
+        found.extend(policy_problems(self, domain));
         if found.is_empty() {
             match GlobalOrder::of(self) {
                 Ok(order) => found.extend(reference_problems(self, &order, domain)),

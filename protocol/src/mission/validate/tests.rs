@@ -25,6 +25,7 @@ fn mission(roles: &[(&str, RoleKind)], tasks: Vec<TaskNode>) -> Mission {
     Mission {
         name: TaskId::new("trial").unwrap(),
         roles: roles.iter().map(|(name, kind)| (role(name), Role::of(*kind))).collect(),
+        ensembles: vec![],
         tasks,
         results: Default::default(),
     }

@@ -124,8 +124,9 @@ mod tests {
         let plan = LocalPlan::of(role(), vec![Step { action, after: vec![] }]);
         CallForBids {
             auction: AuctionId { mission: "m".parse().unwrap(), term: 1, round },
-            ensemble: "all".parse().unwrap(),
+            ensembles: vec![],
             roles: [(role(), plan)].into(),
+            eligible: BTreeMap::new(),
         }
     }
 

@@ -71,7 +71,7 @@ mod tests {
     use super::super::test_ledger::{ledger, nurse};
     use super::*;
     use consort_protocol::ledger::{AnswerContent, CommandOutcome, Ledger, MissionState, PersonAnswer};
-    use consort_protocol::mission::ResultValue;
+    use consort_protocol::scalar::Scalar;
     use std::collections::{BTreeMap, BTreeSet};
 
     const NOW_MS: u64 = 1_700_000_000_000;
@@ -139,7 +139,7 @@ mod tests {
         assert_eq!(next(&ledger), None, "it stays open");
         assert_eq!(answer(&mut ledger, 1, "Nia", done()), CommandOutcome::Done);
         assert_eq!(answer(&mut ledger, 1, "Nia", done()), CommandOutcome::Done, "she repeats her answer");
-        let other = AnswerContent::Done(BTreeMap::from([("dust_g".to_owned(), ResultValue::Integer(3))]));
+        let other = AnswerContent::Done(BTreeMap::from([("dust_g".to_owned(), Scalar::Integer(3))]));
         for (by, content) in [("Ria", done()), ("Nia", AnswerContent::Cannot), ("Nia", other)] {
             let CommandOutcome::Refused(problem) = answer(&mut ledger, 1, by, content) else { panic!("{by}") };
             assert_eq!(problem.to_string(), "request fetch-1.1 is closed; it was answered by Nia: done");

@@ -200,7 +200,8 @@ impl RobotState {
         let RobotSettings { robot, links, pricing, .. } = &self.settings;
         let me = NodeId::from(robot.clone());
         let coordinator = self.lease.coordinator().unwrap_or(&me);
-        let membership = links.knowledge.read(|base| pricing.ensemble.membership_of(&me, coordinator, base, now));
+        let membership =
+            links.knowledge.read(|base| pricing.ensembles.membership_of(&call.ensembles, &me, coordinator, base, now));
         let (age_ms, closed_lanes) = (self.driver.telemetry_age_ms(), self.driver.closed_lanes());
         let context = BidContext { worker: self.driver.worker(), closed_lanes, age_ms, membership };
         let response = Bidder::new(robot.clone(), Arc::clone(&pricing.estimator)).respond(&call, &context);

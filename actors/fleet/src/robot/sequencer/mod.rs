@@ -14,8 +14,9 @@ use alternatives::{alternative, alternative_task};
 use consort_bus::Author;
 use consort_protocol::ids::{RobotId, RoleId, TaskId};
 use consort_protocol::lease::{Epoch, RoleHolder};
-use consort_protocol::mission::{ResultValue, TaskOutcome, TaskOutcomes, TaskSpec};
+use consort_protocol::mission::{TaskOutcome, TaskOutcomes, TaskSpec};
 use consort_protocol::plan::{LocalPlan, PlanProgress, ProgressError, Signal, SignalKind, Step, StepAction, StepIndex};
+use consort_protocol::scalar::Scalar;
 use outcomes::Outcomes;
 use parked_signals::{ParkedSignal, ParkedSignals};
 use role_awards::{RoleAwards, SignalCheck};
@@ -219,7 +220,7 @@ impl Sequencer {
     }
 
     /// Marks the current task as succeeded, with its results.
-    pub fn end_task(&mut self, step: StepRef, results: BTreeMap<String, ResultValue>) {
+    pub fn end_task(&mut self, step: StepRef, results: BTreeMap<String, Scalar>) {
         let task = self.current_task().cloned();
         if self.running.take_if(|running| *running == step).is_none() {
             return;

@@ -1,5 +1,6 @@
 mod control_flow;
 mod optional_parts;
+mod policies;
 
 use super::*;
 use crate::mission::test_data::domain;
@@ -136,7 +137,7 @@ fn every_problem_of_a_file_is_reported_with_its_path() {
              a-z, 0-9, `_`, `.` and `-`",
             "root/meet/sit: a task has either `method` and `tasks`, or `type` and `roles` (and `parameters`, \
              `reaches`); this task has `roles` but no `type`",
-            "parameters/room: is declared, but `${room}` is not used in any task",
+            "parameters/room: is declared, but `${room}` is not used in any task or condition",
         ]
     );
 }

@@ -1,0 +1,63 @@
+//! The ensembles of a fleet.
+
+use super::{ConditionError, Ensemble, EnsembleSpec, Membership};
+use crate::ids::{EnsembleId, NodeId};
+use crate::knowledge::KnowledgeBase;
+use crate::units::NodeTime;
+
+/// Ensembles of a fleet, in the order of the fleet file.
+#[derive(Debug)]
+pub struct Ensembles(Vec<Ensemble>);
+
+impl Ensembles {
+    /// Compiles the conditions of all ensembles.
+    ///
+    /// # Errors
+    /// As [`Ensemble::compile`].
+    pub fn compile(specs: Vec<EnsembleSpec>) -> Result<Ensembles, ConditionError> {
+        specs.into_iter().map(Ensemble::compile).collect::<Result<_, _>>().map(Ensembles)
+    }
+
+    /// Returns the ensembles.
+    pub fn iter(&self) -> impl Iterator<Item = &Ensemble> {
+        self.0.iter()
+    }
+
+    /// Returns the names of the ensembles.
+    pub fn names(&self) -> impl Iterator<Item = &EnsembleId> {
+        self.iter().map(|ensemble| &ensemble.spec().name)
+    }
+
+    /// Returns the ensemble with this name.
+    pub fn get(&self, name: &EnsembleId) -> Option<&Ensemble> {
+        self.iter().find(|ensemble| ensemble.spec().name == *name)
+    }
+
+    /// Evaluates whether a node is a member of any of the called ensembles. None called: of any ensemble.
+    /// The reason of a node that is none contains the names of the ensembles.
+    pub fn membership_of(
+        &self,
+        called: &[EnsembleId],
+        node: &NodeId,
+        coordinator: &NodeId,
+        base: &KnowledgeBase,
+        now: NodeTime,
+    ) -> Membership {
+        let called: Vec<&EnsembleId> = if called.is_empty() { self.names().collect() } else { called.iter().collect() };
+        let mut reasons = vec![];
+        let mut age_ms = 0;
+        for name in called {
+            let Some(ensemble) = self.get(name) else {
+                reasons.push(format!("{name}: this node does not know it"));
+                continue;
+            };
+            let membership = ensemble.membership_of(node, coordinator, base, now);
+            if membership.member {
+                return membership;
+            }
+            age_ms = membership.age_ms;
+            reasons.push(format!("{name}: {}", membership.reason));
+        }
+        Membership { member: false, reason: reasons.join("; "), age_ms }
+    }
+}
