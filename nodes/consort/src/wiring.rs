@@ -9,7 +9,7 @@ use consort_bus::ZenohSettings;
 use consort_bus::clock::Clock;
 use consort_bus::zenoh_bus::LinkTrust;
 use consort_dashboard::loaded_map::LoadedMap;
-use consort_driver::{DriverProgram, ProcessDriver, ProgramError, RobotStart};
+use consort_driver::{DriverEndpoint, DriverSetting, EndpointError, ProcessDriver, RobotStart};
 use consort_fleet::autopilot;
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
@@ -215,7 +215,7 @@ pub(crate) fn robot_node_with(
         estimator: Arc::clone(&equipment.estimator),
         library: Arc::clone(&equipment.library),
     };
-    let driver_server = robot.driver.clone().map(|words| process_driver(words, robot, equipment, extensions));
+    let driver_server = robot.driver.clone().map(|driver| process_driver(driver, robot, equipment, extensions));
     let driver_server = driver_server.transpose()?;
     let node = NodeId::from(robot.name.clone());
     let bare = bare_node(node, fleet, incarnation, robot.may_vote, extensions)?;
@@ -223,26 +223,26 @@ pub(crate) fn robot_node_with(
     Ok(NodeSettings { stationary, mains_powered, robot: Some(part), driver_server, ..bare })
 }
 
-/// Builds the driver server of a robot whose driver is a process of this node.
+/// Builds the driver server of a robot whose driver is a process of this node, or on a socket.
 ///
 /// # Errors
-/// [`Diagnostics`] if the program does not exist.
+/// [`Diagnostics`] if the setting is invalid, or the program does not exist.
 fn process_driver(
-    words: Vec<String>,
+    driver: DriverSetting,
     robot: &RobotConfig,
     equipment: &SkillResources,
     extensions: Extensions,
 ) -> Result<DriverServerPart, Diagnostics> {
-    let of = |problem: ProgramError| Diagnostic::for_file("", format!("robot {}: driver: {problem}", robot.name));
-    let program = DriverProgram::new(words).map_err(of)?;
-    program.check_exists().map_err(of)?;
+    let of = |problem: EndpointError| Diagnostic::for_file("", format!("robot {}: driver: {problem}", robot.name));
+    let endpoint = DriverEndpoint::try_from(driver).map_err(of)?;
+    endpoint.check_exists().map_err(|problem| of(problem.into()))?;
     let start = RobotStart {
         robot: robot.name.clone(),
         place: robot.place.clone(),
         charge: robot.battery,
         places: equipment.places.clone(),
     };
-    let driver = ProcessDriver::new(start, program, extensions.driver_contract());
+    let driver = ProcessDriver::new(start, endpoint, extensions.driver_contract());
     Ok(DriverServerPart { world: Box::new(driver), speed: 1.0 })
 }
 

@@ -1,8 +1,9 @@
 //! The driver of a robot as backend of a driver server.
 
 use crate::contract::Contract;
+use crate::endpoint::DriverEndpoint;
 use crate::messages::Reading;
-use crate::process::{DriverProcess, DriverProgram, ProcessCommand};
+use crate::process::{DriverProcess, ProcessCommand};
 use crate::session::{DriverSession, SessionAction};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
@@ -59,13 +60,14 @@ pub struct ProcessDriver {
 }
 
 impl ProcessDriver {
-    /// Creates the backend; called within a runtime. The process starts when time first advances.
-    pub fn new(start: RobotStart, program: DriverProgram, contract: Contract) -> ProcessDriver {
+    /// Creates the backend; called within a runtime. The process starts, or the connection is made, when
+    /// time first advances.
+    pub fn new(start: RobotStart, endpoint: DriverEndpoint, contract: Contract) -> ProcessDriver {
         let RobotStart { robot, place, charge, places } = start;
         let pose = places.get(&place).copied().unwrap_or_default();
         ProcessDriver {
             session: DriverSession::new(robot.clone(), contract, pose, charge),
-            process: DriverProcess::start(robot.clone(), program),
+            process: DriverProcess::start(robot.clone(), endpoint),
             robot,
             place,
             places,

@@ -1,5 +1,5 @@
 //! Drivers of robots in any language: a child process that exchanges JSON lines over its standard
-//! streams (`docs/reference/driver.md`).
+//! streams, or a program that does so over a local socket (`docs/reference/driver.md`).
 //!
 //! ```text
 //!  robot's node                                                        child process
@@ -14,16 +14,19 @@
 mod backend;
 pub mod conformance;
 mod contract;
+mod endpoint;
 mod line;
 mod messages;
 mod process;
+mod program;
 mod session;
 mod throttle;
 
 pub use backend::{ProcessDriver, RobotStart};
 pub use contract::{Contract, ContractError};
+pub use endpoint::{DriverEndpoint, DriverSetting, DriverSocket, EndpointError};
 pub use line::LINE_BYTES_MAX;
 pub use messages::{
     DriverMessage, NodeMessage, OfferedAction, PROTOCOL_VERSION, Reading, ResultStatus, message_schemas,
 };
-pub use process::{DriverProgram, ProgramError};
+pub use program::{DriverProgram, ProgramError};

@@ -1,17 +1,15 @@
-//! The process of a driver: its start, its streams and its end.
+//! The process of a driver, or the connection to it: its start, its streams and its end.
 
+use crate::endpoint::{DriverEndpoint, SocketReader, SocketWriter};
 use crate::line::{LINE_BYTES_MAX, ReadLine, next_line};
 use crate::messages::{DriverMessage, NodeMessage};
+use crate::program::RunningDriver;
 use crate::session::SessionEvent;
 use crate::throttle::Throttle;
 use consort_protocol::ids::RobotId;
-use rustix::process::{Pid, Signal, kill_process_group};
-use std::io;
-use std::path::{Path, PathBuf};
-use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
-use tokio::io::{AsyncRead, AsyncWriteExt as _, BufReader};
-use tokio::process::{Child, ChildStdin, Command};
+use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt as _, BufReader};
+use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::mpsc::{Receiver, Sender, UnboundedReceiver, UnboundedSender, channel, unbounded_channel};
 use tokio::time::{Instant, sleep, timeout};
 use tracing::info;
@@ -30,113 +28,6 @@ const SHUTDOWN_LIMIT: Duration = Duration::from_secs(3);
 /// line.
 const DRAIN_LIMIT: Duration = Duration::from_millis(500);
 
-/// Command line of a driver.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct DriverProgram {
-    words: Vec<String>,
-}
-
-/// A driver cannot be started.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ProgramError {
-    /// The command line has no words.
-    #[error("the list is empty; it contains a program and its arguments, as [\"python3\", \"driver.py\"]")]
-    Empty,
-    /// The program does not exist.
-    #[error("the program {0:?} was not found; allowed is a path, or the name of a program in PATH")]
-    NotFound(String),
-}
-
-impl DriverProgram {
-    /// Creates a command line from its words: the program and its arguments.
-    ///
-    /// # Errors
-    /// [`ProgramError::Empty`].
-    pub fn new(words: Vec<String>) -> Result<DriverProgram, ProgramError> {
-        if words.first().is_none_or(String::is_empty) { Err(ProgramError::Empty) } else { Ok(DriverProgram { words }) }
-    }
-
-    /// Replaces the words that are paths relative to `folder`: a program with a `/`, and every
-    /// argument that names a file in it.
-    pub fn resolve(words: &mut [String], folder: &Path) {
-        for (index, word) in words.iter_mut().enumerate() {
-            let is_path = if index == 0 { word.contains('/') } else { folder.join(&*word).is_file() };
-            if is_path {
-                *word = folder.join(&*word).components().collect::<PathBuf>().display().to_string();
-            }
-        }
-    }
-
-    /// Checks that the program exists.
-    ///
-    /// # Errors
-    /// [`ProgramError::NotFound`].
-    pub fn check_exists(&self) -> Result<(), ProgramError> {
-        let program = Path::new(&self.words[0]);
-        let path = std::env::var_os("PATH").unwrap_or_default();
-        let is_found = match self.words[0].contains('/') {
-            true => program.is_file(),
-            false => std::env::split_paths(&path).any(|folder| folder.join(program).is_file()),
-        };
-        if is_found { Ok(()) } else { Err(ProgramError::NotFound(self.words[0].clone())) }
-    }
-
-    /// Starts the process in a process group of its own.
-    pub(crate) fn spawn(&self) -> io::Result<RunningDriver> {
-        let mut command = Command::new(&self.words[0]);
-        command.args(&self.words[1..]).process_group(0).kill_on_drop(true);
-        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        let child = command.spawn()?;
-        let group = child.id().and_then(|id| Pid::from_raw(i32::try_from(id).ok()?));
-        Ok(RunningDriver { child, group: Group(group) })
-    }
-}
-
-/// The process group of a driver, killed on drop.
-struct Group(Option<Pid>);
-
-impl Group {
-    fn kill(&self) {
-        if let Some(group) = self.0 {
-            // Its processes may have ended already.
-            let _ = kill_process_group(group, Signal::KILL);
-        }
-    }
-}
-
-impl Drop for Group {
-    fn drop(&mut self) {
-        self.kill();
-    }
-}
-
-/// A running process of a driver, killed with its descendants on drop.
-pub(crate) struct RunningDriver {
-    child: Child,
-    group: Group,
-}
-
-impl RunningDriver {
-    /// Takes the standard streams: input, output, error.
-    pub(crate) fn take_streams(
-        &mut self,
-    ) -> (ChildStdin, impl AsyncRead + Unpin + use<>, impl AsyncRead + Unpin + use<>) {
-        let taken = (self.child.stdin.take(), self.child.stdout.take(), self.child.stderr.take());
-        let (Some(stdin), Some(stdout), Some(stderr)) = taken else { panic!("streams are piped and taken once") };
-        (stdin, stdout, stderr)
-    }
-
-    /// Waits for the end of the process.
-    pub(crate) async fn wait(&mut self) -> io::Result<ExitStatus> {
-        self.child.wait().await
-    }
-
-    /// Kills the process and its descendants.
-    pub(crate) fn kill(&self) {
-        self.group.kill();
-    }
-}
-
 /// A command for the process.
 pub(crate) enum ProcessCommand {
     Spawn,
@@ -144,7 +35,8 @@ pub(crate) enum ProcessCommand {
     Kill(String),
 }
 
-/// Connection to the task that runs the process. The process ends when it is dropped.
+/// Connection to the task that runs the process, or the connection to a socket. It ends when this is
+/// dropped.
 pub(crate) struct DriverProcess {
     pub(crate) commands: UnboundedSender<ProcessCommand>,
     pub(crate) events: Receiver<SessionEvent>,
@@ -152,26 +44,32 @@ pub(crate) struct DriverProcess {
 
 impl DriverProcess {
     /// Starts the task, within a runtime; the process starts with [`ProcessCommand::Spawn`].
-    pub(crate) fn start(robot: RobotId, program: DriverProgram) -> DriverProcess {
+    pub(crate) fn start(robot: RobotId, endpoint: DriverEndpoint) -> DriverProcess {
         let ((commands, receiver), (sender, events)) = (unbounded_channel(), channel(EVENTS_MAX));
-        tokio::spawn(supervise(robot, program, receiver, sender));
+        tokio::spawn(supervise(robot, endpoint, receiver, sender));
         DriverProcess { commands, events }
     }
 }
 
-/// Runs one process after the other.
+/// Runs one process, or one connection, after the other.
 async fn supervise(
     robot: RobotId,
-    program: DriverProgram,
+    endpoint: DriverEndpoint,
     mut commands: UnboundedReceiver<ProcessCommand>,
     events: Sender<SessionEvent>,
 ) {
     while let Some(command) = commands.recv().await {
         // Messages to a process that has ended are dropped.
         let ProcessCommand::Spawn = command else { continue };
-        let how = match program.spawn() {
-            Ok(running) => run(&robot, running, &mut commands, &events).await,
-            Err(problem) => format!("{:?} cannot be started: {problem}", program.words[0]),
+        let how = match &endpoint {
+            DriverEndpoint::Program(program) => match program.spawn() {
+                Ok(running) => run(&robot, running, &mut commands, &events).await,
+                Err(problem) => format!("{program} cannot be started: {problem}"),
+            },
+            DriverEndpoint::Socket(socket) => match socket.connect().await {
+                Ok((reader, writer)) => serve_connection(reader, writer, &mut commands, &events).await,
+                Err(problem) => format!("no connection to {socket}: {problem}"),
+            },
         };
         if events.send(SessionEvent::Ended(how)).await.is_err() {
             return;
@@ -210,7 +108,7 @@ async fn run(
             command = commands.recv(), if messages.is_some() => match command {
                 Some(ProcessCommand::Send(message)) => {
                     let sent = messages.as_ref().map(|messages| messages.try_send(message.to_line()));
-                    if let Some(Err(tokio::sync::mpsc::error::TrySendError::Full(_))) = sent {
+                    if let Some(Err(TrySendError::Full(_))) = sent {
                         killed.get_or_insert_with(|| format!("it has not read {MESSAGES_MAX} messages"));
                         running.kill();
                     }
@@ -242,11 +140,50 @@ async fn run(
     }
 }
 
-/// Writes messages until the process closes its input, or the sender is dropped.
-async fn write_messages(mut stdin: ChildStdin, mut messages: Receiver<String>) {
+/// Exchanges messages over a connection until its end, and returns how it ended.
+async fn serve_connection(
+    reader: SocketReader,
+    writer: SocketWriter,
+    commands: &mut UnboundedReceiver<ProcessCommand>,
+    events: &Sender<SessionEvent>,
+) -> String {
+    let (messages, queued) = channel(MESSAGES_MAX);
+    let mut messages = Some(messages);
+    // Both tasks end with this function, and with them the connection.
+    let mut tasks = tokio::task::JoinSet::new();
+    tasks.spawn(write_messages(writer, queued));
+    let mut reading = tokio::task::JoinSet::new();
+    reading.spawn(read_messages(reader, events.clone()));
+    loop {
+        tokio::select! {
+            _ = reading.join_next() => return "it closed the connection".to_owned(),
+            command = commands.recv(), if messages.is_some() => match command {
+                Some(ProcessCommand::Send(message)) => {
+                    let sent = messages.as_ref().map(|messages| messages.try_send(message.to_line()));
+                    if let Some(Err(TrySendError::Full(_))) = sent {
+                        return format!("disconnected: it has not read {MESSAGES_MAX} messages");
+                    }
+                }
+                Some(ProcessCommand::Kill(reason)) => return format!("disconnected: {reason}"),
+                Some(ProcessCommand::Spawn) => {} // a session connects again only after the end
+                // The node ends.
+                None => {
+                    if let Some(messages) = messages.take() {
+                        let _ = messages.try_send(NodeMessage::Shutdown {}.to_line());
+                    }
+                    let _ = timeout(SHUTDOWN_LIMIT, tasks.join_next()).await;
+                    return "the node ends".to_owned();
+                }
+            },
+        }
+    }
+}
+
+/// Writes messages until the driver closes its input, or the sender is dropped.
+async fn write_messages(mut input: impl AsyncWrite + Unpin, mut messages: Receiver<String>) {
     while let Some(line) = messages.recv().await {
-        if stdin.write_all(line.as_bytes()).await.is_err() {
-            // The end of the process is reported by the wait for it.
+        if input.write_all(line.as_bytes()).await.is_err() {
+            // The end of the driver is reported by the wait for it.
             return;
         }
     }
@@ -297,36 +234,12 @@ async fn log_errors(robot: RobotId, stderr: impl AsyncRead + Unpin) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn paths_of_a_command_line_are_relative_to_its_file() {
-        let folder = std::env::temp_dir().join(format!("consort-driver-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        std::fs::write(folder.join("driver.py"), "").unwrap();
-        let resolved = |words: &[&str]| {
-            let mut words: Vec<String> = words.iter().map(|word| (*word).to_owned()).collect();
-            DriverProgram::resolve(&mut words, &folder);
-            words
-        };
-        let script = folder.join("driver.py").display().to_string();
-        assert_eq!(resolved(&["python3", "driver.py", "--fast"]), ["python3", &script, "--fast"]);
-        assert_eq!(resolved(&["./driver.py"]), [script.as_str()]);
-        assert_eq!(resolved(&["python3", &script]), ["python3", &script], "absolute");
-        std::fs::remove_dir_all(&folder).unwrap();
-    }
-
-    #[test]
-    fn a_program_that_does_not_exist_is_reported() {
-        assert_eq!(DriverProgram::new(vec![]), Err(ProgramError::Empty));
-        let check = |word: &str| DriverProgram::new(vec![word.to_owned()]).unwrap().check_exists();
-        assert_eq!((check("sh"), check("/bin/sh")), (Ok(()), Ok(())));
-        assert_eq!(check("no-such-program"), Err(ProgramError::NotFound("no-such-program".to_owned())));
-    }
+    use crate::program::DriverProgram;
 
     /// Collects the events of a shell script that runs as a driver, up to its end.
     async fn run_script(script: &str, commands: Vec<ProcessCommand>) -> Vec<SessionEvent> {
         let program = DriverProgram::new(["sh", "-c", script].map(str::to_owned).to_vec()).unwrap();
-        let mut process = DriverProcess::start("ada".parse().unwrap(), program);
+        let mut process = DriverProcess::start("ada".parse().unwrap(), program.into());
         process.commands.send(ProcessCommand::Spawn).unwrap();
         for command in commands {
             process.commands.send(command).unwrap();
@@ -371,7 +284,7 @@ mod tests {
     #[tokio::test]
     async fn a_missing_program_is_an_end() {
         let program = DriverProgram::new(vec!["/no/such/program".to_owned()]).unwrap();
-        let mut process = DriverProcess::start("ada".parse().unwrap(), program);
+        let mut process = DriverProcess::start("ada".parse().unwrap(), program.into());
         process.commands.send(ProcessCommand::Spawn).unwrap();
         let Some(SessionEvent::Ended(how)) = process.events.recv().await else { panic!("no end") };
         assert!(how.starts_with("\"/no/such/program\" cannot be started: "), "{how}");

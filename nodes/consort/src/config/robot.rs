@@ -3,7 +3,7 @@
 use super::fleet::unknown_skill;
 use super::node::validate_common;
 use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
-use consort_driver::DriverProgram;
+use consort_driver::{DriverEndpoint, DriverSetting};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
 use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::Domain;
@@ -52,9 +52,10 @@ pub struct RobotConfig {
     pub may_vote: bool,
     /// Command line of the robot's driver, as `["python3", "driver.py"]`: the node starts the program and
     /// exchanges JSON lines with it. A program with a `/` and arguments that name files are relative to
-    /// this file. Default: none, and the driver is elsewhere on the bus.
+    /// this file. Or the socket on which a driver listens: `"unix:driver.sock"` or `"tcp:127.0.0.1:7700"`.
+    /// Default: none, and the driver is elsewhere on the bus.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub driver: Option<Vec<String>>,
+    pub driver: Option<DriverSetting>,
     /// Directory of the node's store. Default: none, and all state is lost when the node ends.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub data_dir: Option<PathBuf>,
@@ -116,8 +117,8 @@ impl ConfigFile for RobotConfig {
     const KIND: &'static str = "robot";
 
     fn resolve_paths(&mut self, folder: &Path) {
-        if let Some(words) = &mut self.driver {
-            DriverProgram::resolve(words, folder);
+        if let Some(driver) = &mut self.driver {
+            driver.resolve(folder);
         }
         self.common_mut().resolve_paths(folder);
     }
@@ -132,7 +133,7 @@ impl ConfigFile for RobotConfig {
         if self.skills.iter().any(|skill| skill.as_str() == "navigation") && self.speed_mps.is_none() {
             validate.push("speed_mps: is missing, and the robot has the skill `navigation`".to_owned());
         }
-        if let Some(Err(problem)) = self.driver.clone().map(DriverProgram::new) {
+        if let Some(Err(problem)) = self.driver.clone().map(DriverEndpoint::try_from) {
             validate.push(format!("driver: {problem}"));
         }
         validate.extend(validate_common(&self.fleet, &self.bus, &self.telemetry, domain));

@@ -138,6 +138,16 @@ fn the_driver_of_a_robot_file_is_checked() {
     let ran = run(&["check", &empty]);
     assert_eq!(ran.code, Some(1));
     assert!(ran.out.contains(&format!("{empty}: driver: the list is empty; it contains a program")), "{}", ran.out);
+    for (name, driver, expected) in [
+        ("no_socket.toml", "driver.sock", "driver: \"driver.sock\" is no socket; allowed is `unix:PATH`"),
+        ("open_socket.toml", "tcp:0.0.0.0:7700", "driver: 0.0.0.0:7700 is not a loopback address"),
+    ] {
+        let text = format!("name = \"a\"\nplace = \"Dock\"\nskills = [\"pick_up\"]\ndriver = {driver:?}\n");
+        let file = test_file(name, &text);
+        let ran = run(&["check", &file]);
+        assert_eq!(ran.code, Some(1));
+        assert!(ran.out.contains(&format!("{file}: {expected}")), "{}", ran.out);
+    }
     let wrong = test_file(
         "wrong_driver.toml",
         "name = \"a\"\nplace = \"Dock\"\nskills = [\"pick_up\"]\ndriver = [\"no-such-program\"]\n",

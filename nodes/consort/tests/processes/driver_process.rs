@@ -1,8 +1,10 @@
-//! A robot whose driver is a Python program that the node starts.
+//! A robot whose driver is a Python program that the node starts, or connects to.
 
-use crate::support::{Client, Fleet, LONG, Program, until};
+use crate::support::{Client, Closed, Fleet, LONG, Program, until};
+use serde_json::Value;
+use std::collections::BTreeSet;
 use std::fs;
-use std::process::Command;
+use std::process::{Child, Command};
 use toml::Table;
 
 /// Returns an example file of the vacuum cleaner.
@@ -27,11 +29,33 @@ fn faster(mut robot: Table) -> Table {
     robot
 }
 
-/// Writes the other files of the robot.
+/// Writes the other files of the robot. The driver also records the goals that it receives.
 fn write_files(fleet: &Fleet) {
-    for name in ["driver.py", "domain.yaml", "clean_room.xml"] {
+    for name in ["domain.yaml", "clean_room.xml"] {
         fs::write(fleet.path(name), example(name)).expect("the folder can be written to");
     }
+    let handle = "    def handle(self, kind, message, id):\n";
+    let goals = fleet.path("goals.jsonl");
+    let record =
+        format!("{handle}        if kind == \"goal\": open({goals:?}, \"a\").write(json.dumps(message) + \"\\n\")\n");
+    let driver = example("driver.py").replace(handle, &record);
+    assert!(driver.contains("goals.jsonl"), "the example has no such method");
+    fs::write(fleet.path("driver.py"), driver).expect("the folder can be written to");
+}
+
+/// Asserts that exactly one goal was sent a second time, as resumed and with its id, and that no other
+/// goal took its place.
+fn assert_one_goal_was_resumed(fleet: &Fleet) {
+    let goals = fs::read_to_string(fleet.path("goals.jsonl")).expect("the driver records its goals");
+    let goals: Vec<Value> = goals.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    let (resumed, first): (Vec<&Value>, Vec<&Value>) = goals.iter().partition(|goal| goal["resumed"] == true);
+    let [again] = resumed[..] else { panic!("one goal is resumed: {goals:?}") };
+    let same: Vec<_> = first.iter().filter(|goal| goal["id"] == again["id"]).collect();
+    assert_eq!((same.len(), &again["action"]), (1, &Value::from("vacuum")), "{goals:?}");
+    // The first room, the second, and the second again.
+    let work = first.iter().filter(|goal| goal["action"] == "vacuum").count();
+    let ids: BTreeSet<_> = first.iter().map(|goal| goal["id"].to_string()).collect();
+    assert_eq!((work, ids.len()), (3, first.len()), "{goals:?}");
 }
 
 /// Returns the process of the driver.
@@ -83,9 +107,85 @@ fn a_driver_in_python_performs_a_mission_and_survives_its_death() {
     let log = fleet.node("cleaner").stderr();
     assert!(log.contains("the driver has ended: signal: 9 (SIGKILL)"), "{log}");
     assert_eq!(log.matches("is ready, with the actions").count(), 2, "{log}");
+    assert_one_goal_was_resumed(&fleet);
     drop(client);
     // Its driver ends with the node.
     fleet.stop();
+}
+
+/// Ends the process on drop.
+struct Server(Child);
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Starts a program that listens on a Unix socket and runs the driver for each connection.
+fn serve_driver(fleet: &Fleet) -> Server {
+    let program = "import os, signal, socket, sys\n\
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)\n\
+        server = socket.socket(socket.AF_UNIX)\n\
+        server.bind(os.path.join(sys.argv[1], \"driver.sock\"))\n\
+        server.listen()\n\
+        while True:\n\
+        \x20   connection, _ = server.accept()\n\
+        \x20   if os.fork() == 0:\n\
+        \x20       os.dup2(connection.fileno(), 0), os.dup2(connection.fileno(), 1)\n\
+        \x20       connection.close(), server.close()\n\
+        \x20       os.execvp(\"python3\", [\"python3\", os.path.join(sys.argv[1], \"driver.py\"), \"20\"])\n\
+        \x20   connection.close()\n";
+    let child = Command::new("python3").args(["-c", program]).arg(fleet.path("")).spawn();
+    Server(child.expect("there is a program `python3`"))
+}
+
+#[test]
+fn a_driver_on_a_socket_is_connected_to_again_and_its_goal_is_resumed() {
+    let mut robot: Table = example("robot.toml").parse().expect("TOML");
+    robot["fleet"].as_table_mut().expect("a table").insert("name".to_owned(), "cleaning-5".into());
+    robot.insert("driver".to_owned(), "unix:driver.sock".into());
+    let mut fleet = Fleet::new(robot["fleet"].as_table().expect("a table"));
+    write_files(&fleet);
+    fleet.start("robot", robot, &[]);
+    // The node is there before its driver.
+    until("the node logs that there is no driver", LONG, || {
+        fleet.node("cleaner").stderr().contains("no connection to unix:").then_some(())
+    });
+    let server = serve_driver(&fleet);
+    let waiting = submit(&mut fleet);
+    let client = Client::open(&fleet.address("cleaner"), "cleaning-5");
+    until("the robot is in the first room", LONG, || (place(&client)? == "IC Room 6").then_some(()));
+    kill(&driver_process(&fleet).expect("the driver runs"));
+    let ended = waiting.end(LONG).expect(0);
+    assert!(ended.stdout.contains("clean-rooms-1 completed\n  dust_g: "), "{}", ended.stdout);
+    assert_one_goal_was_resumed(&fleet);
+    let log = fleet.node("cleaner").stderr();
+    assert!(log.contains("it closed the connection"), "{log}");
+    drop((client, server));
+    // The driver of the last connection ends with it.
+    fleet.stop();
+}
+
+/// The node signs the messages of its driver server with its own certificate.
+#[test]
+fn a_driver_serves_a_robot_of_a_fleet_with_certificates() {
+    let mut closed = Closed::new();
+    closed.cert(&["node", "cleaner", "--roles", "robot,voter,host", "--serves", "cleaner"]);
+    let mut robot: Table = example("robot.toml").parse().expect("TOML");
+    robot["fleet"].as_table_mut().expect("a table").insert("name".to_owned(), "ward".into());
+    robot.insert("bus".to_owned(), Table::new().into());
+    write_files(&closed.fleet);
+    closed.start("robot", faster(robot), &[]);
+    let mission = closed.fleet.path("mission.yaml");
+    fs::write(&mission, example("mission.yaml")).expect("the folder can be written to");
+    let operator = closed.of("operate").display().to_string();
+    let submit = ["submit", &mission.display().to_string(), "--wait", "--certs", &operator];
+    let ended = closed.fleet.begin(&submit, "cleaner").end(LONG).expect(0);
+    assert!(ended.stdout.contains("clean-rooms-1 completed\n  dust_g: "), "{}", ended.stdout);
+    assert_eq!(closed.refused("cleaner"), "");
+    closed.fleet.stop();
 }
 
 #[test]

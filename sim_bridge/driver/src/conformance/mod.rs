@@ -9,7 +9,7 @@ mod probe;
 pub use cases::{CASES, Case};
 
 use crate::contract::Contract;
-use crate::process::DriverProgram;
+use crate::program::DriverProgram;
 use consort_protocol::ids::ActionName;
 use consort_skills::actions::JsonObject;
 use futures::StreamExt as _;

@@ -4,7 +4,7 @@ use super::{CaseFailure, SampleGoal, Trial};
 use crate::contract::Contract;
 use crate::line::{ReadLine, next_line};
 use crate::messages::{DriverMessage, NodeMessage, OfferedAction, PROTOCOL_VERSION, ResultStatus};
-use crate::process::RunningDriver;
+use crate::program::RunningDriver;
 use consort_protocol::ids::{ActionName, PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_skills::actions::{GoalId, JsonObject};
