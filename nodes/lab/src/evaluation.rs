@@ -53,10 +53,7 @@ impl Evaluation {
             None => load_map(&design.map)?,
         };
         let travel = match instead.legs.or(design.travel.legs.as_deref()) {
-            Some(file) => {
-                let legs = MeasuredLegs::read(read_text(file)?.as_bytes()).map_err(|problem| wrong(file, problem))?;
-                TravelModel::Empirical(legs)
-            }
+            Some(file) => TravelModel::Empirical(load_legs(file)?),
             None => TravelModel::Kinematic(design.travel.clone()),
         };
         Ok(Evaluation { design, scenarios, map, travel })
@@ -76,6 +73,14 @@ impl Evaluation {
             ExperimentSetup::new(design, self.scenarios.clone(), self.map.clone(), self.travel.clone(), calibration);
         set.map_err(|error| Diagnostics(error.0.iter().map(|problem| Diagnostic::for_file("", problem)).collect()))
     }
+}
+
+/// Reads a file of measured drives.
+///
+/// # Errors
+/// [`Diagnostics`] of the file, with the line.
+pub(crate) fn load_legs(file: &Path) -> Result<MeasuredLegs, Diagnostics> {
+    MeasuredLegs::read(read_text(file)?.as_bytes()).map_err(|problem| wrong(file, problem))
 }
 
 fn load_map(name: &str) -> Result<Map, Diagnostics> {

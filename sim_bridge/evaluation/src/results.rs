@@ -3,6 +3,7 @@
 use super::calibration::Observation;
 use super::outcome::EndState;
 use super::policy::Policy;
+use consort_protocol::ids::TaskId;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -63,6 +64,8 @@ pub struct TrialRow {
     pub predicted_s: Option<f64>,
     /// Lowest charge of an assigned mobile robot, as a share of a full battery.
     pub lowest_share: Option<f64>,
+    /// The last task that a managed role began.
+    pub last_task: Option<TaskId>,
     /// The chosen robots by role: `r1=ada lab_arm=arm`.
     pub robots: String,
     /// Further remarks.
@@ -125,6 +128,7 @@ mod tests {
             ttc_s: Some(0.1 + 0.2),
             predicted_s: None,
             lowest_share: Some(0.31),
+            last_task: Some("close_drawer_lab".parse().unwrap()),
             robots: "r1=ada lab_arm=arm".into(),
             note: "two, \"three\"".into(),
         }
@@ -132,7 +136,7 @@ mod tests {
 
     #[test]
     fn written_rows_are_read_back_exactly() {
-        let rows = [row(), TrialRow { end_state: EndState::TimeoutSim, ttc_s: None, ..row() }];
+        let rows = [row(), TrialRow { end_state: EndState::TimeoutSim, ttc_s: None, last_task: None, ..row() }];
         let mut text = vec![];
         write(&rows, &mut text).unwrap();
         assert_eq!(read(text.as_slice()).unwrap(), rows);
@@ -140,7 +144,7 @@ mod tests {
         assert_eq!(
             header,
             "trial,mission,scenario,speed,charge,discharge,location,skills,policy,treatment,repetition,end_state,ttc_s,\
-             predicted_s,lowest_share,robots,note"
+             predicted_s,lowest_share,last_task,robots,note"
         );
     }
 

@@ -9,6 +9,7 @@
 //!   drawn from the drives to the same place, else from the same place, else from all drives. The
 //!   estimate scales it in each case.
 
+use super::stats::quantile;
 use consort_protocol::ids::PlaceId;
 use consort_text::count;
 use rand::RngExt;
@@ -107,6 +108,49 @@ pub struct MeasuredLegs {
     any: Vec<f64>,
 }
 
+/// Distribution of the factors of drives: how many times as long as estimated they took.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct FactorQuantiles {
+    /// Number of drives.
+    pub count: usize,
+    /// 5 % quantile.
+    pub q05: f64,
+    /// Median.
+    pub median: f64,
+    /// 95 % quantile.
+    pub q95: f64,
+}
+
+impl FactorQuantiles {
+    /// Returns `None` for no drives.
+    fn of(factors: &[f64]) -> Option<FactorQuantiles> {
+        let at = |share| quantile(factors, share);
+        Some(FactorQuantiles { count: factors.len(), q05: at(0.05)?, median: at(0.5)?, q95: at(0.95)? })
+    }
+}
+
+/// The factors of the drives between two places.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PairFactors {
+    /// Start of the drives.
+    pub from: PlaceId,
+    /// End of the drives.
+    pub to: PlaceId,
+    /// Their factors.
+    #[serde(flatten)]
+    pub factors: FactorQuantiles,
+}
+
+/// The factors of the drives to a place, and from there to a destination.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ViaFactors {
+    /// The place.
+    pub via: PlaceId,
+    /// The factors of the drives.
+    #[serde(flatten)]
+    pub factors: FactorQuantiles,
+}
+
 /// A measured drive as written; other columns are ignored.
 #[derive(Debug, Deserialize)]
 struct LegEntry {
@@ -161,6 +205,37 @@ impl MeasuredLegs {
         if legs.any.is_empty() { Err(MeasuredLegsError::Empty) } else { Ok(legs) }
     }
 
+    /// Returns the factors of each pair of places, in the order of their names.
+    pub fn pair_factors(&self) -> Vec<PairFactors> {
+        let of_pair = |((from, to), factors): (&(PlaceId, PlaceId), &Vec<f64>)| {
+            let (from, to) = (from.clone(), to.clone());
+            Some(PairFactors { from, to, factors: FactorQuantiles::of(factors)? })
+        };
+        self.pairs.iter().filter_map(of_pair).collect()
+    }
+
+    /// Returns the factors of all drives. `None` for no drives.
+    pub fn all_factors(&self) -> Option<FactorQuantiles> {
+        FactorQuantiles::of(&self.any)
+    }
+
+    /// Returns, for each place from which drives lead to `destination`, the factors of the drives
+    /// to that place and from there to `destination`: the drives of missions that visit the place
+    /// and end at `destination`.
+    pub fn via_factors(&self, destination: &PlaceId) -> Vec<ViaFactors> {
+        let of_pair = |((via, _), factors): (&(PlaceId, PlaceId), &Vec<f64>)| {
+            let there = self.to.get(via).into_iter().flatten();
+            let factors: Vec<f64> = there.chain(factors).copied().collect();
+            Some(ViaFactors { via: via.clone(), factors: FactorQuantiles::of(&factors)? })
+        };
+        self.pairs.iter().filter(|((_, to), _)| to == destination).filter_map(of_pair).collect()
+    }
+
+    /// Returns the places at which drives end.
+    pub fn destinations(&self) -> impl Iterator<Item = &PlaceId> {
+        self.to.keys()
+    }
+
     fn draw(&self, from: &PlaceId, to: &PlaceId, rng: &mut ChaCha8Rng) -> f64 {
         let candidates = self.pairs.get(&(from.clone(), to.clone())).or_else(|| self.to.get(to));
         let candidates = candidates.or_else(|| self.from.get(from)).unwrap_or(&self.any);
@@ -171,7 +246,6 @@ impl MeasuredLegs {
 #[cfg(test)]
 mod tests {
     use super::super::seeds::generator;
-    use super::super::stats::quantile;
     use super::*;
 
     fn place(name: &str) -> PlaceId {
@@ -212,6 +286,26 @@ mod tests {
         assert_eq!(drawn("X", "B"), [2.0, 3.0]);
         assert_eq!(drawn("C", "X"), [3.0, 4.0]);
         assert_eq!(drawn("X", "Y"), [2.0, 3.0, 4.0]);
+    }
+
+    #[test]
+    fn factors_are_summarized_by_pair_and_by_place_on_the_way() {
+        let text = "origin,dest,duration_s,estimate_s\nA,B,10,10\nA,B,20,10\nA,B,30,10\nC,B,60,10\nB,L,50,10\n";
+        let legs = MeasuredLegs::read(text.as_bytes()).unwrap();
+        let quantiles = |count, q05, median, q95| FactorQuantiles { count, q05, median, q95 };
+        let pair = |from, to, factors| PairFactors { from: place(from), to: place(to), factors };
+        assert_eq!(
+            legs.pair_factors(),
+            [
+                pair("A", "B", quantiles(3, 1.1, 2.0, 2.9)),
+                pair("B", "L", quantiles(1, 5.0, 5.0, 5.0)),
+                pair("C", "B", quantiles(1, 6.0, 6.0, 6.0)),
+            ]
+        );
+        let all = quantiles(5, 1.2, 3.0, 5.8);
+        assert_eq!(legs.all_factors(), Some(all));
+        assert_eq!(legs.via_factors(&place("L")), [ViaFactors { via: place("B"), factors: all }]);
+        assert_eq!(legs.via_factors(&place("A")), []);
     }
 
     #[test]

@@ -425,6 +425,7 @@ impl<'s> TrialRun<'s> {
             ttc_s,
             predicted_s: observed.predicted_s,
             lowest_share,
+            last_task: observed.last_task.clone(),
             robots: pairs(&observed.first_holders),
             note: note(&observed, killed_at_s.map(|at| at - requested_at_s)),
         };

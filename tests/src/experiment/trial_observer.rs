@@ -75,6 +75,8 @@ pub(super) struct TrialState {
     pub(super) end_state: Option<MissionState>,
     /// Causes of role releases.
     pub(super) releases: Vec<String>,
+    /// The last task that a managed role began.
+    pub(super) last_task: Option<TaskId>,
     running_tasks: BTreeMap<RobotId, RunningTask>,
     /// Tasks with a failure or a retry, which give no observation.
     disturbed: BTreeSet<(RobotId, TaskId)>,
@@ -181,6 +183,7 @@ impl TrialObserver {
 
     fn task_began(&self, observed: &mut TrialState, robot: &RobotId, task: &TaskId, now_s: f64) {
         let Some(spec) = self.settings.tasks.get(task) else { return };
+        observed.last_task = Some(task.clone());
         let able = self.settings.skills.get(robot).is_some_and(|skills| skills.contains(&spec.task_type));
         if !able {
             observed.unskilled.get_or_insert((now_s, robot.clone(), spec.task_type.clone()));

@@ -1,5 +1,6 @@
 //! `consort-lab experiment`: runs the published evaluation and others on whole fleets.
 
+use super::legs;
 use crate::design_file::{DesignFile, domain};
 use crate::evaluation::{Evaluation, InputOverrides};
 use clap::{Args as ClapArgs, Subcommand};
@@ -35,7 +36,8 @@ use std::time::Instant;
 #[command(after_long_help = "\
 Examples:
   consort-lab experiment run published --out results
-  consort-lab experiment calibrate published --out calibrated")]
+  consort-lab experiment calibrate published --out calibrated
+  consort-lab experiment legs nav_legs.csv")]
 pub(crate) struct Args {
     /// The command
     #[command(subcommand)]
@@ -46,6 +48,7 @@ pub(crate) struct Args {
 enum ExperimentCommand {
     Run(RunArgs),
     Calibrate(CalibrateArgs),
+    Legs(legs::Args),
 }
 
 /// Runs a design and writes rows (CSV), a report (Markdown, SVG) and statistics (JSON)
@@ -159,6 +162,7 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     match &args.what {
         ExperimentCommand::Run(args) => run_design(args),
         ExperimentCommand::Calibrate(args) => calibrate(args),
+        ExperimentCommand::Legs(args) => legs::run(args),
     }
 }
 
@@ -205,6 +209,7 @@ fn heading(evaluation: &Evaluation) -> ReportHeader {
         map: evaluation.map.name().to_owned(),
         travel: evaluation.travel.describe(),
         world_speed: evaluation.design.world_speed,
+        phases: evaluation.design.mission.phases.clone(),
     }
 }
 

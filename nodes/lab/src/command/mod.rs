@@ -4,6 +4,7 @@ pub(crate) mod bench;
 pub(crate) mod chaos;
 pub(crate) mod check;
 pub(crate) mod experiment;
+mod legs;
 pub(crate) mod png;
 pub mod schema;
 pub(crate) mod soak;

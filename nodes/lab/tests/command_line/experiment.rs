@@ -1,6 +1,7 @@
 use super::support::{run, test_file};
 use consort_nodes::check::{FileKind, check_file};
 use consort_nodes::extensions::Extensions;
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// A design with two trials.
@@ -15,6 +16,14 @@ map = "hospital"
 name = "lab-samples"
 parameters = { room = "@room" }
 delivered = { item = "sample", to = "lab-arm" }
+
+[[mission.phases]]
+name = "retrieve_sample"
+tasks = ["navto_room", "approach_nurse", "authenticate_nurse", "open_drawer_for_nurse", "close_drawer_nurse"]
+
+[[mission.phases]]
+name = "navto_lab"
+tasks = ["navto_lab", "approach_arm", "open_drawer_lab", "pick_up_sample", "close_drawer_lab"]
 
 [[robots]]
 count = 3
@@ -70,7 +79,9 @@ fn a_design_becomes_rows_and_a_report() {
         text(&out, "tasks.csv")
             .starts_with("skill,from,to,predicted_s,actual_s,predicted_share,actual_share,budget_share\n")
     );
-    assert!(text(&out, "report.md").contains("### consort against random"));
+    let report = text(&out, "report.md");
+    assert!(report.contains("### consort against random"));
+    assert!(report.contains("| consort | calm | navto_lab | 1 | 0 | 0.0 % |"), "{report}");
     for figure in ["end-states.svg", "successes.svg", "ttc.svg"] {
         assert!(text(&out, figure).starts_with("<svg"), "{figure}");
     }
@@ -142,4 +153,48 @@ fn errors_are_reported_with_their_place_and_the_allowed_values() {
         ran.err
     );
     assert!(!Path::new(&out).exists());
+}
+
+#[test]
+fn legs_prints_travel_factors_as_a_table_and_as_json() {
+    let text = "origin,dest,turns,duration_s,estimate_s\nA,B,1,10,10\nA,B,1,20,10\nA,B,1,30,10\nB,L,2,50,10\n";
+    let file = test_file("legs.csv", text);
+    let ran = run(&["experiment", "legs", &file]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let lines = |text: &str| {
+        let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
+        text.lines().map(words).collect::<Vec<_>>()
+    };
+    assert_eq!(
+        lines(&ran.out),
+        [
+            "from to drives 5 % median 95 %",
+            "A B 3 1.10 2.00 2.90",
+            "B L 1 5.00 5.00 5.00",
+            "all drives 4 1.15 2.50 4.70"
+        ]
+    );
+    let ran = run(&["experiment", "legs", &file, "--to", "L", "--json"]);
+    let found: Value = serde_json::from_str(&ran.out).expect("JSON");
+    assert_eq!((found["pairs"].as_array().unwrap().len(), &found["via"][0]["via"]), (0, &Value::from("B")));
+    assert_eq!((&found["via"][0]["count"], &found["via"][0]["median"]), (&Value::from(4), &Value::from(2.5)));
+    let ran = run(&["experiment", "legs", &file, "--to", "A"]);
+    assert_eq!(ran.code, Some(2));
+    assert!(ran.err.contains(&format!("{file}: no drive ends at A; drives end at: B, L")), "{}", ran.err);
+}
+
+#[test]
+fn legs_reports_an_invalid_file_with_its_line() {
+    let error = |text: &str| {
+        let file = test_file("wrong-legs.csv", text);
+        let ran = run(&["experiment", "legs", &file]);
+        assert_eq!(ran.code, Some(2), "{}{}", ran.out, ran.err);
+        ran.err.replace(&file, "FILE")
+    };
+    let header = "origin,dest,duration_s,estimate_s\n";
+    let time = error(&format!("{header}A,B,2,1\nA,B,2,0\n"));
+    assert!(time.contains("FILE: line 3: estimate_s is 0, allowed: a number above 0"), "{time}");
+    let form = error(&format!("{header}A,B,long,1\n"));
+    assert!(form.contains("FILE: ") && form.contains("line: 2"), "{form}");
+    assert!(error(header).contains("FILE: the file contains no drives"));
 }

@@ -1,7 +1,7 @@
 //! Validation of a design; each error contains its key.
 
 use super::{Design, PlaceError, Scenario, UniformRange};
-use consort_protocol::ids::{PlaceId, RoleId};
+use consort_protocol::ids::{PlaceId, RoleId, TaskId};
 use consort_protocol::mission::{Mission, RoleKind};
 use consort_skills::domain::hospital;
 use consort_skills::missions::shipped;
@@ -180,7 +180,10 @@ impl Design {
             .map(|(name, value)| (name.clone(), value.trim_start_matches('@').to_owned()))
             .collect();
         match template.instantiate(&parameters, &hospital()) {
-            Ok(mission) => violations.extend(self.role_problems(&mission)),
+            Ok(mission) => {
+                violations.extend(self.role_problems(&mission));
+                violations.extend(self.phase_problems(&mission));
+            }
             Err(errors) => violations.extend(errors.diagnostics.iter().map(|error| format!("mission: {error}"))),
         }
         violations
@@ -203,6 +206,28 @@ impl Design {
             let (name, role) = (&person.name, &person.role);
             violations
                 .push(format!("people {name}: {role} is not an unmanaged role; unmanaged roles: {}", list(&unmanaged)));
+        }
+        violations
+    }
+
+    fn phase_problems(&self, mission: &Mission) -> Vec<String> {
+        let phases = &self.mission.phases;
+        let managed: BTreeSet<&RoleId> = mission.managed_roles().collect();
+        let elementary = mission.elementary();
+        let names = || elementary.iter().map(|(task, _)| task.as_str());
+        let times = |task: &TaskId| phases.iter().filter(|phase| phase.tasks.contains(task)).count();
+        let mut violations = vec![];
+        for phase in phases {
+            for task in phase.tasks.iter().filter(|task| names().all(|name| name != task.as_str())) {
+                let hint = did_you_mean(task.as_str(), names());
+                violations.push(format!("mission.phases.{}: the mission has no task {task}{hint}", phase.name));
+            }
+        }
+        for (task, spec) in elementary.iter().filter(|_| !phases.is_empty()) {
+            let (times, needed) = (times(task), spec.roles.iter().any(|role| managed.contains(role)));
+            if times > 1 || (times == 0 && needed) {
+                violations.push(format!("mission.phases: {task} is in {times} phases, allowed: a single phase"));
+            }
         }
         violations
     }
@@ -271,6 +296,24 @@ mod tests {
                 "people nurse: place: there is no site @rom; did you mean \"room\"?; sites: @room",
                 "mission.delivered.item: no person has \"sampel\"; did you mean \"sample\"?; items: sample",
                 "fixed lab-arm: nurse is not a managed role; managed roles: lab_arm, r1",
+            ]
+        );
+    }
+
+    #[test]
+    fn every_managed_task_is_in_a_single_phase() {
+        let mistakes = errors_after(|design| {
+            design.mission.phases[0].tasks = ["navto_rom".parse().unwrap()].into();
+            design.mission.phases[1].tasks.insert("navto_lab".parse().unwrap());
+            // The task of the nurse may be left out.
+            design.mission.phases[1].tasks.remove(&"deposit".parse().unwrap());
+        });
+        assert_eq!(
+            mistakes,
+            [
+                "mission.phases.navto_room: the mission has no task navto_rom; did you mean \"navto_room\"?",
+                "mission.phases: navto_room is in 0 phases, allowed: a single phase",
+                "mission.phases: navto_lab is in 2 phases, allowed: a single phase",
             ]
         );
     }

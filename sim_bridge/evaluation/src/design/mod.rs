@@ -13,6 +13,10 @@
 //! parameters = { room = "@room" } # @site stands for a place drawn by the factor location
 //! delivered = { item = "sample", to = "lab-arm" }   # condition of success; default: the mission is completed
 //!
+//! [[mission.phases]]              # optional: the report counts the failures in each phase
+//! name = "navto_room"
+//! tasks = ["navto_room"]
+//!
 //! [[robots]]                      # named r1, r2, … in the order of the file
 //! count = 6
 //! skills = ["navigation", "operate_drawer"]
@@ -51,7 +55,7 @@ use super::outcome::TrialLimits;
 use super::policy::Policy;
 use super::results::Treatment;
 use super::travel::TravelSettings;
-use consort_protocol::ids::{ItemId, NameError, PlaceId, RobotId, RoleId, TaskType};
+use consort_protocol::ids::{ItemId, NameError, PlaceId, RobotId, RoleId, TaskId, TaskType};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -129,6 +133,20 @@ pub struct DesignMission {
     /// Condition of success; default: the mission is completed.
     #[serde(default)]
     pub delivered: Option<DeliveryGoal>,
+    /// Its phases in their order, for the report: each task of a managed role is in a single phase.
+    /// Default: none, and the report contains no failures by phase.
+    #[serde(default)]
+    pub phases: Vec<MissionPhase>,
+}
+
+/// A phase of a mission: tasks whose failures are counted together.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MissionPhase {
+    /// Its name.
+    pub name: String,
+    /// Its tasks.
+    pub tasks: BTreeSet<TaskId>,
 }
 
 /// A delivery: success if the item reaches its destination.

@@ -1,5 +1,6 @@
 //! Statistical tests of the questions of thesis 4.1.1.
 
+use super::super::design::MissionPhase;
 use super::super::outcome::EndState;
 use super::super::policy::Policy;
 use super::super::results::{Treatment, TrialRow};
@@ -7,6 +8,7 @@ use super::super::stats::{
     Alternative, ConfidenceInterval, EffectSize, PermutationTest, StatsError, TTest, hedges_g, hedges_g_paired, paired,
     permute_paired, permute_two_samples, risk_difference, welch, wilson,
 };
+use consort_protocol::ids::TaskId;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -59,6 +61,57 @@ pub fn tallies(rows: &[TrialRow]) -> Vec<TrialTally> {
         tally.success = wilson(tally.ended[0], tally.trials).ok();
     }
     tallies
+}
+
+/// Trials that reached a phase, and those that failed in it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct PhaseTally {
+    /// The phase.
+    pub phase: String,
+    /// Number of trials that reached it.
+    pub executed: usize,
+    /// Number of trials that failed in it.
+    pub failed: usize,
+}
+
+/// The phases of the trials of a policy under a treatment.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct TalliedPhases {
+    /// The policy.
+    pub policy: Policy,
+    /// The treatment.
+    pub treatment: Treatment,
+    /// The phases in their order; the first is that before the first task.
+    pub phases: Vec<PhaseTally>,
+}
+
+/// Counts the failures by phase, as in thesis Table 4.1: a trial fails in the phase of the last
+/// task that it began. Empty without phases.
+pub(crate) fn phases(rows: &[TrialRow], tallies: &[TrialTally], phases: &[MissionPhase]) -> Vec<TalliedPhases> {
+    if phases.is_empty() {
+        return vec![];
+    }
+    let of_tally = |tally: &TrialTally| {
+        let (policy, treatment) = (tally.policy, tally.treatment);
+        let failures = rows
+            .iter()
+            .filter(|row| (row.policy, row.treatment) == (policy, treatment) && row.end_state != EndState::Success);
+        // Index 0 is the phase before the first task.
+        let index = |task: &TaskId| phases.iter().position(|phase| phase.tasks.contains(task)).map_or(0, |at| at + 1);
+        let mut failed = vec![0; phases.len() + 1];
+        for row in failures {
+            failed[row.last_task.as_ref().map_or(0, index)] += 1;
+        }
+        let mut executed = tally.trials;
+        let names = std::iter::once("before the first task").chain(phases.iter().map(|phase| phase.name.as_str()));
+        let counted = names.zip(failed).map(|(phase, failed)| {
+            let tally = PhaseTally { phase: phase.to_owned(), executed, failed };
+            executed -= failed;
+            tally
+        });
+        TalliedPhases { policy, treatment, phases: counted.collect() }
+    };
+    tallies.iter().map(of_tally).collect()
 }
 
 /// The tests of a hypothesis: a t-test, a permutation test and the effect size. A test that could

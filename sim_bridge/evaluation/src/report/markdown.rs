@@ -1,11 +1,12 @@
 //! The Markdown text of a report.
 
+use super::super::design::MissionPhase;
 use super::super::outcome::EndState;
 use super::super::policy::Policy;
 use super::super::results::{Treatment, TrialRow};
 use super::super::stats::{ConfidenceInterval, Summary, risk_difference};
 use super::analysis;
-use super::analysis::{Comparison, HypothesisTests, TrialTally, tallies};
+use super::analysis::{Comparison, HypothesisTests, PhaseTally, TalliedPhases, TrialTally, tallies};
 use super::calibration_gain::CalibrationGain;
 use consort_text::count;
 use std::collections::{BTreeMap, BTreeSet};
@@ -24,6 +25,8 @@ pub struct ReportHeader {
     pub travel: String,
     /// World seconds per second of the fleet's time.
     pub world_speed: f64,
+    /// The phases of the mission.
+    pub phases: Vec<MissionPhase>,
 }
 
 /// The content of a report.
@@ -31,6 +34,7 @@ pub(super) struct ReportContent<'a> {
     pub(super) header: &'a ReportHeader,
     pub(super) rows: &'a [TrialRow],
     pub(super) tallies: &'a [TrialTally],
+    pub(super) phases: &'a [TalliedPhases],
     pub(super) comparisons: &'a [Comparison],
     /// Links to the figures by name, or the reason why a figure is not drawn.
     pub(super) links: &'a BTreeMap<String, String>,
@@ -40,11 +44,11 @@ pub(super) struct ReportContent<'a> {
 impl ReportContent<'_> {
     /// Returns the report as Markdown.
     pub(super) fn text(&self) -> String {
-        let &ReportContent { header, rows, tallies, comparisons, links, gain } = self;
+        let &ReportContent { header, rows, tallies, phases, comparisons, links, gain } = self;
         let mut text = String::new();
         let link = |name: &str| links.get(name).cloned().unwrap_or_default();
         let scenarios: BTreeSet<&str> = rows.iter().map(|row| row.scenario.as_str()).collect();
-        let ReportHeader { design, seed, map, travel, world_speed } = header;
+        let ReportHeader { design, seed, map, travel, world_speed, .. } = header;
         let mut push_line = |line: &str| {
             text.push_str(line);
             text.push('\n');
@@ -60,6 +64,11 @@ impl ReportContent<'_> {
         push_line(&ends_table(tallies));
         push_line(&format!("{}\n", link("end-states")));
         push_line(&format!("{}\n", link("successes")));
+        if !phases.is_empty() {
+            push_line("## Failures by phase\n");
+            push_line("A trial fails in the phase of the last task that it began (thesis, Table 4.1).\n");
+            push_line(&phases_table(phases));
+        }
         push_line("## Time to conclude\n");
         push_line(&times_table(tallies));
         push_line(&format!("{}\n", link("ttc")));
@@ -110,6 +119,19 @@ fn ends_table(tallies: &[TrialTally]) -> String {
         let share = tally.successes() as f64 / tally.trials.max(1) as f64;
         let interval = tally.success.as_ref().map(percents).unwrap_or_default();
         let _ = writeln!(text, " {} | {interval} |", percent(share));
+    }
+    text
+}
+
+fn phases_table(tallied: &[TalliedPhases]) -> String {
+    let mut text =
+        "| policy | treatment | phase | executed | failures | share |\n|---|---|---|---:|---:|---:|\n".to_owned();
+    for TalliedPhases { policy, treatment, phases } in tallied {
+        for PhaseTally { phase, executed, failed } in phases {
+            let share = percent(*failed as f64 / (*executed).max(1) as f64);
+            let treatment = treatment.as_str();
+            let _ = writeln!(text, "| {policy} | {treatment} | {phase} | {executed} | {failed} | {share} |");
+        }
     }
     text
 }

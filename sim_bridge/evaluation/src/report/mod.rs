@@ -7,7 +7,7 @@ mod figures;
 mod markdown;
 
 pub use analysis::{TrialTally, tallies};
-use analysis::{comparisons, per_scenario};
+use analysis::{comparisons, per_scenario, phases};
 pub use calibration_gain::CalibrationGain;
 pub use markdown::ReportHeader;
 
@@ -30,6 +30,7 @@ pub struct ReportFile {
 /// out, with the reason in the report.
 pub fn report(header: &ReportHeader, rows: &[TrialRow], gain: Option<&CalibrationGain>) -> Vec<ReportFile> {
     let tallies = tallies(rows);
+    let phases = phases(rows, &tallies, &header.phases);
     let comparisons = comparisons(rows, header.seed);
     let mut files = vec![];
     let mut links: BTreeMap<String, String> = BTreeMap::new();
@@ -44,11 +45,18 @@ pub fn report(header: &ReportHeader, rows: &[TrialRow], gain: Option<&Calibratio
         };
         links.insert(name, link);
     }
-    let statistics = serde_json::json!({ "tallies": tallies, "comparisons": comparisons });
+    let statistics = serde_json::json!({ "tallies": tallies, "phases": phases, "comparisons": comparisons });
     let text = serde_json::to_string_pretty(&statistics).expect("statistics are plain data") + "\n";
     files.push(ReportFile { name: "statistics.json".to_owned(), text });
-    let content =
-        markdown::ReportContent { header, rows, tallies: &tallies, comparisons: &comparisons, links: &links, gain };
+    let content = markdown::ReportContent {
+        header,
+        rows,
+        tallies: &tallies,
+        phases: &phases,
+        comparisons: &comparisons,
+        links: &links,
+        gain,
+    };
     let text = content.text();
     files.insert(0, ReportFile { name: "report.md".to_owned(), text });
     files
@@ -112,6 +120,7 @@ fn end_state_counts<'r>(rows: impl Iterator<Item = &'r TrialRow>) -> Vec<[usize;
 
 #[cfg(test)]
 mod tests {
+    use super::super::design::MissionPhase;
     use super::*;
 
     fn row(scenario: usize, policy: Policy, treatment: Treatment, repetition: u32) -> TrialRow {
@@ -139,6 +148,7 @@ mod tests {
             ttc_s,
             predicted_s: Some(200.0),
             lowest_share: Some(0.3),
+            last_task: Some(if good { "unload" } else { "drive" }.parse().unwrap()),
             robots: "r1=r2".to_owned(),
             note: String::new(),
         }
@@ -156,6 +166,10 @@ mod tests {
         rows
     }
 
+    fn phase(task: &str) -> MissionPhase {
+        MissionPhase { name: format!("{task}_phase"), tasks: [task.parse().unwrap()].into() }
+    }
+
     fn heading() -> ReportHeader {
         ReportHeader {
             design: "thin".to_owned(),
@@ -163,6 +177,7 @@ mod tests {
             map: "hospital".to_owned(),
             travel: "kinematic".to_owned(),
             world_speed: 20.0,
+            phases: ["drive", "unload"].map(phase).into(),
         }
     }
 
@@ -192,6 +207,30 @@ mod tests {
             assert!(text.contains(part), "{part:?} is not in\n{text}");
         }
         assert!(!text.contains("not drawn"), "{text}");
+    }
+
+    #[test]
+    fn failures_are_counted_in_the_phase_of_the_last_task() {
+        let mut rows = rows(&[Treatment::Calm]);
+        rows.retain(|row| row.policy == Policy::Consort);
+        // 6 of 48 trials fail in the first phase; one of them now fails before any task, and one in
+        // the second phase.
+        let failed = |row: &&mut TrialRow| row.end_state != EndState::Success;
+        for (row, task) in rows.iter_mut().filter(failed).zip([None, Some("unload")]) {
+            row.last_task = task.map(|task| task.parse().unwrap());
+        }
+        let files = report(&heading(), &rows, None);
+        let table = "| consort | calm | before the first task | 48 | 1 | 2.1 % |\n\
+                     | consort | calm | drive_phase | 47 | 4 | 8.5 % |\n\
+                     | consort | calm | unload_phase | 43 | 1 | 2.3 % |\n";
+        assert!(files[0].text.contains(table), "{}", files[0].text);
+        let statistics: serde_json::Value = serde_json::from_str(&files.last().unwrap().text).unwrap();
+        assert_eq!(
+            statistics["phases"][0]["phases"][1],
+            serde_json::json!({ "phase": "drive_phase", "executed": 47, "failed": 4 })
+        );
+        let without = report(&ReportHeader { phases: vec![], ..heading() }, &rows, None);
+        assert!(!without[0].text.contains("Failures by phase"), "{}", without[0].text);
     }
 
     #[test]
