@@ -11,7 +11,7 @@
 
 use consort_fleet::robot::{BidContext, Bidder};
 use consort_protocol::auction::{
-    AuctionContext, AuctionId, AuctionOutcome, Bid, BidLimits, BidResponse, CallForBids, clear_auction,
+    AuctionContext, AuctionId, AuctionOutcome, Bid, BidLimits, BidResponse, CallForBids, Invitation, clear_auction,
     optimal_assignment,
 };
 use consort_protocol::ensemble::Membership;
@@ -39,7 +39,7 @@ struct Scene {
     estimator: Arc<Estimator>,
     bidders: Vec<Bidder>,
     circumstances: Vec<BidContext<'static>>,
-    expected: BTreeSet<RobotId>,
+    expected: Invitation,
     limits: BidLimits,
 }
 
@@ -84,7 +84,7 @@ impl Scene {
             bidders: (0..workers).map(|number| Bidder::new(robot(number), Arc::clone(&estimator))).collect(),
             estimator,
             circumstances: (0..workers).map(circumstance).collect(),
-            expected: (0..workers).map(robot).collect(),
+            expected: Invitation { robots: (0..workers).map(robot).collect(), preferred: vec![] },
             limits: BidLimits::default(),
         }
     }
@@ -102,8 +102,7 @@ impl Scene {
             &self.call,
             responses,
             &AuctionContext {
-                invited: expected,
-                preferred: &[],
+                invitation: expected,
                 unavailable: &taken,
                 excluded: &excluded,
                 limits,
@@ -137,7 +136,7 @@ impl Scene {
             };
             bid.check_viable(&self.limits).is_ok().then_some(bid)
         };
-        let bids: Vec<Bid> = self.expected.iter().zip(&self.circumstances).filter_map(bid).collect();
+        let bids: Vec<Bid> = self.expected.robots.iter().zip(&self.circumstances).filter_map(bid).collect();
         let chosen = optimal_assignment(&self.roles, &bids).expect("a worker can fill the role");
         bids[chosen[role]].robot.clone()
     }

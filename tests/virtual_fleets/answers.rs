@@ -61,6 +61,15 @@ fn measured(request: &Value, by: &str, pulse: i64) -> Value {
     json!({ "request": request["request"], "answer": "done", "results": results, "by": by })
 }
 
+/// Starts a fleet with a mission that waits for the answer to its measurement. Returns the mission and
+/// the request.
+async fn asked(seed: u64, patience_s: u32) -> (Fleet, MissionId, Value) {
+    let fleet = fleet(seed).await;
+    let id = submit(&fleet, patience_s).await;
+    let request = open_request(&fleet, "measure").await;
+    (fleet, id, request)
+}
+
 /// Repeats a request until a coordinator has executed it.
 async fn answer(fleet: &Fleet, payload: &Value) -> Value {
     let executed = async |fleet: &Fleet| {
@@ -70,17 +79,15 @@ async fn answer(fleet: &Fleet, payload: &Value) -> Value {
     fleet.poll_until("a reply", SOON, executed).await
 }
 
-/// The coordinator dies as it gets the answer. The next one has the request, and the answer counts
-/// once.
+/// The coordinator dies when it receives the answer. The next coordinator has the request, and the answer
+/// counts once.
 #[test]
 fn the_first_answer_counts_although_the_coordinator_dies() {
     for_each_seed(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
-        let id = submit(&fleet, 3600).await;
-        let request = open_request(&fleet, "measure").await;
+        let (mut fleet, id, request) = asked(seed, 3600).await;
         assert_eq!((&request["mission"], &request["role"]), (&json!(id), &json!("nurse")), "seed {seed}: {request}");
         let first = measured(&request, "Nia", 60);
-        // Whether the old coordinator or the next one executes it depends on the seed.
+        // The seed decides which of the two coordinators executes it.
         let _ = tokio::join!(fleet.request(ApiCall::Answer, &first), async {
             tokio::time::sleep(Duration::from_millis(seed % 3 * 4)).await; // virtual time
         });
@@ -106,9 +113,7 @@ fn the_first_answer_counts_although_the_coordinator_dies() {
 #[test]
 fn of_two_answers_at_once_one_counts() {
     for_each_seed(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
-        let id = submit(&fleet, 3600).await;
-        let request = open_request(&fleet, "measure").await;
+        let (mut fleet, id, request) = asked(seed, 3600).await;
         let answers = [("Nia", 55), ("Ria", 66)].map(|(by, pulse)| measured(&request, by, pulse));
         let (a, b) = tokio::join!(answer(&fleet, &answers[0]), answer(&fleet, &answers[1]));
         let by = |reply: &Value| reply["phase"]["answered"]["by"].as_str().map(str::to_owned);
@@ -128,9 +133,7 @@ fn of_two_answers_at_once_one_counts() {
 #[test]
 fn an_answer_that_does_not_fit_changes_nothing() {
     for_each_seed(SEEDS[..1].iter().copied(), async |seed| {
-        let mut fleet = fleet(seed).await;
-        let id = submit(&fleet, 3600).await;
-        let request = open_request(&fleet, "measure").await;
+        let (mut fleet, id, request) = asked(seed, 3600).await;
         let with = |field: &str, value: Value| {
             let mut changed = measured(&request, "Nia", 60);
             changed[field] = value;
@@ -165,13 +168,11 @@ fn an_answer_that_does_not_fit_changes_nothing() {
     });
 }
 
-/// Nobody answers in time. A person who puts the request off gets as much more time.
+/// A request without an answer expires, and later if a person has put it off.
 #[test]
 fn a_request_expires_when_patience_is_over() {
     for_each_seed(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
-        let id = submit(&fleet, 20).await;
-        let request = open_request(&fleet, "measure").await;
+        let (mut fleet, id, request) = asked(seed, 20).await;
         let later = json!({ "request": request["request"], "answer": "later", "minutes": 1, "by": "Nia" });
         let reply = answer(&fleet, &later).await;
         assert_eq!(reply["phase"]["open"]["postponed"]["by"], "Nia", "seed {seed}: {reply}");
@@ -195,9 +196,7 @@ fn a_request_expires_when_patience_is_over() {
 #[test]
 fn a_person_who_cannot_ends_the_mission_with_the_reason() {
     for_each_seed(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
-        let id = submit(&fleet, 3600).await;
-        let request = open_request(&fleet, "measure").await;
+        let (mut fleet, id, request) = asked(seed, 3600).await;
         let cannot = json!({ "request": request["request"], "answer": "cannot", "note": "no cuff here", "by": "Nia" });
         answer(&fleet, &cannot).await;
         let MissionState::Failed { cause } = fleet.wait_for_end(&id).await else { panic!("seed {seed}") };
@@ -205,8 +204,8 @@ fn a_person_who_cannot_ends_the_mission_with_the_reason() {
     });
 }
 
-/// Nobody in the simulated world has the role: the request waits for a real person. It names who is asked
-/// later.
+/// The simulated world has no person in the role, so the request waits for a real person. It names the role
+/// of its escalation.
 #[test]
 fn a_request_for_a_role_that_the_world_lacks_is_left_to_others() {
     for_each_seed(SEEDS, async |seed| {

@@ -5,7 +5,7 @@ use crate::inputs::WorkerEntry;
 use crate::wiring::SkillResources;
 use consort_fleet::robot::{BidContext, Bidder};
 use consort_protocol::auction::{
-    AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, RoleReply, clear_auction,
+    AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, Invitation, RoleReply, clear_auction,
 };
 use consort_protocol::ensemble::Membership;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
@@ -65,12 +65,12 @@ pub(crate) fn simulate_auction(
         roles: open.map(|(role, plan)| (role.clone(), plan.clone())).collect(),
     };
     let tenders: Vec<BidResponse> = workers.iter().map(|worker| tender(worker, &call, equipment)).collect();
-    let expected: BTreeSet<RobotId> = workers.iter().map(|worker| worker.name.clone()).collect();
+    let robots = workers.iter().map(|worker| worker.name.clone()).collect();
+    let invitation = Invitation { robots, preferred: vec![] };
     let unavailable = BTreeMap::new();
     let excluded = BTreeMap::new();
     let circumstances = AuctionContext {
-        invited: &expected,
-        preferred: &[],
+        invitation: &invitation,
         unavailable: &unavailable,
         excluded: &excluded,
         limits,

@@ -9,6 +9,7 @@ mod assignment;
 mod bid;
 mod clearing;
 mod explain;
+mod invitation;
 mod record;
 
 pub use allocator::{Allocator, AllocatorInput, OptimalAssignment};
@@ -18,4 +19,5 @@ pub use bid::{
 };
 pub use clearing::{AuctionContext, AuctionOutcome, clear_auction, clear_auction_with};
 pub use explain::{BidCost, Explanation, RobotExplanation, RobotOutcome, RoleExplanation, explain};
+pub use invitation::Invitation;
 pub use record::{AuctionEntry, AuctionRecord, BidVerdict};

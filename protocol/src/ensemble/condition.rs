@@ -2,6 +2,7 @@
 
 use crate::expression::{self, fields_used};
 use crate::ids::EnsembleId;
+use cel::objects::Key;
 use cel::{Context, ExecutionError, Program, Value};
 use consort_text::AllowedNames;
 use std::collections::BTreeSet;
@@ -18,8 +19,17 @@ pub struct ConditionError {
     pub problem: String,
 }
 
-/// Variable of conditions, with its fields.
-pub(super) type Variable = (&'static str, &'static [&'static str]);
+/// Variables of a condition, with their values.
+pub(super) type Variables = Vec<(&'static str, Value)>;
+
+/// Returns the variables for evaluations.
+pub(super) fn context_of(variables: Variables) -> Context<'static, 'static> {
+    let mut context = expression::variables();
+    for (name, value) in variables {
+        context.add_variable_from_value(name, value);
+    }
+    context
+}
 
 /// Field of a node that contains its attributes, which are not known beforehand.
 pub(super) const ATTRIBUTES: &str = "attributes";
@@ -63,29 +73,27 @@ pub(super) enum EvaluationError {
 }
 
 impl Condition {
-    /// Compiles a condition. `example` has values for all variables: a wrong name or type is found now
-    /// and not at run time, except for attributes, which differ between robots.
+    /// Compiles a condition. `example` has values for all variables and fields: a wrong name or type is
+    /// found now and not at run time, except for attributes, which differ between robots.
     ///
     /// # Errors
     /// Description of the problem.
-    pub(super) fn compile(
-        text: &str,
-        variables: &[Variable],
-        example: &Context<'static, 'static>,
-    ) -> Result<Condition, String> {
+    pub(super) fn compile(text: &str, example: &Variables) -> Result<Condition, String> {
         let program = expression::compile(text)?;
         let fields = fields_used(program.expression());
         for (name, field) in &fields {
-            let Some((_, known)) = variables.iter().find(|(variable, _)| variable == name) else { continue };
-            if !known.contains(&field.as_str()) {
-                let allowed = AllowedNames::suggest_for(field, known.iter());
+            let value = example.iter().find(|(variable, _)| variable == name).map(|(_, value)| value);
+            let Some(Value::Map(known)) = value else { continue };
+            let known: BTreeSet<String> = known.map.keys().map(Key::to_string).collect();
+            if !known.contains(field) {
+                let allowed = AllowedNames::suggest_for(field, &known);
                 return Err(format!("`{name}` has no field `{field}`; {allowed}"));
             }
         }
         let condition = Condition { text: text.to_owned(), program, fields };
-        match condition.holds(example) {
+        match condition.holds(&context_of(example.clone())) {
             Err(problem @ EvaluationError::UnknownVariable { .. }) => {
-                let names = variables.iter().map(|(name, _)| format!("`{name}`")).collect::<Vec<_>>().join(", ");
+                let names = example.iter().map(|(name, _)| format!("`{name}`")).collect::<Vec<_>>().join(", ");
                 Err(format!("{problem}; allowed: {names}"))
             }
             Err(problem) if !condition.uses(|field| field == ATTRIBUTES) => Err(problem.to_string()),
@@ -99,8 +107,8 @@ impl Condition {
     }
 
     /// Evaluates the condition.
-    pub(super) fn holds(&self, facts: &Context<'static, 'static>) -> Result<bool, EvaluationError> {
-        match self.program.execute(facts) {
+    pub(super) fn holds(&self, variables: &Context<'static, 'static>) -> Result<bool, EvaluationError> {
+        match self.program.execute(variables) {
             Ok(Value::Bool(holds)) => Ok(holds),
             Ok(other) => Err(EvaluationError::NotBoolean { value: format!("{other:?}") }),
             Err(ExecutionError::UndeclaredReference(name)) => {

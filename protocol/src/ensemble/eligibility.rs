@@ -1,14 +1,10 @@
 //! Eligibility: a condition of a role on the robot that fills it.
 
-use super::condition::{Condition, Variable};
-use super::facts::{CHANGING_FIELDS, ROBOT_FIELDS, example_robot, robot_facts};
-use crate::expression;
+use super::condition::{Condition, Variables, context_of};
+use super::facts::{CHANGING_FIELDS, example_robot, robot_facts};
 use crate::ids::RobotId;
 use crate::knowledge::RobotKnowledge;
-use cel::{Context, SerializationError};
-
-/// Variables of the condition.
-const VARIABLES: &[Variable] = &[("robot", ROBOT_FIELDS)];
+use cel::SerializationError;
 
 /// Compiled condition of a role on its robot, such as `robot.attributes.section == "icu"`.
 #[derive(Debug)]
@@ -31,7 +27,17 @@ impl Eligibility {
     /// uses an unknown name.
     pub fn compile(text: &str) -> Result<Eligibility, String> {
         let example = variables("example", &example_robot()).expect("the example can be converted");
-        Condition::compile(text, VARIABLES, &example).map(Eligibility)
+        Condition::compile(text, &example).map(Eligibility)
+    }
+
+    /// Compiles a condition and checks it for a robot.
+    ///
+    /// # Errors
+    /// As [`check`](Self::check); a condition that cannot be compiled is met by no robot.
+    pub fn check_text(text: &str, name: &RobotId, robot: &RobotKnowledge) -> Result<(), Ineligibility> {
+        let compiled = Eligibility::compile(text);
+        let invalid = |problem| Ineligibility { why: format!("`{text}`: {problem}"), permanent: true };
+        compiled.map_err(invalid)?.check(name, robot)
     }
 
     /// Checks the condition for a robot.
@@ -46,7 +52,7 @@ impl Eligibility {
             |why| Ineligibility { why, permanent: !condition.uses(|field| CHANGING_FIELDS.contains(&field)) };
         let variables = variables(name.as_str(), robot)
             .map_err(|problem| ineligible(format!("`{text}` cannot be evaluated: {problem}")))?;
-        match condition.holds(&variables) {
+        match condition.holds(&context_of(variables)) {
             Ok(true) => Ok(()),
             Ok(false) => Err(ineligible(format!("`{text}` is false"))),
             Err(problem) => Err(ineligible(format!("`{text}`: {problem}"))),
@@ -54,10 +60,8 @@ impl Eligibility {
     }
 }
 
-fn variables(name: &str, robot: &RobotKnowledge) -> Result<Context<'static, 'static>, SerializationError> {
-    let mut context = expression::variables();
-    context.add_variable_from_value("robot", robot_facts(name, robot)?);
-    Ok(context)
+fn variables(name: &str, robot: &RobotKnowledge) -> Result<Variables, SerializationError> {
+    Ok(vec![("robot", robot_facts(name, robot)?)])
 }
 
 #[cfg(test)]

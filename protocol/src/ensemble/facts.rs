@@ -10,31 +10,8 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
-/// Fields of a robot.
-pub(super) const ROBOT_FIELDS: &[&str] =
-    &["name", "attributes", "skills", "place", "x_m", "y_m", "battery", "discharge", "speed"];
-
 /// Fields of a robot that change while it works.
 pub(super) const CHANGING_FIELDS: &[&str] = &["place", "x_m", "y_m", "battery"];
-
-/// Fields of a node.
-pub(super) const NODE_FIELDS: &[&str] = &[
-    "name",
-    "attributes",
-    "skills",
-    "place",
-    "x_m",
-    "y_m",
-    "battery",
-    "discharge",
-    "speed",
-    "may_vote",
-    "stationary",
-    "mains_powered",
-    "robot",
-    "free",
-    "estimator",
-];
 
 #[derive(Serialize)]
 struct RobotFacts<'a> {
@@ -139,28 +116,5 @@ pub(super) fn example_knowledge() -> Knowledge {
         leaving: false,
         supported_versions: VersionRange::OWN,
         robot: Some(example_robot()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use cel::objects::Key;
-
-    /// Returns the names of the fields of a value.
-    fn fields(value: Value) -> BTreeSet<String> {
-        let Value::Map(map) = value else { panic!("{value:?} is no map") };
-        map.map.keys().map(Key::to_string).collect()
-    }
-
-    #[test]
-    fn the_lists_of_fields_are_complete() {
-        let listed = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<BTreeSet<_>>();
-        assert_eq!(fields(robot_facts("ada", &example_robot()).unwrap()), listed(ROBOT_FIELDS));
-        let node = NodeId::new("ada").unwrap();
-        assert_eq!(fields(node_facts(&node, &example_knowledge()).unwrap()), listed(NODE_FIELDS));
-        let station = Knowledge { robot: None, ..example_knowledge() };
-        assert_eq!(fields(node_facts(&node, &station).unwrap()), listed(NODE_FIELDS));
-        assert!(CHANGING_FIELDS.iter().all(|field| ROBOT_FIELDS.contains(field)));
     }
 }

@@ -26,13 +26,12 @@ pub use eligibility::{Eligibility, Ineligibility};
 pub use ensembles::Ensembles;
 pub use spec::EnsembleSpec;
 
-use self::condition::{Condition, EvaluationError, Variable};
-use self::facts::{NODE_FIELDS, example_knowledge, node_facts};
-use crate::expression;
+use self::condition::{Condition, EvaluationError, Variables, context_of};
+use self::facts::{example_knowledge, node_facts};
 use crate::ids::{NodeId, TaskType};
 use crate::knowledge::{Knowledge, KnowledgeBase};
 use crate::units::NodeTime;
-use cel::{Context, SerializationError};
+use cel::SerializationError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -99,7 +98,7 @@ impl Ensemble {
         let variables =
             variables(&spec, (&example, &knowledge), (&example, &knowledge)).expect("the example can be converted");
         let compile = |text: &String| {
-            Condition::compile(text, VARIABLES, &variables).map_err(|problem| ConditionError {
+            Condition::compile(text, &variables).map_err(|problem| ConditionError {
                 ensemble: spec.name.clone(),
                 condition: text.clone(),
                 problem,
@@ -180,12 +179,13 @@ impl Ensemble {
         coordinator: &NodeId,
         coordinator_knowledge: &Knowledge,
     ) -> Result<(), NotMember> {
-        let facts = variables(&self.spec, (node, knowledge), (coordinator, coordinator_knowledge))
+        let variables = variables(&self.spec, (node, knowledge), (coordinator, coordinator_knowledge))
             .map_err(|problem| NotMember::NotEvaluated { node: node.clone(), problem: problem.to_string() })?;
+        let variables = context_of(variables);
         for (conditions, subject) in [(&self.coordinator, coordinator), (&self.membership, node)] {
             for condition in conditions {
                 let (text, node) = (|| condition.text.clone(), || subject.clone());
-                match condition.holds(&facts) {
+                match condition.holds(&variables) {
                     Ok(true) => {}
                     Ok(false) => return Err(NotMember::ConditionFalse { condition: text(), node: node() }),
                     Err(problem) => {
@@ -207,26 +207,22 @@ impl Ensemble {
     }
 }
 
-/// Variables of the conditions of ensembles.
-const VARIABLES: &[Variable] =
-    &[("member", NODE_FIELDS), ("coordinator", NODE_FIELDS), ("ensemble", &["name", "skills"])];
-
 fn variables(
     spec: &EnsembleSpec,
     (member, knowledge): (&NodeId, &Knowledge),
     (coordinator, coordinator_knowledge): (&NodeId, &Knowledge),
-) -> Result<Context<'static, 'static>, SerializationError> {
+) -> Result<Variables, SerializationError> {
     #[derive(Serialize)]
     struct Declared<'a> {
         name: &'a str,
         skills: Vec<&'a str>,
     }
     let declared = Declared { name: spec.name.as_str(), skills: spec.skills.iter().map(TaskType::as_str).collect() };
-    let mut context = expression::variables();
-    context.add_variable_from_value("member", node_facts(member, knowledge)?);
-    context.add_variable_from_value("coordinator", node_facts(coordinator, coordinator_knowledge)?);
-    context.add_variable_from_value("ensemble", cel::to_value(declared)?);
-    Ok(context)
+    Ok(vec![
+        ("member", node_facts(member, knowledge)?),
+        ("coordinator", node_facts(coordinator, coordinator_knowledge)?),
+        ("ensemble", cel::to_value(declared)?),
+    ])
 }
 
 fn millis(age: Duration) -> u64 {
@@ -284,7 +280,7 @@ mod tests {
             ("member.skills.", "ensemble samples: condition `member.skills.`:"),
             (
                 "member.wheels > 3",
-                "ensemble samples: condition `member.wheels > 3`: `member` has no field `wheels`; allowed: name",
+                "ensemble samples: condition `member.wheels > 3`: `member` has no field `wheels`; allowed: attributes",
             ),
             ("member.battery", "it must be true or false"),
             ("wheels", "ensemble samples"),

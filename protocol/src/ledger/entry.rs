@@ -3,7 +3,7 @@
 use super::branch::Branch;
 use super::person_request::PersonRequestEntry;
 use super::submission::{Priority, Submission};
-use crate::auction::AuctionRecord;
+use crate::auction::{AuctionId, AuctionRecord, CallForBids};
 use crate::codec;
 use crate::ids::{ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId};
 use crate::lease::{Epoch, RoleHolder};
@@ -286,6 +286,23 @@ impl MissionEntry {
     /// Returns the local plan of a role.
     pub fn plan(&self, role: &RoleId) -> Option<&LocalPlan> {
         self.division()?.plans.get(role)
+    }
+
+    /// Returns the call for bids for the open roles; `None` if there are none, or a plan is missing.
+    pub fn call_for_bids(&self, auction: AuctionId) -> Option<CallForBids> {
+        let open = self.open_roles();
+        if open.is_empty() {
+            return None;
+        }
+        let Mission { roles, ensembles, .. } = self.mission();
+        let condition = |role: &RoleId| Some((role.clone(), roles.get(role)?.eligible.clone()?));
+        let plan = |role: &RoleId| Some((role.clone(), self.plan(role)?.clone()));
+        Some(CallForBids {
+            auction,
+            ensembles: ensembles.clone(),
+            roles: open.iter().map(plan).collect::<Option<_>>()?,
+            eligible: open.iter().filter_map(condition).collect(),
+        })
     }
 
     /// Returns the mission tree of the branch that is executed.

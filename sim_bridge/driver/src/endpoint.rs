@@ -156,7 +156,7 @@ impl JsonSchema for DriverSetting {
     }
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "oneOf": [
+        json_schema!({ "anyOf": [
             { "type": "array", "items": { "type": "string" }, "minItems": 1 },
             { "type": "string", "pattern": "^(unix|tcp):.+$" },
         ] })

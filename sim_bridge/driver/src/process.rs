@@ -1,4 +1,4 @@
-//! The process of a driver, or the connection to it: its start, its streams and its end.
+//! The process of a driver, or the connection to it, from its start to its end.
 
 use crate::endpoint::{DriverEndpoint, SocketReader, SocketWriter};
 use crate::line::{LINE_BYTES_MAX, ReadLine, next_line};
@@ -7,10 +7,14 @@ use crate::program::RunningDriver;
 use crate::session::SessionEvent;
 use crate::throttle::Throttle;
 use consort_protocol::ids::RobotId;
+use futures::FutureExt as _;
+use futures::future::Shared;
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt as _, BufReader};
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::mpsc::{Receiver, Sender, UnboundedReceiver, UnboundedSender, channel, unbounded_channel};
+use tokio::sync::oneshot;
+use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep, timeout};
 use tracing::info;
 
@@ -35,8 +39,7 @@ pub(crate) enum ProcessCommand {
     Kill(String),
 }
 
-/// Connection to the task that runs the process, or the connection to a socket. It ends when this is
-/// dropped.
+/// Handle of the task that runs the process or the connection, which ends when this is dropped.
 pub(crate) struct DriverProcess {
     pub(crate) commands: UnboundedSender<ProcessCommand>,
     pub(crate) events: Receiver<SessionEvent>,
@@ -51,7 +54,7 @@ impl DriverProcess {
     }
 }
 
-/// Runs one process, or one connection, after the other.
+/// Runs the processes of a driver, or the connections to it, in sequence.
 async fn supervise(
     robot: RobotId,
     endpoint: DriverEndpoint,
@@ -61,15 +64,28 @@ async fn supervise(
     while let Some(command) = commands.recv().await {
         // Messages to a process that has ended are dropped.
         let ProcessCommand::Spawn = command else { continue };
-        let how = match &endpoint {
+        let mut tasks = JoinSet::new();
+        let started = match &endpoint {
             DriverEndpoint::Program(program) => match program.spawn() {
-                Ok(running) => run(&robot, running, &mut commands, &events).await,
-                Err(problem) => format!("{program} cannot be started: {problem}"),
+                Ok(mut running) => {
+                    let (stdin, stdout, stderr) = running.take_streams();
+                    tasks.spawn(log_errors(robot.clone(), stderr));
+                    Ok((
+                        LiveDriver::Process(running),
+                        Box::new(stdin) as SocketWriter,
+                        Box::new(stdout) as SocketReader,
+                    ))
+                }
+                Err(problem) => Err(format!("{program} cannot be started: {problem}")),
             },
             DriverEndpoint::Socket(socket) => match socket.connect().await {
-                Ok((reader, writer)) => serve_connection(reader, writer, &mut commands, &events).await,
-                Err(problem) => format!("no connection to {socket}: {problem}"),
+                Ok((reader, writer)) => Ok((LiveDriver::Connection, writer, reader)),
+                Err(problem) => Err(format!("no connection to {socket}: {problem}")),
             },
+        };
+        let how = match started {
+            Ok((driver, input, output)) => run(driver, input, output, tasks, &mut commands, &events).await,
+            Err(problem) => problem,
         };
         if events.send(SessionEvent::Ended(how)).await.is_err() {
             return;
@@ -77,45 +93,80 @@ async fn supervise(
     }
 }
 
-/// Runs a process to its end, and returns how it ended.
+/// A driver with which messages are exchanged.
+enum LiveDriver {
+    Process(RunningDriver),
+    Connection,
+}
+
+/// Ends when the output of a driver has been read to its end.
+type OutputEnd = Shared<oneshot::Receiver<()>>;
+
+impl LiveDriver {
+    /// Waits for the end of the process or of the connection, and returns how it ended.
+    async fn wait(&mut self, output_end: OutputEnd) -> String {
+        match self {
+            LiveDriver::Process(running) => match running.wait().await {
+                Ok(status) => status.to_string(),
+                Err(problem) => format!("its end is unknown: {problem}"),
+            },
+            LiveDriver::Connection => {
+                let _ = output_end.await;
+                "it closed the connection".to_owned()
+            }
+        }
+    }
+
+    /// Kills the process, or closes the connection, which ends with the tasks that use it.
+    fn stop(&self, tasks: &mut JoinSet<()>) {
+        match self {
+            LiveDriver::Process(running) => running.kill(),
+            LiveDriver::Connection => tasks.abort_all(),
+        }
+    }
+}
+
+/// Exchanges messages with a driver to its end, and returns how it ended.
 async fn run(
-    robot: &RobotId,
-    mut running: RunningDriver,
+    mut driver: LiveDriver,
+    input: SocketWriter,
+    output: SocketReader,
+    mut tasks: JoinSet<()>,
     commands: &mut UnboundedReceiver<ProcessCommand>,
     events: &Sender<SessionEvent>,
 ) -> String {
-    let (stdin, stdout, stderr) = running.take_streams();
     let (messages, queued) = channel(MESSAGES_MAX);
     let mut messages = Some(messages);
-    // All three tasks end with this function.
-    let mut tasks = tokio::task::JoinSet::new();
-    tasks.spawn(write_messages(stdin, queued));
-    tasks.spawn(log_errors(robot.clone(), stderr));
-    let mut reader = tokio::task::JoinSet::new();
-    reader.spawn(read_messages(stdout, events.clone()));
-    let mut killed: Option<String> = None;
+    let (output_closed, output_end) = oneshot::channel();
+    let output_end = output_end.shared();
+    // All tasks end with this function.
+    tasks.spawn(write_messages(input, queued));
+    let reading = read_messages(output, events.clone());
+    tasks.spawn(reading.map(|()| drop(output_closed)));
+    let mut stopped: Option<String> = None;
     let ended = loop {
+        let is_open_process = matches!(driver, LiveDriver::Process(_)) && output_end.peek().is_none();
         tokio::select! {
-            status = running.wait() => break status,
-            _ = reader.join_next(), if !reader.is_empty() => {
+            end = driver.wait(output_end.clone()) => break end,
+            _ = output_end.clone(), if is_open_process => {
                 // Usually the process ends at the same time.
-                if let Ok(status) = timeout(DRAIN_LIMIT, running.wait()).await {
-                    break status;
+                if let Ok(end) = timeout(DRAIN_LIMIT, driver.wait(output_end.clone())).await {
+                    break end;
                 }
-                killed.get_or_insert_with(|| "it closed its standard output".to_owned());
-                running.kill();
+                stopped.get_or_insert_with(|| "it closed its standard output".to_owned());
+                driver.stop(&mut tasks);
             }
             command = commands.recv(), if messages.is_some() => match command {
                 Some(ProcessCommand::Send(message)) => {
                     let sent = messages.as_ref().map(|messages| messages.try_send(message.to_line()));
                     if let Some(Err(TrySendError::Full(_))) = sent {
-                        killed.get_or_insert_with(|| format!("it has not read {MESSAGES_MAX} messages"));
-                        running.kill();
+                        stopped.get_or_insert_with(|| format!("it has not read {MESSAGES_MAX} messages"));
+                        driver.stop(&mut tasks);
                     }
                 }
                 Some(ProcessCommand::Kill(reason)) => {
-                    killed.get_or_insert(reason);
-                    running.kill();
+                    stopped.get_or_insert(reason);
+                    driver.stop(&mut tasks);
                 }
                 Some(ProcessCommand::Spawn) => {} // a session spawns only after the end
                 // The node ends.
@@ -123,59 +174,20 @@ async fn run(
                     if let Some(messages) = messages.take() {
                         let _ = messages.try_send(NodeMessage::Shutdown {}.to_line());
                     }
-                    if timeout(SHUTDOWN_LIMIT, running.wait()).await.is_err() {
-                        running.kill();
+                    if timeout(SHUTDOWN_LIMIT, driver.wait(output_end.clone())).await.is_err() {
+                        driver.stop(&mut tasks);
                     }
                 }
             },
         }
     };
     // Descendants that keep the streams open end, too.
-    running.kill();
-    let _ = timeout(DRAIN_LIMIT, reader.join_next()).await;
-    match (killed, ended) {
-        (Some(reason), _) => format!("killed: {reason}"),
-        (None, Ok(status)) => status.to_string(),
-        (None, Err(problem)) => format!("its end is unknown: {problem}"),
-    }
-}
-
-/// Exchanges messages over a connection until its end, and returns how it ended.
-async fn serve_connection(
-    reader: SocketReader,
-    writer: SocketWriter,
-    commands: &mut UnboundedReceiver<ProcessCommand>,
-    events: &Sender<SessionEvent>,
-) -> String {
-    let (messages, queued) = channel(MESSAGES_MAX);
-    let mut messages = Some(messages);
-    // Both tasks end with this function, and with them the connection.
-    let mut tasks = tokio::task::JoinSet::new();
-    tasks.spawn(write_messages(writer, queued));
-    let mut reading = tokio::task::JoinSet::new();
-    reading.spawn(read_messages(reader, events.clone()));
-    loop {
-        tokio::select! {
-            _ = reading.join_next() => return "it closed the connection".to_owned(),
-            command = commands.recv(), if messages.is_some() => match command {
-                Some(ProcessCommand::Send(message)) => {
-                    let sent = messages.as_ref().map(|messages| messages.try_send(message.to_line()));
-                    if let Some(Err(TrySendError::Full(_))) = sent {
-                        return format!("disconnected: it has not read {MESSAGES_MAX} messages");
-                    }
-                }
-                Some(ProcessCommand::Kill(reason)) => return format!("disconnected: {reason}"),
-                Some(ProcessCommand::Spawn) => {} // a session connects again only after the end
-                // The node ends.
-                None => {
-                    if let Some(messages) = messages.take() {
-                        let _ = messages.try_send(NodeMessage::Shutdown {}.to_line());
-                    }
-                    let _ = timeout(SHUTDOWN_LIMIT, tasks.join_next()).await;
-                    return "the node ends".to_owned();
-                }
-            },
-        }
+    driver.stop(&mut tasks);
+    let _ = timeout(DRAIN_LIMIT, output_end).await;
+    match (stopped, driver) {
+        (Some(reason), LiveDriver::Process(_)) => format!("killed: {reason}"),
+        (Some(reason), LiveDriver::Connection) => format!("disconnected: {reason}"),
+        (None, _) => ended,
     }
 }
 

@@ -5,7 +5,7 @@ use consort_fleet::fuzz_api;
 use consort_fleet::robot_driver::{DriverCommand, DriverState, PersonCommand, PersonEvent, PersonRequestState};
 use consort_gossip::{GossipHarness, GossipInput as How};
 use consort_protocol::auction::{
-    AuctionContext, BidLimits, BidResponse, CallForBids, RoleReply, clear_auction, explain,
+    AuctionContext, BidLimits, BidResponse, CallForBids, Invitation, RoleReply, clear_auction, explain,
 };
 use consort_protocol::codec::{self, MESSAGE_BYTES_MAX, VersionedMessage};
 use consort_protocol::ids::{FleetId, NodeId};
@@ -90,10 +90,10 @@ fn auction(call: Option<CallForBids>, tender: Option<BidResponse>) {
     let roles = call.map(|call| call.roles).unwrap_or_default();
     let roles = requested.map(|role| (role.clone(), LocalPlan::of(role, vec![]))).chain(roles).collect();
     let call = CallForBids { auction: tender.auction.clone(), ensembles: vec![], roles, eligible: BTreeMap::new() };
-    let (limits, robots) = (BidLimits::default(), BTreeSet::from([tender.robot.clone()]));
+    let robots = BTreeSet::from([tender.robot.clone()]);
+    let (limits, invitation) = (BidLimits::default(), Invitation { robots, preferred: vec![] });
     let circumstances = AuctionContext {
-        invited: &robots,
-        preferred: &[],
+        invitation: &invitation,
         unavailable: &BTreeMap::new(),
         excluded: &BTreeMap::new(),
         limits: &limits,
@@ -102,7 +102,10 @@ fn auction(call: Option<CallForBids>, tender: Option<BidResponse>) {
     };
     let conclusion = clear_auction(&call, &[tender], &circumstances);
     let holders = conclusion.holders.iter().flatten();
-    assert!(holders.clone().all(|(_, robot)| robots.contains(robot)), "a role was assigned to a robot without a bid");
+    assert!(
+        holders.clone().all(|(_, robot)| invitation.robots.contains(robot)),
+        "a role was assigned to a robot without a bid"
+    );
     explain(&conclusion.record);
 }
 

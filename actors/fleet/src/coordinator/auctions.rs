@@ -12,14 +12,12 @@ use super::message::{CollectedBids, CoordinatorMessage};
 use super::reconcile::{AuctionRound, ClosedBidding, RoundPhase, backoff, can_be_auctioned, unavailable_robots};
 use super::session_context::SessionContext;
 use consort_protocol::auction::{
-    AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, CallForBids, RoleReply,
+    AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, Invitation, RoleReply,
     clear_auction_with,
 };
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{EnsembleId, MissionId, RobotId, RoleId};
+use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry};
-use consort_protocol::mission::Mission;
-use consort_protocol::plan::LocalPlan;
 use consort_protocol::units::NodeTime;
 use consort_raft::ProposeError;
 use std::collections::{BTreeMap, BTreeSet};
@@ -36,16 +34,6 @@ const HOPELESS_ROUNDS: u32 = 3;
 
 /// Maximum number of robots named in the cause of a failed mission.
 const NAMED_ROBOTS_MAX: usize = 8;
-
-/// Open roles of a mission.
-#[derive(Default)]
-struct OpenRoles {
-    plans: BTreeMap<RoleId, LocalPlan>,
-    /// Conditions on their robots.
-    eligible: BTreeMap<RoleId, String>,
-    /// Ensembles that the mission names.
-    ensembles: Vec<EnsembleId>,
-}
 
 /// Auctions of a session, by mission.
 #[derive(Default)]
@@ -77,45 +65,24 @@ impl Auctions {
 
     /// Calls for bids for the open roles of a mission.
     pub(super) fn call_for_bids(&mut self, mission: &MissionId, context: &mut SessionContext, now: NodeTime) {
-        let called = context.read_ledger(|ledger| {
-            let entry = ledger.mission(mission)?;
-            let Mission { roles: declared, ensembles, .. } = entry.mission();
-            let mut call = OpenRoles { ensembles: ensembles.clone(), ..OpenRoles::default() };
-            for role in entry.open_roles() {
-                let condition = declared.get(&role).and_then(|role| role.eligible.clone());
-                call.eligible.extend(condition.map(|condition| (role.clone(), condition)));
-                call.plans.insert(role.clone(), entry.plan(&role)?.clone());
-            }
-            Some((entry.branch, call))
-        });
-        let Some((branch, OpenRoles { plans: roles, eligible, ensembles })) =
-            called.filter(|(_, open)| !open.plans.is_empty())
-        else {
-            return;
-        };
+        let Some(branch) = context.read_ledger(|ledger| Some(ledger.mission(mission)?.branch)) else { return };
         let previous = self.rounds.get_mut(mission).map(|round| {
             round.follow_branch(branch, now);
             (round.number + 1, round.hopeless_rounds)
         });
         let (number, hopeless) = previous.unwrap_or((1, 0));
-        let settings = &context.settings;
         let auction = AuctionId { mission: mission.clone(), term: context.term, round: number };
-        let members = live_members(settings, now);
-        let names = if ensembles.is_empty() { members.keys().cloned().collect() } else { ensembles.clone() };
-        let members_of = |name: EnsembleId| {
-            let members = members.get(&name).into_iter().flatten().cloned().map(RobotId::from).collect();
-            (name, members)
-        };
-        let mut preferred: Vec<(EnsembleId, BTreeSet<RobotId>)> = names.into_iter().map(members_of).collect();
-        let expected: BTreeSet<RobotId> = preferred.iter().flat_map(|(_, robots)| robots.clone()).collect();
-        // The members of the last ensemble named come after all others; without names, all are equal.
-        preferred.truncate(ensembles.len().saturating_sub(1));
-        let call = CallForBids { auction, ensembles, roles, eligible };
+        let call = context.read_ledger(|ledger| ledger.mission(mission)?.call_for_bids(auction));
+        let Some(call) = call else { return };
+        let settings = &context.settings;
+        let robots = |nodes: BTreeSet<NodeId>| nodes.into_iter().map(RobotId::from).collect();
+        let members = live_members(settings, now).into_iter().map(|(name, nodes)| (name, robots(nodes))).collect();
+        let invitation = Invitation::of(&call.ensembles, &members);
         context.publish_event(EventKind::BidsRequested {
             mission: mission.clone(),
             roles: call.roles.keys().cloned().collect(),
             round: number,
-            asked: expected.len(),
+            asked: invitation.robots.len(),
         });
         self.rounds.insert(
             mission.clone(),
@@ -124,8 +91,8 @@ impl Auctions {
         let (bus, keys) = (settings.parts.bus.clone(), settings.parts.keys.clone());
         let window = settings.auctions.bid_window;
         context.send_result(async move {
-            let responses = auctioneer::collect_bids(bus, keys, call.clone(), expected.clone(), window).await;
-            CoordinatorMessage::BidsCollected(Box::new(CollectedBids { call, expected, preferred, responses }))
+            let responses = auctioneer::collect_bids(bus, keys, call.clone(), invitation.robots.clone(), window).await;
+            CoordinatorMessage::BidsCollected(Box::new(CollectedBids { call, invitation, responses }))
         });
     }
 
@@ -188,7 +155,7 @@ impl Auctions {
     /// the mission cannot be awarded otherwise: a robot that bids and then does not act delays the mission
     /// once, and not for ever.
     fn outcome(&self, bids: &CollectedBids, context: &SessionContext) -> AuctionOutcome {
-        let CollectedBids { call, expected, preferred, responses } = bids;
+        let CollectedBids { call, invitation, responses } = bids;
         let (unavailable, failed, released) = context.read_ledger(|ledger| {
             let entry = ledger.mission(&call.auction.mission);
             let of_roles = |robots: &dyn Fn(&MissionEntry, &RoleId) -> BTreeMap<RobotId, String>| {
@@ -201,8 +168,7 @@ impl Auctions {
         let settings = &context.settings.auctions;
         let clear = |excluded| {
             let auction_context = AuctionContext {
-                invited: expected,
-                preferred,
+                invitation,
                 unavailable: &unavailable,
                 excluded,
                 limits: &settings.limits,

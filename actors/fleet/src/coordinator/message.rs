@@ -4,14 +4,13 @@ use super::status::CoordinatorStatus;
 use crate::autopilot::ActionResult;
 use crate::robot_driver::PersonRequestState;
 use consort_bus::{Author, Query, Sample};
-use consort_protocol::auction::{AuctionId, BidResponse, CallForBids};
-use consort_protocol::ids::{EnsembleId, MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::auction::{AuctionId, BidResponse, CallForBids, Invitation};
+use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{CommandOutcome, MissionEntry, RoleAssignment};
 use consort_protocol::message::AwardReply;
 use consort_raft::ProposeError;
 use consort_skills::actions::GoalId;
-use std::collections::BTreeSet;
 use tokio::sync::oneshot;
 
 /// Message for the coordinator actor.
@@ -61,10 +60,7 @@ pub(crate) enum CoordinatorMessage {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct CollectedBids {
     pub(super) call: CallForBids,
-    /// Robots that were expected to reply.
-    pub(super) expected: BTreeSet<RobotId>,
-    /// Ensembles whose members come first, with these.
-    pub(super) preferred: Vec<(EnsembleId, BTreeSet<RobotId>)>,
+    pub(super) invitation: Invitation,
     pub(super) responses: Vec<BidResponse>,
 }
 

@@ -71,13 +71,8 @@ impl Bidder {
             return Err(RefusalReason::NotMember { why: membership.reason.clone() });
         }
         if let Some(condition) = call.eligible.get(role) {
-            let eligibility = Eligibility::compile(condition).map_err(|problem| RefusalReason::NotEligible {
-                why: format!("`{condition}`: {problem}"),
-                permanent: true,
-            })?;
-            eligibility
-                .check(&self.robot, worker)
-                .map_err(|Ineligibility { why, permanent }| RefusalReason::NotEligible { why, permanent })?;
+            let eligible = Eligibility::check_text(condition, &self.robot, worker);
+            eligible.map_err(|Ineligibility { why, permanent }| RefusalReason::NotEligible { why, permanent })?;
         }
         let needed: BTreeSet<&TaskType> = plan.tasks().map(|(_, spec)| &spec.task_type).collect();
         let missing: Vec<TaskType> =

@@ -79,7 +79,7 @@ fn people_answer_requests_whichever_node_dies() {
     assert_eq!(browser.value("document.activeElement.id"), "name");
     browser.press("Nia");
 
-    // Two tabs answer at once: one of them counts, and the other is told so.
+    // Two tabs answer at the same time: a single answer counts, and the other tab says so.
     browser.value("(window.other = window.open('/me'), true)");
     let other = "window.other.document";
     browser.wait_until("the other tab", &format!("{other}.querySelectorAll('#open form').length === 1"));

@@ -14,18 +14,22 @@ pub(super) type Rejection = (StatusCode, [(header::HeaderName, &'static str); 1]
 
 /// Parses the JSON body of a request.
 pub(super) fn parse_body<T: DeserializeOwned>(headers: &HeaderMap, body: &[u8]) -> Result<T, Rejection> {
-    let refusal = |status, what: &str| (status, JSON_HEADERS, json(&ErrorReply::rejected(what)));
     let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
     if kind.split(';').next().map(str::trim) != Some("application/json") {
-        return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "a request must be application/json"));
+        return Err(rejection(StatusCode::UNSUPPORTED_MEDIA_TYPE, "a request must be application/json"));
     }
     serde_json::from_slice(body)
-        .map_err(|mistake| refusal(StatusCode::BAD_REQUEST, &format!("the request is not valid: {mistake}")))
+        .map_err(|mistake| rejection(StatusCode::BAD_REQUEST, &format!("the request is not valid: {mistake}")))
+}
+
+/// Returns the rejection of a request.
+pub(super) fn rejection(status: StatusCode, what: &str) -> Rejection {
+    (status, JSON_HEADERS, json(&ErrorReply::rejected(what)))
 }
 
 /// Returns an error reply.
 pub(super) fn error_reply(status: StatusCode, what: &str) -> Response {
-    json_reply(status, &ErrorReply::rejected(what))
+    rejection(status, what).into_response()
 }
 
 /// Returns a JSON reply.

@@ -1,9 +1,9 @@
 //! Mission files that a user submits with the form.
 
-use super::json::{error_reply, json_reply, parse_body};
+use super::json::{Rejection, json_reply, parse_body, rejection};
 use axum::body::Bytes;
 use axum::http::{HeaderMap, StatusCode};
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use consort_protocol::ids::TaskId;
 use consort_protocol::mission::{Format, IhtnFields, MissionDocument, TemplateParameter};
 use serde::{Deserialize, Serialize};
@@ -33,19 +33,14 @@ struct ReadMission<'a> {
 }
 
 /// Reads a mission file in YAML or JSON, or a flat iHTN. The coordinator checks the mission.
-pub(super) async fn read(headers: HeaderMap, body: Bytes) -> Response {
-    let MissionFile { name, text } = match parse_body(&headers, &body) {
-        Ok(file) => file,
-        Err(refusal) => return refusal.into_response(),
-    };
+pub(super) async fn read(headers: HeaderMap, body: Bytes) -> Result<Response, Rejection> {
+    let MissionFile { name, text } = parse_body(&headers, &body)?;
     let path = Path::new(&name);
     let format = Format::of(Some(path), &text);
     let read = MissionDocument::parse(&text, format, IhtnFields::default())
         .and_then(|document| Ok((document, MissionDocument::request(&text, format, IhtnFields::default())?)));
-    let (document, mission) = match read {
-        Ok(read) => read,
-        Err(problem) => return error_reply(StatusCode::BAD_REQUEST, &format!("{name}: {problem}")),
-    };
+    let (document, mission) =
+        read.map_err(|problem| rejection(StatusCode::BAD_REQUEST, &format!("{name}: {problem}")))?;
     let (document, title, agents) = match document {
         MissionDocument::Template(template) => {
             let title = template.title().to_owned();
@@ -61,7 +56,7 @@ pub(super) async fn read(headers: HeaderMap, body: Bytes) -> Response {
         }
     };
     let (name, parameters) = (document.name(), document.parameters());
-    json_reply(StatusCode::OK, &ReadMission { mission, name, title: &title, parameters, agents })
+    Ok(json_reply(StatusCode::OK, &ReadMission { mission, name, title: &title, parameters, agents }))
 }
 
 /// Returns the agents of a flat iHTN.

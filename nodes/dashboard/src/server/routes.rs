@@ -1,8 +1,8 @@
 //! Routes of the dashboard's server.
 
-use super::forwarder::ForwardError;
+use super::forwarder::{ForwardError, RequestForwarder};
 use super::frame_publisher::FramePublisher;
-use super::json::{JSON_HEADERS, error_reply, json_reply, parse_body};
+use super::json::{JSON_HEADERS, Rejection, error_reply, json_reply, parse_body, rejection};
 use super::state::DashboardState;
 use super::websocket::{CLIENTS_MAX, open_websocket};
 use super::{DashboardSource, assets, csv, mission_file, origin_check, session};
@@ -153,14 +153,11 @@ async fn submit(
     Extension(client): Extension<Option<AuthenticatedClient>>,
     headers: HeaderMap,
     body: Bytes,
-) -> Response {
-    let DashboardSource::Fleet(forwarder) = &shared.served else { return requests_impossible(&shared.served) };
-    let request: Value = match parse_body(&headers, &body) {
-        Ok(request) => request,
-        Err(refusal) => return refusal.into_response(),
-    };
+) -> Result<Response, Rejection> {
+    let forwarder = forwarder(&shared)?;
+    let request: Value = parse_body(&headers, &body)?;
     let now_ms = shared.publisher.with_model(|_, now_ms| now_ms);
-    reply_of(forwarder.submit(request, client.as_ref(), now_ms).await)
+    Ok(reply_of(forwarder.submit(request, client.as_ref(), now_ms).await))
 }
 
 async fn cancel(
@@ -169,7 +166,7 @@ async fn cancel(
     Path(id): Path<String>,
     headers: HeaderMap,
     body: Bytes,
-) -> Response {
+) -> Result<Response, Rejection> {
     forward_action(&shared, client.as_ref(), ApiCall::Cancel, id, &headers, &body).await
 }
 
@@ -179,7 +176,7 @@ async fn resolve(
     Path(id): Path<String>,
     headers: HeaderMap,
     body: Bytes,
-) -> Response {
+) -> Result<Response, Rejection> {
     forward_action(&shared, client.as_ref(), ApiCall::Resolve, id, &headers, &body).await
 }
 
@@ -191,9 +188,9 @@ struct PeopleReply<'a> {
     dashboards: &'a [String],
 }
 
-async fn requests(State(shared): State<DashboardState>) -> Response {
-    let DashboardSource::Fleet(forwarder) = &shared.served else { return requests_impossible(&shared.served) };
-    match tokio::join!(forwarder.read(ApiCall::Requests), forwarder.read(ApiCall::List)) {
+async fn requests(State(shared): State<DashboardState>) -> Result<Response, Rejection> {
+    let forwarder = forwarder(&shared)?;
+    Ok(match tokio::join!(forwarder.read(ApiCall::Requests), forwarder.read(ApiCall::List)) {
         (Ok(mut requests), Ok(mut missions)) => json_reply(
             StatusCode::OK,
             &PeopleReply {
@@ -203,7 +200,7 @@ async fn requests(State(shared): State<DashboardState>) -> Response {
             },
         ),
         (Err(problem), _) | (_, Err(problem)) => reply_of(Err(problem)),
-    }
+    })
 }
 
 async fn answer(
@@ -212,14 +209,11 @@ async fn answer(
     Path(id): Path<String>,
     headers: HeaderMap,
     body: Bytes,
-) -> Response {
-    let DashboardSource::Fleet(forwarder) = &shared.served else { return requests_impossible(&shared.served) };
-    let mut fields: Map<String, Value> = match parse_body(&headers, &body) {
-        Ok(fields) => fields,
-        Err(refusal) => return refusal.into_response(),
-    };
+) -> Result<Response, Rejection> {
+    let forwarder = forwarder(&shared)?;
+    let mut fields: Map<String, Value> = parse_body(&headers, &body)?;
     fields.insert("request".to_owned(), id.into());
-    reply_of(forwarder.answer(&fields, client.as_ref()).await)
+    Ok(reply_of(forwarder.answer(&fields, client.as_ref()).await))
 }
 
 /// Name of the responsible person; by default the dashboard. The coordinator adds the token's name.
@@ -237,39 +231,33 @@ async fn forward_action(
     id: String,
     headers: &HeaderMap,
     body: &[u8],
-) -> Response {
-    let DashboardSource::Fleet(forwarder) = &shared.served else { return requests_impossible(&shared.served) };
-    let mission = match MissionId::new(id) {
-        Ok(mission) => mission,
-        Err(mistake) => return error_reply(StatusCode::BAD_REQUEST, &mistake.to_string()),
-    };
-    let word = if body.is_empty() { Ok(ResponsiblePerson::default()) } else { parse_body(headers, body) };
-    match word {
-        Ok(ResponsiblePerson { by }) => {
-            let by = by.filter(|by| !by.trim().is_empty());
-            reply_of(forwarder.act_on_mission(call, &mission, by, client).await)
-        }
-        Err(refusal) => refusal.into_response(),
-    }
+) -> Result<Response, Rejection> {
+    let forwarder = forwarder(shared)?;
+    let mission = MissionId::new(id).map_err(|mistake| rejection(StatusCode::BAD_REQUEST, &mistake.to_string()))?;
+    let ResponsiblePerson { by } =
+        if body.is_empty() { ResponsiblePerson::default() } else { parse_body(headers, body)? };
+    let by = by.filter(|by| !by.trim().is_empty());
+    Ok(reply_of(forwarder.act_on_mission(call, &mission, by, client).await))
 }
 
 async fn replay(State(shared): State<DashboardState>) -> Response {
     match &shared.served {
         DashboardSource::Recording(server) => json_reply(StatusCode::OK, &server.state()),
-        DashboardSource::Fleet(_) | DashboardSource::ViewOnly => no_recording(),
+        DashboardSource::Fleet(_) | DashboardSource::ViewOnly => no_recording().into_response(),
     }
 }
 
-async fn control_replay(State(shared): State<DashboardState>, headers: HeaderMap, body: Bytes) -> Response {
-    let DashboardSource::Recording(server) = &shared.served else { return no_recording() };
-    let command: PlayerCommand = match parse_body(&headers, &body) {
-        Ok(command) => command,
-        Err(refusal) => return refusal.into_response(),
-    };
-    match server.apply_command(command) {
+async fn control_replay(
+    State(shared): State<DashboardState>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Result<Response, Rejection> {
+    let DashboardSource::Recording(server) = &shared.served else { return Err(no_recording()) };
+    let command: PlayerCommand = parse_body(&headers, &body)?;
+    Ok(match server.apply_command(command) {
         Ok(state) => json_reply(StatusCode::OK, &state),
         Err(mistake) => error_reply(StatusCode::BAD_REQUEST, &mistake.to_string()),
-    }
+    })
 }
 
 /// Reply of the health check.
@@ -292,19 +280,20 @@ fn reply_of(outcome: Result<Value, ForwardError>) -> Response {
     }
 }
 
-fn requests_impossible(served: &DashboardSource) -> Response {
-    match served {
+fn forwarder(shared: &DashboardState) -> Result<&RequestForwarder, Rejection> {
+    match &shared.served {
+        DashboardSource::Fleet(forwarder) => Ok(forwarder),
         DashboardSource::Recording(server) => {
             let what = format!("{}: a recorded fleet accepts no requests", server.description());
-            error_reply(StatusCode::CONFLICT, &what)
+            Err(rejection(StatusCode::CONFLICT, &what))
         }
-        DashboardSource::Fleet(_) | DashboardSource::ViewOnly => {
+        DashboardSource::ViewOnly => {
             let what = "the shown model is not a running fleet; it accepts no requests";
-            error_reply(StatusCode::SERVICE_UNAVAILABLE, what)
+            Err(rejection(StatusCode::SERVICE_UNAVAILABLE, what))
         }
     }
 }
 
-fn no_recording() -> Response {
-    error_reply(StatusCode::NOT_FOUND, "the shown model is not a recording")
+fn no_recording() -> Rejection {
+    rejection(StatusCode::NOT_FOUND, "the shown model is not a recording")
 }

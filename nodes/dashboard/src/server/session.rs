@@ -1,6 +1,6 @@
 //! Sessions of browsers: the page sends the token once, and gets a cookie that no script can read.
 
-use super::json::{json_reply, parse_body};
+use super::json::{Rejection, json_reply, parse_body};
 use super::state::DashboardState;
 use crate::admission::{AdmissionError, AuthenticatedClient};
 use axum::body::Bytes;
@@ -55,19 +55,20 @@ pub(super) async fn current(State(shared): State<DashboardState>, headers: Heade
 }
 
 /// Begins a session with a token.
-pub(super) async fn begin(State(shared): State<DashboardState>, headers: HeaderMap, body: Bytes) -> Response {
-    let SignIn { token } = match parse_body(&headers, &body) {
-        Ok(sign_in) => sign_in,
-        Err(refusal) => return refusal.into_response(),
-    };
+pub(super) async fn begin(
+    State(shared): State<DashboardState>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Result<Response, Rejection> {
+    let SignIn { token } = parse_body(&headers, &body)?;
     let token = token.trim();
-    match shared.admission.verify_token(token) {
+    Ok(match shared.admission.verify_token(token) {
         Ok(client) => {
             let answered = json_reply(StatusCode::OK, &Session::of(client.as_ref()));
             with_cookie(&shared, token, &headers, answered)
         }
         Err(refused) => refused.into_response(),
-    }
+    })
 }
 
 /// Ends a session: the browser deletes the cookie.

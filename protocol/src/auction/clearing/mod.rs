@@ -3,6 +3,7 @@
 use super::allocator::{Allocator, AllocatorInput, OptimalAssignment};
 use super::assignment::AssignmentError;
 use super::bid::{Bid, BidLimits, BidPart, BidResponse, CallForBids, RefusalReason, RoleReply};
+use super::invitation::Invitation;
 use super::record::{AuctionEntry, AuctionRecord, BidVerdict};
 use crate::ids::{EnsembleId, RobotId, RoleId};
 use crate::units::Seconds;
@@ -23,10 +24,7 @@ pub struct AuctionOutcome {
 #[derive(Debug, Clone)]
 pub struct AuctionContext<'a> {
     /// Robots that were invited.
-    pub invited: &'a BTreeSet<RobotId>,
-    /// Ensembles whose members come first, in this order, with their members. Other robots get roles only
-    /// if the members of these ensembles cannot fill all of them.
-    pub preferred: &'a [(EnsembleId, BTreeSet<RobotId>)],
+    pub invitation: &'a Invitation,
     /// Robots with bids that do not count, and the reasons. Such a robot holds a role or is about
     /// to get one, and may have sent its bid before it was notified; or it carries an item of
     /// another mission.
@@ -57,7 +55,7 @@ pub fn clear_auction_with(
 ) -> AuctionOutcome {
     let replies = replies_to(call, responses);
     let mut preferred = BTreeSet::new();
-    for (ensemble, members) in context.preferred {
+    for (ensemble, members) in &context.invitation.preferred {
         preferred.extend(members);
         let preference = Preference { ensemble, robots: &preferred };
         let outcome = clear_among(call, &replies, context, allocator, Some(preference));
@@ -131,7 +129,8 @@ fn evaluate_all(
     context: &AuctionContext<'_>,
     preference: Option<Preference<'_>>,
 ) -> Vec<AuctionEntry> {
-    let robots: BTreeSet<&RobotId> = context.invited.iter().chain(replies.keys().map(|(_, robot)| *robot)).collect();
+    let robots: BTreeSet<&RobotId> =
+        context.invitation.robots.iter().chain(replies.keys().map(|(_, robot)| *robot)).collect();
     let mut entries = vec![];
     for role in call.roles.keys() {
         for &robot in &robots {

@@ -10,6 +10,10 @@ fn robot(name: &str) -> RobotId {
     RobotId::new(name).unwrap()
 }
 
+fn invited(names: &[&str]) -> Invitation {
+    Invitation { robots: names.iter().map(|name| robot(name)).collect(), preferred: vec![] }
+}
+
 fn role() -> RoleId {
     RoleId::new("r1").unwrap()
 }
@@ -26,20 +30,12 @@ fn call() -> CallForBids {
 static NO_EXCLUDED: BTreeMap<RoleId, BTreeMap<RobotId, String>> = BTreeMap::new();
 
 fn context<'a>(
-    expected: &'a BTreeSet<RobotId>,
+    invitation: &'a Invitation,
     taken: &'a BTreeMap<RobotId, RefusalReason>,
     excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
 ) -> AuctionContext<'a> {
     static LIMITS: std::sync::LazyLock<BidLimits> = std::sync::LazyLock::new(BidLimits::default);
-    AuctionContext {
-        invited: expected,
-        preferred: &[],
-        unavailable: taken,
-        excluded,
-        limits: &LIMITS,
-        window_ms: 200,
-        at_ms: 0,
-    }
+    AuctionContext { invitation, unavailable: taken, excluded, limits: &LIMITS, window_ms: 200, at_ms: 0 }
 }
 
 fn bids(name: &str, time: f64, remaining: f64) -> BidResponse {
@@ -59,7 +55,7 @@ fn bids(name: &str, time: f64, remaining: f64) -> BidResponse {
 
 #[test]
 fn the_record_contains_every_robot_with_its_reason() {
-    let expected = ["ada", "bob", "cyd", "dan", "eve", "fay"].map(robot).into_iter().collect();
+    let expected = invited(&["ada", "bob", "cyd", "dan", "eve", "fay"]);
     let taken_by = RefusalReason::Busy { mission: MissionId::new("m-0").unwrap(), role: role() };
     let taken = BTreeMap::from([(robot("bob"), taken_by)]);
     let context = context(&expected, &taken, &NO_EXCLUDED);
@@ -106,8 +102,8 @@ fn a_record_with_long_refusals_fits_an_award() {
     };
     let mut responses: Vec<BidResponse> = names.iter().enumerate().map(refusal).collect();
     responses.push(bids("zoe", 9.0, 0.5));
-    let invited = BTreeSet::new();
-    let outcome = clear_auction(&call(), &responses, &context(&invited, &BTreeMap::new(), &NO_EXCLUDED));
+    let nobody = Invitation::default();
+    let outcome = clear_auction(&call(), &responses, &context(&nobody, &BTreeMap::new(), &NO_EXCLUDED));
     let AuctionOutcome { holders: Some(holders), record: auction, .. } = outcome else { panic!("no holder") };
     assert_eq!((auction.entries.len() + auction.omitted as usize, auction.entries[0].robot.as_str()), (201, "zoe"));
     assert!(auction.entries.len() > 80, "{} replies are recorded", auction.entries.len());
@@ -134,7 +130,7 @@ impl Allocator for Last {
 
 #[test]
 fn another_allocator_may_use_robots_that_lack_skills_or_charge() {
-    let expected = ["bob", "cyd", "dan", "eve", "fay", "gil"].map(robot).into_iter().collect();
+    let expected = invited(&["bob", "cyd", "dan", "eve", "fay", "gil"]);
     let busy = RefusalReason::Busy { mission: MissionId::new("m-0").unwrap(), role: role() };
     let taken = BTreeMap::from([(robot("fay"), busy)]);
     let excluded = BTreeMap::from([(role(), BTreeMap::from([(robot("gil"), "lost its way".to_owned())]))]);
@@ -161,7 +157,7 @@ impl Allocator for AnyLast {
 
 #[test]
 fn a_role_is_unfillable_when_one_robot_failed_and_the_others_refuse() {
-    let (expected, taken) = (["ada", "bob"].map(robot).into_iter().collect(), BTreeMap::new());
+    let (expected, taken) = (invited(&["ada", "bob"]), BTreeMap::new());
     let excluded = BTreeMap::from([(role(), BTreeMap::from([(robot("ada"), "lost its way".to_owned())]))]);
     let context = context(&expected, &taken, &excluded);
     let outcome = clear_auction(&call(), &[bids("ada", 1.0, 0.5), bids("bob", 9.0, 0.5)], &context);
@@ -203,7 +199,8 @@ fn the_parts_of_the_winner_and_closest_bids_are_kept_within_the_limit() {
             response
         })
         .collect();
-    let expected = responses.iter().map(|response| response.robot.clone()).collect();
+    let robots = responses.iter().map(|response| response.robot.clone()).collect();
+    let expected = Invitation { robots, ..Invitation::default() };
     let taken = BTreeMap::new();
     let record = clear_auction(&call(), &responses, &context(&expected, &taken, &NO_EXCLUDED)).record;
     let kept: Vec<&str> =
@@ -219,7 +216,7 @@ fn the_parts_of_the_winner_and_closest_bids_are_kept_within_the_limit() {
 
 #[test]
 fn a_reply_to_another_call_or_for_another_robot_does_not_count() {
-    let expected = BTreeSet::new();
+    let expected = Invitation::default();
     let taken = BTreeMap::new();
     let context = context(&expected, &taken, &NO_EXCLUDED);
     let mut old = bids("ada", 1.0, 0.5);
@@ -236,11 +233,11 @@ fn members_of_the_ensembles_named_first_come_first() {
     let group = |ensemble: &str, names: &[&str]| {
         (EnsembleId::new(ensemble).unwrap(), names.iter().map(|name| robot(name)).collect::<BTreeSet<_>>())
     };
-    let preferred = [group("icu", &["ada", "bob"]), group("floor", &["cyd"])];
-    let expected = ["ada", "bob", "cyd", "dan"].map(robot).into_iter().collect();
+    let preferred = vec![group("icu", &["ada", "bob"]), group("floor", &["cyd"])];
+    let invitation = Invitation { preferred, ..invited(&["ada", "bob", "cyd", "dan"]) };
     let holder = |times: &[(&str, f64, f64)]| {
         let taken = BTreeMap::new();
-        let context = AuctionContext { preferred: &preferred, ..context(&expected, &taken, &NO_EXCLUDED) };
+        let context = context(&invitation, &taken, &NO_EXCLUDED);
         let responses: Vec<_> = times.iter().map(|(name, time, charge)| bids(name, *time, *charge)).collect();
         let outcome = clear_auction(&call(), &responses, &context);
         let refusals = outcome.record.entries.iter().filter_map(|entry| match &entry.verdict {

@@ -60,7 +60,7 @@ pub(crate) struct SampleSupply {
     made: Vec<Entity>,
 }
 
-/// A person who can start a request at once.
+/// Person that is free for a request.
 struct Ready {
     person: Entity,
     /// The robot of a handover.

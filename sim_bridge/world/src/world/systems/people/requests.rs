@@ -34,9 +34,9 @@ pub(super) struct Request {
     pub(super) timeout_timer: Option<TimerId>,
 }
 
-/// What is requested of a person.
+/// Content of a request.
 pub(super) enum Work {
-    /// Hand a sample over to one of these robots.
+    /// Handover of a sample to one of these robots.
     Handover { into: BTreeSet<Entity> },
     /// Any other task, with its duration in seconds if the request contains it.
     Task { seconds: Option<f64> },
