@@ -121,7 +121,8 @@ impl RobotBackend for Rover {
     }
     fn telemetry(&self, robot: &RobotId) -> Option<Telemetry> {
         let (time, pose, place, battery) = (self.now, self.where_it_is(), self.place.clone(), BatteryShare::FULL);
-        (*robot == self.name).then_some(Telemetry { time, pose, place, battery, able: true, closed: vec![] })
+        let (closed, readings) = (vec![], BTreeMap::new());
+        (*robot == self.name).then_some(Telemetry { time, pose, place, battery, able: true, closed, readings })
     }
     // This adapter has no human tasks.
     fn request_person(&mut self, _: GoalId, _: PersonRequest) {}

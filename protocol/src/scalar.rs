@@ -3,12 +3,16 @@
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::fmt;
 
-/// Maximum size of a text as a result or an attribute, in bytes.
+/// Maximum size of a text as a result, an attribute or a reading, in bytes.
 pub const SCALAR_BYTES_MAX: usize = 256;
 
-/// A boolean, a number or a text: value of a result of a task, or of an attribute of a robot.
+/// Maximum size of the name of an attribute or a reading, in bytes.
+pub const NAME_BYTES_MAX: usize = 64;
+
+/// A boolean, a number or a text: value of a result of a task, or of an attribute or a reading of a robot.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Scalar {
     /// `true` or `false`.
@@ -103,6 +107,75 @@ impl JsonSchema for Scalar {
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
         json_schema!({ "type": ["boolean", "number", "string"], "description": "A boolean, a number or a text" })
     }
+}
+
+/// Error: attributes or readings are invalid.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NamedScalarsError {
+    /// A name is invalid.
+    #[error(
+        "the {what} `{name}` has an invalid name; allowed are 1 to {NAME_BYTES_MAX} letters, digits and `_`, and no digit at the beginning"
+    )]
+    Name {
+        /// `attribute` or `reading`.
+        what: &'static str,
+        /// The name.
+        name: String,
+    },
+    /// A text is too long.
+    #[error("the {what} `{name}` is a text of {bytes} bytes; at most {SCALAR_BYTES_MAX} are allowed")]
+    LongText {
+        /// `attribute` or `reading`.
+        what: &'static str,
+        /// Name of the value.
+        name: String,
+        /// Size of the value.
+        bytes: usize,
+    },
+    /// There are too many values.
+    #[error("{found} {what}s; at most {max} are allowed")]
+    TooMany {
+        /// `attribute` or `reading`.
+        what: &'static str,
+        /// Number found.
+        found: usize,
+        /// Number allowed.
+        max: usize,
+    },
+}
+
+/// Checks the number, the names and the sizes of values that another process has sent. `what` names
+/// such a value in errors.
+///
+/// # Errors
+/// The first problem.
+pub fn check_named_scalars(
+    what: &'static str,
+    values: &BTreeMap<String, Scalar>,
+    max: usize,
+) -> Result<(), NamedScalarsError> {
+    if values.len() > max {
+        return Err(NamedScalarsError::TooMany { what, found: values.len(), max });
+    }
+    for (name, value) in values {
+        if !is_identifier(name) {
+            return Err(NamedScalarsError::Name { what, name: name.chars().take(80).collect() });
+        }
+        if let Scalar::Text(text) = value
+            && text.len() > SCALAR_BYTES_MAX
+        {
+            return Err(NamedScalarsError::LongText { what, name: name.clone(), bytes: text.len() });
+        }
+    }
+    Ok(())
+}
+
+/// Checks whether a name can be used in scripts and in CEL.
+fn is_identifier(name: &str) -> bool {
+    let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    (1..=NAME_BYTES_MAX).contains(&name.len())
+        && name.chars().all(is_part)
+        && !name.starts_with(|c: char| c.is_ascii_digit())
 }
 
 #[cfg(test)]

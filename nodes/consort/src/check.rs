@@ -153,7 +153,11 @@ fn check_kind(
             let domain = domains::parse(path, text, &[])?;
             let (actions, tasks) = (domain.actions().count(), domain.task_types().count());
             let (actions, tasks) = (count(actions, "action", "actions"), count(tasks, "task type", "task types"));
-            Ok(format!("{actions}, {tasks}, content {}", domain.reference().hash))
+            let readings = match domain.reading_forms().count() {
+                0 => String::new(),
+                number => format!("{}, ", count(number, "reading", "readings")),
+            };
+            Ok(format!("{actions}, {readings}{tasks}, content {}", domain.reference().hash))
         }
         FileKind::Calibration => {
             let learned: Calibration = config::load(path, domain)?;

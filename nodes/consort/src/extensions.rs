@@ -11,7 +11,7 @@ use consort_protocol::ids::{ActionName, TaskType};
 use consort_protocol::mission::Domain;
 use consort_skills::descriptor::DescriptorRegistry;
 use consort_skills::domain::{hospital, shipped_domain, standard_library};
-use consort_skills::domain_file::{DomainFile, SimulatedAction};
+use consort_skills::domain_file::{DomainFile, ReadingForm, SimulatedAction};
 use consort_skills::environment::Environment;
 use consort_skills::library::SkillLibrary;
 use std::collections::{BTreeMap, BTreeSet};
@@ -63,14 +63,24 @@ impl Extensions {
 
     /// Returns what the simulator does with the declared actions.
     pub(crate) fn simulated_actions(self) -> BTreeMap<ActionName, SimulatedAction> {
-        let files = self.domains.iter().map(|loaded| &loaded.domain);
-        [shipped_domain()].into_iter().chain(files).flat_map(DomainFile::simulated_actions).collect()
+        self.all_domains().flat_map(DomainFile::simulated_actions).collect()
     }
 
-    /// Returns the actions that drivers may offer.
+    /// Returns the declared readings.
+    pub(crate) fn readings(self) -> BTreeMap<String, ReadingForm> {
+        let forms = self.all_domains().flat_map(DomainFile::reading_forms);
+        forms.map(|(name, form)| (name.clone(), form.clone())).collect()
+    }
+
+    /// Returns the actions that drivers may offer, and the readings that they may send.
     pub(crate) fn driver_contract(self) -> Contract {
+        Contract::new(self.all_domains())
+    }
+
+    /// Returns the shipped domain and those of the files.
+    fn all_domains(self) -> impl Iterator<Item = &'static DomainFile> {
         let files = self.domains.iter().map(|loaded| &loaded.domain);
-        Contract::new([shipped_domain()].into_iter().chain(files))
+        [shipped_domain()].into_iter().chain(files)
     }
 
     /// Returns the task types of the domain files.

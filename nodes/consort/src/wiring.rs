@@ -329,6 +329,7 @@ pub(crate) fn build_world(
         seed: world.seed,
         durations: world.durations,
         actions: extensions.simulated_actions(),
+        readings: extensions.readings(),
         limits: world.limits,
         systems: world.systems.clone(),
         step_s: world.step_s,

@@ -1,6 +1,6 @@
 //! Attributes of robots: values that policies of a fleet use.
 
-use crate::scalar::{SCALAR_BYTES_MAX, Scalar};
+use crate::scalar::{NamedScalarsError, Scalar, check_named_scalars};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -15,33 +15,6 @@ const ATTRIBUTES_MAX: usize = 32;
 #[schemars(with = "BTreeMap<String, Scalar>")]
 pub struct Attributes(BTreeMap<String, Scalar>);
 
-/// Error: attributes are invalid.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum AttributesError {
-    /// A name is invalid.
-    #[error(
-        "the attribute `{name}` has an invalid name; allowed are 1 to 64 letters, digits and `_`, and no digit at the beginning"
-    )]
-    Name {
-        /// The name.
-        name: String,
-    },
-    /// A text is too long.
-    #[error("the attribute `{name}` is a text of {bytes} bytes; at most {SCALAR_BYTES_MAX} are allowed")]
-    LongText {
-        /// Name of the attribute.
-        name: String,
-        /// Size of its value.
-        bytes: usize,
-    },
-    /// There are too many attributes.
-    #[error("{found} attributes; at most {ATTRIBUTES_MAX} are allowed")]
-    TooMany {
-        /// Number found.
-        found: usize,
-    },
-}
-
 impl Attributes {
     /// Checks whether there is no attribute.
     pub fn is_empty(&self) -> bool {
@@ -55,29 +28,12 @@ impl Attributes {
 }
 
 impl TryFrom<BTreeMap<String, Scalar>> for Attributes {
-    type Error = AttributesError;
+    type Error = NamedScalarsError;
 
-    fn try_from(values: BTreeMap<String, Scalar>) -> Result<Attributes, AttributesError> {
-        if values.len() > ATTRIBUTES_MAX {
-            return Err(AttributesError::TooMany { found: values.len() });
-        }
-        for (name, value) in &values {
-            if !is_identifier(name) {
-                return Err(AttributesError::Name { name: name.chars().take(80).collect() });
-            }
-            if let Scalar::Text(text) = value
-                && text.len() > SCALAR_BYTES_MAX
-            {
-                return Err(AttributesError::LongText { name: name.clone(), bytes: text.len() });
-            }
-        }
+    fn try_from(values: BTreeMap<String, Scalar>) -> Result<Attributes, NamedScalarsError> {
+        check_named_scalars("attribute", &values, ATTRIBUTES_MAX)?;
         Ok(Attributes(values))
     }
-}
-
-fn is_identifier(name: &str) -> bool {
-    let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_';
-    (1..=64).contains(&name.len()) && name.chars().all(is_part) && !name.starts_with(|c: char| c.is_ascii_digit())
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ mod content;
 mod digest;
 mod record;
 
-pub use attributes::{Attributes, AttributesError};
+pub use attributes::Attributes;
 pub use base::{KnowledgeBase, KnownRecord};
 pub use content::{Availability, Knowledge, RobotKnowledge};
 pub use digest::{Digest, DigestScope};

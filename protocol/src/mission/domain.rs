@@ -167,9 +167,9 @@ impl ValueKind {
         }
     }
 
-    /// Returns a result in the type of this kind: a whole number is also a number. `None` if it is not of
-    /// this kind.
-    fn accept(&self, value: &Scalar) -> Option<Scalar> {
+    /// Returns a result or a reading in the type of this kind: a whole number is also a number. `None` if
+    /// it is not of this kind.
+    pub fn accept(&self, value: &Scalar) -> Option<Scalar> {
         let value = match (self, value) {
             (ValueKind::Number(_) | ValueKind::Seconds, Scalar::Integer(number)) => Scalar::Number(*number as f64),
             (_, value) => value.clone(),

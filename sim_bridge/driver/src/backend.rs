@@ -2,7 +2,6 @@
 
 use crate::contract::Contract;
 use crate::endpoint::DriverEndpoint;
-use crate::messages::Reading;
 use crate::process::{DriverProcess, ProcessCommand};
 use crate::session::{DriverSession, SessionAction};
 use consort_protocol::ids::{PlaceId, RobotId};
@@ -75,11 +74,6 @@ impl ProcessDriver {
             closed: vec![],
             rejected: vec![],
         }
-    }
-
-    /// Returns the latest readings of the driver, by name.
-    pub fn readings(&self) -> &BTreeMap<String, Reading> {
-        self.session.readings()
     }
 
     fn elapsed(&self) -> Duration {
@@ -243,6 +237,7 @@ impl RobotBackend for ProcessDriver {
             battery: reported.charge,
             able: reported.able,
             closed: self.closed.iter().map(|(connection, _)| connection.clone()).collect(),
+            readings: reported.readings.clone(),
         })
     }
 }

@@ -1,16 +1,46 @@
-//! The actions that a driver may offer, and the check of its hello.
+//! The actions that a driver may offer, and the check of its hello; the readings that it may send.
 
 use crate::messages::{OfferedAction, PROTOCOL_VERSION};
 use consort_protocol::ids::ActionName;
+use consort_protocol::mission::ValueKind;
+use consort_protocol::scalar::Scalar;
 use consort_skills::actions::STANDARD_ACTIONS;
 use consort_skills::domain_file::{ActionForm, DomainFile, ParameterForm};
-use consort_text::AllowedNames;
+use consort_text::{AllowedNames, shorten};
 use std::collections::BTreeMap;
 
-/// The actions that exist: the standard ones, and those that domain files declare.
+/// Maximum size of the name or the value of a reading in an error, in bytes.
+const SHOWN_BYTES_MAX: usize = 80;
+
+/// The actions that exist: the standard ones, and those that domain files declare. The readings that
+/// domain files declare.
 #[derive(Debug, Clone, Default)]
 pub struct Contract {
     declared: BTreeMap<ActionName, ActionForm>,
+    readings: BTreeMap<String, ValueKind>,
+}
+
+/// A reading was rejected: the value before it stays valid.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ReadingError {
+    /// No domain declares the reading.
+    #[error("readings: values.{name}: no domain declares this reading; {allowed}")]
+    Undeclared {
+        /// The name.
+        name: String,
+        /// The allowed names, with the nearest.
+        allowed: String,
+    },
+    /// The value does not fit the declaration.
+    #[error("readings: values.{name}: `{value}`; the domain declares {kind}")]
+    Value {
+        /// The name.
+        name: String,
+        /// The value, as text.
+        value: String,
+        /// The declared values, as text.
+        kind: String,
+    },
 }
 
 /// The hello of a driver was rejected: its goals are not started.
@@ -43,10 +73,32 @@ pub enum ContractError {
 }
 
 impl Contract {
-    /// Returns the contract of the standard actions and the actions of these domains.
+    /// Returns the contract of the standard actions, and the actions and readings of these domains.
     pub fn new<'a>(domains: impl IntoIterator<Item = &'a DomainFile>) -> Contract {
-        let forms = domains.into_iter().flat_map(DomainFile::action_forms);
-        Contract { declared: forms.map(|(name, form)| (name.clone(), form.clone())).collect() }
+        let mut contract = Contract::default();
+        for domain in domains {
+            contract.declared.extend(domain.action_forms().map(|(name, form)| (name.clone(), form.clone())));
+            let readings = domain.reading_forms().map(|(name, form)| (name.clone(), form.value.value_kind()));
+            contract.readings.extend(readings);
+        }
+        contract
+    }
+
+    /// Returns a reading in the declared type.
+    ///
+    /// # Errors
+    /// No domain declares the reading, or not with this value.
+    pub fn accept_reading(&self, name: &str, value: &Scalar) -> Result<Scalar, ReadingError> {
+        let shown = |text: &str| shorten(text, SHOWN_BYTES_MAX).into_owned();
+        let Some(kind) = self.readings.get(name) else {
+            let allowed = AllowedNames::suggest_for(name, self.readings.keys()).to_string();
+            return Err(ReadingError::Undeclared { name: shown(name), allowed });
+        };
+        kind.accept(value).ok_or_else(|| ReadingError::Value {
+            name: name.to_owned(),
+            value: shown(&value.to_string()),
+            kind: kind.to_string(),
+        })
     }
 
     /// Checks the content of a hello.
@@ -115,6 +167,13 @@ mod tests {
                     "results": { "dust_g": { "type": "number" } },
                 },
             },
+            "readings": {
+                "bag_g": { "type": "number", "minimum": 0, "maximum": 50 },
+                "bag_full": { "type": "bool" },
+                "passes": { "type": "integer" },
+                "mode": { "type": "text", "one_of": ["eco", "strong"] },
+                "note": { "type": "text" },
+            },
         }));
         let domain = DomainFile::check(form.unwrap(), &BTreeMap::new(), &[]).unwrap();
         Contract::new([&domain])
@@ -154,5 +213,35 @@ mod tests {
         assert!(undeclared.ends_with("did you mean `vacuum`?"), "{undeclared}");
         assert_eq!(contract().check(2, &BTreeMap::new()), Err(ContractError::Protocol(2)));
         assert_eq!(contract().check(1, &BTreeMap::new()), Err(ContractError::NoActions));
+    }
+
+    #[test]
+    fn readings_are_accepted_in_their_declared_type() {
+        let text = |text: &str| Scalar::Text(text.to_owned());
+        let contract = contract();
+        for (name, value, accepted) in [
+            ("bag_g", Scalar::Number(2.5), Scalar::Number(2.5)),
+            ("bag_g", Scalar::Integer(50), Scalar::Number(50.0)),
+            ("bag_full", Scalar::Bool(true), Scalar::Bool(true)),
+            ("passes", Scalar::Integer(-1), Scalar::Integer(-1)),
+            ("mode", text("eco"), text("eco")),
+        ] {
+            assert_eq!(contract.accept_reading(name, &value), Ok(accepted));
+        }
+        for (name, value, expected) in [
+            ("bag", Scalar::Number(1.0), "readings: values.bag: no domain declares this reading; allowed: bag_full, "),
+            (
+                "bag_g",
+                Scalar::Number(50.5),
+                "readings: values.bag_g: `50.5`; the domain declares a number from 0 to 50",
+            ),
+            ("bag_full", Scalar::Integer(1), "readings: values.bag_full: `1`; the domain declares true or false"),
+            ("passes", Scalar::Number(1.5), "readings: values.passes: `1.5`; the domain declares a whole number"),
+            ("mode", text("loud"), "readings: values.mode: `loud`; the domain declares one of eco, strong"),
+            ("note", text(&"x".repeat(257)), "readings: values.note: `xxx"),
+        ] {
+            let error = contract.accept_reading(name, &value).unwrap_err().to_string();
+            assert!(error.starts_with(expected) && error.len() < 300, "{error}");
+        }
     }
 }

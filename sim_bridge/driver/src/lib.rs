@@ -26,7 +26,5 @@ pub use backend::{ProcessDriver, RobotStart};
 pub use contract::{Contract, ContractError};
 pub use endpoint::{DriverEndpoint, DriverSetting, DriverSocket, EndpointError};
 pub use line::LINE_BYTES_MAX;
-pub use messages::{
-    DriverMessage, NodeMessage, OfferedAction, PROTOCOL_VERSION, Reading, ResultStatus, message_schemas,
-};
+pub use messages::{DriverMessage, NodeMessage, OfferedAction, PROTOCOL_VERSION, ResultStatus, message_schemas};
 pub use program::{DriverProgram, ProgramError};

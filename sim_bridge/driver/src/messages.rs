@@ -5,6 +5,7 @@
 
 use consort_protocol::ids::{ActionName, PlaceId, RobotId};
 use consort_protocol::pose::Pose;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{BatteryShare, Metres, Seconds};
 use consort_skills::actions::{ErrorCode, GoalId, JsonObject};
 use consort_skills::domain_file::ParameterForm;
@@ -146,10 +147,11 @@ pub enum DriverMessage {
         #[serde(default = "yes", skip_serializing_if = "Clone::clone")]
         able: bool,
     },
-    /// Latest values of sensors. A value stays valid until the next one of the same name.
+    /// Latest values of the readings that a domain file declares. A value stays valid until the next one
+    /// of the same name.
     Readings {
-        /// Values, by name: at most 64.
-        values: BTreeMap<String, Reading>,
+        /// Values, by name, in the declared types.
+        values: BTreeMap<String, Scalar>,
     },
     /// Reply to a heartbeat.
     Heartbeat {
@@ -192,18 +194,6 @@ pub enum ResultStatus {
     Canceled,
     /// The goal was rejected, or ended without success.
     Aborted,
-}
-
-/// Value of a sensor.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(untagged)]
-pub enum Reading {
-    /// `true` or `false`.
-    Bool(bool),
-    /// Finite number.
-    Number(f64),
-    /// Text.
-    Text(String),
 }
 
 /// The texts of [`ErrorCode`], for the schema.
@@ -324,7 +314,7 @@ mod tests {
         assert!(error(r#"{"type":"result","id":7,"status":"succeeded"}"#).contains("expected a string"));
         assert!(error(r#"{"type":"result","id":"x","status":"succeeded"}"#).contains("no id of a goal"));
         assert!(error(r#"{"type":"sing"}"#).contains("unknown variant `sing`, expected one of `hello`"));
-        assert!(error(r#"{"type":"readings","values":{"dust":[1]}}"#).contains("did not match"));
+        assert!(error(r#"{"type":"readings","values":{"dust":[1]}}"#).contains("allowed is a boolean, a number"));
     }
 
     #[test]

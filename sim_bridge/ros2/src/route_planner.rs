@@ -137,6 +137,7 @@ fn route_error(error: RouteError) -> ActionError {
 mod tests {
     use super::*;
     use consort_protocol::units::{BatteryShare, WorldTime};
+    use std::collections::BTreeMap;
 
     /// Returns a planner for this map: A and B 10 m apart in a corridor, C behind a wall north of
     /// B, with a gap in it next to B; a closet without a door.
@@ -155,6 +156,7 @@ mod tests {
             battery: BatteryShare::FULL,
             able: true,
             closed: vec![],
+            readings: BTreeMap::new(),
         }
     }
 

@@ -22,4 +22,4 @@ pub use goal::{
     DeclaredGoal, Feedback, Goal, GoalId, GoalProgress, GoalResult, GoalStatus, JsonObject, PERSON_TIMEOUT_PARAMETER,
     PERSON_TIMEOUT_S, STANDARD_ACTIONS, Waypoint,
 };
-pub use robot::{RobotActions, Telemetry};
+pub use robot::{READINGS_MAX, RobotActions, Telemetry};

@@ -3,9 +3,14 @@
 use super::goal::{Goal, GoalId, GoalResult, GoalStatus};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
+use consort_protocol::scalar::{Scalar, check_named_scalars};
 use consort_protocol::units::{BatteryShare, WorldTime};
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, de};
+use std::collections::BTreeMap;
+
+/// Maximum number of readings of a robot.
+pub const READINGS_MAX: usize = 64;
 
 /// State report of a robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -24,6 +29,17 @@ pub struct Telemetry {
     /// its two ends. The list is incomplete, and old entries expire, since a lane may be open
     /// again.
     pub closed: Vec<(PlaceId, PlaceId)>,
+    /// Latest value of each reading that the driver has published, by name: at most 64. A domain file
+    /// declares them.
+    #[serde(default, deserialize_with = "readings")]
+    pub readings: BTreeMap<String, Scalar>,
+}
+
+/// Decodes readings within their limits.
+fn readings<'de, D: Deserializer<'de>>(source: D) -> Result<BTreeMap<String, Scalar>, D::Error> {
+    let readings = BTreeMap::deserialize(source)?;
+    check_named_scalars("reading", &readings, READINGS_MAX).map_err(de::Error::custom)?;
+    Ok(readings)
 }
 
 /// The actions of a robot, as its skills use them. Calls never block: results appear in
@@ -49,5 +65,50 @@ pub trait RobotActions {
     fn take_completed(&mut self, goal: &Goal) -> Option<GoalResult> {
         let _ = goal;
         None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::codec;
+
+    fn telemetry(readings: impl IntoIterator<Item = (String, Scalar)>) -> Telemetry {
+        Telemetry {
+            time: WorldTime::from_secs(2.5),
+            pose: Pose::new(1.0, 2.0, 0.0),
+            place: "Dock".parse().unwrap(),
+            battery: BatteryShare::FULL,
+            able: true,
+            closed: vec![],
+            readings: readings.into_iter().collect(),
+        }
+    }
+
+    #[test]
+    fn readings_keep_their_type_in_messages_and_in_json() {
+        let values = [Scalar::Bool(true), Scalar::Integer(-3), Scalar::Number(0.5), Scalar::Text("wet".to_owned())];
+        let sent = telemetry(values.into_iter().enumerate().map(|(at, value)| (format!("reading_{at}"), value)));
+        assert_eq!(codec::decode::<Telemetry>(&codec::encode(&sent).unwrap()).unwrap(), sent);
+        let json = serde_json::to_value(&sent).unwrap();
+        assert_eq!(serde_json::from_value::<Telemetry>(json.clone()).unwrap(), sent);
+        // A recording of an earlier release has no readings.
+        let mut earlier = json;
+        earlier.as_object_mut().unwrap().remove("readings");
+        assert_eq!(serde_json::from_value::<Telemetry>(earlier).unwrap(), telemetry([]));
+    }
+
+    #[test]
+    fn readings_beyond_the_limits_are_malformed() {
+        let many = (0..65).map(|number| (format!("r{number}"), Scalar::Bool(true)));
+        let text = |size: usize| Scalar::Text("x".repeat(size));
+        for (sent, part) in [
+            (telemetry(many), "65 readings; at most 64 are allowed"),
+            (telemetry([("note".to_owned(), text(257))]), "the reading `note` is a text of 257 bytes"),
+            (telemetry([("2nd".to_owned(), text(1))]), "the reading `2nd` has an invalid name"),
+        ] {
+            let error = codec::decode::<Telemetry>(&codec::encode(&sent).unwrap()).unwrap_err().to_string();
+            assert!(error.contains(part), "{error}");
+        }
     }
 }

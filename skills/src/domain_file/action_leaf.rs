@@ -22,7 +22,8 @@ pub(super) fn register(
     })
 }
 
-fn port(name: &str, parameter: &ParameterForm) -> PortSpec {
+/// Returns the input port of a value.
+pub(super) fn port(name: &str, parameter: &ParameterForm) -> PortSpec {
     let port = PortSpec::input(name, port_type(parameter.kind));
     let port = if parameter.optional { port.optional() } else { port };
     let texts: Vec<&str> = parameter.one_of.iter().map(String::as_str).collect();
@@ -33,7 +34,7 @@ fn port(name: &str, parameter: &ParameterForm) -> PortSpec {
     }
 }
 
-fn port_type(kind: ParameterKind) -> PortType {
+pub(super) fn port_type(kind: ParameterKind) -> PortType {
     match kind {
         ParameterKind::Place => PortType::Place,
         ParameterKind::Role => PortType::Role,

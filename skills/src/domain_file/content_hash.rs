@@ -29,6 +29,10 @@ fn without_texts(mut form: DomainForm) -> DomainForm {
         }
     };
     form.description.clear();
+    for reading in form.readings.values_mut() {
+        reading.value.description.clear();
+        reading.value.unit.clear();
+    }
     for action in form.actions.values_mut() {
         action.description.clear();
         strip(&mut action.parameters);

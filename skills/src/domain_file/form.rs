@@ -19,6 +19,10 @@ pub struct DomainForm {
     /// Actions, by name.
     #[serde(default)]
     pub actions: BTreeMap<ActionName, ActionForm>,
+    /// Readings that drivers publish, by name: at most 64 in all domains of a fleet. Each is also a
+    /// condition of behavior trees.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub readings: BTreeMap<String, ReadingForm>,
     /// Task types, by name.
     #[serde(default)]
     pub tasks: BTreeMap<TaskType, TaskForm>,
@@ -90,6 +94,27 @@ pub struct ParameterForm {
     /// True if the value may be omitted.
     #[serde(default)]
     pub optional: bool,
+}
+
+/// A reading: a value that a driver publishes. Its form is that of a parameter without the type `role`
+/// and without `optional`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ReadingForm {
+    /// The value.
+    #[serde(flatten)]
+    pub value: ParameterForm,
+    /// How the simulator plays the reading.
+    #[serde(default)]
+    pub simulate: SimulatedReading,
+}
+
+/// How the simulator plays a reading.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct SimulatedReading {
+    /// Value at the start of the world. Default: a value within the declared range.
+    pub value: Option<SimulatedResult>,
 }
 
 /// Type of a parameter.
@@ -166,12 +191,15 @@ pub struct SimulatedAction {
     pub failure_rate: f64,
     /// Results, by name. Default: a value within the declared range.
     pub results: BTreeMap<String, SimulatedResult>,
+    /// Changes of readings when a goal succeeds, by the name of the reading.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub effects: BTreeMap<String, SimulatedEffect>,
 }
 
 /// Maximum number of whole numbers among which the simulator chooses a result that is not described.
 const SIMULATED_INTEGERS_MAX: usize = 100;
 
-/// Result of a simulated goal.
+/// Value in the simulator: a result of a goal, or a reading.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum SimulatedResult {
@@ -183,9 +211,28 @@ pub enum SimulatedResult {
     Value(Scalar),
 }
 
+/// Change of a reading by a simulated goal.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum SimulatedEffect {
+    /// The reading grows by a number, up to the end of its range.
+    Add(Addition),
+    /// The reading gets a new value.
+    Set(SimulatedResult),
+}
+
+/// Addition to a reading.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Addition {
+    /// The number; a negative one is subtracted.
+    pub add: f64,
+}
+
 impl Default for SimulatedAction {
     fn default() -> Self {
-        SimulatedAction { duration_s: (2.0, 2.0), failure_rate: 0.0, results: BTreeMap::new() }
+        let (results, effects) = (BTreeMap::new(), BTreeMap::new());
+        SimulatedAction { duration_s: (2.0, 2.0), failure_rate: 0.0, results, effects }
     }
 }
 
@@ -229,12 +276,26 @@ impl ParameterForm {
         }
     }
 
+    /// Returns the number within the range that is nearest to `number`, as a value of the type; `None` if
+    /// the type has no numbers.
+    pub fn nearest(&self, number: f64) -> Option<Scalar> {
+        let (minimum, maximum) = (self.minimum.unwrap_or(f64::MIN), self.maximum.unwrap_or(f64::MAX));
+        match self.kind {
+            ParameterKind::Number => Some(Scalar::Number(number.max(minimum).min(maximum))),
+            ParameterKind::Seconds => Some(Scalar::Number(number.max(0.0))),
+            ParameterKind::Integer => {
+                Some(Scalar::Integer(number.round().max(minimum.ceil()).min(maximum.floor()) as i64))
+            }
+            ParameterKind::Place | ParameterKind::Role | ParameterKind::Bool | ParameterKind::Text => None,
+        }
+    }
+
     fn range(&self) -> NumberRange {
         NumberRange { minimum: self.minimum, maximum: self.maximum }
     }
 
-    /// Returns the kind of value that a mission may contain.
-    fn value_kind(&self) -> ValueKind {
+    /// Returns the kind of the values.
+    pub fn value_kind(&self) -> ValueKind {
         match self.kind {
             ParameterKind::Place => ValueKind::Place,
             ParameterKind::Role => ValueKind::Role,
@@ -245,6 +306,13 @@ impl ParameterForm {
             ParameterKind::Text if self.one_of.is_empty() => ValueKind::Text,
             ParameterKind::Text => ValueKind::OneOf(self.one_of.clone()),
         }
+    }
+}
+
+impl ReadingForm {
+    /// Returns the value at the start of a simulated world.
+    pub fn simulated(&self) -> SimulatedResult {
+        self.simulate.value.clone().unwrap_or_else(|| self.value.simulated())
     }
 }
 

@@ -7,7 +7,13 @@
 //!     description: waters the plant at the robot's place
 //!     parameters: { litres: { type: number, unit: l, minimum: 0, maximum: 5 } }
 //!     results: { poured: { type: number, unit: l } }
-//!     simulate: { duration_s: [6, 10], failure_rate: 0.02, results: { poured: [0.4, 0.6] } }
+//!     simulate:
+//!       duration_s: [6, 10]
+//!       failure_rate: 0.02
+//!       results: { poured: [0.4, 0.6] }
+//!       effects: { tank_l: { add: -0.5 } }
+//! readings:                                    # what a driver publishes
+//!   tank_l: { type: number, unit: l, minimum: 0, maximum: 5, simulate: { value: 5 } }
 //! tasks:                                       # what a mission contains
 //!   water_plant:
 //!     parameters: { litres: { type: number, unit: l, minimum: 0, maximum: 5 } }
@@ -16,7 +22,8 @@
 //! ```
 //!
 //! The leaf of an action in a behavior tree has its name, and its parameters as ports:
-//! `<water litres="{litres}"/>`. Missions in the flat iHTN form have only names; `ihtn` declares
+//! `<water litres="{litres}"/>`. A reading is a condition of its name: `<tank_l minimum="0.5"/>`.
+//! Missions in the flat iHTN form have only names; `ihtn` declares
 //! which of them are people, objects, places and task types of other names. A domain adds to the standard domain; it does not replace its actions
 //! and task types.
 
@@ -24,11 +31,13 @@ mod action_leaf;
 mod content_hash;
 mod estimate;
 mod form;
+mod reading_leaf;
+mod reading_problems;
 mod scaffold;
 
 pub use form::{
-    ActionForm, DomainForm, EstimateForm, IhtnForm, ParameterForm, ParameterKind, SimulatedAction, SimulatedResult,
-    TaskForm,
+    ActionForm, Addition, DomainForm, EstimateForm, IhtnForm, ParameterForm, ParameterKind, ReadingForm,
+    SimulatedAction, SimulatedEffect, SimulatedReading, SimulatedResult, TaskForm,
 };
 pub use scaffold::{scaffold, scaffold_yaml};
 
@@ -43,6 +52,7 @@ use consort_protocol::mission::{DomainHash, DomainReference, IhtnNames, RESULTS_
 use consort_text::AllowedNames;
 use content_hash::content_hash;
 use estimate::DeclaredEstimate;
+use reading_problems::{effect_problems, reading_problems};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
@@ -101,10 +111,20 @@ impl DomainFile {
         for domain in known {
             domain.extend_library(&mut library).map_err(|problem| vec![problem])?;
         }
+        let declared = known.iter().map(|domain| &domain.form).chain([&form]);
+        let readings: BTreeMap<&str, &ReadingForm> =
+            declared.flat_map(|form| &form.readings).map(|(name, reading)| (name.as_str(), reading)).collect();
         for (name, action) in &form.actions {
             problems.extend(action_problems(name, action));
+            problems.extend(effect_problems(name, &action.simulate.effects, &readings));
             if let Err(error) = library.extend(|registry| action_leaf::register(registry, name, action)) {
                 problems.push(problem(format!("actions.{name}"), error.to_string()));
+            }
+        }
+        problems.extend(reading_problems(&form.readings, readings.len()));
+        for (name, reading) in &form.readings {
+            if let Err(error) = library.extend(|registry| reading_leaf::register(registry, name, &reading.value)) {
+                problems.push(problem(format!("readings.{name}"), error.to_string()));
             }
         }
         let mut checked = BTreeMap::new();
@@ -171,12 +191,17 @@ impl DomainFile {
         self.form.actions.iter()
     }
 
+    /// Returns the readings that drivers publish.
+    pub fn reading_forms(&self) -> impl Iterator<Item = (&String, &ReadingForm)> {
+        self.form.readings.iter()
+    }
+
     /// Returns what the simulator does with the actions.
     pub fn simulated_actions(&self) -> impl Iterator<Item = (ActionName, SimulatedAction)> {
         self.form.actions.iter().map(|(name, action)| (name.clone(), simulated(action)))
     }
 
-    /// Adds the leaves of the actions and the trees of the task types to a library.
+    /// Adds the leaves of the actions and of the readings, and the trees of the task types to a library.
     ///
     /// # Errors
     /// The first problem: another domain has a leaf or a node of the same name.
@@ -184,6 +209,10 @@ impl DomainFile {
         for (name, action) in &self.form.actions {
             let added = library.extend(|registry| action_leaf::register(registry, name, action));
             added.map_err(|error| problem(format!("actions.{name}"), error.to_string()))?;
+        }
+        for (name, reading) in &self.form.readings {
+            let added = library.extend(|registry| reading_leaf::register(registry, name, &reading.value));
+            added.map_err(|error| problem(format!("readings.{name}"), error.to_string()))?;
         }
         for (name, tree) in &self.trees {
             let task = self.form.tasks.get(name);
@@ -265,7 +294,7 @@ fn declared_by(form: &DomainForm, task: &TaskForm, domain: Option<DomainReferenc
 }
 
 fn result_problems(place: &str, results: &BTreeMap<String, ParameterForm>) -> Vec<DomainProblem> {
-    let mut problems = value_problems(&format!("{place}.results"), results);
+    let mut problems = value_problems(&format!("{place}.results"), results.iter());
     for (name, result) in results {
         let place = format!("{place}.results.{name}");
         if matches!(result.kind, ParameterKind::Place | ParameterKind::Role) {
@@ -282,10 +311,13 @@ fn result_problems(place: &str, results: &BTreeMap<String, ParameterForm>) -> Ve
 }
 
 fn parameter_problems(place: &str, parameters: &BTreeMap<String, ParameterForm>) -> Vec<DomainProblem> {
-    value_problems(&format!("{place}.parameters"), parameters)
+    value_problems(&format!("{place}.parameters"), parameters.iter())
 }
 
-fn value_problems(place: &str, values: &BTreeMap<String, ParameterForm>) -> Vec<DomainProblem> {
+fn value_problems<'a>(
+    place: &str,
+    values: impl Iterator<Item = (&'a String, &'a ParameterForm)>,
+) -> Vec<DomainProblem> {
     let mut problems = vec![];
     for (name, parameter) in values {
         let place = format!("{place}.{name}");

@@ -26,6 +26,7 @@ pub fn scaffold(
         domain,
         description: "Actions of a mission in the flat iHTN form.".to_owned(),
         actions: BTreeMap::new(),
+        readings: BTreeMap::new(),
         tasks: BTreeMap::new(),
         ihtn: IhtnForm::default(),
     };

@@ -41,9 +41,9 @@ fn check(text: &str) -> Result<DomainFile, Vec<String>> {
         .map_err(|problems| problems.iter().map(ToString::to_string).collect())
 }
 
-/// A robot that completes every goal at once.
+/// A robot that completes every goal at once, with its telemetry.
 #[derive(Default)]
-struct InstantRobot(Vec<Goal>);
+struct InstantRobot(Vec<Goal>, Option<Telemetry>);
 
 impl RobotActions for InstantRobot {
     fn send_goal(&mut self, goal: Goal) -> GoalId {
@@ -55,7 +55,7 @@ impl RobotActions for InstantRobot {
     }
     fn cancel(&mut self, _: GoalId) {}
     fn telemetry(&self) -> Option<&Telemetry> {
-        None
+        self.1.as_ref()
     }
 }
 
@@ -207,4 +207,153 @@ fn two_domains_do_not_declare_the_same() {
     ] {
         assert!(problems.iter().any(|problem| problem == expected), "{expected}\n{problems:#?}");
     }
+}
+
+const BAG: &str = r#"
+domain: cleaning
+actions:
+  empty_bag: { simulate: { effects: { bag_g: 0, bag_full: false, mode: [idle, eco] } } }
+  sweep: { repeatable: true, simulate: { effects: { bag_g: { add: 2.5 }, passes: [1, 3] } } }
+readings:
+  bag_g: { type: number, unit: g, minimum: 0, maximum: 50, description: dust in the bag, simulate: { value: 5 } }
+  bag_full: { type: bool }
+  passes: { type: integer, minimum: 0, maximum: 9, simulate: { value: [0, 2] } }
+  mode: { type: text, one_of: [idle, eco, strong] }
+  at: { type: place }
+tasks:
+  clean: { tree: clean.xml, estimate: { time_s: "1.0" } }
+"#;
+
+/// Runs a tree of the domain `BAG` with these readings of the robot. Returns the actions of its goals, and
+/// the cause of a failure.
+fn run_tree(tree: &str, readings: serde_json::Value) -> (Vec<String>, Option<String>) {
+    let text = format!("<root BTCPP_format=\"4\"><BehaviorTree ID=\"clean\">{tree}</BehaviorTree></root>");
+    let trees = BTreeMap::from([("clean.xml".to_owned(), text)]);
+    let domain = DomainFile::check(yaml::parse(BAG).unwrap(), &trees, &[]).unwrap();
+    let mut library = SkillLibrary::standard(Environment::new());
+    domain.extend_library(&mut library).unwrap();
+    let telemetry = json!({
+        "time": 1.0, "pose": { "x_m": 0.0, "y_m": 0.0, "yaw_rad": 0.0 }, "place": "Dock", "battery": 1.0, "able": true,
+        "closed": [], "readings": readings,
+    });
+    let mut robot = InstantRobot(vec![], Some(serde_json::from_value(telemetry).unwrap()));
+    let mut skill = library.load(&task("clean", &[]), &SkillContext::default()).unwrap();
+    let cause = loop {
+        match skill.tick(&mut robot) {
+            SkillStatus::Running => {}
+            SkillStatus::Failed { cause } => break Some(cause),
+            SkillStatus::Succeeded(_) => break None,
+        }
+    };
+    (robot.0.iter().map(|goal| goal.action().to_owned()).collect(), cause)
+}
+
+#[test]
+fn a_reading_is_a_condition_of_trees() {
+    let readings = json!({ "bag_g": 12, "bag_full": true, "passes": 3, "mode": "eco", "at": "Dock" });
+    for (condition, cause) in [
+        ("<bag_full/>", None),
+        (r#"<Condition ID="bag_full" equals="true"/>"#, None),
+        (r#"<bag_full equals="false"/>"#, Some("bag_full: the reading is true, not false")),
+        ("<bag_g/>", None),
+        (r#"<bag_g minimum="12" maximum="12"/>"#, None),
+        (r#"<bag_g minimum="12.5"/>"#, Some("bag_g: the reading is 12, below the minimum 12.5")),
+        (r#"<bag_g maximum="11"/>"#, Some("bag_g: the reading is 12, above the maximum 11")),
+        (r#"<bag_g equals="12"/>"#, None),
+        (r#"<passes minimum="4"/>"#, Some("passes: the reading is 3, below the minimum 4")),
+        (r#"<mode equals="eco"/>"#, None),
+        (r#"<mode equals="idle"/>"#, Some("mode: the reading is eco, not idle")),
+        (r#"<at equals="Dock"/>"#, None),
+    ] {
+        let (goals, failure) = run_tree(&format!("<Sequence>{condition}<sweep/></Sequence>"), readings.clone());
+        assert_eq!(failure.as_deref(), cause, "{condition}");
+        assert_eq!(goals.len(), usize::from(cause.is_none()), "{condition}");
+    }
+    let off = run_tree("<Fallback><bag_full/><empty_bag/></Fallback>", json!({ "bag_full": false }));
+    assert_eq!(off, (vec!["empty_bag".to_owned()], None));
+}
+
+#[test]
+fn an_unknown_reading_fails_with_its_cause() {
+    let (goals, cause) = run_tree("<Sequence><bag_full/><sweep/></Sequence>", json!({ "bag_g": 1.0 }));
+    let expected = "bag_full: the reading is unknown: the driver has not published it";
+    assert_eq!((goals.len(), cause.as_deref()), (0, Some(expected)));
+}
+
+/// Limits come from the blackboard, and the value goes to it.
+#[test]
+fn scripts_use_the_value_of_a_reading() {
+    let tree = r#"<Sequence>
+        <Script code="limit := 10.0"/>
+        <bag_g value="{bag}"/>
+        <sweep _skipIf="bag &gt; limit"/>
+        <empty_bag _while="bag &gt; limit"/>
+        <ForceSuccess><Sequence><bag_g maximum="{limit}"/><sweep/></Sequence></ForceSuccess>
+        </Sequence>"#;
+    let actions = |bag: f64| run_tree(tree, json!({ "bag_g": bag })).0;
+    assert_eq!(actions(12.0), ["empty_bag"]);
+    assert_eq!(actions(8.0), ["sweep", "sweep"]);
+}
+
+#[test]
+fn wrong_readings_and_effects_are_reported_with_their_place() {
+    let wrong = r#"
+domain: cleaning
+actions:
+  sweep:
+    simulate:
+      effects: { bag: 1, bag_g: 60, passes: { add: 1 }, bag_full: { add: 1 }, mode: [eco, loud], lid: [1, 2] }
+readings:
+  bag_g: { type: number, minimum: 0, maximum: 50, simulate: { value: [20, 10] } }
+  passes: { type: integer, simulate: { value: 0.5 } }
+  bag_full: { type: bool, minimum: 1 }
+  mode: { type: text, one_of: [eco], optional: true }
+  lid: { type: bool }
+  bag-level: { type: number }
+  nurse: { type: role }
+  sweep: { type: bool }
+"#;
+    let problems = check(wrong).unwrap_err();
+    let effect = "actions.sweep.simulate.effects";
+    for expected in [
+        format!("{effect}.bag: the domain declares no such reading; allowed: bag-level, "),
+        format!("{effect}.bag_g: `60` does not fit the reading; allowed is a number from 0 to 50"),
+        format!("{effect}.bag_full: `add` needs a finite number and a reading that is a number; it is true or false"),
+        format!("{effect}.mode: `loud` does not fit the reading; allowed is one of eco"),
+        format!("{effect}.lid: the range [1, 2] does not fit the reading; allowed is true or false"),
+        "readings.bag_g.simulate.value: the range [20, 10] does not fit the reading".to_owned(),
+        "readings.passes.simulate.value: `0.5` does not fit the reading; allowed is a whole number".to_owned(),
+        "readings.bag_full: only numbers and integers have a minimum".to_owned(),
+        "readings.mode: a reading is not `optional`".to_owned(),
+        "readings.bag-level: allowed is a letter, followed by letters, digits and `_`".to_owned(),
+        "readings.nurse: allowed are place, seconds, number, integer, bool and text".to_owned(),
+        "readings.sweep: a node `sweep` is already registered".to_owned(),
+    ] {
+        assert!(problems.iter().any(|problem| problem.starts_with(&expected)), "{expected}\n{problems:#?}");
+    }
+    assert!(problems[0].ends_with("did you mean `bag_g`?"), "{problems:#?}");
+    assert_eq!(problems.len(), 12, "{problems:#?}");
+    let many: String = (0..65).map(|number| format!("  r{number}: {{ type: bool }}\n")).collect();
+    let problems = check(&format!("domain: many\nreadings:\n{many}")).unwrap_err();
+    assert_eq!(problems, ["readings: 65 readings in all domains; at most 64 are allowed"]);
+    let misspelt = yaml::parse::<DomainForm>("domain: d\nreadings: { lid: { type: bool, minmum: 1 } }").unwrap_err();
+    assert!(misspelt.contains("unknown field `minmum`"), "{misspelt}");
+}
+
+/// Domains of other releases have no readings.
+#[test]
+fn readings_are_a_part_of_the_content_if_there_are_any() {
+    let trees = BTreeMap::from([("clean.xml".to_owned(), ROUND.replace("round", "clean").replace("look", "sweep"))]);
+    let reference = |text: &str| {
+        let trees =
+            trees.iter().map(|(name, tree)| (name.clone(), tree.replace(r#"<water litres="0.5" gentle="true"/>"#, "")));
+        DomainFile::check(yaml::parse(text).unwrap(), &trees.collect(), &[]).unwrap().reference()
+    };
+    let domain = reference(BAG);
+    assert_eq!(reference(&BAG.replace("unit: g, ", "").replace("dust in the bag", "dust")), domain);
+    for (part, changed) in [("maximum: 50", "maximum: 60"), ("value: 5", "value: 6"), ("add: 2.5", "add: 3.5")] {
+        assert_ne!(reference(&BAG.replace(part, changed)), domain, "{changed}");
+    }
+    let without = serde_json::to_string(&yaml::parse::<DomainForm>(PLANTS).unwrap()).unwrap();
+    assert!(!without.contains("readings") && !without.contains("effects"), "{without}");
 }

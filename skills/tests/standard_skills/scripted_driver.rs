@@ -5,7 +5,7 @@ use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
 use consort_skills::actions::{
     ActionError, ErrorCode, Feedback, Goal, GoalId, GoalResult, GoalStatus, RobotActions, Telemetry,
 };
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 /// Executes a single goal at a time, and is slow to stop: a canceled goal ends only when the test
 /// ends it.
@@ -33,6 +33,7 @@ impl ScriptedDriver {
             battery: BatteryShare::FULL,
             able: true,
             closed: vec![],
+            readings: BTreeMap::new(),
         };
         ScriptedDriver { telemetry, script: VecDeque::new(), goals: Vec::new(), canceling: None, completed: vec![] }
     }

@@ -156,6 +156,7 @@ fn state() -> DriverState {
     let telemetry = serde_json::json!({
         "time": 3.5, "pose": { "x_m": 1.0, "y_m": 2.5, "yaw_rad": 0.5 }, "place": "Dock", "battery": 0.75, "able": true,
         "closed": [["Dock", "IC Room 6"]],
+        "readings": { "bag_full": true, "bag_g": 12.5, "brush": "worn", "passes": 3 },
     });
     let telemetry = serde_json::from_value(telemetry).expect("a report");
     let goal = Goal::NavigateToPose { pose: Pose::new(1.0, 1.0, 0.0), place: None };

@@ -89,6 +89,7 @@ mod tests {
             battery: BatteryShare::new(battery).unwrap(),
             able: true,
             closed: vec![],
+            readings: std::collections::BTreeMap::new(),
         }
     }
 

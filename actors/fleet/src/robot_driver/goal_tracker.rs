@@ -266,6 +266,7 @@ mod tests {
             battery: BatteryShare::FULL,
             able: true,
             closed: vec![],
+            readings: BTreeMap::new(),
         };
         let goals = goals.iter().map(|(id, status)| (GoalId(*id), status.clone())).collect();
         DriverState { robot: "ada".parse().unwrap(), stamp: stamp(number), telemetry, goals, completed: vec![] }

@@ -10,6 +10,7 @@ use consort_protocol::ids::RobotId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, NodeTime, Seconds, WorldTime};
 use consort_skills::actions::{Goal, GoalId, Telemetry};
+use std::collections::BTreeMap;
 
 /// Driver server of a robot.
 #[derive(Debug, Clone)]
@@ -82,6 +83,7 @@ pub(crate) fn start_command(
         battery: BatteryShare::FULL,
         able: true,
         closed: vec![],
+        readings: BTreeMap::new(),
     };
     let state =
         DriverState { robot: robot.clone(), stamp: stamp(sequence), telemetry, goals: vec![], completed: vec![] };

@@ -62,13 +62,22 @@ fn a_driver_that_acts_without_permission_fails_the_case_of_deadlines() {
 fn a_driver_that_prints_text_fails_the_case_of_messages() {
     let driver = variant(
         "prints.py",
-        r#"send("readings", values={"dust": round(self.dust, 2)})"#,
+        r#"send("readings", values={"bag_g": round(self.dust, 2)})"#,
         "print(f'dust: {self.dust}', flush=True)",
     );
     let ran = check(&driver, &["goal_succeeds", "output_is_messages"], &[]);
     let lines: Vec<&str> = ran.out.lines().collect();
     assert_eq!((ran.code, lines[0]), (Some(1), "ok      goal_succeeds"));
     assert!(lines[1].starts_with("FAILED  output_is_messages: a line is no message: \"dust: 0.0\": "), "{}", ran.out);
+}
+
+#[test]
+fn a_driver_with_undeclared_readings_fails_the_case_of_readings() {
+    let driver = variant("undeclared_reading.py", r#"values={"bag_g": "#, r#"values={"bag": "#);
+    let ran = check(&driver, &["goal_succeeds", "readings_are_declared", "output_is_messages"], &[]);
+    let expected = "ok      goal_succeeds\nFAILED  readings_are_declared: readings: values.bag: no domain declares this reading; \
+                    allowed: bag_g; did you mean `bag_g`?\nok      output_is_messages\n";
+    assert_eq!((ran.code, ran.out.as_str()), (Some(1), expected), "{}", ran.err);
 }
 
 #[test]

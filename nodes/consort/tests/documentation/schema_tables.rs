@@ -1,6 +1,6 @@
 //! Tables from a JSON Schema: a section per object, a row per key.
 
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
@@ -120,7 +120,14 @@ impl SchemaTables {
         };
         let kind = match &schema["type"] {
             Value::String(kind) => kind.as_str(),
-            Value::Array(kinds) => kinds.iter().filter_map(Value::as_str).find(|kind| *kind != "null").unwrap_or(""),
+            Value::Array(kinds) => {
+                let kinds: Vec<&str> = kinds.iter().filter_map(Value::as_str).filter(|kind| *kind != "null").collect();
+                if let [_, _, ..] = kinds[..] {
+                    let each = kinds.iter().map(|kind| self.what(&json!({ "type": kind }), defs));
+                    return each.collect::<Vec<_>>().join(" or ");
+                }
+                kinds.first().copied().unwrap_or_default()
+            }
             _ => "",
         };
         match kind {

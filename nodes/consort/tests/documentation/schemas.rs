@@ -162,6 +162,7 @@ fn schemas_and_program_accept_the_same_forms() {
     };
     let mission = |root: &str| format!("mission: m\nroles: {{ r: {{ kind: managed }} }}\nroot: {root}\n");
     let go = "{ task: go, type: wait, roles: [r], parameters: { seconds: \"1\" } }";
+    let domain = |reading: &str| format!("domain: d\nreadings:\n  {reading}\n");
     let cases: Vec<(FileKind, &str, String, bool)> = vec![
         (FileKind::Mission, "m.yaml", mission(go), true),
         (FileKind::Mission, "m.yaml", mission(&format!("{{ task: all, method: unordered, tasks: [{go}] }}")), true),
@@ -205,6 +206,11 @@ fn schemas_and_program_accept_the_same_forms() {
             true,
         ),
         (FileKind::Workers, "w.json", "[{ \"name\": \"a\", \"place\": \"Dock\" }]".to_owned(), false),
+        (FileKind::Domain, "d.yaml", domain("lid: { type: bool, simulate: { value: true } }"), true),
+        (FileKind::Domain, "d.yaml", domain("bag_g: { type: number, unit: g, minimum: 0, maximum: 5 }"), true),
+        (FileKind::Domain, "d.yaml", domain("bag_g: { type: number, minmum: 0 }"), false),
+        (FileKind::Domain, "d.yaml", domain("bag_g: { minimum: 0 }"), false),
+        (FileKind::Domain, "d.yaml", domain("lid: { type: bool, simulate: { start: true } }"), false),
     ];
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("documentation/forms");
     std::fs::create_dir_all(&folder).expect("cargo's own folder");

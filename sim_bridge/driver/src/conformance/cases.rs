@@ -4,7 +4,7 @@ use super::probe::{GOAL_LIMIT, Probe, REPLY_LIMIT, check_hello, failed, sample, 
 use super::{CaseFailure, SampleGoal, Trial};
 use crate::messages::{DriverMessage, NodeMessage, ResultStatus};
 use consort_protocol::ids::ActionName;
-use consort_skills::actions::JsonObject;
+use consort_skills::actions::{GoalId, JsonObject};
 use futures::future::BoxFuture;
 use std::time::{Duration, Instant};
 
@@ -43,6 +43,7 @@ cases! {
     hello_is_accepted: "its hello has protocol 1, and only standard actions or actions of a domain file",
     pose_is_reported: "it reports a pose within 3 s",
     charge_is_reported: "it reports a charge within 3 s",
+    readings_are_declared: "it sends only readings that a domain file declares, with their types",
     heartbeat_is_answered: "it returns a heartbeat within 2 s",
     heartbeats_are_answered_in_order: "it returns every heartbeat, in order",
     heartbeat_is_answered_during_a_goal: "it returns heartbeats while it executes a goal",
@@ -103,6 +104,24 @@ async fn charge_is_reported(trial: &Trial) -> Result<(), CaseFailure> {
     let (mut probe, _) = Probe::ready(trial).await?;
     let find = |message: &DriverMessage| matches!(message, DriverMessage::Charge { .. }).then_some(());
     probe.wait_for("charge", REPORT_LIMIT, find).await
+}
+
+async fn readings_are_declared(trial: &Trial) -> Result<(), CaseFailure> {
+    let (mut probe, goal) = Probe::with_sample(trial).await?;
+    probe.start_goal(1, &goal).await?;
+    let mut wrong = None;
+    let mut find = |message: &DriverMessage| {
+        if let DriverMessage::Readings { values } = message {
+            let mut checked = values.iter().map(|(name, value)| trial.contract.accept_reading(name, value));
+            wrong = wrong.take().or_else(|| checked.find_map(Result::err));
+        }
+        matches!(message, DriverMessage::Result { id: GoalId(1), .. }).then_some(())
+    };
+    probe.follow(1, "result", GOAL_LIMIT, &mut find).await?;
+    match wrong {
+        Some(problem) => failed(problem.to_string()),
+        None => Ok(()),
+    }
 }
 
 async fn heartbeat_is_answered(trial: &Trial) -> Result<(), CaseFailure> {

@@ -15,9 +15,10 @@ mod goals;
 use goals::{GoalOutcome, Goals, Progress};
 
 use crate::contract::Contract;
-use crate::messages::{DriverMessage, NodeMessage, PROTOCOL_VERSION, Reading, ResultStatus};
+use crate::messages::{DriverMessage, NodeMessage, PROTOCOL_VERSION, ResultStatus};
 use consort_protocol::ids::{ActionName, PlaceId, RobotId};
 use consort_protocol::pose::Pose;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{BatteryShare, Metres, Seconds};
 use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalId, GoalStatus, JsonObject};
 use consort_text::shorten;
@@ -55,9 +56,6 @@ const INTERRUPTIONS_MAX: u32 = 3;
 
 /// Number of wrong lines of a process that are logged.
 const WRONG_LINES_LOGGED: u32 = 5;
-
-/// Number of readings that are kept.
-const READINGS_MAX: usize = 64;
 
 /// Maximum size of the cause of an aborted goal, in bytes.
 const CAUSE_BYTES_MAX: usize = 512;
@@ -128,6 +126,8 @@ pub(crate) struct ReportedRobot {
     pub(crate) charge: BatteryShare,
     /// False if the charge is too low to move.
     pub(crate) able: bool,
+    /// Latest value of each declared reading, by name.
+    pub(crate) readings: BTreeMap<String, Scalar>,
 }
 
 /// The session. Times are those since its creation.
@@ -146,7 +146,6 @@ pub(crate) struct DriverSession {
     wrong_lines: u32,
     goals: Goals,
     reported: ReportedRobot,
-    readings: BTreeMap<String, Reading>,
 }
 
 impl DriverSession {
@@ -162,19 +161,13 @@ impl DriverSession {
             heartbeats: Heartbeats::default(),
             wrong_lines: 0,
             goals: Goals::default(),
-            reported: ReportedRobot { pose, place: None, charge, able: true },
-            readings: BTreeMap::new(),
+            reported: ReportedRobot { pose, place: None, charge, able: true, readings: BTreeMap::new() },
         }
     }
 
     /// Returns what the driver has reported of the robot.
     pub(crate) fn reported(&self) -> &ReportedRobot {
         &self.reported
-    }
-
-    /// Returns the latest readings, by name.
-    pub(crate) fn readings(&self) -> &BTreeMap<String, Reading> {
-        &self.readings
     }
 
     /// Checks whether the driver is ready, or was within `grace`.
@@ -383,18 +376,23 @@ impl DriverSession {
                 self.reported.place = place;
             }
             DriverMessage::Charge { share, able } => (self.reported.charge, self.reported.able) = (share, able),
-            DriverMessage::Readings { values } => {
-                for (name, value) in values {
-                    if self.readings.len() >= READINGS_MAX && !self.readings.contains_key(&name) {
-                        return self.log_wrong_line(format!("more than {READINGS_MAX} readings: {name} is ignored"));
-                    }
-                    self.readings.insert(name, value);
-                }
-            }
+            DriverMessage::Readings { values } => return self.update_readings(&values),
             DriverMessage::Heartbeat { .. } => {}
             DriverMessage::Error { message } => return self.log_wrong_line(format!("error of the driver: {message}")),
         }
         vec![]
+    }
+
+    /// Keeps the declared readings. Each other one is logged as a wrong line.
+    fn update_readings(&mut self, values: &BTreeMap<String, Scalar>) -> Vec<SessionAction> {
+        let mut logs = vec![];
+        for (name, value) in values {
+            match self.contract.accept_reading(name, value) {
+                Ok(value) => drop(self.reported.readings.insert(name.clone(), value)),
+                Err(problem) => logs.extend(self.log_wrong_line(problem.to_string())),
+            }
+        }
+        logs
     }
 
     /// Starts a goal. A repeated id changes nothing.

@@ -1,5 +1,7 @@
 use super::*;
 use crate::messages::OfferedAction;
+use consort_skills::domain_file::DomainFile;
+use serde_json::json;
 
 const KEEP: Duration = Duration::from_millis(900);
 
@@ -35,7 +37,13 @@ fn ended(how: &str) -> SessionEvent {
 }
 
 fn new() -> DriverSession {
-    DriverSession::new("ada".parse().unwrap(), Contract::default(), Pose::default(), BatteryShare::FULL)
+    let form = json!({
+        "domain": "cleaning",
+        "readings": { "dust": { "type": "number", "minimum": 0 }, "bag": { "type": "text" } },
+    });
+    let form = serde_json::from_value(form).unwrap();
+    let contract = Contract::new([&DomainFile::check(form, &BTreeMap::new(), &[]).unwrap()]);
+    DriverSession::new("ada".parse().unwrap(), contract, Pose::default(), BatteryShare::FULL)
 }
 
 /// A session with a driver that has said hello at 0.
@@ -266,16 +274,36 @@ fn reports_replace_the_state_of_the_robot() {
         r#"{"type":"pose","x_m":1.5,"y_m":-2}"#,
         r#"{"type":"charge","share":0.25,"able":false}"#,
         r#"{"type":"readings","values":{"dust":0.5,"bag":"full"}}"#,
-        r#"{"type":"readings","values":{"dust":0.75}}"#,
+        r#"{"type":"readings","values":{"dust":1}}"#,
     ] {
         let report = SessionEvent::Message(DriverMessage::parse(line).unwrap());
         assert_eq!(session.handle(report, at(5)), []);
     }
     let charge = BatteryShare::new(0.25).unwrap();
-    let expected = ReportedRobot { pose: Pose::new(1.5, -2.0, 0.0), place: None, charge, able: false };
+    let readings = [("bag", Scalar::Text("full".to_owned())), ("dust", Scalar::Number(1.0))];
+    let readings = readings.map(|(name, value)| (name.to_owned(), value)).into();
+    let expected = ReportedRobot { pose: Pose::new(1.5, -2.0, 0.0), place: None, charge, able: false, readings };
     assert_eq!(session.reported(), &expected);
-    let readings = [("bag", Reading::Text("full".to_owned())), ("dust", Reading::Number(0.75))];
-    assert_eq!(session.readings(), &readings.map(|(name, value)| (name.to_owned(), value)).into());
+}
+
+#[test]
+fn undeclared_and_wrong_readings_are_ignored_and_logged() {
+    let mut session = ready(false);
+    let line = r#"{"type":"readings","values":{"bag":"full","dust":-1,"dusd":2,"lid":true}}"#;
+    let mut logs = vec![];
+    for _ in 0..3 {
+        logs.extend(session.handle(SessionEvent::Message(DriverMessage::parse(line).unwrap()), at(5)));
+    }
+    let expected = [
+        "readings: values.dusd: no domain declares this reading; allowed: bag, dust; did you mean `dust`?",
+        "readings: values.dust: `-1`; the domain declares a number, 0 or more",
+        "readings: values.lid: no domain declares this reading; allowed: bag, dust",
+    ];
+    let log = |text: &str| SessionAction::Log(text.to_owned());
+    assert_eq!(logs[..3], expected.map(log));
+    assert_eq!(logs.len(), 5, "further wrong lines are not logged");
+    let readings = BTreeMap::from([("bag".to_owned(), Scalar::Text("full".to_owned()))]);
+    assert_eq!(session.reported().readings, readings);
 }
 
 #[test]

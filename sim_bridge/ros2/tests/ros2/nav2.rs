@@ -23,6 +23,7 @@ use hiroz::Builder;
 use hiroz::action::messages::CancelGoalServiceResponse;
 use hiroz::action::server::{ExecutingGoal, ZActionServer};
 use ractor::{Actor, ActorProcessingErr, ActorRef};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::JoinSet;
@@ -188,6 +189,7 @@ async fn an_early_refusal_does_not_replace_the_reply_of_the_server() {
                 battery: BatteryShare::FULL,
                 able: true,
                 closed: vec![],
+                readings: BTreeMap::new(),
             };
             sequence += 1;
             let state = DriverState {

@@ -4,6 +4,7 @@ use super::location::RobotLocation;
 use super::preconditions::action_error;
 use super::sim_state::{ScheduledEvent, SimCommand};
 use super::simulation::World;
+use super::systems::declared_actions::Readings;
 use super::systems::people::PersonRequests;
 use super::systems::power::Battery;
 use consort_protocol::ids::RobotId;
@@ -166,6 +167,7 @@ impl RobotBackend for World {
             battery: battery.as_ref().map_or(BatteryShare::FULL, |battery| battery.at(state.now)),
             able: battery.is_none_or(|battery| battery.able),
             closed: state.known_closures(robot),
+            readings: state.find::<Readings>(robot).map(|readings| readings.0.clone()).unwrap_or_default(),
         })
     }
 

@@ -12,7 +12,7 @@ use super::systems;
 use crate::map::Map;
 use consort_protocol::ids::PlaceId;
 use consort_skills::domain::shipped_domain;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
 const SPEED_MPS: RangeInclusive<f64> = 0.001..=100.0;
@@ -20,15 +20,31 @@ const RADIUS_M: RangeInclusive<f64> = 0.01..=10.0;
 const DURATION_S: RangeInclusive<f64> = 0.0..=86_400.0;
 
 impl WorldSetup {
-    /// An empty world with default durations and limits, and the actions of the shipped domain.
+    /// An empty world with default durations and limits, and the shipped domain.
     pub fn new(map: Map, seed: u64) -> Self {
         let (durations, limits) = (Durations::default(), WorldLimits::default());
         let systems = systems::system_names().map(str::to_owned).collect();
         let (robots, people, objects) = (Vec::new(), Vec::new(), Vec::new());
         let (doors, obstacles) = (Vec::new(), Vec::new());
         let (step_s, wind) = (default_step_s(), None);
-        let actions = shipped_domain().simulated_actions().collect();
-        Self { map, robots, people, objects, doors, obstacles, seed, durations, actions, limits, systems, step_s, wind }
+        let (actions, readings) = (BTreeMap::new(), BTreeMap::new());
+        let setup = Self {
+            map,
+            robots,
+            people,
+            objects,
+            doors,
+            obstacles,
+            seed,
+            durations,
+            actions,
+            readings,
+            limits,
+            systems,
+            step_s,
+            wind,
+        };
+        setup.domain(shipped_domain())
     }
 }
 

@@ -418,6 +418,7 @@ impl RobotBackend for Nav2Driver {
             battery: BatteryShare::FULL,
             able: true,
             closed: self.closed.iter().map(|(connection, _)| connection.clone()).collect(),
+            readings: BTreeMap::new(),
         })
     }
 }

@@ -1,6 +1,7 @@
 use super::*;
 use consort_fleet::robot_driver::StateStamp;
 use consort_protocol::units::{BatteryShare, Seconds};
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 static NUMBER: AtomicU64 = AtomicU64::new(1);
@@ -39,6 +40,7 @@ fn state(goals: &[(u64, GoalStatus)]) -> DriverState {
         battery: BatteryShare::FULL,
         able: true,
         closed: vec![],
+        readings: BTreeMap::new(),
     };
     let goals = goals.iter().map(|(id, status)| (GoalId(FIRST + id - 100), status.clone())).collect();
     let stamp = StateStamp { boot: 3, sequence: NUMBER.fetch_add(1, Ordering::Relaxed) };

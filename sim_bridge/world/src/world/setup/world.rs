@@ -6,7 +6,7 @@ use super::person::PersonSetup;
 use super::robot::RobotSetup;
 use crate::map::Map;
 use consort_protocol::ids::ActionName;
-use consort_skills::domain_file::SimulatedAction;
+use consort_skills::domain_file::{DomainFile, ReadingForm, SimulatedAction};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -32,6 +32,8 @@ pub struct WorldSetup {
     pub durations: Durations,
     /// Actions that domain files declare.
     pub actions: BTreeMap<ActionName, SimulatedAction>,
+    /// Readings that domain files declare: every robot has them.
+    pub readings: BTreeMap<String, ReadingForm>,
     /// Limits of memory and numbers.
     pub limits: WorldLimits,
     /// Names of the systems, in the order in which they receive events.
@@ -70,6 +72,14 @@ impl Default for WindSettings {
 }
 
 impl WorldSetup {
+    /// Adds the actions and the readings of a domain.
+    #[must_use]
+    pub fn domain(mut self, domain: &DomainFile) -> Self {
+        self.actions.extend(domain.simulated_actions());
+        self.readings.extend(domain.reading_forms().map(|(name, form)| (name.clone(), form.clone())));
+        self
+    }
+
     /// Adds a robot.
     #[must_use]
     pub fn robot(mut self, robot: RobotSetup) -> Self {

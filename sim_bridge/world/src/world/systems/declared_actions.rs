@@ -1,30 +1,35 @@
-//! Actions that domain files declare: each takes a random time, and at its end fails, or returns random
-//! results.
+//! Actions and readings that domain files declare. An action takes a random time; at its end it fails, or
+//! returns random results and changes the readings of its robot.
 
 use crate::world::components::SimRobot;
 use crate::world::preconditions::action_error;
-use crate::world::setup::WorldSetup;
+use crate::world::setup::{RobotSetup, WorldSetup};
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
 use crate::world::system_access::{ComponentType, component_types};
 use consort_protocol::ids::ActionName;
+use consort_protocol::scalar::Scalar;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
-use consort_skills::domain_file::{SimulatedAction, SimulatedResult};
+use consort_skills::domain_file::{Addition, ReadingForm, SimulatedAction, SimulatedEffect, SimulatedResult};
 use hecs::Entity;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use serde_json::Value;
+use serde_json::json;
 use std::collections::BTreeMap;
 
 /// See the [module](self).
 pub(crate) struct DeclaredActions;
 
-/// The declared actions, with the generator of durations and failures.
+/// The declared actions and readings, with the generator of durations, failures and values.
 pub(crate) struct ActionModels {
     actions: BTreeMap<ActionName, SimulatedAction>,
+    readings: BTreeMap<String, ReadingForm>,
     chance: ChaCha8Rng,
 }
+
+/// Current readings of a robot, by name.
+pub(crate) struct Readings(pub(crate) BTreeMap<String, Scalar>);
 
 impl System for DeclaredActions {
     fn name(&self) -> &'static str {
@@ -36,12 +41,23 @@ impl System for DeclaredActions {
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        component_types![ActionModels]
+        component_types![ActionModels, Readings]
     }
 
     fn init_world(&self, state: &mut SimState, setup: &WorldSetup) {
         let chance = ChaCha8Rng::seed_from_u64(setup.seed ^ 0xac_7105);
-        state.insert_resource(ActionModels { actions: setup.actions.clone(), chance });
+        let (actions, readings) = (setup.actions.clone(), setup.readings.clone());
+        state.insert_resource(ActionModels { actions, readings, chance });
+    }
+
+    fn init_robot(&self, state: &mut SimState, robot: Entity, _body: &RobotSetup) {
+        let readings = {
+            let mut models = state.resource_mut::<ActionModels>();
+            let ActionModels { readings, chance, .. } = &mut *models;
+            let first = readings.iter().map(|(name, form)| (name, reading(form, draw(&form.simulated(), chance))));
+            first.filter_map(|(name, value)| Some((name.clone(), value?))).collect()
+        };
+        state.insert(robot, Readings(readings));
     }
 
     fn begin_goal(&self, state: &mut SimState, _robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
@@ -55,23 +71,50 @@ impl System for DeclaredActions {
     fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
         let Goal::Declared(goal) = goal else { return Ok(GoalResult::default()) };
         let mut models = state.resource_mut::<ActionModels>();
-        let ActionModels { actions, chance } = &mut *models;
+        let ActionModels { actions, readings, chance } = &mut *models;
         let Some(action) = actions.get(&goal.action) else { return Ok(GoalResult::default()) };
         if chance.random_bool(action.failure_rate) {
             let problem = format!("{} failed at {}", state.robot_id(robot), goal.action);
             return Err(action_error(ErrorCode::Failed, problem));
         }
-        let results = action.results.iter().map(|(name, result)| (name.clone(), draw(result, chance)));
-        Ok(GoalResult(results.collect()))
+        let results = action.results.iter().map(|(name, result)| (name.clone(), json!(draw(result, chance))));
+        let results = GoalResult(results.collect());
+        let current = &mut state.get_mut::<Readings>(robot).0;
+        for (name, effect) in &action.effects {
+            let Some(form) = readings.get(name) else { continue };
+            let value = match effect {
+                SimulatedEffect::Set(value) => draw(value, chance),
+                SimulatedEffect::Add(Addition { add }) => {
+                    current.get(name).and_then(number).map(|now| Scalar::Number(now + add))
+                }
+            };
+            if let Some(value) = reading(form, value) {
+                current.insert(name.clone(), value);
+            }
+        }
+        Ok(results)
     }
 }
 
-/// Draws a result.
-fn draw(result: &SimulatedResult, chance: &mut ChaCha8Rng) -> Value {
-    let value = match result {
-        SimulatedResult::Range([least, greatest]) => return chance.random_range(*least..=*greatest).into(),
-        SimulatedResult::OneOf(values) => values.choose(chance),
-        SimulatedResult::Value(value) => Some(value),
-    };
-    serde_json::to_value(value).expect("a value serializes to JSON")
+/// Draws a value.
+fn draw(simulated: &SimulatedResult, chance: &mut ChaCha8Rng) -> Option<Scalar> {
+    match simulated {
+        SimulatedResult::Range([least, greatest]) => Some(Scalar::Number(chance.random_range(*least..=*greatest))),
+        SimulatedResult::OneOf(values) => values.choose(chance).cloned(),
+        SimulatedResult::Value(value) => Some(value.clone()),
+    }
+}
+
+/// Returns a drawn value in the type of a reading, and within its range.
+fn reading(form: &ReadingForm, drawn: Option<Scalar>) -> Option<Scalar> {
+    let drawn = drawn?;
+    number(&drawn).and_then(|number| form.value.nearest(number)).or_else(|| form.value.value_kind().accept(&drawn))
+}
+
+fn number(value: &Scalar) -> Option<f64> {
+    match value {
+        Scalar::Number(number) => Some(*number),
+        Scalar::Integer(number) => Some(*number as f64),
+        Scalar::Bool(_) | Scalar::Text(_) => None,
+    }
 }

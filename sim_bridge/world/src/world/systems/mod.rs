@@ -3,7 +3,7 @@
 mod arm;
 mod co_presence;
 mod collisions;
-mod declared_actions;
+pub(super) mod declared_actions;
 pub(crate) mod docking;
 pub(crate) mod doors;
 mod drawer;

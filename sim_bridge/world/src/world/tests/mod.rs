@@ -11,6 +11,7 @@ mod person_requests;
 mod power;
 mod preconditions;
 mod properties;
+mod readings;
 mod sensing;
 mod setup_errors;
 mod speed;

@@ -1,0 +1,85 @@
+//! Checks of readings, and of the effects of simulated goals on them.
+
+use super::form::{Addition, ParameterKind, ReadingForm, SimulatedEffect, SimulatedResult};
+use super::{DomainProblem, problem, value_problems};
+use crate::actions::READINGS_MAX;
+use consort_protocol::ids::ActionName;
+use consort_protocol::scalar::{NAME_BYTES_MAX, Scalar};
+use consort_text::AllowedNames;
+use std::collections::BTreeMap;
+
+/// Returns the problems of the readings of a domain. `number` is that of the readings of all domains.
+pub(super) fn reading_problems(readings: &BTreeMap<String, ReadingForm>, number: usize) -> Vec<DomainProblem> {
+    let mut problems = value_problems("readings", readings.iter().map(|(name, reading)| (name, &reading.value)));
+    for (name, reading) in readings {
+        let place = format!("readings.{name}");
+        if name.len() > NAME_BYTES_MAX {
+            problems.push(problem(&place, format!("allowed are at most {NAME_BYTES_MAX} letters")));
+        }
+        if reading.value.kind == ParameterKind::Role {
+            problems.push(problem(&place, "allowed are place, seconds, number, integer, bool and text"));
+        }
+        if reading.value.optional {
+            problems.push(problem(&place, "a reading is not `optional`"));
+        }
+        let simulated = reading.simulate.value.as_ref();
+        let wrong = simulated.and_then(|value| value_problem(reading, value));
+        problems.extend(wrong.map(|wrong| problem(format!("{place}.simulate.value"), wrong)));
+    }
+    if number > READINGS_MAX {
+        let wrong = format!("{number} readings in all domains; at most {READINGS_MAX} are allowed");
+        problems.push(problem("readings", wrong));
+    }
+    problems
+}
+
+/// Returns the problems of the effects of an action on these readings.
+pub(super) fn effect_problems(
+    action: &ActionName,
+    effects: &BTreeMap<String, SimulatedEffect>,
+    readings: &BTreeMap<&str, &ReadingForm>,
+) -> Vec<DomainProblem> {
+    let wrong = effects.iter().filter_map(|(name, effect)| {
+        let wrong = match (readings.get(name.as_str()), effect) {
+            (None, _) => {
+                let known = AllowedNames::suggest_for(name, readings.keys());
+                Some(format!("the domain declares no such reading; {known}"))
+            }
+            (Some(reading), SimulatedEffect::Set(value)) => value_problem(reading, value),
+            (Some(reading), SimulatedEffect::Add(Addition { add })) => {
+                let is_number = reading.value.nearest(0.0).is_some() && add.is_finite();
+                let kind = reading.value.value_kind();
+                (!is_number)
+                    .then(|| format!("`add` needs a finite number and a reading that is a number; it is {kind}"))
+            }
+        };
+        Some(problem(format!("actions.{action}.simulate.effects.{name}"), wrong?))
+    });
+    wrong.collect()
+}
+
+/// Returns the problem of a value in the simulator that does not fit its reading.
+fn value_problem(reading: &ReadingForm, simulated: &SimulatedResult) -> Option<String> {
+    let kind = reading.value.value_kind();
+    let accepts = |value: &Scalar| kind.accept(value).is_some();
+    let wrong = match simulated {
+        SimulatedResult::Value(value) => (!accepts(value)).then(|| format!("`{value}`")),
+        SimulatedResult::OneOf(values) if values.is_empty() => Some("an empty list".to_owned()),
+        SimulatedResult::OneOf(values) => values.iter().find(|value| !accepts(value)).map(|value| format!("`{value}`")),
+        SimulatedResult::Range([least, greatest]) => {
+            let fits = |end: &f64| reading.value.nearest(*end).is_some_and(|nearest| is_same(&nearest, *end));
+            let is_range = least <= greatest && fits(least) && fits(greatest);
+            (!is_range).then(|| format!("the range [{least}, {greatest}]"))
+        }
+    };
+    wrong.map(|wrong| format!("{wrong} does not fit the reading; allowed is {kind}"))
+}
+
+/// Checks whether a value of a reading is this number.
+fn is_same(value: &Scalar, number: f64) -> bool {
+    match value {
+        Scalar::Number(value) => *value == number,
+        Scalar::Integer(value) => *value as f64 == number,
+        Scalar::Bool(_) | Scalar::Text(_) => false,
+    }
+}
