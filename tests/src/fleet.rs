@@ -17,6 +17,7 @@ use consort_protocol::trust::AccessScope;
 use consort_protocol::versions::VersionRange;
 use consort_raft::store::NodeStore;
 use consort_skills::domain::{standard_descriptors, standard_library};
+use consort_skills::domain_file::DomainFile;
 use consort_world::SharedWorld;
 use consort_world::map;
 use consort_world::world::{LoggedEvent, PersonSetup, World, WorldSetup};
@@ -82,6 +83,8 @@ pub(crate) struct NodeOptions {
     pub(crate) date_ms: u64,
     /// World seconds per second of node time.
     pub(crate) world_speed: f64,
+    /// Domains besides the shipped one.
+    pub(crate) domains: Vec<DomainFile>,
 }
 
 impl Default for NodeOptions {
@@ -93,6 +96,7 @@ impl Default for NodeOptions {
             signatures: None,
             date_ms: 0,
             world_speed: 10.0,
+            domains: vec![],
         }
     }
 }
@@ -153,6 +157,17 @@ impl Fleet {
         Fleet::hospital_with(seed, members, stations, rooms, options).await
     }
 
+    /// Starts the same hospital, whose robots have the actions, readings and tasks of a domain, too.
+    pub async fn hospital_of_domain(
+        seed: u64,
+        members: Vec<RobotSpec>,
+        stations: &[&str],
+        domain: DomainFile,
+    ) -> Fleet {
+        let options = NodeOptions { domains: vec![domain], ..NodeOptions::default() };
+        Fleet::hospital_with(seed, members, stations, &[], options).await
+    }
+
     /// Starts the hospital, open or closed.
     pub(crate) async fn hospital_with(
         seed: u64,
@@ -166,6 +181,9 @@ impl Fleet {
         }
         let map = map::shipped("hospital").expect("the shipped map is sound");
         let mut setup = WorldSetup::new(map, seed);
+        for domain in &options.domains {
+            setup = setup.domain(domain);
+        }
         for member in &members {
             setup = setup.robot(member.robot_body());
         }
@@ -186,7 +204,8 @@ impl Fleet {
         let present = members.iter().filter(|member| !member.starts_later).count();
         let mut settings = ward(ensembles, present + stations.len());
         let places = world.with(|world| world.map().topology().places);
-        settings.domain = Arc::new((*settings.domain).clone().with_places(places.into_keys()));
+        let types = options.domains.iter().flat_map(DomainFile::task_types);
+        settings.domain = Arc::new((*settings.domain).clone().with_types(types).with_places(places.into_keys()));
         let client = network.bus(slug("client"));
         let credentials =
             options.signatures.map(|signatures| Credentials::new(settings.fleet.clone(), seed, signatures));
@@ -257,12 +276,17 @@ impl Fleet {
             let map = world.map();
             let environment = map.environment().expect("the shipped map is sound");
             let mut library = standard_library(environment.clone());
+            let mut descriptors = standard_descriptors();
+            for domain in &self.options.domains {
+                domain.extend_library(&mut library).expect("it was checked with the others");
+                descriptors = domain.extend_descriptors(descriptors);
+            }
             if let Some(train) = member.customize_library {
                 train(&mut library);
             }
             RobotPart {
                 worker: member.worker(map),
-                estimator: Arc::new(standard_descriptors().resolve(environment).expect("routes are there")),
+                estimator: Arc::new(descriptors.resolve(environment).expect("routes are there")),
                 library: Arc::new(library),
             }
         });

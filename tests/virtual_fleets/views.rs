@@ -11,7 +11,8 @@ use consort_protocol::view::{
     RequestsView, RobotView, WithProvenance,
 };
 use consort_raft::store::Backup;
-use consort_tests::{Fleet, for_each_seed, slug};
+use consort_skills::domain_file::DomainFile;
+use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use consort_world::world::WorldReport;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -128,6 +129,48 @@ fn every_view_has_a_single_reply_with_the_current_state() {
             assert!(view["seen_by"].is_string() && view["age_ms"].is_u64(), "seed {seed}: {name}: {view}");
             assert_eq!((&view["coordinator"], &view["term"]), (&json!("aster"), &json!(1)), "seed {seed}: {name}");
         }
+    });
+}
+
+/// Any node gets the readings of a robot from the robot's node. Records do not contain them.
+#[test]
+fn the_view_of_a_robot_contains_its_readings() {
+    let domain = r#"{
+        "domain": "cleaning",
+        "readings": {
+            "bag_g": { "type": "number", "simulate": { "value": 2 } },
+            "lid": { "type": "bool", "simulate": { "value": true } }
+        }
+    }"#;
+    for_each_seed([123], async |seed| {
+        let form = serde_json::from_str(domain).expect("a domain");
+        let domain = DomainFile::check(form, &BTreeMap::new(), &[]).expect("a valid domain");
+        let members = ["fern", "gorse"].map(|name| RobotSpec::carrier(name, "Dock")).to_vec();
+        let mut fleet = Fleet::hospital_of_domain(seed, members, &["aster"], domain).await;
+        fleet.wait_for_coordinator().await;
+        let readings = json!({ "bag_g": 2.0, "lid": true });
+        for from in ["view", "seen/aster", "seen/gorse"] {
+            // Another node shows the readings in `view` only.
+            let expected = if from == "seen/aster" { &Value::Null } else { &readings };
+            let key = format!("{from}/robot/gorse");
+            let shown = async |fleet: &Fleet| {
+                let (views, _) = query_views(&fleet.client, &format!("consort/ward/{key}")).await;
+                views.get(&key).filter(|view| view["readings"] == *expected).cloned()
+            };
+            let view = fleet.poll_until(&format!("{key} with {expected}"), SOON, shown).await;
+            assert_eq!(view["node"], "gorse", "seed {seed}");
+            check_type::<RobotView>(&key, &view);
+        }
+        let record = fleet.knowledge_of("aster", &slug("gorse")).expect("a record");
+        let record = serde_json::to_string(&record).expect("JSON");
+        assert!(!record.contains("bag_g"), "seed {seed}: {record}");
+        // Without the robot's node there is still a view.
+        fleet.kill("gorse").await;
+        let shown = async |fleet: &Fleet| {
+            let views = fleet.view("robot/gorse").await;
+            views.get("robot/gorse").is_some_and(|view| view["readings"].is_null()).then_some(())
+        };
+        fleet.poll_until("a view without readings", SOON, shown).await;
     });
 }
 

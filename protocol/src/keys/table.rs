@@ -70,7 +70,7 @@ macro_rules! table {
 
 table! {
     Key::ViewFleet => "view/fleet", "any node" Answers JSON, "the nodes, each with the age of its record, and the ensembles";
-    Key::ViewRobot(_) => "view/robot/{robot}", "any node" Answers JSON, "a robot: place, battery, skills, and the role that it holds";
+    Key::ViewRobot(_) => "view/robot/{robot}", "any node" Answers JSON, "a robot: place, battery, skills, readings, and the role that it holds";
     Key::ViewEnsembles => "view/ensembles", "any node" Answers JSON, "the members of each ensemble, and the reason for each node that is not a member";
     Key::ViewCoordinator => "view/coordinator", "any node" Answers JSON, "the coordinator, its term and start time; voters and learners";
     Key::ViewMissions => "view/missions", "any node" Answers JSON, "all missions, in brief";

@@ -4,6 +4,7 @@ use super::readable;
 use crate::ensemble::Membership;
 use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RoleId, TaskType};
 use crate::knowledge::RobotKnowledge;
+use crate::scalar::Scalar;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -140,6 +141,11 @@ pub struct RobotView {
     /// Time by the replying node's clock, in milliseconds since 1970.
     #[serde(default)]
     pub at_ms: u64,
+    /// Latest readings that the robot's driver has published, by name. Null if the robot's node does not
+    /// reply to the replying node, if its driver has not reported, and in the reply to a key expression
+    /// for several robots.
+    #[serde(default)]
+    pub readings: Option<BTreeMap<String, Scalar>>,
 }
 
 /// The ensembles of a fleet.

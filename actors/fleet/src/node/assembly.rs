@@ -32,7 +32,7 @@ use consort_raft::{ApplyObserver, LogStore, RaftSettings, Replica};
 use ractor::{Actor, ActorRef};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::watch;
 use tracing::{info, warn};
@@ -106,6 +106,7 @@ pub(super) async fn start_parts(
         gossip,
         membership,
         wire_version,
+        driver: Arc::default(),
         tasks: Tasks::default(),
     };
     assembly.publish_cluster();
@@ -171,6 +172,8 @@ struct Assembly {
     gossip: GossipHandle,
     membership: ClusterMembership,
     wire_version: WireVersion,
+    /// The driver of the node's robot, once it is connected.
+    driver: Arc<OnceLock<RobotDriver>>,
     tasks: Tasks,
 }
 
@@ -331,6 +334,7 @@ impl Assembly {
             knowledge: self.knowledge(),
             membership: self.membership.clone(),
             ensembles: Arc::clone(&self.fleet.ensembles),
+            driver: Arc::clone(&self.driver),
             map: self.fleet.map.clone(),
             beacon_interval: self.times.beacon_interval,
         };
@@ -370,6 +374,8 @@ impl Assembly {
             heartbeat_interval: Duration::from_millis(300),
         };
         let driver = RobotDriver::connect(client, &self.root.get_cell()).await?;
+        // A node has a single robot.
+        let _ = self.driver.set(driver.clone());
         let token = self.bus.announce(&self.keys.write(&Key::AliveRobot(robot.clone()))).await?;
         self.tasks.spawn(async move {
             std::future::pending::<()>().await;

@@ -10,9 +10,11 @@ use consort_bus::{Reply, Sample, SharedBus, Stream};
 use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
 use consort_protocol::keys::{DriverCall, Key, Keys};
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::{Goal, GoalId, GoalResult, GoalStatus, RobotActions, Telemetry};
 use ractor::{Actor, ActorCell, ActorProcessingErr, ActorRef};
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
@@ -99,6 +101,11 @@ impl RobotDriver {
     pub fn refresh(&mut self) {
         let latest = self.lock().telemetry().cloned();
         self.telemetry = latest;
+    }
+
+    /// Returns the latest readings; `None` before the first state.
+    pub(crate) fn readings(&self) -> Option<BTreeMap<String, Scalar>> {
+        self.lock().telemetry().map(|telemetry| telemetry.readings.clone())
     }
 
     /// Returns the age of the latest telemetry in milliseconds; 0 before the first.

@@ -12,6 +12,7 @@ use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, KnownRecord};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Ledger, MissionState};
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::NodeTime;
 use consort_protocol::view::{
     Contact, CoordinatorView, EnsembleMember, EnsembleView, EnsemblesView, FleetView, HealthView, HeldRole, LedgerCopy,
@@ -34,6 +35,8 @@ pub(super) struct ViewContext<'a> {
     pub(super) status: ClusterStatus,
     /// A majority has confirmed this node's copy of the ledger for this request.
     pub(super) linearizable: bool,
+    /// Readings of the robot of another node, from that node.
+    pub(super) received_readings: Option<(NodeId, BTreeMap<String, Scalar>)>,
     pub(super) now: NodeTime,
 }
 
@@ -201,7 +204,22 @@ impl ViewContext<'_> {
     /// Returns the JSON of a robot's node. The age and the version are those of its record.
     fn robot(&self, node: &NodeId, stored: &KnownRecord, statuses: &BTreeMap<NodeId, MemberStatus>) -> Value {
         let Provenance { coordinator, term, at_ms, .. } = self.provenance();
-        json(RobotView { node: self.node(node, stored, statuses), coordinator, term, at_ms })
+        json(RobotView {
+            node: self.node(node, stored, statuses),
+            coordinator,
+            term,
+            at_ms,
+            readings: self.readings(node),
+        })
+    }
+
+    /// Returns the readings of a node's robot, if they are known here.
+    fn readings(&self, node: &NodeId) -> Option<BTreeMap<String, Scalar>> {
+        if *node == self.views.node {
+            return self.views.driver.get()?.readings();
+        }
+        let (_, readings) = self.received_readings.as_ref().filter(|(of, _)| of == node)?;
+        Some(readings.clone())
     }
 
     /// Returns a single node. The caller passes the statuses, because the knowledge is locked while

@@ -5,6 +5,7 @@
 //!  client ── get view/** ──▶ the nearest node ── from its knowledge, its copy of the ledger, its map
 //!                               │
 //!                               ├─ seen/{voter}/** ───▶ a voter of the ledger, if it has no copy itself
+//!                               ├─ seen/{robot}/robot/{robot} ─▶ the robot's node, for the robot's readings
 //!                               └─ wire/world ────────▶ the driver server
 //! ```
 //!
@@ -28,6 +29,7 @@ mod mission;
 use crate::api_help::call_help;
 use crate::coordinator::{CoordinatorMessage, CoordinatorStatus};
 use crate::followed_coordinator::FollowedCoordinator;
+use crate::robot_driver::RobotDriver;
 use api::unknown_mission;
 use bytes::Bytes;
 use cluster_status::ClusterStatus;
@@ -40,17 +42,19 @@ use consort_gossip::SharedKnowledge;
 use consort_protocol::api::{ErrorReply, ReadOptions};
 use consort_protocol::codec;
 use consort_protocol::ensemble::Ensembles;
-use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::ids::{MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::Ledger;
 use consort_protocol::message::Beacon;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::NodeTime;
-use consort_protocol::view::MapView;
+use consort_protocol::view::{MapView, RobotView};
 use consort_raft::{RaftId, Replica};
 use draw::{ViewContext, json, millis};
 use ractor::ActorRef;
 use serde_json::{Map, Value};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::task::JoinSet;
@@ -65,6 +69,9 @@ const VOTERS_QUERIED_MAX: usize = 3;
 
 /// Timeout for the driver server to return the state of its world.
 const WORLD_TIMEOUT: Duration = Duration::from_millis(400);
+
+/// Timeout for the node of a robot to return the robot's readings.
+const READINGS_TIMEOUT: Duration = Duration::from_millis(400);
 
 /// Timeout for this node's own coordinator to return its status.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(100);
@@ -89,6 +96,8 @@ pub(crate) struct Views {
     pub(crate) knowledge: SharedKnowledge,
     pub(crate) membership: ClusterMembership,
     pub(crate) ensembles: Arc<Ensembles>,
+    /// The driver of the node's robot, once it is connected.
+    pub(crate) driver: Arc<OnceLock<RobotDriver>>,
     /// The fleet's map, to be served.
     pub(crate) map: Option<Arc<MapView>>,
     /// Interval of a coordinator's beacons.
@@ -188,6 +197,22 @@ impl ViewService {
         if let Key::ViewMission(mission) = key { Some(mission) } else { None }
     }
 
+    /// Returns the other node whose robot is requested by name, if that node is alive.
+    fn other_robot(&self, requested: &keyexpr) -> Option<NodeId> {
+        let Some(Key::ViewRobot(robot)) = self.views.keys.read(requested.as_str()) else { return None };
+        let node = NodeId::from(robot);
+        (node != self.views.node && self.views.knowledge.is_alive(&node)).then_some(node)
+    }
+
+    /// Returns the readings of the robot of another node.
+    async fn readings_from(&self, node: NodeId) -> Option<(NodeId, BTreeMap<String, Scalar>)> {
+        let view = Key::ViewRobot(RobotId::from(node.clone()));
+        let key = self.views.keys.write(&Key::Seen(node.clone(), Box::new(view)));
+        let mut replies = self.views.bus.query(&key, Bytes::new(), READINGS_TIMEOUT).await.ok()?;
+        let view: RobotView = serde_json::from_slice(&replies.recv().await?.payload.ok()?).ok()?;
+        Some((node, view.readings?))
+    }
+
     /// Returns the requested views of this node alone.
     async fn seen_views(&self, requested: &keyexpr, payload: &[u8]) -> Vec<(Key, Value)> {
         let seen = |key: &Key| Key::Seen(self.views.node.clone(), Box::new(key.clone()));
@@ -210,10 +235,13 @@ impl ViewService {
         own_views.into_iter().map(|(key, value)| (seen(&key), value)).collect()
     }
 
-    /// Returns the requested views. A voter and the driver server contribute what this node lacks.
+    /// Returns the requested views. A voter, the robot's node and the driver server contribute what this node lacks.
     async fn requested_views(&self, requested: &keyexpr) -> Vec<(Key, Value)> {
         let wanted = |key: &Key| self.is_requested(requested, key);
-        let context = self.context().await;
+        let mut context = self.context().await;
+        if let Some(node) = self.other_robot(requested) {
+            context.received_readings = self.readings_from(node).await;
+        }
         let named = self.named_mission(requested);
         let mut views = context.draw(&wanted, named.as_ref());
         let missions = self.views.keys.write(&Key::ViewMissions).replace("/missions", "/mission/*");
@@ -302,7 +330,13 @@ impl ViewService {
             None => None,
         };
         let now = self.views.clock.now();
-        ViewContext { views: &self.views, status: self.status(coordinator_status, now), linearizable: false, now }
+        ViewContext {
+            views: &self.views,
+            status: self.status(coordinator_status, now),
+            linearizable: false,
+            received_readings: None,
+            now,
+        }
     }
 
     fn status(&self, coordinator_status: Option<CoordinatorStatus>, now: NodeTime) -> ClusterStatus {

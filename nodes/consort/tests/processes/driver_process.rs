@@ -43,11 +43,16 @@ fn write_files(fleet: &Fleet) {
     fs::write(fleet.path("driver.py"), driver).expect("the folder can be written to");
 }
 
+/// Returns the goals that the driver has received, in order.
+fn goals(fleet: &Fleet) -> Vec<Value> {
+    let goals = fs::read_to_string(fleet.path("goals.jsonl")).expect("the driver records its goals");
+    goals.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect()
+}
+
 /// Asserts that exactly one goal was sent a second time, as resumed and with its id, and that no other
 /// goal took its place.
 fn assert_one_goal_was_resumed(fleet: &Fleet) {
-    let goals = fs::read_to_string(fleet.path("goals.jsonl")).expect("the driver records its goals");
-    let goals: Vec<Value> = goals.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    let goals = goals(fleet);
     let (resumed, first): (Vec<&Value>, Vec<&Value>) = goals.iter().partition(|goal| goal["resumed"] == true);
     let [again] = resumed[..] else { panic!("one goal is resumed: {goals:?}") };
     let same: Vec<_> = first.iter().filter(|goal| goal["id"] == again["id"]).collect();
@@ -110,6 +115,36 @@ fn a_driver_in_python_performs_a_mission_and_survives_its_death() {
     assert_one_goal_was_resumed(&fleet);
     drop(client);
     // Its driver ends with the node.
+    fleet.stop();
+}
+
+/// The bag contains 2 g after the first room and 6 g after the second: the tree empties it above 5 g. Clients
+/// see the reading.
+#[test]
+fn a_condition_on_a_reading_decides_what_the_robot_does() {
+    let mut fleet = start("cleaning-6");
+    let mission = fleet.path("mission.yaml");
+    fs::write(&mission, example("mission.yaml")).expect("the folder can be written to");
+    let waiting = fleet.begin(&["submit", &mission.display().to_string(), "--wait"], "cleaner");
+    let client = Client::open(&fleet.address("cleaner"), "cleaning-6");
+    let bag_g = || {
+        let (_, view) = client.all("view/robot/cleaner", "").into_iter().next()?;
+        view["readings"]["bag_g"].as_f64()
+    };
+    until("the bag contains more than 5 g", LONG, || bag_g().filter(|bag| *bag > 5.0));
+    until("the bag was emptied", LONG, || bag_g().filter(|bag| *bag <= 5.0));
+    let ended = waiting.end(LONG).expect(0);
+    assert!(ended.stdout.contains("clean-rooms-1 completed\n"), "{}", ended.stdout);
+    let work: Vec<String> = goals(&fleet)
+        .iter()
+        .filter_map(|goal| goal["action"].as_str())
+        .filter(|action| *action != "navigate_to_pose")
+        .map(str::to_owned)
+        .collect();
+    assert_eq!(work, ["vacuum", "vacuum", "empty_bag", "vacuum"]);
+    let log = fleet.node("cleaner").stderr();
+    assert!(!log.contains("readings: values."), "{log}");
+    drop(client);
     fleet.stop();
 }
 

@@ -127,6 +127,8 @@ pub struct RobotModel {
     pub speed: Option<f64>,
     /// The skills.
     pub skills: Vec<String>,
+    /// Latest readings of its driver, by name.
+    pub readings: BTreeMap<String, Scalar>,
     /// Time of the last contact with its node.
     pub last_contact_ms: u64,
     /// Time of the last telemetry.

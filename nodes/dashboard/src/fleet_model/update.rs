@@ -92,6 +92,7 @@ impl FleetModel {
         shown.place = telemetry.place.to_string();
         shown.battery = round(telemetry.battery.get());
         shown.can_move = telemetry.able;
+        shown.readings.clone_from(&telemetry.readings);
         shown.telemetry_ms = Some(now_ms);
         // Between two places the rest of the route does not change.
         if passed {

@@ -403,3 +403,17 @@ fn invalid_views_and_unchanged_values_produce_no_patch() {
     let patch = delta::between(&before, &model.to_json()).unwrap();
     assert_eq!(patch, json!({ "robots": { "ada": { "x": 1.5, "telemetry_ms": NOW + 200 } } }));
 }
+
+#[test]
+fn a_robot_has_the_latest_readings_of_its_driver() {
+    let mut model = model();
+    let with = |readings: Value| {
+        let mut report = serde_json::to_value(telemetry(1.0, 1.0)).unwrap();
+        report["readings"] = readings;
+        serde_json::from_value::<Telemetry>(report).unwrap()
+    };
+    model.apply_telemetry("ada", &with(json!({ "bag_g": 2.5, "lid": true })), NOW);
+    assert_eq!(model.to_json()["robots"]["ada"]["readings"], json!({ "bag_g": 2.5, "lid": true }));
+    model.apply_telemetry("ada", &with(json!({ "lid": false })), NOW + 200);
+    assert_eq!(model.to_json()["robots"]["ada"]["readings"], json!({ "lid": false }));
+}

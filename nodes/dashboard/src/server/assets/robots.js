@@ -18,6 +18,7 @@ export function update(model, chosen, onChoose) {
     battery: Math.round((robot.battery ?? 0) * 100) / 100,
     low: robot.battery <= (robot.useful_charge ?? 0) + 0.1,
     place: robot.place,
+    readings: Object.entries(robot.readings ?? {}).map(([name, value]) => `${name} ${typeof value === 'number' ? Math.round(value * 100) / 100 : value}`).join(', '),
     chosen: key === chosen,
   }));
   const body = byId('robots').tBodies[0];
@@ -28,9 +29,10 @@ export function update(model, chosen, onChoose) {
     const [kind, text] = activity(item);
     const detail = item.task ? `${readable(item.task)}${item.to ? ` → ${item.to}` : ''}` : item.problem;
     const does = make('td', { className: 'wrap' }, state(kind, text), detail ? make('span', { className: 'sub' }, detail) : null);
+    const where = make('td', { className: 'wrap' }, item.place ?? '–', item.readings ? make('span', { className: 'sub' }, item.readings) : null);
     if (item.chosen) row.setAttribute('aria-current', 'true');
     else row.removeAttribute('aria-current');
-    cells(row, choose, does, meter(item.battery, percent(item.battery), item.low ? 'bad' : 'good'), item.place ?? '–', row.cells[4] ?? numberCell(since(0)));
+    cells(row, choose, does, meter(item.battery, percent(item.battery), item.low ? 'bad' : 'good'), where, row.cells[4] ?? numberCell(since(0)));
   });
   // Ages are updated without redrawing the row.
   for (const row of body.rows) {
