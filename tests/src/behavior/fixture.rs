@@ -151,7 +151,7 @@ impl Fixture {
                 world: running.world.clone(),
                 speed: self.setup.speed,
                 ensembles,
-                options: NodeOptions::default(),
+                options: NodeOptions { domains: self.setup.domains.clone(), ..NodeOptions::default() },
             };
             running.nodes_since_s = running.world.now().as_secs();
             running.fleet = Some(Fleet::from_setup(fleet_setup).await);

@@ -9,7 +9,7 @@ use super::step_result::{StepFailure, StepResult};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Seconds;
-use consort_skills::actions::{Goal, GoalId, RobotBackend, Waypoint};
+use consort_skills::actions::{DeclaredGoal, Goal, GoalId, JsonObject, RobotBackend, Waypoint};
 use consort_skills::environment::Routes;
 
 /// Returns the steps of this file, in the order of their documentation.
@@ -29,6 +29,7 @@ pub(super) fn steps() -> Vec<ActionStep> {
         approach_nurse(),
         approach_robot(),
         take_from(),
+        perform(),
         stop_goal(),
     ]
 }
@@ -117,6 +118,13 @@ fn approach_robot() -> ActionStep {
 fn take_from() -> ActionStep {
     goal("{name} is told to take from {name}", "lab-arm is told to take from amber", |_, arguments| {
         Ok(Goal::PickUp { from: arguments.parse_name(1)? })
+    })
+}
+
+fn perform() -> ActionStep {
+    goal("{name} is told to perform the action {name}", "amber is told to perform the action vacuum", |_, arguments| {
+        let (action, parameters) = (arguments.parse_name(1)?, JsonObject::new());
+        Ok(Goal::Declared(DeclaredGoal { action, parameters, repeatable: false }))
     })
 }
 

@@ -6,6 +6,7 @@ use super::step_arguments::{StepArguments, name};
 use super::step_pattern::{FactStep, fact};
 use super::step_result::{StepFailure, expect_that};
 use consort_protocol::ids::PlaceId;
+use consort_protocol::scalar::Scalar;
 use consort_skills::actions::{GoalStatus, RobotBackend, Telemetry};
 use consort_world::world::{DetectedObject, RobotReport, SensorReading, WorldEvent};
 
@@ -31,6 +32,9 @@ pub(super) fn steps() -> Vec<FactStep> {
         sees(),
         feels_nearby(),
         measures_ahead(),
+        reading_is(),
+        reading_is_at_least(),
+        reading_is_at_most(),
     ]
 }
 
@@ -255,6 +259,58 @@ fn measures_ahead() -> FactStep {
             }
         }
     })
+}
+
+fn reading_is() -> FactStep {
+    fact("the reading {text} of {name} is {value}", r#"the reading "bag_g" of amber is 0"#, |fixture, arguments| {
+        let (reading, expected) = (reading(fixture, arguments)?, arguments.value(2));
+        let is_same = match &reading {
+            Scalar::Number(number) => expected.parse() == Ok(*number),
+            Scalar::Bool(_) | Scalar::Integer(_) | Scalar::Text(_) => reading.to_string() == expected,
+        };
+        expect_that(is_same, || format!("it is {reading}"))
+    })
+}
+
+fn reading_is_at_least() -> FactStep {
+    fact(
+        "the reading {text} of {name} is at least {number}",
+        r#"the reading "bag_g" of amber is at least 5"#,
+        |fixture, arguments| {
+            let reading = number_of_reading(fixture, arguments)?;
+            expect_that(reading >= arguments.number(2), || format!("it is {reading}"))
+        },
+    )
+}
+
+fn reading_is_at_most() -> FactStep {
+    fact(
+        "the reading {text} of {name} is at most {number}",
+        r#"the reading "bag_g" of amber is at most 5"#,
+        |fixture, arguments| {
+            let reading = number_of_reading(fixture, arguments)?;
+            expect_that(reading <= arguments.number(2), || format!("it is {reading}"))
+        },
+    )
+}
+
+/// Returns a reading; its name is the first argument, its robot the second.
+fn reading(fixture: &Fixture, arguments: &StepArguments) -> Result<Scalar, StepFailure> {
+    let robot = fixture.robot(arguments.value(1))?;
+    let readings = fixture.running().world.telemetry(&robot).expect("a robot of this world").readings;
+    let name = arguments.value(0);
+    readings.get(name).cloned().ok_or_else(|| {
+        let known: Vec<&str> = readings.keys().map(String::as_str).collect();
+        StepFailure::Invalid(format!("{robot} has no reading {name:?}; it has: {}", known.join(", ")))
+    })
+}
+
+fn number_of_reading(fixture: &Fixture, arguments: &StepArguments) -> Result<f64, StepFailure> {
+    match reading(fixture, arguments)? {
+        Scalar::Number(number) => Ok(number),
+        Scalar::Integer(number) => Ok(number as f64),
+        other => Err(StepFailure::Invalid(format!("the reading is {other}, which is no number"))),
+    }
 }
 
 fn telemetry(fixture: &Fixture, arguments: &StepArguments) -> Result<Telemetry, StepFailure> {

@@ -4,6 +4,7 @@ use super::step_result::StepFailure;
 use crate::RobotSpec;
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::units::{BatteryShare, SharePerSecond};
+use consort_skills::domain_file::DomainFile;
 use consort_world::SharedWorld;
 use consort_world::kinematics::Kinematics;
 use consort_world::map::{LaneEntry, Map, MapFile, PlaceEntry, PlaceKind};
@@ -24,6 +25,8 @@ pub(super) struct ScenarioSetup {
     pub(super) stations: Vec<String>,
     /// Ensembles of the fleet; none: one of all robots.
     pub(super) ensembles: Vec<EnsembleSpec>,
+    /// Domains besides the shipped one.
+    pub(super) domains: Vec<DomainFile>,
     pub(super) people: Vec<PersonSetup>,
     pub(super) objects: Vec<ObjectSetup>,
     pub(super) doors: Vec<DoorSetup>,
@@ -93,6 +96,7 @@ impl ScenarioSetup {
             robots: vec![],
             stations: vec![],
             ensembles: vec![],
+            domains: vec![],
             people: vec![],
             objects: vec![],
             doors: vec![],
@@ -110,6 +114,9 @@ impl ScenarioSetup {
     /// Creates the world.
     pub(super) fn world(&self) -> Result<SharedWorld, StepFailure> {
         let mut setup = WorldSetup::new(self.map()?, self.seed);
+        for domain in &self.domains {
+            setup = setup.domain(domain);
+        }
         for part in &self.robots {
             setup = setup.robot(part.body()?);
         }

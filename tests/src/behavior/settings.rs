@@ -9,11 +9,16 @@ use crate::RobotSpec;
 use crate::fleet::nurse_in;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::PlaceId;
+use consort_protocol::yaml;
+use consort_skills::domain::shipped_domain;
+use consort_skills::domain_file::{DomainFile, DomainForm};
 use consort_world::map;
 use consort_world::world::{
     DoorSetup, ObjectSetup, Obstacle, PersonAction, PersonSetup, PersonTrigger, SpontaneousAction,
 };
 use std::collections::BTreeSet;
+use std::fmt::Display;
+use std::path::Path;
 
 /// Returns the steps of this file, in the order of their documentation.
 pub(super) fn steps() -> Vec<SettingStep> {
@@ -23,6 +28,7 @@ pub(super) fn steps() -> Vec<SettingStep> {
         shipped_or_read_map(),
         map_text(),
         empty_room(),
+        domain_file(),
         robot_at(),
         robot_with_skills(),
         arm_at(),
@@ -100,6 +106,23 @@ fn map_text() -> SettingStep {
 fn empty_room() -> SettingStep {
     setting("a room of {number} by {number} metres", "a room of 50 by 50 metres", |setup, arguments| {
         setup.map = ScenarioMap::Room { width_m: arguments.number(0), depth_m: arguments.number(1) };
+        Ok(())
+    })
+}
+
+fn domain_file() -> SettingStep {
+    setting("the domain {text}", r#"the domain "plants/domain.yaml""#, |setup, arguments| {
+        let file = setup.folder.join(arguments.value(0));
+        let invalid = |problem: &dyn Display| StepFailure::Invalid(format!("{}: {problem}", file.display()));
+        let read = |path: &Path| std::fs::read_to_string(path).map_err(|problem| invalid(&problem));
+        let form: DomainForm = yaml::parse(&read(&file)?).map_err(|problem| invalid(&problem))?;
+        let tree = |name: &str| Ok((name.to_owned(), read(&file.with_file_name(name))?));
+        let trees = form.tree_files().map(tree).collect::<Result<_, StepFailure>>()?;
+        let known: Vec<&DomainFile> = [shipped_domain()].into_iter().chain(&setup.domains).collect();
+        let checked = DomainFile::check(form, &trees, &known);
+        let domain = checked
+            .map_err(|problems| invalid(&problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")))?;
+        setup.domains.push(domain);
         Ok(())
     })
 }

@@ -21,11 +21,12 @@ use std::collections::HashMap;
 use std::fmt;
 
 /// Regular expressions of the parameters, by name.
-const PARAMETERS: [(&str, &str); 10] = [
+const PARAMETERS: [(&str, &str); 11] = [
     ("name", r"[A-Za-z0-9_.-]+"),
     ("names", r"[A-Za-z0-9_.-]+(?:(?:, | and )[A-Za-z0-9_.-]+)*"),
     ("text", r#""[^"]*""#),
     ("number", r"-?\d+(?:\.\d+)?"),
+    ("value", r#""[^"]*"|true|false|-?\d+(?:\.\d+)?"#),
     ("time", r"\d+(?:\.\d+)? (?:ms|s|min|h|seconds?|minutes?|hours?)"),
     ("percent", r"\d+(?:\.\d+)? ?%"),
     ("mission", r"the mission|mission [A-Za-z0-9_.-]+"),
